@@ -15,6 +15,7 @@ mod error;
 mod exec;
 mod export;
 mod export_table;
+mod field_file;
 mod file_state;
 mod files;
 mod filter;

@@ -248,6 +248,7 @@ fn nodes_of(session: &Session, record: &RunRecord) -> Vec<NodeView> {
             reason: node.reason.clone(),
             of_run: None,
             seconds: (node.state == NodeState::Finished).then_some(node.seconds),
+            training_s: training_s(session, node),
             params: info.map(|info| info.params.clone()).unwrap_or_default(),
             outputs: node
                 .outputs
@@ -264,6 +265,12 @@ fn nodes_of(session: &Session, record: &RunRecord) -> Vec<NodeView> {
         }
     };
     parents.map(view).collect()
+}
+
+/// Returns the seconds of a training's steps when it was made; none of other nodes.
+fn training_s(session: &Session, node: &marf_engine::NodeRun) -> Option<f64> {
+    let record = session.store.record(&node.key?).ok().flatten()?;
+    record.metadata.parts_s.get("training").copied()
 }
 
 fn state(state: NodeState) -> State {

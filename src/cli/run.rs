@@ -1,3 +1,4 @@
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::sync::Arc;
 use std::time::SystemTime;
@@ -20,7 +21,9 @@ use super::session::{NodeInfo, Session, warn};
 use super::shared::Shared;
 use super::{export, files, manual_lists, on, program, report, scenes, verdicts};
 use crate::emptied;
-use crate::progress::{Began, EventFile, JsonLines, Progress, Trace, duration, event_folder};
+use crate::progress::{
+    Began, Estimate, EventFile, Expected, JsonLines, Progress, Trace, duration, event_folder,
+};
 use crate::terminal::{eprint_line, print_line};
 
 /// `marf run`: runs what changed, writes pictures, models and the report.
@@ -145,6 +148,7 @@ pub fn execute_as(
         progress,
         trace: execution.trace.is_some().then(Trace::default),
         event_file: event_file(session, options),
+        estimate: Estimate::new(&wanted(session, options), expected(session)),
         failure: Mutex::default(),
     };
     if !global.json {
@@ -233,12 +237,63 @@ fn event_file(session: &Session, options: &Options) -> Option<EventFile> {
         run: &options.id,
         pipeline: &session.name,
         command: &options.command,
-        nodes: &session.graph.names(),
+        nodes: &wanted(session, options),
+        upstream: upstream(session),
     };
     let created = EventFile::create(&event_folder(&session.store), &began);
     created
         .map_err(|error| warn(format!("`marf view` cannot follow this run: {error}")))
         .ok()
+}
+
+/// Returns the nodes that a run is about, producers first: those that are asked for with all that they read, else all.
+fn wanted<'s>(session: &'s Session, options: &Options) -> Vec<&'s str> {
+    let names = session.graph.names();
+    if options.to.is_empty() {
+        return names;
+    }
+    let upstream = upstream(session);
+    let mut wanted: BTreeSet<&str> = options.to.iter().map(String::as_str).collect();
+    // Consumers first: what a node reads stands before it.
+    for name in names.iter().rev() {
+        if wanted.contains(name) {
+            wanted.extend(upstream.get(name).into_iter().flatten().copied());
+        }
+    }
+    names.into_iter().filter(|name| wanted.contains(name)).collect()
+}
+
+/// Returns what each node reads, by name.
+fn upstream(session: &Session) -> BTreeMap<&str, Vec<&str>> {
+    let reads = session.graph.nodes().map(|node| {
+        let names = node.edges.iter().map(|edge| edge.upstream.as_str());
+        (
+            node.name,
+            names
+                .collect::<BTreeSet<&str>>()
+                .into_iter()
+                .collect::<Vec<&str>>(),
+        )
+    });
+    reads.filter(|(_, names)| !names.is_empty()).collect()
+}
+
+/// Runs that are asked how long their nodes took.
+const RUNS_ASKED: usize = 5;
+
+/// Returns what the last runs of this pipeline tell of how long its nodes take; a run that cannot be read tells nothing.
+fn expected(session: &Session) -> Expected {
+    let numbers = session.store.run_numbers().unwrap_or_default();
+    let runs = numbers
+        .into_iter()
+        .rev()
+        .filter_map(|number| marf_engine::run_of(&session.store, number).ok());
+    let own: Vec<RunRecord> = runs
+        .take(4 * RUNS_ASKED)
+        .filter(|run| run.pipeline == session.name)
+        .take(RUNS_ASKED)
+        .collect();
+    Expected::of(own.iter())
 }
 
 /// Returns what the nodes of a session run on: the GPUs, or `cpu`.
@@ -256,6 +311,7 @@ struct RunListener {
     trace: Option<Trace>,
     /// What `marf view` reads while the run goes on.
     event_file: Option<EventFile>,
+    estimate: Estimate,
     failure: Mutex<Option<Diagnostic>>,
 }
 
@@ -267,6 +323,12 @@ impl Listener for RunListener {
         }
         if let Some(file) = &self.event_file {
             file.on_event(event);
+        }
+        if let Some(standing) = self.estimate.after(event) {
+            self.progress.on_standing(&standing);
+            if let Some(file) = &self.event_file {
+                file.on_standing(&standing);
+            }
         }
         if let Event::Failed {
             node,

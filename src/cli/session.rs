@@ -28,9 +28,14 @@ pub const SCENES: &str = " (scenes)";
 
 /// Tells whether a run is no run of the pipeline as it is: it made a file for another program, a point of a trade, or told the scenes.
 pub fn is_aside(run: &RunRecord) -> bool {
+    is_aside_name(&run.pipeline)
+}
+
+/// As [`is_aside`], of the name of a run's pipeline.
+pub fn is_aside_name(pipeline: &str) -> bool {
     [EXPORTS, TRADES, SCENES]
         .iter()
-        .any(|aside| run.pipeline.ends_with(aside))
+        .any(|aside| pipeline.ends_with(aside))
 }
 
 /// Returns the last run of a pipeline among runs, oldest first.

@@ -8,8 +8,10 @@ use clap::Args;
 use marf_cache::{Digest, Store};
 use marf_engine::{Cancel, NodeRun, RunRecord, document, run_of};
 use marf_field::Device;
+use marf_schema::bootstrap::Metrics;
 use marf_schema::output::{SCENE, WEIGHTS};
-use marf_view::{FieldSource, Options, RunContent, Server, Source, ViewError};
+use marf_stage::Document;
+use marf_view::{DepthInterval, FieldSource, Options, RunContent, Server, Source, ViewError};
 use parking_lot::Mutex;
 
 use super::args::Global;
@@ -85,7 +87,7 @@ impl StoreSource {
         let numbers = self.store.run_numbers().map_err(|error| error.to_string())?;
         // A run that cannot be read is passed over here: `marf log` names it.
         let mut runs = numbers.into_iter().rev().filter_map(|number| read(number).ok());
-        let has_much = |run: &RunRecord| self.report(run).is_some() || !fields(run).is_empty();
+        let has_much = |run: &RunRecord| self.report(run).is_some() || trained(run).next().is_some();
         Ok(runs.find(|run| !is_aside(run) && has_much(run)))
     }
 
@@ -94,7 +96,7 @@ impl StoreSource {
         let numbers = self.store.run_numbers().ok()?.into_iter().rev();
         let earlier = numbers.filter(|number| *number < run.number);
         let mut runs = earlier.filter_map(|number| run_of(&self.store, number).ok());
-        runs.find(|before| before.pipeline == run.pipeline && !fields(before).is_empty())
+        runs.find(|before| before.pipeline == run.pipeline && trained(before).next().is_some())
     }
 
     /// Returns the digest of the report that a run has kept.
@@ -109,6 +111,59 @@ impl StoreSource {
         let runs = numbers.into_iter().filter(|number| *number > shown);
         let own = |number: &u64| run_of(&self.store, *number).is_ok_and(|run| !is_aside(&run));
         runs.filter(own).collect()
+    }
+
+    /// Returns a run as it is shown.
+    fn shown(&self, run: &RunRecord) -> Result<RunContent, String> {
+        let report = match self.report(run) {
+            Some(kept) => text(&self.store.get(&kept).map_err(|error| error.to_string())?)?,
+            None => show::sentence_page(&without_report(run)),
+        };
+        let (mut objects, mut fields) = (objects(run), self.fields(run));
+        if fields.is_empty()
+            && let Some(earlier) = self.trained_before(run)
+        {
+            objects.extend(self::objects(&earlier));
+            fields = self.fields(&earlier);
+            for field in &mut fields {
+                field.node = format!("{} of run {}", field.node, earlier.number);
+            }
+        }
+        Ok(RunContent {
+            number: Some(run.number),
+            report,
+            pages: scenes::pages(run),
+            objects,
+            fields,
+        })
+    }
+
+    /// Returns the trained fields of a run with the retrainings of each.
+    fn fields(&self, run: &RunRecord) -> Vec<FieldSource> {
+        trained(run)
+            .filter_map(|node| {
+                Some(FieldSource {
+                    node: node.name.clone(),
+                    weights: node.outputs.get(WEIGHTS)?.digest,
+                    scene: node.outputs.get(SCENE)?.digest,
+                    members: members(run, node),
+                    depth_interval: self.depth_interval(run, node),
+                })
+            })
+            .collect()
+    }
+
+    /// Returns what the bootstrap of a training tells of its depths; none where it tells nothing or its metrics are lost.
+    fn depth_interval(&self, run: &RunRecord, trained: &NodeRun) -> Option<DepthInterval> {
+        let metrics = bootstraps_of(run, &trained.name).find_map(|node| {
+            let bytes = self.store.get(&node.outputs.get(Metrics::OUTPUT)?.digest).ok()?;
+            Metrics::decode(&bytes).ok()
+        });
+        let calibration = metrics?.heldout?.depth_calibration?;
+        Some(DepthInterval {
+            floor: calibration.floor,
+            factor: calibration.factor90,
+        })
     }
 }
 
@@ -135,10 +190,6 @@ impl Source for StoreSource {
                 fields: Vec::new(),
             });
         };
-        let report = match self.report(&run) {
-            Some(kept) => text(&self.store.get(&kept).map_err(|error| error.to_string())?)?,
-            None => show::sentence_page(&without_report(&run)),
-        };
         if self.run.is_none() {
             let later = self.later_without(run.number);
             if !later.is_empty() {
@@ -148,23 +199,17 @@ impl Source for StoreSource {
                 ));
             }
         }
-        let (mut objects, mut fields) = (objects(&run), fields(&run));
-        if fields.is_empty()
-            && let Some(earlier) = self.trained_before(&run)
-        {
-            objects.extend(self::objects(&earlier));
-            fields = self::fields(&earlier);
-            for field in &mut fields {
-                field.node = format!("{} of run {}", field.node, earlier.number);
-            }
+        self.shown(&run)
+    }
+
+    fn content_of(&self, run: u64) -> Result<RunContent, String> {
+        if self.run.is_some_and(|named| named != run) {
+            return Err(format!(
+                "this page is of run {run}, and another is shown now: load it again"
+            ));
         }
-        Ok(RunContent {
-            number: Some(run.number),
-            report,
-            pages: scenes::pages(&run),
-            objects,
-            fields,
-        })
+        let run = run_of(&self.store, run).map_err(|error| error.to_string())?;
+        self.shown(&run)
     }
 
     fn object(&self, digest: &Digest) -> Option<Arc<[u8]>> {
@@ -194,18 +239,14 @@ fn objects(run: &RunRecord) -> BTreeSet<Digest> {
         .collect()
 }
 
-/// Returns the trained fields of a run with the retrainings of each.
-fn fields(run: &RunRecord) -> Vec<FieldSource> {
+/// Returns the nodes of a run that have trained a field.
+fn trained(run: &RunRecord) -> impl Iterator<Item = &NodeRun> {
     let whole = run.nodes.iter().filter(|node| node.parent.is_none());
-    let field = |node: &NodeRun| {
-        Some(FieldSource {
-            node: node.name.clone(),
-            weights: node.outputs.get(WEIGHTS)?.digest,
-            scene: node.outputs.get(SCENE)?.digest,
-            members: members(run, node),
-        })
-    };
-    whole.filter_map(field).collect()
+    whole.filter(|node| {
+        [WEIGHTS, SCENE]
+            .iter()
+            .all(|output| node.outputs.contains_key(*output))
+    })
 }
 
 /// Returns the fields that the bootstraps of a training have trained.

@@ -1,9 +1,11 @@
 use std::collections::HashMap;
+use std::sync::OnceLock;
 
 use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
 use marf_engine::{Event, Listener};
 use parking_lot::Mutex;
 
+use super::estimate::Standing;
 use super::text::sentence;
 use crate::terminal::escape_control;
 
@@ -12,16 +14,37 @@ use crate::terminal::escape_control;
 pub struct Bars {
     all: MultiProgress,
     running: Mutex<HashMap<String, ProgressBar>>,
+    /// The whole run, below all nodes.
+    whole: OnceLock<ProgressBar>,
 }
 
 impl Bars {
+    /// Shows how far the whole run is.
+    pub fn on_standing(&self, standing: &Standing) {
+        let whole = self.whole.get_or_init(|| {
+            let bar = self
+                .all
+                .add(ProgressBar::new(standing.nodes as u64))
+                .with_prefix("run");
+            let style = ProgressStyle::with_template("{prefix:<22} {bar:28} {elapsed:>4}  {msg}");
+            bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
+            bar
+        });
+        whole.set_position(standing.over as u64);
+        whole.set_message(standing.text());
+        if standing.over == standing.nodes {
+            whole.finish_and_clear();
+        }
+    }
+
     fn bar(&self, node: &str, total: u64) -> ProgressBar {
         let mut running = self.running.lock();
         let make = || {
-            let bar = self
-                .all
-                .add(ProgressBar::new(total))
-                .with_prefix(escape_control(node));
+            let bar = match self.whole.get() {
+                Some(whole) => self.all.insert_before(whole, ProgressBar::new(total)),
+                None => self.all.add(ProgressBar::new(total)),
+            };
+            let bar = bar.with_prefix(escape_control(node));
             let template = "{prefix:<22} {bar:28} {pos:>6}/{len:<6} {elapsed:>4} left {eta:<5} {msg}";
             bar.set_style(
                 ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar()),

@@ -1,6 +1,6 @@
 //! Leaves the events of a run in the store, where `marf view` reads them while it goes on.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
 use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
@@ -11,6 +11,7 @@ use marf_engine::{Event, Listener};
 use parking_lot::Mutex;
 use serde::Serialize;
 
+use super::estimate::Standing;
 use super::json::Line;
 
 /// Shortest time between two lines of progress of a node, except the last one.
@@ -49,6 +50,19 @@ pub struct Began<'a> {
     pub command: &'a str,
     /// The nodes, producers first.
     pub nodes: &'a [&'a str],
+    /// What each node reads, by name; those that read nothing are left out.
+    pub upstream: BTreeMap<&'a str, Vec<&'a str>>,
+}
+
+/// A line on how far the whole run is.
+#[derive(Debug, Serialize)]
+struct StandingLine<'a> {
+    /// Always `standing`.
+    event: &'static str,
+    #[serde(flatten)]
+    standing: &'a Standing,
+    /// The same in words.
+    text: String,
 }
 
 impl EventFile {
@@ -73,6 +87,20 @@ impl EventFile {
                 last_progress: HashMap::new(),
             }),
         })
+    }
+}
+
+impl EventFile {
+    /// Adds how far the whole run is.
+    pub fn on_standing(&self, standing: &Standing) {
+        let line = StandingLine {
+            event: "standing",
+            text: standing.text(),
+            standing,
+        };
+        if let Ok(line) = serde_json::to_string(&line) {
+            let _ = self.state.lock().file.write_all(format!("{line}\n").as_bytes());
+        }
     }
 }
 
@@ -141,6 +169,7 @@ mod tests {
             pipeline: "demo",
             command: "marf run",
             nodes,
+            upstream: BTreeMap::new(),
         }
     }
 

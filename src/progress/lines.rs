@@ -4,6 +4,7 @@ use std::time::{Duration, Instant};
 use marf_engine::{Event, Listener};
 use parking_lot::Mutex;
 
+use super::estimate::Standing;
 use super::text::{duration, sentence};
 use crate::terminal::{eprint_line, escape_control};
 
@@ -14,6 +15,7 @@ const EVERY: Duration = Duration::from_secs(10);
 #[derive(Default)]
 pub struct Lines {
     tracked: Mutex<HashMap<String, Tracked>>,
+    last_standing: Mutex<Option<Instant>>,
 }
 
 /// Progress of one piece of a node's work.
@@ -26,6 +28,16 @@ struct Tracked {
 }
 
 impl Lines {
+    /// Tells how far the whole run is, each ten seconds, from ten seconds after its beginning.
+    pub fn on_standing(&self, standing: &Standing) {
+        let now = Instant::now();
+        let mut last = self.last_standing.lock();
+        if now - *last.get_or_insert(now) >= EVERY {
+            *last = Some(now);
+            eprint_line(&format!("run     {}", standing.text()));
+        }
+    }
+
     /// Returns the remaining time of the node's work, if its next line is due. Another total is another piece of work,
     /// whose time is measured anew.
     fn due(&self, node: &str, done: u64, total: u64) -> Option<String> {

@@ -1,6 +1,7 @@
 //! Prints the events of a run: bars on a terminal, plain lines elsewhere, JSON lines with `--json`.
 
 mod bars;
+mod estimate;
 mod event_file;
 mod json;
 mod lines;
@@ -12,6 +13,7 @@ use std::io::IsTerminal as _;
 use marf_engine::{Event, Listener};
 
 pub use bars::Bars;
+pub use estimate::{Estimate, Expected, Standing};
 pub use event_file::{Began, EventFile, event_folder};
 pub use json::{JsonLines, event_schema};
 pub use lines::Lines;
@@ -35,6 +37,17 @@ impl Progress {
             Self::Bars(Box::default())
         } else {
             Self::Lines(Lines::default())
+        }
+    }
+}
+
+impl Progress {
+    /// Tells how far the whole run is.
+    pub fn on_standing(&self, standing: &Standing) {
+        match self {
+            Self::Json(_) => {}
+            Self::Bars(bars) => bars.on_standing(standing),
+            Self::Lines(lines) => lines.on_standing(standing),
         }
     }
 }

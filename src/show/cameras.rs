@@ -14,6 +14,7 @@ use super::json;
 use super::page::{Page, has_document};
 use super::quality::{figures, of_calibration};
 use super::read::{Missing, unreadable};
+use super::unplaced;
 use super::vector::{Vec3, add, cross, dot, scaled, sub, unit};
 
 const WIDTH: f64 = 680.0;
@@ -32,6 +33,9 @@ const PLAN_SHARE: f64 = 0.16;
 /// Width of a plan beside pictures, pixels, and most cameras that it shows, evenly from all.
 const PLAN_WIDTH: f64 = 220.0;
 const MOST_CAMERAS: usize = 500;
+/// With more cameras than this they have no names in the drawings, and most that are drawn then.
+const MOST_NAMED: usize = 500;
+const MOST_DRAWN: usize = 2_000;
 /// Reprojection errors up to which a camera has the first colours, pixels; the last is for all above.
 const ERRORS_PX: [f64; 3] = [0.5, 1.0, 2.0];
 
@@ -92,6 +96,9 @@ fn of_scene(scene: &Scene) -> Markup {
             (count(scene.frames.len(), "camera")) ", " (held_out) " held out; "
             (count(scene.points.len(), "sparse point")) "; " (scale_words(scene)) "; " (axes.words) "."
             @if !scene.method.is_empty() { " Method: " (scene.method) "." }
+            @if scene.frames.len() > MOST_DRAWN {
+                " Drawn are " (evenly(&scene.frames, MOST_DRAWN).count()) " of them, evenly from all."
+            }
         }
         @if !scene.frames.is_empty() {
             div.charts {
@@ -103,7 +110,7 @@ fn of_scene(scene: &Scene) -> Markup {
                 @if scene.frames.iter().any(|frame| frame.error_px.is_some()) { (error_legend()) }
             }
         }
-        (unplaced(scene))
+        (unplaced::table(&scene.unplaced))
     }
 }
 
@@ -146,8 +153,7 @@ impl Plan {
         let view = axes.above();
         let fit = fitted(&self.scene, &view);
         let frames = &self.scene.frames;
-        let shown = frames.iter().step_by(frames.len().div_ceil(MOST_CAMERAS).max(1));
-        let dots: String = shown
+        let dots: String = evenly(frames, MOST_CAMERAS)
             .map(|frame| {
                 let (x, y) = fit.place(centre(frame));
                 format!("M{} {}h0", px(x), px(y))
@@ -171,20 +177,6 @@ fn scale_words(scene: &Scene) -> String {
     match scene.metres_per_unit {
         Some(metres) => format!("1 unit is {} m", number(metres)),
         None => "no scale: lengths are in units of the scene".to_owned(),
-    }
-}
-
-fn unplaced(scene: &Scene) -> Markup {
-    html! {
-        @if !scene.unplaced.is_empty() {
-            h4 { (count(scene.unplaced.len(), "photo")) " without a camera" }
-            div.scroll {
-                table {
-                    thead { tr { th { "Photo" } th { "Why" } } }
-                    tbody { @for photo in &scene.unplaced { tr { td.file { (photo.id) } td { (photo.reason) } } } }
-                }
-            }
-        }
     }
 }
 
@@ -344,16 +336,16 @@ fn drawing(scene: &Scene, view: &View, title: &str) -> Markup {
     html! {
         svg.cameras viewBox={ "0 0 " (px(WIDTH)) " " (px(fit.height)) } width=(px(WIDTH)) height=(px(fit.height))
             role="img" aria-label={ (title) ": " (count(scene.frames.len(), "camera")) } {
-            g.points { @for point in thinned(&scene.points) { (dot_of(point, &fit)) } }
-            @for frame in train.into_iter().chain(held_out) { (frustum(frame, &fit, VIEW_SHARE)) }
+            g.points { @for point in evenly(&scene.points, MOST_POINTS) { (dot_of(point, &fit)) } }
+            @if scene.frames.len() <= MOST_NAMED {
+                @for frame in train.into_iter().chain(held_out) { (frustum(frame, &fit, VIEW_SHARE)) }
+            } @else {
+                @for ((_, class), path) in many(scene, &fit) { path.view.(class) d=(path) {} }
+            }
             (scale_bar(scene, &fit))
             (compass(view, &fit))
         }
     }
-}
-
-fn thinned(points: &[Point]) -> impl Iterator<Item = &Point> {
-    points.iter().step_by(points.len().div_ceil(MOST_POINTS).max(1))
 }
 
 fn dot_of(point: &Point, fit: &Fit<'_>) -> Markup {
@@ -362,8 +354,8 @@ fn dot_of(point: &Point, fit: &Fit<'_>) -> Markup {
     html! { @if inside { circle cx=(px(x)) cy=(px(y)) r="1" {} } }
 }
 
-/// The centre and the two edges of the view, each as long as a share of the drawing in space.
-fn frustum(frame: &Frame, fit: &Fit<'_>, share: f64) -> Markup {
+/// Returns the centre of a camera and the two edges of its view, each as long as a share of the drawing in space, pixels.
+fn corners(frame: &Frame, fit: &Fit<'_>, share: f64) -> [(f64, f64); 3] {
     let length = share * WIDTH / fit.px_each;
     let eye = centre(frame);
     let camera = &frame.camera;
@@ -373,18 +365,45 @@ fn frustum(frame: &Frame, fit: &Fit<'_>, share: f64) -> Markup {
         let direction = unit(world_direction(frame, in_cam)).unwrap_or_default();
         fit.place(add(eye, scaled(direction, length)))
     };
-    let corners = [fit.place(eye), edge(0.0), edge(f64::from(camera.width))];
-    let points: Vec<String> = corners
-        .iter()
-        .map(|(x, y)| format!("{},{}", px(*x), px(*y)))
-        .collect();
+    [fit.place(eye), edge(0.0), edge(f64::from(camera.width))]
+}
+
+/// Returns the classes of a camera: what it is for, and how far its points are from where the photo shows them.
+fn class(frame: &Frame) -> String {
     let rank = |error_px: f64| ERRORS_PX.iter().filter(|most| error_px > **most).count();
     let error = frame
         .error_px
         .map_or_else(String::new, |error_px| error_class(rank(error_px)));
-    let class = format!("{} {error}", if frame.held_out { "held-out" } else { "train" });
+    format!("{} {error}", if frame.held_out { "held-out" } else { "train" })
+}
+
+/// Returns some of very many cameras, evenly from all, as one path for each class, in whole pixels: those held out last, on top.
+fn many(scene: &Scene, fit: &Fit<'_>) -> BTreeMap<(bool, String), String> {
+    let mut paths: BTreeMap<(bool, String), String> = BTreeMap::new();
+    for frame in evenly(&scene.frames, MOST_DRAWN) {
+        let [eye, left, right] =
+            corners(frame, fit, VIEW_SHARE).map(|(x, y)| (x.round() as i64, y.round() as i64));
+        let path = paths.entry((frame.held_out, class(frame))).or_default();
+        let (ax, ay, bx, by) = (left.0 - eye.0, left.1 - eye.1, right.0 - left.0, right.1 - left.1);
+        path.push_str(&format!("M{} {}l{ax} {ay} {bx} {by}z", eye.0, eye.1));
+    }
+    paths
+}
+
+/// Returns at most so many of all, evenly.
+fn evenly<T>(all: &[T], most: usize) -> impl Iterator<Item = &T> {
+    all.iter().step_by(all.len().div_ceil(most).max(1))
+}
+
+/// The centre and the two edges of the view, with the camera's name.
+fn frustum(frame: &Frame, fit: &Fit<'_>, share: f64) -> Markup {
+    let corners = corners(frame, fit, share);
+    let points: Vec<String> = corners
+        .iter()
+        .map(|(x, y)| format!("{},{}", px(*x), px(*y)))
+        .collect();
     html! {
-        g.(class) {
+        g.(class(frame)) {
             title {
                 (frame.file) @if frame.held_out { ", held out" }
                 @if let Some(error) = frame.error_px { ", reprojection error " (number(error)) " px" }
@@ -477,6 +496,27 @@ mod tests {
         let alone = plan.whereabouts("d.jpg", Some("gone")).unwrap().into_string();
         assert!(!alone.contains("nearest\""));
         assert!(plan.whereabouts("gone", None).is_none());
+    }
+
+    /// A traverse of 10,000 photos: the drawings stay small, and those held out lie on top.
+    #[test]
+    fn very_many_cameras_are_drawn_in_a_few_paths() {
+        let mut scene = crate::show::fixture::scene();
+        let some = scene.frames.clone();
+        scene.frames = (0..10_000)
+            .map(|index| some[index % some.len()].clone())
+            .collect();
+        let page = of_scene(&scene).into_string();
+        assert!(page.len() < 250_000, "{} bytes", page.len());
+        assert!(page.contains("Drawn are 2000 of them"), "{page}");
+        let above = page.split("</svg>").next().unwrap();
+        let paths = above.split("<path class=\"view ").skip(1);
+        let held_out: Vec<bool> = paths.map(|path| path.starts_with("held-out")).collect();
+        assert!(
+            held_out.len() > 1 && held_out.is_sorted() && held_out.contains(&true),
+            "{held_out:?}"
+        );
+        assert_eq!(page.matches("<title>").count(), 0);
     }
 
     #[test]

@@ -90,26 +90,71 @@ fn curves(page: &Page<'_>, node: &NodeView) -> Markup {
         Ok(Curve(points)) => points,
         Err(missing) => return sentence(missing),
     };
-    let chart = |title, label, scale, value: fn(&CurvePoint) -> f64| Chart {
-        title,
-        x_label: "step",
-        y_label: label,
-        scale,
-        lines: vec![(
-            "",
-            points
-                .iter()
-                .map(|point| (point.step as f64, value(point)))
-                .collect(),
-        )],
-    };
+    let steps: Vec<f64> = points.iter().map(|point| point.step as f64).collect();
+    let seconds = node.training_s.and_then(|whole_s| seconds(&points, whole_s));
+    let psnr: (&str, Scale, Value) = ("PSNR, dB", Scale::Linear, |point: &CurvePoint| point.psnr);
+    let loss: (&str, Scale, Value) = ("loss", Scale::Log, |point: &CurvePoint| point.loss);
     html! {
         div.charts {
-            (chart("PSNR against step", "PSNR, dB", Scale::Linear, |point| point.psnr).drawn())
-            (chart("Loss against step", "loss", Scale::Log, |point| point.loss).drawn())
+            (chart(&points, ("PSNR against step", "step", &steps), psnr).drawn())
+            (chart(&points, ("Loss against step", "step", &steps), loss).drawn())
+            @if let Some(seconds) = &seconds {
+                (chart(&points, ("PSNR against seconds", "seconds", seconds), psnr).drawn())
+                (chart(&points, ("Loss against seconds", "seconds", seconds), loss).drawn())
+            }
         }
         @if let Some(last) = points.last() {
-            p.quiet { (number(last.rays as f64)) " rays, " (number(last.samples as f64)) " samples in all." }
+            p.quiet {
+                (number(last.rays as f64)) " rays, " (number(last.samples as f64)) " samples in all."
+                @if seconds.is_some() {
+                    " Seconds: the time of all steps on the machine that made it, shared out by samples; reading photos and judging come on top."
+                }
+            }
         }
+    }
+}
+
+/// Returns when each point of a curve was reached: the seconds of all steps, shared out by samples, which are what a step costs. None
+/// where no sample was taken.
+fn seconds(points: &[CurvePoint], whole_s: f64) -> Option<Vec<f64>> {
+    let all = points.last()?.samples;
+    let at = |point: &CurvePoint| whole_s * point.samples as f64 / all as f64;
+    (all > 0).then(|| points.iter().map(at).collect())
+}
+
+type Value = fn(&CurvePoint) -> f64;
+
+/// Returns a chart of one value of a curve's points.
+fn chart<'a>(
+    points: &[CurvePoint],
+    (title, x_label, along): (&'a str, &'a str, &[f64]),
+    (y_label, scale, value): (&'a str, Scale, Value),
+) -> Chart<'a> {
+    Chart {
+        title,
+        x_label,
+        y_label,
+        scale,
+        lines: vec![("", along.iter().copied().zip(points.iter().map(value)).collect())],
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn seconds_are_shared_out_by_samples() {
+        let point = |step, samples| CurvePoint {
+            step,
+            samples,
+            rays: 0,
+            loss: 0.1,
+            psnr: 20.0,
+        };
+        let points = [point(1, 100), point(2, 400), point(4, 1000)];
+        assert_eq!(seconds(&points, 20.0), Some(vec![2.0, 8.0, 20.0]));
+        assert_eq!(seconds(&[point(0, 0)], 20.0), None);
+        assert_eq!(seconds(&[], 20.0), None);
     }
 }

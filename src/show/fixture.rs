@@ -117,6 +117,7 @@ pub(super) fn node(name: &str, upstream: &[&str]) -> NodeView {
         of_run: None,
         reason: "no record of this key".to_owned(),
         seconds: Some(1.0),
+        training_s: None,
         params: json!({"seed": 3}),
         outputs: BTreeMap::new(),
         children: Vec::new(),

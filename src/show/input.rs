@@ -84,6 +84,8 @@ pub struct NodeView {
     pub reason: String,
     /// Wall time of its work, seconds; of a reused node what it took then, if known.
     pub seconds: Option<f64>,
+    /// Seconds of its steps alone, where it has trained.
+    pub training_s: Option<f64>,
     /// Its parameters.
     pub params: serde_json::Value,
     /// Its outputs by name.

@@ -32,6 +32,7 @@ mod thumbs;
 mod ties;
 pub mod trade;
 mod tune;
+mod unplaced;
 mod vector;
 mod verdicts;
 

@@ -142,14 +142,25 @@ impl Page {
         }
     }
 
-    /// Presses a key.
-    pub fn presses(&mut self, key: &str, code: &str) {
-        for kind in ["keyDown", "keyUp"] {
-            self.send(
-                "Input.dispatchKeyEvent",
-                json!({"type": kind, "key": key, "code": code}),
-            );
+    /// Presses a key; `text` is what it writes, empty for none.
+    pub fn presses_key(&mut self, key: &str, code: &str, number: u32, text: &str) {
+        self.key("keyDown", key, code, number, text);
+        self.key("keyUp", key, code, number, "");
+    }
+
+    /// Holds a key for some time.
+    pub fn holds(&mut self, key: &str, code: &str, number: u32, time_ms: u64) {
+        self.key("keyDown", key, code, number, "");
+        std::thread::sleep(Duration::from_millis(time_ms));
+        self.key("keyUp", key, code, number, "");
+    }
+
+    fn key(&mut self, kind: &str, key: &str, code: &str, number: u32, text: &str) {
+        let mut event = json!({"type": kind, "key": key, "code": code, "windowsVirtualKeyCode": number});
+        if !text.is_empty() {
+            event["text"] = json!(text);
         }
+        self.send("Input.dispatchKeyEvent", event);
     }
 
     /// Keeps a picture of the window, to be looked at.

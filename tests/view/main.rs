@@ -11,8 +11,11 @@ mod browser;
 mod common;
 mod devtools;
 mod http;
+mod keyboard;
 mod live;
+mod many;
 mod pages;
+mod report;
 
 use std::io::{BufRead as _, BufReader};
 use std::path::Path;
@@ -34,6 +37,26 @@ fn small_run() -> &'static Path {
         dir
     });
     RUN.path()
+}
+
+/// Returns a folder with a run on a photo whose name is a script, without a field.
+fn hostile_run() -> tempfile::TempDir {
+    let dir = tempfile::tempdir().unwrap();
+    std::fs::create_dir(dir.path().join("photos")).unwrap();
+    for (index, name) in ["<img src=x onerror=document.title='hit'>.png", "b.png"]
+        .iter()
+        .enumerate()
+    {
+        let picture = image::RgbImage::from_fn(64, 48, |x, y| {
+            image::Rgb([x, y, (x * y + index as u32) % 251].map(|value| value as u8))
+        });
+        picture.save(dir.path().join("photos").join(name)).unwrap();
+    }
+    let pipeline = "name = \"<script>document.title='hit'</script>\"\n[archive.mine]\nkind = \"folder\"\npath = \"photos\"\n\
+        [node.extract]\narchive = \"mine\"\n[node.size]\ninput = \"extract\"\nmin_bytes = 10\n";
+    std::fs::write(dir.path().join("pipeline.toml"), pipeline).unwrap();
+    marf(dir.path(), &["run"]).exits(0);
+    dir
 }
 
 /// A running `marf view`, which is stopped at the end.

@@ -108,13 +108,21 @@ fn a_view_is_sent_in_four_sizes_and_the_same_view_is_the_same_picture() {
         assert_eq!([decoded.width(), decoded.height()], [numbers[0], numbers[1]]);
     }
     assert_eq!(pictures(&viewer.post("/frames", &view).is(200).body), first);
-    for mode in ["depth", "uncertainty"] {
+    let photo = viewer.get("/scene/1/0").is(200).json()["photos"][0].clone();
+    for mode in ["depth", "uncertainty", "difference"] {
         let mut other = view.clone();
         other["mode"] = json!(mode);
+        other["photo"] = photo["image"].clone();
         let found = pictures(&viewer.post("/frames", &other).is(200).body);
         assert_eq!(found.len(), 4);
         assert_ne!(found[3].1, first[3].1, "{mode}");
     }
+    let mut of_none = view.clone();
+    of_none["mode"] = json!("difference");
+    let refused = |view: &serde_json::Value| viewer.post("/frames", view).is(422).text();
+    assert!(refused(&of_none).contains("none is named"));
+    of_none["photo"] = json!("0".repeat(64));
+    assert!(refused(&of_none).contains("no such photo"));
 }
 
 #[test]
@@ -173,7 +181,6 @@ fn a_picked_point_lies_on_the_ray_of_its_pixel() {
     let pixel = [80_u32, view["camera"]["height"].as_u64().unwrap() as u32 * 3 / 4];
     view["pixel"] = json!(pixel);
     let picked = viewer.post("/pick", &view).is(200).json();
-    assert_eq!(picked["members"].as_array().unwrap().len(), 2);
     let point: Vec<f64> = serde_json::from_value(picked["point"].clone()).unwrap();
     let pose: Vec<Vec<f64>> = serde_json::from_value(view["cam_from_world"].clone()).unwrap();
     let seen: Vec<f64> = pose
@@ -185,6 +192,20 @@ fn a_picked_point_lies_on_the_ray_of_its_pixel() {
     let row = camera("fy_px") * seen[1] / seen[2] + camera("cy_px");
     let away = (column - f64::from(pixel[0]) - 0.5).hypot(row - f64::from(pixel[1]) - 0.5);
     assert!(seen[2] > 0.0 && away < 1e-6, "{column} {row}");
+    let mut other = view.clone();
+    other["pixel"] = json!([20, pixel[1]]);
+    let asked = json!({"run": 1, "field": 0, "marks": [view, other]});
+    let found = viewer.post("/distance", &asked).is(200).json();
+    let number = |key: &str| found[key].as_f64().unwrap();
+    assert!(number("length") > 0.0 && number("spread") >= 0.0, "{found}");
+    assert_eq!(found["members"], 2);
+    if let Some(ends) = found["interval"].as_array() {
+        let ends: Vec<f64> = ends.iter().map(|end| end.as_f64().unwrap()).collect();
+        assert!(
+            ends[0] < number("length") && number("length") < ends[1],
+            "{found}"
+        );
+    }
     view["pixel"] = json!([160, 0]);
     assert!(
         viewer
@@ -204,13 +225,7 @@ fn photos_of_the_scene_are_shown_and_views_that_cannot_be_are_refused_with_a_sen
     assert_eq!(photo.header("content-type"), Some("image/jpeg"));
     viewer.get(&format!("/photo/1/0/{}", "0".repeat(64))).is(404);
     assert!(viewer.get("/scene/1/9").is(404).text().contains("no such field"));
-    assert!(
-        viewer
-            .get("/scene/9/0")
-            .is(404)
-            .text()
-            .contains("of run 9, and run 1 is shown")
-    );
+    assert!(viewer.get("/scene/9/0").is(404).text().contains("run 9"));
     let mut view = view_of(&viewer, 160);
     view["camera"]["width"] = json!(100_000);
     view["camera"]["height"] = json!(100_000);

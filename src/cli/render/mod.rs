@@ -1,6 +1,5 @@
 //! `marf render`: pictures of a trained field along a path, and a film of them.
 
-mod field_file;
 mod path;
 mod size;
 
@@ -23,8 +22,9 @@ use super::again::{Added, run_nodes, run_where, without};
 use super::args::Global;
 use super::error::{CliError, Diagnostic};
 use super::export_table::ExportTable;
+use super::field_file;
 use super::output::print_json;
-use super::session::{Session, bootstraps_of, digest, existing_store, node_named};
+use super::session::{Session, bootstraps_of, digest, existing_store, node_named, warn};
 use crate::terminal::print_line;
 use path::CameraPath;
 use size::SizeArgs;
@@ -98,6 +98,9 @@ pub fn render(global: &Global, args: &RenderArgs, cancel: &Cancel) -> Result<(),
     };
     let run = run_of(&store, args, &trained, &runs)?;
     let scene = scene_of(&store, &run, &trained)?;
+    if let Some(other) = path.of_other_scene(&digest(node_named(&run, &trained)?, SCENE)?) {
+        warn(other);
+    }
     let (pictures, film) = (format!("render-of-{trained}"), format!("video-of-{trained}"));
     let mut nodes: Vec<Added<'_>> = vec![(&pictures, table(args, &path, &scene, &run, &trained)?)];
     if path.has_film() {

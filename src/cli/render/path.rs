@@ -1,10 +1,13 @@
 //! The path of `marf render`: one of those that a scene has, or a file of bookmarks.
 
+use std::ops::Deref;
 use std::path::Path;
 
+use marf_cache::Digest;
 use marf_scene::Scene;
 use marf_scene::path::typical_camera;
 use marf_schema::render::{PathKind, Place};
+use serde::Deserialize;
 use serde_json::{Value, json};
 
 use crate::cli::copies::object_of;
@@ -18,6 +21,51 @@ const WORDS: [(&str, PathKind); 4] = [
     ("interp", PathKind::Flythrough),
     ("orbit", PathKind::Orbit),
 ];
+
+/// The scene that a bookmark was set in.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+pub struct SetIn {
+    run: u64,
+    field: String,
+    scene: Digest,
+}
+
+/// A camera of a file.
+#[derive(Debug, Clone, Deserialize)]
+struct Bookmark {
+    #[serde(flatten)]
+    place: Place,
+    /// None in the `poses.json` of another render, and where somebody wrote it.
+    of: Option<SetIn>,
+}
+
+/// Where the camera goes, and the scenes that a file's bookmarks were set in.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Asked {
+    path: CameraPath,
+    set_in: Vec<SetIn>,
+}
+
+impl Deref for Asked {
+    type Target = CameraPath;
+
+    fn deref(&self) -> &CameraPath {
+        &self.path
+    }
+}
+
+impl Asked {
+    /// Returns a sentence on the bookmarks that were set in another scene than the one of this digest; none where there are none.
+    pub fn of_other_scene(&self, scene: &Digest) -> Option<String> {
+        let others: Vec<&SetIn> = self.set_in.iter().filter(|of| of.scene != *scene).collect();
+        let SetIn { run, field, .. } = others.first()?;
+        Some(format!(
+            "{} of the bookmarks were set in another scene (`{field}` in run {run}): they look at the same things only where the frame of \
+             the scene has stayed; `--run {run}` renders that one",
+            others.len()
+        ))
+    }
+}
 
 /// Where the camera goes.
 #[derive(Debug, Clone, PartialEq)]
@@ -34,18 +82,25 @@ pub enum CameraPath {
 ///
 /// # Errors
 /// Neither a word nor a file; a file that holds no bookmarks.
-pub fn read(given: &str, frames: Option<u32>) -> Result<CameraPath, CliError> {
+pub fn read(given: &str, frames: Option<u32>) -> Result<Asked, CliError> {
     if let Some((_, kind)) = WORDS.iter().find(|(word, _)| *word == given) {
-        return Ok(CameraPath::OfScene(*kind));
+        let path = CameraPath::OfScene(*kind);
+        return Ok(Asked {
+            path,
+            set_in: Vec::new(),
+        });
     }
     let bookmarks = bookmarks(Path::new(given))?;
-    Ok(match frames {
-        None => CameraPath::Stills(bookmarks),
-        Some(_) => CameraPath::Through(bookmarks),
-    })
+    let set_in = bookmarks.iter().filter_map(|mark| mark.of.clone()).collect();
+    let places = bookmarks.into_iter().map(|mark| mark.place).collect();
+    let path = match frames {
+        None => CameraPath::Stills(places),
+        Some(_) => CameraPath::Through(places),
+    };
+    Ok(Asked { path, set_in })
 }
 
-fn bookmarks(file: &Path) -> Result<Vec<Place>, CliError> {
+fn bookmarks(file: &Path) -> Result<Vec<Bookmark>, CliError> {
     let name = file.display();
     let bytes = std::fs::read(file).map_err(|error| {
         let words = WORDS.map(|(word, _)| word);
@@ -58,7 +113,7 @@ fn bookmarks(file: &Path) -> Result<Vec<Place>, CliError> {
         let hint = "`marf view` saves such a file: Bookmarks, Add this view, Download as JSON";
         CliError::Usage(Diagnostic::new(format!("--path {name}: {why}")).hint(hint))
     };
-    let places: Vec<Place> = serde_json::from_slice(&object_of(bytes))
+    let places: Vec<Bookmark> = serde_json::from_slice(&object_of(bytes))
         .map_err(|error| refuse(format!("it is no list of bookmarks: {error}")))?;
     match places.is_empty() {
         true => Err(refuse("it holds no bookmark".to_owned())),
@@ -128,7 +183,7 @@ mod tests {
     #[test]
     fn words_are_paths_and_what_is_neither_word_nor_file_is_told_with_the_nearest_word() {
         assert_eq!(
-            read("interp", None).unwrap(),
+            *read("interp", None).unwrap(),
             CameraPath::OfScene(PathKind::Flythrough)
         );
         let error = refused("orbti");
@@ -159,6 +214,18 @@ mod tests {
         let keys = film.keys();
         assert_eq!(keys[0], ("path", json!("keyframes")));
         assert_eq!(keys[1].1[0]["cam_from_world"][2][3], 2.5);
+        assert_eq!(stills.of_other_scene(&Digest::of(b"any")), None);
+        let scene = Digest::of(b"scene");
+        let of = format!(r#"[{{"of": {{"run": 3, "field": "train", "scene": "{scene}"}}, "name""#);
+        let named = read(&file("named.json", &one.replace(r#"[{"name""#, &of)), None).unwrap();
+        assert_eq!(named.of_other_scene(&scene), None);
+        let told = named.of_other_scene(&Digest::of(b"another")).unwrap();
+        assert!(
+            told.starts_with("1 of the bookmarks") && told.contains("`train` in run 3"),
+            "{told}"
+        );
+        // What a node gets is the camera alone: the key does not depend on where it was set.
+        assert_eq!(named.keys(), stills.keys());
         for (text, word) in [
             ("[]", "no bookmark"),
             ("{}", "no list"),

@@ -3,16 +3,18 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use marf_cache::Store;
 use marf_engine::{Cancel, NodeRun, RunRecord};
 use marf_schema::output::{DEPTH, MESH_GLB, MESH_PLY, POINTS, SPLAT_VIEWS, SPLATS, SURFACE_MAPS};
 use marf_schema::surface::{ColorBy, SplatPsnr, SplatReport, SpreadOf, SurfaceParams, SurfaceReport};
 use marf_stage::Params;
 use serde_json::{Map, Value, json};
 
-use super::super::again::{run_nodes, run_with};
+use super::super::again::{run_nodes, run_where, run_with, without};
 use super::super::args::Global;
 use super::super::error::{CliError, Diagnostic};
 use super::super::export::one;
+use super::super::field_file::made_by;
 use super::super::output::print_json;
 use super::super::session::{bootstraps_of, digest, existing_store, node_named};
 use crate::terminal::print_line;
@@ -23,6 +25,9 @@ pub struct SurfaceArgs {
     /// A node with a trained field
     #[arg(value_name = "NODE", default_value = "train")]
     pub node: String,
+    /// The field in this file instead, as a run of the store made it (`out/train/weights.safetensors`)
+    #[arg(long, value_name = "FILE", conflicts_with = "node")]
+    pub field: Option<PathBuf>,
     /// Where to
     #[arg(long, value_name = "PATH")]
     pub out: PathBuf,
@@ -113,9 +118,10 @@ fn make(
 ) -> Result<(), CliError> {
     check_ending(kind, &args.out)?;
     let store = existing_store(global, cancel)?;
-    let run = run_with(&store, args.run, &args.node)?;
-    let name = format!("surface-of-{}", args.node);
-    let (session, record) = run_nodes(store, &run, &[(&name, table(kind, args, &run))], global, cancel)?;
+    let (trained, run) = trained(&store, args)?;
+    let name = format!("surface-of-{trained}");
+    let table = table(kind, args, &run, &trained);
+    let (session, record) = run_nodes(store, &run, &[(&name, table)], global, cancel)?;
     let node = node_named(&record, &name)?;
     let report: SurfaceReport = session.document(node)?;
     if let (Kind::Height | Kind::Orthophoto, Some(why)) = (kind, report.refused.get(SURFACE_MAPS)) {
@@ -145,6 +151,21 @@ fn make(
     Ok(())
 }
 
+/// Returns the node whose field is exported, and a run that has it.
+fn trained(store: &Store, args: &SurfaceArgs) -> Result<(String, RunRecord), CliError> {
+    let Some(file) = &args.field else {
+        return Ok((args.node.clone(), run_with(store, args.run, &args.node)?));
+    };
+    let (node, runs) = made_by(store, file, args.run)?;
+    // A run that has retrained it tells more than one that reused it.
+    let has = |run: &RunRecord| runs.contains(&run.number);
+    let retrained = |run: &RunRecord| has(run) && bootstraps_of(run, &node).any(|node| node.state.is_good());
+    let missing = |run: &RunRecord| without(run, &node);
+    let run = run_where(store, args.run, retrained, missing)
+        .or_else(|_| run_where(store, args.run, has, missing))?;
+    Ok((node, run))
+}
+
 /// Refuses an ending that says something else than what is written.
 fn check_ending(kind: Kind, out: &Path) -> Result<(), CliError> {
     let endings: &[&str] = match kind {
@@ -168,10 +189,10 @@ fn check_ending(kind: Kind, out: &Path) -> Result<(), CliError> {
 }
 
 /// Returns the table of the node, as pipeline.toml would have it.
-fn table(kind: Kind, args: &SurfaceArgs, run: &RunRecord) -> Value {
+fn table(kind: Kind, args: &SurfaceArgs, run: &RunRecord, trained: &str) -> Value {
     let mut table = Map::from_iter([
         ("uses".to_owned(), json!(SurfaceParams::STAGE)),
-        ("input".to_owned(), json!(args.node)),
+        ("input".to_owned(), json!(trained)),
     ]);
     let lengths = [
         ("cell", args.cell),
@@ -186,7 +207,7 @@ fn table(kind: Kind, args: &SurfaceArgs, run: &RunRecord) -> Value {
     let least_photos = args.least_photos.or((kind == Kind::Splats).then_some(1));
     let count = least_photos.map(|count| ("least_photos", json!(count)));
     let has_members = matches!(kind, Kind::Mesh | Kind::Points);
-    let members = bootstraps_of(run, &args.node).find(|node| has_members && node.state.is_good());
+    let members = bootstraps_of(run, trained).find(|node| has_members && node.state.is_good());
     let members = members.map(|node| ("members", json!(node.name)));
     let color = (args.color != ColorBy::default()).then_some(("color", json!(args.color)));
     let depth = (kind == Kind::Depth).then_some(("depth", json!(true)));

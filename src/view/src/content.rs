@@ -106,9 +106,8 @@ impl Content {
     /// # Errors
     /// One sentence: a photo that is not of the scene, lost or damaged.
     pub fn photo(&self, source: &dyn Source, field: &Field, digest: &Digest) -> Result<File, String> {
-        let is_known = field.scene().frames.iter().any(|frame| frame.image == *digest);
-        let bytes = is_known.then(|| source.object(digest)).flatten();
-        let bytes = bytes.ok_or("the scene has no such photo in this store")?;
+        let bytes = source.object(&field.photo(digest)?.image);
+        let bytes = bytes.ok_or("the store has lost this photo")?;
         let photo = Photo::decode_validated(&bytes).map_err(|error| error.to_string())?;
         let small = shrunk(&photo.image, PHOTO_PX).ok_or("the photo has no pixels")?;
         let jpeg = encode_jpeg(&small, PHOTO_QUALITY).map_err(|error| error.to_string())?;

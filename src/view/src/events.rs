@@ -77,6 +77,19 @@ pub fn follow(source: Arc<dyn Source>) -> mpsc::Receiver<Result<Event, std::conv
     receiver
 }
 
+/// Returns what the program that runs now and began last has told so far, a line an event; none if none runs.
+pub fn lines_of_running(folder: &Path) -> Option<Vec<String>> {
+    let mut open = running(folder)?;
+    let mut lines = Vec::new();
+    loop {
+        let (more, is_whole) = open.lines();
+        lines.extend(more);
+        if is_whole {
+            return Some(lines);
+        }
+    }
+}
+
 /// Follows the program that began last.
 struct Follower {
     folder: PathBuf,

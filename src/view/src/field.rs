@@ -6,11 +6,12 @@ use marf_cache::Digest;
 use marf_field::{Device, Field as Trained, FieldError, Render};
 use marf_scene::path::{focus_point, orbit, typical_camera};
 use marf_scene::picture::round_upper_limit;
-use marf_scene::{Camera, Pose, Scene};
+use marf_scene::{Camera, Frame, Pose, Scene};
 use nalgebra::Vector3;
 use serde::Serialize;
 
-use crate::source::{FieldSource, Source};
+use crate::difference::SCALE_END;
+use crate::source::{DepthInterval, FieldSource, Source};
 
 /// Width of the renders that the scales are taken from, pixels.
 const SCALE_PX: u32 = 64;
@@ -21,8 +22,11 @@ pub const MIN_OPACITY: f32 = 0.5;
 pub struct Field {
     node: String,
     scene: Scene,
+    /// Digest of its scene, by which bookmarks name it.
+    scene_digest: Digest,
     trained: Trained,
     members: Vec<Trained>,
+    depth_interval: Option<DepthInterval>,
     /// Where the scene knows its scale the ends are in metres.
     scales: Scales,
     start: Pose,
@@ -35,12 +39,15 @@ pub struct Scales {
     pub depth: f64,
     /// Of uncertainty: standard deviation of gray, white = 1.
     pub uncertainty: f64,
+    /// Of the difference from a photo: gray, white = 1.
+    pub difference: f64,
 }
 
 /// What the page knows of a field.
 #[derive(Debug, Serialize)]
 pub struct SceneView<'a> {
     node: &'a str,
+    scene: Digest,
     /// Metres per unit of the world; none where the scene has no scale.
     metres_per_unit: Option<f64>,
     /// Unit vector in the world.
@@ -85,20 +92,18 @@ impl Field {
             node: of.node.clone(),
             trained: trained(&of.weights)?,
             members: of.members.iter().map(trained).collect::<Result<_, _>>()?,
+            depth_interval: of.depth_interval,
+            scene_digest: of.scene,
             scales: Scales {
                 depth: 1.0,
                 uncertainty: 1.0,
+                difference: SCALE_END,
             },
             start: start.ok_or_else(|| format!("the scene of `{}` has no photo", of.node))?,
             scene,
         };
         field.scales = field.measured_scales().map_err(|error| error.to_string())?;
         Ok(field)
-    }
-
-    /// Returns its scene.
-    pub fn scene(&self) -> &Scene {
-        &self.scene
     }
 
     /// Returns the upper ends of the colour scales.
@@ -116,6 +121,21 @@ impl Field {
         &self.members
     }
 
+    /// Returns what makes an interval of how far the retrainings' depths differ.
+    pub fn depth_interval(&self) -> Option<DepthInterval> {
+        self.depth_interval
+    }
+
+    /// Returns the photo of a digest.
+    ///
+    /// # Errors
+    /// One sentence: the scene has no such photo.
+    pub fn photo(&self, image: &Digest) -> Result<&Frame, String> {
+        let mut frames = self.scene.frames.iter();
+        let found = frames.find(|frame| frame.image == *image);
+        found.ok_or_else(|| "the scene has no such photo".to_owned())
+    }
+
     /// Returns what the page knows of it.
     pub fn view(&self) -> SceneView<'_> {
         let photos = self.scene.frames.iter().map(|frame| PhotoView {
@@ -127,6 +147,7 @@ impl Field {
         });
         SceneView {
             node: &self.node,
+            scene: self.scene_digest,
             metres_per_unit: self.scene.metres_per_unit,
             up: self.up().into(),
             focus: focus_point(&self.scene).into(),
@@ -153,6 +174,7 @@ impl Field {
         Ok(Scales {
             depth: round_upper_limit(&depths, 0.95),
             uncertainty: round_upper_limit(&spread(&members), 0.98),
+            difference: SCALE_END,
         })
     }
 }

@@ -1,12 +1,14 @@
 //! Pictures of a field for the 3-D view: coarse first, then finer, until a newer pose is asked for.
 
+use std::sync::Arc;
+
 use marf_field::{Field as Trained, FieldError, Render};
 use marf_scene::picture::Palette;
 use marf_scene::{Camera, Image, Pose, Srgb, encode_png};
-use nalgebra::Vector3;
-use serde::{Deserialize, Serialize};
+use serde::Deserialize;
 
-use crate::field::{Field, MIN_OPACITY, depths, spread};
+use crate::difference::{self, Reference};
+use crate::field::{Field, depths, spread};
 
 /// A picture is rendered at these fractions of its size, one after the other.
 pub const DIVISORS: [u32; 4] = [8, 4, 2, 1];
@@ -21,15 +23,16 @@ const BAND_ROWS: u32 = 32;
 const NO_VALUE: [u8; 3] = [96, 96, 104];
 
 /// What a picture shows.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Mode {
+#[derive(Debug, Clone)]
+pub enum Shown {
     /// Colour.
     Color,
     /// Distance along the ray.
     Depth,
     /// How far the retrainings differ in gray.
     Uncertainty,
+    /// How far the colour is from a photo, from the photo's pose.
+    Difference(Arc<Reference>),
 }
 
 /// A view that is asked for.
@@ -83,7 +86,7 @@ impl From<FieldError> for FrameError {
 pub fn frame(
     field: &Field,
     view: &View,
-    mode: Mode,
+    shown: &Shown,
     divisor: u32,
     stopped: &dyn Fn() -> bool,
 ) -> Result<Vec<u8>, FrameError> {
@@ -93,13 +96,13 @@ pub fn frame(
     );
     let camera = view.camera.resized(width, height);
     let render = |trained: &Trained| in_bands(trained, &camera, &view.cam_from_world, stopped);
-    let image = match mode {
-        Mode::Color => render(field.trained())?.to_image(),
-        Mode::Depth => {
+    let image = match shown {
+        Shown::Color => render(field.trained())?.to_image(),
+        Shown::Depth => {
             let values = depths(&render(field.trained())?);
             colored(&values, field.scales().depth, Palette::Viridis, (width, height))
         }
-        Mode::Uncertainty => {
+        Shown::Uncertainty => {
             let renders: Vec<Render> = field.members().iter().map(render).collect::<Result<_, _>>()?;
             let values = spread(&renders);
             if values.is_empty() {
@@ -113,6 +116,10 @@ pub fn frame(
                 Palette::Inferno,
                 (width, height),
             )
+        }
+        Shown::Difference(reference) => {
+            let values = reference.differences(&render(field.trained())?.to_image());
+            colored(&values, difference::SCALE_END, Palette::Inferno, (width, height))
         }
     };
     let png = encode_png(&image).map_err(|error| FrameError::Failed(error.to_string()))?;
@@ -148,7 +155,11 @@ fn in_bands(
             return Err(FrameError::Stopped);
         }
         let band = field.render(
-            &window(camera, [0, top], [camera.width, rows.min(camera.height - top)]),
+            &window(
+                camera,
+                [0, i64::from(top)],
+                [camera.width, rows.min(camera.height - top)],
+            ),
             cam_from_world,
         )?;
         whole.rgb.extend_from_slice(&band.rgb);
@@ -159,64 +170,15 @@ fn in_bands(
     Ok(whole)
 }
 
-/// Returns the camera of a part of a picture: its left and top edge, its width and height, pixels.
-fn window(camera: &Camera, [left, top]: [u32; 2], [width, height]: [u32; 2]) -> Camera {
+/// Returns the camera of a part of a picture: its left and top edge, which may be outside, its width and height, pixels.
+pub fn window(camera: &Camera, [left, top]: [i64; 2], [width, height]: [u32; 2]) -> Camera {
     Camera {
         width,
         height,
-        cx_px: camera.cx_px - f64::from(left),
-        cy_px: camera.cy_px - f64::from(top),
+        cx_px: camera.cx_px - left as f64,
+        cy_px: camera.cy_px - top as f64,
         ..*camera
     }
-}
-
-/// A point that was picked in a picture.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Picked {
-    /// Where the ray of the pixel ends, in the world; none where it meets too little.
-    pub point: Option<[f64; 3]>,
-    /// The same by each of the retrainings.
-    pub members: Vec<Option<[f64; 3]>>,
-}
-
-/// Returns the point of the surface that a pixel of a view shows.
-///
-/// # Errors
-/// A pixel outside the picture; a field that cannot be rendered.
-pub fn pick(field: &Field, view: &View, [column, row]: [u32; 2]) -> Result<Picked, FrameError> {
-    let View {
-        camera,
-        cam_from_world,
-    } = view;
-    if column >= camera.width || row >= camera.height {
-        return Err(FrameError::Failed(format!(
-            "pixel ({column}, {row}) is outside the picture"
-        )));
-    }
-    let pixel = window(camera, [column, row], [1, 1]);
-    let point = |trained: &Trained| -> Result<Option<[f64; 3]>, FieldError> {
-        let render = trained.render(&pixel, cam_from_world)?;
-        let is_met = render
-            .opacity
-            .first()
-            .is_some_and(|opacity| *opacity > MIN_OPACITY);
-        let depth = render.depth.first().filter(|_| is_met);
-        let direction = pixel.unproject(&nalgebra::Vector2::new(0.5, 0.5));
-        Ok(depth
-            .zip(direction)
-            .map(|(depth, direction)| end_of(cam_from_world, &direction, f64::from(*depth)).into()))
-    };
-    Ok(Picked {
-        point: point(field.trained())?,
-        members: field.members().iter().map(point).collect::<Result<_, _>>()?,
-    })
-}
-
-/// Returns the point of the world at a distance along a direction of the camera's frame.
-fn end_of(cam_from_world: &Pose, direction: &Vector3<f64>, distance: f64) -> Vector3<f64> {
-    cam_from_world
-        .inverse()
-        .point(&(direction.normalize() * distance))
 }
 
 #[cfg(test)]
@@ -249,16 +211,5 @@ mod tests {
         let part = window(&camera, [37, 64], [1, 1]);
         let ray = |camera: &Camera, x, y| camera.unproject(&nalgebra::Vector2::new(x, y)).unwrap();
         assert!((ray(&part, 0.5, 0.5) - ray(&camera, 37.5, 64.5)).norm() < 1e-12);
-    }
-
-    #[test]
-    fn a_depth_is_a_distance_along_the_ray() {
-        let pose = Pose::looking_at(
-            Vector3::new(1.0, 0.0, 0.0),
-            Vector3::new(4.0, 4.0, 0.0),
-            Vector3::z(),
-        );
-        let end = end_of(&pose, &Vector3::z(), 5.0);
-        assert!((end - Vector3::new(4.0, 4.0, 0.0)).norm() < 1e-12, "{end}");
     }
 }

@@ -1,14 +1,16 @@
 //! The live page: the report of a run, the progress of a running one, and a 3-D view of its field, served on one port.
 //!
 //! It knows no pipeline and writes nothing: what is shown comes from a [`Source`]. Invariant: a request reaches objects of the
-//! store by their digest alone, and only those that the shown run names; every answer passes the checks of `access`.
+//! store by their digest alone, and only those that shown runs name; every answer passes the checks of `access`.
 
 mod access;
 mod content;
+mod difference;
 mod error;
 mod events;
 mod field;
 mod frames;
+mod measure;
 mod page;
 mod range;
 mod renderer;
@@ -19,5 +21,6 @@ mod stream;
 
 pub use access::AccessError;
 pub use error::ViewError;
+pub use events::lines_of_running;
 pub use server::{Options, Server};
-pub use source::{FieldSource, RunContent, Source};
+pub use source::{DepthInterval, FieldSource, RunContent, Source};

@@ -147,7 +147,7 @@ fn view(fields: &[&str]) -> Markup {
         noscript { p.missing { "The 3-D view needs scripts; everything below does not." } }
         div.tools {
             (choice("view-field", "Field", &fields))
-            (choice("view-mode", "Show", &[("color", "colour"), ("depth", "depth"), ("uncertainty", "uncertainty")]))
+            (choice("view-mode", "Show", &[("color", "colour"), ("depth", "depth"), ("uncertainty", "uncertainty"), ("difference", "difference from a photo")]))
             (choice("view-size", "Width", &["320", "640", "960", "1280"].map(|width| (width, width))))
             (choice("view-photo", "Go to photo", &[]))
             label { input #view-frusta type="checkbox" checked; " Photos" }

@@ -10,7 +10,7 @@ use tokio::sync::{Semaphore, mpsc};
 
 use crate::ViewError;
 use crate::field::SharedField;
-use crate::frames::{DIVISORS, FrameError, Mode, View, frame};
+use crate::frames::{DIVISORS, FrameError, Shown, View, frame};
 
 /// Pages that are remembered; with more all are forgotten, which stops no picture.
 const MOST_VIEWERS: usize = 64;
@@ -64,20 +64,20 @@ impl Renderer {
     }
 
     /// Renders a view for a page, coarse first. It ends when the receiver is dropped, and when the page asks for another view.
-    pub fn frames(&self, viewer: u64, field: SharedField, view: View, mode: Mode) -> Frames {
+    pub fn frames(&self, viewer: u64, field: SharedField, view: View, shown: Shown) -> Frames {
         let ticket = self.ticket(viewer);
         let (sender, receiver) = mpsc::channel(1);
         let (pool, turn) = (Arc::clone(&self.pool), Arc::clone(&self.turn));
         tokio::spawn(async move {
             for divisor in DIVISORS {
-                let (field, view, ticket, is_gone) =
-                    (Arc::clone(&field), view.clone(), ticket.clone(), sender.clone());
+                let (field, view, shown) = (Arc::clone(&field), view.clone(), shown.clone());
+                let (ticket, is_gone) = (ticket.clone(), sender.clone());
                 let stopped = move || ticket.is_old() || is_gone.is_closed();
                 if stopped() {
                     return;
                 }
                 let made = run(&pool, &turn, move || {
-                    frame(&field, &view, mode, divisor, &stopped)
+                    frame(&field, &view, &shown, divisor, &stopped)
                 })
                 .await;
                 let Some(made) = made.filter(|made| !matches!(made, Err(FrameError::Stopped))) else {

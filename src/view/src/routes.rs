@@ -16,9 +16,11 @@ use serde::{Deserialize, Serialize};
 
 use crate::access::Refusal;
 use crate::content::{BYTES, File};
+use crate::difference::Reference;
 use crate::events::follow;
 use crate::field::SharedField;
-use crate::frames::{Mode, View, pick};
+use crate::frames::{FrameError, Shown, View};
+use crate::measure::{distance, pick};
 use crate::range::part;
 use crate::server::Site;
 use crate::stream::Received;
@@ -58,7 +60,8 @@ pub fn routes(site: Arc<Site>, prefix: &str) -> Router {
         .route(&at("/scene/{run}/{field}"), get(scene))
         .route(&at("/photo/{run}/{field}/{digest}"), get(photo))
         .route(&at("/frames"), post(frames))
-        .route(&at("/pick"), post(picked));
+        .route(&at("/pick"), post(picked))
+        .route(&at("/distance"), post(measured));
     if !prefix.is_empty() {
         // Relative addresses of the page need the slash.
         let to = at("/");
@@ -128,7 +131,14 @@ async fn page(State(site): State<Arc<Site>>) -> Response {
 }
 
 async fn scene_page(State(site): State<Arc<Site>>, Path(name): Path<String>) -> Response {
-    match blocking(move || site.content().page(site.source.as_ref(), &name)).await {
+    let read = move || {
+        let pages = site
+            .contents()
+            .into_iter()
+            .map(|content| content.page(site.source.as_ref(), &name));
+        first_good(pages, "no run is shown")
+    };
+    match blocking(read).await {
         Ok(page) => answer(HTML, page.html.clone()),
         Err(message) => refusal(StatusCode::NOT_FOUND, &message),
     }
@@ -148,9 +158,9 @@ async fn object(State(site): State<Arc<Site>>, Path(digest): Path<String>, heade
     };
     let read = move || {
         let none = || "the shown run names no such object, or the store has lost it".to_owned();
-        site.content()
-            .file(site.source.as_ref(), &digest)
-            .ok_or_else(none)
+        let mut contents = site.contents().into_iter();
+        let found = contents.find_map(|content| content.file(site.source.as_ref(), &digest));
+        found.ok_or_else(none)
     };
     let range = headers.get(header::RANGE).and_then(|range| range.to_str().ok());
     file(blocking(read).await, range)
@@ -184,6 +194,16 @@ async fn scene(State(site): State<Arc<Site>>, Path((run, field)): Path<(u64, usi
     }
 }
 
+/// What a page wants to see.
+#[derive(Clone, Copy, Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum Mode {
+    Color,
+    Depth,
+    Uncertainty,
+    Difference,
+}
+
 /// A view that a page asks for.
 #[derive(Deserialize)]
 struct FramesRequest {
@@ -192,22 +212,26 @@ struct FramesRequest {
     /// A number that the page has drawn for itself.
     viewer: u64,
     mode: Mode,
+    /// The photo that a difference is from.
+    photo: Option<Digest>,
     #[serde(flatten)]
     view: View,
 }
 
 async fn frames(State(site): State<Arc<Site>>, body: Bytes) -> Response {
     let asked = asked(&site, &body, |request: &FramesRequest| {
-        (request.run, request.field, &request.view)
+        (request.run, request.field, [&request.view])
     })
     .await;
     let (request, field) = match asked {
         Ok(asked) => asked,
         Err(response) => return *response,
     };
-    let mut frames = site
-        .renderer
-        .frames(request.viewer, field, request.view, request.mode);
+    let shown = match shown(&site, &field, &request).await {
+        Ok(shown) => shown,
+        Err(message) => return refusal(StatusCode::UNPROCESSABLE_ENTITY, &message),
+    };
+    let mut frames = site.renderer.frames(request.viewer, field, request.view, shown);
     // The first picture decides about the status: what cannot be rendered is told as text.
     match frames.recv().await {
         Some(Ok(first)) => answer(BYTES, Body::from_stream(Received::after(Ok(first), frames))),
@@ -216,11 +240,33 @@ async fn frames(State(site): State<Arc<Site>>, body: Bytes) -> Response {
     }
 }
 
+/// Returns what a picture is to show; of a difference the photo is read.
+async fn shown(site: &Arc<Site>, field: &SharedField, request: &FramesRequest) -> Result<Shown, String> {
+    let photo = request.photo.ok_or("a difference is from a photo: none is named");
+    Ok(match request.mode {
+        Mode::Color => Shown::Color,
+        Mode::Depth => Shown::Depth,
+        Mode::Uncertainty => Shown::Uncertainty,
+        Mode::Difference => {
+            let (site, field, photo) = (Arc::clone(site), Arc::clone(field), photo?);
+            let read = move || Reference::read(site.source.as_ref(), field.photo(&photo)?);
+            Shown::Difference(Arc::new(blocking(read).await?))
+        }
+    })
+}
+
 /// A point of a view that a page asks for.
 #[derive(Deserialize)]
 struct PickRequest {
     run: u64,
     field: usize,
+    #[serde(flatten)]
+    mark: Mark,
+}
+
+/// A pixel of a view.
+#[derive(Deserialize)]
+struct Mark {
     /// Column and row.
     pixel: [u32; 2],
     #[serde(flatten)]
@@ -229,37 +275,86 @@ struct PickRequest {
 
 async fn picked(State(site): State<Arc<Site>>, body: Bytes) -> Response {
     let asked = asked(&site, &body, |request: &PickRequest| {
-        (request.run, request.field, &request.view)
+        (request.run, request.field, [&request.mark.view])
     })
     .await;
     let (request, field) = match asked {
         Ok(asked) => asked,
         Err(response) => return *response,
     };
-    let work = move || pick(&field, &request.view, request.pixel);
-    match site.renderer.run(work).await {
-        Some(Ok(picked)) => json(&picked),
+    let work = move || pick(&field, &request.mark.view, request.mark.pixel);
+    rendered(site.renderer.run(work).await)
+}
+
+/// Two points whose distance a page asks for.
+#[derive(Deserialize)]
+struct DistanceRequest {
+    run: u64,
+    field: usize,
+    marks: [Mark; 2],
+}
+
+async fn measured(State(site): State<Arc<Site>>, body: Bytes) -> Response {
+    let asked = asked(&site, &body, |request: &DistanceRequest| {
+        (
+            request.run,
+            request.field,
+            request.marks.each_ref().map(|mark| &mark.view),
+        )
+    })
+    .await;
+    let (request, field) = match asked {
+        Ok(asked) => asked,
+        Err(response) => return *response,
+    };
+    let work = move || {
+        let [a, b] = &request.marks;
+        let [a, b] = [pick(&field, &a.view, a.pixel)?, pick(&field, &b.view, b.pixel)?];
+        distance(&a, &b)
+            .ok_or_else(|| FrameError::Failed("the field has no surface at one of the points".to_owned()))
+    };
+    rendered(site.renderer.run(work).await)
+}
+
+/// Answers what was rendered; none if the server ends.
+fn rendered<T: Serialize>(made: Option<Result<T, FrameError>>) -> Response {
+    match made {
+        Some(Ok(made)) => json(&made),
         Some(Err(error)) => refusal(StatusCode::UNPROCESSABLE_ENTITY, &error.to_string()),
         None => refusal(StatusCode::SERVICE_UNAVAILABLE, "the server ends"),
     }
 }
 
-/// Reads a request for a view, checks it, and returns it with its field.
-async fn asked<R: DeserializeOwned>(
+/// Reads a request for views, checks these, and returns it with its field.
+async fn asked<R: DeserializeOwned, const N: usize>(
     site: &Arc<Site>,
     body: &[u8],
-    of: impl Fn(&R) -> (u64, usize, &View),
+    of: impl Fn(&R) -> (u64, usize, [&View; N]),
 ) -> Result<(R, SharedField), Box<Response>> {
     let refused = |status, message: String| Box::new(refusal(status, &message));
     let request: R = serde_json::from_slice(body)
         .map_err(|error| refused(StatusCode::BAD_REQUEST, format!("not a view: {error}")))?;
-    let (run, field, view) = of(&request);
-    view.check()
-        .map_err(|message| refused(StatusCode::BAD_REQUEST, message))?;
+    let (run, field, views) = of(&request);
+    for view in views {
+        view.check()
+            .map_err(|message| refused(StatusCode::BAD_REQUEST, message))?;
+    }
     let site = Arc::clone(site);
     let found = blocking(move || site.field(run, field)).await;
     let (_, field) = found.map_err(|message| refused(StatusCode::NOT_FOUND, message))?;
     Ok((request, field))
+}
+
+/// Returns the first result that is good, else the first error.
+fn first_good<T>(results: impl Iterator<Item = Result<T, String>>, none: &str) -> Result<T, String> {
+    let mut first = None;
+    for result in results {
+        match result {
+            Ok(good) => return Ok(good),
+            Err(error) => first = first.or(Some(error)),
+        }
+    }
+    Err(first.unwrap_or_else(|| none.to_owned()))
 }
 
 /// Runs what reads the store where it holds up nobody.

@@ -54,14 +54,18 @@ pub struct Site {
     pub access: Access,
     /// Renders pictures.
     pub renderer: Renderer,
-    content: Mutex<Arc<Content>>,
+    /// The run that is shown, then those that pages opened earlier still show, the last first.
+    contents: Mutex<Vec<Arc<Content>>>,
     device: Device,
 }
 
+/// Runs that are kept for pages that show them still; another is read anew.
+const MOST_RUNS: usize = 3;
+
 impl Site {
-    /// Returns the run that is shown.
-    pub fn content(&self) -> Arc<Content> {
-        Arc::clone(&self.content.lock())
+    /// Returns the runs that pages show, first the one that is shown now.
+    pub fn contents(&self) -> Vec<Arc<Content>> {
+        self.contents.lock().clone()
     }
 
     /// Returns the run to show now, which is read if it is another one.
@@ -69,29 +73,40 @@ impl Site {
     /// # Errors
     /// One sentence.
     pub fn refreshed(&self) -> Result<Arc<Content>, String> {
-        let content = self.content();
-        if self.source.newest() == content.number {
-            return Ok(content);
-        }
-        let content = Arc::new(Content::new(self.source.content()?)?);
-        *self.content.lock() = Arc::clone(&content);
+        let newest = self.source.newest();
+        let mut contents = self.contents.lock();
+        let known = contents.iter().position(|content| content.number == newest);
+        let content = match known {
+            Some(place) => contents.remove(place),
+            None => Arc::new(Content::new(self.source.content()?)?),
+        };
+        contents.insert(0, Arc::clone(&content));
+        contents.truncate(MOST_RUNS);
         Ok(content)
     }
 
-    /// Returns a field of the run that a page shows.
+    /// Returns a field of the run that a page shows, also where another run is shown by now.
     ///
     /// # Errors
-    /// One sentence: the page is older than what is shown now; a field that is lost.
+    /// One sentence: no such run; a field that is lost.
     pub fn field(&self, run: u64, index: usize) -> Result<(Arc<Content>, SharedField), String> {
-        let content = self.content();
-        if content.number != Some(run) {
-            let now = content.number.unwrap_or_default();
-            return Err(format!(
-                "this page is of run {run}, and run {now} is shown now: load it again"
-            ));
-        }
+        let content = self.content_of(run)?;
         let field = content.field(index, self.source.as_ref(), &self.device)?;
         Ok((content, field))
+    }
+
+    fn content_of(&self, run: u64) -> Result<Arc<Content>, String> {
+        let mut contents = self.contents.lock();
+        if let Some(content) = contents.iter().find(|content| content.number == Some(run)) {
+            return Ok(Arc::clone(content));
+        }
+        let content = Arc::new(Content::new(self.source.content_of(run)?)?);
+        contents.push(Arc::clone(&content));
+        if contents.len() > MOST_RUNS {
+            // The first is the one that is shown, the last the one that is asked for.
+            contents.remove(1);
+        }
+        Ok(content)
     }
 }
 
@@ -119,7 +134,7 @@ impl Server {
             source,
             access,
             renderer: Renderer::new(options.threads)?,
-            content: Mutex::new(Arc::new(content)),
+            contents: Mutex::new(vec![Arc::new(content)]),
             device: options.device.clone(),
         };
         Ok(Self {

@@ -17,6 +17,12 @@ pub trait Source: Send + Sync {
     /// One sentence.
     fn content(&self) -> Result<RunContent, String>;
 
+    /// Reads the run of a number, which a page that is open elsewhere still shows.
+    ///
+    /// # Errors
+    /// One sentence: no such run, or one that cannot be read.
+    fn content_of(&self, run: u64) -> Result<RunContent, String>;
+
     /// Reads an object; none if the store does not have it.
     fn object(&self, digest: &Digest) -> Option<Arc<[u8]>>;
 
@@ -49,4 +55,16 @@ pub struct FieldSource {
     pub scene: Digest,
     /// Fields of the retrainings whose uncertainty is shown; empty if there are none.
     pub members: Vec<Digest>,
+    /// What makes an interval of how far their depths differ; none where photos held out do not tell it.
+    pub depth_interval: Option<DepthInterval>,
+}
+
+/// 90 % of the errors of a depth are at most factor √(spread² + floor²), all as shares of the depth: fitted by the bootstrap on photos
+/// held out.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct DepthInterval {
+    /// Least spread.
+    pub floor: f64,
+    /// Widths of the interval's half.
+    pub factor: f64,
 }

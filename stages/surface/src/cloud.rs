@@ -1,8 +1,11 @@
 //! A dense cloud of points: what the pixels of the views show, one point a cell.
 
+use marf_stage::Cancel;
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
+use crate::SurfaceError;
+use crate::error::go_on;
 use crate::mesh::{Vertex, Witnesses};
 use crate::view::SurfaceView;
 use crate::volume::Place;
@@ -20,15 +23,27 @@ struct Sum {
 /// [`crate::Volume::fuse`]. What is farther than `reach` from its photo (world units) is left out.
 ///
 /// In the order of the cells: the same for any number of threads.
-pub fn cloud(witnesses: &Witnesses<'_>, cell: f64, reach: f64) -> Vec<Vertex> {
-    let of_views = witnesses.views.par_iter().map(|view| sums(view, cell, reach));
-    let mut all: Vec<Sum> = of_views.collect::<Vec<_>>().concat();
+///
+/// # Errors
+/// The wish to stop.
+pub fn cloud(
+    witnesses: &Witnesses<'_>,
+    cell: f64,
+    reach: f64,
+    cancel: &Cancel,
+) -> Result<Vec<Vertex>, SurfaceError> {
+    let of_views = witnesses.views.par_iter().map(|view| {
+        go_on(cancel)?;
+        Ok(sums(view, cell, reach))
+    });
+    let mut all: Vec<Sum> = of_views.collect::<Result<Vec<_>, SurfaceError>>()?.concat();
     // Stable: within a cell in the order of the views.
     all.par_sort_by_key(|sum| sum.place);
     let merged = merged(&all);
     let vertices = merged.par_iter().map(|sum| {
+        go_on(cancel)?;
         let normal = sum.normal.try_normalize(1e-9).unwrap_or_default();
-        witnesses.vertex(sum.position / sum.weight, normal)
+        Ok(witnesses.vertex(sum.position / sum.weight, normal))
     });
     vertices.collect()
 }

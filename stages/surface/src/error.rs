@@ -1,8 +1,11 @@
-use marf_stage::StageError;
+use marf_stage::{Cancel, StageError};
 
 /// What keeps a surface from being made or written.
 #[derive(Debug, thiserror::Error)]
 pub enum SurfaceError {
+    /// The user asked to stop.
+    #[error("stopped")]
+    Cancelled,
     /// The scene cannot be read.
     #[error(transparent)]
     Scene(#[from] marf_scene::SceneError),
@@ -74,6 +77,14 @@ pub enum SurfaceError {
     Tiff(#[from] tiff::TiffError),
 }
 
+/// Returns an error if the user asked to stop.
+pub fn go_on(cancel: &Cancel) -> Result<(), SurfaceError> {
+    match cancel.is_set() {
+        true => Err(SurfaceError::Cancelled),
+        false => Ok(()),
+    }
+}
+
 impl SurfaceError {
     /// Returns the key to turn, if one is known.
     fn hint(&self) -> Option<&'static str> {
@@ -88,6 +99,9 @@ impl SurfaceError {
 
 impl From<SurfaceError> for StageError {
     fn from(error: SurfaceError) -> Self {
+        if matches!(error, SurfaceError::Cancelled) {
+            return Self::Cancelled;
+        }
         let failed = Self::new(error.to_string());
         match error.hint() {
             Some(hint) => failed.hint(hint),

@@ -1,6 +1,7 @@
 //! From views of a field to its surface: mesh and cloud at a resolution that follows from the scene.
 
 use marf_scene::Observer;
+use marf_stage::Cancel;
 
 use crate::SurfaceError;
 use crate::cloud::cloud;
@@ -60,11 +61,12 @@ pub struct Surface {
 /// more blocks than fit into memory, it is widened by 26 % until they do. One that is given and too fine is refused.
 ///
 /// # Errors
-/// [`SurfaceError::NoSurface`] without a pixel that shows one; those of [`Volume::fuse`] and [`march`].
+/// [`SurfaceError::NoSurface`] without a pixel that shows one; those of [`Volume::fuse`] and [`march`]; the wish to stop.
 pub fn extract(
     views: &[SurfaceView],
     observers: &[Observer],
     wanted: Wanted,
+    cancel: &Cancel,
 ) -> Result<Surface, SurfaceError> {
     let no_surface = || SurfaceError::NoSurface { photos: views.len() };
     let mut cell = match wanted.cell {
@@ -82,7 +84,7 @@ pub fn extract(
             most_blocks: MOST_BLOCKS,
         };
         let reach = wanted.reach.unwrap_or(COARSEST * cell / angle);
-        let volume = match Volume::fuse(views, layout, reach) {
+        let volume = match Volume::fuse(views, layout, reach, cancel) {
             Err(SurfaceError::TooFine { .. }) if wanted.cell.is_none() => {
                 cell *= COARSER;
                 continue;
@@ -99,8 +101,8 @@ pub fn extract(
             let spread = f64::from(vertex.spread);
             vertex.photos >= wanted.least_photos && (0.0..=most_spread).contains(&spread)
         };
-        let mesh = Mesh::new(march(&volume)?, &witnesses);
-        let mut points = cloud(&witnesses, cell, reach);
+        let mesh = Mesh::new(march(&volume)?, &witnesses, cancel)?;
+        let mut points = cloud(&witnesses, cell, reach, cancel)?;
         points.retain(is_kept);
         return Ok(Surface {
             mesh: mesh.retaining(is_kept, LEAST_TRIANGLES),
@@ -161,7 +163,21 @@ mod tests {
 
     fn surface(of: &[(f64, f64)], wanted: Wanted) -> Result<Surface, SurfaceError> {
         let (views, observers): (Vec<_>, Vec<_>) = of.iter().map(|(x, error)| above(*x, *error)).unzip();
-        extract(&views, &observers, wanted)
+        extract(&views, &observers, wanted, &Cancel::default())
+    }
+
+    /// However often a surface has looked at the wish to stop, it stops at the next look.
+    #[test]
+    fn it_stops_wherever_it_is() {
+        let (views, observers): (Vec<_>, Vec<_>) = [above(0.0, 0.0), above(1.0, 0.0)].into_iter().unzip();
+        let stopped_after = |looks: u64| extract(&views, &observers, WANTED, &Cancel::after(looks));
+        let mut looks = 0;
+        while let Err(error) = stopped_after(looks) {
+            assert!(matches!(error, SurfaceError::Cancelled), "{looks}: {error}");
+            looks = 2 * looks + 1;
+        }
+        // Two views, blocks, vertices and points.
+        assert!(looks > 1000, "{looks}");
     }
 
     #[test]

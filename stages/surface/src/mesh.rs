@@ -1,10 +1,13 @@
 //! A mesh or a cloud with what the views say of each vertex.
 
 use marf_scene::{Observer, seen_at};
+use marf_stage::Cancel;
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
+use crate::SurfaceError;
 use crate::cubes::Triangles;
+use crate::error::go_on;
 use crate::view::SurfaceView;
 
 /// A point of a surface.
@@ -114,15 +117,20 @@ impl Witnesses<'_> {
 
 impl Mesh {
     /// Gives each vertex of a surface its normal (the mean of its triangles' by area), colour, photos and spread.
-    pub fn new(surface: Triangles, witnesses: &Witnesses<'_>) -> Self {
+    ///
+    /// # Errors
+    /// The wish to stop.
+    pub fn new(surface: Triangles, witnesses: &Witnesses<'_>, cancel: &Cancel) -> Result<Self, SurfaceError> {
         let normals = normals(&surface);
         let vertices = surface.positions.par_iter().zip(&normals);
-        Self {
-            vertices: vertices
-                .map(|(position, normal)| witnesses.vertex(*position, *normal))
-                .collect(),
+        let vertex = |(position, normal): (&Vector3<f64>, &Vector3<f64>)| {
+            go_on(cancel)?;
+            Ok(witnesses.vertex(*position, *normal))
+        };
+        Ok(Self {
+            vertices: vertices.map(vertex).collect::<Result<_, SurfaceError>>()?,
             triangles: surface.triangles,
-        }
+        })
     }
 
     /// Returns the mesh without triangles of which a vertex is not to be kept, and without pieces of fewer triangles than `least`.
@@ -232,9 +240,13 @@ mod tests {
         }
     }
 
+    fn of_nobody() -> Mesh {
+        Mesh::new(surface(), &NOBODY, &Cancel::default()).unwrap()
+    }
+
     #[test]
     fn normals_point_to_where_triangles_run_counterclockwise() {
-        let mesh = Mesh::new(surface(), &NOBODY);
+        let mesh = of_nobody();
         assert!(mesh.vertices.iter().all(|vertex| vertex.normal == Vector3::z()));
         let seen = mesh.vertices[0];
         assert_eq!((seen.photos, seen.spread, seen.color), (0, -1.0, [0.5; 3]));
@@ -242,7 +254,7 @@ mod tests {
 
     #[test]
     fn small_pieces_go_with_their_vertices() {
-        let mesh = Mesh::new(surface(), &NOBODY);
+        let mesh = of_nobody();
         let kept = mesh.clone().retaining(|_| true, 2);
         assert_eq!(
             (kept.vertices.len(), &kept.triangles[..]),
@@ -255,7 +267,7 @@ mod tests {
     #[test]
     fn what_no_photo_saw_is_a_hole() {
         assert_eq!(
-            Mesh::new(surface(), &NOBODY).retaining(|vertex| vertex.photos > 0, 1),
+            of_nobody().retaining(|vertex| vertex.photos > 0, 1),
             Mesh::default()
         );
     }

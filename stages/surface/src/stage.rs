@@ -89,8 +89,8 @@ impl Set for MakeSurface {
         let seen = self.look(ctx, &scene, &field, &views, &mut outputs)?;
         let photos = seen.views.len();
         ctx.progress.at(photos as u64, photos as u64, "surface");
-        let mut surface =
-            extract(&seen.views, &seen.observers, self.wanted(&frame)).map_err(StageError::from)?;
+        let mut surface = extract(&seen.views, &seen.observers, self.wanted(&frame), ctx.cancel)
+            .map_err(StageError::from)?;
         ctx.check()?;
         let splats = match self.params.splats {
             true => {

@@ -2,10 +2,12 @@
 
 use std::collections::{HashMap, HashSet};
 
+use marf_stage::Cancel;
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use crate::SurfaceError;
+use crate::error::go_on;
 use crate::view::SurfaceView;
 
 /// Samples along a side of a block.
@@ -53,12 +55,21 @@ impl Volume {
     ///
     /// # Errors
     /// [`SurfaceError::TooFine`] where the surfaces touch more blocks than the layout allows; [`SurfaceError::Layout`] for a cell or a
-    /// band that is no length.
-    pub fn fuse(views: &[SurfaceView], layout: Layout, reach: f64) -> Result<Self, SurfaceError> {
+    /// band that is no length; the wish to stop.
+    pub fn fuse(
+        views: &[SurfaceView],
+        layout: Layout,
+        reach: f64,
+        cancel: &Cancel,
+    ) -> Result<Self, SurfaceError> {
         layout.check()?;
-        let places = touched(views, layout, reach)?;
-        let blocks = places.par_iter().map(|place| block(views, layout, place));
-        Ok(Self::of(layout.cell, places.clone(), blocks.collect()))
+        let places = touched(views, layout, reach, cancel)?;
+        let blocks = places.par_iter().map(|place| {
+            go_on(cancel)?;
+            Ok(block(views, layout, place))
+        });
+        let blocks = blocks.collect::<Result<_, SurfaceError>>()?;
+        Ok(Self::of(layout.cell, places, blocks))
     }
 
     /// Samples a function on all blocks of a box of `blocks` blocks a side, the first at the origin of the grid: NaN where the function
@@ -151,10 +162,16 @@ fn sample_place(block: &Place, index: usize) -> Place {
 
 /// Returns the blocks within a cell more than the band of any surface that is nearer than `reach` to its camera, sorted: around each pixel
 /// also half of what it covers of the surface, so that there is no gap between pixels that lie far apart on it.
-fn touched(views: &[SurfaceView], layout: Layout, reach: f64) -> Result<Vec<Place>, SurfaceError> {
+fn touched(
+    views: &[SurfaceView],
+    layout: Layout,
+    reach: f64,
+    cancel: &Cancel,
+) -> Result<Vec<Place>, SurfaceError> {
     let side = layout.cell * SIDE as f64;
     let mut all: HashSet<Place> = HashSet::new();
     for view in views {
+        go_on(cancel)?;
         let mut last = None;
         for (point, patch, _) in view.points() {
             if point.amax() / side > FARTHEST {

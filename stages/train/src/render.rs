@@ -94,7 +94,8 @@ impl Set for Render {
 }
 
 impl Render {
-    /// Renders every viewpoint of the path, or takes what an earlier run that was stopped has kept of it.
+    /// Renders every viewpoint of the path. Each layer of it is kept as a memo: a run that was stopped goes on, and another path or
+    /// other outputs take what is known of the same fields and cameras.
     fn frames(
         &self,
         ctx: &Ctx<'_>,
@@ -104,74 +105,80 @@ impl Render {
         path: &[Viewpoint],
     ) -> Result<Vec<Frame>, StageError> {
         let of = identity(self, inputs, "");
-        let mut journal = Journal::new(ctx, "pictures", of);
         let mut frames = Vec::with_capacity(path.len());
         for (index, place) in path.iter().enumerate() {
             let note = format!("picture {}", place.name);
             ctx.progress.at(index as u64, path.len() as u64, &note);
-            let frame = journal.piece(
-                |bytes| Frame::unpack(ctx, bytes),
-                || {
-                    let renders = fields.render(ctx, digest_of(&(of, index as u64)), place)?;
-                    let frame = frame(ctx, scene, &self.params.outputs, &renders)?;
-                    let bytes = frame.pack()?;
-                    Ok((frame, bytes))
-                },
-            )?;
-            frames.push(frame);
+            let of_viewpoint = digest_of(&(of, index as u64));
+            frames.push(frame(
+                ctx,
+                scene,
+                &self.params.outputs,
+                fields,
+                (of_viewpoint, place),
+            )?);
         }
-        journal.end();
         Ok(frames)
     }
 }
 
 /// The fields that a path is rendered with.
-struct Fields {
+pub(super) struct Fields {
     /// The delivered field; none where only retrainings are asked for.
     own: Option<Field>,
     /// The retrainings; none where no uncertainty is asked for.
     members: Vec<Field>,
-}
-
-/// What the fields show at one viewpoint.
-pub(super) struct Renders {
-    own: Option<Rendered>,
-    members: Vec<Rendered>,
+    /// What they are: their digests, and what renders them.
+    own_id: Digest,
+    members_id: Digest,
 }
 
 impl Fields {
     /// Reads the fields that the outputs need.
     fn read(ctx: &Ctx<'_>, inputs: &Inputs, params: &RenderParams) -> Result<Self, StageError> {
+        let backend = params.device.backend_id();
+        let weights = inputs.required(WEIGHTS)?;
         let needs_own = params.outputs.iter().any(|layer| *layer != Layer::Uncertainty);
-        let own = needs_own.then(|| read_field(ctx, inputs.required(WEIGHTS)?, &params.device));
-        let members = match params.outputs.contains(&Layer::Uncertainty) {
+        let own = needs_own.then(|| read_field(ctx, weights, &params.device));
+        let digests = match params.outputs.contains(&Layer::Uncertainty) {
             false => Vec::new(),
             true => {
                 inputs
                     .optional(MemberFields::OUTPUT)
                     .ok_or(TrainError::NoMembers)?;
-                let MemberFields(members) = inputs.read(ctx)?;
-                let field = |weights: &Digest| read_field(ctx, weights, &params.device);
-                members.iter().map(field).collect::<Result<_, _>>()?
+                inputs.read::<MemberFields>(ctx)?.0
             }
         };
+        let member = |weights: &Digest| read_field(ctx, weights, &params.device);
         Ok(Self {
             own: own.transpose()?,
-            members,
+            own_id: digest_of(&(*weights, backend.clone())),
+            members_id: digest_of(&(digests.clone(), backend)),
+            members: digests.iter().map(member).collect::<Result<_, _>>()?,
         })
     }
 
-    /// Renders a viewpoint; `of` stands for the fields and the viewpoint.
-    fn render(&self, ctx: &Ctx<'_>, of: Digest, place: &Viewpoint) -> Result<Renders, StageError> {
-        let render =
-            |of: Digest, field: &Field| render_view(ctx, of, field, &place.camera, &place.cam_from_world);
-        let own = self.own.as_ref().map(|field| render(of, field));
-        let members = (0_u64..)
-            .zip(&self.members)
-            .map(|(index, field)| render(digest_of(&(of, index)), field));
-        Ok(Renders {
-            own: own.transpose()?,
-            members: members.collect::<Result<_, _>>()?,
-        })
+    /// Returns what the fields are that a layer shows.
+    pub fn id(&self, layer: Layer) -> Digest {
+        match layer {
+            Layer::Rgb | Layer::Depth => self.own_id,
+            Layer::Uncertainty => self.members_id,
+        }
+    }
+
+    /// Renders a viewpoint with the delivered field; `of` stands for the fields and the viewpoint.
+    pub fn own(&self, ctx: &Ctx<'_>, of: Digest, place: &Viewpoint) -> Result<Rendered, StageError> {
+        let missing = || StageError::new("a field that is needed was not rendered");
+        let field = self.own.as_ref().ok_or_else(missing)?;
+        render_view(ctx, of, field, &place.camera, &place.cam_from_world)
+    }
+
+    /// Renders a viewpoint with each of the retrainings.
+    pub fn members(&self, ctx: &Ctx<'_>, of: Digest, place: &Viewpoint) -> Result<Vec<Rendered>, StageError> {
+        let members = (0_u64..).zip(&self.members).map(|(index, field)| {
+            let of = digest_of(&(of, index));
+            render_view(ctx, of, field, &place.camera, &place.cam_from_world)
+        });
+        members.collect()
     }
 }

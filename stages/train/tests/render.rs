@@ -7,10 +7,13 @@
 
 mod common;
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
 use common::{inputs, json, put_scene, run, scene, small, stage};
 use marf_cache::Digest;
 use marf_scene::{Camera, Photo, Pose, Scene, picture::png16::read_quantity};
-use marf_stage::{Define, Inputs, harness::Harness};
+use marf_stage::{Ctx, Define, Inputs, Memos, harness::Harness};
 use marf_train::{Render, Train};
 use serde_json::{Value, json};
 
@@ -85,6 +88,61 @@ fn layers_stand_side_by_side_in_the_film_and_as_values_of_16_bits() {
     let film: Vec<Digest> = serde_json::from_value(json(&harness, &outputs, "film")).unwrap();
     assert_eq!(film[0], outputs["depth-preview/0001.png"]);
     assert!(!outputs.contains_key("frames/0001.png"));
+}
+
+/// Memos that count what is saved.
+struct Counted<'a> {
+    memos: &'a dyn Memos,
+    saved: AtomicUsize,
+}
+
+impl Memos for Counted<'_> {
+    fn load(&self, key: &Digest) -> Option<Arc<[u8]>> {
+        self.memos.load(key)
+    }
+
+    fn save(&self, key: &Digest, value: &[u8]) {
+        self.saved.fetch_add(1, Ordering::Relaxed);
+        self.memos.save(key, value);
+    }
+}
+
+/// A layer is saved when it was rendered: colour and depth by one render.
+#[test]
+fn what_is_known_of_a_camera_is_not_rendered_again_for_other_outputs_or_another_path() {
+    let harness = Harness::default();
+    let inputs = downstream(&harness);
+    let counted = Counted {
+        memos: &harness,
+        saved: AtomicUsize::new(0),
+    };
+    let ctx = Ctx {
+        memos: &counted,
+        ..harness.ctx()
+    };
+    let made = |table: Value| {
+        let outputs = run(&stage::<Render>(table), &ctx, &inputs).unwrap();
+        (outputs, counted.saved.swap(0, Ordering::Relaxed))
+    };
+    let (colours, saved) = made(json!({"path": "train", "frames": 3, "width": 32}));
+    assert_eq!(saved, 6);
+    let (both, saved) = made(json!({"path": "train", "frames": 3, "width": 32, "outputs": ["rgb", "depth"]}));
+    assert_eq!(saved, 0);
+    let frame = |number: u32| format!("frames/{number:04}.png");
+    assert!((1..=3).all(|number| both[&frame(number)] == colours[&frame(number)]));
+    let poses = json(&harness, &both, "poses");
+    let (stills, saved) = made(json!({"path": "stills", "width": 32, "keyframes": [poses[1], poses[0]]}));
+    assert_eq!((saved, stills[&frame(1)]), (0, colours[&frame(2)]));
+    let (_, saved) = made(json!({"path": "train", "frames": 3, "width": 16}));
+    assert_eq!(saved, 6, "another size");
+    let other = after(&harness, 40);
+    run(
+        &stage::<Render>(json!({"path": "train", "frames": 3, "width": 32})),
+        &ctx,
+        &other,
+    )
+    .unwrap();
+    assert_eq!(counted.saved.load(Ordering::Relaxed), 6, "another field");
 }
 
 #[test]

@@ -45,6 +45,7 @@ class Live {
   }
   line(event) {
     if (event.event === "began") return this.began(event);
+    if (event.event === "standing") return this.say(`Running: ${this.command}: ${event.text}`);
     if (!event.node) return this.say(event.message);
     const row = this.row(event.node);
     const states = { will_run: "running", reused: "reused", finished: "ran", failed: "failed", skipped: "skipped" };
@@ -54,6 +55,7 @@ class Live {
   }
   began({ command, nodes }) {
     this.clear();
+    this.command = command;
     this.say(`Running: ${command}`);
     byId("live-nodes").hidden = false;
     nodes.forEach((name) => this.row(name));

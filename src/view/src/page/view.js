@@ -117,6 +117,8 @@ class View {
     this.fixed = null;
     byId("view-photo").value = "";
     byId("view-compare").hidden = true;
+    // A difference is from a photo: from elsewhere there is none.
+    if (this.mode === "difference") byId("view-mode").value = "color";
   }
   /** Returns camera and pose to be shown: those of a photo, or those that the user has moved to. */
   place() {
@@ -129,16 +131,22 @@ class View {
   }
   draw() {
     if (!this.scene) return;
-    const request = { run: this.run, field: Number(byId("view-field").value), mode: this.mode, ...this.place() };
+    const photo = this.mode === "difference" ? { photo: this.fixed.image } : {};
+    const request = { run: this.run, field: Number(byId("view-field").value), mode: this.mode, ...photo, ...this.place() };
     this.pictures.want({ ...request, since: performance.now() });
     this.legend();
   }
   legend() {
-    const high = this.mode === "depth" ? this.scene.scales.depth * this.scale : this.scene.scales.uncertainty;
-    const unitOf = { depth: this.scene.metres_per_unit ? "m" : "units of the scene (no scale)", uncertainty: "standard deviation of gray, white = 1" };
     byId("view-legend").hidden = this.mode === "color";
+    if (this.mode === "color") return;
+    const high = this.scene.scales[this.mode] * (this.mode === "depth" ? this.scale : 1);
+    const unitOf = {
+      depth: this.scene.metres_per_unit ? "m" : "units of the scene (no scale)",
+      uncertainty: "standard deviation of gray, white = 1",
+      difference: "of gray from the photo, white = 1",
+    };
     byId("view-low").textContent = "0";
-    byId("view-high").textContent = `${Number(high.toPrecision(3))} ${unitOf[this.mode] ?? ""}`;
+    byId("view-high").textContent = `${Number(high.toPrecision(3))} ${unitOf[this.mode]}`;
     byId("view-scale").className = `scale ${this.mode}`;
   }
   show(view, { bitmap, divisor }) {
@@ -161,6 +169,19 @@ class View {
 
   // ---- photos
 
+  /** Shows what is chosen; a difference from the photo whose pose is nearest. */
+  showMode() {
+    if (this.scene && this.mode === "difference" && !this.fixed) return this.toPhoto(this.nearestPhoto());
+    this.draw();
+  }
+  /** Returns the number of the photo that is nearest in position, and in direction by as much as the distance of what is looked at. */
+  nearestPhoto() {
+    const [eye, forward] = [this.mover.eye, this.mover.forward()];
+    const away = ({ cam_from_world }) =>
+      Math.hypot(norm(add(centreOf(cam_from_world), eye, -1)), this.mover.distance * norm(add(cam_from_world[2].slice(0, 3), forward, -1)));
+    const all = this.scene.photos.map(away);
+    return all.indexOf(Math.min(...all));
+  }
   toPhoto(index) {
     const photo = this.scene.photos[index];
     this.fixed = photo;
@@ -232,26 +253,33 @@ class View {
     if (!this.shown) return;
     const { run, field, camera, cam_from_world } = this.shown;
     const inside = [clamp(Math.floor(pixel[0]), 0, camera.width - 1), clamp(Math.floor(pixel[1]), 0, camera.height - 1)];
-    const response = await post("pick", { run, field, camera, cam_from_world, pixel: inside });
-    const why = await refused(response);
-    const mark = why ? null : await response.json();
-    if (!mark?.point) return this.tell(why ?? "The field has no surface there.");
-    this.marks = this.marks.length === 2 ? [mark] : [...this.marks, mark];
-    this.tell(this.marks.length === 2 ? this.distance() : "Mark a second point.");
+    const mark = { camera, cam_from_world, pixel: inside };
+    const picked = await this.asked("pick", { run, field, ...mark });
+    if (!picked) return;
+    if (!picked.point) return this.tell("The field has no surface there.");
+    this.marks = [...(this.marks.length === 2 ? [] : this.marks), { ...mark, point: picked.point }];
     this.drawOverlay();
+    if (this.marks.length < 2) return this.tell("Mark a second point.");
+    const marks = this.marks.map(({ point, ...mark }) => mark);
+    const distance = await this.asked("distance", { run, field, marks });
+    if (distance) this.tell(this.distance(distance));
+  }
+  /** Returns an answer; null if it is a refusal, which is told. */
+  async asked(address, body) {
+    const response = await post(address, body);
+    const why = await refused(response);
+    if (why) this.tell(why);
+    return why ? null : response.json();
   }
   tell(text) { byId("view-distance").textContent = text; }
-  /** Returns the distance of the two marks, and how far the retrainings differ in it. */
-  distance() {
-    const [a, b] = this.marks;
-    const length = (from, to) => norm(add(from, to, -1)) * this.scale;
-    const number = (value) => Number(value.toPrecision(3));
-    const whole = length(a.point, b.point);
-    const others = a.members.map((from, index) => from && b.members[index] && length(from, b.members[index])).filter(Boolean);
-    const mean = others.reduce((sum, value) => sum + value, 0) / others.length;
-    const spread = Math.sqrt(others.reduce((sum, value) => sum + (value - mean) ** 2, 0) / (others.length - 1));
-    const text = this.scene.metres_per_unit ? `${number(whole)} m` : `${number(whole)} units of the scene: no scale`;
-    return `Distance: ${text}${others.length > 1 ? `; the ${others.length} retrainings differ by ${number(spread)}${this.scene.metres_per_unit ? " m" : ""} (standard deviation)` : ""}.`;
+  /** Returns the distance of the two marks in words, with its interval or how far the retrainings differ in it. */
+  distance({ length, interval, spread, members }) {
+    const unit = this.scene.metres_per_unit ? " m" : "";
+    const number = (value) => Number((value * this.scale).toPrecision(3));
+    const text = this.scene.metres_per_unit ? `${number(length)} m` : `${number(length)} units of the scene: no scale`;
+    const differ = spread === null ? "" : `; the ${members} retrainings differ by ${number(spread)}${unit} (standard deviation)`;
+    const within = interval ? `; 90 % interval ${number(interval[0])} to ${number(interval[1])}${unit}` : differ;
+    return `Distance: ${text}${within}.`;
   }
 
   // ---- input
@@ -281,7 +309,8 @@ class View {
     overlay.addEventListener("keydown", (event) => this.key(event));
     overlay.addEventListener("keyup", (event) => this.keys.delete(event.code));
     overlay.addEventListener("blur", () => this.keys.clear());
-    for (const id of ["view-mode", "view-size"]) byId(id).addEventListener("change", () => this.draw());
+    byId("view-mode").addEventListener("change", () => this.showMode());
+    byId("view-size").addEventListener("change", () => this.draw());
     byId("view-field").addEventListener("change", () => { this.marks = []; this.open(); });
     byId("view-frusta").addEventListener("change", () => this.shown && this.drawOverlay());
     byId("view-photo").addEventListener("change", (event) => (event.target.value ? this.toPhoto(Number(event.target.value)) : this.moved()));
@@ -352,7 +381,8 @@ class View {
   bookmark() {
     if (!this.shown) return;
     const { camera, cam_from_world } = this.place();
-    this.bookmarks.push({ name: String(this.bookmarks.length + 1).padStart(4, "0"), camera, cam_from_world });
+    const of = { run: this.shown.run, field: this.scene.node, scene: this.scene.scene };
+    this.bookmarks.push({ name: String(this.bookmarks.length + 1).padStart(4, "0"), of, camera, cam_from_world });
     byId("view-download").disabled = false;
     const mark = this.bookmarks.at(-1);
     const button = document.createElement("button");

@@ -1,6 +1,6 @@
 //! What is made at every viewpoint: colour, depth, uncertainty, each as values and as a drawing.
 
-use marf_cache::Digest;
+use marf_cache::{Digest, digest_of};
 use marf_field::Render as Rendered;
 use marf_scene::{
     Camera, Image, Photo, Scene, Srgb, encode_png,
@@ -18,7 +18,7 @@ use marf_schema::{
 use marf_stage::{Ctx, Outputs, StageError};
 use serde::{Deserialize, Serialize};
 
-use super::Renders;
+use super::Fields;
 use crate::{
     TrainError,
     bootstrap::maps::{gray, moments},
@@ -45,69 +45,90 @@ struct Kept {
     top: f32,
 }
 
-impl Frame {
-    /// Returns the bytes of a journal.
-    pub fn pack(&self) -> Result<Vec<u8>, StageError> {
-        serde_json::to_vec(self).map_err(|error| StageError::new(error.to_string()))
-    }
-
-    /// Reads what [`Frame::pack`] wrote; none if a picture is not stored any more.
-    pub fn unpack(ctx: &Ctx<'_>, bytes: &[u8]) -> Option<Self> {
-        let frame: Self = serde_json::from_slice(bytes).ok()?;
-        let is_whole = frame.0.iter().all(|kept| ctx.blobs.contains(&kept.png));
-        is_whole.then_some(frame)
-    }
-}
-
-/// Stores the layers of a viewpoint as pictures.
+/// Returns the layers of a viewpoint, kept as pictures: what is known of the same fields and camera is taken, the rest is rendered.
 pub(super) fn frame(
     ctx: &Ctx<'_>,
     scene: &Scene,
     layers: &[Layer],
-    renders: &Renders,
+    fields: &Fields,
+    (of, place): (Digest, &Viewpoint),
 ) -> Result<Frame, StageError> {
+    let key = |layer: Layer| memo_key(layer, fields, place, scene.metres_per_unit);
     let kept = layers.iter().map(|layer| {
-        let failed = |error: &dyn std::fmt::Display| picture_failed(name(*layer), error);
-        let missing = || StageError::new("a field that is needed was not rendered");
-        let (png, top) = match layer {
-            Layer::Rgb => {
-                let render = renders.own.as_ref().ok_or_else(missing)?;
-                (
-                    encode_png(&render.to_image()).map_err(|error| failed(&error))?,
-                    0.0,
-                )
-            }
-            Layer::Depth => {
-                let render = renders.own.as_ref().ok_or_else(missing)?;
-                let depth = depth_of(render);
-                let metres = scene.metres_per_unit;
-                let png = png16::depth(render.width, render.height, &depth, metres);
-                let top = f64::from(quantile(&depth, SCALE_SHARE)) * metres.unwrap_or(1.0);
-                (png.map_err(|error| failed(&error))?, top as f32)
-            }
-            Layer::Uncertainty => {
-                let first = renders.members.first().ok_or_else(missing)?;
-                let spread = spread(&renders.members);
-                let kind = format!(
-                    "sample standard deviation of gray over {} retrainings",
-                    renders.members.len()
-                );
-                let quantity = Quantity {
-                    name: name(*layer),
-                    unit: SPREAD_UNIT,
-                    kind: &kind,
-                };
-                let png = png16::quantity((first.width, first.height), &spread, 1.0, &quantity);
-                (
-                    png.map_err(|error| failed(&error))?,
-                    quantile(&spread, SCALE_SHARE),
-                )
-            }
-        };
-        let png = ctx.put(&png)?;
-        Ok(Kept { png, top })
+        if let Some(kept) = known(ctx, &key(*layer)) {
+            return Ok(kept);
+        }
+        if *layer == Layer::Uncertainty {
+            let kept = uncertainty(ctx, &fields.members(ctx, of, place)?)?;
+            return keep(ctx, &key(*layer), kept);
+        }
+        // One render gives colour and depth; whoever asks for one may ask for the other later.
+        let render = fields.own(ctx, of, place)?;
+        let colour = keep(ctx, &key(Layer::Rgb), colours(ctx, &render)?)?;
+        let depth = keep(ctx, &key(Layer::Depth), depths(ctx, scene, &render)?)?;
+        Ok(if *layer == Layer::Rgb { colour } else { depth })
     });
     Ok(Frame(kept.collect::<Result<_, StageError>>()?))
+}
+
+/// Saves a layer as a memo and returns it.
+fn keep(ctx: &Ctx<'_>, key: &Digest, kept: Kept) -> Result<Kept, StageError> {
+    let bytes = serde_json::to_vec(&kept).map_err(|error| StageError::new(error.to_string()))?;
+    ctx.memos.save(key, &bytes);
+    Ok(kept)
+}
+
+/// Version of [`Kept`] as this module makes it: raised with what is in its picture.
+const KEPT_VERSION: u32 = 1;
+
+/// Returns the key of a layer: all that its picture depends on. The name of the viewpoint is not among it.
+fn memo_key(layer: Layer, fields: &Fields, place: &Viewpoint, metres_per_unit: Option<f64>) -> Digest {
+    // As JSON numbers have all their bits.
+    let numbers = serde_json::json!([place.camera, place.cam_from_world, metres_per_unit]);
+    let of = (name(layer), fields.id(layer), numbers.to_string());
+    digest_of(&("render layer", KEPT_VERSION, of))
+}
+
+/// Returns a layer that is known; none if its picture is not stored any more.
+fn known(ctx: &Ctx<'_>, key: &Digest) -> Option<Kept> {
+    let kept: Kept = serde_json::from_slice(&ctx.memos.load(key)?).ok()?;
+    ctx.blobs.contains(&kept.png).then_some(kept)
+}
+
+fn colours(ctx: &Ctx<'_>, render: &Rendered) -> Result<Kept, StageError> {
+    let png = encode_png(&render.to_image()).map_err(|error| picture_failed(name(Layer::Rgb), &error))?;
+    let png = ctx.put(&png)?;
+    Ok(Kept { png, top: 0.0 })
+}
+
+fn depths(ctx: &Ctx<'_>, scene: &Scene, render: &Rendered) -> Result<Kept, StageError> {
+    let (depth, metres) = (depth_of(render), scene.metres_per_unit);
+    let png = png16::depth(render.width, render.height, &depth, metres);
+    let png = png.map_err(|error| picture_failed(name(Layer::Depth), &error))?;
+    let top = f64::from(quantile(&depth, SCALE_SHARE)) * metres.unwrap_or(1.0);
+    let png = ctx.put(&png)?;
+    Ok(Kept { png, top: top as f32 })
+}
+
+fn uncertainty(ctx: &Ctx<'_>, members: &[Rendered]) -> Result<Kept, StageError> {
+    let first = members.first().ok_or(TrainError::NoMembers)?;
+    let spread = spread(members);
+    let kind = format!(
+        "sample standard deviation of gray over {} retrainings",
+        members.len()
+    );
+    let quantity = Quantity {
+        name: name(Layer::Uncertainty),
+        unit: SPREAD_UNIT,
+        kind: &kind,
+    };
+    let png = png16::quantity((first.width, first.height), &spread, 1.0, &quantity);
+    let png = png.map_err(|error| picture_failed(name(Layer::Uncertainty), &error))?;
+    let png = ctx.put(&png)?;
+    Ok(Kept {
+        png,
+        top: quantile(&spread, SCALE_SHARE),
+    })
 }
 
 /// Unit of the uncertainty.
