@@ -19,11 +19,12 @@ use super::quality::{figures, of_bootstrap};
 const MOST_VIEWS: usize = 8;
 
 /// Kinds of maps in the order in which they are shown: ending, heading.
-const KINDS: [(&str, &str); 11] = [
+const KINDS: [(&str, &str); 12] = [
     ("photo", "photo"),
     ("mean", "mean of the members"),
     ("error", "|mean - photo|"),
     ("std", "standard deviation"),
+    ("residual", "error where photos trained on show it"),
     ("total", "total deviation"),
     ("interval", "90 % interval, gray levels"),
     ("unseen", "what no photo saw"),

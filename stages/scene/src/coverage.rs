@@ -22,6 +22,8 @@ pub struct Observer {
     centre: Vector3<f64>,
     /// Distance to the farthest surface around a pixel, `[height * width]`, world units; infinite where that is the sky.
     distance: Vec<f32>,
+    /// Error of a field's colour at each pixel, `[height * width]`, negative where it is unknown; empty: it is nowhere known.
+    error: Vec<f32>,
 }
 
 impl Observer {
@@ -46,29 +48,67 @@ impl Observer {
         Self {
             centre: cam_from_world.centre(),
             distance: (0..distance.len()).map(farthest).collect(),
+            error: Vec::new(),
             camera,
             cam_from_world,
         }
     }
 
-    /// Returns how far the photo saw in a direction of the camera's frame; none outside of the photo.
-    fn saw(&self, direction: &Vector3<f64>) -> Option<f64> {
+    /// Takes how far a field is from the photo at each pixel, too: `[height * width]`, in any unit, negative where that is unknown.
+    ///
+    /// # Panics
+    /// If there is not an error for every pixel: a slip of the program.
+    #[must_use]
+    pub fn with_errors(self, error: Vec<f32>) -> Self {
+        assert_eq!(error.len(), self.distance.len(), "an error for every pixel");
+        Self { error, ..self }
+    }
+
+    /// Returns the pixel of a direction of the camera's frame; none outside of the photo.
+    fn pixel(&self, direction: &Vector3<f64>) -> Option<usize> {
         let pixel = self.camera.project(direction)?;
         let (column, row) = (pixel.x.floor(), pixel.y.floor());
         let (width, height) = (f64::from(self.camera.width), f64::from(self.camera.height));
         let inside = column >= 0.0 && row >= 0.0 && column < width && row < height;
-        inside.then(|| f64::from(self.distance[row as usize * self.camera.width as usize + column as usize]))
+        inside.then(|| row as usize * self.camera.width as usize + column as usize)
     }
 
-    /// Tells whether the photo shows a point, or what is behind it.
-    fn shows(&self, point: &Vector3<f64>) -> bool {
-        let saw = self.saw(&self.cam_from_world.point(point));
-        saw.is_some_and(|saw| (point - self.centre).norm() <= saw * (1.0 + BEHIND))
+    /// Returns the pixel at which the photo shows a point, or what is behind it.
+    fn shows(&self, point: &Vector3<f64>) -> Option<usize> {
+        let pixel = self.pixel(&self.cam_from_world.point(point))?;
+        let saw = f64::from(self.distance[pixel]);
+        ((point - self.centre).norm() <= saw * (1.0 + BEHIND)).then_some(pixel)
     }
 
-    fn shows_sky(&self, direction: &Vector3<f64>) -> bool {
-        let saw = self.saw(&self.cam_from_world.direction(direction));
-        saw == Some(f64::INFINITY)
+    /// Returns the pixel at which the photo shows the sky in a direction of the world.
+    fn shows_sky(&self, direction: &Vector3<f64>) -> Option<usize> {
+        let pixel = self.pixel(&self.cam_from_world.direction(direction))?;
+        (self.distance[pixel] == f32::INFINITY).then_some(pixel)
+    }
+
+    fn squared_error(&self, pixel: usize) -> Option<f64> {
+        let error = self.error.get(pixel).filter(|error| **error >= 0.0);
+        error.map(|error| f64::from(*error) * f64::from(*error))
+    }
+}
+
+/// Root of a weighted mean of squares that is being summed.
+#[derive(Default)]
+struct RootMeanSquare {
+    sum: f64,
+    weight: f64,
+}
+
+impl RootMeanSquare {
+    fn add(&mut self, square: Option<f64>, weight: f64) {
+        if let Some(square) = square {
+            self.sum += weight * square;
+            self.weight += weight;
+        }
+    }
+
+    fn root(&self) -> Option<f64> {
+        (self.weight > 0.0).then(|| (self.sum / self.weight).sqrt())
     }
 }
 
@@ -89,6 +129,18 @@ pub struct SurfaceSeen {
     pub distance: f64,
     /// Least angle between its normal and the direction to a photo, degrees: 0 from straight above; 180 without any.
     pub incidence_deg: f64,
+    /// Root of the mean squared error of a field there, over the photos that show it, weighed by how far they are; none where none of them
+    /// knows it.
+    pub error: Option<f64>,
+}
+
+/// The sky in a direction, as photos saw it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SkySeen {
+    /// Photos that show it.
+    pub photos: u32,
+    /// As [`SurfaceSeen::error`].
+    pub error: Option<f64>,
 }
 
 impl<'a> Coverage<'a> {
@@ -115,15 +167,23 @@ impl<'a> Coverage<'a> {
             self.observers.iter().copied(),
             &(self.eye + ray * distance),
             normal,
+            Some(distance),
         )
     }
 
-    /// Returns how many photos show the sky in a direction (a unit vector of the world).
-    pub fn sky(&self, ray: &Vector3<f64>) -> u32 {
-        self.observers
-            .iter()
-            .filter(|observer| observer.shows_sky(ray))
-            .count() as u32
+    /// Returns what photos saw of the sky in a direction (a unit vector of the world).
+    pub fn sky(&self, ray: &Vector3<f64>) -> SkySeen {
+        let (mut photos, mut error) = (0, RootMeanSquare::default());
+        for observer in &self.observers {
+            if let Some(pixel) = observer.shows_sky(ray) {
+                photos += 1;
+                error.add(observer.squared_error(pixel), 1.0);
+            }
+        }
+        SkySeen {
+            photos,
+            error: error.root(),
+        }
     }
 
     /// Returns the share of the way along a ray that at least one photo looked through, in [0, 1]: from a quarter of `distance` on to the
@@ -140,7 +200,9 @@ impl<'a> Coverage<'a> {
                 far(*index) * self.reach
             };
             let point = self.eye + ray * along;
-            self.observers.iter().any(|observer| observer.shows(&point))
+            self.observers
+                .iter()
+                .any(|observer| observer.shows(&point).is_some())
         });
         seen.count() as f64 / f64::from(PLACES)
     }
@@ -148,27 +210,46 @@ impl<'a> Coverage<'a> {
 
 /// Returns what photos saw of a point of the world on a surface with a normal (any length; none: unknown, and the angle is 180 degrees).
 pub fn seen_at(observers: &[Observer], point: &Vector3<f64>, normal: Option<&Vector3<f64>>) -> SurfaceSeen {
-    seen(observers.iter(), point, normal)
+    seen(observers.iter(), point, normal, None)
+}
+
+/// Returns how much the error of a photo counts at that distance of a point for an eye at another: the cube of the ratio of the nearer to
+/// the farther. A photo from twice as far shows nothing as fine, so what is wrong there is not told by it.
+fn likeness(eye_distance: Option<f64>, distance: f64) -> f64 {
+    let Some(eye_distance) = eye_distance else {
+        return 1.0;
+    };
+    let ratio = eye_distance.min(distance) / eye_distance.max(distance);
+    ratio * ratio * ratio
 }
 
 fn seen<'o>(
     observers: impl Iterator<Item = &'o Observer>,
     point: &Vector3<f64>,
     normal: Option<&Vector3<f64>>,
+    eye_distance: Option<f64>,
 ) -> SurfaceSeen {
     let mut seen = SurfaceSeen {
         photos: 0,
         distance: f64::INFINITY,
         incidence_deg: 180.0,
+        error: None,
     };
-    for observer in observers.filter(|observer| observer.shows(point)) {
+    let mut error = RootMeanSquare::default();
+    for observer in observers {
+        let Some(pixel) = observer.shows(point) else {
+            continue;
+        };
         let back = observer.centre - point;
+        let distance = back.norm();
+        error.add(observer.squared_error(pixel), likeness(eye_distance, distance));
         seen.photos += 1;
-        seen.distance = seen.distance.min(back.norm());
+        seen.distance = seen.distance.min(distance);
         if let Some(normal) = normal {
             seen.incidence_deg = seen.incidence_deg.min(normal.angle(&back).to_degrees());
         }
     }
+    seen.error = error.root();
     seen
 }
 
@@ -251,8 +332,8 @@ mod tests {
         let coverage = from_origin(&observers);
         let up = Vector3::new(0.0, -0.4, 1.0).normalize();
         assert_eq!(
-            (coverage.sky(&up), coverage.sky(&Vector3::z()), coverage.sky(&-up)),
-            (2, 0, 0)
+            [up, Vector3::z(), -up].map(|ray| coverage.sky(&ray).photos),
+            [2, 0, 0]
         );
     }
 
@@ -273,6 +354,39 @@ mod tests {
     }
 
     #[test]
+    fn errors_are_the_root_mean_square_of_the_photos_that_show_it_and_know_them() {
+        let with = |x: f64, error: f32| observer(x).with_errors(vec![error; (SIDE * SIDE) as usize]);
+        let observers = [
+            with(0.0, 3.0),
+            with(0.0, 4.0),
+            with(2.0, -1.0),
+            with(100.0, 50.0),
+            observer(0.5),
+        ];
+        let coverage = from_origin(&observers);
+        let (wall, up) = (Vector3::z(), Vector3::new(0.0, -0.4, 1.0).normalize());
+        let expected = Some(12.5_f64.sqrt());
+        let seen = coverage.surface(&wall, 10.0, None);
+        assert_eq!((seen.photos, seen.error), (4, expected));
+        // The sky is at no distance: the one far away shows it, too.
+        let sky = coverage.sky(&up);
+        assert_eq!((sky.photos, sky.error), (5, Some((2525.0_f64 / 3.0).sqrt())));
+        assert_eq!(
+            from_origin(&observers[4..]).surface(&wall, 10.0, None).error,
+            None
+        );
+        assert_eq!(coverage.surface(&wall, 20.0, None).error, None, "behind the wall");
+    }
+
+    #[test]
+    fn a_photo_from_twice_or_half_as_far_counts_an_eighth_and_one_from_as_far_in_full() {
+        for (eye, photo, expected) in [(2.0, 4.0, 0.125), (4.0, 2.0, 0.125), (3.0, 3.0, 1.0)] {
+            assert_eq!(likeness(Some(eye), photo), expected, "{eye} {photo}");
+        }
+        assert_eq!(likeness(None, 7.0), 1.0);
+    }
+
+    #[test]
     fn what_a_mask_hides_was_not_seen() {
         let camera = Camera::pinhole(SIDE, SIDE, f64::from(SIDE));
         let mut distance = vec![f32::INFINITY; (SIDE * SIDE) as usize];
@@ -280,7 +394,7 @@ mod tests {
         let observers = [Observer::new(camera, Pose::identity(), &distance)];
         let coverage = from_origin(&observers);
         let aside = Vector3::new(0.1, 0.0, 1.0).normalize();
-        assert_eq!((coverage.sky(&Vector3::z()), coverage.sky(&aside)), (0, 1));
+        assert_eq!([Vector3::z(), aside].map(|ray| coverage.sky(&ray).photos), [0, 1]);
         assert_eq!(coverage.surface(&Vector3::z(), 1.0, None).photos, 0);
     }
 

@@ -24,7 +24,7 @@ mod thumbnail;
 pub use alignment::Alignment;
 pub use cahvor::{Cahvor, CahvorError, EntrancePupil, Intrinsics, Pinhole, Ray};
 pub use camera::Camera;
-pub use coverage::{Coverage, Observer, SurfaceSeen, seen_at, typical_distance};
+pub use coverage::{Coverage, Observer, SkySeen, SurfaceSeen, seen_at, typical_distance};
 pub use facts::{CameraPrior, PhotoFacts};
 pub use image::{ColorSpace, Image, Linear, Srgb};
 pub use names::picture_names;

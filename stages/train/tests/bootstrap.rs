@@ -341,6 +341,40 @@ fn shadow_and_sky_are_told_apart_from_a_hole() {
     );
 }
 
+/// One colour where x < 0, and beyond that a pattern finer than the cells of the field.
+fn half_too_fine(hit: Vector3<f64>, ray: Vector3<f64>) -> [u8; 3] {
+    if hit.x < 0.0 {
+        [140, 95, 60]
+    } else {
+        stripes(hit * 8.0, ray)
+    }
+}
+
+#[test]
+fn what_all_members_get_wrong_alike_is_in_the_total() {
+    let harness = Harness::default();
+    let scene = scene(&harness, half_too_fine);
+    // Three times the same field: they differ in nothing.
+    let members = vec![member(&harness, &scene, 0, 80, "black"); 3];
+    let inputs = Inputs([("scene".to_owned(), harness.put(&scene.encode().unwrap()))].into());
+    let fixture = Fixture {
+        harness,
+        inputs,
+        members,
+    };
+    let (report, outputs) = fixture.reduce(json!({"b": 3, "frames": 1, "width": 24}));
+    assert!(report.std < 1e-6, "{}", report.std);
+    let middle_of = |kind: &str, from: usize| {
+        let map = fixture.array(&outputs, &format!("05-{kind}"), 1).concat();
+        let rows = map.chunks(WIDTH as usize);
+        median(rows.flat_map(|row| row[from..from + 8].to_vec()).collect())
+    };
+    // View 05 looks along y, with -z upwards: x < 0 is on its right.
+    let [total, error] = ["total", "error"].map(|kind| (middle_of(kind, 22), middle_of(kind, 2)));
+    assert!(error.1 > 2.0 * error.0, "plain, too fine: errors {error:?}");
+    assert!(total.1 > 1.5 * total.0, "plain, too fine: total {total:?}");
+}
+
 fn auto() -> Bootstrap {
     Bootstrap::new(serde_json::from_value(json!({"b": "auto", "frames": 1, "width": 24})).unwrap()).unwrap()
 }
@@ -457,5 +491,5 @@ fn a_fly_through_that_no_video_can_hold_is_refused_before_it_is_rendered() {
 fn the_answer_belongs_to_the_version() {
     let (_, outputs) = fixture(2).reduce(json!({"b": 2, "frames": 2, "width": 24, "device": "cpu"}));
     let all = Digest::of(&serde_json::to_vec(&outputs).unwrap());
-    assert_eq!((Bootstrap::VERSION, all.short().as_str()), (8, "d6a4c1170189"));
+    assert_eq!((Bootstrap::VERSION, all.short().as_str()), (9, "60508e8fb452"));
 }

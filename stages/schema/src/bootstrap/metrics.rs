@@ -31,7 +31,8 @@ pub struct Metrics {
     pub std_rgb: [f64; 3],
     /// Mean term of what no photo saw: (1 - c)², c the share of a pixel that photos have seen.
     pub unseen_term: f64,
-    /// Mean total standard deviation: √(divisor-B variance + that term).
+    /// Mean total standard deviation: √(divisor-B variance + that term + r²), r the error of gray that a member has where the photos it
+    /// was trained on show the same, root mean square.
     pub total_sd: f64,
     /// Mean sample standard deviation of the depth where there is one, world units.
     pub depth_std: Option<f64>,

@@ -6,6 +6,7 @@ use marf_scene::{Camera, Image, Photo, Pose, Scene, Srgb, picture_names};
 use marf_schema::{
     bootstrap::Round,
     output::{PHOTO, WEIGHTS},
+    train,
 };
 use marf_stage::{Ctx, Inputs, Outputs, StageError};
 
@@ -107,6 +108,8 @@ struct SmallView {
 }
 
 fn small_views(ctx: &Ctx<'_>, scene: &Scene, first: &Child<'_>) -> Result<Vec<SmallView>, StageError> {
+    let scale = first.read::<train::Metrics>(ctx)?.scale;
+    let photos = PhotoReader::new(ctx, scene, scale);
     let mut views = Vec::new();
     for (frame, name) in scene.frames.iter().zip(picture_names(scene)) {
         let output = format!("{PHOTO}{name}.png");
@@ -115,11 +118,10 @@ fn small_views(ctx: &Ctx<'_>, scene: &Scene, first: &Child<'_>) -> Result<Vec<Sm
         };
         let photo = Photo::decode(&ctx.get(digest)?).map_err(|error| first.malformed(&output, &error))?;
         let image: Image<Srgb> = photo.image;
-        let scale = frame.camera.width / image.width.max(1);
         let scaled = ScaledPhoto {
             camera: frame.camera.box_reduced(scale),
             image,
-            hidden: PhotoReader::new(ctx, scene, scale).hidden(frame)?,
+            hidden: photos.hidden(frame)?,
         };
         let small = scaled.shrunk_to(SIDE_PX);
         let grays = small.image.pixels.iter().enumerate().map(|(pixel, rgb)| {

@@ -26,6 +26,7 @@ const MOST_LEVELS: f64 = 127.5;
 pub(crate) struct Scales {
     std: ColorScale,
     unseen: ColorScale,
+    residual: ColorScale,
     total: ColorScale,
     photos: ColorScale,
     depth: ColorScale,
@@ -79,7 +80,12 @@ impl Scales {
         Self {
             std: scale("std of gray, B-1", "sRGB, white = 1", top(|tops| tops.std)),
             unseen: scale("what no photo saw", "1 = nothing seen", 1.0),
-            total: scale("total sd, with unseen", "sRGB, white = 1", top(|tops| tops.total)),
+            residual: scale(
+                "error where photos show it",
+                "sRGB, white = 1",
+                top(|tops| tops.residual),
+            ),
+            total: scale("total sd", "sRGB, white = 1", top(|tops| tops.total)),
             photos: viridis(scale("photos that saw it", "photos", top(|tops| tops.photos))),
             depth: viridis(scale("mean depth", length_unit, length(|tops| tops.depth))),
             depth_std: scale("std of depth, B-1", length_unit, length(|tops| tops.depth_std)),
@@ -142,6 +148,7 @@ pub(crate) fn put_view(
     let mut drawn: Vec<(&str, Vec<f32>, &ColorScale)> = vec![
         ("std", maps.std.clone(), &scales.std),
         ("unseen", maps.unseen.clone(), &scales.unseen),
+        ("residual", maps.residual.clone(), &scales.residual),
         ("total", maps.total.clone(), &scales.total),
         ("coverage", maps.photos.clone(), &scales.photos),
         ("depth-std", depth_std.clone(), &scales.depth_std),

@@ -218,14 +218,18 @@ fn score_within(sorted: &[f64], inside: f64) -> Option<f64> {
     conformal_rank(sorted.len(), inside).map(|rank| sorted[rank - 1])
 }
 
-/// Returns the root of the mean of the squares of the values in 5 x 5 pixels around each; negative ones have no value and stay, and are
-/// not averaged.
-///
-/// The variance of five members scatters by a third from pixel to pixel; that of what they show does not.
+/// Returns [`locally_within`] of 5 x 5 pixels: the variance of five members scatters by a third from pixel to pixel, that of what they show
+/// does not.
 pub(crate) fn locally(values: &[f32], width: u32) -> Vec<f32> {
+    locally_within(values, width, AROUND)
+}
+
+/// Returns the root of the mean of the squares of the values up to `around` rows and columns from each; negative ones have no value and
+/// stay, and are not averaged.
+pub(crate) fn locally_within(values: &[f32], width: u32, around: usize) -> Vec<f32> {
     let width = width.max(1) as usize;
     let height = values.len() / width;
-    let span = |place: usize, end: usize| place.saturating_sub(AROUND)..(place + AROUND + 1).min(end);
+    let span = |place: usize, end: usize| place.saturating_sub(around)..(place + around + 1).min(end);
     let mean = |pixel: usize| {
         let (column, row) = (pixel % width, pixel / width);
         let (mut sum, mut count) = (0.0, 0_u32);

@@ -24,7 +24,10 @@ pub(crate) struct Maps {
     pub rgb_std: Vec<[f32; 3]>,
     /// (1 - c)², c the share of the pixel that photos have seen ([`Sight::seen`]): 1 where no photo looked.
     pub unseen: Vec<f32>,
-    /// √(divisor-B variance + `unseen`).
+    /// What all members get wrong alike: the error of gray that one of them has where the photos it was trained on show what the pixel
+    /// shows, root mean square over these photos; 0 where none does.
+    pub residual: Vec<f32>,
+    /// √(divisor-B variance + `unseen` + `residual`²).
     pub total: Vec<f32>,
     /// Mean depth along the ray, world units; -1 where the mean opacity is at most 0.5: sky, or nothing.
     pub depth: Vec<f32>,
@@ -41,7 +44,7 @@ pub(crate) struct Maps {
 /// What photos saw of what one pixel shows.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Sight {
-    /// How well the surface at the mean depth was seen, in [0, 1].
+    /// How well the surface at the median depth was seen, in [0, 1].
     pub surface: f64,
     /// How well the sky behind it was seen, in [0, 1].
     pub sky: f64,
@@ -51,6 +54,8 @@ pub(crate) struct Sight {
     pub photo_distance: f32,
     /// As [`Maps::incidence_deg`].
     pub incidence_deg: f32,
+    /// As [`Maps::residual`].
+    pub residual: f32,
 }
 
 impl Sight {
@@ -65,7 +70,7 @@ impl Sight {
 /// Mean opacity up to which a pixel has no depth.
 pub(crate) const MIN_OPACITY: f32 = 0.5;
 
-/// Mean and both standard deviations of a few numbers.
+/// Mean, median and both standard deviations of a few numbers.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Moments {
     pub mean: f64,
@@ -73,6 +78,8 @@ pub(crate) struct Moments {
     pub sample: f64,
     /// Divisor B.
     pub population: f64,
+    /// The middle value, the lower one of two.
+    pub median: f64,
 }
 
 /// Returns the moments of at least one value. Sorts first: the order of the members then changes no sum.
@@ -85,15 +92,16 @@ pub(crate) fn moments(values: &mut [f64]) -> Moments {
         mean,
         sample: (squares / (count - 1.0).max(1.0)).sqrt(),
         population: (squares / count).sqrt(),
+        median: values[(values.len() - 1) / 2],
     }
 }
 
-/// Mean depths and opacities of the members, `[height * width]`.
+/// Depths and opacities of the members, `[height * width]`.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Surfaces {
-    /// World units along the ray; whatever the opacity is.
+    /// The median, world units along the ray; whatever the opacity is. Where members disagree, their mean may lie behind all surfaces.
     pub depth: Vec<f64>,
-    /// In [0, 1].
+    /// The mean, in [0, 1].
     pub opacity: Vec<f32>,
 }
 
@@ -126,7 +134,7 @@ pub(crate) fn maps(
     for pixel in 0..count {
         surfaces
             .depth
-            .push(of(&|render| f64::from(render.depth[pixel])).mean);
+            .push(of(&|render| f64::from(render.depth[pixel])).median);
         let opacity = of(&|render| f64::from(render.opacity[pixel])).mean;
         surfaces.opacity.push(opacity as f32);
     }
@@ -152,7 +160,7 @@ pub(crate) fn gray(rgb: &[f32; 3]) -> f64 {
 
 impl Maps {
     /// Number of values a pixel.
-    const VALUES: usize = 16;
+    const VALUES: usize = 17;
     /// Of [`Maps::unseen`]: more than half of the pixel was seen.
     const HALF_SEEN: f32 = 0.25;
 
@@ -170,6 +178,7 @@ impl Maps {
             &self.std_paper,
             self.rgb_std.as_flattened(),
             &self.unseen,
+            &self.residual,
             &self.total,
             &self.depth,
             &self.depth_std,
@@ -203,6 +212,7 @@ impl Maps {
             std_paper: take(1).to_vec(),
             rgb_std: take(3).as_chunks::<3>().0.to_vec(),
             unseen: take(1).to_vec(),
+            residual: take(1).to_vec(),
             total: take(1).to_vec(),
             depth: take(1).to_vec(),
             depth_std: take(1).to_vec(),
@@ -222,6 +232,7 @@ impl Maps {
             std_paper: Vec::with_capacity(count),
             rgb_std: Vec::with_capacity(count),
             unseen: Vec::with_capacity(count),
+            residual: Vec::with_capacity(count),
             total: Vec::with_capacity(count),
             depth: Vec::with_capacity(count),
             depth_std: Vec::with_capacity(count),
@@ -241,13 +252,15 @@ impl Maps {
     ) {
         let unseen = 1.0 - sight.seen(f64::from(opacity));
         let unseen = unseen * unseen;
-        let total = (gray.population * gray.population + unseen).sqrt();
+        let residual = f64::from(sight.residual);
+        let total = (gray.population * gray.population + unseen + residual * residual).sqrt();
         self.mean.push(channels.map(|channel| channel.mean as f32));
         self.gray.push(gray.mean as f32);
         self.std.push(gray.sample as f32);
         self.std_paper.push(gray.population as f32);
         self.rgb_std.push(channels.map(|channel| channel.sample as f32));
         self.unseen.push(unseen as f32);
+        self.residual.push(sight.residual);
         self.total.push(total as f32);
         let of_matter = |value: f64| if opacity > MIN_OPACITY { value as f32 } else { -1.0 };
         self.depth.push(of_matter(depth.mean));
@@ -294,6 +307,7 @@ pub(crate) mod tests {
             photos: 3.0,
             photo_distance: 2.0,
             incidence_deg: 30.0,
+            residual: 0.0,
         };
         vec![sight; surfaces.depth.len()]
     }

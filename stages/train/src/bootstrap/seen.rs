@@ -5,17 +5,21 @@ use marf_stage::StageError;
 use nalgebra::{Vector2, Vector3};
 use rayon::prelude::*;
 
-use super::maps::{MIN_OPACITY, Sight, Surfaces};
+use super::intervals::locally_within;
+use super::maps::{MIN_OPACITY, Sight, Surfaces, gray};
 use crate::{checkpoint::Journal, error::field_failed, photos::PhotoReader, split::NamedFrame, view::floats};
 
 /// Longest side at which depths of the photos are rendered, pixels: what hides a point is known to one of these.
 const SIDE_PX: u32 = 160;
 /// Of a pixel less than this share matter, or sky, has no part in what is seen of it.
 const LEAST_SHARE: f32 = 0.02;
+/// Rows and columns on each side of a pixel of a photo whose errors are averaged with its own: where two or three photos show a point,
+/// single errors say little.
+const AROUND: usize = 1;
 /// Neighbouring pixels farther apart in depth than this share are no one surface.
 const ONE_SURFACE: f64 = 0.2;
 
-/// The photos that a field is trained on, with the depths of the field at their views.
+/// The photos that a field is trained on, with the depths of the field at their views, and how far its colours are from theirs.
 pub(crate) struct Witnesses {
     observers: Vec<Observer>,
     /// Typical distance to what photos show, world units.
@@ -23,7 +27,7 @@ pub(crate) struct Witnesses {
 }
 
 impl Witnesses {
-    /// Renders the depths of the photos' views with a field; `of` stands for the node and its field.
+    /// Renders the photos' views with a field; `of` stands for the node and its field.
     pub fn new(
         of: Digest,
         field: &Field,
@@ -36,32 +40,23 @@ impl Witnesses {
         let observers = frames.iter().enumerate().map(|(index, named)| {
             let note = format!("what {} saw", named.name);
             ctx.progress.at(index as u64, frames.len() as u64, &note);
-            let (factor, camera) = small(&named.frame.camera);
-            let pose = named.frame.cam_from_world;
-            let pixels = camera.width as usize * camera.height as usize;
-            let distance = journal.piece(
-                |bytes| floats(bytes).filter(|distance| distance.len() == pixels),
+            let sample = Sample::of(&named.frame.camera.box_reduced(photos.scale));
+            let pixels = sample.camera.width as usize * sample.camera.height as usize;
+            let mut values = journal.piece(
+                |bytes| floats(bytes).filter(|values| values.len() == 2 * pixels),
                 || {
-                    let render = field.render(&camera, &pose).map_err(field_failed)?;
-                    let of_pixel = render.depth.iter().zip(&render.opacity);
-                    let distance = of_pixel.map(|(depth, opacity)| {
-                        if *opacity > MIN_OPACITY {
-                            *depth
-                        } else {
-                            f32::INFINITY
-                        }
-                    });
-                    let distance: Vec<f32> = distance.collect();
-                    let bytes = distance.iter().flat_map(|value| value.to_le_bytes()).collect();
-                    Ok((distance, bytes))
+                    let values = sample.distances_and_errors(field, photos, named)?;
+                    let bytes = values.iter().flat_map(|value| value.to_le_bytes()).collect();
+                    Ok((values, bytes))
                 },
             )?;
-            let hidden = photos.hidden_at(named.frame, factor)?;
-            let mut distance = distance;
-            for (distance, _) in distance.iter_mut().zip(hidden).filter(|(_, hidden)| *hidden) {
-                *distance = f32::NAN;
+            let (distance, error) = values.split_at_mut(pixels);
+            let hidden = photos.hidden_at(named.frame, photos.scale * sample.every)?;
+            for (pixel, _) in (0..).zip(hidden).filter(|(_, hidden)| *hidden) {
+                (distance[pixel], error[pixel]) = (f32::NAN, -1.0);
             }
-            Ok(Observer::new(camera, pose, &distance))
+            let observer = Observer::new(sample.camera, named.frame.cam_from_world, distance);
+            Ok(observer.with_errors(locally_within(error, sample.camera.width, AROUND)))
         });
         let observers = observers.collect::<Result<_, StageError>>()?;
         journal.end();
@@ -72,7 +67,7 @@ impl Witnesses {
         })
     }
 
-    /// Returns what the photos saw of each pixel of a view with these mean depths and opacities.
+    /// Returns what the photos saw of each pixel of a view with these depths and opacities.
     pub fn sights(&self, place: &Viewpoint, surfaces: &Surfaces) -> Vec<Sight> {
         let coverage = Coverage::from_viewpoint(&self.observers, &place.cam_from_world, self.reach);
         let rays = rays(place);
@@ -99,14 +94,59 @@ const UNSEEN: Sight = Sight {
     photos: 0.0,
     photo_distance: -1.0,
     incidence_deg: -1.0,
+    residual: 0.0,
 };
 
-/// Returns the factor by which a photo is shrunk for its depths, and its camera then.
-fn small(camera: &Camera) -> (u32, Camera) {
-    let longest = camera.width.max(camera.height);
-    let shortest = camera.width.min(camera.height).max(1);
-    let factor = longest.div_ceil(SIDE_PX).clamp(1, shortest);
-    (factor, camera.box_reduced(factor))
+/// Some of the pixels of a photo, as those of a smaller one: their errors are those of single pixels, where those of a shrunk photo would
+/// be without what is finer than its pixels.
+struct Sample {
+    /// Every so many columns and rows have a pixel in it.
+    every: u32,
+    /// Whose pixels see what those of the photo see.
+    camera: Camera,
+}
+
+impl Sample {
+    /// Takes the pixels in the middle of blocks of a photo with that camera.
+    fn of(camera: &Camera) -> Self {
+        let longest = camera.width.max(camera.height);
+        let shortest = camera.width.min(camera.height).max(1);
+        let every = longest.div_ceil(SIDE_PX).clamp(1, shortest);
+        let shrunk = camera.box_reduced(every);
+        // The pixel of a block is right and below of its middle by half a pixel where the block has an even side.
+        let moved = 0.5 - (f64::from(every / 2) + 0.5) / f64::from(every);
+        let camera = Camera {
+            cx_px: shrunk.cx_px + moved,
+            cy_px: shrunk.cy_px + moved,
+            ..shrunk
+        };
+        Self { every, camera }
+    }
+
+    /// Returns the distances that a field shows at the pixels, infinite in the sky, and after them how far its gray is from the photo's.
+    fn distances_and_errors(
+        &self,
+        field: &Field,
+        photos: &PhotoReader<'_>,
+        named: &NamedFrame<'_>,
+    ) -> Result<Vec<f32>, StageError> {
+        let photo = photos.read(named.frame)?.image;
+        let render = field.render(&self.camera, &named.frame.cam_from_world);
+        let render = render.map_err(field_failed)?;
+        let matter = render.depth.iter().zip(&render.opacity);
+        let distances = matter.map(|(depth, opacity)| match *opacity > MIN_OPACITY {
+            true => *depth,
+            false => f32::INFINITY,
+        });
+        let place = |along: u32| along * self.every + self.every / 2;
+        let errors = (0_u32..).zip(&render.rgb).map(|(pixel, rgb)| {
+            let (column, row) = (pixel % self.camera.width, pixel / self.camera.width);
+            let photo = photo.at(place(column), place(row));
+            let photo = gray(&photo.map(|value| f32::from(value) / 255.0));
+            (gray(rgb) - photo).abs() as f32
+        });
+        Ok(distances.chain(errors).collect())
+    }
 }
 
 /// Returns the unit vector of the world along every pixel of a view; none where the lens has no ray for it.
@@ -135,6 +175,7 @@ fn sight(
             sight.surface = known(coverage.looked_through(ray, depth));
             sight.photos = seen.photos as f32;
             sight.photo_distance = seen.distance as f32;
+            sight.residual = seen.error.unwrap_or(0.0) as f32;
             if seen.incidence_deg < 180.0 {
                 sight.incidence_deg = seen.incidence_deg as f32;
             }
@@ -144,13 +185,14 @@ fn sight(
         // What shines through a surface is as certain as the surface: photos that show it show both.
         sight.sky = sight.surface;
     } else {
-        let photos = coverage.sky(ray);
-        if photos > 0 {
+        let seen = coverage.sky(ray);
+        if seen.photos > 0 {
             sight.sky = known(coverage.looked_through(ray, f64::INFINITY));
             // Haze before a sky that photos show is theirs too.
             sight.surface = sight.surface.max(sight.sky);
         }
-        sight.photos = photos as f32;
+        sight.photos = seen.photos as f32;
+        sight.residual = seen.error.unwrap_or(0.0) as f32;
         (sight.photo_distance, sight.incidence_deg) = (-1.0, -1.0);
     }
     sight
@@ -244,6 +286,52 @@ mod tests {
             (1.0, 1.0, 1.0, -1.0)
         );
         assert_eq!(at(10, 20).incidence_deg, -1.0, "no neighbour below the last row");
+    }
+
+    #[test]
+    fn a_sample_sees_along_the_middle_pixels_of_blocks() {
+        for side in [100, 200, 320, 500, 960] {
+            let photo = Camera::pinhole(side, side * 3 / 4, 300.0);
+            let sample = Sample::of(&photo);
+            assert!(sample.camera.width <= SIDE_PX, "{side}");
+            for (column, row) in [
+                (0, 0),
+                (7, 3),
+                (sample.camera.width - 1, sample.camera.height - 1),
+            ] {
+                let at = |place: u32| f64::from(place) + 0.5;
+                let of_photo = |place: u32| at(place * sample.every + sample.every / 2);
+                let own = sample
+                    .camera
+                    .unproject(&Vector2::new(at(column), at(row)))
+                    .unwrap();
+                let same = photo
+                    .unproject(&Vector2::new(of_photo(column), of_photo(row)))
+                    .unwrap();
+                assert!((own - same).norm() < 1e-12, "{side}, every {}", sample.every);
+            }
+        }
+    }
+
+    #[test]
+    fn the_error_at_photos_that_show_the_same_is_that_of_the_surface_or_of_the_sky() {
+        let (place, surfaces) = view();
+        let Witnesses { observers, reach } = witnesses(&place, &surfaces);
+        let errors = surfaces
+            .depth
+            .iter()
+            .map(|depth| if *depth > 0.0 { 0.25 } else { 0.5 });
+        let errors: Vec<f32> = errors.collect();
+        let observers = observers
+            .into_iter()
+            .map(|observer| observer.with_errors(errors.clone()));
+        let witnesses = Witnesses {
+            observers: observers.collect(),
+            reach,
+        };
+        let sights = witnesses.sights(&place, &surfaces);
+        let at = |column: u32, row: u32| sights[(row * SIDE + column) as usize].residual;
+        assert_eq!([at(10, 18), at(10, 2)], [0.25, 0.5]);
     }
 
     #[test]

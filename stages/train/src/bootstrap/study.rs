@@ -52,6 +52,7 @@ pub(crate) struct Tops {
     pub std: f64,
     /// Of the standard deviation averaged around a pixel.
     pub local_std: f64,
+    pub residual: f64,
     pub total: f64,
     pub depth: f64,
     pub depth_std: f64,
@@ -102,6 +103,7 @@ pub(crate) fn study(
         tops: Tops {
             std: top(&maps.std),
             local_std: top(&locally(&maps.std, maps.width)),
+            residual: top(&maps.residual),
             total: top(&maps.total),
             depth: top(&maps.depth),
             depth_std: top(&maps.depth_std),
