@@ -187,7 +187,8 @@ pub struct Coverage {
 
 /// Intervals fitted on the photos held out, and how far they hold at places they were not fitted on: each place is left out in turn.
 ///
-/// The spread of a pixel is √(v + floor²), v the mean variance of the members over 5 x 5 pixels around it.
+/// The spread of a pixel is √(v + r² + floor²), v the mean variance of the members over 5 x 5 pixels around it, and r, of gray, the error of
+/// a member where the photos it was trained on show the same; of depths it is 0.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Calibration {
     /// Least spread: noise, and what no field resolves.

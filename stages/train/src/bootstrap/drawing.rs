@@ -61,7 +61,7 @@ impl Scales {
         let of_gray = held_out
             .and_then(|held_out| held_out.calibration.clone())
             .map(|gray| {
-                let half = gray.factor90 * widened(top(|tops| tops.local_std) as f32, gray.floor) * LEVELS;
+                let half = gray.factor90 * widened(top(|tops| tops.local_spread) as f32, gray.floor) * LEVELS;
                 (
                     gray,
                     scale("90 % interval: +-", "gray levels", rounded(half.min(MOST_LEVELS))),
@@ -111,12 +111,12 @@ fn rounded(high: f64) -> f64 {
 
 /// Returns half the width of the 90 % interval of gray, levels of 255; -1 where no photo saw what the pixel shows.
 fn gray_interval(maps: &Maps, calibration: &Calibration) -> Vec<f32> {
-    let local = locally(&maps.std, maps.width);
+    let spreads = maps.local_spread();
     let half = |(pixel, spread): (usize, &f32)| {
         let half = calibration.factor90 * widened(*spread, calibration.floor) * LEVELS;
         if maps.is_seen(pixel) { half as f32 } else { -1.0 }
     };
-    local.iter().enumerate().map(half).collect()
+    spreads.iter().enumerate().map(half).collect()
 }
 
 /// Returns half the width of the 90 % interval of the depth, world units; -1 where there is no depth or no photo saw it.

@@ -1,6 +1,7 @@
 use marf_field::Render;
 use marf_stage::{Ctx, StageError};
 
+use super::intervals::{locally, widened};
 use crate::view::floats;
 
 /// Spread of the members at one viewpoint, all `[height * width]`, rows from the top.
@@ -163,6 +164,14 @@ impl Maps {
     const VALUES: usize = 17;
     /// Of [`Maps::unseen`]: more than half of the pixel was seen.
     const HALF_SEEN: f32 = 0.25;
+
+    /// Returns the spread that intervals of gray are made of: √(v + `residual`²), v the variance averaged over 5 x 5 pixels.
+    pub fn local_spread(&self) -> Vec<f32> {
+        let local = locally(&self.std, self.width).into_iter();
+        let both = local.zip(&self.residual);
+        both.map(|(std, residual)| widened(std, f64::from(*residual)) as f32)
+            .collect()
+    }
 
     /// Tells whether photos saw most of what a pixel shows.
     pub fn is_seen(&self, pixel: usize) -> bool {

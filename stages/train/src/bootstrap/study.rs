@@ -50,8 +50,8 @@ pub(crate) struct HeldOutStudy {
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(crate) struct Tops {
     pub std: f64,
-    /// Of the standard deviation averaged around a pixel.
-    pub local_std: f64,
+    /// Of [`Maps::local_spread`].
+    pub local_spread: f64,
     pub residual: f64,
     pub total: f64,
     pub depth: f64,
@@ -102,7 +102,7 @@ pub(crate) fn study(
         rgb_std: [0, 1, 2].map(channel),
         tops: Tops {
             std: top(&maps.std),
-            local_std: top(&locally(&maps.std, maps.width)),
+            local_spread: top(&maps.local_spread()),
             residual: top(&maps.residual),
             total: top(&maps.total),
             depth: top(&maps.depth),
@@ -220,9 +220,9 @@ fn held_out(
     (error, orders): (&[f32], &Orders),
     points: &[Point],
 ) -> HeldOutStudy {
-    let local = locally(&maps.std, maps.width);
+    let spreads = maps.local_spread();
     let seen = (0..error.len()).filter(|pixel| error[*pixel] >= 0.0 && maps.is_seen(*pixel));
-    let gray: Vec<(f32, f32)> = seen.map(|pixel| (local[pixel], error[pixel])).collect();
+    let gray: Vec<(f32, f32)> = seen.map(|pixel| (spreads[pixel], error[pixel])).collect();
     let (std, error) = (compared(&maps.std, error), compared(error, error));
     let unseen_share = 1.0 - gray.len() as f64 / error.len().max(1) as f64;
     let within = |widths: f64| coverage(&std, &error, widths);
