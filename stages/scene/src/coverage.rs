@@ -386,6 +386,46 @@ mod tests {
         assert_eq!(likeness(None, 7.0), 1.0);
     }
 
+    /// A photo that looks along z from `z` on the axis and sees 1,000 units far, with this error everywhere.
+    fn on_axis(z: f64, error: f32) -> Observer {
+        let pose = Pose {
+            translation: Vector3::new(0.0, 0.0, -z),
+            ..Pose::identity()
+        };
+        let pixels = (SIDE * SIDE) as usize;
+        let camera = Camera::pinhole(SIDE, SIDE, f64::from(SIDE));
+        Observer::new(camera, pose, &vec![1e3; pixels]).with_errors(vec![error; pixels])
+    }
+
+    /// The eye is 10 from the point, the photos 10, 20 and 5: weights 1, 1/8 and 1/8, so (9 + 25/8 + 49/8) / (5/4) = 14.6.
+    #[test]
+    fn errors_of_photos_from_other_distances_than_the_eye_weigh_less_in_the_mean() {
+        let observers = [on_axis(0.0, 3.0), on_axis(-10.0, 5.0), on_axis(5.0, 7.0)];
+        let (ahead, point) = (Vector3::z(), 10.0 * Vector3::z());
+        let error =
+            |observers: &[Observer]| from_origin(observers).surface(&ahead, 10.0, None).error.unwrap();
+        assert!(
+            (error(&observers) - 14.6_f64.sqrt()).abs() < 1e-12,
+            "{}",
+            error(&observers)
+        );
+        // Without an eye all count alike.
+        let alike = seen_at(&observers, &point, None);
+        assert!(
+            (alike.error.unwrap() - (83.0_f64 / 3.0).sqrt()).abs() < 1e-12,
+            "{alike:?}"
+        );
+        // Weights are those of a mean: a photo alone tells its own error, however far it is.
+        for z in [-10.0, 5.0, -900.0, 9.999] {
+            let alone = error(&[on_axis(z, 5.0)]);
+            assert!((alone - 5.0).abs() < 1e-12, "{z}: {alone}");
+        }
+        // One that does not know its error takes no part, and is counted all the same.
+        let unknown = [on_axis(0.0, -1.0), on_axis(-10.0, 5.0)];
+        let seen = from_origin(&unknown).surface(&ahead, 10.0, None);
+        assert_eq!((seen.photos, seen.error), (2, Some(5.0)));
+    }
+
     #[test]
     fn what_a_mask_hides_was_not_seen() {
         let camera = Camera::pinhole(SIDE, SIDE, f64::from(SIDE));
