@@ -307,9 +307,9 @@ mod tests {
 
     #[test]
     fn a_map_is_split_at_its_longest_ending() {
-        assert_eq!(split("rock-3-depth-std"), Some(("rock-3", 8, "depth-std")));
+        assert_eq!(split("rock-3-depth-std"), Some(("rock-3", 9, "depth-std")));
         assert_eq!(split("rock-3-std"), Some(("rock-3", 3, "std")));
-        assert_eq!(split("a-b-new"), Some(("a-b", 11, "new")));
+        assert_eq!(split("a-b-new"), Some(("a-b", 12, "new")));
         assert_eq!(split("plain"), None);
     }
 }
