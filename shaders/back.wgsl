@@ -6,8 +6,7 @@
 //           run tile by tile and group by group in the order of `sum`: no thread decides a rounding.
 // Threads   `groups` workgroups of 64, folded; workgroup g takes tiles g, g + groups, ... of 4 FOURS samples each, ROUNDS at most.
 // Reads     features [inputs][capacity] and ray_of [capacity] of visited samples, origin [capacity], directions [rays] (w 0: no ray),
-//           weights, light row 0 of [3][capacity] of visited samples (slope in the raw density), d_logits [3][capacity],
-//           counts[COUNT_KEPT] samples in use
+//           weights, d_outputs [4][capacity] (slopes in the logits and in the raw density), counts[COUNT_KEPT] samples in use
 // Writes    work [groups][stride]: first the gradient of all weights over the group's tiles, of groups that have some;
 //           then memory of the group. slopes [inputs][capacity] of tiles that hold samples, each element once;
 //           faults[FAULT_FEATURES] where one of a sample in use runs away
@@ -19,11 +18,10 @@
 @group(0) @binding(4) var<storage, read> ray_of: array<u32>;
 @group(0) @binding(5) var<storage, read> directions: array<vec4<f32>>;
 @group(0) @binding(6) var<storage, read> weights: array<vec4<f32>>;
-@group(0) @binding(7) var<storage, read> light: array<f32>;
-@group(0) @binding(8) var<storage, read> d_logits: array<vec4<f32>>;
-@group(0) @binding(9) var<storage, read_write> work: array<vec4<f32>>;
-@group(0) @binding(10) var<storage, read_write> slopes: array<vec4<f32>>;
-@group(0) @binding(11) var<storage, read_write> faults: array<atomic<u32>>;
+@group(0) @binding(7) var<storage, read> d_outputs: array<vec4<f32>>;
+@group(0) @binding(8) var<storage, read_write> work: array<vec4<f32>>;
+@group(0) @binding(9) var<storage, read_write> slopes: array<vec4<f32>>;
+@group(0) @binding(10) var<storage, read_write> faults: array<atomic<u32>>;
 
 fn feature_at(at: u32) -> f32 {
     if at == 0xffffffffu { return 0.0; }
@@ -302,7 +300,7 @@ fn bring_slopes(memory: u32, first: u32, in_use: u32, me: u32) {
     for (var at = me; at < 8u * FOURS; at += THREADS) {
         let sample = first + at % FOURS;
         var slope = vec4<f32>(0.0);
-        if at < 3u * FOURS { slope = alive(d_logits[at / FOURS * (run.capacity / 4u) + sample], 4u * sample, in_use); }
+        if at < 3u * FOURS { slope = alive(d_outputs[at / FOURS * (run.capacity / 4u) + sample], 4u * sample, in_use); }
         tile[at] = slope;
         work[to + at] = slope;
     }
@@ -310,13 +308,7 @@ fn bring_slopes(memory: u32, first: u32, in_use: u32, me: u32) {
 
 // Slopes of compositing in 4 raw densities.
 fn raw_slopes(at: u32, in_use: u32) -> vec4<f32> {
-    let places = bring_column(0u, 4u * at, in_use);
-    return vec4(raw_slope(places.x), raw_slope(places.y), raw_slope(places.z), raw_slope(places.w));
-}
-
-fn raw_slope(at: u32) -> f32 {
-    if at == 0xffffffffu { return 0.0; }
-    return light[at];
+    return alive(d_outputs[3u * (run.capacity / 4u) + at], 4u * at, in_use);
 }
 
 // Back through one layer: the tile holds the slopes of its outputs, then those of its inputs.

@@ -1,15 +1,17 @@
 // kept: writes for every sample that is kept which of the visited ones it was.
 //
 // Source    none.
-// Twin      marf_field::shade::Shade::drop_hidden (its list `kept`); equal.
+// Twin      marf_field::shade::Shade::list_shown and thin (their list `kept`); equal.
 // Threads   one per ray: workgroup 64, folded.
-// Reads     spans [4][rays]: first sample and number before and after hidden samples are dropped; counts[slot] rays in use
+// Reads     spans [4][rays]: first sample and number of visited samples, then of kept ones; counts[slot] rays in use;
+//           shown, from 2 rays on [capacity]: numbers of the visited samples that are kept, the first of every ray
 // Writes    origin u32 [capacity]: number of the visited sample, for samples of rays in use, each once
 // Extremes  a ray without samples writes nothing; samples beyond the capacity are not written.
 @group(0) @binding(0) var<uniform> extent: Extent;
 @group(0) @binding(1) var<storage, read> counts: array<u32>;
 @group(0) @binding(2) var<storage, read> spans: array<u32>;
-@group(0) @binding(3) var<storage, read_write> origin: array<u32>;
+@group(0) @binding(3) var<storage, read> shown: array<u32>;
+@group(0) @binding(4) var<storage, read_write> origin: array<u32>;
 
 @compute @workgroup_size(64)
 fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
@@ -18,6 +20,6 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
     let first = spans[2u * extent.rays + ray];
     let end = min(first + spans[3u * extent.rays + ray], extent.capacity);
     for (var sample = first; sample < end; sample++) {
-        origin[sample] = spans[ray] + sample - first;
+        origin[sample] = shown[2u * extent.rays + spans[ray] + sample - first];
     }
 }

@@ -93,8 +93,8 @@ pub struct Extent {
     pub capacity: u32,
     /// Numbers a column of rays.
     pub rays: u32,
-    /// Padding to 16 bytes.
-    pub pad: u32,
+    /// Samples of a ray that are kept, about; 0: all that show.
+    pub most: u32,
 }
 
 /// Sizes and switches of the comparison of rays with pixels.

@@ -27,6 +27,8 @@ pub struct Limits {
     pub logit: f32,
     /// Samples behind a lesser transmittance are left out.
     pub opaque: f32,
+    /// Part of the samples chosen on a ray that is spread evenly.
+    pub even: f32,
 }
 
 impl Limits {
@@ -39,6 +41,7 @@ impl Limits {
             ("RAW_SHIFT", self.shift),
             ("LOGIT_LIMIT", self.logit),
             ("OPAQUE", self.opaque),
+            ("EVEN", self.even),
         ] {
             head += &format!("const {name}: f32 = {value:?};\n");
         }
@@ -93,7 +96,7 @@ const TILES: &[&str] = &[
 ];
 const HEADS: &[&str] = &[
     "const RUNAWAY: u32 = 9u; const RAW_LIMIT: f32 = 1.0; const RAW_SHIFT: f32 = -1.0; \
-    const LOGIT_LIMIT: f32 = 1.0; const OPAQUE: f32 = 0.1;",
+    const LOGIT_LIMIT: f32 = 1.0; const OPAQUE: f32 = 0.1; const EVEN: f32 = 0.1;",
 ];
 
 /// The density network over visited samples.

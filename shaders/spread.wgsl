@@ -5,12 +5,11 @@
 // Twin      marf_field::batch::Losses::ray (Ray::spread, emptiness, Pull::spread) and the first half of backward;
 //           within 1e-6 of the largest slope of the ray.
 // Threads   one per ray, its samples from the front for the sums and then from the back: workgroup 64, folded.
-// Reads     spans [4][rays] (of visited samples, of kept ones: the first of the visited), rgb [3][capacity], along [3][capacity] (row 2, the place), density [.][capacity] (row 0,
-//           the raw density), logits [3][capacity], found [FOUND_ROWS][rays] of `compare`, pulls [rays]
-//           (place, weight), counts[slot] rays in use; light as `opacity` left it; along, density and light are of visited samples
-// Writes    light row 0 [capacity]: tau becomes the slope in the raw density; d_logits [3][capacity].
-//           Both for kept samples of rays in use, each element once
-// Extremes  the slope is exactly 0 where the raw density is at its limit or a logit outside its limits. A pull of
+// Reads     spans [4][rays] (of visited samples, of kept ones: the first of the visited), rgb [3][capacity], along [3][capacity] (row 2, the place), logits [3][capacity], found [FOUND_ROWS][rays] of `compare`, pulls [rays]
+//           (place, weight), counts[slot] rays in use; light and along as `opacity` left them
+// Writes    d_outputs [4][capacity]: slopes in the three logits and in the raw density of kept samples of rays in use, each
+//           element once
+// Extremes  the slope is exactly 0 where the raw density is at its limit (tau is 0 there) or a logit outside its limits. A pull of
 //           weight 0 is none. Opaque samples (alpha 1) and those with T = 0 give finite slopes.
 struct SpreadRun {
     slot: u32,
@@ -27,12 +26,11 @@ struct SpreadRun {
 @group(0) @binding(2) var<storage, read> spans: array<u32>;
 @group(0) @binding(3) var<storage, read> rgb: array<f32>;
 @group(0) @binding(4) var<storage, read> along: array<f32>;
-@group(0) @binding(5) var<storage, read> density: array<f32>;
-@group(0) @binding(6) var<storage, read> logits: array<f32>;
-@group(0) @binding(7) var<storage, read> found: array<f32>;
-@group(0) @binding(8) var<storage, read> pulls: array<vec2<f32>>;
-@group(0) @binding(9) var<storage, read_write> light: array<f32>;
-@group(0) @binding(10) var<storage, read_write> d_logits: array<f32>;
+@group(0) @binding(5) var<storage, read> logits: array<f32>;
+@group(0) @binding(6) var<storage, read> found: array<f32>;
+@group(0) @binding(7) var<storage, read> pulls: array<vec2<f32>>;
+@group(0) @binding(8) var<storage, read> light: array<f32>;
+@group(0) @binding(9) var<storage, read_write> d_outputs: array<f32>;
 
 fn row_of(row: u32, ray: u32) -> f32 {
     return found[row * run.rays + ray];
@@ -41,9 +39,9 @@ fn row_of(row: u32, ray: u32) -> f32 {
 fn put_logits(sample: u32, slope: vec3<f32>, shade: vec3<f32>) {
     let green = run.capacity + sample;
     let blue = run.capacity + green;
-    d_logits[sample] = slope.x * colour_slope(logits[sample], shade.x);
-    d_logits[green] = slope.y * colour_slope(logits[green], shade.y);
-    d_logits[blue] = slope.z * colour_slope(logits[blue], shade.z);
+    d_outputs[sample] = slope.x * colour_slope(logits[sample], shade.x);
+    d_outputs[green] = slope.y * colour_slope(logits[green], shade.y);
+    d_outputs[blue] = slope.z * colour_slope(logits[blue], shade.z);
 }
 
 @compute @workgroup_size(64)
@@ -104,8 +102,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
         suffix_near = fma(weight, q_near, suffix_near);
         behind += weight;
         behind_moment = fma(weight, place, behind_moment);
-        let seen = shift + sample;
-        light[seen] = select(0.0, d_tau * light[seen], density[seen] < RAW_LIMIT);
+        d_outputs[3u * run.capacity + sample] = d_tau * light[shift + sample];
         put_logits(sample, slope * weight, shade);
     }
 }

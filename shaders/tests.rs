@@ -102,7 +102,7 @@ fn rust_layouts() -> Vec<Layout> {
         Filling { cells, parts, capacity, at_mean, decay, unknown, shows, shift, slot }
         Tally { sum, count }
         Chains { rounds, factor, addend, pad }
-        Extent { slot, capacity, rays, pad }
+        Extent { slot, capacity, rays, most }
         CompareRun { slot, capacity, rays, views, offsets, behind, pad }
         SpreadRun { slot, capacity, rays, distortion, cell, emptiness, reach, floor }
         Total { visited, kept, rays, alive, faults, loss, pad }

@@ -31,6 +31,8 @@ pub struct Shared<'a> {
     pub bits: &'a Bits,
     /// Rays of the whole batch: gradients are those of the mean.
     pub rays: usize,
+    /// Samples of a ray that are trained, about; 0: all that show.
+    pub ray_samples: u32,
     /// Where the time goes, if someone asks.
     pub watch: Option<&'a Watch>,
 }
@@ -274,7 +276,15 @@ impl Scratch {
     fn opacities(&mut self, shared: &Shared, targets: &[Target], chunk: &mut Chunk) {
         self.before.resize(targets.len(), 0.0);
         self.shade.opacities(shared.level, &chunk.spans, &self.before);
-        self.shade.drop_hidden(&mut chunk.spans, &mut self.kept);
+        let (shade, kept) = (&mut self.shade, &mut self.kept);
+        match shared.ray_samples {
+            0 => shade.list_shown(&chunk.spans, kept),
+            most => shade.thin(&chunk.spans, most, kept),
+        }
+        shade.keep(&mut chunk.spans, kept);
+        if shared.ray_samples > 0 {
+            shade.opacities(shared.level, &chunk.spans, &self.before);
+        }
         chunk.found.samples = self.kept.len() as u64;
     }
 

@@ -144,6 +144,7 @@ impl CpuSession {
             steps: &training.march,
             bits: &training.state.occupancy.bits,
             rays: targets.len(),
+            ray_samples: training.ray_samples(),
             watch,
         };
         let rays = training.chunk_rays();

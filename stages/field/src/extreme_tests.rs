@@ -115,6 +115,7 @@ fn batch_of(target: Target) -> Option<&'static str> {
         steps: &trainer.training.sizes.steps(&small(), 0),
         bits: &trainer.training.state.occupancy.bits,
         rays: 1,
+        ray_samples: 32,
         watch: None,
     };
     let mut chunks = Vec::new();

@@ -228,6 +228,16 @@ impl Training {
         }
     }
 
+    /// Returns how many samples of a ray are trained in the next step, about; 0: all that show.
+    ///
+    /// All while steps along rays are as long as at first: there is no surface yet to choose by.
+    pub fn ray_samples(&self) -> u32 {
+        match self.state.halvings {
+            0 => 0,
+            _ => self.config.ray_samples,
+        }
+    }
+
     /// Returns the rays of the next step, a whole number of chunks.
     pub fn ray_count(&self) -> usize {
         let rays = f64::from(self.config.batch_samples) / self.state.samples_per_ray;
@@ -444,6 +454,17 @@ mod tests {
             training.state.steps = steps;
             training.halve_steps();
             assert_eq!(training.state.halvings, halvings, "{steps}");
+        }
+    }
+
+    #[test]
+    fn samples_are_chosen_once_the_steps_along_rays_were_halved() {
+        let mut training = of(None);
+        assert_eq!(training.ray_samples(), 0);
+        for (halvings, asked) in [(1, 32), (3, 32), (1, 0)] {
+            training.state.halvings = halvings;
+            training.config.ray_samples = asked;
+            assert_eq!(training.ray_samples(), asked);
         }
     }
 

@@ -39,12 +39,13 @@ prop_compose! {
         final_rate in log(1e-4, 1.0),
         average in 0.0..=0.9999,
         batch_samples in 256..=2048_u32,
+        ray_samples in prop::sample::select(vec![0, 1, 32, 4096]),
         steps in prop::option::of(prop::sample::select(vec![1, 36, 100_000, u64::MAX])),
         halvings in prop::option::of(0..=6_u32),
         refit_steps in prop::sample::select(vec![0, 32]),
     ) -> Config {
         Config {
-            learning_rate, final_rate, average, batch_samples, steps, halvings, refit_steps: Some(refit_steps), ..sizes
+            learning_rate, final_rate, average, batch_samples, ray_samples, steps, halvings, refit_steps: Some(refit_steps), ..sizes
         }
     }
 }
@@ -94,6 +95,8 @@ proptest! {
     ) {
         config.check().unwrap();
         let mut trainer = Trainer::new(ball(3, 8), &points(count), &config, seed).unwrap();
+        // From here on samples are chosen.
+        trainer.training.state.halvings = 1;
         for step in 0..STEPS {
             let before = trainer.save().unwrap();
             match trainer.advance(1) {

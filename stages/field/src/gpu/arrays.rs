@@ -50,8 +50,8 @@ pub struct Arrays {
     pub nets_gradient: Array<f32>,
     /// f32 `[found::LEN][rays]`.
     pub found: Array<f32>,
-    /// f32 `[3][capacity]`.
-    pub d_logits: Array<f32>,
+    /// Slopes in logits and raw density of kept samples, f32 `[4][capacity]`.
+    pub d_outputs: Array<f32>,
     /// Slopes of the features of kept samples, f32 `[inputs][capacity]`.
     pub slopes: Array<f32>,
     /// Parts of gradients, and what the way back keeps of a tile.
@@ -98,7 +98,7 @@ impl Arrays {
             nets: DeviceMoments::new(gpu, layers.numbers(), NET_ROW)?,
             nets_gradient: gpu.zeros("gradient of the networks", layers.numbers())?,
             found: gpu.zeros("losses of rays", found::LEN * rays)?,
-            d_logits: gpu.zeros("slopes of logits", 3 * capacity)?,
+            d_outputs: gpu.zeros("slopes of outputs", 4 * capacity)?,
             slopes: gpu.zeros("slopes of features", inputs * capacity)?,
             work: gpu.zeros("work of the networks", layers.work(capacity, rays))?,
             tables: DeviceMoments::new(gpu, grid.numbers(), grid.features())?,

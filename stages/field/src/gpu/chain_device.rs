@@ -4,7 +4,7 @@ use marf_shaders::{Pace, Total, counts, found};
 
 use super::array::Array;
 use super::chain_tests::{CAPACITY, RAYS, SLOTS, visited};
-use super::light::{Aims, Colours, Columns, Light, RING, weights_of_losses};
+use super::light::{Aims, Colours, Columns, Light, RING, extent, shown_words, weights_of_losses};
 use super::nets::{BACKGROUND, Back, Layers, Nets, Rows, Seen};
 use super::record::{Recorder, Work};
 use super::rig::{Rig, blocks, columns};
@@ -77,9 +77,10 @@ struct Device<'a> {
     ray_of: Array<u32>,
     /// Outputs of the density network, of visited samples.
     latent: Array<f32>,
+    shown: Array<u32>,
     origin: Array<u32>,
     colours: Array<f32>,
-    d_logits: Array<f32>,
+    d_outputs: Array<f32>,
     directions: Array<[f32; 4]>,
     pixels: Array<[f32; 4]>,
     pulls: Array<[f32; 2]>,
@@ -142,9 +143,10 @@ impl<'a> Device<'a> {
             features,
             ray_of,
             latent: zeros(16 * CAPACITY),
+            shown: words(shown_words([CAPACITY, SLOTS])),
             origin: words(CAPACITY),
             colours: zeros(6 * CAPACITY),
-            d_logits: zeros(3 * CAPACITY),
+            d_outputs: zeros(4 * CAPACITY),
             directions: vectors(&directions),
             pixels: vectors(&pixels),
             pulls: rig.gpu.filled("pulls", &pulls).unwrap(),
@@ -169,27 +171,27 @@ impl<'a> Device<'a> {
     }
 
     /// The density network over all samples; then, by the CPU, the scan of what shows. Returns the samples kept.
-    fn look(&self) -> usize {
+    fn look(&self, most: u32) -> usize {
         let (rig, gpu) = (self.rig, &self.rig.gpu);
         let before = gpu.zeros("before", SLOTS).unwrap();
-        let shown = gpu.zeros::<u32>("shown", 2 * SLOTS).unwrap();
         let columns = self.columns();
         let ends = [&self.features, &self.latent];
         let density = self.nets.density(rig.batch(), &self.weights, ends, Rows::All);
+        let chosen = extent([CAPACITY, SLOTS], counts::RAYS, most);
+        let chosen = gpu.uniform("chosen", chosen).unwrap();
         let opacity = self
             .light
-            .opacity(rig.batch(), counts::RAYS, columns, &before, &shown);
-        self.record(&[density.unwrap(), opacity.unwrap()]);
+            .opacity(rig.batch(), &chosen, columns, &before, &self.shown);
+        self.record(&[density.unwrap(), opacity]);
         let (mut spans, mut kept) = (Vec::new(), 0);
-        for count in &gpu.read(&shown).unwrap()[..RAYS] {
+        for count in &gpu.read(&self.shown).unwrap()[..RAYS] {
             spans.push([kept, *count]);
             kept += count;
         }
         gpu.write(&rig.counts, counts::KEPT as usize, &[kept]);
         gpu.write(&self.all.spans, 2 * SLOTS, &spans_array(&spans));
-        let origin = self
-            .light
-            .kept(rig.batch(), counts::RAYS, &self.all.spans, &self.origin);
+        let arrays = [&self.all.spans, &self.shown, &self.origin];
+        let origin = self.light.kept(rig.batch(), counts::RAYS, arrays);
         self.record(&[origin.unwrap()]);
         kept as usize
     }
@@ -214,7 +216,7 @@ impl<'a> Device<'a> {
         let compare = light.compare(batch, columns, colours.rgb.clone(), aims);
         let losses = weights_of_losses(batch, &training.config, &training.march);
         let losses = rig.gpu.uniform("losses", losses).unwrap();
-        let to = [&self.found, &self.d_logits];
+        let to = [&self.found, &self.d_outputs];
         let spread = light.spread(batch, &losses, (columns, colours), to, &self.pulls);
         vec![shade.unwrap(), compare.unwrap(), spread.unwrap()]
     }
@@ -234,8 +236,7 @@ impl<'a> Device<'a> {
             features: &self.features,
             seen: self.seen(),
             weights: &self.weights,
-            light: &self.all.light,
-            d_logits: &self.d_logits,
+            d_outputs: &self.d_outputs,
             work: &self.work,
             slopes: &self.slopes,
         };
@@ -266,7 +267,7 @@ impl<'a> Device<'a> {
 /// Trains on all rays up to the gradients.
 pub fn on_the_device(rig: &Rig, training: &Training, targets: &[Target]) -> Trained {
     let device = Device::new(rig, training, targets);
-    let kept = device.look();
+    let kept = device.look(training.config.ray_samples);
     for runs in [device.compare(training), device.backward()] {
         device.record(&runs);
     }

@@ -26,8 +26,9 @@ const NO_RAY: usize = 9;
 const CHAIN: f32 = 1e-5;
 
 /// A field that is not yet trained but has something to see, and rays.
-pub fn scene() -> (Training, Vec<Target>) {
+pub fn scene(ray_samples: u32) -> (Training, Vec<Target>) {
     let config = Config {
+        ray_samples,
         density_width: 32,
         color_width: 32,
         color_layers: 2,
@@ -110,6 +111,7 @@ fn on_the_cpu(training: &Training, targets: &[Target]) -> Chunk {
         steps: &training.march,
         bits: &training.state.occupancy.bits,
         rays: targets.len(),
+        ray_samples: training.config.ray_samples,
         watch: None,
     };
     let mut chunks = Vec::new();
@@ -119,11 +121,19 @@ fn on_the_cpu(training: &Training, targets: &[Target]) -> Chunk {
 
 #[test]
 fn a_batch_has_the_gradients_of_the_cpu() {
-    let test = "a_batch_has_the_gradients_of_the_cpu";
+    compared("a_batch_has_the_gradients_of_the_cpu", 0);
+}
+
+#[test]
+fn a_batch_of_chosen_samples_has_the_gradients_of_the_cpu() {
+    compared("a_batch_of_chosen_samples_has_the_gradients_of_the_cpu", 6);
+}
+
+fn compared(test: &str, ray_samples: u32) {
     let Some(rig) = Rig::new(test, [CAPACITY, SLOTS], [0; 3]) else {
         return;
     };
-    let (training, targets) = scene();
+    let (training, targets) = scene(ray_samples);
     let here = on_the_device(&rig, &training, &targets);
     let there = on_the_cpu(&training, &targets);
     let expected = &there.found;
@@ -203,7 +213,7 @@ fn a_batch_has_the_slopes_of_its_f64_twin() {
     let Some(rig) = Rig::new(test, [CAPACITY, SLOTS], [0; 3]) else {
         return;
     };
-    let (training, targets) = scene();
+    let (training, targets) = scene(0);
     let here = on_the_device(&rig, &training, &targets).found;
     let slope = |tensor: usize, at: usize| {
         let moved = |by: f64| loss(&training, &targets, (tensor, at, by));

@@ -129,14 +129,15 @@ impl Arrays<'_> {
             "shade" => self.kept(&[3, 4, 7]) + 64.0 * kept + self.rays(&[5]) + self.whole(&[6]),
             // Memory of a workgroup counts as any other, once a dispatch.
             "back" => {
-                let columns = self.kept(&[2, 3, 4, 8, 10]) + 4.0 * kept;
-                columns + self.rays(&[5]) + self.whole(&[6, 9, 9])
+                let columns = self.kept(&[2, 3, 4, 7, 9]);
+                columns + self.rays(&[5]) + self.whole(&[6, 8, 8])
             }
             "sum" => self.whole(&[2, 3]),
-            "opacity" => self.rays(&[2, 7]) + 4.0 * rays + 20.0 * visited,
-            "kept" => self.rays(&[2]) + self.kept(&[3]),
+            // Of the chosen samples density and `along` are read again, and `light` twice.
+            "opacity" => self.rays(&[2]) + 12.0 * rays + 24.0 * visited + 44.0 * kept,
+            "kept" => self.rays(&[2]) + self.kept(&[4]) + 4.0 * kept,
             "compare" => self.rays(&[2, 5, 6, 9]) + 8.0 * kept + self.kept(&[4]) + rays / 64.0 * 256.0,
-            "spread" => self.rays(&[2, 8]) + 20.0 * rays + self.kept(&[3]) + 48.0 * kept,
+            "spread" => self.rays(&[2, 7]) + 20.0 * rays + self.kept(&[3, 9]) + 28.0 * kept,
             "scatter" | "scatter_packed" => self.kept(&[3, 4, 7]) + 2.0 * moved * self.whole(&[6]),
             "peak" => self.whole(&[1]),
             "rescale" => 2.0 * self.whole(&[1]),

@@ -1,10 +1,10 @@
 //! From rays to the colours of samples: what training and pictures share.
 
-use marf_shaders::{Walk, counts, faults};
+use marf_shaders::{Extent, Walk, counts, faults};
 
 use super::Gpu;
 use super::array::Array;
-use super::light::{Colours, Columns, Light};
+use super::light::{Colours, Columns, Light, extent, shown_words};
 use super::march::{MarchArrays, SampleArrays, Scan, WALKED};
 use super::nets::{Batch, Layers, Nets, Rows, Seen};
 use super::picture::STATE;
@@ -20,6 +20,8 @@ use crate::weights::{LATENT, Weights};
 pub struct Lanes {
     /// Sample slots, a multiple of 256.
     pub capacity: usize,
+    /// How many samples of a ray are kept: all that show, until a training says otherwise.
+    pub chosen: Array<Extent>,
     /// u32 `[counts::LEN]`.
     pub counts: Array<u32>,
     /// u32 `[faults::LEN]`.
@@ -81,6 +83,7 @@ impl Lanes {
         let walked = gpu.zeros("spans", WALKED * rays)?;
         Ok(Self {
             capacity,
+            chosen: gpu.uniform("chosen samples", extent([capacity, rays], counts::RAYS, 0))?,
             counts: gpu.zeros("counts", counts::LEN)?,
             faults: gpu.zeros("faults", faults::LEN)?,
             rays: RayArrays::new(gpu, rays)?,
@@ -92,7 +95,7 @@ impl Lanes {
             features: columns("features", inputs)?,
             latent: columns("latent", LATENT)?,
             light: columns("light", 3)?,
-            shown: gpu.zeros("samples that show", 2 * rays)?,
+            shown: gpu.zeros("samples that show", shown_words([capacity, rays]))?,
             origin: gpu.zeros("origin of kept samples", capacity)?,
             state: gpu.zeros("state of rays", STATE * rays)?,
             colours: columns("colours", 6)?,
@@ -139,7 +142,7 @@ impl Lanes {
         }
     }
 
-    /// Returns the columns of visited samples, of which the first of every ray are kept.
+    /// Returns the columns of visited samples.
     pub fn columns(&self) -> Columns<'_> {
         Columns {
             spans: &self.spans,
@@ -260,8 +263,7 @@ pub fn densities(
 fn colours(gpu: &Gpu, kernels: &Kernels, weights: &DeviceWeights, lanes: &Lanes) -> Result<Work, GpuError> {
     let (batch, light) = (lanes.batch(gpu), &kernels.light);
     let mut work = Work::default();
-    let opacity = light.opacity(batch, counts::RAYS, lanes.columns(), &lanes.state, &lanes.shown)?;
-    work = work.then(opacity);
+    work = work.then(light.opacity(batch, &lanes.chosen, lanes.columns(), &lanes.state, &lanes.shown));
     let scan = kernels.scan.bind(
         gpu,
         &lanes.walks[1],
@@ -271,10 +273,16 @@ fn colours(gpu: &Gpu, kernels: &Kernels, weights: &DeviceWeights, lanes: &Lanes)
         &lanes.visited,
     );
     work.add(scan, Scan::groups(lanes.rays.slots));
-    work = work.then(light.kept(batch, counts::RAYS, &lanes.spans, &lanes.origin)?);
+    work = work.then(light.kept(batch, counts::RAYS, [&lanes.spans, &lanes.shown, &lanes.origin])?);
     let ends = [&lanes.latent, &lanes.colours];
     let shade = kernels.nets.shade(batch, &weights.nets, lanes.seen(), ends)?;
     Ok(work.then(shade))
+}
+
+/// Writes how many samples of a ray are kept, about; 0: all that show.
+pub fn write_chosen(gpu: &Gpu, lanes: &Lanes, most: u32) {
+    let slots = [lanes.capacity, lanes.rays.slots];
+    gpu.write(&lanes.chosen, 0, &[extent(slots, counts::RAYS, most)]);
 }
 
 /// Writes the number of rays to the uniforms of the walks of a batch.

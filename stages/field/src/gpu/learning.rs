@@ -144,7 +144,7 @@ impl Bindings<'_> {
             batch,
             &arrays.losses,
             (lanes.columns(), lanes.colours()),
-            [&arrays.found, &arrays.d_logits],
+            [&arrays.found, &arrays.d_outputs],
             &lanes.rays.pulls,
         )?;
         Ok(compare.then(spread))
@@ -158,8 +158,7 @@ impl Bindings<'_> {
             features: &lanes.features,
             seen: lanes.seen(),
             weights: &self.weights.nets,
-            light: &lanes.light,
-            d_logits: &arrays.d_logits,
+            d_outputs: &arrays.d_outputs,
             work: &arrays.work,
             slopes: &arrays.slopes,
         };

@@ -18,13 +18,13 @@ pub const RING: usize = 16;
 /// Columns of samples of the same rays.
 #[derive(Clone, Copy)]
 pub struct Columns<'a> {
-    /// u32 `[4][rays]`: first sample and number of visited samples, then of kept ones, which are the first of every ray.
+    /// u32 `[4][rays]`: first sample and number of visited samples, then of kept ones.
     pub spans: &'a Array<u32>,
-    /// f32 `[3][capacity]`: distance, length, place.
+    /// f32 `[3][capacity]`: distance, length, place; of kept samples the first of every ray once `opacity` has chosen them.
     pub along: &'a Array<f32>,
     /// f32 `[.][capacity]`, outputs of the density network; row 0 is the raw density.
     pub density: &'a Array<f32>,
-    /// f32 `[3][capacity]`: optical depth, opacity, transmittance.
+    /// f32 `[3][capacity]`: optical depth, opacity, transmittance; those of kept samples are the first of every ray.
     pub light: &'a Array<f32>,
 }
 
@@ -89,24 +89,22 @@ impl Light {
         })
     }
 
-    /// Binds opacities and transmittances of visited samples; `slot` is the place in `counts` of the rays in use.
+    /// Binds opacities and transmittances of visited samples and the choice of those that are kept, which the uniform `chosen`
+    /// tells: see [`extent`].
     ///
     /// `before`: f32 `[rays]`, optical depth in front of the first sample (more numbers may follow).
-    /// `shown`: u32 `[2][rays]`, receives the samples that show and the bits of the optical depth of all.
-    ///
-    /// # Errors
-    /// The memory of a uniform.
+    /// `shown`: u32 [`shown_words`], receives the samples that are kept and the bits of the optical depth of all, then which
+    /// are kept.
     pub fn opacity(
         &self,
         batch: Batch<'_>,
-        slot: u32,
+        chosen: &Array<Extent>,
         columns: Columns<'_>,
         before: &Array<f32>,
         shown: &Array<u32>,
-    ) -> Result<Work, GpuError> {
-        let extent = extent(batch, slot)?;
+    ) -> Work {
         let parts = [
-            (&extent).into(),
+            chosen.into(),
             batch.counts.into(),
             columns.spans.into(),
             columns.density.into(),
@@ -116,10 +114,10 @@ impl Light {
             shown.into(),
             batch.faults.into(),
         ];
-        Ok(dispatch(batch.gpu, &self.opacity, &parts, one_each(batch.rays)))
+        dispatch(batch.gpu, &self.opacity, &parts, one_each(batch.rays))
     }
 
-    /// Binds the list of kept samples, u32 `[capacity]`, from the spans of `Columns`.
+    /// Binds the list of kept samples, u32 `[capacity]`, from the spans of `Columns` and what `opacity` chose.
     ///
     /// # Errors
     /// The memory of a uniform.
@@ -127,11 +125,18 @@ impl Light {
         &self,
         batch: Batch<'_>,
         slot: u32,
-        spans: &Array<u32>,
-        origin: &Array<u32>,
+        [spans, shown, origin]: [&Array<u32>; 3],
     ) -> Result<Work, GpuError> {
-        let extent = extent(batch, slot)?;
-        let parts = [(&extent).into(), batch.counts.into(), spans.into(), origin.into()];
+        let extent = batch
+            .gpu
+            .uniform("extent", extent([batch.capacity, batch.rays], slot, 0))?;
+        let parts = [
+            (&extent).into(),
+            batch.counts.into(),
+            spans.into(),
+            shown.into(),
+            origin.into(),
+        ];
         Ok(dispatch(batch.gpu, &self.kept, &parts, one_each(batch.rays)))
     }
 
@@ -175,8 +180,8 @@ impl Light {
         Ok(dispatch(batch.gpu, &kernel, &parts, one_each(batch.rays)))
     }
 
-    /// Binds the slopes of kept samples: in raw density to row 0 of `columns.light`, in logits to rows 0 to 2 of
-    /// `d_logits`, f32 `[3][capacity]`. `pulls`: `[rays]`, place and weight.
+    /// Binds the slopes of kept samples to `d_outputs`, f32 `[4][capacity]`: in the logits, then in the raw density. `pulls`:
+    /// `[rays]`, place and weight.
     ///
     /// # Errors
     /// [`GpuError::Kernel`].
@@ -185,7 +190,7 @@ impl Light {
         batch: Batch<'_>,
         run: &Array<SpreadRun>,
         (columns, colours): (Columns<'_>, Colours<'_>),
-        [found, d_logits]: [&Array<f32>; 2],
+        [found, d_outputs]: [&Array<f32>; 2],
         pulls: &Array<[f32; 2]>,
     ) -> Result<Work, GpuError> {
         let parts = [
@@ -194,12 +199,11 @@ impl Light {
             columns.spans.into(),
             colours.rgb,
             columns.along.into(),
-            columns.density.into(),
             colours.logits,
             found.into(),
             pulls.into(),
             columns.light.into(),
-            d_logits.into(),
+            d_outputs.into(),
         ];
         let kernel = batch.gpu.kernel(&shaders::SPREAD, &limits())?;
         Ok(dispatch(batch.gpu, &kernel, &parts, one_each(batch.rays)))
@@ -216,7 +220,8 @@ impl Light {
         loss: Part<'_>,
         ring: &Array<Total>,
     ) -> Result<Work, GpuError> {
-        let extent = extent(batch, counts::RAYS)?;
+        let extent = extent([batch.capacity, batch.rays], counts::RAYS, 0);
+        let extent = batch.gpu.uniform("extent", extent)?;
         let parts = [
             (&extent).into(),
             pace.into(),
@@ -229,14 +234,20 @@ impl Light {
     }
 }
 
-fn extent(batch: Batch<'_>, slot: u32) -> Result<Array<Extent>, GpuError> {
-    let extent = Extent {
+/// Returns the numbers of `shown` for so many samples and rays.
+pub fn shown_words([capacity, rays]: [usize; 2]) -> usize {
+    2 * rays + capacity
+}
+
+/// Returns what kernels know of columns of samples and of rays; `slot` is the place in `counts` of those in use, `most` the samples
+/// of a ray that `opacity` keeps, about, 0 where it keeps all that show.
+pub fn extent([capacity, rays]: [usize; 2], slot: u32, most: u32) -> Extent {
+    Extent {
         slot,
-        capacity: batch.capacity as u32,
-        rays: batch.rays as u32,
-        pad: 0,
-    };
-    batch.gpu.uniform("extent", extent)
+        capacity: capacity as u32,
+        rays: rays as u32,
+        most,
+    }
 }
 
 /// Returns what `spread` needs to know of the losses; to be written anew when the steps along rays change.

@@ -3,10 +3,10 @@
 use marf_shaders::counts;
 
 use super::array::Array;
-use super::light::{Columns, Light};
+use super::light::{Columns, Light, extent, shown_words};
 use super::rig::{Rig, TOLERANCE, UNTOUCHED, agree, columns, is_untouched};
 use super::testing::numbers;
-use crate::cpu::composite::{OPAQUE, runs_away};
+use crate::cpu::composite::{OPAQUE, RAW_LIMIT, runs_away};
 use crate::cpu::simd::InstructionSet;
 use crate::sh;
 use crate::shade::{Shade, Span};
@@ -128,7 +128,16 @@ impl Arrays {
 
 #[test]
 fn opacities_and_what_shows_are_those_of_the_cpu() {
-    let test = "opacities_and_what_shows_are_those_of_the_cpu";
+    lit("opacities_and_what_shows_are_those_of_the_cpu", 0);
+}
+
+#[test]
+fn samples_chosen_by_weight_are_those_of_the_cpu() {
+    lit("samples_chosen_by_weight_are_those_of_the_cpu", 3);
+}
+
+/// Compares what `opacity` writes, `most` samples of a ray being kept, and the list that follows from it.
+fn lit(test: &str, most: u32) {
     let (mut shade, before) = visited();
     let n = shade.raw.len();
     let Some(rig) = Rig::new(test, [CAPACITY, SLOTS], [n as u32, 0, RAYS as u32]) else {
@@ -136,61 +145,109 @@ fn opacities_and_what_shows_are_those_of_the_cpu() {
     };
     let kernels = Light::new(&rig.gpu).unwrap();
     let mut spans = spans();
+    let visited = spans.clone();
     let arrays = Arrays::new(&rig, &shade, &spans);
-    let shown = rig.gpu.filled("shown", &[9_u32; 2 * SLOTS]).unwrap();
+    let shown = vec![9; shown_words([CAPACITY, SLOTS])];
+    let shown = rig.gpu.filled("shown", &shown).unwrap();
     let front = rig.filled(&before);
-    let run = kernels
-        .opacity(rig.batch(), counts::RAYS, arrays.columns(), &front, &shown)
-        .unwrap();
+    let chosen = extent([CAPACITY, SLOTS], counts::RAYS, most);
+    let chosen = rig.gpu.uniform("chosen", chosen).unwrap();
+    let run = kernels.opacity(rig.batch(), &chosen, arrays.columns(), &front, &shown);
     rig.gpu.submit(|recorder| run.record(recorder));
-    let light = rig.gpu.read(&arrays.light).unwrap();
-    let shown = rig.gpu.read(&shown).unwrap();
 
-    shade.opacities(InstructionSet::best(), &spans, &before);
-    for (row, expected) in [&shade.tau, &shade.alpha].into_iter().enumerate() {
-        let pairs = light[row * CAPACITY..].iter().zip(expected);
-        let errors = pairs.map(|(found, expected)| (found - expected).abs() / expected.max(1e-30));
-        let error = errors.fold(0.0, f32::max);
-        println!("opacity, row {row}: largest relative error {error:.1e}");
-        assert!(error < TOLERANCE, "{row}: {error}");
-    }
-    agree(
-        "transmittance",
-        &light[2 * CAPACITY..][..n],
-        &shade.transmittance,
-        TOLERANCE,
-    );
-    let mut rest = light.chunks(CAPACITY).flat_map(|row| &row[n..]);
-    assert!(rest.all(is_untouched));
+    let level = InstructionSet::best();
+    shade.opacities(level, &spans, &before);
+    let words = rig.gpu.read(&shown).unwrap();
     let depths = spans
         .iter()
         .map(|span| shade.tau[span.first..span.end].iter().sum::<f32>());
-    let found = shown[SLOTS..].iter().map(|bits| f32::from_bits(*bits));
+    let found = words[SLOTS..].iter().map(|bits| f32::from_bits(*bits));
     for (ray, (found, expected)) in found.zip(depths).enumerate() {
         assert!(
             (found - expected).abs() <= TOLERANCE * expected,
             "{ray}: {found} against {expected}"
         );
     }
-    // A driver's rounding does not decide what shows.
+    // A driver's rounding decides neither what shows nor what is chosen.
     let near = |passes: &f32| (passes / OPAQUE - 1.0).abs() < 1e-4;
     assert!(!shade.transmittance.iter().any(near));
-    let visited = spans.clone();
-    let mut kept = Vec::new();
-    shade.drop_hidden(&mut spans, &mut kept);
+    let kept = chosen_by(&mut shade, &spans, most, 1.0);
+    for factor in [1.0 - 2e-6, 1.0 + 2e-6] {
+        assert_eq!(chosen_by(&mut shade.clone(), &spans, most, factor), kept);
+    }
+    shade.keep(&mut spans, &kept);
+    if most > 0 {
+        shade.opacities(level, &spans, &before);
+    }
     let expected: Vec<u32> = spans.iter().map(|span| (span.end - span.first) as u32).collect();
-    assert_eq!(&shown[..RAYS], expected);
+    assert_eq!(&words[..RAYS], expected);
     assert!(kept.len() + 20 < n, "{} of {n} kept proves little", kept.len());
-    assert!(shown[RAYS..SLOTS].iter().all(|count| *count == 0));
+    assert!(words[RAYS..SLOTS].iter().all(|count| *count == 0));
     assert!(rig.faulty().is_empty() != shade.raw.iter().any(|raw| runs_away(*raw)));
-    listed(&rig, &kernels, [&visited, &spans], &kept);
+    in_front(&rig, &arrays, &shade, [&visited, &spans]);
+    listed(&rig, &kernels, [&visited, &spans], &shown, &kept);
+}
+
+/// The samples that the CPU keeps where all opacities were so many times what they are.
+fn chosen_by(shade: &mut Shade, spans: &[Span], most: u32, factor: f32) -> Vec<u32> {
+    let mut kept = Vec::new();
+    shade.alpha.iter_mut().for_each(|alpha| *alpha *= factor);
+    match most {
+        0 => shade.list_shown(spans, &mut kept),
+        most => shade.thin(spans, most, &mut kept),
+    }
+    kept
+}
+
+/// Light and lengths of kept samples are the first of every ray.
+fn in_front(rig: &Rig, arrays: &Arrays, shade: &Shade, [visited, kept]: [&[Span]; 2]) {
+    let (light, along) = (
+        rig.gpu.read(&arrays.light).unwrap(),
+        rig.gpu.read(&arrays.along).unwrap(),
+    );
+    let place = |(from, to): (&Span, &Span)| {
+        let shift = from.first - to.first;
+        (to.first..to.end).map(move |sample| shift + sample)
+    };
+    let places: Vec<usize> = visited.iter().zip(kept).flat_map(place).collect();
+    let row = |array: &[f32], row: usize| {
+        places
+            .iter()
+            .map(|at| array[row * CAPACITY + at])
+            .collect::<Vec<_>>()
+    };
+    let pairs = shade.tau.iter().zip(&shade.raw);
+    let tau: Vec<f32> = pairs
+        .map(|(tau, raw)| if *raw < RAW_LIMIT { *tau } else { 0.0 })
+        .collect();
+    assert!(tau.contains(&0.0));
+    let samples = &shade.samples;
+    let rows = [
+        ("tau", row(&light, 0), &tau),
+        ("alpha", row(&light, 1), &shade.alpha),
+        ("distance", row(&along, 0), &samples.t),
+        ("length", row(&along, 1), &samples.delta),
+        ("place", row(&along, 2), &samples.place),
+    ];
+    for (name, found, expected) in rows {
+        let pairs = found.iter().zip(expected);
+        let errors = pairs.map(|(found, expected)| (found - expected).abs() / expected.abs().max(1e-30));
+        let error = errors.fold(0.0, f32::max);
+        println!("{name}: largest relative error {error:.1e}");
+        assert!(error < TOLERANCE, "{name}: {error}");
+    }
+    let passes = &shade.transmittance[..places.len()];
+    agree("transmittance", &row(&light, 2), passes, TOLERANCE);
+    let all = visited.last().map_or(0, |span| span.end);
+    let mut rest = light.chunks(CAPACITY).flat_map(|row| &row[all..]);
+    assert!(rest.all(is_untouched));
 }
 
 /// The list of kept samples.
-fn listed(rig: &Rig, kernels: &Light, spans: [&[Span]; 2], kept: &[u32]) {
+fn listed(rig: &Rig, kernels: &Light, spans: [&[Span]; 2], shown: &Array<u32>, kept: &[u32]) {
     let spans = rig.gpu.filled("spans", &rows_of_spans(spans)).unwrap();
     let origin = rig.gpu.filled("origin", &[77_u32; CAPACITY]).unwrap();
-    let run = kernels.kept(rig.batch(), counts::RAYS, &spans, &origin);
+    let run = kernels.kept(rig.batch(), counts::RAYS, [&spans, shown, &origin]);
     rig.gpu.submit(|recorder| run.unwrap().record(recorder));
     let origin = rig.gpu.read(&origin).unwrap();
     assert_eq!(&origin[..kept.len()], kept);
@@ -214,10 +271,11 @@ fn raw_densities_that_are_not_finite_are_told_and_give_finite_light() {
         };
         let kernels = Light::new(&rig.gpu).unwrap();
         let arrays = Arrays::new(&rig, &shade, &spans());
-        let (front, shown) = (rig.filled(&before), rig.gpu.zeros("shown", 2 * SLOTS).unwrap());
-        let run = kernels
-            .opacity(rig.batch(), counts::RAYS, arrays.columns(), &front, &shown)
-            .unwrap();
+        let shown = rig.gpu.zeros("shown", shown_words([CAPACITY, SLOTS])).unwrap();
+        let front = rig.filled(&before);
+        let chosen = extent([CAPACITY, SLOTS], counts::RAYS, 3);
+        let chosen = rig.gpu.uniform("chosen", chosen).unwrap();
+        let run = kernels.opacity(rig.batch(), &chosen, arrays.columns(), &front, &shown);
         rig.gpu.submit(|recorder| run.record(recorder));
         assert_eq!(rig.faulty(), expected, "{bad}");
         let light = rig.gpu.read(&arrays.light).unwrap();

@@ -41,7 +41,8 @@ impl Scene {
             .for_each(|delta| *delta = delta.min(1.0));
         let (mut spans, mut kept) = (spans(), Vec::new());
         shade.opacities(InstructionSet::best(), &spans, &before);
-        shade.drop_hidden(&mut spans, &mut kept);
+        shade.list_shown(&spans, &mut kept);
+        shade.keep(&mut spans, &kept);
         let n = shade.raw.len();
         let logits = numbers(3 * n, 37)
             .chunks(3)
@@ -103,7 +104,7 @@ struct Expected {
     found: Vec<f32>,
     parts: Vec<f32>,
     d_raw: Vec<f32>,
-    d_logits: Vec<f32>,
+    d_outputs: Vec<f32>,
 }
 
 /// As `batch::Losses::ray`, for all rays.
@@ -112,7 +113,7 @@ fn expected(scene: &Scene) -> Expected {
         found: vec![UNTOUCHED; found::LEN * SLOTS],
         parts: vec![0.0; SLOTS],
         d_raw: vec![UNTOUCHED; CAPACITY],
-        d_logits: vec![UNTOUCHED; 3 * CAPACITY],
+        d_outputs: vec![UNTOUCHED; 3 * CAPACITY],
     };
     for ray in 0..RAYS {
         let mut put = |row: usize, value: f32| all.found[row * SLOTS + ray] = value;
@@ -176,7 +177,7 @@ fn expected(scene: &Scene) -> Expected {
             };
             for channel in 0..3 {
                 let slope = colour_slope(logits[at][channel], rgb[at][channel]);
-                all.d_logits[channel * CAPACITY + first + at] = d_rgb[at][channel] * slope;
+                all.d_outputs[channel * CAPACITY + first + at] = d_rgb[at][channel] * slope;
             }
         }
     }
@@ -188,7 +189,10 @@ fn composited(rig: &Rig, scene: &Scene) -> (Expected, Total) {
     let kernels = Light::new(&rig.gpu).unwrap();
     let shade = &scene.shade;
     let arrays = Arrays::new(rig, shade, &scene.spans);
-    for (row, values) in [&shade.tau, &shade.alpha, &shade.transmittance]
+    // As `opacity` leaves it.
+    let pairs = shade.tau.iter().zip(&shade.raw);
+    let tau = pairs.map(|(tau, raw)| if *raw < RAW_LIMIT { *tau } else { 0.0 });
+    for (row, values) in [&tau.collect(), &shade.alpha, &shade.transmittance]
         .into_iter()
         .enumerate()
     {
@@ -203,7 +207,7 @@ fn composited(rig: &Rig, scene: &Scene) -> (Expected, Total) {
     let pulls = rig.gpu.filled("pulls", &scene.pulls).unwrap();
     let found = rig.filled(&[UNTOUCHED; found::LEN * SLOTS]);
     let parts = rig.filled(&[UNTOUCHED; SLOTS]);
-    let d_logits = rig.untouched(16);
+    let d_outputs = rig.untouched(16);
     let aims = Aims {
         directions: &directions,
         targets: &targets,
@@ -246,27 +250,31 @@ fn composited(rig: &Rig, scene: &Scene) -> (Expected, Total) {
             .compare(rig.batch(), columns, (&rgb).into(), aims)
             .unwrap(),
         kernels
-            .spread(rig.batch(), &run, (columns, colours), [&found, &d_logits], &pulls)
+            .spread(
+                rig.batch(),
+                &run,
+                (columns, colours),
+                [&found, &d_outputs],
+                &pulls,
+            )
             .unwrap(),
         kernels.totals(rig.batch(), &pace, loss, &ring).unwrap(),
     ];
     rig.gpu
         .submit(|recorder| runs.iter().for_each(|run| run.record(recorder)));
-    let d_logits = rig.gpu.read(&d_logits).unwrap();
-    assert!(d_logits[3 * CAPACITY..].iter().all(is_untouched));
+    let d_outputs = rig.gpu.read(&d_outputs).unwrap();
+    assert!(d_outputs[4 * CAPACITY..].iter().all(is_untouched));
     let ring = rig.gpu.read(&ring).unwrap();
     assert!(
         ring.iter()
             .enumerate()
             .all(|(at, total)| at == 2 || *total == Total::default())
     );
-    let light = rig.gpu.read(&arrays.light).unwrap();
-    assert_eq!(light[CAPACITY..][..shade.alpha.len()], shade.alpha);
     let all = Expected {
         found: rig.gpu.read(&found).unwrap(),
         parts: rig.gpu.read(&parts).unwrap(),
-        d_raw: light[..CAPACITY].to_vec(),
-        d_logits: d_logits[..3 * CAPACITY].to_vec(),
+        d_raw: d_outputs[3 * CAPACITY..4 * CAPACITY].to_vec(),
+        d_outputs: d_outputs[..3 * CAPACITY].to_vec(),
     };
     (all, ring[2])
 }
@@ -315,9 +323,9 @@ fn the_loss_of_rays_and_its_slopes_are_those_of_the_cpu() {
             "{slopes:?}"
         );
         let rows = found
-            .d_logits
+            .d_outputs
             .chunks(CAPACITY)
-            .zip(expected.d_logits.chunks(CAPACITY));
+            .zip(expected.d_outputs.chunks(CAPACITY));
         for (found, expected) in rows {
             agree("slope in logits", &found[..kept], &expected[..kept], TOLERANCE);
             let zeros = |slopes: &[f32]| slopes.iter().map(|slope| *slope == 0.0).collect::<Vec<_>>();

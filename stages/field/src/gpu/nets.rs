@@ -9,6 +9,7 @@ use super::record::{Work, dispatch};
 use crate::cpu::adam::{BETA1, BETA2, Bias};
 use crate::cpu::composite::{LOGIT_LIMIT, OPAQUE, RAW_LIMIT, RAW_SHIFT, RUNAWAY};
 use crate::schedule::{BACKGROUND_RATE, DECAY, EPSILON};
+use crate::shade::EVEN;
 use crate::weights::{LATENT, NET_ROW};
 use crate::{Background, GpuError};
 
@@ -32,6 +33,7 @@ pub fn limits() -> String {
         shift: RAW_SHIFT,
         logit: LOGIT_LIMIT,
         opaque: OPAQUE,
+        even: EVEN,
     };
     limits.head()
 }
@@ -169,10 +171,8 @@ pub struct Back<'a> {
     pub seen: Seen<'a>,
     /// f32 [`Layers::numbers`].
     pub weights: &'a Array<f32>,
-    /// f32 `[3][capacity]` of visited samples; row 0 is the slope in the raw density.
-    pub light: &'a Array<f32>,
-    /// f32 `[3][capacity]`: slopes in the logits.
-    pub d_logits: &'a Array<f32>,
+    /// f32 `[4][capacity]`: slopes in the logits and in the raw density.
+    pub d_outputs: &'a Array<f32>,
     /// f32 [`Layers::work`].
     pub work: &'a Array<f32>,
     /// Receives the slopes of the features, f32 `[inputs][capacity]`, of kept samples.
@@ -308,8 +308,7 @@ impl Nets {
             arrays.seen.ray_of.into(),
             arrays.seen.directions.into(),
             arrays.weights.into(),
-            arrays.light.into(),
-            arrays.d_logits.into(),
+            arrays.d_outputs.into(),
             arrays.work.into(),
             arrays.slopes.into(),
             batch.faults.into(),

@@ -192,12 +192,10 @@ fn run(test: &str, case: &Case, capacity: usize) -> Option<Found> {
         rig.filled(&case.weights),
         rig.filled(&columns(&case.features, inputs, capacity, f32::NAN)),
     );
-    let heads = columns(&case.heads, 4, capacity, f32::NAN);
-    let mut light = vec![f32::NAN; 3 * capacity];
-    for (visited, heads) in case.origin.iter().zip(case.heads.chunks(4)) {
-        light[*visited as usize] = heads[0];
-    }
-    let (light, d_logits) = (rig.filled(&light), rig.filled(&heads[capacity..]));
+    let mut heads = columns(&case.heads, 4, capacity, f32::NAN);
+    // The slope in the raw density comes last.
+    heads.rotate_left(capacity);
+    let d_outputs = rig.filled(&heads);
     let (latent, colours, slopes) = (rig.untouched(16), rig.untouched(6), rig.untouched(inputs));
     let work = rig.filled(&vec![f32::NAN; case.layers.work(capacity, RAYS)]);
     let gradient = rig.filled(&vec![UNTOUCHED; case.layers.numbers()]);
@@ -205,8 +203,7 @@ fn run(test: &str, case: &Case, capacity: usize) -> Option<Found> {
         features: &features,
         seen,
         weights: &weights,
-        light: &light,
-        d_logits: &d_logits,
+        d_outputs: &d_outputs,
         work: &work,
         slopes: &slopes,
     };

@@ -3,7 +3,7 @@
 use marf_shaders::counts;
 
 use super::array::Part;
-use super::light::Light;
+use super::light::{Light, extent, shown_words};
 use super::light_tests::{Arrays, CAPACITY, NO_RAY, RAYS, SLOTS, directions, harmonics, spans, visited};
 use super::picture::{DEEP, PICTURE, Picture, STATE};
 use super::rig::{Rig, TOLERANCE, UNTOUCHED, agree, columns};
@@ -89,11 +89,11 @@ fn two_rounds_of_a_picture_are_those_of_the_cpu() {
     let rgb = rig.filled(&columns(&colours, 3, CAPACITY, f32::NAN));
     let (state, shown) = (
         rig.filled(&[f32::NAN; STATE * SLOTS]),
-        rig.gpu.zeros("shown", 2 * SLOTS).unwrap(),
+        rig.gpu.zeros("shown", shown_words([CAPACITY, SLOTS])).unwrap(),
     );
-    let opacity = light
-        .opacity(rig.batch(), counts::RAYS, arrays.columns(), &state, &shown)
-        .unwrap();
+    let chosen = extent([CAPACITY, SLOTS], counts::RAYS, 0);
+    let chosen = rig.gpu.uniform("chosen", chosen).unwrap();
+    let opacity = light.opacity(rig.batch(), &chosen, arrays.columns(), &state, &shown);
     let [begin, paint] = picture
         .paint(
             rig.batch(),

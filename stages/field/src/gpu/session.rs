@@ -8,7 +8,7 @@ use marf_shaders::{Pace, Step as StepUniform, Total, faults};
 
 use super::Gpu;
 use super::array::Reading;
-use super::forward::{Forward, Kernels as Shared, densities, write_walks};
+use super::forward::{Forward, Kernels as Shared, densities, write_chosen, write_walks};
 use super::kernel::Bound;
 use super::learning::{Bindings, Kernels, Learning};
 use super::light::RING;
@@ -376,6 +376,7 @@ impl GpuSession {
     /// Copies what depends on the length of the steps along rays.
     fn write_march(&self, training: &Training) {
         let gpu = &self.gpu;
+        write_chosen(gpu, &self.held.lanes, training.ray_samples());
         gpu.write(&self.held.lanes.steps, 0, &step_table(&training.march));
         gpu.write(
             &self.held.observations,
