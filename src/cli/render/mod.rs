@@ -61,7 +61,7 @@ pub struct RenderArgs {
     /// Pictures a second in the film
     #[arg(long, value_name = "RATE", default_value_t = VideoParams::default().fps)]
     pub fps: u32,
-    /// How the film is encoded: `h264`, or `av1`, which is free of fees for patents and takes longer
+    /// How the film is encoded: `h264`, or `av1`, whose makers license their patents without fees and which takes longer
     #[arg(long, value_name = "CODEC", default_value = "h264", value_parser = codec)]
     pub codec: Codec,
     /// Quantiser of the film, 12 (finest, largest) to 51

@@ -15,7 +15,7 @@ pub enum Codec {
     /// H.264, constrained baseline: every browser and player reads it. Needs the cargo feature `h264`.
     #[default]
     H264,
-    /// AV1: nobody asks a fee for its patents; browsers and players since about 2020 read it. Takes some ten times as long. Needs the
+    /// AV1: its makers license their patents without fees; browsers and players since about 2020 read it. Takes some ten times as long. Needs the
     /// cargo feature `av1`.
     Av1,
 }
@@ -73,8 +73,9 @@ impl VideoParams {
         within("fps", self.fps, RATES)?;
         within("quantizer", self.quantizer, QUANTIZERS)?;
         self.codec.encoder().check().map_err(|error| {
-            let message =
-                format!("{error}: build marf with it, take another `codec`, or leave the nodes of `video` out");
+            let message = format!(
+                "{error}: build marf with it, take another `codec`, or leave the nodes of `video` out"
+            );
             ParamError::new("codec", message)
         })
     }

@@ -19,8 +19,8 @@ const SPEED: u8 = 10;
 /// Index of AV1's quantisers for every QP of H.264 from 12: the one whose step is nearest to 8 x 0.625 x 2^(QP/6), AV1's
 /// transforms being scaled by 8 (AV1 specification, section 7.12.2, `Ac_Qlookup` of 8 bits).
 const INDEX: [u8; 40] = [
-    13, 15, 18, 21, 25, 29, 33, 38, 43, 50, 56, 64, 73, 83, 94, 101, 107, 115, 123, 129,
-    137, 143, 150, 156, 162, 169, 175, 182, 188, 194, 200, 206, 212, 218, 224, 231, 237, 242, 249, 254,
+    13, 15, 18, 21, 25, 29, 33, 38, 43, 50, 56, 64, 73, 83, 94, 101, 107, 115, 123, 129, 137, 143, 150, 156,
+    162, 169, 175, 182, 188, 194, 200, 206, 212, 218, 224, 231, 237, 242, 249, 254,
 ];
 
 /// An encoder of one video.
