@@ -1,7 +1,7 @@
 use marf_scene::{Image, Srgb};
 
 use crate::{
-    Codec, Settings, VideoError, check_size,
+    Settings, VideoError, check_size,
     mp4::{self, Track},
     yuv::{Yuv, side},
 };
@@ -93,7 +93,8 @@ impl Encoder {
         check_size(width, height)?;
         self.size = (width, height);
         (self.track.width, self.track.height) = (side(width), side(height));
-        open(&self.settings, self.track.width, self.track.height)
+        let opened = open(&self.settings, self.track.width, self.track.height);
+        opened.map_err(|cause| self.failed(1, cause))
     }
 
     fn add(&mut self, samples: Result<Vec<Sample>, String>) -> Result<(), VideoError> {
@@ -102,12 +103,12 @@ impl Encoder {
             let mut samples = samples.into_iter();
             samples.try_for_each(|sample| track.add(sample).map_err(str::to_owned))
         });
-        added.map_err(|cause| self.failed(cause))
+        added.map_err(|cause| self.failed(self.pictures, cause))
     }
 
-    fn failed(&self, cause: String) -> VideoError {
+    fn failed(&self, picture: usize, cause: String) -> VideoError {
         VideoError::Encoder {
-            picture: self.pictures,
+            picture,
             codec: self.settings.codec,
             cause,
         }
@@ -123,30 +124,24 @@ impl Encoder {
         }
         if self.track.samples.len() != self.pictures {
             let given = self.track.samples.len();
-            return Err(self.failed(format!("it gave {given} pictures")));
+            return Err(self.failed(self.pictures, format!("it gave {given} pictures")));
         }
         mp4::write(&self.track)
     }
 }
 
-/// Opens a codec for checked settings and a size.
-fn open(settings: &Settings, width: u32, height: u32) -> Result<Box<dyn Coder>, VideoError> {
-    let codec = settings.codec;
-    let failed = |cause: String| VideoError::Encoder {
-        picture: 1,
-        codec,
-        cause,
-    };
-    // Only AV1 opens for a size.
-    let _ = (width, height, &failed);
-    match codec {
+/// Opens a codec for checked settings and a size, which H.264 learns from its pictures.
+///
+/// # Errors
+/// What the encoder says.
+#[cfg_attr(not(feature = "av1"), allow(unused_variables, reason = "the size is for AV1"))]
+fn open(settings: &Settings, width: u32, height: u32) -> Result<Box<dyn Coder>, String> {
+    match settings.codec {
         #[cfg(feature = "h264")]
-        Codec::H264 => Ok(Box::new(crate::h264::H264::new(settings).map_err(failed)?)),
+        crate::Codec::H264 => Ok(Box::new(crate::h264::H264::new(settings)?)),
         #[cfg(feature = "av1")]
-        Codec::Av1 => Ok(Box::new(
-            crate::av1::Av1::new(settings, width, height).map_err(failed)?,
-        )),
+        crate::Codec::Av1 => Ok(Box::new(crate::av1::Av1::new(settings, width, height)?)),
         #[cfg(not(all(feature = "h264", feature = "av1")))]
-        codec => Err(VideoError::NoEncoder { codec }),
+        codec => Err(format!("{codec} is not built in")),
     }
 }
