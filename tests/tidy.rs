@@ -175,12 +175,13 @@ const CRATES: [Crate; 27] = [
 ];
 
 /// Packages that only these crates may use.
-const RESTRICTED: [(&str, &[&str]); 12] = [
+const RESTRICTED: [(&str, &[&str]); 13] = [
     ("axum", &["marf-view"]),
     ("kamadak-exif", &["marf-pds"]),
     ("object_store", &["marf-remote"]),
     ("openh264", &["marf-video"]),
     ("petgraph", &["marf-engine"]),
+    ("rav1e", &["marf-video"]),
     ("reflink-copy", &["marf-cache"]),
     ("reqwest", &["marf-extract", "marf-remote"]),
     ("ring", &["marf-cache", "marf-keys"]),

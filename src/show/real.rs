@@ -298,6 +298,7 @@ fn tune(store: &mut Store) -> NodeView {
 
 fn film(store: &mut Store, rows: &[Row]) -> Digest {
     let settings = marf_video::Settings {
+        codec: marf_video::Codec::H264,
         frames_per_second: 4,
         quantizer: 26,
     };

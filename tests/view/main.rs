@@ -10,6 +10,7 @@ mod browser;
 #[path = "../common/mod.rs"]
 mod common;
 mod devtools;
+mod films;
 mod http;
 mod keyboard;
 mod live;

@@ -14,7 +14,7 @@ use marf_schema::output::{
     DEPTH, DEPTH_PREVIEW, FRAMES, SCENE, UNCERTAINTY, UNCERTAINTY_PREVIEW, VIDEO, WEIGHTS,
 };
 use marf_schema::render::{Layer, Poses, RenderParams};
-use marf_schema::video::VideoParams;
+use marf_schema::video::{Codec, VideoParams};
 use marf_stage::{Document, Params};
 use serde_json::{Map, Value, json};
 
@@ -61,6 +61,9 @@ pub struct RenderArgs {
     /// Pictures a second in the film
     #[arg(long, value_name = "RATE", default_value_t = VideoParams::default().fps)]
     pub fps: u32,
+    /// How the film is encoded: `h264`, or `av1`, whose makers license their patents without fees and which takes longer
+    #[arg(long, value_name = "CODEC", default_value = "h264", value_parser = codec)]
+    pub codec: Codec,
     /// Quantiser of the film, 12 (finest, largest) to 51
     #[arg(long, value_name = "QP", default_value_t = VideoParams::default().quantizer)]
     pub quantizer: u32,
@@ -68,12 +71,17 @@ pub struct RenderArgs {
 
 const AFTER_HELP: &str = "\
 DIR gets rgb/0001.png, depth/ and uncertainty/ (PNG of 16 bits, the scale in their text) with a preview in colours each, poses.json, and \
-video.mp4 (H.264) with all outputs side by side. A FILE is what `marf view` saves as bookmarks, or the poses.json of another render: \
+video.mp4 with all outputs side by side. A FILE is what `marf view` saves as bookmarks, or the poses.json of another render: \
 without --frames it gives one still each, with --frames a smooth path through them. What was rendered is kept: the same call again only \
 copies, and a call that was stopped goes on.";
 
 /// Reads an output as pipeline.toml has it.
 fn layer(word: &str) -> Result<Layer, String> {
+    serde_json::from_value(json!(word)).map_err(|error| error.to_string())
+}
+
+/// Reads a codec as pipeline.toml has it.
+fn codec(word: &str) -> Result<Codec, String> {
     serde_json::from_value(json!(word)).map_err(|error| error.to_string())
 }
 
@@ -213,7 +221,13 @@ fn table(
 
 /// Returns the table of the node that encodes.
 fn film_table(args: &RenderArgs, pictures: &str) -> Value {
-    json!({"uses": VideoParams::STAGE, "input": pictures, "fps": args.fps, "quantizer": args.quantizer})
+    json!({
+        "uses": VideoParams::STAGE,
+        "input": pictures,
+        "codec": args.codec,
+        "fps": args.fps,
+        "quantizer": args.quantizer,
+    })
 }
 
 /// Writes pictures, poses and film, and removes those of an earlier call that nobody touched.

@@ -2,32 +2,63 @@ use marf_scene::{Image, Srgb};
 
 use crate::{
     Settings, VideoError, check_size,
-    h264::H264,
     mp4::{self, Track},
     yuv::{Yuv, side},
 };
 
+/// A picture as the file holds it.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub(crate) struct Sample {
+    pub bytes: Vec<u8>,
+    /// Whether decoding can begin here.
+    pub is_key: bool,
+    /// The box of what a decoder has to know before the first picture, where the codec tells it with this one.
+    pub config: Option<Vec<u8>>,
+}
+
+/// A codec: pictures of one size to samples, one for one and in order.
+pub(crate) trait Coder {
+    /// Encodes the next picture; its sample may come with a later one.
+    ///
+    /// # Errors
+    /// What the encoder says.
+    fn encode(&mut self, picture: &Yuv) -> Result<Vec<Sample>, String>;
+
+    /// Returns the samples that have not come yet.
+    ///
+    /// # Errors
+    /// What the encoder says.
+    fn finish(&mut self) -> Result<Vec<Sample>, String> {
+        Ok(Vec::new())
+    }
+}
+
 /// Encodes pictures one after the other; only what they become is kept in memory.
-#[derive(Debug)]
 pub struct Encoder {
-    codec: H264,
+    settings: Settings,
+    /// Opened by the first picture, whose size it needs.
+    coder: Option<Box<dyn Coder>>,
     track: Track,
+    /// Pictures taken.
+    pictures: usize,
     /// Width and height of the first picture.
-    size: Option<(u32, u32)>,
+    size: (u32, u32),
 }
 
 impl Encoder {
-    /// Opens an encoder.
+    /// Checks the settings; the codec itself is opened by the first picture.
     ///
     /// # Errors
-    /// Settings out of range, or an encoder that does not open.
+    /// Settings out of range, a codec that this build lacks.
     pub fn new(settings: Settings) -> Result<Self, VideoError> {
         settings.check()?;
-        let codec = H264::new(&settings).map_err(|error| failed(1, &error))?;
+        settings.codec.check()?;
         Ok(Self {
-            codec,
-            track: Track::new(settings.frames_per_second),
-            size: None,
+            settings,
+            coder: None,
+            track: Track::new(settings.codec, settings.frames_per_second),
+            pictures: 0,
+            size: (0, 0),
         })
     }
 
@@ -37,52 +68,80 @@ impl Encoder {
     /// # Errors
     /// A size that cannot be encoded or is not that of the first picture; a failure of the encoder.
     pub fn push(&mut self, picture: &Image<Srgb>) -> Result<(), VideoError> {
-        self.check(picture)?;
-        let index = self.track.samples.len();
-        let units = self.codec.encode(&Yuv::of(picture), index as u64);
-        let units = units.map_err(|error| failed(index + 1, &error))?;
-        if units.sample.is_empty() {
-            return Err(failed(index + 1, &"it gave nothing"));
-        }
-        self.track.add(units).map_err(|cause| failed(index + 1, &cause))
-    }
-
-    /// Checks the size of a picture; the first one decides it.
-    fn check(&mut self, picture: &Image<Srgb>) -> Result<(), VideoError> {
         let (width, height) = (picture.width, picture.height);
-        let (first_width, first_height) = match self.size {
-            Some(first) => first,
-            None => {
-                check_size(width, height)?;
-                self.size = Some((width, height));
-                (self.track.width, self.track.height) = (side(width), side(height));
-                (width, height)
-            }
-        };
-        if (width, height) != (first_width, first_height) {
+        if self.coder.is_none() {
+            self.coder = Some(self.open(width, height)?);
+        }
+        let (first_width, first_height) = self.size;
+        if (width, height) != self.size {
             return Err(VideoError::Size {
-                picture: self.track.samples.len() + 1,
+                picture: self.pictures + 1,
                 width,
                 height,
                 first_width,
                 first_height,
             });
         }
-        Ok(())
+        self.pictures += 1;
+        let coder = self.coder.as_mut();
+        let samples = coder.map_or(Ok(Vec::new()), |coder| coder.encode(&Yuv::of(picture)));
+        self.add(samples)
+    }
+
+    /// Opens the codec for pictures of a size.
+    fn open(&mut self, width: u32, height: u32) -> Result<Box<dyn Coder>, VideoError> {
+        check_size(width, height)?;
+        self.size = (width, height);
+        (self.track.width, self.track.height) = (side(width), side(height));
+        let opened = open(&self.settings, self.track.width, self.track.height);
+        opened.map_err(|cause| self.failed(1, cause))
+    }
+
+    fn add(&mut self, samples: Result<Vec<Sample>, String>) -> Result<(), VideoError> {
+        let track = &mut self.track;
+        let added = samples.and_then(|samples| {
+            let mut samples = samples.into_iter();
+            samples.try_for_each(|sample| track.add(sample).map_err(str::to_owned))
+        });
+        added.map_err(|cause| self.failed(self.pictures, cause))
+    }
+
+    fn failed(&self, picture: usize, cause: String) -> VideoError {
+        VideoError::Encoder {
+            picture,
+            codec: self.settings.codec,
+            cause,
+        }
     }
 
     /// Returns the bytes of the MP4 file.
     ///
     /// # Errors
-    /// No picture, or more bytes than the format of this writer holds.
-    pub fn finish(self) -> Result<Vec<u8>, VideoError> {
+    /// No picture, a failure of the encoder, or more bytes than the format of this writer holds.
+    pub fn finish(mut self) -> Result<Vec<u8>, VideoError> {
+        if let Some(mut coder) = self.coder.take() {
+            self.add(coder.finish())?;
+        }
+        if self.track.samples.len() != self.pictures {
+            let given = self.track.samples.len();
+            return Err(self.failed(self.pictures, format!("it gave {given} pictures")));
+        }
         mp4::write(&self.track)
     }
 }
 
-fn failed(picture: usize, cause: &dyn std::fmt::Display) -> VideoError {
-    VideoError::Encoder {
-        picture,
-        cause: cause.to_string(),
+/// Opens a codec for checked settings and a size, which H.264 learns from its pictures.
+///
+/// # Errors
+/// What the encoder says.
+#[cfg_attr(not(feature = "av1"), allow(unused_variables, reason = "the size is for AV1"))]
+fn open(settings: &Settings, width: u32, height: u32) -> Result<Box<dyn Coder>, String> {
+    match settings.codec {
+        #[cfg(feature = "h264")]
+        crate::Codec::H264 => Ok(Box::new(crate::h264::H264::new(settings)?)),
+        #[cfg(feature = "av1")]
+        crate::Codec::Av1 => Ok(Box::new(crate::av1::Av1::new(settings, width, height)?)),
+        #[cfg(not(all(feature = "h264", feature = "av1")))]
+        codec => Err(format!("{codec} is not built in")),
     }
 }

@@ -1,11 +1,14 @@
-use crate::{MAX_LONG_PX, MAX_SHORT_PX};
+use crate::{Codec, MAX_LONG_PX, MAX_SHORT_PX};
 
 /// Why pictures did not become a video.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum VideoError {
     /// The program was built without the encoder.
-    #[error("this build has no encoder of H.264 (cargo feature `h264`)")]
-    NoEncoder,
+    #[error("this build has no encoder of {codec} (cargo feature `{}`)", codec.feature())]
+    NoEncoder {
+        /// What it cannot encode.
+        codec: Codec,
+    },
     /// Nothing to encode.
     #[error("a video needs at least one picture")]
     NoPictures,
@@ -48,7 +51,7 @@ pub enum VideoError {
         rate: u32,
     },
     /// A quantiser out of range.
-    #[error("quantiser {quantizer}; H.264 has 12 (finest) to 51 here")]
+    #[error("quantiser {quantizer}; a video has 12 (finest) to 51")]
     Quantizer {
         /// The quantiser.
         quantizer: u32,
@@ -60,10 +63,12 @@ pub enum VideoError {
         bytes: u64,
     },
     /// The encoder failed.
-    #[error("picture {picture}: the encoder of H.264 failed: {cause}")]
+    #[error("picture {picture}: the encoder of {codec} failed: {cause}")]
     Encoder {
         /// Which one, from 1.
         picture: usize,
+        /// Which encoder.
+        codec: Codec,
         /// What it said.
         cause: String,
     },

@@ -1,4 +1,4 @@
-//! OpenH264 at a constant quantiser.
+//! H.264 by OpenH264 at a constant quantiser.
 
 use openh264::{
     OpenH264API, Timestamp,
@@ -9,10 +9,13 @@ use openh264::{
     formats::YUVSource,
 };
 
-use crate::{Settings, nal::Units, yuv::Yuv};
+use crate::{
+    KEY_EVERY, Settings,
+    encoder::{Coder, Sample},
+    nal::Units,
+    yuv::Yuv,
+};
 
-/// Pictures from one from which decoding can begin to the next: two seconds at 24 a second, so that a player can jump.
-const KEY_EVERY: u32 = 48;
 /// Chooses the level that the stream claims and nothing else: 3.1 and up, at most 14 Mb/s (table A-1), which every player of
 /// the last fifteen years takes.
 const LEVEL_BITS_PER_SECOND: u32 = 12_000_000;
@@ -23,15 +26,8 @@ const MAX_LEVEL_RATE: u32 = 60;
 pub(crate) struct H264 {
     encoder: Encoder,
     rate: u32,
-}
-
-impl std::fmt::Debug for H264 {
-    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        formatter
-            .debug_struct("H264")
-            .field("rate", &self.rate)
-            .finish_non_exhaustive()
-    }
+    /// Pictures taken.
+    pictures: u64,
 }
 
 impl H264 {
@@ -39,26 +35,29 @@ impl H264 {
     ///
     /// # Errors
     /// What OpenH264 says.
-    pub fn new(settings: &Settings) -> Result<Self, openh264::Error> {
-        let encoder = Encoder::with_api_config(OpenH264API::from_source(), config(settings))?;
-        let rate = settings.frames_per_second;
-        Ok(Self { encoder, rate })
+    pub fn new(settings: &Settings) -> Result<Self, String> {
+        let encoder = Encoder::with_api_config(OpenH264API::from_source(), config(settings));
+        Ok(Self {
+            encoder: encoder.map_err(|error| error.to_string())?,
+            rate: settings.frames_per_second,
+            pictures: 0,
+        })
     }
+}
 
-    /// Encodes the picture of an index, from 0.
-    ///
-    /// # Errors
-    /// What OpenH264 says.
-    pub fn encode(&mut self, picture: &Yuv, index: u64) -> Result<Units, openh264::Error> {
-        let at = Timestamp::from_millis(index * 1000 / u64::from(self.rate));
-        let stream = self.encoder.encode_at(&Planes(picture), at)?;
+impl Coder for H264 {
+    fn encode(&mut self, picture: &Yuv) -> Result<Vec<Sample>, String> {
+        let at = Timestamp::from_millis(self.pictures * 1000 / u64::from(self.rate));
+        self.pictures += 1;
+        let stream = self.encoder.encode_at(&Planes(picture), at);
+        let stream = stream.map_err(|error| error.to_string())?;
         let mut units = Units::default();
         for layer in (0..stream.num_layers()).filter_map(|index| stream.layer(index)) {
             (0..layer.nal_count())
                 .filter_map(|unit| layer.nal_unit(unit))
                 .for_each(|unit| units.add(unit));
         }
-        Ok(units)
+        Ok(vec![units.into_sample()])
     }
 }
 

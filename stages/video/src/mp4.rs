@@ -1,4 +1,4 @@
-//! The boxes of an MP4 file with one track of H.264 (ISO/IEC 14496-12 and 14496-15).
+//! The boxes of an MP4 file with one track (ISO/IEC 14496-12).
 //!
 //! ```text
 //! ftyp
@@ -6,13 +6,13 @@
 //!       └─ trak ─┬─ tkhd
 //!                └─ mdia ─┬─ mdhd, hdlr
 //!                         └─ minf ─┬─ vmhd, dinf (dref)
-//!                                  └─ stbl: stsd (avc1: avcC, colr, pasp), stts, stss, stsc, stsz, stco
+//!                                  └─ stbl: stsd (avc1: avcC or av01: av1C, with colr, pasp), stts, stss, stsc, stsz, stco
 //! mdat
 //! ```
 //! `moov` stands before the samples, so that a player starts before it has read all (fast start). All samples are one chunk: its
 //! place is always within the first 4 GiB, so no 64-bit table of places is needed. Times of creation are 0.
 
-use crate::{VideoError, nal::Units};
+use crate::{Codec, VideoError, encoder::Sample};
 
 /// Units of time a picture takes; a second has `rate` times as many.
 const TICKS: u32 = 1000;
@@ -36,9 +36,11 @@ pub(crate) struct Track {
     pub height: u32,
     /// Bytes of every picture.
     pub samples: Vec<u32>,
+    /// Type of the entry that describes the samples.
+    entry: &'static [u8; 4],
     rate: u32,
-    sps: Vec<u8>,
-    pps: Vec<u8>,
+    /// The box of what a decoder has to know before the first picture.
+    config: Vec<u8>,
     /// Pictures from which decoding can begin, from 1.
     keys: Vec<u32>,
     data: Vec<u8>,
@@ -46,14 +48,17 @@ pub(crate) struct Track {
 
 impl Track {
     /// Returns a track without pictures.
-    pub fn new(rate: u32) -> Self {
+    pub fn new(codec: Codec, rate: u32) -> Self {
         Self {
+            entry: match codec {
+                Codec::H264 => b"avc1",
+                Codec::Av1 => b"av01",
+            },
             width: 0,
             height: 0,
             samples: Vec::new(),
             rate,
-            sps: Vec::new(),
-            pps: Vec::new(),
+            config: Vec::new(),
             keys: Vec::new(),
             data: Vec::new(),
         }
@@ -62,18 +67,24 @@ impl Track {
     /// Adds a picture.
     ///
     /// # Errors
-    /// Parameter sets other than those before: the file holds one of each.
-    pub fn add(&mut self, units: Units) -> Result<(), &'static str> {
-        keep_first(&mut self.sps, units.sps)?;
-        keep_first(&mut self.pps, units.pps)?;
-        if self.sps.len() < 4 || self.pps.is_empty() {
-            return Err("it gave no parameter sets");
+    /// None encoded, or parameters other than those before: the file holds one set.
+    pub fn add(&mut self, sample: Sample) -> Result<(), &'static str> {
+        match sample.config {
+            Some(config) if self.config.is_empty() => self.config = config,
+            Some(config) if config != self.config => return Err("its parameters changed"),
+            _ => {}
         }
-        self.samples.push(units.sample.len() as u32);
-        if units.is_key {
+        if self.config.is_empty() {
+            return Err("it gave no parameters");
+        }
+        if sample.bytes.is_empty() {
+            return Err("it gave nothing");
+        }
+        self.samples.push(sample.bytes.len() as u32);
+        if sample.is_key {
             self.keys.push(self.samples.len() as u32);
         }
-        self.data.extend(units.sample);
+        self.data.extend(sample.bytes);
         Ok(())
     }
 
@@ -81,15 +92,6 @@ impl Track {
     fn ticks(&self) -> u32 {
         (self.samples.len() as u32).saturating_mul(TICKS)
     }
-}
-
-fn keep_first(kept: &mut Vec<u8>, found: Option<Vec<u8>>) -> Result<(), &'static str> {
-    match found {
-        Some(found) if kept.is_empty() => *kept = found,
-        Some(found) if found != *kept => return Err("its parameter sets changed"),
-        _ => {}
-    }
-    Ok(())
 }
 
 /// Returns the file.
@@ -104,7 +106,7 @@ pub(crate) fn write(track: &Track) -> Result<Vec<u8>, VideoError> {
     if bytes + 8 > u64::from(u32::MAX) {
         return Err(VideoError::TooLong { bytes });
     }
-    let start = file_type();
+    let start = file_type(track);
     // The place of the samples has one length whatever it is.
     let offset = start.len() + movie(track, 0).len() + 8;
     let movie = movie(track, offset as u32);
@@ -113,7 +115,7 @@ pub(crate) fn write(track: &Track) -> Result<Vec<u8>, VideoError> {
 }
 
 /// Returns a box: length, type, content.
-fn boxed(kind: &[u8; 4], parts: &[&[u8]]) -> Vec<u8> {
+pub(crate) fn boxed(kind: &[u8; 4], parts: &[&[u8]]) -> Vec<u8> {
     let content = parts.concat();
     let length = (content.len() + 8) as u32;
     [&length.to_be_bytes(), kind.as_slice(), &content].concat()
@@ -132,8 +134,9 @@ fn halves(numbers: &[u16]) -> Vec<u8> {
     numbers.iter().flat_map(|number| number.to_be_bytes()).collect()
 }
 
-fn file_type() -> Vec<u8> {
-    boxed(b"ftyp", &[b"isom", &words(&[0x200]), b"isomiso2avc1mp41"])
+fn file_type(track: &Track) -> Vec<u8> {
+    let brands: [&[u8]; 5] = [b"isom", &words(&[0x200]), b"isomiso2", track.entry, b"mp41"];
+    boxed(b"ftyp", &brands)
 }
 
 fn movie(track: &Track, offset: u32) -> Vec<u8> {
@@ -181,7 +184,7 @@ fn media(track: &Track, offset: u32) -> Vec<u8> {
 
 fn sample_tables(track: &Track, offset: u32) -> Vec<u8> {
     let count = track.samples.len() as u32;
-    let descriptions = versioned(b"stsd", 0, &[&words(&[1]), &avc1(track)]);
+    let descriptions = versioned(b"stsd", 0, &[&words(&[1]), &sample_entry(track)]);
     let times = versioned(b"stts", 0, &[&words(&[1, count, TICKS])]);
     let keys = versioned(
         b"stss",
@@ -195,12 +198,12 @@ fn sample_tables(track: &Track, offset: u32) -> Vec<u8> {
 }
 
 /// How samples are decoded and shown.
-fn avc1(track: &Track) -> Vec<u8> {
+fn sample_entry(track: &Track) -> Vec<u8> {
     let dots_per_inch = 72 * ONE;
     let color = boxed(b"colr", &[b"nclx", &halves(&[BT709; 3]), &[0]]); // 0: limited range
     let square = boxed(b"pasp", &[&words(&[1, 1])]);
     boxed(
-        b"avc1",
+        track.entry,
         &[
             &halves(&[0, 0, 0, 1]), // reserved, then the place of the data: the first
             &halves(&[0; 8]),
@@ -209,26 +212,9 @@ fn avc1(track: &Track) -> Vec<u8> {
             &halves(&[1]),          // pictures a sample
             &[0; 32],               // name of the encoder
             &halves(&[24, 0xffff]), // depth in bits; no table of colours
-            &avcc(track),
+            &track.config,
             &color,
             &square,
-        ],
-    )
-}
-
-/// Profile, level and parameter sets (ISO/IEC 14496-15, section 5.3.3.1); lengths of units have 4 bytes.
-fn avcc(track: &Track) -> Vec<u8> {
-    let [_, profile, compatible, level] = [0, 1, 2, 3].map(|at| track.sps[at]);
-    let length = |set: &[u8]| (set.len() as u16).to_be_bytes();
-    boxed(
-        b"avcC",
-        &[
-            &[1, profile, compatible, level, 0xfc | 3, 0xe0 | 1],
-            &length(&track.sps),
-            &track.sps,
-            &[1],
-            &length(&track.pps),
-            &track.pps,
         ],
     )
 }
@@ -237,11 +223,10 @@ fn avcc(track: &Track) -> Vec<u8> {
 mod tests {
     use super::*;
 
-    fn units(bytes: usize, is_key: bool) -> Units {
-        Units {
-            sps: is_key.then(|| vec![0x67, 66, 192, 31, 1]),
-            pps: is_key.then(|| vec![0x68, 5]),
-            sample: vec![7; bytes],
+    fn sample(bytes: usize, is_key: bool) -> Sample {
+        Sample {
+            config: is_key.then(|| boxed(b"avcC", &[&[1, 66]])),
+            bytes: vec![7; bytes],
             is_key,
         }
     }
@@ -258,9 +243,9 @@ mod tests {
     /// The offset in `stco` is the place of the first sample.
     #[test]
     fn the_table_of_places_points_behind_the_header_of_the_data() {
-        let mut track = Track::new(24);
-        track.add(units(5, true)).unwrap();
-        track.add(units(3, false)).unwrap();
+        let mut track = Track::new(Codec::H264, 24);
+        track.add(sample(5, true)).unwrap();
+        track.add(sample(3, false)).unwrap();
         let file = write(&track).unwrap();
         let at = |name: &[u8; 4]| file.windows(4).position(|bytes| bytes == name).unwrap();
         let table = at(b"stco") + 4 + 4 + 4;
@@ -271,14 +256,27 @@ mod tests {
     }
 
     #[test]
-    fn parameter_sets_that_are_missing_or_change_are_refused() {
-        let mut track = Track::new(24);
-        assert_eq!(track.add(units(5, false)), Err("it gave no parameter sets"));
-        track.add(units(5, true)).unwrap();
-        track.add(units(5, true)).unwrap();
-        let mut other = units(5, true);
-        other.pps = Some(vec![0x68, 6]);
-        assert_eq!(track.add(other), Err("its parameter sets changed"));
-        assert_eq!(write(&Track::new(24)), Err(VideoError::NoPictures));
+    fn parameters_that_are_missing_or_change_are_refused() {
+        let mut track = Track::new(Codec::H264, 24);
+        assert_eq!(track.add(sample(5, false)), Err("it gave no parameters"));
+        track.add(sample(5, true)).unwrap();
+        track.add(sample(5, true)).unwrap();
+        let mut other = sample(5, true);
+        other.config = Some(boxed(b"avcC", &[&[1, 67]]));
+        assert_eq!(track.add(other), Err("its parameters changed"));
+        assert_eq!(track.add(sample(0, false)), Err("it gave nothing"));
+        assert_eq!(write(&Track::new(Codec::H264, 24)), Err(VideoError::NoPictures));
+    }
+
+    /// Readers choose by the entry and by the brand.
+    #[test]
+    fn entry_and_brand_are_those_of_the_codec() {
+        for (codec, name) in [(Codec::H264, b"avc1"), (Codec::Av1, b"av01")] {
+            let mut track = Track::new(codec, 24);
+            track.add(sample(5, true)).unwrap();
+            let file = write(&track).unwrap();
+            let found = file.windows(4).filter(|bytes| bytes == name).count();
+            assert_eq!(found, 2, "{codec}");
+        }
     }
 }

@@ -1,5 +1,7 @@
 //! Units of an H.264 byte stream (ITU-T H.264, annex B) as samples of an MP4 file.
 
+use crate::{encoder::Sample, mp4::boxed};
+
 /// What the units of one picture are.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(crate) struct Units {
@@ -37,6 +39,35 @@ impl Units {
     }
 }
 
+impl Units {
+    /// Returns the sample, with its `avcC` where both parameter sets came with it.
+    pub fn into_sample(self) -> Sample {
+        let sets = self.sps.as_deref().zip(self.pps.as_deref());
+        Sample {
+            config: sets.and_then(|(sps, pps)| avcc(sps, pps)),
+            is_key: self.is_key,
+            bytes: self.sample,
+        }
+    }
+}
+
+/// Profile, level and parameter sets (ISO/IEC 14496-15, section 5.3.3.1); lengths of units have 4 bytes.
+fn avcc(sps: &[u8], pps: &[u8]) -> Option<Vec<u8>> {
+    let [_, profile, compatible, level] = *sps.first_chunk()?;
+    let length = |set: &[u8]| (set.len() as u16).to_be_bytes();
+    Some(boxed(
+        b"avcC",
+        &[
+            &[1, profile, compatible, level, 0xfc | 3, 0xe0 | 1],
+            &length(sps),
+            sps,
+            &[1],
+            &length(pps),
+            pps,
+        ],
+    ))
+}
+
 /// Takes the zeros and the one off that stand before every unit.
 fn without_start_code(unit: &[u8]) -> &[u8] {
     let zeros = unit.iter().take_while(|byte| **byte == 0).count();
@@ -65,7 +96,10 @@ mod tests {
         assert_eq!(units.sps.as_deref(), Some(&[0x67, 66, 192, 30][..]));
         assert_eq!(units.pps.as_deref(), Some(&[0x68, 1][..]));
         assert_eq!(units.sample, [0, 0, 0, 4, 0x65, 0, 0, 3, 0, 0, 0, 2, 0x65, 7]);
-        assert!(units.is_key);
+        let sample = units.into_sample();
+        assert!(sample.is_key);
+        let avcc = b"\0\0\0\x19avcC\x01\x42\xc0\x1e\xff\xe1\0\x04\x67\x42\xc0\x1e\x01\0\x02\x68\x01";
+        assert_eq!(sample.config.as_deref(), Some(&avcc[..]));
     }
 
     #[test]
@@ -76,5 +110,6 @@ mod tests {
         assert_eq!(units, Units::default());
         units.add(&[0, 0, 0, 1, 0x41, 5]);
         assert!(!units.is_key && units.sample == [0, 0, 0, 2, 0x41, 5]);
+        assert_eq!(units.into_sample().config, None);
     }
 }
