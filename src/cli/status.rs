@@ -14,13 +14,13 @@ use crate::config::scenes::scene_of;
 use crate::progress::{Standing, duration, event_folder};
 use crate::terminal::print_line;
 
-/// `marf status`: the nodes of the run that goes on, or of the last one, exports aside.
+/// `marf status`: the nodes of the run that goes on and began last, and how far others are; or the nodes of the last run. Exports aside.
 pub fn status(global: &Global, cancel: &Cancel) -> Result<(), CliError> {
     let store = existing_store(global, cancel)?;
-    let running = lines_of_running(&event_folder(&store)).and_then(|lines| Running::read(&lines));
-    let is_shown = |running: &Running| !global.json && !is_aside_name(&running.pipeline);
-    if let Some(running) = running.filter(is_shown) {
-        running.text().lines().for_each(print_line);
+    if !global.json
+        && let Some(text) = running_text(&lines_of_running(&event_folder(&store)))
+    {
+        text.lines().for_each(print_line);
         return Ok(());
     }
     let runs = marf_engine::runs(&store, warn)?;
@@ -51,6 +51,18 @@ pub fn status(global: &Global, cancel: &Cancel) -> Result<(), CliError> {
         print_line(line.trim_end());
     }
     Ok(())
+}
+
+/// Returns the page of what the programs that run have told: the nodes of the first, a line each of the others; none if none of them runs a
+/// pipeline.
+fn running_text(programs: &[Vec<String>]) -> Option<String> {
+    let all = programs.iter().filter_map(|lines| Running::read(lines));
+    let mut all = all.filter(|running| !is_aside_name(&running.pipeline));
+    let mut text = all.next()?.text();
+    for other in all {
+        text += &format!("\nbeside it {}", other.heading().join(": "));
+    }
+    Some(text)
 }
 
 /// A line that a running program has left, as far as it is shown.
@@ -173,16 +185,17 @@ impl Running {
         );
     }
 
+    /// Returns what runs and, once it is known, how far it is.
+    fn heading(&self) -> Vec<String> {
+        let standing = self.standing.as_ref();
+        let far =
+            standing.map(|standing| format!("{}, after {}", standing.text(), duration(standing.seconds)));
+        [self.head.clone()].into_iter().chain(far).collect()
+    }
+
     /// Returns the page: one line a node, children only while they run.
     fn text(&self) -> String {
-        let mut lines = vec![self.head.clone()];
-        if let Some(standing) = &self.standing {
-            lines.push(format!(
-                "{}, after {}",
-                standing.text(),
-                duration(standing.seconds)
-            ));
-        }
+        let mut lines = self.heading();
         for name in &self.order {
             let waits = NodeLine::default();
             let node = self.nodes.get(name).unwrap_or(&waits);
@@ -223,9 +236,13 @@ impl Running {
 mod tests {
     use super::*;
 
+    fn pages(programs: &[&[&str]]) -> Option<String> {
+        let owned = |lines: &&[&str]| lines.iter().map(|line| (*line).to_owned()).collect();
+        running_text(&programs.iter().map(owned).collect::<Vec<_>>())
+    }
+
     fn page(lines: &[&str]) -> Option<String> {
-        let lines: Vec<String> = lines.iter().map(|line| (*line).to_owned()).collect();
-        Running::read(&lines).map(|running| running.text())
+        pages(&[lines])
     }
 
     const BEGAN: &str = r#"{"event":"began","run":"0a","pipeline":"demo","command":"marf run","nodes":["a","b","c"],
@@ -248,6 +265,24 @@ mod tests {
             b/part-00              running  1/9  psnr 20\n\
             c                      waiting  for b";
         assert_eq!(page.as_deref(), Some(expected));
+    }
+
+    #[test]
+    fn programs_beside_it_are_a_line_each_and_exports_none() {
+        let began = |pipeline: &str| {
+            format!(
+                r#"{{"event":"began","run":"0b","pipeline":"{pipeline}","command":"marf run --to a","nodes":["a"],"upstream":{{}}}}"#
+            )
+        };
+        let [export, other, new] = ["demo (export)", "other", "new"].map(began);
+        let standing =
+            r#"{"event":"standing","seconds":70.0,"over":1,"nodes":3,"left_s":30.0,"unknown":0,"text":""}"#;
+        let page = pages(&[&[&export], &[&new], &[&other, standing], &[&new]]);
+        let expected = "`new` runs: marf run --to a\na                      waiting\n\
+            beside it `other` runs: marf run --to a: 1 of 3 nodes, about 30.0 s left, after 1 min 10 s\n\
+            beside it `new` runs: marf run --to a";
+        assert_eq!(page.as_deref(), Some(expected));
+        assert_eq!(pages(&[&[&export]]), None);
     }
 
     #[test]

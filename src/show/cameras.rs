@@ -11,7 +11,7 @@ use super::axis::round_step;
 use super::format::{count, number, px};
 use super::input::NodeView;
 use super::json;
-use super::page::{Page, has_document};
+use super::page::{Page, has_document, key};
 use super::quality::{figures, of_calibration};
 use super::read::{Missing, unreadable};
 use super::unplaced;
@@ -106,7 +106,7 @@ fn of_scene(scene: &Scene) -> Markup {
                 figure { (drawing(scene, &axes.aside(), "Cameras from the side")) figcaption { "from the side" } }
             }
             p.legend {
-                span.key.train {} "trained on " span.key.held-out {} "held out " span.key.point {} "sparse point"
+                (key("train", "trained on")) (key("held-out", "held out")) (key("point", "sparse point"))
                 @if scene.frames.iter().any(|frame| frame.error_px.is_some()) { (error_legend()) }
             }
         }
@@ -116,11 +116,11 @@ fn of_scene(scene: &Scene) -> Markup {
 
 fn error_legend() -> Markup {
     html! {
-        "; filled by mean reprojection error: "
+        span { "filled by mean reprojection error:" }
         @for (rank, error_px) in ERRORS_PX.iter().enumerate() {
-            span.key.(error_class(rank)) {} "up to " (number(*error_px)) " px "
+            (key(&error_class(rank), &format!("up to {} px", number(*error_px))))
         }
-        span.key.(error_class(ERRORS_PX.len())) {} "more"
+        (key(&error_class(ERRORS_PX.len()), "more"))
     }
 }
 

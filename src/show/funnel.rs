@@ -5,7 +5,7 @@ use maud::{Markup, html};
 use super::format::{count, cut, px};
 use super::gallery::not_shown;
 use super::input::NodeView;
-use super::page::Page;
+use super::page::{Page, key};
 use super::verdicts::{Judged, Summary};
 use crate::emptied;
 
@@ -71,7 +71,7 @@ fn drawing(shown: &[(&NodeView, &Summary)]) -> Markup {
                 }
             }
         }
-        p.legend { span.key.kept {} "kept " span.key.rejected {} "rejected" }
+        p.legend { (key("kept", "kept")) (key("rejected", "rejected")) }
     }
 }
 

@@ -6,7 +6,7 @@ use maud::{Markup, html};
 
 use super::format::{count, cut, px, seconds};
 use super::input::{ChildView, NodeView, State};
-use super::page::Page;
+use super::page::{Page, key};
 
 const BOX_WIDTH: f64 = 150.0;
 const BOX_HEIGHT: f64 = 54.0;
@@ -41,7 +41,7 @@ pub(super) fn body(page: &Page<'_>) -> Markup {
         }
         p.legend {
             @for state in [State::Ran, State::Reused, State::Failed, State::Skipped] {
-                span.key.(state.word()) {} (state.word()) " "
+                (key(state.word(), state.word()))
             }
         }
     }
@@ -77,12 +77,14 @@ fn third_line(node: &NodeView) -> String {
             cut(&node.stage, 22)
         };
     }
+    let all = count(node.children.len(), "sub-node");
+    // Those of a skipped node ran in the run whose outputs are shown.
+    if node.state == State::Skipped {
+        return all;
+    }
     let ran = |child: &&ChildView| child.state == State::Ran;
     let ran = node.children.iter().filter(ran).count();
-    cut(
-        &format!("{}, {ran} ran", count(node.children.len(), "sub-node")),
-        24,
-    )
+    cut(&format!("{all}, {ran} ran"), 24)
 }
 
 /// Top-left corner of a box.
@@ -306,6 +308,24 @@ mod tests {
     fn a_layer_is_the_longest_way_from_an_input() {
         let nodes = diamond();
         assert_eq!(layers(nodes.len(), &edges(&nodes)), [0, 1, 2, 1]);
+    }
+
+    #[test]
+    fn sub_nodes_of_a_skipped_node_are_not_said_to_have_run() {
+        let mut parent = node("b", &[]);
+        let child = |state| ChildView {
+            name: "0".to_owned(),
+            state,
+            seconds: None,
+        };
+        parent.children = vec![child(State::Ran), child(State::Reused)];
+        for (state, line) in [
+            (State::Ran, "2 sub-nodes, 1 ran"),
+            (State::Skipped, "2 sub-nodes"),
+        ] {
+            parent.state = state;
+            assert_eq!(third_line(&parent), line);
+        }
     }
 
     #[test]

@@ -7,7 +7,7 @@ use maud::{Markup, html};
 use super::embed::Form;
 use super::format::{count, decibels, number};
 use super::input::NodeView;
-use super::page::Page;
+use super::page::{Page, key};
 
 /// Most patches in the table.
 const MOST_PATCHES: usize = 30;
@@ -48,8 +48,8 @@ fn of_node(page: &Page<'_>, node: &NodeView) -> Markup {
             }
         }
         p.legend {
-            span.key.higher {} "higher " span.key.lower {} "lower " span.key.colour {} "another colour "
-            span.key.undecided {} "undecided " "dark: one time alone; black: not seen"
+            (key("higher", "higher")) (key("lower", "lower")) (key("colour", "another colour")) (key("undecided", "undecided"))
+            span { "dark: one time alone; black: not seen" }
         }
         @if report.patches.is_empty() { p { "No patch is larger than the noise." } } @else { (table(&report.patches)) }
     }

@@ -116,3 +116,8 @@ pub(super) fn has_document<D: Document>(node: &NodeView) -> bool {
 fn stopped_as(node: &NodeView) -> String {
     format!("{} {}", node.name, node.state.word())
 }
+
+/// An entry of a legend, which no line break parts: a swatch of a class and what it means.
+pub(super) fn key(class: &str, meaning: &str) -> Markup {
+    html! { span { span.key.(class) {} (meaning) } }
+}

@@ -11,7 +11,7 @@ use super::axis::round_step;
 use super::format::{count, decibels, number, px};
 use super::input::{NodeView, SceneView, State};
 use super::nodes::state_of;
-use super::page::Page;
+use super::page::{Page, key};
 
 const WIDTH: f64 = 640.0;
 /// A map is at most and at least so high.
@@ -62,9 +62,9 @@ fn of_split(page: &Page<'_>, scenes: &Scenes) -> Markup {
         @if !sites.is_empty() {
             p.legend {
                 @for state in [State::Ran, State::Reused, State::Failed, State::Skipped] {
-                    span.key.(state.word()) {} (state.word()) " "
+                    (key(state.word(), state.word()))
                 }
-                span.key.none {} "of no scene"
+                (key("none", "of no scene"))
             }
         }
         div.scroll {

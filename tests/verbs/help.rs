@@ -27,6 +27,9 @@ help_of! {
     help_export: "export", "--help";
     help_export_crate: "export", "crate", "--help";
     help_export_attest: "export", "attest", "--help";
+    help_export_cameras: "export", "cameras", "--help";
+    help_export_mesh: "export", "mesh", "--help";
+    help_export_splats: "export", "splats", "--help";
     help_verify: "verify", "--help";
     help_audit: "audit", "--help";
     help_replay: "replay", "--help";

@@ -125,7 +125,15 @@ fn make(
     let node = node_named(&record, &name)?;
     let report: SurfaceReport = session.document(node)?;
     if let (Kind::Height | Kind::Orthophoto, Some(why)) = (kind, report.refused.get(SURFACE_MAPS)) {
-        let hint = "cameras from labels (`method = \"sfm\"` or \"labels\" on photos with labels) give metres and an up direction";
+        // Of a scene without scale all else is asked for in vain.
+        let hint = match (report.vertices, report.unit.as_str()) {
+            (0, "metres") => {
+                "lower --least-photos, or widen --most-spread or --cell: what few photos show alike is left out"
+            }
+            _ => {
+                "cameras from labels (`method = \"sfm\"` or \"labels\" on photos with labels) give metres and an up direction"
+            }
+        };
         return Err(CliError::Failed(Diagnostic::new(why.clone()).hint(hint)));
     }
     let mut files = files_of(kind, node, &args.out);
@@ -315,10 +323,17 @@ fn text(kind: Kind, report: &SurfaceReport) -> String {
 /// Says how many splats there are, and how near they come to the field.
 fn splats_text(splats: &SplatReport, report: &SurfaceReport) -> String {
     let mut text = format!(
-        "{} splats, standard deviations {:.4} to {:.4} ({}), from {} photos; no sky, no colours by direction",
-        splats.splats, splats.finest, splats.coarsest, report.unit, report.photos
+        "{} splats, standard deviations {:.4} to {:.4} ({}), from {} photos; {} before the surface left out; no sky, no colours by direction",
+        splats.splats, splats.finest, splats.coarsest, report.unit, report.photos, splats.floating
     );
-    for (of, psnr) in [("trained on", splats.trained_on), ("held out", splats.held_out)] {
+    for (of, psnr) in [
+        ("trained on", splats.trained_on),
+        ("held out", splats.held_out),
+        (
+            "held out, but for what no photo trained on saw",
+            splats.held_out_seen,
+        ),
+    ] {
         text += &match psnr {
             Some(SplatPsnr {
                 photos,

@@ -77,17 +77,9 @@ pub fn follow(source: Arc<dyn Source>) -> mpsc::Receiver<Result<Event, std::conv
     receiver
 }
 
-/// Returns what the program that runs now and began last has told so far, a line an event; none if none runs.
-pub fn lines_of_running(folder: &Path) -> Option<Vec<String>> {
-    let mut open = running(folder)?;
-    let mut lines = Vec::new();
-    loop {
-        let (more, is_whole) = open.lines();
-        lines.extend(more);
-        if is_whole {
-            return Some(lines);
-        }
-    }
+/// Returns what each program that runs now has told so far, a line an event; the one that began last comes first.
+pub fn lines_of_running(folder: &Path) -> Vec<Vec<String>> {
+    all_running(folder).map(OpenFile::whole).collect()
 }
 
 /// Follows the program that began last.
@@ -117,7 +109,7 @@ impl Follower {
     /// Returns what happened since the last call.
     fn poll(&mut self) -> Vec<Message> {
         if self.open.is_none() {
-            self.open = running(&self.folder);
+            self.open = all_running(&self.folder).next();
         }
         let Some(open) = &mut self.open else {
             let was_new = std::mem::take(&mut self.is_new);
@@ -137,6 +129,27 @@ impl Follower {
 }
 
 impl OpenFile {
+    /// Opens the file of a program.
+    fn of(lock: PathBuf) -> Option<Self> {
+        Some(Self {
+            file: File::open(lock.with_extension("jsonl")).ok()?,
+            lock,
+            partial: Vec::new(),
+        })
+    }
+
+    /// Returns all lines up to now.
+    fn whole(mut self) -> Vec<String> {
+        let mut lines = Vec::new();
+        loop {
+            let (more, is_whole) = self.lines();
+            lines.extend(more);
+            if is_whole {
+                return lines;
+            }
+        }
+    }
+
     /// Returns the lines that were added, and whether all was read.
     fn lines(&mut self) -> (Vec<String>, bool) {
         let mut bytes = std::mem::take(&mut self.partial);
@@ -155,25 +168,20 @@ impl OpenFile {
     }
 }
 
-/// Opens the file of the program that runs and began last.
-fn running(folder: &Path) -> Option<OpenFile> {
-    let entries = std::fs::read_dir(folder)
-        .ok()?
-        .flatten()
-        .map(|entry| entry.path());
-    let locks = entries.filter(|path| path.extension().is_some_and(|ending| ending == "lock"));
+/// Opens the files of the programs that run, those that began last first.
+fn all_running(folder: &Path) -> impl Iterator<Item = OpenFile> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let locks = entries
+        .map(|entry| entry.path())
+        .filter(|path| path.extension().is_some_and(|ending| ending == "lock"));
     let began = |path: &PathBuf| {
         path.metadata()
             .and_then(|data| data.modified())
             .unwrap_or(SystemTime::UNIX_EPOCH)
     };
-    let lock = locks.filter(|path| is_locked(path)).max_by_key(began)?;
-    let file = File::open(lock.with_extension("jsonl")).ok()?;
-    Some(OpenFile {
-        file,
-        lock,
-        partial: Vec::new(),
-    })
+    let mut locks: Vec<PathBuf> = locks.filter(|path| is_locked(path)).collect();
+    locks.sort_by_cached_key(|path| std::cmp::Reverse((began(path), path.clone())));
+    locks.into_iter().filter_map(OpenFile::of)
 }
 
 /// Tells whether a program holds this file; the lock that is tried is given back at once.
@@ -214,6 +222,27 @@ mod tests {
             [],
             "the file of a program that was killed is not followed"
         );
+    }
+
+    #[test]
+    fn of_programs_that_run_at_once_the_one_that_began_last_comes_first() {
+        let dir = tempfile::tempdir().unwrap();
+        let began = [("0a", 20), ("0b", 30), ("0c", 10), ("dead", 40)];
+        let locks: Vec<File> = began
+            .iter()
+            .map(|(run, seconds)| {
+                std::fs::write(dir.path().join(format!("{run}.jsonl")), format!("{run}\n")).unwrap();
+                let lock = File::create(dir.path().join(format!("{run}.lock"))).unwrap();
+                lock.set_modified(SystemTime::UNIX_EPOCH + Duration::from_secs(*seconds))
+                    .unwrap();
+                lock
+            })
+            .collect();
+        locks[..3].iter().for_each(|lock| lock.lock().unwrap());
+        assert_eq!(lines_of_running(dir.path()), [["0b"], ["0a"], ["0c"]]);
+        let mut follower = Follower::new(dir.path().to_owned());
+        assert_eq!(follower.poll(), [Message::Line("0b".to_owned())]);
+        assert!(lines_of_running(&dir.path().join("nowhere")).is_empty());
     }
 
     #[test]

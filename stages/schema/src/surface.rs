@@ -166,6 +166,8 @@ pub struct UncertaintyReport {
 pub struct SplatReport {
     /// How many.
     pub splats: u64,
+    /// How many more there would be, which float before the surface that other views show.
+    pub floating: u64,
     /// Smallest standard deviation of a splat along its disc.
     pub finest: f64,
     /// Largest.
@@ -176,6 +178,8 @@ pub struct SplatReport {
     pub trained_on: Option<SplatPsnr>,
     /// The same at the views of held-out photos, whose pictures no splat was made of.
     pub held_out: Option<SplatPsnr>,
+    /// The same without the pixels of a surface that no photo trained on saw: the field makes it up there, and there are no splats.
+    pub held_out_seen: Option<SplatPsnr>,
 }
 
 /// Pictures of splats against those of the field, over the pixels where the field shows a surface.

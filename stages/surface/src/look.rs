@@ -2,8 +2,10 @@
 
 use marf_cache::Digest;
 use marf_field::{Field, render_in_bands};
-use marf_scene::{Camera, Frame, Photo};
+use marf_scene::{Camera, Frame, Photo, Pose};
 use marf_stage::{Ctx, StageError};
+use nalgebra::{Vector2, Vector3};
+use rayon::prelude::*;
 
 use crate::SurfaceError;
 
@@ -49,6 +51,33 @@ impl Rendered {
         pixels
             .map(|(opacity, distance)| if distance.is_finite() { *opacity } else { 0.0 })
             .collect()
+    }
+}
+
+impl Rendered {
+    /// Returns what [`shown`](Self::shown) does, 0 as well where a point of the surface (world) is not asked for.
+    pub fn shown_where(
+        &self,
+        cam_from_world: &Pose,
+        is_wanted: impl Fn(&Vector3<f64>) -> bool + Sync,
+    ) -> Vec<f32> {
+        let world_from_cam = cam_from_world.inverse();
+        let width = self.camera.width as usize;
+        let is_shown = |pixel: usize| {
+            let centre = Vector2::new((pixel % width) as f64 + 0.5, (pixel / width) as f64 + 0.5);
+            let ray = self.camera.unproject(&centre);
+            let point = ray.map(|ray| ray.normalize() * f64::from(self.distance[pixel]));
+            point.is_some_and(|point| is_wanted(&world_from_cam.point(&point)))
+        };
+        let all = self.shown().into_par_iter().enumerate();
+        all.map(|(pixel, opacity)| {
+            if opacity > 0.0 && is_shown(pixel) {
+                opacity
+            } else {
+                0.0
+            }
+        })
+        .collect()
     }
 }
 

@@ -2,7 +2,7 @@
 
 use marf_cache::Digest;
 use marf_field::Field;
-use marf_scene::{Frame, Observer, Scene, picture::png16, picture_names};
+use marf_scene::{Frame, Observer, Scene, picture::png16, picture_names, seen_at};
 use marf_schema::bootstrap::MemberFields;
 use marf_schema::output::{DEPTH, MESH_GLB, MESH_PLY, POINTS, SCENE, SPLAT_FILES, SURFACE_MAPS, WEIGHTS};
 use marf_schema::surface::{SurfaceParams, SurfaceReport};
@@ -35,7 +35,7 @@ impl Define for MakeSurface {
     const NAME: &'static str = SurfaceParams::STAGE;
     const ABOUT: &'static str =
         "Makes a mesh (PLY, GLB), points, splats, a height map and an orthophoto of a trained field";
-    const VERSION: u32 = 4;
+    const VERSION: u32 = 5;
     const PORTS: &'static [Port] = &[
         Port::required("input", WEIGHTS),
         Port::required("input", SCENE),
@@ -94,7 +94,7 @@ impl Set for MakeSurface {
         ctx.check()?;
         let splats = match self.params.splats {
             true => {
-                let held_out = self.look_at_held_out(ctx, &field, &held_out)?;
+                let held_out = self.look_at_held_out(ctx, &field, &held_out, &seen.observers)?;
                 Some(make_splats(
                     ctx,
                     &seen,
@@ -130,6 +130,8 @@ pub struct Seen {
     pub shown: Vec<SurfaceView>,
     /// Of each view `[height * width]`, 0 where it shows no surface.
     pub opacities: Vec<Vec<f32>>,
+    /// Of each view `[height * width]` as [`Rendered::distance`], where splats are wanted.
+    pub distances: Vec<Vec<f32>>,
 }
 
 impl MakeSurface {
@@ -190,6 +192,9 @@ impl MakeSurface {
                 seen.shown.push(view);
             }
             seen.views.push(SurfaceView::new(camera, pose, &distance, rgb));
+            if self.params.splats {
+                seen.distances.push(distance);
+            }
         }
         Ok(seen)
     }
@@ -200,6 +205,7 @@ impl MakeSurface {
         ctx: &Ctx<'_>,
         field: &Field,
         views: &[(&Frame, String)],
+        observers: &[Observer],
     ) -> Result<Vec<HeldOut>, StageError> {
         let shown = views.iter().enumerate().map(|(index, (frame, name))| {
             let note = format!("what {name} would have seen");
@@ -212,6 +218,9 @@ impl MakeSurface {
                 camera: shown.camera,
                 cam_from_world: frame.cam_from_world,
                 opacity: shown.shown(),
+                seen_opacity: shown.shown_where(&frame.cam_from_world, |point| {
+                    seen_at(observers, point, None).photos > 0
+                }),
                 rgb: shown.rgb,
             })
         });

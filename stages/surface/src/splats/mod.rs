@@ -4,6 +4,7 @@
 
 mod colors;
 pub mod file;
+mod floating;
 mod judge;
 mod place;
 mod raster;
@@ -12,6 +13,7 @@ pub mod stage;
 use nalgebra::Vector3;
 
 pub use colors::adjust_colors;
+pub use floating::without_floating;
 pub use judge::{Judged, judge};
 pub use place::place;
 pub use raster::{Footprint, Raster};
@@ -20,6 +22,8 @@ use marf_scene::{Camera, Pose};
 
 /// Thickness of a disc, in its standard deviations.
 pub const THIN: f64 = 0.1;
+/// Standard deviation of a splat, in sides of its cell: on the demo 0.35 gains 0.3 dB at the views of photos, and gapes nearer to the ground.
+const SIGMA: f64 = 0.5;
 
 /// A flat Gaussian.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -34,6 +38,13 @@ pub struct Splat {
     pub color: [f32; 3],
     /// Share of the light that its centre takes, in (0, 0.99].
     pub opacity: f32,
+}
+
+impl Splat {
+    /// Returns the side of the cell that it stands for, world units.
+    pub fn width(&self) -> f64 {
+        self.sigma / SIGMA
+    }
 }
 
 /// What a field shows at a view.

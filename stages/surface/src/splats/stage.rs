@@ -6,7 +6,7 @@ use marf_schema::output::{SPLAT_VIEWS, SPLATS};
 use marf_schema::surface::{SplatPsnr, SplatReport};
 use marf_stage::{Ctx, Outputs, StageError, TypedOutputs};
 
-use super::{Judged, Picture, Splat, adjust_colors, file, judge, place};
+use super::{Judged, Picture, adjust_colors, file, judge, place, without_floating};
 use crate::SurfaceError;
 use crate::extract::Wanted;
 use crate::frame::ExportFrame;
@@ -27,6 +27,8 @@ pub struct HeldOut {
     pub rgb: Vec<[f32; 3]>,
     /// `[height * width]`, 0 where the field shows no surface.
     pub opacity: Vec<f32>,
+    /// The same, 0 where no photo that it was trained on saw the surface, too.
+    pub seen_opacity: Vec<f32>,
 }
 
 /// Makes the splats of what the views show and writes them, with pictures splats | field at the held-out views.
@@ -52,10 +54,12 @@ pub fn make_splats(
         })
         .collect();
     let views: Vec<_> = views.map(|(view, opacity)| (view, &opacity[..])).collect();
-    let mut splats = place(&views, &seen.observers, &wanted);
-    if splats.is_empty() {
+    let placed = place(&views, &seen.observers, &wanted);
+    if placed.is_empty() {
         return Err(SurfaceError::NoSurface { photos: views.len() }.into());
     }
+    let (mut splats, floating) = without_floating(&placed, &shown, &seen.distances, || ctx.check())?;
+    drop(placed);
     let total = u64::from(COLOR_STEPS) * shown.len() as u64;
     adjust_colors(&mut splats, &shown, COLOR_STEPS, |step, view| {
         let at = u64::from(step) * shown.len() as u64 + view as u64;
@@ -67,47 +71,41 @@ pub fn make_splats(
         ctx.check()?;
         trained_on.extend(judge(&splats, picture));
     }
-    let mut judged = Vec::new();
+    let (mut judged, mut judged_seen) = (Vec::new(), Vec::new());
     for view in held_out {
         ctx.check()?;
-        let Some(found) = judge(&splats, &view.picture()) else {
+        let Some(found) = judge(&splats, &view.picture(&view.opacity)) else {
             continue;
         };
+        judged_seen.extend(judge(&splats, &view.picture(&view.seen_opacity)));
         let pair = side_by_side(&[&found.splats, &found.field]);
         let png = encode_png(&pair).map_err(|error| StageError::new(error.to_string()))?;
         outputs.put_bytes(ctx, format!("{SPLAT_VIEWS}{}.png", view.name), &png)?;
         judged.push(found);
     }
-    let report = report(&splats, psnr(&trained_on), psnr(&judged), frame);
+    let sigmas = splats.iter().map(|splat| splat.sigma * frame.scale());
+    let report = SplatReport {
+        splats: splats.len() as u64,
+        floating,
+        finest: sigmas.clone().fold(f64::INFINITY, f64::min),
+        coarsest: sigmas.fold(0.0, f64::max),
+        color_steps: COLOR_STEPS,
+        trained_on: psnr(&trained_on),
+        held_out: psnr(&judged),
+        held_out_seen: psnr(&judged_seen),
+    };
     outputs.put_bytes(ctx, SPLATS, &file::ply(&splats, frame, &comments(&report)))?;
     Ok(report)
 }
 
 impl HeldOut {
-    fn picture(&self) -> Picture<'_> {
+    fn picture<'a>(&'a self, opacity: &'a [f32]) -> Picture<'a> {
         Picture {
             camera: &self.camera,
             cam_from_world: &self.cam_from_world,
             rgb: &self.rgb,
-            opacity: &self.opacity,
+            opacity,
         }
-    }
-}
-
-fn report(
-    splats: &[Splat],
-    trained_on: Option<SplatPsnr>,
-    held_out: Option<SplatPsnr>,
-    frame: &ExportFrame,
-) -> SplatReport {
-    let sigmas = splats.iter().map(|splat| splat.sigma * frame.scale());
-    SplatReport {
-        splats: splats.len() as u64,
-        finest: sigmas.clone().fold(f64::INFINITY, f64::min),
-        coarsest: sigmas.fold(0.0, f64::max),
-        color_steps: COLOR_STEPS,
-        trained_on,
-        held_out,
     }
 }
 
@@ -123,7 +121,14 @@ fn psnr(judged: &[Judged]) -> Option<SplatPsnr> {
 }
 
 fn comments(report: &SplatReport) -> Vec<String> {
-    let against = [("trained on", report.trained_on), ("held out", report.held_out)];
+    let against = [
+        ("trained on", report.trained_on),
+        ("held out", report.held_out),
+        (
+            "held out, but for what no photo trained on saw",
+            report.held_out_seen,
+        ),
+    ];
     let told = against.into_iter().filter_map(|(of, psnr)| {
         let SplatPsnr { photos, mean_db, .. } = psnr?;
         Some(format!(
