@@ -96,7 +96,7 @@ proptest! {
         config.check().unwrap();
         let mut trainer = Trainer::new(ball(3, 8), &points(count), &config, seed).unwrap();
         // From here on samples are chosen.
-        trainer.training.state.halvings = 1;
+        trainer.training.state.halvings = trainer.training.sizes.halvings.value.min(1);
         for step in 0..STEPS {
             let before = trainer.save().unwrap();
             match trainer.advance(1) {
