@@ -1,7 +1,7 @@
 // kept: writes for every sample that is kept which of the visited ones it was.
 //
 // Source    none.
-// Twin      marf_field::shade::Shade::list_shown and thin (their list `kept`); equal.
+// Twin      marf_field::shade::Shade::choose (its list `kept`); equal.
 // Threads   one per ray: workgroup 64, folded.
 // Reads     spans [4][rays]: first sample and number of visited samples, then of kept ones; counts[slot] rays in use;
 //           shown, from 2 rays on [capacity]: numbers of the visited samples that are kept, the first of every ray

@@ -2,7 +2,7 @@
 //
 // Source    NeRF, arXiv 2003.08934, eq. 3, in log space: T_i = exp(-sum of tau before i). Systematic sampling by weight: Madow
 //           1949; of a share p that is kept, every length stands for 1 / p of itself.
-// Twin      marf_field::shade::Shade::opacities, list_shown and thin; within 1e-6.
+// Twin      marf_field::shade::Shade::opacities and choose; within 1e-6.
 // Threads   one per ray, its samples from the front: workgroup 64, folded.
 // Reads     spans [2][rays], density [.][capacity] (row 0, the raw density), along [3][capacity] (row 1, the length),
 //           before [rays] (optical depth in front of the first sample), counts[slot] rays in use

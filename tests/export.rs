@@ -10,28 +10,9 @@ mod common;
 use std::path::Path;
 use std::sync::LazyLock;
 
-use common::{Ran, marf};
+use common::{Ran, SURFACE, marf};
 use serde_json::Value;
 
-/// One sol of the built-in Mars, small, and a field of few steps that has a surface.
-const PIPELINE: &str = r#"name = "export"
-[archive.demo]
-kind = "demo"
-sols = "1"
-width = 320
-
-[node.extract]
-archive = "demo"
-
-[node.calibrate]
-input = "extract"
-method = "labels"
-
-[node.train]
-input = "calibrate"
-steps = 200
-scale = 2
-"#;
 /// A field of photos whose cameras know no metre and no up.
 const WITHOUT_SCALE: &str = r#"name = "unscaled"
 [archive.photos]
@@ -51,12 +32,12 @@ input = "calibrate"
 steps = 3
 "#;
 /// Loose, so that a field of few steps has a surface.
-const SURFACE: &str = "--cell 0.05 --most-spread 5 --least-photos 1";
+const LOOSE: &str = "--cell 0.05 --most-spread 5 --least-photos 1";
 const WEIGHTS: &str = "out/train/weights.safetensors";
 
 /// Returns a folder with a run, which all tests share; what one writes no other reads.
 fn trained() -> &'static Path {
-    static FOLDER: LazyLock<tempfile::TempDir> = LazyLock::new(|| common::ran("export", PIPELINE));
+    static FOLDER: LazyLock<tempfile::TempDir> = LazyLock::new(|| common::ran("surface", SURFACE));
     FOLDER.path()
 }
 
@@ -104,7 +85,7 @@ fn every_kind_of_a_surface_takes_a_field_by_its_content() {
         let mut args = vec!["export", kind, "--field", field.to_str().unwrap(), "--out"];
         let path = out.join(file);
         args.push(path.to_str().unwrap());
-        args.extend(SURFACE.split(' '));
+        args.extend(LOOSE.split(' '));
         let ran = marf(dir, &args).exits(0);
         assert!(
             ran.stdout.contains(&format!("wrote {}", path.display())),
@@ -237,7 +218,7 @@ fn a_height_map_of_a_field_without_metres_says_what_gives_them() {
     let dir = common::photos();
     std::fs::write(dir.path().join("pipeline.toml"), WITHOUT_SCALE).unwrap();
     marf(dir.path(), &["run"]).exits(0);
-    let line = format!("height --field {WEIGHTS} --out height.tif {SURFACE}");
+    let line = format!("height --field {WEIGHTS} --out height.tif {LOOSE}");
     let ran = export(dir.path(), &line).exits(1);
     for word in ["metre", "method = \"sfm\""] {
         assert!(ran.stderr.contains(word), "{word}: {}", ran.stderr);

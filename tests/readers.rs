@@ -14,28 +14,9 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::LazyLock;
 
-use common::{marf, tools};
+use common::{SURFACE, marf, tools};
 use serde_json::{Value, json};
 
-/// One sol of the built-in Mars, small, and a field of few steps that has a surface.
-const PIPELINE: &str = r#"name = "readers"
-[archive.demo]
-kind = "demo"
-sols = "1"
-width = 320
-
-[node.extract]
-archive = "demo"
-
-[node.calibrate]
-input = "extract"
-method = "labels"
-
-[node.train]
-input = "calibrate"
-steps = 200
-scale = 2
-"#;
 /// Cameras that were written and read differ by rounding to text and back.
 const SAME_CAMERA: f64 = 1e-6;
 const GLTF_VALIDATOR: &str = "gltf-validator@2.0.0-dev.3.10";
@@ -44,7 +25,7 @@ const GLTF_VALIDATOR: &str = "gltf-validator@2.0.0-dev.3.10";
 fn exported() -> &'static Path {
     // One that cannot be made fails all tests at once, and is not tried again.
     static FOLDER: LazyLock<tempfile::TempDir> = LazyLock::new(|| {
-        let dir = common::ran("readers", PIPELINE);
+        let dir = common::ran("surface", SURFACE);
         let surface = "--cell 0.05 --most-spread 5 --least-photos 1";
         for line in [
             "cameras --out cameras".to_owned(),

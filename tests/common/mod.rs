@@ -30,6 +30,26 @@ pub const SMALL_DEMO: [&str; 14] = [
     "render.width=80",
 ];
 
+/// One sol of the built-in Mars, small, and a field of few steps that has a surface.
+pub const SURFACE: &str = r#"name = "surface"
+[archive.demo]
+kind = "demo"
+sols = "1"
+width = 320
+
+[node.extract]
+archive = "demo"
+
+[node.calibrate]
+input = "extract"
+method = "labels"
+
+[node.train]
+input = "calibrate"
+steps = 200
+scale = 2
+"#;
+
 /// What a run of the binary left.
 pub struct Ran {
     /// Exit code; -1 if killed.

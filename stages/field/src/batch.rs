@@ -275,17 +275,15 @@ impl Scratch {
     /// Turns densities into opacities and decides which samples are trained.
     fn opacities(&mut self, shared: &Shared, targets: &[Target], chunk: &mut Chunk) {
         self.before.resize(targets.len(), 0.0);
-        self.shade.opacities(shared.level, &chunk.spans, &self.before);
-        let (shade, kept) = (&mut self.shade, &mut self.kept);
-        match shared.ray_samples {
-            0 => shade.list_shown(&chunk.spans, kept),
-            most => shade.thin(&chunk.spans, most, kept),
-        }
+        let (shade, before, kept) = (&mut self.shade, &self.before, &mut self.kept);
+        shade.opacities(shared.level, &chunk.spans, before);
+        shade.choose(shared.ray_samples, &chunk.spans, kept);
         shade.keep(&mut chunk.spans, kept);
         if shared.ray_samples > 0 {
-            shade.opacities(shared.level, &chunk.spans, &self.before);
+            // Lengths have changed.
+            shade.opacities(shared.level, &chunk.spans, before);
         }
-        chunk.found.samples = self.kept.len() as u64;
+        chunk.found.samples = kept.len() as u64;
     }
 
     /// Compares every ray with its pixel and sends the difference back to densities, colours, background, gain.

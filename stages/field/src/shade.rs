@@ -102,8 +102,16 @@ impl Shade {
         level.run(ExpNeg(&mut self.transmittance));
     }
 
+    /// Lists the samples to train on: about `most` of every ray, see [`Self::thin`], or all that show where it is 0.
+    pub fn choose(&mut self, most: u32, spans: &[Span], kept: &mut Vec<u32>) {
+        match most {
+            0 => self.list_shown(spans, kept),
+            _ => self.thin(spans, most, kept),
+        }
+    }
+
     /// Lists the samples of every ray in front of a transmittance of [`OPAQUE`].
-    pub fn list_shown(&self, spans: &[Span], kept: &mut Vec<u32>) {
+    fn list_shown(&self, spans: &[Span], kept: &mut Vec<u32>) {
         kept.clear();
         for span in spans {
             kept.extend((span.first..span.first + self.shown(*span)).map(|index| index as u32));
@@ -119,7 +127,7 @@ impl Shade {
     ///
     /// # Extremes
     /// A ray of at most `most` [`EVEN`] samples keeps all that show. Lengths stay finite: p is at least `most` [`EVEN`] / n.
-    pub fn thin(&mut self, spans: &[Span], most: u32, kept: &mut Vec<u32>) {
+    fn thin(&mut self, spans: &[Span], most: u32, kept: &mut Vec<u32>) {
         kept.clear();
         for span in spans {
             let shown = self.shown(*span);

@@ -52,9 +52,7 @@ impl Rendered {
             .map(|(opacity, distance)| if distance.is_finite() { *opacity } else { 0.0 })
             .collect()
     }
-}
 
-impl Rendered {
     /// Returns what [`shown`](Self::shown) does, 0 as well where a point of the surface (world) is not asked for.
     pub fn shown_where(
         &self,

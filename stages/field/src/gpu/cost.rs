@@ -133,8 +133,8 @@ impl Arrays<'_> {
                 columns + self.rays(&[5]) + self.whole(&[6, 8, 8])
             }
             "sum" => self.whole(&[2, 3]),
-            // Of the chosen samples density and `along` are read again, and `light` twice.
-            "opacity" => self.rays(&[2]) + 12.0 * rays + 24.0 * visited + 44.0 * kept,
+            // Density, length and weight of all; the rest of `along` of those that are chosen.
+            "opacity" => self.rays(&[2]) + 12.0 * rays + 32.0 * visited + 20.0 * kept,
             "kept" => self.rays(&[2]) + self.kept(&[4]) + 4.0 * kept,
             "compare" => self.rays(&[2, 5, 6, 9]) + 8.0 * kept + self.kept(&[4]) + rays / 64.0 * 256.0,
             "spread" => self.rays(&[2, 7]) + 20.0 * rays + self.kept(&[3, 9]) + 28.0 * kept,

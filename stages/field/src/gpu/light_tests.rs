@@ -192,10 +192,7 @@ fn lit(test: &str, most: u32) {
 fn chosen_by(shade: &mut Shade, spans: &[Span], most: u32, factor: f32) -> Vec<u32> {
     let mut kept = Vec::new();
     shade.alpha.iter_mut().for_each(|alpha| *alpha *= factor);
-    match most {
-        0 => shade.list_shown(spans, &mut kept),
-        most => shade.thin(spans, most, &mut kept),
-    }
+    shade.choose(most, spans, &mut kept);
     kept
 }
 

@@ -41,7 +41,7 @@ impl Scene {
             .for_each(|delta| *delta = delta.min(1.0));
         let (mut spans, mut kept) = (spans(), Vec::new());
         shade.opacities(InstructionSet::best(), &spans, &before);
-        shade.list_shown(&spans, &mut kept);
+        shade.choose(0, &spans, &mut kept);
         shade.keep(&mut spans, &kept);
         let n = shade.raw.len();
         let logits = numbers(3 * n, 37)
@@ -104,7 +104,7 @@ struct Expected {
     found: Vec<f32>,
     parts: Vec<f32>,
     d_raw: Vec<f32>,
-    d_outputs: Vec<f32>,
+    d_logits: Vec<f32>,
 }
 
 /// As `batch::Losses::ray`, for all rays.
@@ -113,7 +113,7 @@ fn expected(scene: &Scene) -> Expected {
         found: vec![UNTOUCHED; found::LEN * SLOTS],
         parts: vec![0.0; SLOTS],
         d_raw: vec![UNTOUCHED; CAPACITY],
-        d_outputs: vec![UNTOUCHED; 3 * CAPACITY],
+        d_logits: vec![UNTOUCHED; 3 * CAPACITY],
     };
     for ray in 0..RAYS {
         let mut put = |row: usize, value: f32| all.found[row * SLOTS + ray] = value;
@@ -177,19 +177,15 @@ fn expected(scene: &Scene) -> Expected {
             };
             for channel in 0..3 {
                 let slope = colour_slope(logits[at][channel], rgb[at][channel]);
-                all.d_outputs[channel * CAPACITY + first + at] = d_rgb[at][channel] * slope;
+                all.d_logits[channel * CAPACITY + first + at] = d_rgb[at][channel] * slope;
             }
         }
     }
     all
 }
 
-/// What the device finds, and the arrays it read.
-fn composited(rig: &Rig, scene: &Scene) -> (Expected, Total) {
-    let kernels = Light::new(&rig.gpu).unwrap();
-    let shade = &scene.shade;
-    let arrays = Arrays::new(rig, shade, &scene.spans);
-    // As `opacity` leaves it.
+/// Writes light as `opacity` leaves it.
+fn write_light(rig: &Rig, arrays: &Arrays, shade: &Shade) {
     let pairs = shade.tau.iter().zip(&shade.raw);
     let tau = pairs.map(|(tau, raw)| if *raw < RAW_LIMIT { *tau } else { 0.0 });
     for (row, values) in [&tau.collect(), &shade.alpha, &shade.transmittance]
@@ -198,6 +194,14 @@ fn composited(rig: &Rig, scene: &Scene) -> (Expected, Total) {
     {
         rig.gpu.write(&arrays.light, row * CAPACITY, values);
     }
+}
+
+/// What the device finds, and the arrays it read.
+fn composited(rig: &Rig, scene: &Scene) -> (Expected, Total) {
+    let kernels = Light::new(&rig.gpu).unwrap();
+    let shade = &scene.shade;
+    let arrays = Arrays::new(rig, shade, &scene.spans);
+    write_light(rig, &arrays, shade);
     let flat: Vec<f32> = scene.logits.concat();
     let rgb: Vec<f32> = flat.iter().map(|logit| colour(*logit)).collect();
     let [logits, rgb] = [flat, rgb].map(|rows| rig.filled(&columns(&rows, 3, CAPACITY, f32::NAN)));
@@ -274,7 +278,7 @@ fn composited(rig: &Rig, scene: &Scene) -> (Expected, Total) {
         found: rig.gpu.read(&found).unwrap(),
         parts: rig.gpu.read(&parts).unwrap(),
         d_raw: d_outputs[3 * CAPACITY..4 * CAPACITY].to_vec(),
-        d_outputs: d_outputs[..3 * CAPACITY].to_vec(),
+        d_logits: d_outputs[..3 * CAPACITY].to_vec(),
     };
     (all, ring[2])
 }
@@ -323,9 +327,9 @@ fn the_loss_of_rays_and_its_slopes_are_those_of_the_cpu() {
             "{slopes:?}"
         );
         let rows = found
-            .d_outputs
+            .d_logits
             .chunks(CAPACITY)
-            .zip(expected.d_outputs.chunks(CAPACITY));
+            .zip(expected.d_logits.chunks(CAPACITY));
         for (found, expected) in rows {
             agree("slope in logits", &found[..kept], &expected[..kept], TOLERANCE);
             let zeros = |slopes: &[f32]| slopes.iter().map(|slope| *slope == 0.0).collect::<Vec<_>>();

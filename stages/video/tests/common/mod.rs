@@ -4,6 +4,7 @@
 use std::collections::BTreeMap;
 use std::process::{Command, Output};
 
+use marf_cache::Digest;
 use marf_scene::{Image, Srgb};
 use marf_video::{Codec, Encoder, Settings, VideoError};
 
@@ -235,4 +236,22 @@ pub fn ffmpeg_decodes(file: &[u8], width: u32, height: u32) -> Option<Vec<Image<
     let pictures =
         pictures.map(|bytes| Image::from_fn(width, height, |column, row| pixel(bytes, column, row)));
     Some(pictures.collect())
+}
+
+/// Noise takes many bits: an encoder that held a rate would drop pictures or spoil them.
+pub fn noise_is_encoded_whole(codec: Codec) {
+    let pictures: Vec<Image<Srgb>> = (0..20).map(|index| noise(96, 64, index)).collect();
+    let parsed = parse(&encode(&pictures, settings(codec, 24, 24)).unwrap(), codec);
+    assert_eq!(parsed.samples.len(), 20);
+    let least = parsed.samples.iter().map(Vec::len).min().unwrap();
+    assert!(least > 96 * 64 / 4, "{least} bytes for a picture of noise");
+}
+
+/// Returns the digest of a file that is the same in any thread.
+pub fn digest_of_any_thread(codec: Codec) -> String {
+    let file = move || Digest::of(&encode(&pictures(100, 60, 50), settings(codec, 24, 24)).unwrap());
+    let threads: Vec<_> = (0..3).map(|_| std::thread::spawn(file)).collect();
+    let found: Vec<Digest> = threads.into_iter().map(|thread| thread.join().unwrap()).collect();
+    assert!(found.iter().all(|digest| *digest == file()), "{found:?}");
+    found[0].short()
 }
