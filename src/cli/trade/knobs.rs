@@ -140,7 +140,7 @@ fn of_training(node: &str, metrics: &Metrics) -> Vec<Knob> {
         knob("scale", scales),
         knob("photos", vec![json!((train_photos / 2).max(1))]),
         knob("field.batch_samples", half_and_twice(config.batch_samples)),
-        knob("field.ray_samples", vec![json!(16), json!(64), json!(0)]),
+        knob("field.ray_samples", vec![json!(32), json!(96)]),
         knob("field.levels", vec![json!(levels / 2), json!(levels * 3 / 4)]),
         knob("field.log2_table_shift", vec![json!(-2), json!(-1), json!(1)]),
         knob("field.finest_factor", vec![json!(0.5), json!(2.0)]),

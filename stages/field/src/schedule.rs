@@ -460,11 +460,10 @@ mod tests {
     #[test]
     fn samples_are_chosen_once_the_steps_along_rays_were_halved() {
         let mut training = of(None);
-        assert_eq!(training.ray_samples(), 0);
-        for (halvings, asked) in [(1, 32), (3, 32), (1, 0)] {
+        for (halvings, asked, chosen) in [(0, 32, 0), (1, 32, 32), (3, 32, 32), (1, 0, 0)] {
             training.state.halvings = halvings;
             training.config.ray_samples = asked;
-            assert_eq!(training.ray_samples(), asked);
+            assert_eq!(training.ray_samples(), chosen);
         }
     }
 

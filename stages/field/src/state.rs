@@ -81,9 +81,9 @@ impl State {
     }
 }
 
-/// Returns what a ray of a batch cost, in samples; one that is trained counts twice one that is only visited.
+/// Returns what a ray of a batch cost, in samples; one that is trained counts four times one that is only visited.
 pub fn cost(rays: u64, visited: u64, trained: u64) -> f64 {
-    (visited + trained) as f64 / (2 * rays) as f64
+    (visited + 3 * trained) as f64 / (4 * rays) as f64
 }
 
 /// Returns a running mean with the cost of a batch, at least one sample a ray.

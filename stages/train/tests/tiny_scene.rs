@@ -348,7 +348,7 @@ fn the_answers_belong_to_the_versions() {
     assert_eq!(
         found,
         [
-            ("train", 10, "aebfdeafbf37"),
+            ("train", 9, "c0c700cde012"),
             ("evaluate", 5, "64a4fb0b4ada"),
             ("render", 6, "3299b8c6b813")
         ]

@@ -267,6 +267,7 @@ fn a_training_that_is_settled_after_every_call_learns_the_same_bytes_and_tells_a
         min_step: 0.5,
         halvings: Some(3),
         batch_samples: 512,
+        ray_samples: 4,
         ..config()
     };
     let made = || on_gpu(&gpu, ball(4, 16), &[], (&config, 7));
@@ -286,6 +287,7 @@ fn a_training_that_is_settled_after_every_call_learns_the_same_bytes_and_tells_a
     assert!((late_told.loss / often_told.loss - 1.0).abs() < 1e-12);
     let state = &late.training.state;
     assert_eq!(state.halvings, 3, "{} samples a ray", state.samples_per_ray);
+    assert_eq!(late.training.ray_samples(), 4);
     assert!(late.save().unwrap() == settled_often.save().unwrap());
 }
 
