@@ -124,6 +124,7 @@ pub(super) fn facts() -> Facts {
             surface_cells: chosen(12_345, "points in cells"),
             log2_table: chosen(17, "cells of the surface"),
             halvings: chosen(3, "two pixels"),
+            distortion: chosen([0.0, 0.1], "many photos"),
         },
         trials: vec![trial],
         parameters: 1_000_000,

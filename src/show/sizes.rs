@@ -28,7 +28,7 @@ pub(super) fn shown(facts: &Facts) -> Markup {
 }
 
 /// Name, value, unit and reason of each size.
-fn rows(facts: &Facts) -> [(&'static str, f64, &'static str, &str); 6] {
+fn rows(facts: &Facts) -> [(&'static str, f64, &'static str, &str); 7] {
     let sizes = &facts.sizes;
     let (near, far) = (&sizes.near, &sizes.far);
     let (finest, levels) = (&sizes.finest, &sizes.levels);
@@ -50,6 +50,12 @@ fn rows(facts: &Facts) -> [(&'static str, f64, &'static str, &str); 6] {
             &surface.reason,
         ),
         ("largest table, 2^", f64::from(table.value), "", &table.reason),
+        (
+            "weight of the distortion loss at the end",
+            sizes.distortion.value[1],
+            "",
+            &sizes.distortion.reason,
+        ),
     ]
 }
 

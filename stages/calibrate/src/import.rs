@@ -24,7 +24,9 @@ pub use ply::read_ply;
 pub use transforms::{Transforms, read_transforms};
 
 use crate::calibration::{Calibration, HeldOut, PhotoStatistics, PlacedPhoto, mean_up};
+use crate::export::TrackPoint;
 use crate::photos::{InputPhoto, as_png, decode, reduced, reduction};
+use crate::sfm;
 use choose::{Source, candidates, choose};
 use marf_schema::calibrate::CalibrateParams;
 use marf_schema::calibrate::Missing;
@@ -49,17 +51,26 @@ pub(crate) fn run(
         ctx.check()?;
         place(ctx, &source.name(), view, *item, &items[*item], params)
     });
-    let placed = done.collect::<Result<Vec<PlacedPhoto>, StageError>>()?;
+    let mut placed = done.collect::<Result<Vec<PlacedPhoto>, StageError>>()?;
+    let mut tracks = Vec::new();
+    let mut method = format!("import of {}", source.name());
+    if cameras.points.is_empty() && params.find_points {
+        tracks = find_points(ctx, inputs, items, &mut placed, params)?;
+        method += ", points found in the photos";
+    }
     Ok(Calibration {
         up: mean_up(&placed),
         placed,
         unplaced: matched.unplaced,
         missing: matched.missing,
-        points: cameras.points,
-        tracks: Vec::new(),
+        points: match tracks.is_empty() {
+            true => cameras.points,
+            false => tracks.iter().map(sfm::sparse).collect(),
+        },
+        tracks,
         site: None,
         metres_per_unit: None,
-        method: format!("import of {}", source.name()),
+        method,
         components: None,
         statistics: Vec::new(),
         cause: None,
@@ -68,6 +79,33 @@ pub(crate) fn run(
             source.name()
         ),
     })
+}
+
+/// Returns the points that the photos to train on show, and tells of each of these how far points lie from where it shows them.
+///
+/// A photo that the file holds out adds no point: it is to judge a field that nothing of it has told.
+fn find_points(
+    ctx: &Ctx<'_>,
+    inputs: &Inputs,
+    items: &[InputPhoto],
+    placed: &mut [PlacedPhoto],
+    params: &CalibrateParams,
+) -> Result<Vec<TrackPoint>, StageError> {
+    let mut open: Vec<&mut PlacedPhoto> = placed
+        .iter_mut()
+        .filter(|one| one.held_out != Some(HeldOut::Yes))
+        .collect();
+    let photos: Vec<InputPhoto> = open.iter().map(|one| items[one.item].clone()).collect();
+    let cameras: Vec<&PlacedPhoto> = open.iter().map(|one| &**one).collect();
+    let found = sfm::points_of_known(ctx, inputs, &photos, &cameras, params)?;
+    let mut tracks = found.tracks;
+    for observation in tracks.iter_mut().flat_map(|track| &mut track.observations) {
+        observation.frame = open[observation.frame as usize].item as u32;
+    }
+    for (one, statistics) in open.iter_mut().zip(found.statistics) {
+        one.statistics = statistics;
+    }
+    Ok(tracks)
 }
 
 /// Tells whether a file beside the photos may hold their cameras.

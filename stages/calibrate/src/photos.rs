@@ -5,6 +5,7 @@ use marf_scene::{Photo, PhotoFacts, encode_png};
 use marf_stage::{Ctx, Inputs, PHOTOS, StageError, rows_of};
 
 /// A photo of the input set.
+#[derive(Clone)]
 pub(crate) struct InputPhoto {
     pub id: String,
     pub image: Digest,

@@ -33,6 +33,8 @@ pub struct Shared<'a> {
     pub rays: usize,
     /// Samples of a ray that are trained, about; 0: all that show.
     pub ray_samples: u32,
+    /// Weight of the distortion loss.
+    pub distortion: f32,
     /// Where the time goes, if someone asks.
     pub watch: Option<&'a Watch>,
 }

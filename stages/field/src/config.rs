@@ -118,14 +118,14 @@ pub struct Config {
     /// Steps the training is meant to take: a table is not larger than they fill, and the step size and the length of
     /// steps along rays end with it. Absent: not known; what changes with the steps then does as in 4,000.
     pub steps: Option<u64>,
-    /// Weight of the distortion loss (mip-NeRF 360, arXiv 2111.12077, eq. 15), 0 or more.
-    pub distortion: f64,
+    /// Weight of the distortion loss (mip-NeRF 360, arXiv 2111.12077, eq. 15), 0 or more, the same in all steps. Absent: from the
+    /// number of photos, growing with the steps where they are many: `benches/field.md`.
+    pub distortion: Option<f64>,
     /// Weight of the opacity of every sample in the loss, in [0, 0.1]: thin fog costs samples on every ray. After 2,000
     /// steps 0.00003 gained .15 dB on the mock-up and .07 on the fox, 0.0001 gained .31 and lost .24: `benches/field.md`.
     pub emptiness: f64,
     /// Weight of the loss that gathers matter at sparse points, in [0, 1], 0: off; it falls to 0 over `depth_steps`.
-    /// 0.003 after 300 and 800 steps, one seed: mock-up of 80 photos +.63 and +.19 dB, 43 photos of a fox +1.81 and
-    /// +1.04. The squared error of the expected step instead lost .4 and .8 dB: it fogs the ray.
+    /// It pays most where photos are few: `benches/field.md`. The squared error of the expected step instead fogs the ray.
     pub depth_weight: f64,
     /// Steps after which sparse points no longer pull, 1 or more.
     pub depth_steps: u32,
@@ -173,9 +173,9 @@ impl Default for Config {
             near: None,
             far: None,
             steps: None,
-            distortion: 1e-3,
+            distortion: None,
             emptiness: 3e-5,
-            depth_weight: 3e-3,
+            depth_weight: 1e-2,
             depth_steps: 1000,
             gain: Gain::Off,
             background: Background::Direction,
@@ -383,8 +383,8 @@ impl Config {
             ("steps", 0.0, self.steps != Some(0), "1 or more"),
             (
                 "distortion",
-                self.distortion,
-                (0.0..=1.0).contains(&self.distortion),
+                self.distortion.unwrap_or_default(),
+                (0.0..=1.0).contains(&self.distortion.unwrap_or_default()),
                 "0 to 1",
             ),
             (

@@ -145,6 +145,7 @@ impl CpuSession {
             bits: &training.state.occupancy.bits,
             rays: targets.len(),
             ray_samples: training.ray_samples(),
+            distortion: training.distortion_at(training.state.steps),
             watch,
         };
         let rays = training.chunk_rays();

@@ -116,6 +116,7 @@ fn batch_of(target: Target) -> Option<&'static str> {
         bits: &trainer.training.state.occupancy.bits,
         rays: 1,
         ray_samples: 32,
+        distortion: 1e-3,
         watch: None,
     };
     let mut chunks = Vec::new();

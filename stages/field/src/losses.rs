@@ -94,7 +94,7 @@ impl Losses<'_> {
         for square in compared.squares {
             self.found.loss += f64::from(square);
         }
-        let strength = shared.config.distortion as f32 / shared.rays as f32;
+        let strength = shared.distortion / shared.rays as f32;
         let cell = 1.0 / shared.steps.count as f32;
         let (d_tau, d_rgb) = (&mut self.d_tau[first..end], &mut self.d_rgb[first..end]);
         ray.spread(slope, behind, [strength, cell], d_tau, d_rgb);

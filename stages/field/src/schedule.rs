@@ -199,6 +199,13 @@ impl Training {
         (!self.observations.is_empty() && fading > 0.0).then_some(weight as f32)
     }
 
+    /// Returns the weight of the distortion loss after so many steps.
+    pub fn distortion_at(&self, steps: u64) -> f32 {
+        let [first, last] = self.sizes.distortion.value;
+        let done = self.schedule.done(steps);
+        ((last - first) * done).mul_add(done, first) as f32
+    }
+
     /// Halves the steps along rays once there is a surface to find more exactly.
     pub fn halve_steps(&mut self) {
         let most = self.sizes.halvings.value;
@@ -454,6 +461,22 @@ mod tests {
             training.state.steps = steps;
             training.halve_steps();
             assert_eq!(training.state.halvings, halvings, "{steps}");
+        }
+    }
+
+    #[test]
+    fn the_distortion_loss_grows_with_the_square_of_what_is_done() {
+        let mut training = of(Some(1_000));
+        for (weights, expected) in [
+            ([0.0, 0.1], [0.0, 0.1 / 16.0, 0.1 / 4.0, 0.1, 0.1]),
+            ([0.03, 0.03], [0.03; 5]),
+            ([1.0, 0.0], [1.0, 15.0 / 16.0, 0.75, 0.0, 0.0]),
+        ] {
+            training.sizes.distortion.value = weights;
+            for (steps, expected) in [0, 250, 500, 1_000, u64::MAX].into_iter().zip(expected) {
+                let found = f64::from(training.distortion_at(steps));
+                assert!((found - expected).abs() < 1e-8, "{weights:?}, {steps}: {found}");
+            }
         }
     }
 

@@ -38,6 +38,9 @@ pub struct Sizes {
     pub log2_table: Chosen<u32>,
     /// Times that the steps along rays are halved in training, at most.
     pub halvings: Chosen<u32>,
+    /// Weight of the distortion loss at the start and at the end of the training; between it goes with the square of the share
+    /// that is done.
+    pub distortion: Chosen<[f64; 2]>,
 }
 
 /// Distance of the first sample where nothing is known, half sides.
@@ -56,6 +59,11 @@ const ENOUGH_CELLS: usize = 8;
 const CELLS_AN_ENTRY: u64 = 4;
 /// The last steps are at most so many pixels long at their distance.
 const PIXELS_A_STEP: f64 = 1.0;
+/// Fewer photos than this are few: matter is to gather on surfaces before one of them alone explains it.
+const FEW_PHOTOS: usize = 24;
+/// Weights of the distortion loss at the start and at the end, of few photos and of many. `benches/field.md`.
+const DISTORTION_OF_FEW: [f64; 2] = [0.03; 2];
+const DISTORTION_OF_MANY: [f64; 2] = [0.0, 0.1];
 /// Smallest and largest table that is derived.
 const TABLES: [u32; 2] = [12, 22];
 
@@ -74,6 +82,7 @@ pub fn derive(views: &[View], points: &[[f64; 3]], config: &Config, frame: &Fram
         levels: levels(config, finest.value),
         log2_table: log2_table(config, surface_cells.value),
         halvings: halvings(config, views),
+        distortion: distortion(config, views.len(), depths.is_ok()),
         finest,
         surface_cells,
     }
@@ -93,6 +102,7 @@ impl Sizes {
             surface_cells: Chosen::new(u64::MAX, any),
             log2_table: log2_table(config, u64::MAX),
             halvings: Chosen::new(0, any),
+            distortion: Chosen::new([0.0; 2], any),
         }
     }
 
@@ -126,6 +136,19 @@ impl Sizes {
             return Err(FieldError::Config {
                 key: "near",
                 value: near,
+                range,
+            });
+        }
+        if let Some(weight) = self
+            .distortion
+            .value
+            .into_iter()
+            .find(|weight| !(0.0..=1.0).contains(weight))
+        {
+            let range = "0 to 1";
+            return Err(FieldError::Config {
+                key: "distortion",
+                value: weight,
                 range,
             });
         }
@@ -351,6 +374,25 @@ fn halvings(config: &Config, views: &[View]) -> Chosen<u32> {
         length(halvings)
     );
     Chosen::new(halvings, reason)
+}
+
+/// Returns the weights of the distortion loss at the start and at the end.
+fn distortion(config: &Config, photos: usize, has_points: bool) -> Chosen<[f64; 2]> {
+    if let Some(weight) = config.distortion {
+        return Chosen::said([weight; 2], "distortion");
+    }
+    if photos < FEW_PHOTOS && has_points {
+        let reason = format!(
+            "{photos} photos to train on are fewer than {FEW_PHOTOS}, and sparse points tell where matter is: the same from the start, before one photo alone explains it"
+        );
+        return Chosen::new(DISTORTION_OF_FEW, reason);
+    }
+    let why = match photos < FEW_PHOTOS {
+        true => "no sparse points tell where matter is".to_owned(),
+        false => format!("{photos} photos to train on, {FEW_PHOTOS} or more, find where matter is"),
+    };
+    let reason = format!("{why}: it grows from 0 with the square of the share of the training that is done");
+    Chosen::new(DISTORTION_OF_MANY, reason)
 }
 
 /// Returns the table, with the shift of a search.

@@ -175,6 +175,42 @@ fn points_far_away_widen_far_and_leave_near() {
 }
 
 #[test]
+fn the_weight_of_the_distortion_loss_follows_the_number_of_photos_and_what_points_tell() {
+    let many = |count: usize| above(8).into_iter().cycle().take(count).collect::<Vec<_>>();
+    for (photos, points, weights, said) in [
+        (
+            3,
+            plane(10),
+            [0.03, 0.03],
+            "3 photos to train on are fewer than 24",
+        ),
+        (23, plane(10), [0.03, 0.03], "23 photos"),
+        (24, plane(10), [0.0, 0.1], "24 photos to train on, 24 or more"),
+        (3, Vec::new(), [0.0, 0.1], "no sparse points"),
+        (24, Vec::new(), [0.0, 0.1], "24 photos"),
+    ] {
+        let found = sizes(&many(photos), &points).distortion;
+        assert_eq!(found.value, weights, "{found:?}");
+        assert!(found.reason.contains(said), "{found:?}");
+        let config = Config {
+            distortion: Some(0.5),
+            ..Config::default()
+        };
+        let found = sizes_of(&many(photos), &points, &config).distortion;
+        assert_eq!(
+            (found.value, found.reason.as_str()),
+            ([0.5; 2], "`distortion` says so")
+        );
+    }
+    for weight in [-1e-9, 1.1, f64::NAN, f64::INFINITY] {
+        let mut sizes = sizes(&above(8), &plane(10));
+        sizes.distortion.value[1] = weight;
+        let refused = sizes.check(&Config::default()).unwrap_err().to_string();
+        assert!(refused.contains("distortion"), "{refused}");
+    }
+}
+
+#[test]
 fn without_points_the_reasons_say_so() {
     let sizes = sizes(&above(256), &[]);
     assert_eq!((sizes.near.value, sizes.far.value), (0.1, 512.0));

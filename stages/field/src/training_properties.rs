@@ -55,7 +55,7 @@ prop_compose! {
         rates in rates(),
         cone in log(1.0 / 256.0, 0.25),
         min_step in log(1e-3, 0.5),
-        distortion in prop::sample::select(vec![0.0, 1e-3, 1.0]),
+        distortion in prop::sample::select(vec![None, Some(0.0), Some(1e-3), Some(1.0)]),
         emptiness in prop::sample::select(vec![0.0, 3e-5, 0.1]),
         depth_weight in prop::sample::select(vec![0.0, 3e-3, 1.0]),
         occupied in prop::sample::select(vec![Occupied::Seen, Occupied::NearPoints]),

@@ -113,6 +113,7 @@ fn facts(config: &Config) -> Facts {
             surface_cells: chosen(100_000),
             log2_table: chosen(config.log2_table.unwrap_or(15)),
             halvings: chosen(0),
+            distortion: chosen([0.0; 2]),
         },
         trials: Vec::new(),
         parameters: 1_000_000,

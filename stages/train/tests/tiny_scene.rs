@@ -348,9 +348,9 @@ fn the_answers_belong_to_the_versions() {
     assert_eq!(
         found,
         [
-            ("train", 9, "c0c700cde012"),
-            ("evaluate", 5, "64a4fb0b4ada"),
-            ("render", 6, "3299b8c6b813")
+            ("train", 10, "6289d3ef93e9"),
+            ("evaluate", 5, "930335c37c70"),
+            ("render", 6, "cf7e66aa84de")
         ]
     );
 }

@@ -6,7 +6,7 @@ use marf_scene::{Camera, Point, Pose, SiteFrame};
 use marf_schema::calibrate::CalibrateParams;
 use marf_sfm::align::Similarity;
 use marf_sfm::bundle::LensModel;
-use marf_sfm::mapper::{Model, pose_uncertainties};
+use marf_sfm::mapper::{MapperInput, Model, pose_uncertainties};
 use marf_sfm::metric::RejectedLabel;
 use marf_sfm::view_graph::components;
 use marf_stage::{Ctx, StageError};
@@ -14,6 +14,7 @@ use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use super::earlier::Earlier;
+use super::photo_features::PhotoFeatures;
 use super::reasons::{Cause, cause};
 use super::reconstruction::Reconstruction;
 use super::run::failed;
@@ -39,7 +40,12 @@ pub(super) fn assemble(
         let model = moved(&reconstruction.models[index], &world);
         let rejected = reconstruction.metric[index].as_deref().unwrap_or_default();
         placed.extend(frames(ctx, reconstruction, &model, rejected, params)?);
-        points.extend(tracks(reconstruction, &model));
+        points.extend(tracks(
+            reconstruction.features,
+            reconstruction.input,
+            &model,
+            params.longest_side_px,
+        ));
     }
     let causes = causes(reconstruction, &chosen);
     let worst = most_common(&causes);
@@ -228,9 +234,17 @@ fn full_size(reconstruction: &Reconstruction<'_>, model: &Model, photo: usize) -
     }
 }
 
-/// Returns the points with their observations, which name photos by their index in the input set.
-fn tracks(reconstruction: &Reconstruction<'_>, model: &Model) -> Vec<TrackPoint> {
-    let input = reconstruction.input;
+/// Returns the points with their observations, which name photos by their index and lie in photos reduced to `longest_side_px`.
+pub(super) fn tracks(
+    features: &[PhotoFeatures],
+    input: &MapperInput<'_>,
+    model: &Model,
+    longest_side_px: Option<u32>,
+) -> Vec<TrackPoint> {
+    let scale = |photo: u32| {
+        let row = &features[photo as usize].row;
+        f64::from(row.factor) / f64::from(reduction(row.width, row.height, longest_side_px))
+    };
     let points = model.points.iter().enumerate();
     points
         .filter_map(|(track, point)| {
@@ -242,18 +256,17 @@ fn tracks(reconstruction: &Reconstruction<'_>, model: &Model) -> Vec<TrackPoint>
             let seen: Vec<_> = active
                 .map(|observation| input.tracks.observations[observation])
                 .collect();
-            let factor = |photo: u32| f64::from(reconstruction.features[photo as usize].row.factor);
             let errors = seen.iter().filter_map(|observation| {
-                Some(model.error_px(input, observation)? * factor(observation.photo))
+                Some(model.error_px(input, observation)? * scale(observation.photo))
             });
             let error_px = errors.sum::<f64>() / seen.len().max(1) as f64;
             let observations = seen.iter().map(|observation| Observation {
                 frame: observation.photo,
-                pixel: (observation.pixel * factor(observation.photo)).into(),
+                pixel: (observation.pixel * scale(observation.photo)).into(),
             });
-            let colors = seen.iter().map(|observation| {
-                reconstruction.features[observation.photo as usize].colors[observation.feature as usize]
-            });
+            let colors = seen
+                .iter()
+                .map(|observation| features[observation.photo as usize].colors[observation.feature as usize]);
             Some(TrackPoint {
                 position: position.into(),
                 color: mean_color(colors.collect()),
@@ -274,7 +287,7 @@ fn mean_color(colors: Vec<[u8; 3]>) -> [u8; 3] {
 }
 
 /// Returns a point without its observations.
-fn sparse(point: &TrackPoint) -> Point {
+pub(crate) fn sparse(point: &TrackPoint) -> Point {
     Point {
         position: point.position,
         color: Some(point.color),

@@ -12,14 +12,17 @@ mod links;
 mod overlap;
 mod pair_memos;
 mod photo_features;
+mod points;
 mod reasons;
 mod reconstruction;
 mod run;
 mod supervisor;
 
+pub(crate) use assemble::sparse;
 pub(crate) use capture_order::capture_order;
 pub(crate) use compare::{seed_of, view_overlap};
 pub(crate) use earlier::earlier_scene;
 pub(crate) use overlap::{Overlap, overlaps};
 pub(crate) use photo_features::{PhotoFeatures, features_of};
+pub(crate) use points::points_of_known;
 pub(crate) use run::run;

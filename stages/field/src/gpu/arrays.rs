@@ -11,9 +11,9 @@ use super::nets::Nets;
 use super::tables::{Grid, Rise, rescaling, start_scales};
 use super::weights::DeviceWeights;
 use crate::cpu::adam::{Bias, Moments};
-use crate::cpu::march::Steps;
+use crate::training::Training;
 use crate::weights::NET_ROW;
-use crate::{Config, Gain, GpuError};
+use crate::{Gain, GpuError};
 
 /// First and second moments of a tensor, and the steps of its rows.
 pub struct DeviceMoments {
@@ -119,13 +119,10 @@ impl Arrays {
         gpu.write(&self.rescaling, 0, &[rescaling(grid, rise)]);
     }
 
-    /// Writes what `spread` needs of the steps along rays.
-    pub fn write_losses(&self, gpu: &Gpu, lanes: &Lanes, config: &Config, steps: &Steps) {
-        gpu.write(
-            &self.losses,
-            0,
-            &[weights_of_losses(lanes.batch(gpu), config, steps)],
-        );
+    /// Writes what `spread` needs of a step.
+    pub fn write_losses(&self, gpu: &Gpu, lanes: &Lanes, training: &Training, step: u64) {
+        let losses = weights_of_losses(lanes.batch(gpu), training, step);
+        gpu.write(&self.losses, 0, &[losses]);
     }
 
     /// Overwrites the moments of layers and background, which come in the order of `Weights::tensors` behind the tables.

@@ -214,7 +214,7 @@ impl<'a> Device<'a> {
             parts: self.work.part(first, self.work.len() - first),
         };
         let compare = light.compare(batch, columns, colours.rgb.clone(), aims);
-        let losses = weights_of_losses(batch, &training.config, &training.march);
+        let losses = weights_of_losses(batch, training, training.state.steps);
         let losses = rig.gpu.uniform("losses", losses).unwrap();
         let to = [&self.found, &self.d_outputs];
         let spread = light.spread(batch, &losses, (columns, colours), to, &self.pulls);

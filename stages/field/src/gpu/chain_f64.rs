@@ -118,5 +118,9 @@ fn ray_loss(
         let there: f64 = seen.iter().filter(|a| near(a.2)).map(|a| a.0).sum();
         -f64::from(pull.weight) * (there + f64::from(FLOOR)).ln()
     });
-    share * (squares / 3.0 + training.config.distortion * apart + training.config.emptiness * opacity) + pull
+    share
+        * (squares / 3.0
+            + f64::from(training.distortion_at(training.state.steps)) * apart
+            + training.config.emptiness * opacity)
+        + pull
 }

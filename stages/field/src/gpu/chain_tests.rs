@@ -32,7 +32,7 @@ pub fn scene(ray_samples: u32) -> (Training, Vec<Target>) {
         density_width: 32,
         color_width: 32,
         color_layers: 2,
-        distortion: 1e-2,
+        distortion: Some(1e-2),
         emptiness: 1e-3,
         ..small()
     };
@@ -112,6 +112,7 @@ fn on_the_cpu(training: &Training, targets: &[Target]) -> Chunk {
         bits: &training.state.occupancy.bits,
         rays: targets.len(),
         ray_samples: training.config.ray_samples,
+        distortion: training.distortion_at(training.state.steps),
         watch: None,
     };
     let mut chunks = Vec::new();

@@ -7,10 +7,9 @@ use super::array::{Array, Part};
 use super::kernel::Kernel;
 use super::nets::{Batch, limits, one_each};
 use super::record::{Work, dispatch};
-use crate::Config;
 use crate::GpuError;
-use crate::cpu::march::Steps;
 use crate::depth::{FLOOR, REACH};
+use crate::training::Training;
 
 /// Totals that wait for the host.
 pub const RING: usize = 16;
@@ -250,15 +249,15 @@ pub fn extent([capacity, rays]: [usize; 2], slot: u32, most: u32) -> Extent {
     }
 }
 
-/// Returns what `spread` needs to know of the losses; to be written anew when the steps along rays change.
-pub fn weights_of_losses(batch: Batch<'_>, config: &Config, steps: &Steps) -> SpreadRun {
+/// Returns what `spread` needs to know of the losses in a step.
+pub fn weights_of_losses(batch: Batch<'_>, training: &Training, step: u64) -> SpreadRun {
     SpreadRun {
         slot: counts::RAYS,
         capacity: batch.capacity as u32,
         rays: batch.rays as u32,
-        distortion: config.distortion as f32,
-        cell: 1.0 / steps.count as f32,
-        emptiness: config.emptiness as f32,
+        distortion: training.distortion_at(step),
+        cell: 1.0 / training.march.count as f32,
+        emptiness: training.config.emptiness as f32,
         reach: REACH,
         floor: FLOOR,
     }

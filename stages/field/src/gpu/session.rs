@@ -314,6 +314,9 @@ impl GpuSession {
         let gpu = &self.gpu;
         gpu.write(&self.held.step, 0, &[step]);
         gpu.write(&self.held.arrays.pace, 0, &[pace]);
+        self.held
+            .arrays
+            .write_losses(gpu, &self.held.lanes, training, number);
         gpu.write(&self.held.arrays.rates, 0, &[rates(rate, EPSILON, 0.0, keep)]);
     }
 
@@ -383,9 +386,6 @@ impl GpuSession {
             0,
             &observed(&training.observations, &training.march),
         );
-        self.held
-            .arrays
-            .write_losses(gpu, &self.held.lanes, &training.config, &training.march);
     }
 
     fn scales(&self) -> Result<Vec<f32>, GpuError> {

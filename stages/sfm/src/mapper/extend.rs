@@ -18,18 +18,9 @@ const FORM: &[u8; 8] = b"extends1";
 /// `known`: pose and working-size camera of each photo of the earlier scene. All poses are adjusted, then the model is
 /// aligned with the earlier poses. `None` if no photo is known.
 pub fn extend(input: &MapperInput<'_>, known: &[Option<(Pose, Camera)>]) -> Result<Option<Model>, MapError> {
-    let Some(anchor) = known.iter().position(Option::is_some) else {
+    let Some(model) = Model::known(input, known) else {
         return Ok(None);
     };
-    let mut model = Model::empty(input, anchor);
-    for (photo, known) in known.iter().enumerate() {
-        if let Some((pose, camera)) = known {
-            model.poses[photo] = Some(*pose);
-            model.cameras[input.views[photo].camera] = *camera;
-        }
-    }
-    model.set_lens_from_cameras();
-    model.complete(input, input.tracks.all());
     let mut model = grown(input, model)?;
     refine(input, &mut model, &[], FINE)?;
     align_with(&mut model, known);

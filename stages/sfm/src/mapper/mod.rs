@@ -15,6 +15,7 @@ mod model;
 mod options;
 mod register;
 mod tracks;
+mod triangulate;
 
 pub use extend::extend;
 pub(crate) use global_adjustment::{FINE, refine};
@@ -24,6 +25,7 @@ pub use map::map;
 pub use model::Model;
 pub use options::{LensChoice, MapOptions, PrincipalPointChoice};
 pub use tracks::{Observation, Tracks};
+pub use triangulate::triangulate;
 
 #[cfg(test)]
 pub(crate) use merge::merge_last;

@@ -58,6 +58,21 @@ impl Model {
         }
     }
 
+    /// Returns the model of the photos whose pose and working-size camera are known, with the tracks that fit; `None` without any.
+    pub(super) fn known(input: &MapperInput<'_>, known: &[Option<(Pose, Camera)>]) -> Option<Self> {
+        let anchor = known.iter().position(Option::is_some)?;
+        let mut model = Self::empty(input, anchor);
+        for (photo, known) in known.iter().enumerate() {
+            if let Some((pose, camera)) = known {
+                model.poses[photo] = Some(*pose);
+                model.cameras[input.views[photo].camera] = *camera;
+            }
+        }
+        model.set_lens_from_cameras();
+        model.complete(input, input.tracks.all());
+        Some(model)
+    }
+
     /// Writes the model.
     pub(super) fn write(&self, writer: &mut Writer) {
         writer.list(&self.cameras, Writer::camera);

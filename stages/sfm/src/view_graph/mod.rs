@@ -2,10 +2,12 @@
 
 mod components;
 mod focal;
+mod known;
 mod links;
 mod view;
 
 pub use components::components;
 pub use focal::refine_focal_lengths;
+pub use known::{KnownView, link_known};
 pub use links::link_pair;
 pub use view::{ComparedPair, Link, SharedCamera, View, focal_known, max_error_px};

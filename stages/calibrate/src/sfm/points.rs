@@ -1,0 +1,180 @@
+//! Points of photos whose cameras are known.
+
+use marf_cache::{Digest, digest_of};
+use marf_scene::{Camera, Pose};
+use marf_schema::calibrate::CalibrateParams;
+use marf_sfm::mapper::{MapOptions, MapperInput, Model, Tracks, triangulate};
+use marf_sfm::two_view::FocalKnown;
+use marf_sfm::view_graph::{KnownView, Link, SharedCamera, View, link_known};
+use marf_stage::{Ctx, Inputs, StageError};
+
+use super::assemble::tracks;
+use super::capture_order::capture_order;
+use super::compare::{choose, names, pack_inliers, unpack_inliers};
+use super::pair_memos::{OfPairs, of_pairs};
+use super::photo_features::{PhotoFeatures, photo_features};
+use super::run::failed;
+use super::supervisor::NodeSupervisor;
+use crate::calibration::{PhotoStatistics, PlacedPhoto};
+use crate::export::TrackPoint;
+use crate::photos::InputPhoto;
+
+/// Raised when matches of photos with known cameras may change.
+const VERSION: u32 = 1;
+
+/// What photos with known cameras show.
+pub(crate) struct KnownPoints {
+    /// Points with their observations; frames are indices into the photos.
+    pub tracks: Vec<TrackPoint>,
+    /// Of each photo: its features, and how far points lie from where it shows them.
+    pub statistics: Vec<PhotoStatistics>,
+}
+
+/// Returns the points that photos show whose cameras are known: matches along epipolar lines, triangulated; cameras stay as they
+/// are.
+///
+/// `photos` and `placed` tell of the same photos, one by one.
+///
+/// # Errors
+/// A photo that cannot be decoded, a mask that does not fit, a request to stop.
+pub(crate) fn points_of_known(
+    ctx: &Ctx<'_>,
+    inputs: &Inputs,
+    photos: &[InputPhoto],
+    placed: &[&PlacedPhoto],
+    params: &CalibrateParams,
+) -> Result<KnownPoints, StageError> {
+    let candidates: Vec<_> = photos.iter().map(|_| None).collect();
+    let features = photo_features(ctx, inputs, photos, &candidates, params)?;
+    let known: Vec<(Pose, Camera)> = placed
+        .iter()
+        .zip(&features)
+        .map(|(one, features)| (one.cam_from_world, working_camera(one, features)))
+        .collect();
+    let pairs = choose(ctx, &features, &capture_order(photos), params)?;
+    let work = KnownPairs {
+        features: &features,
+        known: &known,
+    };
+    let links = of_pairs(ctx, &names(&features), &pairs, &work)?;
+    let (cameras, views) = own_cameras(&features, &known);
+    let supervisor = NodeSupervisor::new(ctx);
+    let input = MapperInput {
+        views: &views,
+        cameras: &cameras,
+        links: &links,
+        tracks: Tracks::build(&views, &links),
+        options: MapOptions::automatic(&cameras, params.seed),
+        supervisor: &supervisor,
+        registered: &|_| (),
+    };
+    let known: Vec<Option<(Pose, Camera)>> = known.into_iter().map(Some).collect();
+    let model = triangulate(&input, &known).map_err(failed)?;
+    Ok(KnownPoints {
+        tracks: model.as_ref().map_or_else(Vec::new, |model| {
+            tracks(&features, &input, model, params.longest_side_px)
+        }),
+        statistics: (0..features.len())
+            .map(|photo| {
+                statistics(
+                    &features[photo],
+                    &input,
+                    (model.as_ref(), photo),
+                    &placed[photo].camera,
+                )
+            })
+            .collect(),
+    })
+}
+
+/// Returns the camera of a placed photo at the size that its features were sought at.
+fn working_camera(one: &PlacedPhoto, features: &PhotoFeatures) -> Camera {
+    let row = &features.row;
+    if (one.camera.width, one.camera.height) == (row.width, row.height) {
+        return one.camera.box_reduced(row.factor);
+    }
+    one.camera
+        .resized(row.width / row.factor, row.height / row.factor)
+}
+
+/// Returns a camera for each photo.
+fn own_cameras(features: &[PhotoFeatures], known: &[(Pose, Camera)]) -> (Vec<SharedCamera>, Vec<View>) {
+    let shared = |(_, camera): &(Pose, Camera)| SharedCamera {
+        camera: *camera,
+        focal: FocalKnown::Known,
+        focal_sigma_share: None,
+    };
+    let view = |(photo, one): (usize, &PhotoFeatures)| View {
+        camera: photo,
+        pixels: one.pixels(),
+    };
+    (
+        known.iter().map(shared).collect(),
+        features.iter().enumerate().map(view).collect(),
+    )
+}
+
+/// Returns what is told of a photo: the numbers of its features, matches and points, and the mean distance of these from where it
+/// shows them.
+fn statistics(
+    features: &PhotoFeatures,
+    input: &MapperInput<'_>,
+    (model, photo): (Option<&Model>, usize),
+    camera: &Camera,
+) -> PhotoStatistics {
+    let errors = model.into_iter().flat_map(|model| {
+        let seen = model.active_in(input, photo);
+        seen.filter_map(|index| model.error_px(input, &input.tracks.observations[index]))
+    });
+    let errors: Vec<f64> = errors.collect();
+    let mean = (!errors.is_empty()).then(|| errors.iter().sum::<f64>() / errors.len() as f64);
+    PhotoStatistics {
+        features: Some(features.features.keypoints.len() as u32),
+        matches: Some(input.tracks.in_photo(photo).count() as u32),
+        inliers: Some(errors.len() as u32),
+        error_px: mean.map(|mean| {
+            mean * f64::from(features.row.factor) * f64::from(camera.width) / f64::from(features.row.width)
+        }),
+        error_working_px: mean,
+        ..PhotoStatistics::default()
+    }
+}
+
+/// Matching of photos whose cameras are known.
+struct KnownPairs<'a> {
+    features: &'a [PhotoFeatures],
+    known: &'a [(Pose, Camera)],
+}
+
+impl OfPairs for KnownPairs<'_> {
+    type Found = Link;
+    const NOTE: &'static str = "pairs compared";
+
+    fn table(&self) -> Digest {
+        digest_of(&("calibrate known pairs", VERSION))
+    }
+
+    fn key(&self, photos: [usize; 2]) -> Digest {
+        let parts = photos.map(|photo| (self.features[photo].row.found, &self.known[photo]));
+        Digest::of(&serde_json::to_vec(&parts).unwrap_or_default())
+    }
+
+    fn compute(&self, photos: [usize; 2], _key: &Digest) -> Link {
+        let view = |photo: usize| KnownView {
+            features: &self.features[photo].features,
+            cam_from_world: &self.known[photo].0,
+            camera: &self.known[photo].1,
+        };
+        link_known(photos, photos.map(view))
+    }
+
+    fn pack(&self, found: &Link) -> Vec<u8> {
+        pack_inliers(&found.relative_pose.inliers)
+    }
+
+    fn unpack(&self, photos: [usize; 2], row: &[u8]) -> Option<Link> {
+        let inliers = unpack_inliers(row)?;
+        let poses = photos.map(|photo| self.known[photo].0);
+        Some(Link::known(photos, poses.each_ref(), inliers))
+    }
+}

@@ -1,0 +1,125 @@
+//! Edges of the view graph between photos whose cameras and poses are known.
+
+use marf_scene::{Camera, Pose};
+use nalgebra::Vector2;
+
+use super::view::{Link, max_error_px};
+use crate::estimators::{essential_of, sampson2};
+use crate::features::Features;
+use crate::matching::{MatchOptions, match_pair};
+use crate::two_view::{RelativePose, RelativePoseKind};
+
+/// A photo whose camera and pose are known.
+#[derive(Debug, Clone, Copy)]
+pub struct KnownView<'a> {
+    /// Its features, pixels of the camera's size.
+    pub features: &'a Features,
+    /// Its camera.
+    pub camera: &'a Camera,
+    /// Its pose, the other way round than that of a thing in the world.
+    pub cam_from_world: &'a Pose,
+}
+
+/// Returns the edge of two photos: of their matches those whose Sampson distance from the known epipolar geometry is at most
+/// [`max_error_px`]; photos of one centre have none.
+pub fn link_known(photos: [usize; 2], views: [KnownView<'_>; 2]) -> Link {
+    let essential = essential_of(&relative(views.map(|view| view.cam_from_world)));
+    let noise2 = views.map(|view| (view.camera.fx_px * view.camera.fy_px).recip());
+    let limit_px = max_error_px(views[0].camera).max(max_error_px(views[1].camera));
+    let agrees = |features: &[u32; 2]| {
+        let planes = [0, 1].map(|side| views[side].plane(features[side]));
+        let [Some(first), Some(second)] = planes else {
+            return false;
+        };
+        sampson2(&essential, &[first, second], noise2) <= limit_px * limit_px
+    };
+    let mut inliers = match_pair(views[0].features, views[1].features, &MatchOptions::default());
+    inliers.retain(agrees);
+    Link::known(photos, views.map(|view| view.cam_from_world), inliers)
+}
+
+impl Link {
+    /// Returns the edge of two photos, of these poses, with these matches.
+    pub fn known(photos: [usize; 2], cam_from_world: [&Pose; 2], inliers: Vec<[u32; 2]>) -> Self {
+        Self {
+            photos,
+            relative_pose: RelativePose {
+                kind: RelativePoseKind::General,
+                cam2_from_cam1: relative(cam_from_world),
+                inliers,
+                median_angle_rad: 0.0,
+                forward: 0.0,
+            },
+        }
+    }
+}
+
+fn relative([first, second]: [&Pose; 2]) -> Pose {
+    *second * first.inverse()
+}
+
+impl KnownView<'_> {
+    /// Returns where a feature lies in the plane z = 1 in front of the camera.
+    fn plane(&self, feature: u32) -> Option<Vector2<f64>> {
+        let point = self.features.keypoints.get(feature as usize)?;
+        let pixel = Vector2::new(f64::from(point.x_px), f64::from(point.y_px));
+        Some(self.camera.unproject(&pixel)?.xy())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::features::Keypoint;
+    use nalgebra::Vector3;
+
+    /// Features at these pixels whose descriptors have nothing in common.
+    fn features(pixels: &[[f32; 2]]) -> Features {
+        let point = |[x_px, y_px]: &[f32; 2]| Keypoint {
+            x_px: *x_px,
+            y_px: *y_px,
+            scale_px: 1.0,
+            angle_rad: 0.0,
+        };
+        let descriptor = |index: usize| {
+            let mut descriptor = [0_u8; 128];
+            descriptor[4 * index..4 * index + 4].fill(255);
+            descriptor
+        };
+        Features {
+            keypoints: pixels.iter().map(point).collect(),
+            descriptors: (0..pixels.len()).map(descriptor).collect(),
+        }
+    }
+
+    fn at(x: f64) -> Pose {
+        Pose {
+            translation: Vector3::new(-x, 0.0, 0.0),
+            ..Pose::identity()
+        }
+    }
+
+    /// Beside one another, so that epipolar lines are rows: 4 of 1,000 pixels are .4 of 100, shared by both photos.
+    #[test]
+    fn matches_stay_whose_rows_agree() {
+        let camera = Camera::pinhole(100, 100, 100.0);
+        let first = features(&[[50.0, 20.0], [60.0, 40.0], [30.0, 60.0]]);
+        let second = features(&[[40.0, 20.0], [50.0, 40.5], [20.0, 60.7]]);
+        let link = |pose: &Pose| {
+            let view = |features, cam_from_world| KnownView {
+                features,
+                camera: &camera,
+                cam_from_world,
+            };
+            link_known([3, 5], [view(&first, &at(0.0)), view(&second, pose)])
+        };
+        let found = link(&at(1.0));
+        assert_eq!(found.photos, [3, 5]);
+        assert_eq!(found.relative_pose.inliers, [[0, 0], [1, 1]]);
+        assert_eq!(found.relative_pose.cam2_from_cam1, at(1.0));
+        assert!(link(&at(0.0)).relative_pose.inliers.is_empty(), "one centre");
+        for wrong in [f64::NAN, f64::INFINITY] {
+            assert!(link(&at(wrong)).relative_pose.inliers.is_empty(), "{wrong}");
+        }
+    }
+}
