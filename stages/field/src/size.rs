@@ -40,6 +40,7 @@ pub struct Sizes {
     pub halvings: Chosen<u32>,
     /// Weight of the distortion loss at the start and at the end of the training; between it goes with the square of the share
     /// that is done.
+    #[serde(default = "distortion_before")]
     pub distortion: Chosen<[f64; 2]>,
 }
 
@@ -374,6 +375,11 @@ fn halvings(config: &Config, views: &[View]) -> Chosen<u32> {
         length(halvings)
     );
     Chosen::new(halvings, reason)
+}
+
+/// Returns the weights of fields that do not tell theirs: they were trained before it followed the photos.
+fn distortion_before() -> Chosen<[f64; 2]> {
+    Chosen::new([1e-3; 2], "the same for all scenes")
 }
 
 /// Returns the weights of the distortion loss at the start and at the end.

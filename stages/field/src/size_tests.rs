@@ -202,6 +202,10 @@ fn the_weight_of_the_distortion_loss_follows_the_number_of_photos_and_what_point
             ([0.5; 2], "`distortion` says so")
         );
     }
+    let mut before = serde_json::to_value(sizes(&above(8), &plane(10))).unwrap();
+    before.as_object_mut().unwrap().remove("distortion").unwrap();
+    let read: Sizes = serde_json::from_value(before).unwrap();
+    assert_eq!(read.distortion.value, [1e-3; 2]);
     for weight in [-1e-9, 1.1, f64::NAN, f64::INFINITY] {
         let mut sizes = sizes(&above(8), &plane(10));
         sizes.distortion.value[1] = weight;
