@@ -52,21 +52,19 @@ pub(crate) fn run(
         place(ctx, &source.name(), view, *item, &items[*item], params)
     });
     let mut placed = done.collect::<Result<Vec<PlacedPhoto>, StageError>>()?;
-    let mut tracks = Vec::new();
+    let (mut points, mut tracks) = (cameras.points, Vec::new());
     let mut method = format!("import of {}", source.name());
-    if cameras.points.is_empty() && params.find_points {
+    if points.is_empty() && params.find_points {
         tracks = find_points(ctx, inputs, items, &mut placed, params)?;
-        method += ", points found in the photos";
+        points = tracks.iter().map(sfm::sparse).collect();
+        method += &format!(", {} points found in the photos", points.len());
     }
     Ok(Calibration {
         up: mean_up(&placed),
         placed,
         unplaced: matched.unplaced,
         missing: matched.missing,
-        points: match tracks.is_empty() {
-            true => cameras.points,
-            false => tracks.iter().map(sfm::sparse).collect(),
-        },
+        points,
         tracks,
         site: None,
         metres_per_unit: None,

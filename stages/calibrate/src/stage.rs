@@ -24,7 +24,7 @@ use crate::{colmap, import, labels, sfm};
 /// - Out: `scene`, `metrics`, and the scene for other programs: `transforms`, `sparse/0/….bin`, `points.ply`.
 /// - Cost: `sfm` about 0.2 CPU s a photo of 2.8 megapixels for 98 of them (`benches/calibrate.md`); what it finds
 ///   in photos and pairs is kept. `labels` decodes, resamples and encodes each photo once, at most 0.4 s a
-///   megapixel and core for CAHVOR, 0.6 s for CAHVORE; `import` reads no photo unless `longest_side_px` asks for
+///   megapixel and core for CAHVOR, 0.6 s for CAHVORE; `import` reads no photo unless points are sought in them or `longest_side_px` asks for
 ///   smaller ones; `colmap` as long as COLMAP takes.
 /// - Bad input: a photo that cannot be placed is listed with the reason; a camera file that is wrong anywhere
 ///   is refused whole, with the field; too few photos placed stop the node.

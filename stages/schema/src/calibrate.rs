@@ -49,7 +49,7 @@ pub struct CalibrateParams {
     /// `import`: the file to read (`transforms.json`, `sparse/0/cameras.bin`), where there are several.
     pub file: Option<String>,
     /// `import`: whether points are sought in the photos to train on where the file with the cameras names none: they tell the
-    /// box of the field, where rays begin and end, and how well the cameras fit.
+    /// box of the field, and where rays begin and end. Features and pairs are chosen by the keys of `sfm`.
     pub find_points: bool,
     /// `sfm`: keep the scene of the last run as it is and register only the photos that are new. Photos kept from training stay
     /// so, and of the new ones as many are as `hold_every` asks for. That scene is then an input of this node; without it, or with

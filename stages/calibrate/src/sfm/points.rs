@@ -30,7 +30,7 @@ pub(crate) struct KnownPoints {
     pub statistics: Vec<PhotoStatistics>,
 }
 
-/// Returns the points that photos show whose cameras are known: matches along epipolar lines, triangulated; cameras stay as they
+/// Returns the points that photos show whose cameras are known: matches that agree with the cameras, triangulated; these stay as they
 /// are.
 ///
 /// `photos` and `placed` tell of the same photos, one by one.

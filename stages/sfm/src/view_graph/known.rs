@@ -16,7 +16,7 @@ pub struct KnownView<'a> {
     pub features: &'a Features,
     /// Its camera.
     pub camera: &'a Camera,
-    /// Its pose, the other way round than that of a thing in the world.
+    /// Takes points of the world to its camera.
     pub cam_from_world: &'a Pose,
 }
 
