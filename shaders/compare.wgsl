@@ -7,14 +7,15 @@
 // Threads   one per ray, its samples from the front: workgroup 64, folded; then one a coefficient of the background.
 // Reads     spans [4][rays] (of visited samples, of kept ones: the first of the visited), light [3][capacity] (alpha, transmittance) of visited samples,
 //           rgb [3][capacity] of kept ones, directions [rays] (w 0: no
-//           ray), targets u32 [rays] (bits of the pixel; w: the view), gains [views] log gains and, where run.offsets is 1,
+//           ray), targets [rays], gains [views] log gains and, where run.offsets is 1,
 //           [views] offsets behind them, background [3][16], counts[slot] rays in use
 // Writes    found [FOUND_ROWS][rays] of rays in use, each element once: FOUND_GAIN 3 slopes in log gains, FOUND_OFFSET 3 in
 //           offsets, FOUND_LOSS sum of squares, FOUND_SLOPE 3 in the ray's colour, FOUND_TOWARDS slope times colour
 //           behind; where run.behind is 1, parts [rays / 64][4][16] of workgroups that hold rays in use, each element once,
 //           row 3 being 0; faults of FAULT_LOSS where a loss, FAULT_BACKGROUND where a coefficient of the background,
 //           FAULT_EXPOSURES where an exposure or its slope runs away
-// Extremes  an empty ray shows the background. A ray that is not there gets zeros and no fault, and adds 0 to its part.
+// Extremes  an empty ray shows the background. A ray of a photo with transparency has a colour of its own behind it, and teaches the
+//           background nothing. A ray that is not there gets zeros and no fault, and adds 0 to its part.
 struct CompareRun {
     slot: u32,
     capacity: u32,
@@ -31,7 +32,7 @@ struct CompareRun {
 @group(0) @binding(3) var<storage, read> light: array<f32>;
 @group(0) @binding(4) var<storage, read> rgb: array<f32>;
 @group(0) @binding(5) var<storage, read> directions: array<vec4<f32>>;
-@group(0) @binding(6) var<storage, read> targets: array<vec4<u32>>;
+@group(0) @binding(6) var<storage, read> targets: array<Target>;
 @group(0) @binding(7) var<storage, read> gains: array<vec4<f32>>;
 @group(0) @binding(8) var<storage, read> background: array<f32>;
 @group(0) @binding(9) var<storage, read_write> found: array<f32>;
@@ -83,14 +84,16 @@ fn clear(ray: u32) {
 fn compared(ray: u32, harmonics: array<f32, 16>) -> vec3<f32> {
     let sum = gathered(ray);
     let logits = logits_behind(harmonics);
-    let is_seen = run.behind == 1u;
-    let behind = select(vec3<f32>(0.0), colours_of(logits), is_seen);
-    let plain = fma(vec3<f32>(sum.w), behind, sum.xyz);
+    let aim = targets[ray];
+    let has_own = aim.share >= 0.0;
+    let is_seen = run.behind == 1u && !has_own;
+    let behind = select(select(vec3<f32>(0.0), colours_of(logits), is_seen), aim.behind, has_own);
+    // Over black, as the pixel is: what passes, less what the pixel shows of the same colour.
+    let passes = sum.w - select(0.0, aim.share, has_own);
+    let plain = fma(vec3<f32>(passes), behind, sum.xyz);
 
-    // Integers: as f32 the view would be a denormal, which a driver may flush to 0.
-    let target_of = targets[ray];
-    let pixel = bitcast<vec3<f32>>(target_of.xyz);
-    let view = target_of.w;
+    let pixel = aim.rgb;
+    let view = aim.view;
     let log_gain = gains[view].xyz;
     var offset = vec3<f32>(0.0);
     if run.offsets == 1u { offset = gains[run.views + view].xyz; }

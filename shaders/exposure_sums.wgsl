@@ -4,13 +4,13 @@
 // Twin      marf_field::learn::learn_exposures, its first loop; within 1e-5 of the sum of sizes: the order
 //           differs, and is that of the indices
 // Threads   one workgroup of 64 per view, each thread every 64th ray: dispatch (views folded)
-// Reads     asked; counts[COUNT_RAYS] rays that fit; targets [rays] w: view; slopes [row + 6][ray slots] from row
+// Reads     asked; counts[COUNT_RAYS] rays that fit; targets [rays]; slopes [row + 6][ray slots] from row
 //           asked.row on gain rgb, offset rgb, 0 where a ray has no loss; gains [views or 2 views] vec4
 // Writes    sums [2][views] vec4, each once; faults[FAULT_EXPOSURES] where a slope or a gain runs away
 // Extremes  a view without rays: 0. NaN, infinity or 2^30 and more: the fault, before any weight changes.
 @group(0) @binding(0) var<uniform> asked: Exposed;
 @group(0) @binding(1) var<storage, read> counts: array<u32>;
-@group(0) @binding(2) var<storage, read> targets: array<vec4<u32>>;
+@group(0) @binding(2) var<storage, read> targets: array<Target>;
 @group(0) @binding(3) var<storage, read> slopes: array<f32>;
 @group(0) @binding(4) var<storage, read> gains: array<vec4<f32>>;
 @group(0) @binding(5) var<storage, read_write> sums: array<vec4<f32>>;
@@ -44,7 +44,7 @@ fn main(
     var offset = vec3(0.0);
     var wild = false;
     for (var ray = me; ray < rays; ray += THREADS) {
-        if targets[ray].w != view { continue; }
+        if targets[ray].view != view { continue; }
         let slope_of_gain = slope(asked.row, ray);
         let slope_of_offset = slope(asked.row + 3u, ray);
         wild = wild || is_wild(slope_of_gain) || is_wild(slope_of_offset);

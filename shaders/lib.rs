@@ -127,6 +127,9 @@ pub const RNG: &str = include_str!("shared/rng.wgsl");
 /// A camera and the rays behind its pixels, for kernels and their tests.
 pub const CAMERA: &str = include_str!("shared/camera.wgsl");
 
+/// What a ray is compared with.
+const TARGET: &str = include_str!("shared/target.wgsl");
+
 /// What changes with every step of training.
 const STEP: &str = include_str!("shared/step.wgsl");
 
@@ -263,7 +266,7 @@ pub const BITS: Shader = Shader {
 /// Draws the rays of a training step.
 pub const RAYS: Shader = Shader {
     name: "rays",
-    shared: &[FLAT, RNG, CAMERA, STEP],
+    shared: &[FLAT, RNG, CAMERA, STEP, TARGET],
     text: include_str!("rays.wgsl"),
     heads: &[
         "const PURPOSE: u32 = 3u;\nconst NEWTON_STEPS: u32 = 20u;\nconst HIDDEN: u32 = 255u;\nconst DRAWS: u32 = 8u;\n",
@@ -305,7 +308,7 @@ pub const ALIVE: Shader = Shader {
 /// Adds up the slopes of exposures, photo by photo.
 pub const EXPOSURE_SUMS: Shader = Shader {
     name: "exposure_sums",
-    shared: &[EXPOSED],
+    shared: &[EXPOSED, TARGET],
     text: include_str!("exposure_sums.wgsl"),
     heads: &["const RUNAWAY: u32 = 0x4e800000u;\n"],
 };

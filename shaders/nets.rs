@@ -1,6 +1,6 @@
 //! The kernels of networks and of light along rays.
 
-use crate::{FAULTS, FLAT, MATH, Shader};
+use crate::{FAULTS, FLAT, MATH, Shader, TARGET};
 
 /// Sizes of columns.
 const EXTENT: &str = include_str!("shared/extent.wgsl");
@@ -158,7 +158,7 @@ pub const KEPT: Shader = Shader {
 /// Colour of a ray beside its pixel.
 pub const COMPARE: Shader = Shader {
     name: "compare",
-    shared: &[FLAT, MATH, COLOUR_OF, HARMONICS_OF, BEHIND],
+    shared: &[FLAT, MATH, COLOUR_OF, HARMONICS_OF, BEHIND, TARGET],
     text: include_str!("compare.wgsl"),
     heads: HEADS,
 };

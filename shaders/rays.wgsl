@@ -6,10 +6,11 @@
 // Twin      marf_field::draw::Training::target; pixel, colour, view, jitter, origin, pull equal bit for bit, direction
 //           within 2e-6 (shared/camera.wgsl).
 // Threads   one per ray: workgroup 64, folded
-// Reads     step; cameras [views]; pixels [kept] r | g << 8 | b << 16 | place in its run, or HIDDEN, << 24; observations [S]
-// Writes    origins, directions, targets [rays wanted] vec4, pulls [rays wanted] vec2, each once; no slot beyond
+// Reads     step; cameras [views]; pixels [kept] r | g << 8 | b << 16 | place in its run, or HIDDEN, << 24; alphas: opacities of the
+//           kept pixels of photos with transparency, 4 a word from the lowest byte on; observations [S]
+// Writes    origins, directions [rays wanted] vec4, targets [rays wanted], pulls [rays wanted] vec2, each once; no slot beyond
 // Extremes  no inverse of the distortion, or hidden after all draws: directions.w is 0. An observation beyond the last step pulls with weight 0.
-//           observations = 0: no ray goes to one. The view number travels as integer bits: as f32 it is a denormal.
+//           observations = 0: no ray goes to one.
 struct Observed {
     // Number of the pixel among all kept.
     pixel: u32,
@@ -25,8 +26,9 @@ struct Observed {
 @group(0) @binding(3) var<storage, read> observations: array<Observed>;
 @group(0) @binding(4) var<storage, read_write> origins: array<vec4<f32>>;
 @group(0) @binding(5) var<storage, read_write> directions: array<vec4<f32>>;
-@group(0) @binding(6) var<storage, read_write> targets: array<vec4<u32>>;
+@group(0) @binding(6) var<storage, read_write> targets: array<Target>;
 @group(0) @binding(7) var<storage, read_write> pulls: array<vec2<f32>>;
+@group(0) @binding(8) var<storage, read> alphas: array<u32>;
 
 // The view that a pixel belongs to: the last whose first pixel is not behind it.
 fn view_of(pixel: u32) -> u32 {
@@ -40,15 +42,15 @@ fn view_of(pixel: u32) -> u32 {
 }
 
 // c / 255 rounded to the nearest f32, as the CPU's division does: a GPU's own division may be off by 2.5 ulp.
-fn share_of_255(c: u32) -> u32 {
-    if c == 0u { return 0u; }
+fn share_of_255(c: u32) -> f32 {
+    if c == 0u { return 0.0; }
     // With the top bit of c at bit 7 the quotient has 24 bits.
     let shift = countLeadingZeros(c) - 24u;
     let scaled = (c << shift) << 24u;
     let whole = scaled / 255u;
     let rounded = whole + select(0u, 1u, 2u * (scaled - whole * 255u) > 255u);
     // 2^-(24 + shift): a power of two scales exactly.
-    return bitcast<u32>(f32(rounded) * bitcast<f32>((103u - shift) << 23u));
+    return f32(rounded) * bitcast<f32>((103u - shift) << 23u);
 }
 
 @compute @workgroup_size(64)
@@ -77,7 +79,18 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
     origins[ray] = vec4(centre_of(camera), jitter);
     directions[ray] = ray_behind(camera, centre);
     if packed >> 24u == HIDDEN { directions[ray] = vec4(0.0); }
-    let rgb = vec3(packed & 255u, (packed >> 8u) & 255u, (packed >> 16u) & 255u);
-    targets[ray] = vec4(share_of_255(rgb.x), share_of_255(rgb.y), share_of_255(rgb.z), view);
+    let rgb = vec3(
+        share_of_255(packed & 255u), share_of_255((packed >> 8u) & 255u), share_of_255((packed >> 16u) & 255u)
+    );
+    var behind = vec3(0.0);
+    var share = -1.0;
+    if camera.alpha > 0u {
+        behind.x = rng_unit(&rng);
+        behind.y = rng_unit(&rng);
+        behind.z = rng_unit(&rng);
+        let at = camera.alpha - 1u + pixel - camera.first;
+        share = share_of_255(255u - ((alphas[at / 4u] >> (8u * (at % 4u))) & 255u));
+    }
+    targets[ray] = Target(rgb, view, behind, share);
     pulls[ray] = pull;
 }

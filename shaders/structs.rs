@@ -98,6 +98,10 @@ pub struct ViewCamera {
     pub width: u32,
     /// Rows of the photo.
     pub height: u32,
+    /// Number of the opacity of its first kept pixel among all, and 1; 0: it is opaque.
+    pub alpha: u32,
+    /// Padding to 16 bytes.
+    pub pad: [u32; 3],
 }
 
 /// A pixel that sees a sparse point, an element of `observations`.
@@ -110,6 +114,20 @@ pub struct Observed {
     pub place: f32,
     /// 1 where the point lies within the steps.
     pub pulls: u32,
+}
+
+/// What a ray is compared with, an element of `targets`.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+pub struct Target {
+    /// The pixel, sRGB in [0, 1] over black.
+    pub rgb: [f32; 3],
+    /// Number of the view.
+    pub view: u32,
+    /// sRGB that is put behind the last sample, in [0, 1).
+    pub behind: [f32; 3],
+    /// How much of it the pixel shows, in [0, 1]; below 0 the background is behind.
+    pub share: f32,
 }
 
 /// Pixels of one photo whose rays are wanted.

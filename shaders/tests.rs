@@ -38,6 +38,7 @@ wgsl! {
     i32 => "i32",
     f32 => "f32",
     [u32; 2] => "vec2<u32>",
+    [u32; 3] => "vec3<u32>",
     [f32; 2] => "vec2<f32>",
     [f32; 3] => "vec3<f32>",
     [f32; 4] => "vec4<f32>",
@@ -89,7 +90,8 @@ fn rust_layouts() -> Vec<Layout> {
         Pace { rate, total, keep, pad }
         GridLevel { resolution, entries, first, dense }
         Step { seed, number, pixels, observations, share, rays, views, pull, rate, pad }
-        ViewCamera { lens, distortion, row_x, row_y, row_z, first, run, width, height }
+        ViewCamera { lens, distortion, row_x, row_y, row_z, first, run, width, height, alpha, pad }
+        Target { rgb, view, behind, share }
         Observed { pixel, place, pulls }
         PixelRange { camera, first, count, jitter, pad }
         Walk { rays, ray_slots, capacity, limit, steps, padded, side, resumes, slot, again }

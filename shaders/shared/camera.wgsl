@@ -17,6 +17,11 @@ struct ViewCamera {
     run: u32,
     width: u32,
     height: u32,
+    // Number of the opacity of its first kept pixel, and 1; 0: it is opaque.
+    alpha: u32,
+    pad0: u32,
+    pad1: u32,
+    pad2: u32,
 }
 
 // Newton's steps end where rounding does not let the error fall, for |x| of 1; f64 goes to 1e-14.

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use marf_cache::Store;
-use marf_engine::{Cancel, Options, RunRecord};
+use marf_engine::{Cancel, NodeRun, Options, RunRecord};
 use marf_provenance::lineage::Lineage;
 use marf_provenance::replay::recorded;
 use serde_json::{Value, json};
@@ -121,5 +121,57 @@ pub fn run_nodes(
     };
     let (record, ended) = execute(&session, &options, global, cancel)?;
     ended?;
+    for name in made_otherwise(run, &record) {
+        warn(format!(
+            "this marf makes `{name}` in another way than run {}, and made it again: what is written is of the new result",
+            run.number
+        ));
+    }
     Ok((session, record))
+}
+
+/// Returns the nodes whose results are others than those of a run before, and were to be: a stage has another version since.
+fn made_otherwise<'r>(before: &RunRecord, after: &'r RunRecord) -> Vec<&'r str> {
+    let is_other = |node: &&NodeRun| {
+        let old = before.node(&node.name).filter(|old| old.state.is_good());
+        old.is_some_and(|old| old.key != node.key && old.outputs != node.outputs)
+    };
+    let good = after
+        .nodes
+        .iter()
+        .filter(|node| node.parent.is_none() && node.state.is_good());
+    good.filter(is_other).map(|node| node.name.as_str()).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use marf_cache::Digest;
+
+    /// A run of one training: what it was keyed by and what it gave.
+    fn run(key: &str, weights: &str) -> RunRecord {
+        let [key, weights] = [key, weights].map(|text| Digest::of(text.as_bytes()));
+        let node = json!({
+            "name": "train", "stage": "train", "parent": null, "edges": [], "key": key, "state": "finished", "reason": "",
+            "seconds": 1.0, "outputs": {"weights.safetensors": {"digest": weights, "bytes": 1}}, "counts": {},
+        });
+        let run = json!({
+            "pipeline": "p", "command": "", "program": "", "started_unix_s": 0, "seconds": 1.0, "outcome": "done",
+            "digest": key, "threads": 1, "nodes": [node], "latest": {},
+        });
+        serde_json::from_value(run).unwrap()
+    }
+
+    #[test]
+    fn a_node_is_told_that_was_keyed_otherwise_and_gave_something_else() {
+        let before = run("version 11", "a");
+        assert_eq!(made_otherwise(&before, &run("version 12", "b")), ["train"]);
+        for same in [
+            run("version 11", "a"),
+            run("version 12", "a"),
+            run("version 11", "b"),
+        ] {
+            assert!(made_otherwise(&before, &same).is_empty());
+        }
+    }
 }

@@ -131,6 +131,7 @@ pub(super) fn facts() -> Facts {
         seen_share: 0.5,
         occupied_share: 0.1,
         steps: 4000,
+        transparent_photos: 0,
     }
 }
 

@@ -29,6 +29,11 @@ pub(super) fn number(value: f64) -> String {
     text.trim_end_matches('0').trim_end_matches('.').to_owned()
 }
 
+/// A length with four significant digits, but none below a millionth of its unit: what rounding has left of 0 is 0.
+pub(super) fn length(value: f64) -> String {
+    number(if value.abs() < 1e-6 { 0.0 } else { value })
+}
+
 /// A number of a known kind: decibels have two decimals, so that columns of them line up.
 pub(super) fn figure(key: &str, value: f64) -> String {
     let name = key.rsplit('.').next().unwrap_or(key);
@@ -129,6 +134,19 @@ mod tests {
         ];
         for (value, text) in cases {
             assert_eq!(number(value), text, "{value}");
+        }
+    }
+
+    #[test]
+    fn a_length_that_rounding_has_left_of_nothing_is_nothing() {
+        for (value, text) in [
+            (7e-16, "0"),
+            (-7e-16, "0"),
+            (2e-6, "2.00e-6"),
+            (0.25, "0.25"),
+            (f64::NAN, "not finite"),
+        ] {
+            assert_eq!(length(value), text, "{value}");
         }
     }
 

@@ -6,7 +6,7 @@ use marf_schema::train::WarmStart;
 use marf_schema::{bootstrap, calibrate, evaluate, folds, train};
 use maud::{Markup, html};
 
-use super::format::{decibels, number, similarity};
+use super::format::{decibels, length, number, similarity};
 
 /// A figure: its name, its value with the unit.
 pub(super) type Figure = (&'static str, String);
@@ -93,8 +93,8 @@ pub(super) fn of_calibration(metrics: &calibrate::Metrics) -> Vec<Figure> {
     let tie = metrics.tie.map(|tie| {
         let median = format!(
             "{} m, {} m at most (site {})",
-            number(tie.median_m),
-            number(tie.largest_m),
+            length(tie.median_m),
+            length(tie.largest_m),
             tie.site
         );
         ("cameras from their labels", median)
@@ -117,8 +117,8 @@ pub(super) fn of_photo(scores: &PhotoScores) -> Vec<Figure> {
 /// Returns how far away the nearest photo is: in metres where the scene has a scale, and by direction.
 fn place_of(nearest: &Nearest) -> String {
     let distance = match nearest.distance_m {
-        Some(metres) => format!("{} m", number(metres)),
-        None => format!("{} units", number(nearest.distance)),
+        Some(metres) => format!("{} m", length(metres)),
+        None => format!("{} units", length(nearest.distance)),
     };
     format!("{distance}, {:.0}°", nearest.angle_deg)
 }

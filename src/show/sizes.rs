@@ -15,6 +15,11 @@ pub(super) fn shown(facts: &Facts) -> Markup {
             div.scroll { table {
                 tr { th scope="row" { "half side of the box" } td.number { (number(facts.half_side)) }
                     td { (facts.box_reason) } }
+                @if facts.transparent_photos > 0 {
+                    tr { th scope="row" { "photos with transparency" }
+                        td.number { (facts.transparent_photos) }
+                        td { "their rays train over a random colour each" } }
+                }
                 @for (name, size, unit, reason) in rows(facts) {
                     tr { th scope="row" { (name) } td.number { (number(size)) " " (unit) } td { (reason) } }
                 }
@@ -66,7 +71,11 @@ mod tests {
 
     #[test]
     fn every_size_stands_beside_its_reason_and_every_part_beside_its_decision() {
-        let shown = shown(&facts()).into_string();
+        let facts = Facts {
+            transparent_photos: 12,
+            ..facts()
+        };
+        let shown = shown(&facts).into_string();
         for part in [
             "3.5",
             "80 % of the points",
@@ -74,6 +83,7 @@ mod tests {
             "half of &lt;that&gt;",
             "by 1.9 a level",
             "left out: +0.02 dB",
+            "a random colour each",
         ] {
             assert!(shown.contains(part), "{part}: {shown}");
         }

@@ -82,7 +82,7 @@ pub(crate) fn reduced(
     factor: u32,
 ) -> Result<Digest, StageError> {
     ctx.check()?;
-    let key = digest_of(&("calibrate reduced photo 1", *image, (size_px, factor)));
+    let key = digest_of(&("calibrate reduced photo 2", *image, (size_px, factor)));
     let known = ctx.memos.load(&key).and_then(|bytes| {
         let digest = Digest::from_bytes((*bytes).try_into().ok()?);
         kept(ctx, &digest).then_some(digest)
@@ -99,7 +99,10 @@ pub(crate) fn reduced(
             size_px[0], size_px[1]
         )));
     }
-    let png = encode_png(&photo.image.box_reduced(factor)).map_err(|error| broken(&error))?;
+    let png = photo
+        .box_reduced(factor)
+        .to_png()
+        .map_err(|error| broken(&error))?;
     let digest = ctx.put(&png)?;
     ctx.memos.save(&key, digest.as_bytes());
     Ok(digest)

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use marf_cache::manifest::Row;
 use marf_pds::exif::{self, Lens};
 use marf_pds::{Label, ProductName, raw};
-use marf_scene::{Image, Photo, PhotoFacts, Srgb, thumbnail};
+use marf_scene::{Photo, PhotoFacts, thumbnail};
 use marf_stage::{Ctx, Fetched, FetchedMeasure, StageError, Verdict};
 use rayon::prelude::*;
 
@@ -145,7 +145,7 @@ fn decode(product: &Product, file: &ArchiveFile, bytes: &[u8]) -> Result<Decoded
         let developed = raw::develop(name, bytes, beside)?;
         return Ok(Decoded {
             made: Some(raw::png(&developed.image)?),
-            photo: as_stored(developed.image),
+            photo: developed.image.into(),
             bands: developed.bands,
             notes: developed.notes,
             lens: Lens::default(),
@@ -174,7 +174,8 @@ fn decode(product: &Product, file: &ArchiveFile, bytes: &[u8]) -> Result<Decoded
     Ok(Decoded {
         photo: match made {
             None => photo,
-            Some(_) => as_stored(photo.image),
+            // As the PNG of it decodes.
+            Some(_) => photo.image.into(),
         },
         bands,
         notes,
@@ -182,15 +183,6 @@ fn decode(product: &Product, file: &ArchiveFile, bytes: &[u8]) -> Result<Decoded
         made,
         attached: None,
     })
-}
-
-/// Returns a picture that was made of a file as later stages decode it: from a PNG of three bands.
-fn as_stored(image: Image<Srgb>) -> Photo {
-    Photo {
-        image,
-        bands: 3,
-        notes: Vec::new(),
-    }
 }
 
 fn make_row(

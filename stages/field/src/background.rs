@@ -17,12 +17,14 @@ const RIDGE: f64 = 0.01;
 ///
 /// From zero, the background needs some hundred steps to become a bright sky; until then fog before the cameras
 /// takes its place for good (lego, white background, 300 steps: 11.9 dB from zero, 20.2 dB from the mean colour).
-/// Pixels whose distortion has no inverse are left out; without any the background is gray.
+/// Photos with transparency do not show it and are left out, as are pixels whose distortion has no inverse; without any the background
+/// is gray.
 pub fn fit(views: &[View]) -> Vec<f32> {
     let mut normal = SMatrix::<f64, { sh::COUNT }, { sh::COUNT }>::zeros();
     let mut right = SMatrix::<f64, { sh::COUNT }, 3>::zeros();
     let mut pixels = 0.0;
-    for (direction, rgb) in views.iter().flat_map(looks) {
+    let opaque = views.iter().filter(|view| !view.image.is_transparent());
+    for (direction, rgb) in opaque.flat_map(looks) {
         let row = SVector::from(sh::harmonics(direction).map(f64::from));
         normal += row * row.transpose();
         right += row * rgb.map(logit).transpose();

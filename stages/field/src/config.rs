@@ -10,7 +10,7 @@ pub const MOST_HALVINGS: u32 = 6;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Background {
-    /// A learnt colour by direction (16 spherical harmonics a channel): sky and horizon.
+    /// A colour by direction (16 spherical harmonics a channel), learnt from photos without transparency: sky and horizon.
     Direction,
     /// Black: objects in front of nothing.
     Black,
@@ -131,7 +131,8 @@ pub struct Config {
     pub depth_steps: u32,
     /// Exposure of single photos.
     pub gain: Gain,
-    /// What lies behind the last sample.
+    /// What lies behind the last sample. Rays of photos with transparency train over a random colour each; where all photos have some,
+    /// pictures show black.
     pub background: Background,
     /// Whether colours depend on where one looks from.
     pub view_dependence: ViewDependence,

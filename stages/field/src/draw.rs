@@ -28,6 +28,18 @@ pub struct Target {
     pub exposure: Exposure,
     /// Where its matter is, if a sparse point says so.
     pub pull: Option<Pull>,
+    /// What is put behind its last sample; `None`: the background.
+    pub behind: Option<Behind>,
+}
+
+/// What a ray of a photo with transparency is trained over: a colour of its own, so that neither the background nor fog can take the
+/// place of what the photo does not show (as instant-ngp trains, <https://github.com/NVlabs/instant-ngp>).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Behind {
+    /// sRGB, each in [0, 1).
+    pub rgb: [f32; 3],
+    /// How much of it the pixel shows, in [0, 1].
+    pub share: f32,
 }
 
 impl Training {
@@ -62,13 +74,19 @@ impl Training {
         let view = &self.views[index];
         let (centre, rgb) = view.image.at(kept);
         let start = || self.frame.ray(&view.camera, &self.world_from_cams[index], centre);
+        let jitter = rng.unit();
+        let behind = view.image.share_behind(kept).map(|share| Behind {
+            rgb: [(); 3].map(|()| rng.unit()),
+            share,
+        });
         Target {
             start: (!view.image.is_hidden(kept)).then(start).flatten(),
-            jitter: rng.unit(),
+            jitter,
             view: index as u32,
             rgb,
             exposure: exposures[index],
             pull,
+            behind,
         }
     }
 

@@ -140,6 +140,7 @@ fn a_nan_in_a_pixel_a_gain_or_a_ray_is_named() {
             offset: [0.0; 3],
         },
         pull: None,
+        behind: None,
     };
     assert_eq!(batch_of(good), None);
     for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {

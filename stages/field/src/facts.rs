@@ -64,4 +64,12 @@ pub struct Facts {
     pub occupied_share: f64,
     /// Optimiser steps behind the weights.
     pub steps: u64,
+    /// Photos trained on that are transparent somewhere: their rays train over a random colour each.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub transparent_photos: u64,
+}
+
+// Fields of opaque photos keep their bytes.
+fn is_zero(count: &u64) -> bool {
+    *count == 0
 }

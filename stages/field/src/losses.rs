@@ -79,7 +79,10 @@ impl Losses<'_> {
     fn ray(&mut self, target: &Target, Span { first, end }: Span, harmonics: &[f32; sh::COUNT]) {
         let (shared, shade) = (self.shared, self.shade);
         let logits = shared.weights.logits_behind(harmonics);
-        let behind = shared.weights.behind(shared.config.background, harmonics);
+        let background = shared.weights.behind(shared.config.background, harmonics);
+        let (behind, share) = target
+            .behind
+            .map_or((background, 0.0), |behind| (behind.rgb, behind.share));
         let ray = Ray {
             alpha: &shade.alpha[first..end],
             transmittance: &shade.transmittance[first..end],
@@ -88,7 +91,8 @@ impl Losses<'_> {
         };
         let Gathered { rgb, left } = ray.gather();
         let scale = 2.0 / (3 * shared.rays) as f32;
-        let plain = [0, 1, 2].map(|channel| left.mul_add(behind[channel], rgb[channel]));
+        // Over black, as the pixel is: what passes, less what the pixel shows of the same colour.
+        let plain = [0, 1, 2].map(|channel| (left - share).mul_add(behind[channel], rgb[channel]));
         let compared = target.exposure.compare(plain, target.rgb, scale);
         let slope = compared.colour;
         for square in compared.squares {
@@ -107,7 +111,7 @@ impl Losses<'_> {
             pull.spread(&ray, cell, d_tau);
         }
         self.found.exposures.push((target.view, compared.exposure));
-        if shared.config.background == Background::Direction {
+        if shared.config.background == Background::Direction && target.behind.is_none() {
             self.behind(slope.map(|slope| left * slope), logits, harmonics);
         }
     }

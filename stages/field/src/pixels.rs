@@ -22,6 +22,8 @@ pub struct Pixels {
     pub(crate) pixels: Vec<[u8; 3]>,
     /// Place of each kept pixel in its run, or [`HIDDEN`]; empty where all are kept and none is hidden.
     offsets: Vec<u8>,
+    /// Opacity of each kept pixel, whose colour is blended over black; empty where the photo is opaque.
+    alpha: Vec<u8>,
 }
 
 /// In place of the place in its run: a mask hides the pixel, and nothing is learnt from it.
@@ -87,7 +89,38 @@ impl Pixels {
             run,
             pixels,
             offsets,
+            alpha: Vec::new(),
         }
+    }
+
+    /// Gives the kept pixels their opacities: those of all pixels of the photo, `[height * width]`, or none where it is opaque.
+    ///
+    /// # Panics
+    /// If there is not one for every pixel: a slip of the program.
+    pub fn with_alpha(mut self, alpha: &[u8]) -> Self {
+        if alpha.is_empty() {
+            return self;
+        }
+        let all = self.width as usize * self.height as usize;
+        assert_eq!(alpha.len(), all, "alpha has the size of its photo");
+        self.alpha = (0..self.len()).map(|kept| alpha[self.place(kept)]).collect();
+        self
+    }
+
+    /// Returns whether the photo shows what lies behind the scene, black here, in some of its pixels.
+    pub(crate) fn is_transparent(&self) -> bool {
+        !self.alpha.is_empty()
+    }
+
+    /// Returns the opacities of the kept pixels; none of an opaque photo.
+    pub(crate) fn alpha(&self) -> &[u8] {
+        &self.alpha
+    }
+
+    /// Returns how much a kept pixel shows of what lies behind the scene, in [0, 1]; `None` of an opaque photo.
+    pub(crate) fn share_behind(&self, kept: usize) -> Option<f32> {
+        let alpha = self.alpha.get(kept)?;
+        Some(f32::from(u8::MAX - alpha) / 255.0)
     }
 
     /// Returns whether a mask hides a kept pixel.
@@ -100,7 +133,7 @@ impl Pixels {
         !self.offsets.is_empty() && self.offsets.iter().all(|offset| *offset == HIDDEN)
     }
 
-    /// Returns the bytes that a photo takes of which one pixel in `run` is kept, with a mask or without.
+    /// Returns the bytes that an opaque photo takes of which one pixel in `run` is kept, with a mask or without; alpha is one more a pixel.
     pub fn bytes(width: u32, height: u32, run: u32, masked: bool) -> u64 {
         let all = u64::from(width) * u64::from(height);
         match run {
@@ -134,15 +167,19 @@ impl Pixels {
 
     /// Returns the centre of a kept pixel in the photo, and its sRGB in [0, 1]; of a hidden one the centre is the first of its run.
     pub(crate) fn at(&self, kept: usize) -> ([f64; 2], [f32; 3]) {
-        let offset = self.offsets.get(kept).filter(|offset| **offset != HIDDEN);
-        let offset = offset.map_or(0, |offset| usize::from(*offset));
-        let place = kept * self.run as usize + offset;
+        let place = self.place(kept);
         let width = self.width as usize;
         let centre = [(place % width) as f64 + 0.5, (place / width) as f64 + 0.5];
         (
             centre,
             self.pixels[kept].map(|channel| f32::from(channel) / 255.0),
         )
+    }
+
+    /// Returns where a kept pixel lies among all of the photo; of a hidden one, where its run begins.
+    fn place(&self, kept: usize) -> usize {
+        let offset = self.offsets.get(kept).filter(|offset| **offset != HIDDEN);
+        kept * self.run as usize + offset.map_or(0, |offset| usize::from(*offset))
     }
 
     /// Returns which of the kept pixels that of a column and row is, if it is kept and not hidden.
@@ -170,6 +207,7 @@ impl From<Image<Srgb>> for Pixels {
             run: 1,
             pixels: image.pixels,
             offsets: Vec::new(),
+            alpha: Vec::new(),
         }
     }
 }
@@ -292,6 +330,22 @@ mod tests {
         }
         let all = Pixels::thinned(numbered(20, 16), Some(&[true; 320]), 4, 3, 4);
         assert!(all.is_whole() && all.is_all_hidden());
+    }
+
+    #[test]
+    fn a_kept_pixel_has_the_opacity_of_its_place() {
+        let alpha: Vec<u8> = (0..20 * 16).map(|place| (place * 7) as u8).collect();
+        let mask: Vec<bool> = (0..20 * 16).map(|place| place % 3 == 0).collect();
+        for (hidden, run) in [(None, 1), (None, 8), (Some(&*mask), 1), (Some(&*mask), 8)] {
+            let pixels = Pixels::thinned(numbered(20, 16), hidden, run, 3, 4).with_alpha(&alpha);
+            assert!(pixels.is_transparent());
+            for kept in (0..pixels.len()).filter(|kept| !pixels.is_hidden(*kept)) {
+                let share = pixels.share_behind(kept).unwrap();
+                assert_eq!(share, f32::from(255 - alpha[place(&pixels, kept)]) / 255.0);
+            }
+        }
+        let opaque = Pixels::from(numbered(20, 16)).with_alpha(&[]);
+        assert!(!opaque.is_transparent() && opaque.share_behind(0).is_none());
     }
 
     #[test]

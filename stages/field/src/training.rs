@@ -106,6 +106,7 @@ impl Training {
         frame: Frame,
         sizes: Sizes,
     ) -> Self {
+        let config = &shown_over(config, &views);
         let mut weights = Weights::zeros(config, &sizes);
         weights.randomise(seed);
         if config.background == Background::Direction {
@@ -223,7 +224,26 @@ impl Training {
             seen_share: self.state.occupancy.seen_share(),
             occupied_share: self.state.occupancy.bits.share(),
             steps: self.state.steps,
+            transparent_photos: self
+                .views
+                .iter()
+                .filter(|view| view.image.is_transparent())
+                .count() as u64,
         }
+    }
+}
+
+/// Returns the configuration with the background that pictures show: black where every photo is transparent somewhere, which then says
+/// nothing of a background.
+fn shown_over(config: &Config, views: &[View]) -> Config {
+    let are_cut_out = views.iter().all(|view| view.image.is_transparent());
+    Config {
+        background: if are_cut_out {
+            Background::Black
+        } else {
+            config.background
+        },
+        ..config.clone()
     }
 }
 
@@ -246,6 +266,7 @@ fn fingerprint(views: &[View], frame: &Frame, observations: &[Observation]) -> u
         let pose: [[f64; 4]; 3] = view.cam_from_world.into();
         sum.add(pose.as_flattened().iter().map(|number| number.to_bits()));
         sum.add(view.image.words());
+        sum.add(view.image.alpha().iter().map(|alpha| u64::from(*alpha)));
     }
     let numbers = frame.origin.iter().chain([&frame.half_side]);
     sum.add(numbers.map(|number| number.to_bits()));

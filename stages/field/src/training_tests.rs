@@ -457,6 +457,60 @@ fn a_black_background_stays_black_where_nothing_is() {
     );
 }
 
+/// The ball cut out, all of it black: over black its photos are black everywhere.
+fn cut_out_and_black(count: u32, width: u32) -> Vec<View> {
+    let is_ball = |rgb: [f32; 3]| rgb[0] > rgb[2];
+    let cut = |view: View| {
+        let alpha: Vec<u8> = (0..view.image.len())
+            .map(|kept| if is_ball(view.image.at(kept).1) { 255 } else { 0 })
+            .collect();
+        let image = Image::from_fn(width, width, |_, _| [0; 3]);
+        View {
+            image: Pixels::from(image).with_alpha(&alpha),
+            ..view
+        }
+    };
+    ball(count, width).into_iter().map(cut).collect()
+}
+
+#[test]
+fn a_black_thing_is_told_from_nothing_by_its_transparency() {
+    let mut trainer = trained(cut_out_and_black(12, 24), &small(), 4, 200);
+    assert_eq!(trainer.training.config.background, Background::Black);
+    let field = trainer.field().unwrap();
+    let view = ball_view(0.3, 0.2, 24);
+    let render = field.render(&view.camera, &view.cam_from_world).unwrap();
+    let (middle, corner) = (render.opacity[12 * 24 + 12], render.opacity[0]);
+    assert!(middle > 0.9 && corner < 0.1, "{middle} {corner}");
+    let opaque = |view: View| View {
+        image: Image::from_fn(24, 24, |_, _| [0; 3]).into(),
+        ..view
+    };
+    let views = cut_out_and_black(12, 24).into_iter().map(opaque).collect();
+    let blind = trained(views, &small(), 4, 200).field().unwrap();
+    let render = blind.render(&view.camera, &view.cam_from_world).unwrap();
+    assert!(
+        render.opacity[12 * 24 + 12] < 0.5,
+        "{}",
+        render.opacity[12 * 24 + 12]
+    );
+}
+
+#[test]
+fn photos_without_transparency_still_teach_the_background() {
+    let mut views = ball(6, 12);
+    views.extend(cut_out_and_black(6, 12));
+    let trained = trained(views.clone(), &small(), 4, 10).training;
+    assert_eq!(trained.config.background, Background::Direction);
+    let alone = Trainer::new(ball(6, 12), &[], &small(), 4).unwrap().training;
+    let first = Trainer::new(views, &[], &small(), 4).unwrap().training;
+    assert_eq!(
+        first.state.weights.background, alone.state.weights.background,
+        "what it starts from is of the opaque photos alone"
+    );
+    assert_ne!(trained.state.weights.background, first.state.weights.background);
+}
+
 /// Changes only when training answers differently: then the stages built on it raise their VERSION.
 const FINGERPRINT_OF_TWENTY_STEPS: u64 = 0x77ae_3aa4_e7b9_840f;
 

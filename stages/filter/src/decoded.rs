@@ -70,11 +70,7 @@ mod tests {
             (1, 1, 1, 3)
         );
         assert_eq!((step(1440 * 1920), step(400_000_000)), (3, 39));
-        let photo = |width, height| Photo {
-            image: Image::from_fn(width, height, |x, y| [x as u8, y as u8, 7]),
-            bands: 3,
-            notes: Vec::new(),
-        };
+        let photo = |width, height| Photo::from(Image::from_fn(width, height, |x, y| [x as u8, y as u8, 7]));
         let small = photo(31, 7);
         assert!(
             DecodedPhoto::of(&small)

@@ -236,17 +236,11 @@ fn eight_bits(sixteenths: u32) -> u8 {
 
 #[cfg(test)]
 mod tests {
-    use marf_scene::Photo;
 
     use super::*;
 
     fn descriptor(image: Image<Srgb>) -> ViewDescriptor {
-        let photo = Photo {
-            image,
-            bands: 3,
-            notes: Vec::new(),
-        };
-        ViewDescriptor::of(&DecodedPhoto::of(&photo)).0
+        ViewDescriptor::of(&DecodedPhoto::of(&image.into())).0
     }
 
     fn hills() -> Image<Srgb> {

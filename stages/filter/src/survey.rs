@@ -165,11 +165,7 @@ mod tests {
     #[test]
     fn a_picture_without_pixels_has_the_reason_as_its_measure() {
         let harness = Harness::default();
-        let photo = Photo {
-            image: marf_scene::Image::from_fn(0, 4, |_, _| [0; 3]),
-            bands: 3,
-            notes: Vec::new(),
-        };
+        let photo = Photo::from(marf_scene::Image::from_fn(0, 4, |_, _| [0; 3]));
         for measure in measure_photo(&harness.ctx(), &photo, &tables()).unwrap() {
             let reason = measured(&measure, &row()).unwrap().unwrap_err();
             assert_eq!(reason, "the image has no pixels");

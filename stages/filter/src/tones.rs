@@ -191,13 +191,9 @@ mod tests {
 
     #[test]
     fn tones_survive_their_bytes_and_nothing_else_is_taken_for_tones() {
-        let photo = Photo {
-            image: Image::from_fn(640, 481, |x, y| {
-                [(x * y % 256) as u8, (x % 250) as u8, y as u8 / 2]
-            }),
-            bands: 3,
-            notes: Vec::new(),
-        };
+        let photo = Photo::from(Image::from_fn(640, 481, |x, y| {
+            [(x * y % 256) as u8, (x % 250) as u8, y as u8 / 2]
+        }));
         let found = tones(&DecodedPhoto::of(&photo));
         let bytes = found.encode();
         assert_eq!(ToneHistograms::decode(&bytes), Some(found.clone()));

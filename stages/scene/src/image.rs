@@ -60,34 +60,40 @@ impl Image<Srgb> {
     ///
     /// Columns and rows that do not fill a box are left out at the right and bottom edge.
     pub fn box_reduced(&self, factor: u32) -> Self {
-        if factor <= 1 {
-            return self.clone();
-        }
-        let (width, height, side) = (self.width / factor, self.height / factor, factor as usize);
-        let area = factor * factor;
-        let mut pixels = Vec::with_capacity(width as usize * height as usize);
-        let mut sums = vec![[0_u32; 3]; width as usize];
-        let rows = self.pixels.chunks_exact(self.width.max(1) as usize);
-        for (row, line) in rows.take(height as usize * side).enumerate() {
-            for (sum, pixels) in sums.iter_mut().zip(line.chunks_exact(side)) {
-                for pixel in pixels {
-                    sum.iter_mut()
-                        .zip(pixel)
-                        .for_each(|(sum, channel)| *sum += u32::from(*channel));
-                }
-            }
-            if (row + 1) % side == 0 {
-                pixels.extend(
-                    sums.iter()
-                        .map(|sum| sum.map(|sum| ((sum + area / 2) / area) as u8)),
-                );
-                sums.fill([0; 3]);
-            }
-        }
+        let factor = factor.max(1);
         Self {
-            width,
-            height,
-            pixels,
+            width: self.width / factor,
+            height: self.height / factor,
+            pixels: box_means(&self.pixels, self.width, factor),
         }
     }
+}
+
+/// Returns the means of boxes of `factor` x `factor` pixels, rounded half up; see [`Image::box_reduced`].
+pub(crate) fn box_means<const N: usize>(pixels: &[[u8; N]], width: u32, factor: u32) -> Vec<[u8; N]> {
+    if factor <= 1 {
+        return pixels.to_vec();
+    }
+    let (width, side, area) = (width as usize, factor as usize, factor * factor);
+    let (columns, rows) = (width / side, pixels.len() / width.max(1) / side);
+    let mut means = Vec::with_capacity(columns * rows);
+    let mut sums = vec![[0_u32; N]; columns];
+    let lines = pixels.chunks_exact(width.max(1));
+    for (row, line) in lines.take(rows * side).enumerate() {
+        for (sum, pixels) in sums.iter_mut().zip(line.chunks_exact(side)) {
+            for pixel in pixels {
+                sum.iter_mut()
+                    .zip(pixel)
+                    .for_each(|(sum, channel)| *sum += u32::from(*channel));
+            }
+        }
+        if (row + 1) % side == 0 {
+            means.extend(
+                sums.iter()
+                    .map(|sum| sum.map(|sum| ((sum + area / 2) / area) as u8)),
+            );
+            sums.fill([0; N]);
+        }
+    }
+    means
 }

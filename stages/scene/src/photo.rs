@@ -11,6 +11,7 @@ use zune_core::options::DecoderOptions;
 use zune_jpeg::JpegDecoder;
 use zune_jpeg::errors::DecodeErrors;
 
+use crate::image::box_means;
 use crate::{Image, Srgb};
 
 mod scan;
@@ -20,11 +21,13 @@ pub const MAX_SIDE: u32 = 20_000;
 /// Most memory one decode may take, in bytes.
 pub const MAX_DECODE_BYTES: u64 = 256 << 20;
 
-/// A decoded photo: upright, opaque, three channels.
+/// A decoded photo: upright, three channels over black.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Photo {
-    /// The pixels; one band is repeated three times.
+    /// The pixels, blended over black; one band is repeated three times.
     pub image: Image<Srgb>,
+    /// Opacity of the pixels, `[height * width]`, 255: nothing shows through; empty where nothing shows through any.
+    pub alpha: Vec<u8>,
     /// Bands stored in the file: 1 or 3 (alpha is blended over black and not counted).
     pub bands: u8,
     /// What was changed in decoding (`turned upright from EXIF orientation 6`), for the report.
@@ -59,6 +62,18 @@ pub enum DecodeError {
         /// Height asked for.
         height: u32,
     },
+}
+
+/// An opaque photo of three bands, as a PNG of the pixels decodes.
+impl From<Image<Srgb>> for Photo {
+    fn from(image: Image<Srgb>) -> Self {
+        Self {
+            image,
+            alpha: Vec::new(),
+            bands: 3,
+            notes: Vec::new(),
+        }
+    }
 }
 
 impl Photo {
@@ -100,8 +115,10 @@ impl Photo {
             _ => notes.push("numbers from 0 to 1 reduced to 8 bits".to_owned()),
         }
         let bands = if decoded.color().has_color() { 3 } else { 1 };
+        let (image, alpha) = over_black(decoded);
         Self {
-            image: opaque(decoded),
+            image,
+            alpha,
             bands,
             notes,
         }
@@ -111,15 +128,53 @@ impl Photo {
     fn of_pixels(width: u32, height: u32, pixels: Vec<u8>) -> Option<Self> {
         let pixels = bytemuck::allocation::try_cast_vec(pixels);
         let pixels: Vec<[u8; 3]> = pixels.unwrap_or_else(|(_, bytes)| bytes.as_chunks().0.to_vec());
-        (pixels.len() as u64 == u64::from(width) * u64::from(height)).then_some(Self {
-            image: Image {
-                width,
-                height,
-                pixels,
-            },
-            bands: 3,
-            notes: Vec::new(),
-        })
+        let image = Image {
+            width,
+            height,
+            pixels,
+        };
+        let is_whole = image.pixels.len() as u64 == u64::from(width) * u64::from(height);
+        is_whole.then(|| image.into())
+    }
+
+    /// Returns the photo reduced by an integer factor, as [`Image::box_reduced`].
+    pub fn box_reduced(&self, factor: u32) -> Self {
+        Self {
+            image: self.image.box_reduced(factor),
+            alpha: alpha_reduced(&self.alpha, self.image.width, factor),
+            bands: self.bands,
+            notes: self.notes.clone(),
+        }
+    }
+
+    /// Encodes the photo as PNG, which decodes to the same pixels and opacities; equal photos give equal bytes.
+    ///
+    /// # Errors
+    /// As [`encode_png`].
+    pub fn to_png(&self) -> Result<Vec<u8>, DecodeError> {
+        if self.alpha.is_empty() {
+            return encode_png(&self.image);
+        }
+        // What was blended over black and rounded is at most its opacity, so that the quotient is at most 255.
+        let straight = |channel: u8, alpha: u8| match u32::from(alpha) {
+            0 => 0,
+            alpha => ((u32::from(channel) * 255 + alpha / 2) / alpha).min(255) as u8,
+        };
+        let pixels = self.image.pixels.iter().zip(&self.alpha);
+        let pixels = pixels.map(|([r, g, b], alpha)| {
+            [
+                straight(*r, *alpha),
+                straight(*g, *alpha),
+                straight(*b, *alpha),
+                *alpha,
+            ]
+        });
+        let pixels: Vec<[u8; 4]> = pixels.collect();
+        png_of(
+            pixels.as_flattened(),
+            [self.image.width, self.image.height],
+            image::ExtendedColorType::Rgba8,
+        )
     }
 
     /// Decodes bytes that [`Photo::decode`] has accepted before, to the same pixels in less time: it does not check
@@ -154,16 +209,22 @@ impl Photo {
 /// # Errors
 /// An image of zero pixels.
 pub fn encode_png(image: &Image<Srgb>) -> Result<Vec<u8>, DecodeError> {
-    let mut bytes = Vec::new();
-    let encoder = image::codecs::png::PngEncoder::new(&mut bytes);
-    image::ImageEncoder::write_image(
-        encoder,
+    png_of(
         image.pixels.as_flattened(),
-        image.width,
-        image.height,
+        [image.width, image.height],
         image::ExtendedColorType::Rgb8,
     )
-    .map_err(|error| damaged("PNG", &error))?;
+}
+
+fn png_of(
+    pixels: &[u8],
+    [width, height]: [u32; 2],
+    color: image::ExtendedColorType,
+) -> Result<Vec<u8>, DecodeError> {
+    let mut bytes = Vec::new();
+    let encoder = image::codecs::png::PngEncoder::new(&mut bytes);
+    image::ImageEncoder::write_image(encoder, pixels, width, height, color)
+        .map_err(|error| damaged("PNG", &error))?;
     Ok(bytes)
 }
 
@@ -311,24 +372,35 @@ fn decode_tiff(bytes: &[u8]) -> Result<Photo, DecodeError> {
 /// PlanarConfiguration of a TIFF whose pixels have their channels side by side.
 const CHUNKY: u16 = 1;
 
-/// Returns the pixels with alpha blended over black; 8-bit colour without alpha is copied once and not converted.
-fn opaque(decoded: DynamicImage) -> Image<Srgb> {
+/// Returns the pixels blended over black, and their alpha unless all are opaque; 8-bit colour without alpha is copied once and not
+/// converted.
+fn over_black(decoded: DynamicImage) -> (Image<Srgb>, Vec<u8>) {
     let (width, height) = (decoded.width(), decoded.height());
-    let pixels = if decoded.color().has_alpha() {
+    let (pixels, alpha) = if decoded.color().has_alpha() {
         let blend = |channel: u8, alpha: u8| ((u16::from(channel) * u16::from(alpha) + 127) / 255) as u8;
-        decoded
-            .to_rgba8()
-            .pixels()
-            .map(|rgba| [0, 1, 2].map(|index| blend(rgba.0[index], rgba.0[3])))
-            .collect()
+        let pixels = decoded.into_rgba8();
+        let over_black = |rgba: &image::Rgba<u8>| {
+            let [r, g, b, alpha] = rgba.0;
+            ([r, g, b].map(|channel| blend(channel, alpha)), alpha)
+        };
+        pixels.pixels().map(over_black).unzip()
     } else {
-        decoded.into_rgb8().into_raw().as_chunks().0.to_vec()
+        (decoded.into_rgb8().into_raw().as_chunks().0.to_vec(), Vec::new())
     };
-    Image {
+    let is_opaque = alpha.iter().all(|alpha| *alpha == 255);
+    let image = Image {
         width,
         height,
         pixels,
-    }
+    };
+    (image, if is_opaque { Vec::new() } else { alpha })
+}
+
+/// Returns opacities, `[height * width]` or none, reduced as [`Image::box_reduced`] reduces colours.
+pub fn alpha_reduced(alpha: &[u8], width: u32, factor: u32) -> Vec<u8> {
+    box_means(alpha.as_chunks::<1>().0, width, factor)
+        .as_flattened()
+        .to_vec()
 }
 
 #[cfg(test)]
@@ -344,6 +416,36 @@ mod tests {
         let photo = Photo::decode(&encode_png(&gradient()).unwrap()).unwrap();
         assert_eq!(photo.image, gradient());
         assert_eq!(photo.bands, 3);
+    }
+
+    #[test]
+    fn transparency_survives_a_png_and_is_reduced_with_its_pixels() {
+        // Every colour at every opacity.
+        let rgba =
+            image::RgbaImage::from_fn(256, 256, |x, y| image::Rgba([x as u8, 255 - x as u8, 7, y as u8]));
+        let mut bytes = Cursor::new(Vec::new());
+        rgba.write_to(&mut bytes, ImageFormat::Png).unwrap();
+        let photo = Photo::decode(bytes.get_ref()).unwrap();
+        assert_eq!(
+            (photo.alpha[0], photo.alpha[256], photo.image.at(200, 51)[0]),
+            (0, 1, 40)
+        );
+        let again = Photo::decode(&photo.to_png().unwrap()).unwrap();
+        assert_eq!((&again.image, &again.alpha), (&photo.image, &photo.alpha));
+        let small = photo.box_reduced(4);
+        assert_eq!((small.image.width, small.alpha.len()), (64, 64 * 64));
+        // Of rows 0 to 3: 1.5, rounded half up.
+        assert_eq!(small.alpha[..64], [2; 64]);
+    }
+
+    #[test]
+    fn a_photo_whose_alpha_hides_nothing_is_opaque() {
+        let rgba = image::RgbaImage::from_pixel(3, 2, image::Rgba([9, 8, 7, 255]));
+        let mut bytes = Cursor::new(Vec::new());
+        rgba.write_to(&mut bytes, ImageFormat::Png).unwrap();
+        let photo = Photo::decode(bytes.get_ref()).unwrap();
+        assert!(photo.alpha.is_empty() && photo.box_reduced(2).alpha.is_empty());
+        assert_eq!(photo.to_png(), encode_png(&photo.image));
     }
 
     fn jpeg(pixels: &[u8], color: image::ExtendedColorType) -> Vec<u8> {

@@ -120,6 +120,7 @@ fn facts(config: &Config) -> Facts {
         seen_share: 0.5,
         occupied_share: 0.25,
         steps: 400,
+        transparent_photos: 0,
     }
 }
 

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use marf_cache::{Digest, digest_of};
-use marf_scene::{Camera, Frame, Image, Photo, Scene, Srgb};
+use marf_scene::{Camera, Frame, Image, Photo, Scene, Srgb, alpha_reduced};
 use marf_stage::{Ctx, StageError};
 use rayon::prelude::*;
 
@@ -17,7 +17,10 @@ const KEPT_BYTES: u64 = 420_000_000;
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct ScaledPhoto {
     pub camera: Camera,
+    /// Its pixels, over black.
     pub image: Image<Srgb>,
+    /// Their opacities, `[height * width]`; empty of an opaque photo.
+    pub alpha: Vec<u8>,
     /// What its mask hides, `[height * width]`; empty without a mask.
     pub hidden: Vec<bool>,
 }
@@ -31,6 +34,7 @@ impl ScaledPhoto {
         Self {
             camera: self.camera.box_reduced(factor),
             image: self.image.box_reduced(factor),
+            alpha: alpha_reduced(&self.alpha, self.image.width, factor),
             hidden: shrunk_mask(&self.hidden, self.image.width, factor),
         }
     }
@@ -77,7 +81,7 @@ impl<'a> PhotoReader<'a> {
             .contains(&frame.image)
             .then(|| memo_key(&frame.image, self.scale));
         let known = key.and_then(|key| unpack(&self.ctx.memos.load(&key)?, self.scale));
-        let (size_px, image) = match known {
+        let (size_px, Shrunk { image, alpha }) = match known {
             Some(known) => known,
             None => self.decode(frame, key)?,
         };
@@ -85,6 +89,7 @@ impl<'a> PhotoReader<'a> {
         Ok(ScaledPhoto {
             camera: frame.camera.box_reduced(self.scale),
             image,
+            alpha,
             hidden: self.hidden(frame)?,
         })
     }
@@ -115,7 +120,7 @@ impl<'a> PhotoReader<'a> {
     }
 
     /// Returns the size of the photo before it was shrunk, and its pixels after.
-    fn decode(&self, frame: &Frame, key: Option<Digest>) -> Result<([u32; 2], Image<Srgb>), StageError> {
+    fn decode(&self, frame: &Frame, key: Option<Digest>) -> Result<([u32; 2], Shrunk), StageError> {
         let decoded = Photo::decode_validated(&self.ctx.get(&frame.image)?);
         let photo = decoded.map_err(|cause| TrainError::Photo {
             id: frame.id.clone(),
@@ -132,14 +137,15 @@ impl<'a> PhotoReader<'a> {
             }
             .into());
         }
-        let image = match self.scale {
-            1 => photo.image,
-            scale => photo.image.box_reduced(scale),
+        let Photo { image, alpha, .. } = match self.scale {
+            1 => photo,
+            scale => photo.box_reduced(scale),
         };
+        let shrunk = Shrunk { image, alpha };
         if let Some(key) = key {
-            self.ctx.memos.save(&key, &pack([width, height], &image));
+            self.ctx.memos.save(&key, &pack([width, height], &shrunk));
         }
-        Ok(([width, height], image))
+        Ok(([width, height], shrunk))
     }
 
     /// Reads photos and returns what `keep` makes of each, in order; at most `at_once` photos are in memory.
@@ -196,31 +202,39 @@ fn kept(scene: &Scene, scale: u32, most_bytes: u64) -> BTreeSet<Digest> {
     frames.map(|frame| frame.image).collect()
 }
 
-/// Returns the key of a memo; its number is raised when a photo may decode or shrink to other pixels.
-fn memo_key(photo: &Digest, scale: u32) -> Digest {
-    digest_of(&("shrunk photo 1", *photo, scale))
+/// Pixels of a photo at its working size, over black, and their opacities, if not all are opaque.
+struct Shrunk {
+    image: Image<Srgb>,
+    alpha: Vec<u8>,
 }
 
-/// Width and height before shrinking as u32 LE, then the pixels after it, 3 bytes each.
-fn pack(size_px: [u32; 2], image: &Image<Srgb>) -> Vec<u8> {
+/// Returns the key of a memo; its number is raised when a photo may decode or shrink to other pixels.
+fn memo_key(photo: &Digest, scale: u32) -> Digest {
+    digest_of(&("shrunk photo 2", *photo, scale))
+}
+
+/// Width and height before shrinking as u32 LE, then the pixels after it, 3 bytes each, and their opacities, if any.
+fn pack(size_px: [u32; 2], Shrunk { image, alpha }: &Shrunk) -> Vec<u8> {
     let size = size_px.map(u32::to_le_bytes);
-    [size.as_flattened(), image.pixels.as_flattened()].concat()
+    [size.as_flattened(), image.pixels.as_flattened(), alpha].concat()
 }
 
 /// Reads what [`pack`] wrote; none if it is anything else.
-fn unpack(bytes: &[u8], scale: u32) -> Option<([u32; 2], Image<Srgb>)> {
+fn unpack(bytes: &[u8], scale: u32) -> Option<([u32; 2], Shrunk)> {
     let (width, rest) = bytes.split_first_chunk::<4>()?;
     let (height, rest) = rest.split_first_chunk::<4>()?;
     let size_px = [width, height].map(|side| u32::from_le_bytes(*side));
     let [width, height] = size_px.map(|side| side / scale.max(1));
-    let (pixels, left) = rest.as_chunks::<3>();
-    let whole = left.is_empty() && pixels.len() as u64 == u64::from(width) * u64::from(height);
+    let count = width as usize * height as usize;
+    let (colours, alpha) = rest.split_at_checked(count.checked_mul(3)?)?;
     let image = Image {
         width,
         height,
-        pixels: pixels.to_vec(),
+        pixels: colours.as_chunks::<3>().0.to_vec(),
     };
-    (whole && !pixels.is_empty()).then_some((size_px, image))
+    let is_whole = count > 0 && (alpha.is_empty() || alpha.len() == count);
+    let alpha = alpha.to_vec();
+    is_whole.then_some((size_px, Shrunk { image, alpha }))
 }
 
 fn check_size(frame: &Frame, [width, height]: [u32; 2]) -> Result<(), TrainError> {
@@ -279,6 +293,27 @@ mod tests {
             assert_eq!(harness.reads(&scene.frames[0].image), before + 1, "scale {scale}");
             assert_eq!((first.image.width, first.image.height), (10 / scale, 6 / scale));
         }
+    }
+
+    #[test]
+    fn transparency_is_read_from_the_photo_and_from_its_memo() {
+        let harness = Harness::default();
+        let (mut scene, ctx) = (scene(&harness, 1), harness.ctx());
+        let image = Image::from_fn(10, 6, |column, _| [if column < 4 { 0 } else { 90 }; 3]);
+        let alpha = (0..60)
+            .map(|place| if place % 10 < 4 { 0 } else { 255 })
+            .collect();
+        let photo = Photo {
+            alpha,
+            ..image.into()
+        };
+        scene.frames[0].image = harness.put(&photo.to_png().unwrap());
+        let reader = PhotoReader::new(&ctx, &scene, 2);
+        let (first, again) = (reader.read(&scene.frames[0]), reader.read(&scene.frames[0]));
+        let first = first.unwrap();
+        assert_eq!(first.alpha, [0, 0, 255, 255, 255].repeat(3));
+        assert_eq!(again.unwrap(), first);
+        assert_eq!(first.shrunk_to(2).alpha, [85], "of its first 3 x 3");
     }
 
     #[test]

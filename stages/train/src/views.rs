@@ -24,7 +24,7 @@ pub(crate) fn training_views(
     let thinned = |index: usize, photo: ScaledPhoto| {
         let hidden = (!photo.hidden.is_empty()).then_some(photo.hidden.as_slice());
         let image = Pixels::thinned(photo.image, hidden, plan.run, seed, index as u64);
-        (photo.camera, image)
+        (photo.camera, image.with_alpha(&photo.alpha))
     };
     let photos = photos.map(training, plan.at_once, thinned)?;
     let mut views = Vec::with_capacity(times.iter().sum());

@@ -348,7 +348,7 @@ fn the_answers_belong_to_the_versions() {
     assert_eq!(
         found,
         [
-            ("train", 11, "6289d3ef93e9"),
+            ("train", 12, "6289d3ef93e9"),
             ("evaluate", 5, "930335c37c70"),
             ("render", 6, "cf7e66aa84de")
         ]

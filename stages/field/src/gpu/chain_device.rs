@@ -8,6 +8,7 @@ use super::light::{Aims, Colours, Columns, Light, RING, extent, shown_words, wei
 use super::nets::{BACKGROUND, Back, Layers, Nets, Rows, Seen};
 use super::record::{Recorder, Work};
 use super::rig::{Rig, blocks, columns};
+use super::testing::aim;
 use super::weights::layers;
 use crate::Background;
 use crate::batch::Found;
@@ -34,28 +35,21 @@ fn spans_array(spans: &[[u32; 2]]) -> Vec<u32> {
     array
 }
 
-/// Directions, pixels with views, pulls.
-fn aims(targets: &[Target]) -> ([Vec<[f32; 4]>; 2], Vec<[f32; 2]>) {
+/// Directions, what rays are compared with, pulls; zeros in the slots of no ray.
+fn aims(targets: &[Target]) -> (Vec<[f32; 4]>, Vec<marf_shaders::Target>, Vec<[f32; 2]>) {
     let directions = targets.iter().map(|target| match target.start {
         Some(start) => [start.direction[0], start.direction[1], start.direction[2], 1.0],
         None => [0.0; 4],
     });
-    let pixels = targets.iter().map(|target| {
-        let [r, g, b] = target.rgb;
-        [r, g, b, f32::from_bits(target.view)]
-    });
     let pulls = targets
         .iter()
         .map(|target| target.pull.map_or([0.0; 2], |pull| [pull.place, pull.weight]));
-    let (mut lists, mut pulls) = (
-        [directions.collect(), pixels.collect()],
-        pulls.collect::<Vec<_>>(),
-    );
-    lists
-        .iter_mut()
-        .for_each(|list: &mut Vec<_>| list.resize(SLOTS, [0.0; 4]));
+    let (mut directions, mut pulls): (Vec<_>, Vec<_>) = (directions.collect(), pulls.collect());
+    let mut aims: Vec<_> = targets.iter().map(aim).collect();
+    directions.resize(SLOTS, [0.0; 4]);
+    aims.resize(SLOTS, bytemuck::Zeroable::zeroed());
     pulls.resize(SLOTS, [0.0; 2]);
-    (lists, pulls)
+    (directions, aims, pulls)
 }
 
 /// The samples of the rays.
@@ -82,7 +76,7 @@ struct Device<'a> {
     colours: Array<f32>,
     d_outputs: Array<f32>,
     directions: Array<[f32; 4]>,
-    pixels: Array<[f32; 4]>,
+    targets: Array<marf_shaders::Target>,
     pulls: Array<[f32; 2]>,
     gains: Array<[f32; 4]>,
     found: Array<f32>,
@@ -127,7 +121,7 @@ impl<'a> Device<'a> {
         let weights = &training.state.weights;
         let zeros = |numbers: usize| rig.gpu.zeros::<f32>("numbers", numbers).unwrap();
         let words = |numbers: usize| rig.gpu.zeros::<u32>("words", numbers).unwrap();
-        let ([directions, pixels], pulls) = aims(targets);
+        let (directions, aims, pulls) = aims(targets);
         let vectors = |values: &[[f32; 4]]| rig.gpu.filled("vectors", values).unwrap();
         let layers = layers(weights);
         let all = weights.density.layers.iter().chain(&weights.color.layers);
@@ -148,7 +142,7 @@ impl<'a> Device<'a> {
             colours: zeros(6 * CAPACITY),
             d_outputs: zeros(4 * CAPACITY),
             directions: vectors(&directions),
-            pixels: vectors(&pixels),
+            targets: rig.gpu.filled("targets", &aims).unwrap(),
             pulls: rig.gpu.filled("pulls", &pulls).unwrap(),
             gains: vectors(&[[0.0; 4]; 3]),
             found: zeros(found::LEN * SLOTS),
@@ -206,7 +200,7 @@ impl<'a> Device<'a> {
         let first = self.layers.behind(CAPACITY);
         let aims = Aims {
             directions: &self.directions,
-            targets: &self.pixels,
+            targets: &self.targets,
             gains: &self.gains,
             views: 3,
             background: Some(self.weights.part(self.layers.weights(), BACKGROUND)),

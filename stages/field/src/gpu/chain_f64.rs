@@ -79,14 +79,17 @@ pub fn loss(training: &Training, targets: &[Target], (tensor, at, by): (usize, u
             seen.push((left * alpha, alpha, f64::from(shade.samples.place[sample])));
             left *= (-tau).exp();
         }
-        let behind = weights
+        let background = weights
             .logits_behind(&harmonics)
             .map(|logit| sigmoid(f64::from(logit)));
+        let own = target.behind;
+        let behind = own.map_or(background, |own| own.rgb.map(f64::from));
+        let passes = left - own.map_or(0.0, |own| f64::from(own.share));
         total += ray_loss(
             training,
             target,
             &seen,
-            [0, 1, 2].map(|c| rgb[c] + left * behind[c]),
+            [0, 1, 2].map(|c| rgb[c] + passes * behind[c]),
             targets.len(),
         );
     }

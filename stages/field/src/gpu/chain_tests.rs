@@ -12,7 +12,7 @@ use crate::cpu::composite::OPAQUE;
 use crate::cpu::march::March;
 use crate::cpu::simd::{InstructionSet, Run, flat};
 use crate::depth::Pull;
-use crate::draw::Target;
+use crate::draw::{Behind, Target};
 use crate::exposure::Exposure;
 use crate::shade::{Shade, Span};
 use crate::test_scene::{ball, small};
@@ -68,6 +68,11 @@ fn target(training: &Training, ray: usize) -> Target {
             offset: [0.0; 3],
         },
         pull: ray.is_multiple_of(4).then_some(pull),
+        // Over the background, or over a colour of its own.
+        behind: ray.is_multiple_of(5).then_some(Behind {
+            rgb: [0.9, 0.1, 0.4],
+            share: 0.3,
+        }),
     }
 }
 

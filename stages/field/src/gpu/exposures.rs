@@ -1,6 +1,6 @@
 //! Exposure of single photos on the device.
 
-use marf_shaders::{EXPOSURE_LEARN, EXPOSURE_SUMS, Exposed, Step};
+use marf_shaders::{EXPOSURE_LEARN, EXPOSURE_SUMS, Exposed, Step, Target};
 
 use super::Gpu;
 use super::array::Array;
@@ -99,7 +99,7 @@ pub struct ExposureInputs<'a> {
     /// Rays in use.
     pub counts: &'a Array<u32>,
     /// Views of the rays.
-    pub targets: &'a Array<[f32; 4]>,
+    pub targets: &'a Array<Target>,
     /// Slopes in gain and offset, by columns.
     pub slopes: &'a Array<f32>,
     /// Corrections of Adam by step count, of `Bias::corrections`.

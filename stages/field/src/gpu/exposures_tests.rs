@@ -1,7 +1,7 @@
 //! Exposures against their twin on the CPU.
 
 use bytemuck::Zeroable;
-use marf_shaders::{Step, counts, faults};
+use marf_shaders::{Step, Target, counts, faults};
 
 use super::Gpu;
 use super::array::Array;
@@ -28,7 +28,7 @@ const SLOTS: usize = 700;
 struct Scene {
     arrays: ExposureArrays,
     counts: Array<u32>,
-    targets: Array<[f32; 4]>,
+    targets: Array<Target>,
     slopes: Array<f32>,
     faults: Array<u32>,
     exposing: Exposing,
@@ -71,7 +71,10 @@ impl Scene {
         gpu.write(&self.counts, counts::RAYS as usize, &[rays.len() as u32]);
         let targets: Vec<_> = rays
             .iter()
-            .map(|(view, _)| [9.0, 9.0, 9.0, f32::from_bits(*view)])
+            .map(|(view, _)| Target {
+                view: *view,
+                ..Target::zeroed()
+            })
             .collect();
         gpu.write(&self.targets, 0, &targets);
         for row in 0..6 {

@@ -1,6 +1,6 @@
 //! Light along the rays of a batch: opacities, what shows, colours, the loss and its slopes.
 
-use marf_shaders::{self as shaders, CompareRun, Extent, Pace, SpreadRun, Total, counts};
+use marf_shaders::{self as shaders, CompareRun, Extent, Pace, SpreadRun, Target, Total, counts};
 
 use super::Gpu;
 use super::array::{Array, Part};
@@ -52,8 +52,8 @@ impl<'a> Colours<'a> {
 pub struct Aims<'a> {
     /// `[rays]`: direction, and 1 where there is a ray.
     pub directions: &'a Array<[f32; 4]>,
-    /// `[rays]`: pixel, and the bits of the view.
-    pub targets: &'a Array<[f32; 4]>,
+    /// `[rays]`: pixel, view, and what is behind.
+    pub targets: &'a Array<Target>,
     /// `[views]` log gains, then as many offsets if photos have them; the fourth number is unused.
     pub gains: &'a Array<[f32; 4]>,
     /// Photos.

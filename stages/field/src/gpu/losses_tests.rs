@@ -1,6 +1,6 @@
 //! The loss of rays and its slopes against their twins on the CPU.
 
-use marf_shaders::{Pace, SpreadRun, Total, counts, faults, found};
+use marf_shaders::{Pace, SpreadRun, Target, Total, counts, faults, found};
 
 use super::array::Part;
 use super::light::{Aims, Colours, Light, RING};
@@ -25,7 +25,7 @@ struct Scene {
     spans: Vec<Span>,
     logits: Vec<[f32; 3]>,
     directions: Vec<[f32; 4]>,
-    targets: Vec<[f32; 4]>,
+    targets: Vec<Target>,
     gains: Vec<[f32; 4]>,
     background: Option<Vec<f32>>,
     pulls: Vec<[f32; 2]>,
@@ -49,9 +49,13 @@ impl Scene {
             .map(|x| [12.0 * x[0], 3.0 * x[1], 3.0 * x[2]])
             .collect();
         let targets = numbers(3 * SLOTS, 38);
-        let targets = targets.chunks(3).enumerate().map(|(ray, x)| {
-            let view = f32::from_bits((ray % VIEWS) as u32);
-            [x[0].abs(), x[1].abs(), x[2].abs(), view]
+        let targets = targets.as_chunks::<3>().0.iter().enumerate();
+        let targets = targets.map(|(ray, x)| Target {
+            rgb: x.map(f32::abs),
+            view: (ray % VIEWS) as u32,
+            behind: [x[1].abs(), x[2].abs(), x[0].abs()],
+            // The background behind two of five, else a pixel that shows all, a part, or nothing of a colour of its own.
+            share: [-1.0, 0.0, 0.4, 1.0, -1.0][ray % 5],
         });
         let gains = numbers(8 * VIEWS, 39);
         let gains = gains
@@ -76,7 +80,7 @@ impl Scene {
     }
 
     fn exposure(&self, ray: usize) -> Exposure {
-        let view = self.targets[ray][3].to_bits() as usize;
+        let view = self.targets[ray].view as usize;
         let [gain, offset] = [self.gains[view], self.gains[VIEWS + view]];
         Exposure {
             gain: [exp(gain[0]), exp(gain[1]), exp(gain[2])],
@@ -136,13 +140,16 @@ fn expected(scene: &Scene) -> Expected {
         };
         let Gathered { rgb: sum, left } = samples.gather();
         let harmonics = harmonics(&scene.directions[ray]);
-        let logits_behind = scene.logits_behind(&harmonics);
-        let behind = logits_behind.map_or([0.0; 3], |logits| logits.map(colour));
-        let plain = [0, 1, 2].map(|channel| left.mul_add(behind[channel], sum[channel]));
-        let [r, g, b, _] = scene.targets[ray];
+        let target = scene.targets[ray];
+        let has_own = target.share >= 0.0;
+        let logits_behind = scene.logits_behind(&harmonics).filter(|_| !has_own);
+        let background = logits_behind.map_or([0.0; 3], |logits| logits.map(colour));
+        let behind = if has_own { target.behind } else { background };
+        let passes = left - target.share.max(0.0);
+        let plain = [0, 1, 2].map(|channel| passes.mul_add(behind[channel], sum[channel]));
         let compared = scene
             .exposure(ray)
-            .compare(plain, [r, g, b], 2.0 / (3 * RAYS) as f32);
+            .compare(plain, target.rgb, 2.0 / (3 * RAYS) as f32);
         let slope = compared.colour;
         put(found::LOSS, compared.squares.iter().sum());
         put(found::TOWARDS, slope.iter().zip(behind).map(|(a, b)| a * b).sum());
@@ -206,7 +213,8 @@ fn composited(rig: &Rig, scene: &Scene) -> (Expected, Total) {
     let rgb: Vec<f32> = flat.iter().map(|logit| colour(*logit)).collect();
     let [logits, rgb] = [flat, rgb].map(|rows| rig.filled(&columns(&rows, 3, CAPACITY, f32::NAN)));
     let vectors = |values: &[[f32; 4]]| rig.gpu.filled("vectors", values).unwrap();
-    let [directions, targets, gains] = [&scene.directions, &scene.targets, &scene.gains].map(|x| vectors(x));
+    let [directions, gains] = [&scene.directions, &scene.gains].map(|x| vectors(x));
+    let targets = rig.gpu.filled("targets", &scene.targets).unwrap();
     let background = scene.background.as_ref().map(|values| rig.filled(values));
     let pulls = rig.gpu.filled("pulls", &scene.pulls).unwrap();
     let found = rig.filled(&[UNTOUCHED; found::LEN * SLOTS]);
@@ -355,9 +363,9 @@ fn losses_backgrounds_and_exposures_that_run_away_are_told() {
     let test = "losses_backgrounds_and_exposures_that_run_away_are_told";
     type Spoil = fn(&mut Scene);
     let bad: [(Spoil, Vec<u32>); 4] = [
-        (|scene| scene.targets[3][1] = 1e9, vec![faults::LOSS]),
+        (|scene| scene.targets[3].rgb[1] = 1e9, vec![faults::LOSS]),
         (
-            |scene| scene.targets[3][1] = f32::NAN,
+            |scene| scene.targets[3].rgb[1] = f32::NAN,
             vec![faults::LOSS, faults::EXPOSURES],
         ),
         (|scene| scene.gains[VIEWS + 1][2] = 1e4, vec![]),

@@ -1,7 +1,7 @@
 //! Rays of a training step and of a picture, drawn and set out on the device.
 
 use marf_scene::{Camera, Pose};
-use marf_shaders::{Observed, PixelRange, RAYS, Step, VIEW_RAYS, ViewCamera};
+use marf_shaders::{Observed, PixelRange, RAYS, Step, Target, VIEW_RAYS, ViewCamera};
 
 use super::Gpu;
 use super::array::{Array, halves};
@@ -23,8 +23,8 @@ pub struct RayArrays {
     pub origins: Array<[f32; 4]>,
     /// Unit vector, and 1; all zero where there is no ray.
     pub directions: Array<[f32; 4]>,
-    /// sRGB in [0, 1], and the bits of the number of the view.
-    pub targets: Array<[f32; 4]>,
+    /// What they are compared with.
+    pub targets: Array<Target>,
     /// Place and weight of a pull; weight 0: none.
     pub pulls: Array<[f32; 2]>,
 }
@@ -72,10 +72,12 @@ pub struct Photos {
     cameras: Array<ViewCamera>,
     /// Kept pixels, r | g << 8 | b << 16 | place in its run << 24.
     pub pixels: Array<u32>,
+    /// Opacities of the kept pixels of photos with transparency, 4 a word.
+    alphas: Array<u32>,
 }
 
 impl Photos {
-    /// Copies photos to the device, 4 bytes a kept pixel.
+    /// Copies photos to the device, 4 bytes a kept pixel and 1 more of a photo with transparency.
     ///
     /// # Errors
     /// More pixels than one binding holds: thin them, by `memory`.
@@ -84,20 +86,35 @@ impl Photos {
         let hint = "set `memory`, so that fewer pixels of every photo are kept";
         gpu.check_binding((kept * size_of::<u32>()) as u64, hint)?;
         let pixels = gpu.zeros("pixels", kept)?;
-        let (mut cameras, mut first) = (Vec::new(), 0);
+        let (mut cameras, mut alphas, mut first) = (Vec::new(), Vec::new(), 0);
         for (view, world_from_cam) in views.iter().zip(world_from_cams) {
             // A binding holds fewer than 2^32 bytes, so the number of a pixel fits 32 bits.
             cameras.push(ViewCamera {
                 first: first as u32,
                 run: view.image.run(),
+                alpha: if view.image.is_transparent() {
+                    alphas.len() as u32 + 1
+                } else {
+                    0
+                },
                 ..camera(&view.camera, world_from_cam, frame)
             });
+            alphas.extend_from_slice(view.image.alpha());
             let words: Vec<u32> = view.image.words().map(|word| word as u32).collect();
             gpu.write(&pixels, first, &words);
             first += words.len();
         }
-        let cameras = gpu.filled("cameras", &cameras)?;
-        Ok(Self { cameras, pixels })
+        alphas.resize(alphas.len().next_multiple_of(4), 0);
+        let alphas = alphas
+            .as_chunks()
+            .0
+            .iter()
+            .map(|bytes| u32::from_le_bytes(*bytes));
+        Ok(Self {
+            cameras: gpu.filled("cameras", &cameras)?,
+            alphas: gpu.filled("alphas", &alphas.collect::<Vec<_>>())?,
+            pixels,
+        })
     }
 
     /// Returns the uniform of a step; observations, rays, weight of a pull and step size are still 0.
@@ -130,6 +147,8 @@ pub fn camera(camera: &Camera, world_from_cam: &Pose, frame: &Frame) -> ViewCame
         run: 1,
         width: camera.width,
         height: camera.height,
+        alpha: 0,
+        pad: [0; 3],
     }
 }
 
@@ -185,6 +204,7 @@ impl DrawRays {
             (&rays.directions).into(),
             (&rays.targets).into(),
             (&rays.pulls).into(),
+            (&photos.alphas).into(),
         ];
         gpu.bind(&self.0, &parts)
     }

@@ -7,7 +7,7 @@ use nalgebra::{Vector2, Vector3};
 use super::Gpu;
 use super::array::halves;
 use super::rays::{DrawRays, Photos, Progress, RayArrays, ViewRays, camera, observed};
-use super::testing::{gpu, own_gpu};
+use super::testing::{aim, gpu, own_gpu};
 use crate::draw::Target;
 use crate::frame::{Frame, RayStart};
 use crate::rng::{Purpose, Rng};
@@ -102,7 +102,8 @@ fn lenses() -> [Camera; 2] {
     [rover, folded]
 }
 
-fn view(camera: Camera, angle: f64, run: u32) -> View {
+/// A photo of which one pixel in `run` is kept, with transparency or without.
+fn view(camera: Camera, angle: f64, run: u32, is_opaque: bool) -> View {
     let eye = Vector3::new(30.0 + 3.0 * angle.cos(), 3.0 * angle.sin(), 0.7);
     let image = Image::from_fn(camera.width, camera.height, |column, row| {
         [(5 * column) as u8, (3 * row) as u8, (column * row) as u8]
@@ -111,17 +112,25 @@ fn view(camera: Camera, angle: f64, run: u32) -> View {
     let hidden: Vec<bool> = (0..camera.width * camera.height)
         .map(|place| place % camera.width < camera.width / 2)
         .collect();
+    let all = (camera.width * camera.height) as usize;
+    let alpha: Vec<u8> = (0..if is_opaque { 0 } else { all })
+        .map(|place| (3 * place) as u8)
+        .collect();
     View {
         id: format!("view {angle}"),
         camera,
         cam_from_world: Pose::looking_at(eye, Vector3::new(30.0, 0.0, 0.0), -Vector3::z()),
-        image: Pixels::thinned(image, Some(&hidden), run, 3, run.into()),
+        image: Pixels::thinned(image, Some(&hidden), run, 3, run.into()).with_alpha(&alpha),
     }
 }
 
 fn training() -> Training {
     let [rover, folded] = lenses();
-    let views = vec![view(rover, 0.0, 1), view(folded, 2.0, 1), view(rover, 4.0, 8)];
+    let views = vec![
+        view(rover, 0.0, 1, false),
+        view(folded, 2.0, 1, true),
+        view(rover, 4.0, 8, false),
+    ];
     let points: Vec<[f64; 3]> = (0..60)
         .map(|k| {
             let k = f64::from(k);
@@ -158,6 +167,14 @@ fn at_the_fold(camera: &Camera, pixel: [f64; 2]) -> bool {
     let around = [[by, 0.0], [-by, 0.0], [0.0, by], [0.0, -by]];
     around.iter().any(|[x, y]| there(*x, *y) != there(0.0, 0.0))
 }
+
+/// What the slots of targets hold at first.
+const UNTOUCHED: marf_shaders::Target = marf_shaders::Target {
+    rgb: [7.0; 3],
+    view: 7,
+    behind: [7.0; 3],
+    share: 7.0,
+};
 
 /// Compares a ray with its twin; returns the error of its direction, in units of what it may be.
 fn apart(
@@ -196,7 +213,7 @@ fn drawn(gpu: &Gpu, training: &Training, rays: usize) -> RayArrays {
     let arrays = RayArrays::new(gpu, rays + 10).unwrap();
     gpu.write(&arrays.origins, 0, &vec![[7.0; 4]; rays + 10]);
     gpu.write(&arrays.directions, 0, &vec![[7.0; 4]; rays + 10]);
-    gpu.write(&arrays.targets, 0, &vec![[7.0; 4]; rays + 10]);
+    gpu.write(&arrays.targets, 0, &vec![UNTOUCHED; rays + 10]);
     gpu.write(&arrays.pulls, 0, &vec![[7.0; 2]; rays + 10]);
     let bound = DrawRays::new(gpu)
         .unwrap()
@@ -239,12 +256,7 @@ fn rays_are_drawn_for_the_pixels_that_the_cpu_draws() {
         let mut hidden = 0;
         for ray in 0..rays {
             let target = training.target(ray as u64, &exposures);
-            let [r, g, b] = target.rgb.map(f32::to_bits);
-            assert_eq!(
-                targets[ray].map(f32::to_bits),
-                [r, g, b, target.view],
-                "ray {ray}"
-            );
+            assert_eq!(targets[ray], aim(&target), "ray {ray}");
             assert_eq!(origins[ray][3], target.jitter, "ray {ray}");
             let pull = target.pull.map_or([0.0; 2], |pull| [pull.place, pull.weight]);
             assert_eq!(pulls[ray], pull, "ray {ray}");
@@ -270,7 +282,7 @@ fn rays_are_drawn_for_the_pixels_that_the_cpu_draws() {
         assert_eq!(pulled > 100, step == 100, "{pulled}");
         assert_eq!(origins[rays..], vec![[7.0; 4]; 10]);
         assert_eq!(directions[rays..], vec![[7.0; 4]; 10]);
-        assert_eq!(targets[rays..], vec![[7.0; 4]; 10]);
+        assert_eq!(targets[rays..], vec![UNTOUCHED; 10]);
         assert_eq!(pulls[rays..], vec![[7.0; 2]; 10]);
     }
 }
@@ -282,7 +294,7 @@ fn every_ray_of_a_picture_runs_through_the_middle_of_its_pixel() {
     };
     let kernel = ViewRays::new(&gpu).unwrap();
     for lens in lenses() {
-        let seen = view(lens, 1.0, 1);
+        let seen = view(lens, 1.0, 1, true);
         let (world_from_cam, frame) = (seen.cam_from_world.inverse(), Frame::derive(&[seen], &[]));
         // From the third row on, past the last.
         let (first, count, slots) = (2 * lens.width, lens.width * lens.height, 5000);

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use super::Gpu;
+use crate::draw::Target;
 use crate::rng::{Purpose, Rng};
 use crate::training::Training;
 use crate::{Config, Device, FieldError, GpuError, Step, Trainer, View};
@@ -26,6 +27,16 @@ fn opened<T>(test: &str, open: impl Fn(&Device) -> Result<Option<T>, GpuError>) 
         eprintln!("{test}: skipped, no software adapter (install mesa-vulkan-drivers): {error}");
     }
     opened.ok().flatten()
+}
+
+/// Returns a target as kernels see it.
+pub fn aim(target: &Target) -> marf_shaders::Target {
+    marf_shaders::Target {
+        rgb: target.rgb,
+        view: target.view,
+        behind: target.behind.map_or([0.0; 3], |behind| behind.rgb),
+        share: target.behind.map_or(-1.0, |behind| behind.share),
+    }
 }
 
 /// Opens the adapter that tests run on, once for all of them.

@@ -121,6 +121,7 @@ fn small_views(ctx: &Ctx<'_>, scene: &Scene, first: &Child<'_>) -> Result<Vec<Sm
         let scaled = ScaledPhoto {
             camera: frame.camera.box_reduced(scale),
             image,
+            alpha: Vec::new(),
             hidden: photos.hidden(frame)?,
         };
         let small = scaled.shrunk_to(SIDE_PX);

@@ -85,7 +85,8 @@ impl Scales {
                 "sRGB, white = 1",
                 top(|tops| tops.residual),
             ),
-            total: scale("total sd", "sRGB, white = 1", top(|tops| tops.total)),
+            // Unseen pixels have more than any error of a colour can be.
+            total: scale("total sd", "sRGB, white = 1", top(|tops| tops.total).min(1.0)),
             photos: viridis(scale("photos that saw it", "photos", top(|tops| tops.photos))),
             depth: viridis(scale("mean depth", length_unit, length(|tops| tops.depth))),
             depth_std: scale("std of depth, B-1", length_unit, length(|tops| tops.depth_std)),
