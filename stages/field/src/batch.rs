@@ -3,8 +3,9 @@
 use parking_lot::Mutex;
 use rayon::prelude::*;
 
+use crate::cpu::clearance::Clearance;
 use crate::cpu::composite::{Densities, Runaways};
-use crate::cpu::encode::Points;
+use crate::cpu::encode::{Points, warm};
 use crate::cpu::march::{Bits, March, Samples, Steps};
 use crate::cpu::simd::{Block, InstructionSet, LANES, Run, Stripe, flat};
 use crate::draw::Target;
@@ -29,6 +30,8 @@ pub struct Shared<'a> {
     pub steps: &'a Steps,
     /// What is occupied.
     pub bits: &'a Bits,
+    /// Its empty space.
+    pub clearance: &'a Clearance,
     /// Rays of the whole batch: gradients are those of the mean.
     pub rays: usize,
     /// Samples of a ray that are trained, about; 0: all that show.
@@ -76,7 +79,7 @@ pub struct Found {
 impl Found {
     /// Returns the first gradient, but those of the features, with a number that runs away.
     fn runaway_gradient(&self, level: InstructionSet) -> Option<&'static str> {
-        let wild = |values: &[f32]| level.run(Runaways(values)) > 0;
+        let wild = |values: &[f32]| level.run(Runaways(values));
         let mut layers = self.density.iter().chain(&self.color);
         match () {
             () if layers.any(|layer| wild(flat(layer))) => Some("gradient of the networks"),
@@ -104,8 +107,7 @@ pub struct Scratch {
     before: Vec<f32>,
     d_tau: Vec<f32>,
     d_rgb: Vec<[f32; 4]>,
-    /// Gradients of the outputs of the colour network, then of its input.
-    d_color: Vec<Block>,
+    /// Gradients of the colour network's outputs, then of the density network's, then of the features.
     slope: Vec<Block>,
     spare: Vec<Block>,
 }
@@ -131,29 +133,32 @@ pub fn train(shared: &Shared, targets: &[Target], rays: usize, chunks: &mut Vec<
     });
 }
 
-/// Looks up the features of all chunks: one task a level and chunk, level by level.
+/// Tasks a thread of the lookup, at least: levels differ in what they cost.
+const TASKS: usize = 8;
+
+/// Looks up the features of all chunks, level by level: a task is a level for some chunks.
 fn encode(level: InstructionSet, weights: &Weights, chunks: &mut [Chunk], watch: Option<&Watch>) {
-    let levels = weights.shapes.iter().zip(&weights.tables);
-    let mut tasks: Vec<Vec<(Points, Stripe)>> = levels.clone().map(|_| Vec::new()).collect();
+    let levels = weights.shapes.len().max(1);
+    let tasks = (TASKS * rayon::current_num_threads()).div_ceil(levels);
+    let group = chunks.len().div_ceil(tasks).max(1);
+    let mut rows: Vec<Vec<(Points, Stripe)>> = weights.shapes.iter().map(|_| Vec::new()).collect();
     for chunk in chunks {
         let points = chunk.samples.points();
-        for (tasks, plane) in tasks.iter_mut().zip(planes_mut(&mut chunk.features, weights)) {
-            tasks.push((points, Stripe::plane(plane, weights.features)));
+        for (rows, plane) in rows.iter_mut().zip(planes_mut(&mut chunk.features, weights)) {
+            rows.push((points, Stripe::plane(plane, weights.features)));
         }
     }
-    let tasks = levels.zip(tasks).flat_map(|((shape, table), tasks)| {
-        let one = move |(points, stripe)| (*shape, table.as_slice(), points, stripe);
-        tasks.into_iter().map(one)
-    });
-    let tasks: Vec<_> = tasks.collect();
-    tasks
-        .into_par_iter()
-        .with_min_len(4)
-        .for_each(|(shape, table, points, stripe)| {
+    let tables = weights.shapes.par_iter().zip(&weights.tables);
+    tables.zip(rows).for_each(|((shape, table), rows)| {
+        rows.into_par_iter().chunks(group).for_each(|rows| {
             timed(watch, Part::Lookup, || {
-                lookup(level, weights.features, shape, table, points, stripe);
+                warm(table);
+                for (points, stripe) in rows {
+                    lookup(level, weights.features, *shape, table, points, stripe);
+                }
             });
         });
+    });
 }
 
 /// Returns the densities at probes of the occupancy; NaN where one is not finite. `chunks`: memory.
@@ -215,6 +220,7 @@ impl Chunk {
             if let Some(start) = target.start {
                 harmonics = sh::harmonics(start.direction);
                 shared.level.run(March {
+                    clearance: Some(shared.clearance),
                     steps: shared.steps,
                     bits: shared.bits,
                     origin: start.origin,
@@ -249,7 +255,7 @@ impl Scratch {
         timed(watch, Part::Density, || {
             self.shade.infer(shared.level, weights, &chunk.features);
         });
-        if shared.level.run(Runaways(&self.shade.raw)) > 0 {
+        if shared.level.run(Runaways(&self.shade.raw)) {
             return Err("raw density");
         }
         timed(watch, Part::Opacity, || self.opacities(shared, targets, chunk));
@@ -258,7 +264,7 @@ impl Scratch {
                 .colours(shared.level, weights, &chunk.spans, &chunk.harmonics);
         });
         let logits = self.shade.color.last().map_or(&[][..], Vec::as_slice);
-        if shared.level.run(Runaways(flat(logits))) > 0 {
+        if shared.level.run(Runaways(flat(logits))) {
             return Err("colour logits");
         }
         timed(watch, Part::Losses, || self.losses(shared, targets, chunk));
@@ -312,23 +318,22 @@ impl Scratch {
         });
     }
 
-    /// Carries the gradients of colours through their network, into `d_color`.
+    /// Carries the gradients of colours through their network, to the outputs of the density network.
     fn colour_backward(&mut self, shared: &Shared, found: &mut Found) {
         let (shade, weights) = (&self.shade, shared.weights);
-        self.d_color.clear();
-        self.d_color.resize(shade.rgb.len(), Block::default());
+        self.slope.resize(shade.rgb.len(), Block::ZERO);
         shared.level.run(LogitSlopes {
             logits: shade.color.last().map_or(&[][..], Vec::as_slice),
             rgb: &shade.rgb,
             d_rgb: &self.d_rgb,
-            slopes: &mut self.d_color,
+            slopes: &mut self.slope,
         });
         weights.color.shape_gradients(&mut found.color);
         weights.color.backward(
             shared.level,
             &shade.latent,
             &shade.color,
-            &mut self.d_color,
+            &mut self.slope,
             &mut self.spare,
             &mut found.color,
         );
@@ -341,12 +346,6 @@ impl Scratch {
     fn density_backward(&mut self, shared: &Shared, chunk: &mut Chunk) -> Result<(), &'static str> {
         let (shade, weights, found) = (&self.shade, shared.weights, &mut chunk.found);
         let (slope, spare) = (&mut self.slope, &mut self.spare);
-        slope.clear();
-        slope.resize(shade.raw.len(), Block::default());
-        let blocks = weights.color_blocks();
-        for (slope, latent) in slope.iter_mut().zip(self.d_color.chunks_exact(blocks)) {
-            *slope = latent[0];
-        }
         shared.level.run(RawSlopes {
             shade,
             d_tau: &self.d_tau,
@@ -361,7 +360,7 @@ impl Scratch {
             spare,
             &mut found.density,
         );
-        if shared.level.run(Runaways(flat(slope))) > 0 {
+        if shared.level.run(Runaways(flat(slope))) {
             return Err("gradient of the features");
         }
         chunk.features.resize(slope.len(), Block::default());

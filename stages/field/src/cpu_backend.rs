@@ -85,6 +85,8 @@ impl Renderer for CpuRenderer {
 /// A training on the CPU; its state is always that of the training.
 struct CpuSession {
     level: InstructionSet,
+    /// Empty space between the occupied cells; follows them.
+    clearance: Clearance,
     /// Gradients of the tables, all zero between steps.
     gradients: Vec<Vec<f32>>,
     /// Memory of the last batch.
@@ -106,7 +108,8 @@ impl Session for CpuSession {
         Ok(Step::default())
     }
 
-    fn upload(&mut self, _: &Training) -> Result<(), FieldError> {
+    fn upload(&mut self, training: &Training) -> Result<(), FieldError> {
+        self.clearance = Clearance::new(&training.state.occupancy.bits);
         Ok(())
     }
 
@@ -122,6 +125,7 @@ impl CpuSession {
         let tables = &training.state.weights.tables;
         Self {
             level,
+            clearance: Clearance::new(&training.state.occupancy.bits),
             gradients: tables.iter().map(|table| vec![0.0; table.len()]).collect(),
             chunks: Vec::new(),
             probed: Vec::new(),
@@ -143,6 +147,7 @@ impl CpuSession {
             weights: &training.state.weights,
             steps: &training.march,
             bits: &training.state.occupancy.bits,
+            clearance: &self.clearance,
             rays: targets.len(),
             ray_samples: training.ray_samples(),
             distortion: training.distortion_at(training.state.steps),
@@ -286,4 +291,5 @@ fn update_occupancy(session: &mut CpuSession, training: &mut Training) {
     let found = batch::densities(session.level, weights, &probes, &mut session.probed, spares);
     let step = training.config.min_step as f32;
     training.state.occupancy.update(&probes, &found, step);
+    session.clearance = Clearance::new(&training.state.occupancy.bits);
 }

@@ -5,6 +5,7 @@ use marf_scene::{Camera, Image, Pose};
 use nalgebra::Vector3;
 
 use crate::batch::{self, Shared, Spares};
+use crate::cpu::clearance::Clearance;
 use crate::cpu::march::Bits;
 use crate::cpu::simd::InstructionSet;
 use crate::draw::Target;
@@ -114,6 +115,7 @@ fn batch_of(target: Target) -> Option<&'static str> {
         weights: &trainer.training.state.weights,
         steps: &trainer.training.sizes.steps(&small(), 0),
         bits: &trainer.training.state.occupancy.bits,
+        clearance: &Clearance::new(&trainer.training.state.occupancy.bits),
         rays: 1,
         ray_samples: 32,
         distortion: 1e-3,

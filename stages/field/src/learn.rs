@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use crate::Gain;
 use crate::batch::Chunk;
 use crate::cpu::adam::{Adam, Bias, Moments};
-use crate::cpu::encode::{Scatter, Shape};
+use crate::cpu::encode::{Scatter, Shape, warm};
 use crate::cpu::simd::{InstructionSet, LANES, Run, flat};
 use crate::exposure::{LIMITS, RATE, ROW, centre};
 use crate::schedule::{BACKGROUND_RATE, DECAY, EPSILON};
@@ -72,6 +72,7 @@ fn learn_tables(
         .with_max_len(1);
     tasks.for_each(|(index, (((shape, (table, average)), gradient), moments))| {
         timed(watch, Part::Scatter, || {
+            warm(gradient);
             for chunk in chunks {
                 scatter(level, *shape, gradient, chunk, features, index);
             }

@@ -90,7 +90,7 @@ pub use views::View;
 /// The kernels, for `cargo bench` alone: no part of the interface.
 #[doc(hidden)]
 pub mod bench {
-    pub use crate::cpu::{adam, composite, encode, gemm, march, math, net, simd};
+    pub use crate::cpu::{adam, clearance, composite, encode, gemm, march, math, net, simd};
     pub use crate::cpu_backend::{Counts, Watched, WatchedTraining};
     #[cfg(feature = "gpu")]
     pub use crate::gpu::{

@@ -7,7 +7,7 @@ use crate::draw::Target;
 use crate::shade::{Shade, Span};
 use crate::{Background, sh};
 
-/// Turns gradients of colours into those of their logits, in the first three columns.
+/// Turns gradients of colours into those of their logits, in the first three columns; the others become 0.
 pub struct LogitSlopes<'a> {
     pub logits: &'a [Block],
     pub rgb: &'a [[f32; 4]],
@@ -22,6 +22,7 @@ impl Kernel for LogitSlopes<'_> {
     fn run<I: Isa>(self, _isa: I) {
         let colours = self.logits.iter().zip(self.rgb).zip(self.d_rgb);
         for (slope, ((logit, rgb), d_rgb)) in self.slopes.iter_mut().zip(colours) {
+            *slope = Block::ZERO;
             for (channel, slope) in slope.0[..3].iter_mut().enumerate() {
                 *slope = d_rgb[channel] * colour_slope(logit.0[channel], rgb[channel]);
             }
@@ -78,11 +79,14 @@ impl Losses<'_> {
     #[inline(always)]
     fn ray(&mut self, target: &Target, Span { first, end }: Span, harmonics: &[f32; sh::COUNT]) {
         let (shared, shade) = (self.shared, self.shade);
-        let logits = shared.weights.logits_behind(harmonics);
-        let background = shared.weights.behind(shared.config.background, harmonics);
-        let (behind, share) = target
-            .behind
-            .map_or((background, 0.0), |behind| (behind.rgb, behind.share));
+        // Of a ray that sees the background alone.
+        let learnt = shared.config.background == Background::Direction && target.behind.is_none();
+        let logits = learnt.then(|| shared.weights.logits_behind(harmonics));
+        let (behind, share) = match (target.behind, logits) {
+            (Some(behind), _) => (behind.rgb, behind.share),
+            (None, Some(logits)) => (logits.map(colour), 0.0),
+            (None, None) => ([0.0; 3], 0.0),
+        };
         let ray = Ray {
             alpha: &shade.alpha[first..end],
             transmittance: &shade.transmittance[first..end],
@@ -111,7 +115,7 @@ impl Losses<'_> {
             pull.spread(&ray, cell, d_tau);
         }
         self.found.exposures.push((target.view, compared.exposure));
-        if shared.config.background == Background::Direction && target.behind.is_none() {
+        if let Some(logits) = logits {
             self.behind(slope.map(|slope| left * slope), logits, harmonics);
         }
     }

@@ -79,7 +79,8 @@ impl Weights {
             shapes,
             features,
             density: Net::new(&[input, config.density_width as usize, LATENT]),
-            color: Net::new(&widths),
+            // Three channels, and no gradient of a direction.
+            color: Net::new(&widths).carrying(3, LATENT / LANES),
             background: vec![0.0; 3 * sh::COUNT],
         }
     }
@@ -151,12 +152,14 @@ impl Weights {
     /// Returns the background's logits.
     #[inline(always)]
     pub fn logits_behind(&self, harmonics: &[f32; sh::COUNT]) -> [f32; 3] {
-        [0, 1, 2].map(|channel| {
-            let row = &self.background[channel * sh::COUNT..][..sh::COUNT];
-            row.iter()
-                .zip(harmonics)
-                .fold(0.0_f32, |sum, (a, b)| a.mul_add(*b, sum))
-        })
+        // Loops: a closure would not be compiled for the instruction set, and each multiply-add would be a call.
+        let mut logits = [0.0_f32; 3];
+        for (logit, row) in logits.iter_mut().zip(self.background.chunks_exact(sh::COUNT)) {
+            for (a, b) in row.iter().zip(harmonics) {
+                *logit = a.mul_add(*b, *logit);
+            }
+        }
+        logits
     }
 }
 

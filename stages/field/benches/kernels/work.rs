@@ -4,10 +4,11 @@ use std::fmt;
 use std::hint::black_box;
 
 use marf_field::bench::adam::{Adam, Bias, Moments};
+use marf_field::bench::clearance::Clearance;
 use marf_field::bench::composite::{Colours, Depths, ExpNeg, Gather, Ray, Spread};
 use marf_field::bench::encode::{Lookup, Points, Scatter, Shape};
 use marf_field::bench::march::{Bits, March, Samples, Steps};
-use marf_field::bench::net::Net;
+use marf_field::bench::net::{Layer, Net};
 use marf_field::bench::simd::{Block, InstructionSet, LANES, Run, Stripe, flat_mut};
 
 use marf_field::{Config, Facts};
@@ -28,17 +29,17 @@ pub const KERNELS: [(&str, Work); 9] = [
     ("encode", encode),
     ("scatter", scatter),
     ("density forward", |field, level, threads, _, peak| {
-        network(&field.density, level, threads, peak, Direction::Forward)
+        network(&field.density_net(), level, threads, peak, Direction::Forward)
     }),
     (
         "density forward and backward",
-        |field, level, threads, _, peak| network(&field.density, level, threads, peak, Direction::Both),
+        |field, level, threads, _, peak| network(&field.density_net(), level, threads, peak, Direction::Both),
     ),
     ("colour forward", |field, level, threads, _, peak| {
-        network(&field.color, level, threads, peak, Direction::Forward)
+        network(&field.color_net(), level, threads, peak, Direction::Forward)
     }),
     ("colour forward and backward", |field, level, threads, _, peak| {
-        network(&field.color, level, threads, peak, Direction::Both)
+        network(&field.color_net(), level, threads, peak, Direction::Both)
     }),
     ("adam (numbers)", adam),
     ("composite forward and backward", composite),
@@ -298,22 +299,19 @@ fn scatter(field: &Field, level: InstructionSet, threads: &Threads, limits: &Lim
 
 /// One chunk of samples again and again, as many as training takes at once.
 fn network(
-    widths: &[usize],
+    (net, products): &(Net, [usize; 2]),
     level: InstructionSet,
     threads: &Threads,
     peak: f64,
     direction: Direction,
 ) -> [f64; 2] {
-    let mut net = Net::new(widths);
-    for layer in &mut net.layers {
-        layer.weights = blocks(layer.weights.len(), 2);
-        layer.refresh();
-    }
-    let last = widths.len() - 1;
+    let width = |layer: Option<&Layer>, side: fn(&Layer) -> usize| layer.map_or(0, side);
+    let inputs = width(net.layers.first(), |layer| layer.inputs);
+    let outputs = width(net.layers.last(), |layer| layer.outputs);
     let rate = threads.rate(|_| {
         let (input, slopes) = (
-            blocks(CHUNK * widths[0] / LANES, 3),
-            blocks(CHUNK * widths[last] / LANES, 4),
+            blocks(CHUNK * inputs / LANES, 3),
+            blocks(CHUNK * outputs / LANES, 4),
         );
         let (mut activations, mut gradients) = (Vec::new(), Vec::new());
         net.shape_gradients(&mut gradients);
@@ -333,9 +331,42 @@ fn network(
             }
         })
     });
-    let products: usize = widths.windows(2).map(|pair| pair[0] * pair[1]).sum();
-    let flop = products as f64 * if direction == Direction::Both { 6.0 } else { 2.0 };
-    [rate * CHUNK as f64 / 1e6, peak * 1e3 / flop]
+    let [forward, backward] = products;
+    let sums = if direction == Direction::Both {
+        forward + backward
+    } else {
+        *forward
+    };
+    [rate * CHUNK as f64 / 1e6, peak * 1e3 / (2 * sums) as f64]
+}
+
+impl Field {
+    /// The density network, and the products a sample forward and backward.
+    fn density_net(&self) -> (Net, [usize; 2]) {
+        let forward: usize = self.density.windows(2).map(|pair| pair[0] * pair[1]).sum();
+        (drawn(Net::new(&self.density)), [forward, 2 * forward])
+    }
+
+    /// The colour network: gradients of 3 of its outputs, carried back to the first 16 inputs.
+    fn color_net(&self) -> (Net, [usize; 2]) {
+        const USED: usize = 3;
+        let widths = &self.color;
+        let products: Vec<usize> = widths.windows(2).map(|pair| pair[0] * pair[1]).collect();
+        let forward: usize = products.iter().sum();
+        let (inputs, last) = (widths[0], widths[widths.len() - 2]);
+        let left_out = (inputs - LANES) * widths[1] + (LANES - USED) * last;
+        let net = drawn(Net::new(widths).carrying(USED, 1));
+        (net, [forward, 2 * forward - left_out])
+    }
+}
+
+/// Fills the weights with random numbers.
+fn drawn(mut net: Net) -> Net {
+    for layer in &mut net.layers {
+        layer.weights = blocks(layer.weights.len(), 2);
+        layer.refresh();
+    }
+    net
 }
 
 /// Every number has a gradient.
@@ -443,7 +474,7 @@ fn march(_: &Field, level: InstructionSet, threads: &Threads, _: &Limits, peak: 
             bits.set(cell);
         }
     }
-    let random = numbers(64 * 6, 9);
+    let (random, clearance) = (numbers(64 * 6, 9), Clearance::new(&bits));
     let rate = threads.rate(|_| {
         let mut samples = Samples::default();
         best(|| {
@@ -451,6 +482,7 @@ fn march(_: &Field, level: InstructionSet, threads: &Threads, _: &Limits, peak: 
             for ray in random.chunks_exact(6) {
                 let norm = ray[3..].iter().map(|part| part * part).sum::<f32>().sqrt();
                 level.run(March {
+                    clearance: Some(&clearance),
                     steps: &steps,
                     bits: &bits,
                     origin: [ray[0], ray[1], ray[2]],

@@ -26,15 +26,15 @@ use work::Field;
 
 /// Name, cells a side of the finest level, binary logarithm of the table.
 const FIELDS: [(&str, u32, u32); 9] = [
-    ("rover4, 10 s", 1454, 14),
-    ("rover4, 60 s", 1454, 16),
-    ("rover4, 300 s", 1454, 18),
-    ("fox4, 10 s", 1376, 14),
-    ("fox4, 60 s", 1376, 16),
-    ("fox4, 300 s", 1376, 18),
-    ("lego, 10 s", 2048, 14),
-    ("lego, 60 s", 2048, 16),
-    ("lego, 300 s", 2048, 18),
+    ("rover4, 10 s", 1454, 15),
+    ("rover4, 60 s", 1454, 17),
+    ("rover4, 300 s", 1454, 19),
+    ("fox4, 10 s", 1376, 15),
+    ("fox4, 60 s", 1376, 17),
+    ("fox4, 300 s", 1376, 19),
+    ("lego, 10 s", 2048, 15),
+    ("lego, 60 s", 2048, 17),
+    ("lego, 300 s", 2048, 19),
 ];
 
 /// Steps from one update of the occupancy to the next: times are means of so many, and of these the median.

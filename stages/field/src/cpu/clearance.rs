@@ -1,6 +1,7 @@
 //! How far empty space reaches around a point of the contracted box.
 
 use super::march::{Bits, contract};
+use super::simd::{Block, Isa, LANES};
 
 /// Occupancy cells of a clearance cell a side: 64^3 bytes for 128^3 cells stay in the second cache.
 const COARSE: usize = 2;
@@ -12,88 +13,165 @@ const MARGIN: f32 = 1e-5;
 pub struct Clearance {
     /// Coarse cells a side.
     side: usize,
-    /// `[side^3]`, x fastest: coarse cells to the next occupied one by the maximum norm, at most 255; 0 where occupied.
+    /// `[(side + 2)^3]`, x fastest, a border of 255 around: coarse cells to the next occupied one by the maximum norm, at most
+    /// 255; 0 where occupied.
     cells: Vec<u8>,
 }
 
 impl Clearance {
     /// Measures the empty space of a grid.
     pub fn new(bits: &Bits) -> Self {
-        let (fine, side) = (bits.side as usize, (bits.side as usize).div_ceil(COARSE));
-        let mut cells = vec![u8::MAX; side.pow(3)];
-        for (index, word) in bits.words.iter().enumerate() {
-            let mut left = *word;
-            while left != 0 {
-                let cell = 64 * index + left.trailing_zeros() as usize;
-                left &= left - 1;
-                let [x, y, z] = [cell % fine, cell / fine % fine, cell / fine / fine].map(|at| at / COARSE);
-                cells[(z * side + y) * side + x] = 0;
-            }
-        }
+        let side = (bits.side as usize).div_ceil(COARSE);
+        let cells = vec![u8::MAX; (side + 2).pow(3)];
         let mut clearance = Self { side, cells };
+        clearance.mark(bits);
         // The 13 neighbours that come before a cell, then those behind it: exact for the maximum norm.
-        for cell in 0..clearance.cells.len() {
-            clearance.lower(cell, 1);
+        let rows = || (1..=side).flat_map(move |z| (1..=side).map(move |y| (y, z)));
+        let mut row = vec![u8::MAX; side + 2];
+        for (y, z) in rows() {
+            let beside = [(y - 1, z - 1), (y, z - 1), (y + 1, z - 1), (y - 1, z)];
+            clearance.lower(&mut row, (y, z), beside);
+            for x in 1..=side {
+                row[x] = row[x].min(row[x - 1].saturating_add(1));
+            }
+            clearance.row_mut(y, z).copy_from_slice(&row);
         }
-        for cell in (0..clearance.cells.len()).rev() {
-            clearance.lower(cell, -1);
+        for (y, z) in rows().rev() {
+            let beside = [(y + 1, z + 1), (y, z + 1), (y - 1, z + 1), (y + 1, z)];
+            clearance.lower(&mut row, (y, z), beside);
+            for x in (1..=side).rev() {
+                row[x] = row[x].min(row[x + 1].saturating_add(1));
+            }
+            clearance.row_mut(y, z).copy_from_slice(&row);
         }
         clearance
     }
 
-    /// Lowers a distance to one more than that of the 13 neighbours on one side of it in the order of the cells.
-    fn lower(&mut self, cell: usize, side: i64) {
-        let n = self.side as i64;
-        let at = [
-            cell % self.side,
-            cell / self.side % self.side,
-            cell / self.side / self.side,
-        ];
-        let [x, y, z] = at.map(|at| at as i64);
-        let mut least = self.cells[cell];
-        for number in 0..13 {
-            let step = [number % 3 - 1, number / 3 % 3 - 1, number / 9 - 1].map(|step: i64| step * side);
-            let [x, y, z] = [x + step[0], y + step[1], z + step[2]];
-            if [x, y, z].iter().all(|at| (0..n).contains(at)) {
-                let neighbour = self.cells[((z * n + y) * n + x) as usize];
-                least = least.min(neighbour.saturating_add(1));
+    /// Gives the cells with matter their 0.
+    fn mark(&mut self, bits: &Bits) {
+        let fine = bits.side as usize;
+        for (index, word) in bits.words.iter().enumerate() {
+            // Of two neighbours along x, which are one coarse cell, the first: a row has an even number of cells.
+            let mut left = (word | word >> 1) & 0x5555_5555_5555_5555;
+            let first = 64 * index;
+            let [first_x, first_y, first_z] = [first % fine, first / fine % fine, first / fine / fine];
+            while left != 0 {
+                let [mut x, mut y, mut z] = [first_x + left.trailing_zeros() as usize, first_y, first_z];
+                left &= left - 1;
+                while x >= fine {
+                    x -= fine;
+                    y += 1;
+                    if y == fine {
+                        (y, z) = (0, z + 1);
+                    }
+                }
+                let at = self.at([x, y, z].map(|at| at / COARSE));
+                self.cells[at] = 0;
             }
         }
-        self.cells[cell] = least;
     }
 
-    /// Returns how far every coordinate of a point of the unit box may move before a cell with matter is reached.
+    /// Returns the place of a cell.
     #[inline(always)]
-    fn around(&self, at: [f32; 3]) -> f32 {
-        let side = self.side as f32;
-        // `as` takes NaN to 0.
-        let cell = at.map(|at| ((at * side) as usize).min(self.side - 1));
-        let reach = self.cells[(cell[2] * self.side + cell[1]) * self.side + cell[0]];
-        if reach == 0 {
-            return 0.0;
-        }
-        let free = f32::from(reach) - 1.0;
-        let axes = [0, 1, 2].map(|axis| {
-            let within = at[axis] * side - cell[axis] as f32;
-            within.min(1.0 - within)
-        });
-        let border = axes[0].min(axes[1]).min(axes[2]).max(0.0);
-        ((free + border) / side - MARGIN).max(0.0)
+    fn at(&self, [x, y, z]: [usize; 3]) -> usize {
+        let side = self.side + 2;
+        ((z + 1) * side + y + 1) * side + x + 1
     }
 
-    /// Returns whether all points within `reach` of a point of the scene, by the maximum norm, lie in empty space.
+    /// Returns a row with its borders; y and z count from the border.
+    fn row_mut(&mut self, y: usize, z: usize) -> &mut [u8] {
+        let side = self.side + 2;
+        &mut self.cells[(z * side + y) * side..][..side]
+    }
+
+    /// Copies a row, lowered to one more than the cells beside it in four other rows.
+    fn lower(&self, row: &mut [u8], (y, z): (usize, usize), beside: [(usize, usize); 4]) {
+        let side = self.side + 2;
+        let row_at = |(y, z): (usize, usize)| &self.cells[(z * side + y) * side..][..side];
+        row.copy_from_slice(row_at((y, z)));
+        for beside in beside {
+            let beside = row_at(beside);
+            let (before, after) = (&beside[..self.side], &beside[2..]);
+            let beside = before.iter().zip(&beside[1..]).zip(after);
+            for (cell, ((before, here), after)) in row[1..].iter_mut().zip(beside) {
+                let least = (*before).min(*here).min(*after);
+                *cell = (*cell).min(least.saturating_add(1));
+            }
+        }
+    }
+
+    /// Returns one bit for each of 16 points of the scene: whether matter may lie within `reach` of it, by the maximum norm.
     ///
     /// With m the maximum norm of a point, moving it moves a coordinate of the contracted box, 4 wide, by at most as
     /// much times 4/m - 3/m^2 outside of the inner box and times 1 inside: at most 4/3 anywhere, and at most 4/m. Over
-    /// the reach r, m falls to m - r at most. A point that is not finite is not known to be free.
+    /// the reach r, m falls to m - r at most. With a the clearance in the unit box, either of r / 3 < a and r / (m - r) < a
+    /// leaves the points in empty space. A point with a number that is not finite may be anywhere.
     #[inline(always)]
-    pub fn is_free(&self, point: [f32; 3], reach: f32) -> bool {
-        let m = point[0].abs().max(point[1].abs()).max(point[2].abs());
-        let far = if m > reach {
-            reach / (m - reach)
-        } else {
-            f32::INFINITY
-        };
-        self.around(contract(point).0) > far.min(reach * (1.0 / 3.0))
+    pub fn near<I: Isa>(&self, isa: I, points: &[Block; 3], reach: &Block) -> u32 {
+        let (mut q, mut m) = ([Block::ZERO; 3], Block::ZERO);
+        for lane in 0..LANES {
+            let point = [points[0].0[lane], points[1].0[lane], points[2].0[lane]];
+            m.0[lane] = point[0].abs().max(point[1].abs()).max(point[2].abs());
+            let at = contract(point).0;
+            for axis in 0..3 {
+                q[axis].0[lane] = at[axis];
+            }
+        }
+        let (side, last) = (isa.splat(self.side as f32), isa.splat_u(self.side as u32 - 1));
+        let (mut cell, mut border) = (isa.splat_u(0), Block([1.0; LANES]));
+        for axis in [2, 1, 0] {
+            let place = isa.mul(isa.unit(isa.load(&q[axis])), side);
+            let corner = isa.min_u(isa.whole(place), last);
+            cell = isa.mul_u(cell, isa.splat_u(self.side as u32 + 2));
+            cell = isa.add_u(cell, isa.add_u(corner, isa.splat_u(1)));
+            let mut within = Block::ZERO;
+            isa.store(isa.sub(place, isa.float(corner)), &mut within);
+            for lane in 0..LANES {
+                border.0[lane] = border.0[lane].min(within.0[lane]).min(1.0 - within.0[lane]);
+            }
+        }
+        let mut lanes = [0; LANES];
+        isa.store_u(cell, &mut lanes);
+        let mut cells = Block::ZERO;
+        for lane in 0..LANES {
+            cells.0[lane] = f32::from(self.cells[lanes[lane] as usize]);
+        }
+        let mut near = [0_u32; LANES];
+        for lane in 0..LANES {
+            // Of a cell with matter this is 0 or less.
+            let around = (cells.0[lane] - 1.0 + border.0[lane]) / self.side as f32 - MARGIN;
+            let free = (3.0 * around).max(around / (1.0 + around) * m.0[lane]);
+            near[lane] = u32::from(!(around > 0.0 && free > reach.0[lane]));
+        }
+        (0..LANES).fold(0, |bits, lane| bits | near[lane] << lane)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rng::{Purpose, Rng};
+
+    #[test]
+    fn a_cell_is_as_far_from_matter_as_the_nearest_that_holds_some() {
+        let mut rng = Rng::new(3, Purpose::Occupancy, 0, 0);
+        for (side, share) in [(16, 0.01), (20, 0.002), (64, 1e-4), (36, 0.0), (16, 1.0)] {
+            let mut bits = Bits::new(side);
+            let all = side.pow(3);
+            let held: Vec<u32> = (0..all).filter(|_| rng.unit() < share).collect();
+            held.iter().for_each(|cell| bits.set(*cell as usize));
+            let coarse = |cell: u32| [cell % side, cell / side % side, cell / side / side].map(|at| at / 2);
+            let clearance = Clearance::new(&bits);
+            for _ in 0..200 {
+                let at = coarse(rng.below(u64::from(all)) as u32);
+                let far = held.iter().map(|cell| {
+                    let other = coarse(*cell);
+                    (0..3).map(|axis| at[axis].abs_diff(other[axis])).max().unwrap()
+                });
+                let expected = far.min().unwrap_or(255);
+                let found = clearance.cells[clearance.at(at.map(|at| at as usize))];
+                assert_eq!(u32::from(found), expected, "{side} cells a side, {at:?}");
+            }
+        }
     }
 }

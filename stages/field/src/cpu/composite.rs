@@ -254,25 +254,27 @@ pub const RUNAWAY: f32 = 1_073_741_824.0;
 /// Returns whether a number is NaN, infinite or of the size [`RUNAWAY`], by its bits.
 #[inline(always)]
 pub fn runs_away(value: f32) -> bool {
-    value.to_bits() & 0x7fff_ffff >= RUNAWAY.to_bits()
+    value.to_bits() & UNSIGNED >= RUNAWAY.to_bits()
 }
 
-/// Counts numbers that run away.
+/// The bits of a float but its sign: they rise with the size, and those of a NaN are the greatest.
+const UNSIGNED: u32 = 0x7fff_ffff;
+
+/// Whether one of the numbers runs away.
 pub struct Runaways<'a>(pub &'a [f32]);
 
 impl Kernel for Runaways<'_> {
-    type Output = u32;
+    type Output = bool;
 
     #[inline(always)]
-    fn run<I: Isa>(self, _isa: I) -> u32 {
-        let (blocks, rest) = self.0.as_chunks::<LANES>();
-        let mut counts = [0_u32; LANES];
+    fn run<I: Isa>(self, isa: I) -> bool {
+        let (blocks, rest) = self.0.as_chunks();
+        let (unsigned, mut most) = (isa.splat_u(UNSIGNED), isa.splat_u(0));
         for block in blocks {
-            for lane in 0..LANES {
-                counts[lane] += u32::from(runs_away(block[lane]));
-            }
+            most = isa.max_u(most, isa.and_u(isa.bits(isa.load(&Block(*block))), unsigned));
         }
-        let rest = rest.iter().filter(|value| runs_away(**value)).count() as u32;
-        counts.iter().sum::<u32>() + rest
+        let mut lanes = [0; LANES];
+        isa.store_u(most, &mut lanes);
+        lanes.into_iter().any(|bits| bits >= RUNAWAY.to_bits()) || rest.iter().any(|value| runs_away(*value))
     }
 }

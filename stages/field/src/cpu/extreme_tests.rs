@@ -136,6 +136,7 @@ fn full(side: u32) -> Bits {
 fn walk(level: InstructionSet, steps: &Steps, bits: &Bits, origin: [f32; 3], direction: [f32; 3]) -> Samples {
     let mut samples = Samples::default();
     level.run(March {
+        clearance: None,
         steps,
         bits,
         origin,

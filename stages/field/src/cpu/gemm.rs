@@ -22,17 +22,21 @@ pub enum After<'a> {
     Gate(&'a [Block]),
 }
 
-/// C = A B: `a` [n, k], `b` [k, m / 16 blocks], `c` [n, m / 16 blocks]; n is a multiple of 16.
+/// C = A B of the first `steps` columns of A and the first `columns` block columns of B; n is a multiple of 16.
 pub struct Product<'a> {
-    /// Left factor, rows of `inner / 16` blocks.
+    /// Left factor, `[n, inner]`.
     pub a: &'a [Block],
-    /// Right factor, rows of `columns` blocks.
+    /// Right factor, `[inner, across blocks]`.
     pub b: &'a [Block],
-    /// Product, rows of `columns` blocks.
+    /// Product, `[n, columns blocks]`.
     pub c: &'a mut [Block],
-    /// k, a multiple of 16.
+    /// Numbers in a row of A, a multiple of 16.
     pub inner: usize,
-    /// m / 16.
+    /// Numbers in a row of A that are summed, the first ones; at most `inner`.
+    pub steps: usize,
+    /// Blocks in a row of B.
+    pub across: usize,
+    /// Blocks in a row of C, at most `across`.
     pub columns: usize,
     /// What happens to the sums.
     pub after: After<'a>,
@@ -44,18 +48,19 @@ impl Kernel for Product<'_> {
     #[inline(always)]
     fn run<I: Isa>(self, isa: I) {
         // A width known to the compiler makes the addresses of 16 rows one register and 16 constants.
-        match self.inner {
-            16 => self.wide::<I>(isa, 16),
-            32 => self.wide::<I>(isa, 32),
-            64 => self.wide::<I>(isa, 64),
-            inner => self.wide::<I>(isa, inner),
+        match (self.inner, self.steps) {
+            (16, 16) => self.wide::<I>(isa, 16, 16),
+            (32, 32) => self.wide::<I>(isa, 32, 32),
+            (64, 64) => self.wide::<I>(isa, 64, 64),
+            (16, steps) => self.wide::<I>(isa, 16, steps),
+            (inner, steps) => self.wide::<I>(isa, inner, steps),
         }
     }
 }
 
 impl Product<'_> {
     #[inline(always)]
-    fn wide<I: Isa>(self, isa: I, inner: usize) {
+    fn wide<I: Isa>(self, isa: I, inner: usize, steps: usize) {
         let tiles = Tiles {
             a: Strided {
                 numbers: flat(self.a),
@@ -63,8 +68,9 @@ impl Product<'_> {
                 step: 1,
             },
             b: self.b,
+            across: self.across,
             c: self.c,
-            steps: inner,
+            steps,
             columns: self.columns,
             after: self.after,
         };
@@ -101,6 +107,7 @@ impl Kernel for Outer<'_> {
                     step: self.inner,
                 },
                 b: d,
+                across: self.columns,
                 c: self.g,
                 steps: d.len() / self.columns,
                 columns: self.columns,
@@ -115,6 +122,7 @@ impl Kernel for Outer<'_> {
 struct Tiles<'a> {
     a: Strided<'a>,
     b: &'a [Block],
+    across: usize,
     c: &'a mut [Block],
     steps: usize,
     columns: usize,
@@ -151,7 +159,7 @@ impl Tiles<'_> {
                 }
             }
             let a = self.a.from_row(first);
-            add_products(isa, &mut sums, a, &self.b[column..], self.columns, self.steps);
+            add_products(isa, &mut sums, a, &self.b[column..], self.across, self.steps);
             for row in 0..MR {
                 let at = (first + row) * self.columns + column;
                 let c = &mut self.c[at..][..NV];

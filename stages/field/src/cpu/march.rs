@@ -1,5 +1,6 @@
 //! Walks along rays through occupied cells of the contracted box.
 
+use super::clearance::Clearance;
 use super::encode::Points;
 use super::simd::{Block, Isa, Kernel, LANES};
 
@@ -160,6 +161,8 @@ pub struct March<'a> {
     pub steps: &'a Steps,
     /// What is occupied.
     pub bits: &'a Bits,
+    /// Its empty space, of which whole blocks of steps are left out; with the steps of [`Steps::new`] alone.
+    pub clearance: Option<&'a Clearance>,
     /// Camera centre, half sides.
     pub origin: [f32; 3],
     /// Unit vector.
@@ -181,23 +184,53 @@ impl Kernel for March<'_> {
     #[inline(always)]
     fn run<I: Isa>(mut self, isa: I) -> usize {
         let start = self.samples.len();
-        let mut first = self.first;
-        let begins = self.steps.begin.as_chunks::<LANES>().0.iter();
-        let lengths = self.steps.length.as_chunks::<LANES>().0.iter();
-        for (begin, length) in begins.zip(lengths).skip(self.first / LANES) {
-            self.block(isa, first, begin, length);
-            first += LANES;
-            if self.samples.len() - start >= self.limit {
-                break;
+        let blocks = self.steps.begin.len() / LANES;
+        for group in (self.first / LANES..blocks).step_by(LANES) {
+            let mut near = self.near(isa, group);
+            while near != 0 {
+                let block = group + near.trailing_zeros() as usize;
+                near &= near - 1;
+                self.block(isa, block);
+                if self.samples.len() - start >= self.limit {
+                    return (block + 1) * LANES;
+                }
             }
         }
-        first
+        blocks * LANES
     }
 }
 
 impl March<'_> {
+    /// Returns one bit for each of 16 blocks of steps: whether the ray may meet matter there.
     #[inline(always)]
-    fn block<I: Isa>(&mut self, isa: I, first: usize, begin: &[f32; LANES], length: &[f32; LANES]) {
+    fn near<I: Isa>(&self, isa: I, first: usize) -> u32 {
+        let begins = &self.steps.begin.as_chunks::<LANES>().0[first..];
+        let lengths = &self.steps.length.as_chunks::<LANES>().0[first..];
+        let all = (1 << begins.len().min(LANES)) - 1;
+        let Some(clearance) = self.clearance else {
+            return all;
+        };
+        let (mut middle, mut half) = (Block::ZERO, Block::ZERO);
+        for (lane, (begin, length)) in begins.iter().zip(lengths).take(LANES).enumerate() {
+            let end = begin[LANES - 1] + length[LANES - 1];
+            middle.0[lane] = 0.5 * (begin[0] + end);
+            half.0[lane] = 0.5 * (end - begin[0]);
+        }
+        let mut points = [Block::ZERO; 3];
+        for axis in 0..3 {
+            for lane in 0..LANES {
+                points[axis].0[lane] = self.direction[axis].mul_add(middle.0[lane], self.origin[axis]);
+            }
+        }
+        clearance.near(isa, &points, &half) & all
+    }
+
+    /// Appends the samples of a block of 16 steps.
+    #[inline(always)]
+    fn block<I: Isa>(&mut self, isa: I, block: usize) {
+        let first = block * LANES;
+        let begin = &self.steps.begin.as_chunks::<LANES>().0[block];
+        let length = &self.steps.length.as_chunks::<LANES>().0[block];
         let ([mut x, mut y, mut z], [mut t, mut delta]) = ([Block::ZERO; 3], [Block::ZERO; 2]);
         for lane in 0..LANES {
             t.0[lane] = self.jitter.mul_add(length[lane], begin[lane]);
@@ -258,6 +291,7 @@ impl Samples {
 mod tests {
     use super::*;
     use crate::cpu::simd::{InstructionSet, Run};
+    use crate::rng::{Purpose, Rng};
 
     fn full(side: u32) -> Bits {
         let mut bits = Bits::new(side);
@@ -268,6 +302,7 @@ mod tests {
     fn walk(steps: &Steps, bits: &Bits, origin: [f32; 3], direction: [f32; 3]) -> Samples {
         let mut samples = Samples::default();
         let end = InstructionSet::best().run(March {
+            clearance: None,
             steps,
             bits,
             origin,
@@ -363,6 +398,57 @@ mod tests {
     }
 
     #[test]
+    fn a_walk_past_empty_space_finds_what_a_walk_through_it_finds() {
+        let mut rng = Rng::new(5, Purpose::Rays, 0, 1);
+        let (mut found_any, mut found_none) = (0, 0);
+        for (near, shortest, cone, share) in [
+            (0.05, 0.002, 0.001, 1e-3),
+            (0.05, 0.02, 0.02, 1e-4),
+            (0.5, 0.3, 0.25, 1e-2),
+            (0.05, 0.02, 0.02, 0.0),
+            (0.05, 0.02, 0.02, 1.0),
+        ] {
+            let (steps, mut bits) = (Steps::new(near, 400.0, shortest, cone), Bits::new(32));
+            for cell in 0..32_usize.pow(3) {
+                if rng.unit() < share {
+                    bits.set(cell);
+                }
+            }
+            let clearance = Clearance::new(&bits);
+            for _ in 0..100 {
+                let reach = [0.5, 3.0, 40.0][rng.below(3) as usize];
+                let mut number = |size: f32| size * (2.0 * rng.unit() - 1.0);
+                let (origin, toward) = ([0; 3].map(|_| number(reach)), [0; 3].map(|_| number(1.0)));
+                let norm = toward.iter().map(|axis| axis * axis).sum::<f32>().sqrt();
+                let (direction, jitter) = (toward.map(|axis| axis / norm), rng.unit());
+                let [all, past] = [None, Some(&clearance)].map(|clearance| {
+                    let mut samples = Samples::default();
+                    let end = InstructionSet::best().run(March {
+                        clearance,
+                        steps: &steps,
+                        bits: &bits,
+                        origin,
+                        direction,
+                        jitter,
+                        first: 0,
+                        limit: usize::MAX,
+                        samples: &mut samples,
+                    });
+                    assert_eq!(end, steps.begin.len());
+                    (samples.t, samples.x, samples.delta)
+                });
+                assert_eq!(past, all, "share {share}, {origin:?} to {direction:?}");
+                *(if all.0.is_empty() {
+                    &mut found_none
+                } else {
+                    &mut found_any
+                }) += 1;
+            }
+        }
+        assert!(found_any > 100 && found_none > 100, "{found_any} {found_none}");
+    }
+
+    #[test]
     fn a_walk_in_rounds_finds_what_a_walk_at_once_finds() {
         let (steps, bits) = (Steps::new(0.1, 64.0, 0.02, 0.03), full(16));
         let whole = walk(&steps, &bits, [0.1; 3], [0.0, 0.6, 0.8]);
@@ -371,6 +457,7 @@ mod tests {
             let (origin, direction, samples) = ([0.1; 3], [0.0, 0.6, 0.8], &mut parts);
             let (steps, bits, jitter, limit) = (&steps, &bits, 0.5, 8);
             first = InstructionSet::best().run(March {
+                clearance: None,
                 steps,
                 bits,
                 origin,

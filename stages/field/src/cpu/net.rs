@@ -44,6 +44,10 @@ impl Layer {
 pub struct Net {
     /// The layers.
     pub layers: Vec<Layer>,
+    /// Outputs that a loss may depend on, the first ones: the gradients of the others are zero.
+    used: usize,
+    /// Blocks of the input whose gradients are wanted, the first ones.
+    wanted: usize,
 }
 
 impl Net {
@@ -52,7 +56,15 @@ impl Net {
         let layers = widths.windows(2).map(|pair| Layer::new(pair[0], pair[1]));
         Self {
             layers: layers.collect(),
+            used: widths.last().copied().unwrap_or_default(),
+            wanted: widths.first().map_or(0, |inputs| inputs / LANES),
         }
+    }
+
+    /// Returns the network with gradients of only the first `used` outputs, carried back to only the first `wanted` blocks of
+    /// the input.
+    pub fn carrying(self, used: usize, wanted: usize) -> Self {
+        Self { used, wanted, ..self }
     }
 
     /// Draws weights uniform in +-sqrt(6 / (inputs + outputs)) (Glorot and Bengio 2010).
@@ -90,6 +102,8 @@ impl Net {
                 b: &layer.weights,
                 c: &mut here[0],
                 inner: layer.inputs,
+                steps: layer.inputs,
+                across: layer.outputs / LANES,
                 columns: layer.outputs / LANES,
                 after: if last { After::Nothing } else { After::Relu },
             });
@@ -98,8 +112,8 @@ impl Net {
 
     /// Carries gradients back.
     ///
-    /// `slope` holds the gradient of the output and receives that of the input; `spare` is memory.
-    /// `gradients` are overwritten.
+    /// `slope` holds the gradient of the output, zero where it is not used, and receives that of the input, as many blocks a
+    /// row as are wanted; `spare` is memory. `gradients` are overwritten.
     pub fn backward(
         &self,
         level: InstructionSet,
@@ -122,13 +136,18 @@ impl Net {
                 inner: layer.inputs,
                 columns: layer.outputs / LANES,
             });
-            spare.resize(below.len(), Block::default());
+            let across = layer.inputs / LANES;
+            let columns = if index > 0 { across } else { self.wanted };
+            spare.resize(below.len() / across * columns, Block::default());
+            let last = index + 1 == self.layers.len();
             level.run(Product {
                 a: slope,
                 b: &layer.transposed,
                 c: spare,
                 inner: layer.outputs,
-                columns: layer.inputs / LANES,
+                steps: if last { self.used } else { layer.outputs },
+                across,
+                columns,
                 after: if index > 0 {
                     After::Gate(below)
                 } else {

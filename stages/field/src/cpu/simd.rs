@@ -15,4 +15,4 @@ mod x86;
 pub use isa::{Block, Isa, Kernel, LANES, Run, Stripe, flat, flat_mut};
 pub use marf_numeric::{InstructionSet, Plain};
 pub use sums::{Strided, add_products};
-pub use table::{Checked, CheckedMut, Indices, Table, TableMut};
+pub use table::{Checked, CheckedMut, Indices, Table, TableMut, prefetch_all};

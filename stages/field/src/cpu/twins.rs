@@ -1,7 +1,7 @@
 //! Every kernel on every instruction set of this machine against plain Rust: equal to the bit.
 
 use super::adam::{Adam, Bias, Moments};
-use super::composite::{Colours, Depths, ExpNeg, Runaways};
+use super::composite::{Colours, Depths, ExpNeg, RUNAWAY, Runaways};
 use super::encode::{Lookup, Points, Scatter, Shape};
 use super::gemm::{After, Outer, Product};
 use super::march::{Bits, March, Samples, Steps};
@@ -48,6 +48,8 @@ fn products_are_the_same_on_every_set_and_width() {
                     b: &b,
                     c: &mut c,
                     inner,
+                    steps: inner,
+                    across: columns,
                     columns,
                     after,
                 });
@@ -79,6 +81,8 @@ fn a_product_of_16_by_16_is_the_sum_in_order() {
         b: &b,
         c: &mut c,
         inner: 16,
+        steps: 16,
+        across: 1,
         columns: 1,
         after: After::Nothing,
     });
@@ -101,10 +105,56 @@ fn a_relu_keeps_a_nan() {
             b: &b,
             c: &mut c,
             inner: 16,
+            steps: 16,
+            across: 1,
             columns: 1,
             after: After::Relu,
         });
-        assert_eq!(level.run(Runaways(flat(&c))), 16, "{level:?}");
+        let nans = flat(&c).iter().filter(|value| value.is_nan()).count();
+        assert_eq!(nans, 16, "{level:?}");
+    }
+}
+
+#[test]
+fn a_number_that_runs_away_is_found_in_every_lane_and_in_the_rest() {
+    for level in InstructionSet::all() {
+        let calm = vec![-RUNAWAY.next_down(); 37];
+        assert!(!level.run(Runaways(&calm)), "{level:?}");
+        assert!(!level.run(Runaways(&[])), "{level:?}");
+        for wild in [RUNAWAY, -RUNAWAY, f32::NEG_INFINITY, f32::NAN, -f32::NAN] {
+            for at in 0..calm.len() {
+                let mut values = calm.clone();
+                values[at] = wild;
+                assert!(level.run(Runaways(&values)), "{level:?}: {wild} at {at}");
+            }
+        }
+    }
+}
+
+/// Sums of the first 3 of 16 numbers are those of all where the rest are zero, and columns do not depend on their neighbours.
+#[test]
+fn a_part_of_a_product_is_that_part_of_the_whole() {
+    for level in InstructionSet::all() {
+        let product = |a: &[Block], steps, columns| {
+            let (b, mut c) = (blocks(32, 2), blocks(16 * columns, 3));
+            level.run(Product {
+                a,
+                b: &b,
+                c: &mut c,
+                inner: 16,
+                steps,
+                across: 2,
+                columns,
+                after: After::Nothing,
+            });
+            c
+        };
+        let mut a = blocks(16, 1);
+        a.iter_mut().for_each(|row| row.0[3..].fill(0.0));
+        let whole = product(&a, 16, 2);
+        assert_eq!(product(&a, 3, 2), whole, "{level:?}");
+        let left: Vec<Block> = whole.iter().step_by(2).copied().collect();
+        assert_eq!(product(&a, 16, 1), left, "{level:?}");
     }
 }
 
@@ -394,6 +444,7 @@ fn marching_is_the_same_on_every_set() {
             let random = numbers(6, stream);
             let norm = (random[3].powi(2) + random[4].powi(2) + random[5].powi(2)).sqrt();
             level.run(March {
+                clearance: None,
                 steps: &steps,
                 bits: &cells,
                 origin: [random[0], random[1], random[2]],

@@ -8,6 +8,7 @@ use super::rig::{Rig, agree, columns};
 use super::testing::{numbers, worst};
 use crate::Config;
 use crate::batch::{Chunk, Shared, Spares, train};
+use crate::cpu::clearance::Clearance;
 use crate::cpu::composite::OPAQUE;
 use crate::cpu::march::March;
 use crate::cpu::simd::{InstructionSet, Run, flat};
@@ -83,6 +84,7 @@ pub fn visited(training: &Training, targets: &[Target]) -> (Shade, Vec<Span>) {
         let first = shade.samples.len();
         if let Some(start) = target.start {
             InstructionSet::best().run(March {
+                clearance: None,
                 steps: &training.march,
                 bits: &training.state.occupancy.bits,
                 origin: start.origin,
@@ -115,6 +117,7 @@ fn on_the_cpu(training: &Training, targets: &[Target]) -> Chunk {
         weights: &training.state.weights,
         steps: &training.march,
         bits: &training.state.occupancy.bits,
+        clearance: &Clearance::new(&training.state.occupancy.bits),
         rays: targets.len(),
         ray_samples: training.config.ray_samples,
         distortion: training.distortion_at(training.state.steps),

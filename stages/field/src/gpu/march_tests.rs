@@ -145,6 +145,7 @@ fn on_the_cpu(steps: &Steps, bits: &Bits, [origin, direction]: Ray) -> Vec<[f32;
     let mut samples = Samples::default();
     if direction[3] == 1.0 {
         InstructionSet::best().run(march::March {
+            clearance: None,
             steps,
             bits,
             origin: [origin[0], origin[1], origin[2]],

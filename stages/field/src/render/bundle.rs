@@ -3,7 +3,7 @@
 use super::MIDDLE;
 use crate::cpu::clearance::Clearance;
 use crate::cpu::march::Steps;
-use crate::cpu::simd::{Isa, Kernel, LANES};
+use crate::cpu::simd::{Block, Isa, Kernel, LANES};
 use crate::frame::RayStart;
 
 /// The middle of some rays that begin at one point, and how far they spread.
@@ -48,19 +48,28 @@ impl Kernel for NearMatter<'_> {
     type Output = Steps;
 
     #[inline(always)]
-    fn run<I: Isa>(self, _isa: I) -> Steps {
+    fn run<I: Isa>(self, isa: I) -> Steps {
         let Self {
             steps,
             clearance,
             bundle,
         } = self;
         let (mut begin, mut length) = (Vec::new(), Vec::new());
-        for step in 0..steps.count {
-            let t = MIDDLE.mul_add(steps.length[step], steps.begin[step]);
-            let at = [0, 1, 2].map(|axis: usize| bundle.direction[axis].mul_add(t, bundle.origin[axis]));
-            if !clearance.is_free(at, bundle.spread * t) {
-                begin.push(steps.begin[step]);
-                length.push(steps.length[step]);
+        let begins = steps.begin.as_chunks::<LANES>().0.iter();
+        let lengths = steps.length.as_chunks::<LANES>().0.iter();
+        for (begins, lengths) in begins.zip(lengths) {
+            let (mut points, mut spread) = ([Block::ZERO; 3], Block::ZERO);
+            for lane in 0..LANES {
+                let t = MIDDLE.mul_add(lengths[lane], begins[lane]);
+                spread.0[lane] = bundle.spread * t;
+                for (axis, point) in points.iter_mut().enumerate() {
+                    point.0[lane] = bundle.direction[axis].mul_add(t, bundle.origin[axis]);
+                }
+            }
+            let near = clearance.near(isa, &points, &spread);
+            for lane in (0..LANES).filter(|lane| near >> lane & 1 == 1 && lengths[*lane] > 0.0) {
+                begin.push(begins[lane]);
+                length.push(lengths[lane]);
             }
         }
         let count = begin.len();

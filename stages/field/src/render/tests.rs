@@ -32,6 +32,7 @@ fn picture(model: &Model, view: &crate::View, accuracy: Accuracy) -> Render {
 fn walk(steps: &Steps, bits: &Bits, ray: &RayStart) -> Samples {
     let mut samples = Samples::default();
     InstructionSet::best().run(March {
+        clearance: None,
         steps,
         bits,
         origin: ray.origin,

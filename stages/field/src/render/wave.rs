@@ -98,6 +98,7 @@ impl Wave {
         for walk in &mut self.walks {
             let first = shade.samples.len();
             walk.next_step = level.run(March {
+                clearance: None,
                 steps: &steps[walk.tile],
                 bits: &model.bits,
                 origin: walk.start.origin,

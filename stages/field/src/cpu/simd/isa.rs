@@ -127,6 +127,8 @@ pub trait Isa: Copy + Send + Sync {
     fn whole(self, value: Self::V) -> Self::U;
     /// Returns the integer as a float, for x < 2^31.
     fn float(self, value: Self::U) -> Self::V;
+    /// Returns the bits of floats.
+    fn bits(self, value: Self::V) -> Self::U;
     /// Returns 16 lanes of one value.
     fn splat_u(self, value: u32) -> Self::U;
     /// Writes 16 lanes.

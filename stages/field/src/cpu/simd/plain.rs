@@ -74,6 +74,10 @@ impl Isa for Plain {
         each(value, value, |x, _| x as f32)
     }
     #[inline(always)]
+    fn bits(self, value: Self::V) -> Self::U {
+        value.map(f32::to_bits)
+    }
+    #[inline(always)]
     fn splat_u(self, value: u32) -> Self::U {
         [value; LANES]
     }

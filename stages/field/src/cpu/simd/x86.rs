@@ -119,6 +119,11 @@ impl Isa for Avx2 {
         unsafe { [_mm256_cvtepi32_ps(value[0]), _mm256_cvtepi32_ps(value[1])] }
     }
     #[inline(always)]
+    fn bits(self, value: Self::V) -> Self::U {
+        // SAFETY: self proves AVX2.
+        unsafe { [_mm256_castps_si256(value[0]), _mm256_castps_si256(value[1])] }
+    }
+    #[inline(always)]
     fn splat_u(self, value: u32) -> Self::U {
         // SAFETY: self proves AVX2.
         unsafe { [_mm256_set1_epi32(value.cast_signed()); 2] }
@@ -226,6 +231,11 @@ impl Isa for Avx512 {
     fn float(self, value: Self::U) -> Self::V {
         // SAFETY: self proves AVX-512 F.
         unsafe { _mm512_cvtepi32_ps(value) }
+    }
+    #[inline(always)]
+    fn bits(self, value: Self::V) -> Self::U {
+        // SAFETY: self proves AVX-512 F.
+        unsafe { _mm512_castps_si512(value) }
     }
     #[inline(always)]
     fn splat_u(self, value: u32) -> Self::U {
