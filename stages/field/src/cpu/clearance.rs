@@ -105,22 +105,35 @@ impl Clearance {
     /// With m the maximum norm of a point, moving it moves a coordinate of the contracted box, 4 wide, by at most as
     /// much times 4/m - 3/m^2 outside of the inner box and times 1 inside: at most 4/3 anywhere, and at most 4/m. Over
     /// the reach r, m falls to m - r at most. With a the clearance in the unit box, either of r / 3 < a and r / (m - r) < a
-    /// leaves the points in empty space. A point with a number that is not finite may be anywhere.
+    /// leaves the points in empty space.
     #[inline(always)]
     pub fn near<I: Isa>(&self, isa: I, points: &[Block; 3], reach: &Block) -> u32 {
-        let (mut q, mut m) = ([Block::ZERO; 3], Block::ZERO);
+        let (mut at, mut m) = ([Block::ZERO; 3], Block::ZERO);
         for lane in 0..LANES {
             let point = [points[0].0[lane], points[1].0[lane], points[2].0[lane]];
             m.0[lane] = point[0].abs().max(point[1].abs()).max(point[2].abs());
-            let at = contract(point).0;
+            let contracted = contract(point).0;
             for axis in 0..3 {
-                q[axis].0[lane] = at[axis];
+                at[axis].0[lane] = contracted[axis];
             }
         }
+        let around = self.around(isa, &at);
+        let mut near = [0_u32; LANES];
+        for lane in 0..LANES {
+            let around = around.0[lane];
+            let free = (3.0 * around).max(around / (1.0 + around) * m.0[lane]);
+            near[lane] = u32::from(!(around > 0.0 && free > reach.0[lane]));
+        }
+        (0..LANES).fold(0, |bits, lane| bits | near[lane] << lane)
+    }
+
+    /// Returns how far every coordinate of 16 points of the unit box may move before a cell with matter is reached; 0 or less in one.
+    #[inline(always)]
+    fn around<I: Isa>(&self, isa: I, at: &[Block; 3]) -> Block {
         let (side, last) = (isa.splat(self.side as f32), isa.splat_u(self.side as u32 - 1));
         let (mut cell, mut border) = (isa.splat_u(0), Block([1.0; LANES]));
         for axis in [2, 1, 0] {
-            let place = isa.mul(isa.unit(isa.load(&q[axis])), side);
+            let place = isa.mul(isa.unit(isa.load(&at[axis])), side);
             let corner = isa.min_u(isa.whole(place), last);
             cell = isa.mul_u(cell, isa.splat_u(self.side as u32 + 2));
             cell = isa.add_u(cell, isa.add_u(corner, isa.splat_u(1)));
@@ -132,18 +145,12 @@ impl Clearance {
         }
         let mut lanes = [0; LANES];
         isa.store_u(cell, &mut lanes);
-        let mut cells = Block::ZERO;
+        let mut around = Block::ZERO;
         for lane in 0..LANES {
-            cells.0[lane] = f32::from(self.cells[lanes[lane] as usize]);
+            let cells = f32::from(self.cells[lanes[lane] as usize]);
+            around.0[lane] = (cells - 1.0 + border.0[lane]) / self.side as f32 - MARGIN;
         }
-        let mut near = [0_u32; LANES];
-        for lane in 0..LANES {
-            // Of a cell with matter this is 0 or less.
-            let around = (cells.0[lane] - 1.0 + border.0[lane]) / self.side as f32 - MARGIN;
-            let free = (3.0 * around).max(around / (1.0 + around) * m.0[lane]);
-            near[lane] = u32::from(!(around > 0.0 && free > reach.0[lane]));
-        }
-        (0..LANES).fold(0, |bits, lane| bits | near[lane] << lane)
+        around
     }
 }
 

@@ -200,6 +200,9 @@ impl Kernel for March<'_> {
     }
 }
 
+/// Share of a distance along a ray that its rounding, and that of the middle of a block, amounts to at most.
+const ROUNDING: f32 = 2.0 * f32::EPSILON;
+
 impl March<'_> {
     /// Returns one bit for each of 16 blocks of steps: whether the ray may meet matter there.
     #[inline(always)]
@@ -214,7 +217,7 @@ impl March<'_> {
         for (lane, (begin, length)) in begins.iter().zip(lengths).take(LANES).enumerate() {
             let end = begin[LANES - 1] + length[LANES - 1];
             middle.0[lane] = 0.5 * (begin[0] + end);
-            half.0[lane] = 0.5 * (end - begin[0]);
+            half.0[lane] = ROUNDING.mul_add(end, 0.5 * (end - begin[0]));
         }
         let mut points = [Block::ZERO; 3];
         for axis in 0..3 {
@@ -415,15 +418,15 @@ mod tests {
                 }
             }
             let clearance = Clearance::new(&bits);
-            for _ in 0..100 {
-                let reach = [0.5, 3.0, 40.0][rng.below(3) as usize];
+            for (level, _) in InstructionSet::all().into_iter().cycle().zip(0..100) {
+                let reach = [0.5, 3.0, 40.0, 300.0][rng.below(4) as usize];
                 let mut number = |size: f32| size * (2.0 * rng.unit() - 1.0);
                 let (origin, toward) = ([0; 3].map(|_| number(reach)), [0; 3].map(|_| number(1.0)));
                 let norm = toward.iter().map(|axis| axis * axis).sum::<f32>().sqrt();
                 let (direction, jitter) = (toward.map(|axis| axis / norm), rng.unit());
                 let [all, past] = [None, Some(&clearance)].map(|clearance| {
                     let mut samples = Samples::default();
-                    let end = InstructionSet::best().run(March {
+                    let end = level.run(March {
                         clearance,
                         steps: &steps,
                         bits: &bits,
@@ -445,7 +448,7 @@ mod tests {
                 }) += 1;
             }
         }
-        assert!(found_any > 100 && found_none > 100, "{found_any} {found_none}");
+        assert!(found_any > 80 && found_none > 100, "{found_any} {found_none}");
     }
 
     #[test]
