@@ -1,0 +1,80 @@
+//! Decoding of JPEGs, strictly.
+
+use image::metadata::Orientation;
+use image::{DynamicImage, GrayImage, RgbImage};
+use zune_core::bytestream::ZCursor;
+use zune_core::colorspace::ColorSpace;
+use zune_core::options::DecoderOptions;
+use zune_jpeg::JpegDecoder;
+use zune_jpeg::errors::DecodeErrors;
+
+use super::other::upright;
+use super::{DecodeError, MAX_DECODE_BYTES, MAX_SIDE, Photo, damaged, scan};
+
+/// Decodes a JPEG strictly and requires its end marker: a file cut in half, or with a damaged scan, must not become
+/// training data. (The `image` crate decodes with the same library, but leniently.)
+pub(super) fn decode(bytes: &[u8]) -> Result<Photo, DecodeError> {
+    let fail = |error: DecodeErrors| damaged("JPEG", &format!("{error:?}"));
+    let options = DecoderOptions::default()
+        .set_strict_mode(true)
+        .set_max_width(MAX_SIDE as usize)
+        .set_max_height(MAX_SIDE as usize);
+    let mut decoder = JpegDecoder::new_with_options(ZCursor::new(bytes), options);
+    decoder.decode_headers().map_err(fail)?;
+    if !has_end(bytes) {
+        return Err(damaged(
+            "JPEG",
+            &"the end marker FF D9 is missing: the file is cut short",
+        ));
+    }
+    let (width, height) = decoder.dimensions().unwrap_or_default();
+    let (width, height) = (width as u32, height as u32);
+    if u64::from(width) * u64::from(height) * 3 > MAX_DECODE_BYTES {
+        return Err(DecodeError::TooLarge { width, height });
+    }
+    let grey = decoder.input_colorspace() == Some(ColorSpace::Luma);
+    let kept = if grey { ColorSpace::Luma } else { ColorSpace::RGB };
+    decoder.set_options(options.jpeg_set_out_colorspace(kept));
+    scan::check(bytes).map_err(|error| damaged("JPEG", &error))?;
+    let pixels = decoder.decode().map_err(fail)?;
+    let orientation = decoder.exif().and_then(|exif| Orientation::from_exif_chunk(exif));
+    let orientation = orientation.unwrap_or(Orientation::NoTransforms);
+    let photo = if grey {
+        let decoded = GrayImage::from_raw(width, height, pixels).map(DynamicImage::from);
+        decoded.map(|decoded| Photo::of_upright(upright(decoded, orientation)))
+    } else if orientation == Orientation::NoTransforms {
+        Photo::of_pixels(width, height, pixels)
+    } else {
+        let decoded = RgbImage::from_raw(width, height, pixels).map(DynamicImage::from);
+        decoded.map(|decoded| Photo::of_upright(upright(decoded, orientation)))
+    };
+    photo.ok_or_else(|| damaged("JPEG", &"fewer pixels than its header says"))
+}
+
+/// Returns whether a JPEG has its end marker within its last 4096 bytes.
+pub(super) fn has_end(bytes: &[u8]) -> bool {
+    bytes.windows(2).rev().take(4096).any(|pair| pair == [0xff, 0xd9])
+}
+
+/// Decodes an upright JPEG of three channels straight into its pixels; `None` for anything else, errors included.
+///
+/// The same decoder as in [`decode`], but without counting the units of the scan. Where it returns `None`, [`Photo::decode`] finds the error.
+pub(super) fn decode_plain(bytes: &[u8]) -> Option<Photo> {
+    let options = DecoderOptions::default()
+        .set_strict_mode(false)
+        .set_max_width(MAX_SIDE as usize)
+        .set_max_height(MAX_SIDE as usize)
+        .jpeg_set_out_colorspace(ColorSpace::RGB);
+    let mut decoder = JpegDecoder::new_with_options(ZCursor::new(bytes), options);
+    decoder.decode_headers().ok()?;
+    let (width, height) = decoder.dimensions()?;
+    let colour = matches!(decoder.input_colorspace()?, ColorSpace::YCbCr | ColorSpace::RGB);
+    let turned = decoder
+        .exif()
+        .and_then(|exif| Orientation::from_exif_chunk(exif))
+        .is_some_and(|orientation| orientation.to_exif() != 1);
+    if !colour || turned || (3 * width * height) as u64 > MAX_DECODE_BYTES {
+        return None;
+    }
+    Photo::of_pixels(width as u32, height as u32, decoder.decode().ok()?)
+}
