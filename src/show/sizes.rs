@@ -33,7 +33,7 @@ pub(super) fn shown(facts: &Facts) -> Markup {
 }
 
 /// Name, value, unit and reason of each size.
-fn rows(facts: &Facts) -> [(&'static str, f64, &'static str, &str); 7] {
+fn rows(facts: &Facts) -> [(&'static str, f64, &'static str, &str); 8] {
     let sizes = &facts.sizes;
     let (near, far) = (&sizes.near, &sizes.far);
     let (finest, levels) = (&sizes.finest, &sizes.levels);
@@ -61,6 +61,12 @@ fn rows(facts: &Facts) -> [(&'static str, f64, &'static str, &str); 7] {
             "",
             &sizes.distortion.reason,
         ),
+        (
+            "pull of the tables to zero at the start",
+            sizes.table_decay.value,
+            "",
+            &sizes.table_decay.reason,
+        ),
     ]
 }
 
@@ -82,6 +88,8 @@ mod tests {
             "0.25 half sides",
             "half of &lt;that&gt;",
             "by 1.9 a level",
+            "1.00e-6",
+            "ten photos",
             "left out: +0.02 dB",
             "a random colour each",
         ] {

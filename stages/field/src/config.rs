@@ -121,6 +121,10 @@ pub struct Config {
     /// Weight of the distortion loss (mip-NeRF 360, arXiv 2111.12077, eq. 15), 0 or more, the same in all steps. Absent: from the
     /// number of photos, growing with the steps where they are many: `benches/field.md`.
     pub distortion: Option<f64>,
+    /// Pull of the tables to zero at the start, in [0, 1]: so many times an entry is added to its gradient, where it has one; it
+    /// falls to 0 with the square of the share of the training that is left. Absent: from the number of photos, `benches/field.md`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub table_decay: Option<f64>,
     /// Weight of the opacity of every sample in the loss, in [0, 0.1]: thin fog costs samples on every ray. After 2,000
     /// steps 0.00003 gained .15 dB on the mock-up and .07 on the fox, 0.0001 gained .31 and lost .24: `benches/field.md`.
     pub emptiness: f64,
@@ -175,6 +179,7 @@ impl Default for Config {
             far: None,
             steps: None,
             distortion: None,
+            table_decay: None,
             emptiness: 3e-5,
             depth_weight: 1e-2,
             depth_steps: 1000,
@@ -386,6 +391,12 @@ impl Config {
                 "distortion",
                 self.distortion.unwrap_or_default(),
                 (0.0..=1.0).contains(&self.distortion.unwrap_or_default()),
+                "0 to 1",
+            ),
+            (
+                "table_decay",
+                self.table_decay.unwrap_or_default(),
+                (0.0..=1.0).contains(&self.table_decay.unwrap_or_default()),
                 "0 to 1",
             ),
             (

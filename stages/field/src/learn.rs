@@ -54,7 +54,10 @@ fn learn_tables(
     Pace { rate, keep }: Pace,
     watch: Option<&Watch>,
 ) {
-    let bias = &training.bias;
+    let (bias, rates) = (
+        &training.bias,
+        [rate, training.table_decay_at(training.state.steps)],
+    );
     let State {
         weights,
         average,
@@ -78,8 +81,8 @@ fn learn_tables(
             }
         });
         timed(watch, Part::Adam, || match features {
-            2 => adam::<2>(level, table, gradient, moments, [rate, 0.0], bias),
-            _ => adam::<4>(level, table, gradient, moments, [rate, 0.0], bias),
+            2 => adam::<2>(level, table, gradient, moments, rates, bias),
+            _ => adam::<4>(level, table, gradient, moments, rates, bias),
         });
         timed(watch, Part::Average, || blend(average, table, keep));
     });

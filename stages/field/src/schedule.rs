@@ -206,6 +206,12 @@ impl Training {
         ((last - first) * done).mul_add(done, first) as f32
     }
 
+    /// Returns the pull of the tables to zero after so many steps.
+    pub fn table_decay_at(&self, steps: u64) -> f32 {
+        let left = 1.0 - self.schedule.done(steps);
+        (self.sizes.table_decay.value * left * left) as f32
+    }
+
     /// Halves the steps along rays once there is a surface to find more exactly.
     pub fn halve_steps(&mut self) {
         let most = self.sizes.halvings.value;
@@ -477,6 +483,22 @@ mod tests {
                 let found = f64::from(training.distortion_at(steps));
                 assert!((found - expected).abs() < 1e-8, "{weights:?}, {steps}: {found}");
             }
+        }
+    }
+
+    #[test]
+    fn the_pull_of_the_tables_falls_with_the_square_of_what_is_left() {
+        let mut training = of(Some(1_000));
+        training.sizes.table_decay.value = 1e-5;
+        for (steps, expected) in [
+            (0, 1e-5),
+            (250, 5.625e-6),
+            (500, 2.5e-6),
+            (1_000, 0.0),
+            (u64::MAX, 0.0),
+        ] {
+            let found = f64::from(training.table_decay_at(steps));
+            assert!((found - expected).abs() < 1e-12, "{steps}: {found}");
         }
     }
 

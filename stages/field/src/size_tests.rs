@@ -215,6 +215,37 @@ fn the_weight_of_the_distortion_loss_follows_the_number_of_photos_and_what_point
 }
 
 #[test]
+fn tables_are_pulled_to_zero_where_photos_are_few() {
+    for (photos, pull, said) in [
+        (1, 1e-5, "1 photos to train on are fewer than 24"),
+        (9, 1e-5, "9 photos"),
+        (18, 1e-5 / 16.0, "18 photos"),
+        (24, 0.0, "24 photos to train on, 24 or more"),
+    ] {
+        let views: Vec<_> = above(8).into_iter().cycle().take(photos).collect();
+        let found = sizes(&views, &[]).table_decay;
+        assert_eq!(found.value, pull, "{found:?}");
+        assert!(found.reason.contains(said), "{found:?}");
+    }
+    let config = Config {
+        table_decay: Some(0.5),
+        ..Config::default()
+    };
+    let said = sizes_of(&above(8), &[], &config);
+    assert_eq!(said.table_decay.value, 0.5);
+    let mut before = serde_json::to_value(&said).unwrap();
+    before.as_object_mut().unwrap().remove("table_decay").unwrap();
+    let mut read: Sizes = serde_json::from_value(before).unwrap();
+    assert_eq!(read.table_decay.value, 0.0);
+    read.check(&config).unwrap();
+    for pull in [-1e-9, 1.1, f64::NAN, f64::INFINITY] {
+        read.table_decay.value = pull;
+        let refused = read.check(&config).unwrap_err().to_string();
+        assert!(refused.contains("table_decay"), "{refused}");
+    }
+}
+
+#[test]
 fn without_points_the_reasons_say_so() {
     let sizes = sizes(&above(256), &[]);
     assert_eq!((sizes.near.value, sizes.far.value), (0.1, 512.0));

@@ -56,6 +56,7 @@ prop_compose! {
         cone in log(1.0 / 256.0, 0.25),
         min_step in log(1e-3, 0.5),
         distortion in prop::sample::select(vec![None, Some(0.0), Some(1e-3), Some(1.0)]),
+        table_decay in prop::sample::select(vec![None, Some(0.0), Some(1.0)]),
         emptiness in prop::sample::select(vec![0.0, 3e-5, 0.1]),
         depth_weight in prop::sample::select(vec![0.0, 3e-3, 1.0]),
         occupied in prop::sample::select(vec![Occupied::Seen, Occupied::NearPoints]),
@@ -64,7 +65,7 @@ prop_compose! {
         view_dependence in prop::sample::select(vec![ViewDependence::On, ViewDependence::Off]),
     ) -> Config {
         Config {
-            cone, min_step, distortion, emptiness, depth_weight, occupied, gain, background, view_dependence, ..rates
+            cone, min_step, distortion, table_decay, emptiness, depth_weight, occupied, gain, background, view_dependence, ..rates
         }
     }
 }

@@ -348,9 +348,9 @@ fn the_answers_belong_to_the_versions() {
     assert_eq!(
         found,
         [
-            ("train", 12, "6289d3ef93e9"),
-            ("evaluate", 5, "930335c37c70"),
-            ("render", 6, "cf7e66aa84de")
+            ("train", 13, "e3785d42fa08"),
+            ("evaluate", 5, "33dfd60e0363"),
+            ("render", 6, "7a5a60e7a136")
         ]
     );
 }

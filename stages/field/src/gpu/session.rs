@@ -317,7 +317,8 @@ impl GpuSession {
         self.held
             .arrays
             .write_losses(gpu, &self.held.lanes, training, number);
-        gpu.write(&self.held.arrays.rates, 0, &[rates(rate, EPSILON, 0.0, keep)]);
+        let rates = rates(rate, EPSILON, training.table_decay_at(number), keep);
+        gpu.write(&self.held.arrays.rates, 0, &[rates]);
     }
 
     /// Records a step.
