@@ -68,9 +68,9 @@ const FEW_PHOTOS: usize = 24;
 /// Weights of the distortion loss at the start and at the end, of few photos and of many. `benches/field.md`.
 const DISTORTION_OF_FEW: [f64; 2] = [0.03; 2];
 const DISTORTION_OF_MANY: [f64; 2] = [0.0, 0.1];
-/// Pull of the tables to zero at the start, of so many photos or fewer. `benches/field.md`.
-const TABLE_DECAY_OF_FEW: f64 = 1e-5;
-const FEWEST_PHOTOS: f64 = 9.0;
+/// So many photos or fewer have their tables pulled to zero, so strongly at the start. `benches/field.md`.
+const FEWEST_PHOTOS: usize = 9;
+const TABLE_DECAY_OF_FEWEST: f64 = 1e-5;
 /// Smallest and largest table that is derived.
 const TABLES: [u32; 2] = [12, 22];
 
@@ -415,20 +415,19 @@ fn table_decay_before() -> Chosen<f64> {
 /// Returns the pull of the tables to zero at the start.
 ///
 /// Adam divides by the size of a gradient, so that noise moves by whole steps what photos tell next to nothing of: specks where few of
-/// them look. A pull outweighs the noise; it keeps details small, too, hence it fades, and falls with the fourth power of the number of
-/// photos: as measured, it gained 1 to 3 dB with 9 of them, nothing with 15, and as strong it lost half a decibel with 20.
+/// them look. A pull outweighs the noise; it keeps details small, too, hence it fades, and more photos have none.
 fn table_decay(config: &Config, photos: usize) -> Chosen<f64> {
     if let Some(pull) = config.table_decay {
         return Chosen::said(pull, "table_decay");
     }
-    if photos < FEW_PHOTOS {
-        let share = (FEWEST_PHOTOS / photos.max(1) as f64).min(1.0);
+    if photos <= FEWEST_PHOTOS {
         let reason = format!(
-            "{photos} photos to train on are fewer than {FEW_PHOTOS}: what they tell nothing of is to stay smooth; it falls to 0 with the square of the share of the training that is left"
+            "{photos} photos to train on, {FEWEST_PHOTOS} or fewer: what they tell nothing of is to stay smooth; it falls to 0 with the square of the share of the training that is left"
         );
-        return Chosen::new(TABLE_DECAY_OF_FEW * share.powi(4), reason);
+        return Chosen::new(TABLE_DECAY_OF_FEWEST, reason);
     }
-    let reason = format!("{photos} photos to train on, {FEW_PHOTOS} or more, show every place often");
+    let reason =
+        format!("{photos} photos to train on, more than {FEWEST_PHOTOS}: it would keep their details small");
     Chosen::new(0.0, reason)
 }
 

@@ -90,9 +90,8 @@ fn a_ball_is_learnt_as_well_as_on_the_cpu_and_twice_with_the_same_bytes() {
             .collect::<Vec<_>>()
     );
     println!("after 200 steps: {on_gpu:.3} dB on the GPU, {on_cpu:.3} dB on the CPU");
-    // Of seeds 1 to 4 they are 0.2 to 0.6 dB apart, without a pull of the tables to zero 0.0 to 0.8: gradients below a quantum are 0 on the GPU.
     assert!(
-        (on_gpu - on_cpu).abs() < 0.6 && on_cpu > 20.0,
+        (on_gpu - on_cpu).abs() < 0.3 && on_cpu > 20.0,
         "{on_gpu} against {on_cpu}"
     );
 }
