@@ -348,7 +348,7 @@ fn the_answers_belong_to_the_versions() {
     assert_eq!(
         found,
         [
-            ("train", 13, "e3785d42fa08"),
+            ("train", 13, "09ede396b41f"),
             ("evaluate", 5, "33dfd60e0363"),
             ("render", 6, "7a5a60e7a136")
         ]
