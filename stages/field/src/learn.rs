@@ -54,10 +54,8 @@ fn learn_tables(
     Pace { rate, keep }: Pace,
     watch: Option<&Watch>,
 ) {
-    let (bias, rates) = (
-        &training.bias,
-        [rate, training.table_decay_at(training.state.steps)],
-    );
+    let bias = &training.bias;
+    let rates = [rate, training.table_decay_at(training.state.steps)];
     let State {
         weights,
         average,

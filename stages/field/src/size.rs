@@ -414,8 +414,8 @@ fn table_decay_before() -> Chosen<f64> {
 
 /// Returns the pull of the tables to zero at the start.
 ///
-/// Adam divides by the size of a gradient, so that noise moves by whole steps what photos tell next to nothing of: specks where few of
-/// them look. A pull outweighs the noise; it keeps details small, too, hence it fades, and more photos have none.
+/// Fields of few photos show specks where few of them look: a pull smooths these. It keeps details small, too, hence it fades, and
+/// more photos have none. On low contrast it may cost more than it gains: `benches/field.md`.
 fn table_decay(config: &Config, photos: usize) -> Chosen<f64> {
     if let Some(pull) = config.table_decay {
         return Chosen::said(pull, "table_decay");
