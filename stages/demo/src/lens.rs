@@ -1,6 +1,6 @@
 //! The camera model: CAHVOR, projection and back-projection.
 
-use marf_scene::Cahvor;
+use marf_scene::{Cahvor, Camera, Pose};
 
 use super::math::{V3, v3};
 
@@ -36,6 +36,25 @@ impl Lens {
             v: down * focal_px + forward * vc,
             o: (forward + right * OPTICAL_TILT.0 + down * OPTICAL_TILT.1).unit(),
             r: RADIAL,
+        }
+    }
+
+    /// Returns an ideal pinhole; the camera's distortion is left out.
+    pub fn pinhole(cam_from_site: &Pose, camera: &Camera) -> Self {
+        let axis = |row: usize| {
+            let row = cam_from_site.rotation.row(row);
+            v3(row[0], row[1], row[2])
+        };
+        let (right, down, forward) = (axis(0), axis(1), axis(2));
+        let centre = cam_from_site.centre();
+        // Pixels of the camera begin at their corner, those of the lens at their centre.
+        Self {
+            c: v3(centre.x, centre.y, centre.z),
+            a: forward,
+            h: right * camera.fx_px + forward * (camera.cx_px - 0.5),
+            v: down * camera.fy_px + forward * (camera.cy_px - 0.5),
+            o: forward,
+            r: [0.0; 3],
         }
     }
 
@@ -185,6 +204,26 @@ mod tests {
             assert!((u - x).abs() < 1e-10 && (v - y).abs() < 1e-10, "{x} {y}: {u} {v}");
         }
         assert_eq!(lens.project(lens.c - lens.a), None);
+    }
+
+    #[test]
+    fn a_pinhole_sees_what_its_camera_sees() {
+        let turn = Quaternion::about(v3(0.6, 0.0, 0.8), 0.7).columns();
+        let cam_from_site = Pose {
+            rotation: nalgebra::Matrix3::from_columns(&turn.map(|column| column.array().into())),
+            translation: nalgebra::Vector3::new(0.3, -1.2, 2.0),
+        };
+        let camera = Camera {
+            fy_px: 300.0,
+            cx_px: 10.0,
+            ..Camera::pinhole(64, 48, 200.0)
+        };
+        let lens = Lens::pinhole(&cam_from_site, &camera);
+        let at = cam_from_site.centre()
+            + cam_from_site.rotation.transpose() * nalgebra::Vector3::new(0.2, -0.1, 5.0);
+        let (x, y) = lens.project(v3(at.x, at.y, at.z)).unwrap();
+        // 10 + 200 * 0.2 / 5 and 24 + 300 * -0.1 / 5, less half a pixel.
+        assert!((x - 17.5).abs() < 1e-12 && (y - 17.5).abs() < 1e-12, "{x} {y}");
     }
 
     /// Vectors computed with 50 digits elsewhere, for a Mastcam-Z-like model.

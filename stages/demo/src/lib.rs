@@ -31,12 +31,13 @@ use std::{
 
 use image::{ExtendedColorType, ImageEncoder, codecs::jpeg::JpegEncoder, codecs::png::PngEncoder};
 use marf_cache::{ContentHash, Digest, digest_of};
-use marf_scene::{Image, Srgb};
+use marf_scene::{Camera, Image, Pose, Srgb};
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use label::Facts;
+use lens::Lens;
 use math::SrgbEncoder;
 use plan::{Product, View};
 use render::Shot;
@@ -162,10 +163,7 @@ impl Demo {
         let DemoOptions {
             width_px, height_px, ..
         } = options;
-        let drawable = |side: u32| (16..=4096).contains(&side);
-        if !drawable(width_px) || !drawable(height_px) {
-            return Err(DemoError::Size { width_px, height_px });
-        }
+        check_size(width_px, height_px)?;
         Ok(Self {
             options,
             worlds: [const { OnceLock::new() }; SITES],
@@ -279,6 +277,23 @@ impl Demo {
             height: shot.height,
             range_m: shot.ranges_m(),
         })
+    }
+
+    /// Returns the picture that a camera takes on a sol: without noise, through an ideal pinhole (its distortion is left out).
+    /// Frames as in [`TruePhoto`].
+    ///
+    /// # Errors
+    /// [`DemoError::Sol`], [`DemoError::Size`].
+    pub fn picture(&self, sol: u32, cam_from_site: &Pose, camera: &Camera) -> Result<Image<Srgb>, DemoError> {
+        check(sol)?;
+        check_size(camera.width, camera.height)?;
+        let shot = Shot {
+            world: self.world_on(sol),
+            lens: Lens::pinhole(cam_from_site, camera),
+            width: camera.width,
+            height: camera.height,
+        };
+        Ok(shot.photo(&SrgbEncoder::new()))
     }
 
     /// Returns an archive folder of several sols: images and labels side by side, and under `truth/` one JSON
@@ -441,6 +456,13 @@ struct Tour {
 
 fn check(sol: u32) -> Result<(), DemoError> {
     SOLS.contains(&sol).then_some(()).ok_or(DemoError::Sol { sol })
+}
+
+fn check_size(width_px: u32, height_px: u32) -> Result<(), DemoError> {
+    let drawable = |side: u32| (16..=4096).contains(&side);
+    (drawable(width_px) && drawable(height_px))
+        .then_some(())
+        .ok_or(DemoError::Size { width_px, height_px })
 }
 
 /// Returns width, height, bands and encoded bytes of a product's image.

@@ -437,6 +437,40 @@ fn the_pinhole_sees_what_the_lens_sees_at_its_axis() {
     }
 }
 
+/// Near the optical axis, where the lens bends nothing, a picture of the ideal pinhole is the photo.
+#[test]
+fn a_picture_shows_what_the_photo_shows_at_its_axis() {
+    let demo = small();
+    let photo = &demo.ground_truth(1).unwrap().photos[0];
+    let shown = demo.picture(1, &photo.cam_from_site, &photo.pinhole).unwrap();
+    let taken = Photo::decode(&sol_1()[&photo.file]).unwrap().image;
+    let apart = |columns: std::ops::Range<u32>, rows: std::ops::Range<u32>| {
+        let pixels = columns.flat_map(|x| rows.clone().map(move |y| (x, y)));
+        let apart: Vec<f64> = pixels
+            .map(|(x, y)| distance(taken.at(x, y), shown.at(x, y).map(f64::from)))
+            .collect();
+        apart.iter().sum::<f64>() / apart.len() as f64
+    };
+    assert!(
+        apart(70..95, 48..72) < 1.0,
+        "{} levels at the axis",
+        apart(70..95, 48..72)
+    );
+    assert!(
+        apart(0..25, 96..120) > 2.0,
+        "{} levels in a corner, where the lens bends",
+        apart(0..25, 96..120)
+    );
+    let camera = Camera {
+        width: 4097,
+        ..photo.pinhole
+    };
+    assert!(matches!(
+        demo.picture(1, &photo.cam_from_site, &camera),
+        Err(DemoError::Size { width_px: 4097, .. })
+    ));
+}
+
 #[test]
 fn an_archive_has_its_truth_beside_it() {
     let demo = Demo::new(DemoOptions {
