@@ -5,7 +5,7 @@ use std::sync::Arc;
 use marf_cache::Digest;
 use marf_field::{Device, Field as Trained, FieldError, Render};
 use marf_scene::path::{focus_point, orbit, typical_camera};
-use marf_scene::picture::round_upper_limit;
+use marf_scene::picture::{ColorScale, DEPTH_DECADES, Palette, round_upper_limit};
 use marf_scene::{Camera, Frame, Pose, Scene};
 use nalgebra::Vector3;
 use serde::Serialize;
@@ -27,20 +27,49 @@ pub struct Field {
     trained: Trained,
     members: Vec<Trained>,
     depth_interval: Option<DepthInterval>,
-    /// Where the scene knows its scale the ends are in metres.
     scales: Scales,
     start: Pose,
 }
 
-/// The upper ends of the colour scales; the lower ones are 0.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+/// The colour scales.
+#[derive(Debug, Clone, PartialEq)]
 pub struct Scales {
     /// Of depth: world units.
-    pub depth: f64,
+    pub depth: ColorScale,
     /// Of uncertainty: standard deviation of gray, white = 1.
-    pub uncertainty: f64,
+    pub uncertainty: ColorScale,
     /// Of the difference from a photo: gray, white = 1.
-    pub difference: f64,
+    pub difference: ColorScale,
+}
+
+impl Scales {
+    /// Returns scales whose ends for depth and uncertainty are given.
+    fn to(depth: f64, uncertainty: f64) -> Self {
+        let of_gray = |high| ColorScale::linear("", "", high, Palette::Inferno);
+        Self {
+            depth: ColorScale::linear("", "", depth, Palette::Viridis).over_decades(DEPTH_DECADES),
+            uncertainty: of_gray(uncertainty),
+            difference: of_gray(SCALE_END),
+        }
+    }
+
+    /// Returns the lowest and highest value of each.
+    fn ends(&self) -> Ends {
+        let ends = |scale: &ColorScale| [scale.low, scale.high];
+        Ends {
+            depth: ends(&self.depth),
+            uncertainty: ends(&self.uncertainty),
+            difference: ends(&self.difference),
+        }
+    }
+}
+
+/// The lowest and highest value of each of the [`Scales`].
+#[derive(Debug, Serialize)]
+struct Ends {
+    depth: [f64; 2],
+    uncertainty: [f64; 2],
+    difference: [f64; 2],
 }
 
 /// What the page knows of a field.
@@ -59,7 +88,7 @@ pub struct SceneView<'a> {
     /// The camera of the view, 640 pixels wide.
     camera: Camera,
     members: usize,
-    scales: Scales,
+    scales: Ends,
     photos: Vec<PhotoView<'a>>,
 }
 
@@ -94,11 +123,7 @@ impl Field {
             members: of.members.iter().map(trained).collect::<Result<_, _>>()?,
             depth_interval: of.depth_interval,
             scene_digest: of.scene,
-            scales: Scales {
-                depth: 1.0,
-                uncertainty: 1.0,
-                difference: SCALE_END,
-            },
+            scales: Scales::to(1.0, 1.0),
             start: start.ok_or_else(|| format!("the scene of `{}` has no photo", of.node))?,
             scene,
         };
@@ -106,9 +131,9 @@ impl Field {
         Ok(field)
     }
 
-    /// Returns the upper ends of the colour scales.
-    pub fn scales(&self) -> Scales {
-        self.scales
+    /// Returns the colour scales.
+    pub fn scales(&self) -> &Scales {
+        &self.scales
     }
 
     /// Returns the field itself.
@@ -154,7 +179,7 @@ impl Field {
             start: self.start,
             camera: typical_camera(&self.scene, 640),
             members: self.members.len(),
-            scales: self.scales,
+            scales: self.scales.ends(),
             photos: photos.collect(),
         }
     }
@@ -171,11 +196,10 @@ impl Field {
         let render = |field: &Trained| field.render(&camera, &self.start);
         let depths = depths(&render(&self.trained)?);
         let members: Vec<Render> = self.members.iter().map(render).collect::<Result<_, _>>()?;
-        Ok(Scales {
-            depth: round_upper_limit(&depths, 0.95),
-            uncertainty: round_upper_limit(&spread(&members), 0.98),
-            difference: SCALE_END,
-        })
+        Ok(Scales::to(
+            round_upper_limit(&depths, 0.95),
+            round_upper_limit(&spread(&members), 0.98),
+        ))
     }
 }
 

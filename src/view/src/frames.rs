@@ -3,11 +3,11 @@
 use std::sync::Arc;
 
 use marf_field::{Field as Trained, FieldError, Render};
-use marf_scene::picture::Palette;
+use marf_scene::picture::ColorScale;
 use marf_scene::{Camera, Image, Pose, Srgb, encode_png};
 use serde::Deserialize;
 
-use crate::difference::{self, Reference};
+use crate::difference::Reference;
 use crate::field::{Field, depths, spread};
 
 /// A picture is rendered at these fractions of its size, one after the other.
@@ -19,8 +19,6 @@ const BAND_PX: u32 = 1 << 14;
 /// Rows of a band are a multiple of this, the height of what the renderer traces at once: its pixels are then those of the
 /// whole picture.
 const BAND_ROWS: u32 = 32;
-/// Colour of a pixel without a value.
-const NO_VALUE: [u8; 3] = [96, 96, 104];
 
 /// What a picture shows.
 #[derive(Debug, Clone)]
@@ -100,7 +98,7 @@ pub fn frame(
         Shown::Color => render(field.trained())?.to_image(),
         Shown::Depth => {
             let values = depths(&render(field.trained())?);
-            colored(&values, field.scales().depth, Palette::Viridis, (width, height))
+            colored(&values, &field.scales().depth, (width, height))
         }
         Shown::Uncertainty => {
             let renders: Vec<Render> = field.members().iter().map(render).collect::<Result<_, _>>()?;
@@ -110,16 +108,11 @@ pub fn frame(
                     "the run has no retrainings, hence no uncertainty".to_owned(),
                 ));
             }
-            colored(
-                &values,
-                field.scales().uncertainty,
-                Palette::Inferno,
-                (width, height),
-            )
+            colored(&values, &field.scales().uncertainty, (width, height))
         }
         Shown::Difference(reference) => {
             let values = reference.differences(&render(field.trained())?.to_image());
-            colored(&values, difference::SCALE_END, Palette::Inferno, (width, height))
+            colored(&values, &field.scales().difference, (width, height))
         }
     };
     let png = encode_png(&image).map_err(|error| FrameError::Failed(error.to_string()))?;
@@ -128,16 +121,12 @@ pub fn frame(
     Ok(head.chain(png.iter().copied()).collect())
 }
 
-/// Draws values on a scale from 0 to `high`; negative ones have none.
-fn colored(values: &[f32], high: f64, palette: Palette, (width, height): (u32, u32)) -> Image<Srgb> {
-    let color = |value: &f32| match *value < 0.0 {
-        true => NO_VALUE,
-        false => palette.color(value / high as f32),
-    };
+/// Draws values on a scale.
+fn colored(values: &[f32], scale: &ColorScale, (width, height): (u32, u32)) -> Image<Srgb> {
     Image {
         width,
         height,
-        pixels: values.iter().map(color).collect(),
+        pixels: values.iter().map(|value| scale.color(*value)).collect(),
     }
 }
 

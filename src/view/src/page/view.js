@@ -139,14 +139,14 @@ class View {
   legend() {
     byId("view-legend").hidden = this.mode === "color";
     if (this.mode === "color") return;
-    const high = this.scene.scales[this.mode] * (this.mode === "depth" ? this.scale : 1);
+    const [low, high] = this.scene.scales[this.mode].map((end) => Number((end * (this.mode === "depth" ? this.scale : 1)).toPrecision(3)));
     const unitOf = {
-      depth: this.scene.metres_per_unit ? "m" : "units of the scene (no scale)",
+      depth: this.scene.metres_per_unit ? "m, logarithmic" : "units of the scene (no scale), logarithmic",
       uncertainty: "standard deviation of gray, white = 1",
       difference: "of gray from the photo, white = 1",
     };
-    byId("view-low").textContent = "0";
-    byId("view-high").textContent = `${Number(high.toPrecision(3))} ${unitOf[this.mode]}`;
+    byId("view-low").textContent = low;
+    byId("view-high").textContent = `${high} ${unitOf[this.mode]}`;
     byId("view-scale").className = `scale ${this.mode}`;
   }
   show(view, { bitmap, divisor }) {

@@ -1,7 +1,7 @@
 //! Values drawn as colours, with a scale.
 
 use super::{Palette, draw_text, font::HEIGHT_PX, text_width_px};
-use crate::{Image, Srgb};
+use crate::{Image, Srgb, metrics::ln};
 
 /// The colour scale of a map, drawn below it.
 #[derive(Debug, Clone, PartialEq)]
@@ -14,9 +14,56 @@ pub struct ColorScale {
     pub low: f64,
     /// Value of the highest colour; larger values have the same one.
     pub high: f64,
+    /// Whether equal steps of colour are equal factors, not equal differences; `low` is above 0 then, and smaller values have its colour.
+    pub logarithmic: bool,
     /// The colours.
     pub palette: Palette,
 }
+
+impl ColorScale {
+    /// Returns a scale from 0 to a value, with equal differences.
+    pub fn linear(title: &str, unit: &str, high: f64, palette: Palette) -> Self {
+        Self {
+            title: title.to_owned(),
+            unit: unit.to_owned(),
+            low: 0.0,
+            high,
+            logarithmic: false,
+            palette,
+        }
+    }
+
+    /// Returns the scale with equal factors, over so many powers of ten below its highest value.
+    #[must_use]
+    pub fn over_decades(self, decades: i32) -> Self {
+        Self {
+            low: self.high / 10_f64.powi(decades),
+            logarithmic: true,
+            unit: format!("{}, log", self.unit),
+            ..self
+        }
+    }
+
+    /// Returns the colour of a value; negative ones have none and are gray.
+    pub fn color(&self, value: f32) -> [u8; 3] {
+        if value < 0.0 {
+            return NO_VALUE;
+        }
+        let share = if self.logarithmic {
+            // The larger of no number and the low end is the low end.
+            let value = f64::from(value).max(self.low).min(self.high);
+            ln(value / self.low) / ln(self.high / self.low)
+        } else {
+            (f64::from(value) - self.low) / (self.high - self.low).max(f64::MIN_POSITIVE)
+        };
+        self.palette.color(share as f32)
+    }
+}
+
+/// Powers of ten that the colours of depths span: what is near takes most of a picture, and the farthest sets the end.
+pub const DEPTH_DECADES: i32 = 2;
+/// Those of their spread and of their intervals.
+pub const DEPTH_SPREAD_DECADES: i32 = 4;
 
 /// Colour of a pixel without a value.
 const NO_VALUE: [u8; 3] = [96, 96, 104];
@@ -31,7 +78,7 @@ const GROUND: [u8; 3] = [24, 24, 28];
 /// The picture is at least as wide as its text, the map is centred in it.
 pub fn draw_map(values: &[f32], width: u32, height: u32, scale: &ColorScale) -> Image<Srgb> {
     let Layout { zoom, gap, line } = Layout::of(width);
-    let (low, high) = (scale.low.to_string(), top_label(values, scale));
+    let (low, high) = ((scale.low as f32).to_string(), top_label(values, scale));
     // As wide as the longest label: maps on one scale have one size, whatever their values.
     let longest = format!("{ABOVE}{}", scale.high);
     let end = text_width_px(&low, zoom).max(text_width_px(&longest, zoom));
@@ -39,16 +86,9 @@ pub fn draw_map(values: &[f32], width: u32, height: u32, scale: &ColorScale) -> 
     let legend = text_width_px(&scale.unit, zoom) + 2 * end + 10 * gap;
     let mut picture = titled(&scale.title, width.max(legend), width, height);
     let full = picture.width;
-    let span = (scale.high - scale.low).max(f64::MIN_POSITIVE) as f32;
     let left = (full - width) / 2;
     paste(&mut picture, left, line, width, height, |column, row| {
-        let value = values[(row * width + column) as usize];
-        let share = (value - scale.low as f32) / span;
-        if value < 0.0 {
-            NO_VALUE
-        } else {
-            scale.palette.color(share)
-        }
+        scale.color(values[(row * width + column) as usize])
     });
     let bar_top = line + height + gap;
     paste(
@@ -182,13 +222,51 @@ mod tests {
     use super::*;
 
     fn scale() -> ColorScale {
-        ColorScale {
-            title: "standard deviation".into(),
-            unit: "of white".into(),
-            low: 0.0,
-            high: 0.05,
-            palette: Palette::Inferno,
+        ColorScale::linear("standard deviation", "of white", 0.05, Palette::Inferno)
+    }
+
+    #[test]
+    fn equal_factors_are_equal_steps_of_colour_on_a_logarithmic_scale() {
+        let scale = ColorScale {
+            high: 50.0,
+            ..scale()
         }
+        .over_decades(2);
+        assert_eq!((scale.low, scale.unit.as_str()), (0.5, "of white, log"));
+        let shares = [
+            (0.0, 0.0),
+            (0.5, 0.0),
+            (1.0, 0.150_515),
+            (5.0, 0.5),
+            (50.0, 1.0),
+            (f32::MAX, 1.0),
+        ];
+        for (value, share) in shares {
+            assert_eq!(scale.color(value), Palette::Inferno.color(share), "{value}");
+        }
+        assert_eq!(scale.color(-1.0), NO_VALUE);
+        assert_eq!(scale.color(f32::NAN), Palette::Inferno.color(0.0));
+        // The least scale there is, and one whose low end no decimal is.
+        assert_eq!(
+            ColorScale {
+                high: 1e-6,
+                ..scale.clone()
+            }
+            .over_decades(4)
+            .color(1e-6),
+            Palette::Inferno.color(1.0)
+        );
+        let picture = draw_map(
+            &[0.02; 4],
+            2,
+            2,
+            &ColorScale { high: 0.2, ..scale }.over_decades(2),
+        );
+        assert!(
+            picture.width < 200,
+            "{} pixels for the label of 0.002",
+            picture.width
+        );
     }
 
     #[test]

@@ -1,6 +1,9 @@
 use marf_scene::{
     Image, Srgb,
-    picture::{ColorScale, Palette, draw_map, draw_titled, round_upper_limit, side_by_side},
+    picture::{
+        ColorScale, DEPTH_DECADES, DEPTH_SPREAD_DECADES, Palette, draw_map, draw_titled, round_upper_limit,
+        side_by_side,
+    },
 };
 use marf_schema::{
     bootstrap::{Calibration, HeldOut, Shown},
@@ -44,13 +47,8 @@ impl Scales {
         held_out: Option<&HeldOut>,
         metres_per_unit: Option<f64>,
     ) -> Self {
-        let scale = |title: &str, unit: &str, high: f64| ColorScale {
-            title: title.to_owned(),
-            unit: unit.to_owned(),
-            low: 0.0,
-            high,
-            palette: Palette::Inferno,
-        };
+        let scale =
+            |title: &str, unit: &str, high: f64| ColorScale::linear(title, unit, high, Palette::Inferno);
         let top = |of: fn(&Tops) -> f64| tops.clone().map(of).fold(0.0, f64::max);
         let length_unit = if metres_per_unit.is_some() {
             "m"
@@ -71,7 +69,8 @@ impl Scales {
             .and_then(|held_out| held_out.depth_calibration.clone())
             .map(|depth| {
                 let high = length(|tops| tops.depth_std);
-                (depth, scale("90 % interval of depth: +-", length_unit, high))
+                let scale = scale("90 % interval of depth: +-", length_unit, high);
+                (depth, scale.over_decades(DEPTH_SPREAD_DECADES))
             });
         let viridis = |scale: ColorScale| ColorScale {
             palette: Palette::Viridis,
@@ -88,8 +87,10 @@ impl Scales {
             // Unseen pixels have more than any error of a colour can be.
             total: scale("total sd", "sRGB, white = 1", top(|tops| tops.total).min(1.0)),
             photos: viridis(scale("photos that saw it", "photos", top(|tops| tops.photos))),
-            depth: viridis(scale("mean depth", length_unit, length(|tops| tops.depth))),
-            depth_std: scale("std of depth, B-1", length_unit, length(|tops| tops.depth_std)),
+            depth: viridis(scale("mean depth", length_unit, length(|tops| tops.depth)))
+                .over_decades(DEPTH_DECADES),
+            depth_std: scale("std of depth, B-1", length_unit, length(|tops| tops.depth_std))
+                .over_decades(DEPTH_SPREAD_DECADES),
             error: scale("error of the mean", "sRGB, white = 1", top(|tops| tops.error)),
             interval: of_gray,
             depth_interval: of_depth,

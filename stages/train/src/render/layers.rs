@@ -6,7 +6,7 @@ use marf_scene::{
     Camera, Image, Photo, Scene, Srgb, encode_png,
     path::Viewpoint,
     picture::{
-        ColorScale, Palette, draw_map, draw_titled,
+        ColorScale, DEPTH_DECADES, Palette, draw_map, draw_titled,
         png16::{self, Quantity, read_quantity},
         quantile, round_upper_limit, side_by_side,
     },
@@ -27,8 +27,7 @@ use crate::{
 
 /// Rays with less opacity have no depth.
 const MIN_OPACITY: f32 = 0.5;
-/// A colour scale reaches this share of the values of every picture: a few far ones would leave the others one colour. On the demo's
-/// fly-through .99 ends at 50 m, where nearly all that is seen is within 10 m.
+/// A colour scale reaches this share of the values of every picture: a few far ones would leave the others few colours.
 const SCALE_SHARE: f64 = 0.95;
 
 /// What is kept of a rendered viewpoint, layer by layer.
@@ -186,25 +185,19 @@ impl<'a> Drawing<'a> {
     pub fn of(scene: &Scene, layers: &'a [Layer], frames: &[Frame]) -> Self {
         let scale = |(index, layer): (usize, &Layer)| {
             let tops: Vec<f32> = frames.iter().map(|frame| frame.0[index].top).collect();
-            ColorScale {
-                title: match layer {
-                    Layer::Rgb => "colour",
-                    Layer::Depth => "depth",
-                    Layer::Uncertainty => "std of gray, B-1",
+            let high = round_upper_limit(&tops, 1.0);
+            let length_unit = if scene.metres_per_unit.is_some() {
+                "m"
+            } else {
+                "scene units"
+            };
+            match layer {
+                Layer::Rgb => ColorScale::linear("colour", "", high, Palette::Viridis),
+                Layer::Depth => ColorScale::linear("depth", length_unit, high, Palette::Viridis)
+                    .over_decades(DEPTH_DECADES),
+                Layer::Uncertainty => {
+                    ColorScale::linear("std of gray, B-1", SPREAD_UNIT, high, Palette::Inferno)
                 }
-                .to_owned(),
-                unit: match layer {
-                    Layer::Uncertainty => SPREAD_UNIT,
-                    _ if scene.metres_per_unit.is_some() => "m",
-                    _ => "scene units",
-                }
-                .to_owned(),
-                low: 0.0,
-                high: round_upper_limit(&tops, 1.0),
-                palette: match layer {
-                    Layer::Uncertainty => Palette::Inferno,
-                    _ => Palette::Viridis,
-                },
             }
         };
         Self {
