@@ -122,7 +122,8 @@ pub struct Config {
     /// number of photos, growing with the steps where they are many: `benches/field.md`.
     pub distortion: Option<f64>,
     /// Pull of the tables to zero at the start, in [0, 1]: so many times an entry is added to its gradient, where it has one; it
-    /// falls to 0 with the square of the share of the training that is left. Absent: from the number of photos, `benches/field.md`.
+    /// falls to 0 with the square of the share of the training that is left. Absent: from the number of photos and
+    /// of sparse points, `benches/field.md`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub table_decay: Option<f64>,
     /// Weight of the opacity of every sample in the loss, in [0, 0.1]: thin fog costs samples on every ray. After 2,000

@@ -68,8 +68,10 @@ const FEW_PHOTOS: usize = 24;
 /// Weights of the distortion loss at the start and at the end, of few photos and of many. `benches/field.md`.
 const DISTORTION_OF_FEW: [f64; 2] = [0.03; 2];
 const DISTORTION_OF_MANY: [f64; 2] = [0.0, 0.1];
-/// So many photos or fewer have their tables pulled to zero, so strongly at the start. `benches/field.md`.
+/// So many photos or fewer have their tables pulled to zero, so strongly at the start, where they overlap so little that a photo has
+/// fewer sparse points than this. `benches/field.md`.
 const FEWEST_PHOTOS: usize = 9;
+const FEW_POINTS_A_PHOTO: usize = 50;
 const TABLE_DECAY_OF_FEWEST: f64 = 1e-5;
 /// Smallest and largest table that is derived.
 const TABLES: [u32; 2] = [12, 22];
@@ -90,7 +92,7 @@ pub fn derive(views: &[View], points: &[[f64; 3]], config: &Config, frame: &Fram
         log2_table: log2_table(config, surface_cells.value),
         halvings: halvings(config, views),
         distortion: distortion(config, views.len(), depths.is_ok()),
-        table_decay: table_decay(config, views.len()),
+        table_decay: table_decay(config, views.len(), points.len()),
         finest,
         surface_cells,
     }
@@ -414,21 +416,25 @@ fn table_decay_before() -> Chosen<f64> {
 
 /// Returns the pull of the tables to zero at the start.
 ///
-/// Fields of few photos show specks where few of them look: a pull smooths these. It keeps details small, too, hence it fades, and
-/// more photos have none. On low contrast it may cost more than it gains: `benches/field.md`.
-fn table_decay(config: &Config, photos: usize) -> Chosen<f64> {
+/// Fields of few photos from far apart show specks where one of them looks: a pull smooths these. It keeps details small, too, hence it
+/// fades, and photos that are more, or overlap, have none: `benches/field.md`.
+fn table_decay(config: &Config, photos: usize, points: usize) -> Chosen<f64> {
     if let Some(pull) = config.table_decay {
         return Chosen::said(pull, "table_decay");
     }
-    if photos <= FEWEST_PHOTOS {
-        let reason = format!(
-            "{photos} photos to train on, {FEWEST_PHOTOS} or fewer: what they tell nothing of is to stay smooth; it falls to 0 with the square of the share of the training that is left"
-        );
-        return Chosen::new(TABLE_DECAY_OF_FEWEST, reason);
-    }
-    let reason =
-        format!("{photos} photos to train on, more than {FEWEST_PHOTOS}: it would keep their details small");
-    Chosen::new(0.0, reason)
+    let why = match (photos <= FEWEST_PHOTOS, points < FEW_POINTS_A_PHOTO * photos) {
+        (true, true) => {
+            let reason = format!(
+                "{photos} photos to train on, {FEWEST_PHOTOS} or fewer, and {points} sparse points, fewer than {FEW_POINTS_A_PHOTO} a photo: what they tell nothing of is to stay smooth; it falls to 0 with the square of the share of the training that is left"
+            );
+            return Chosen::new(TABLE_DECAY_OF_FEWEST, reason);
+        }
+        (true, false) => format!(
+            "{points} sparse points of {photos} photos to train on, {FEW_POINTS_A_PHOTO} a photo or more, tell where matter is"
+        ),
+        (false, _) => format!("{photos} photos to train on, more than {FEWEST_PHOTOS}"),
+    };
+    Chosen::new(0.0, format!("{why}: it would keep details small"))
 }
 
 /// Returns the table, with the shift of a search.

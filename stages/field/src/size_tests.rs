@@ -215,14 +215,25 @@ fn the_weight_of_the_distortion_loss_follows_the_number_of_photos_and_what_point
 }
 
 #[test]
-fn tables_are_pulled_to_zero_where_photos_are_few() {
-    for (photos, pull, said) in [
-        (1, 1e-5, "1 photos to train on, 9 or fewer"),
-        (9, 1e-5, "9 photos"),
-        (10, 0.0, "10 photos to train on, more than 9"),
+fn tables_are_pulled_to_zero_where_photos_are_few_and_overlap_little() {
+    for (photos, points, pull, said) in [
+        (
+            1,
+            0,
+            1e-5,
+            "1 photos to train on, 9 or fewer, and 0 sparse points",
+        ),
+        (9, 449, 1e-5, "9 photos"),
+        (
+            9,
+            450,
+            0.0,
+            "450 sparse points of 9 photos to train on, 50 a photo or more",
+        ),
+        (10, 0, 0.0, "10 photos to train on, more than 9"),
     ] {
         let views: Vec<_> = above(8).into_iter().cycle().take(photos).collect();
-        let found = sizes(&views, &[]).table_decay;
+        let found = sizes(&views, &plane(22)[..points]).table_decay;
         assert_eq!(found.value, pull, "{found:?}");
         assert!(found.reason.contains(said), "{found:?}");
     }

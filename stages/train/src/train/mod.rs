@@ -60,7 +60,7 @@ impl Define for Train {
     type Params = TrainParams;
     const NAME: &'static str = TrainParams::STAGE;
     const ABOUT: &'static str = "Trains a radiance field and measures it on held-out photos";
-    const VERSION: u32 = 13;
+    const VERSION: u32 = 14;
     const PORTS: &'static [Port] = &[
         Port::required("input", SCENE),
         Port::optional("params", BestParams::OUTPUT),
