@@ -348,9 +348,9 @@ fn the_answers_belong_to_the_versions() {
     assert_eq!(
         found,
         [
-            ("train", 13, "09ede396b41f"),
+            ("train", 14, "d62f051ddf17"),
             ("evaluate", 5, "33dfd60e0363"),
-            ("render", 6, "7a5a60e7a136")
+            ("render", 7, "30b222f6b290")
         ]
     );
 }
