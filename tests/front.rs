@@ -96,5 +96,5 @@ fn no_measured_point_beats_a_level_in_time_and_in_quality() {
 fn the_levels_are_those_that_were_measured() {
     let levels = [Quality::Draft, Quality::Standard, Quality::Best];
     assert_eq!(levels.map(Quality::steps), [400, 4_000, 20_000]);
-    assert_eq!(levels.map(Quality::longest_side_px), [480, 480, 960]);
+    assert_eq!(Quality::LONGEST_SIDE_PX, 480);
 }

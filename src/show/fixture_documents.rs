@@ -122,6 +122,7 @@ pub(super) fn facts() -> Facts {
             finest: chosen(512, "two pixels"),
             levels: chosen(8, "by 1.9 a level"),
             surface_cells: chosen(12_345, "points in cells"),
+            detail: chosen(0.75, "patches of the photos"),
             log2_table: chosen(17, "cells of the surface"),
             halvings: chosen(3, "two pixels"),
             distortion: chosen([0.0, 0.1], "many photos"),

@@ -33,7 +33,7 @@ pub(super) fn shown(facts: &Facts) -> Markup {
 }
 
 /// Name, value, unit and reason of each size.
-fn rows(facts: &Facts) -> [(&'static str, f64, &'static str, &str); 8] {
+fn rows(facts: &Facts) -> [(&'static str, f64, &'static str, &str); 9] {
     let sizes = &facts.sizes;
     let (near, far) = (&sizes.near, &sizes.far);
     let (finest, levels) = (&sizes.finest, &sizes.levels);
@@ -53,6 +53,12 @@ fn rows(facts: &Facts) -> [(&'static str, f64, &'static str, &str); 8] {
             surface.value as f64,
             "",
             &surface.reason,
+        ),
+        (
+            "of them with detail",
+            sizes.detail.value,
+            "",
+            &sizes.detail.reason,
         ),
         ("largest table, 2^", f64::from(table.value), "", &table.reason),
         (

@@ -106,6 +106,14 @@ impl Point {
         }
     }
 
+    /// Returns its name as lines of the list below the front, which three settings would leave.
+    fn lines(&self) -> Vec<String> {
+        match self.sets.is_empty() {
+            true => vec![self.name()],
+            false => self.sets.chunks(2).map(|sets| sets.join(" ")).collect(),
+        }
+    }
+
     /// Tells whether it is judged by the same photos as another, at the same size.
     pub fn is_comparable(&self, other: &Self) -> bool {
         let judged = |point: &Self| point.runs.first().map(|run| (run.judged_scale, run.judged_by));
@@ -309,7 +317,14 @@ pub fn front(trade: &Trade) -> Markup {
         .iter()
         .map(|(_, (psnr, time))| format!("{},{}", px(x_of(*time)), px(y_of(*psnr))))
         .collect();
-    let height = HEIGHT + LIST_ROW * (best.len() as f64 + 0.5);
+    let rows = |index: usize| trade.points[index].lines();
+    let count: usize = best.iter().map(|(index, _)| rows(*index).len()).sum();
+    let height = HEIGHT + LIST_ROW * (count as f64 + 0.5);
+    let list = best.iter().scan(HEIGHT + 0.5 * LIST_ROW, |next, (index, means)| {
+        let (top, lines) = (*next, rows(*index));
+        *next += LIST_ROW * lines.len() as f64;
+        Some((top, lines, *means))
+    });
     html! {
         svg.trade viewBox={ "0 0 " (px(WIDTH)) " " (px(height)) } width=(px(WIDTH))
             height=(px(height)) role="img" aria-label="PSNR against time" {
@@ -332,13 +347,16 @@ pub fn front(trade: &Trade) -> Markup {
                     title { (trade.points[*index].name()) ": " (format!("{psnr:.2} dB, ")) (seconds(*time)) }
                 }
             }
-            @for (rank, (index, (psnr, time))) in best.iter().enumerate() {
+            @for (rank, (_, (psnr, time))) in best.iter().enumerate() {
                 text x=(px(x_of(*time) - 5.0)) y=(px(y_of(*psnr) - 7.0)) text-anchor="end" fill="currentColor" font-size="11" { (rank + 1) }
-                @let y = HEIGHT + LIST_ROW * (rank as f64 + 0.5);
-                text x=(px(LEFT)) y=(px(y)) text-anchor="end" fill="currentColor" { (rank + 1) }
-                text x=(px(LEFT + 60.0)) y=(px(y)) text-anchor="end" fill="currentColor" { (seconds(*time)) }
+            }
+            @for (rank, (y, lines, (psnr, time))) in list.enumerate() {
+                text x="30" y=(px(y)) text-anchor="end" fill="currentColor" { (rank + 1) }
+                text x=(px(LEFT + 60.0)) y=(px(y)) text-anchor="end" fill="currentColor" { (seconds(time)) }
                 text x=(px(LEFT + 125.0)) y=(px(y)) text-anchor="end" fill="currentColor" { (format!("{psnr:.2} dB")) }
-                text x=(px(LEFT + 140.0)) y=(px(y)) fill="currentColor" { (trade.points[*index].name()) }
+                @for (line, settings) in lines.iter().enumerate() {
+                    text x=(px(LEFT + 140.0)) y=(px(y + LIST_ROW * line as f64)) fill="currentColor" { (settings) }
+                }
             }
         }
     }
@@ -469,5 +487,30 @@ mod tests {
             "{}",
             once.sentence(&point)
         );
+    }
+
+    #[test]
+    fn the_list_below_the_front_has_a_line_for_each_two_settings() {
+        let with = |sets: &[&str]| Point {
+            sets: sets.iter().copied().map(str::to_owned).collect(),
+            ..Point::default()
+        };
+        assert_eq!(with(&[]).lines(), ["as it is"]);
+        assert_eq!(with(&["a=1", "b=2"]).lines(), ["a=1 b=2"]);
+        assert_eq!(with(&["a=1", "b=2", "c=3"]).lines(), ["a=1 b=2", "c=3"]);
+
+        let mut trade = crate::show::fixture_documents::trade();
+        let drawn_rows = |trade: &Trade| {
+            let drawn = front(trade).into_string();
+            let rows = drawn.matches("x=\"200\"").count();
+            (rows, drawn)
+        };
+        let (rows, _) = drawn_rows(&trade);
+        let index = trade.front[0];
+        trade.points[index].sets = ["a=1", "b=2", "c=3"].map(str::to_owned).into();
+        let (more, drawn) = drawn_rows(&trade);
+        assert_eq!(more, rows + 1, "{drawn}");
+        let height = px(HEIGHT + LIST_ROW * (more as f64 + 0.5));
+        assert!(drawn.contains(&format!("height=\"{height}\"")), "{drawn}");
     }
 }

@@ -34,7 +34,7 @@ impl Define for Calibrate {
     type Params = CalibrateParams;
     const NAME: &'static str = <CalibrateParams as Params>::STAGE;
     const ABOUT: &'static str =
-        "Photos to a calibrated scene: from what they show, from labels, or from imported cameras";
+        "photos to a calibrated scene: from what they show, from labels, or from imported cameras";
     const VERSION: u32 = 10;
     const PORTS: &'static [Port] = &[
         Port::required("input", PHOTOS),

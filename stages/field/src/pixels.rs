@@ -107,6 +107,11 @@ impl Pixels {
         self
     }
 
+    /// Returns all pixels of the photo, `[height * width]`, masked ones too; `None` where some were left out.
+    pub(crate) fn all(&self) -> Option<&[[u8; 3]]> {
+        (self.run == 1).then_some(&self.pixels)
+    }
+
     /// Returns whether the photo shows what lies behind the scene, black here, in some of its pixels.
     pub(crate) fn is_transparent(&self) -> bool {
         !self.alpha.is_empty()

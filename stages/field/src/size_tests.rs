@@ -270,6 +270,38 @@ fn without_points_the_reasons_say_so() {
 }
 
 #[test]
+fn photos_without_detail_ask_for_a_small_table_and_a_short_training_decides_before_them() {
+    let table = |wave_px: f64, steps: Option<u64>| {
+        let gray = |column: u32, row: u32| {
+            let at = |index: u32| (f64::from(index) * std::f64::consts::TAU / wave_px).sin();
+            [(128.0 + 50.0 * at(column) + 50.0 * at(row)).round() as u8; 3]
+        };
+        let mut views = above(512);
+        for view in &mut views {
+            view.image = Image::from_fn(512, 512, gray).into();
+        }
+        let config = Config {
+            steps,
+            ..Config::default()
+        };
+        let sizes = sizes_of(&views, &plane(256), &config);
+        (sizes.log2_table.value, sizes.log2_table.reason)
+    };
+    // What every pixel tells is what `a_plane_is_sized_by_hand` has.
+    let tables = [6.0, 24.0, 48.0, 96.0, 400.0].map(|wave_px| table(wave_px, None).0);
+    assert_eq!((tables[0], tables[4]), (16, 12), "{tables:?}");
+    assert!(
+        tables.is_sorted_by(|shorter, longer| longer <= shorter),
+        "{tables:?}"
+    );
+    assert!((13..=15).contains(&tables[2]), "{tables:?}");
+    let (short, reason) = table(6.0, Some(100));
+    assert!(short < 16 && reason.starts_with("the budget decides"), "{reason}");
+    let (_, reason) = table(400.0, Some(1_000_000));
+    assert!(reason.starts_with("the scene decides"), "{reason}");
+}
+
+#[test]
 fn a_key_that_is_set_wins_and_says_so() {
     let config = Config {
         levels: Some(12),

@@ -111,6 +111,7 @@ fn facts(config: &Config) -> Facts {
             finest: chosen(1024),
             levels: chosen(config.levels.unwrap_or(8)),
             surface_cells: chosen(100_000),
+            detail: chosen(1.0),
             log2_table: chosen(config.log2_table.unwrap_or(15)),
             halvings: chosen(0),
             distortion: chosen([0.0; 2]),

@@ -40,8 +40,8 @@ pub struct TuneParams {
     /// absent: a quarter of those.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub steps: Option<u64>,
-    /// Whole factor by which photos are shrunk; absent: the least that brings them to the size of `quality`, with `random`
-    /// to half of it. With `halving` all but the last rung are judged by photos of at most 128 pixels.
+    /// Whole factor by which photos are shrunk; absent: the least that brings them to 480 pixels, with `random` to half of
+    /// that. With `halving` all but the last rung are judged by photos of at most 128 pixels.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub scale: Option<u32>,
     /// Keys of the field that all trials have, the defaults too: draws are laid over them, and the keys chosen hold them.

@@ -34,7 +34,7 @@ impl Define for MakeSurface {
     type Params = SurfaceParams;
     const NAME: &'static str = SurfaceParams::STAGE;
     const ABOUT: &'static str =
-        "Makes a mesh (PLY, GLB), points, splats, a height map and an orthophoto of a trained field";
+        "makes a mesh (PLY, GLB), points, splats, a height map and an orthophoto of a trained field";
     const VERSION: u32 = 5;
     const PORTS: &'static [Port] = &[
         Port::required("input", WEIGHTS),

@@ -27,7 +27,7 @@ pub struct Evaluate {
 impl Define for Evaluate {
     type Params = EvaluateParams;
     const NAME: &'static str = EvaluateParams::STAGE;
-    const ABOUT: &'static str = "Compares renders of a trained field with photos";
+    const ABOUT: &'static str = "compares renders of a trained field with photos";
     const VERSION: u32 = 5;
     const PORTS: &'static [Port] = &[
         Port::required("input", WEIGHTS),

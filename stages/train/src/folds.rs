@@ -29,7 +29,7 @@ pub struct Folds {
 impl Define for Folds {
     type Params = FoldsParams;
     const NAME: &'static str = FoldsParams::STAGE;
-    const ABOUT: &'static str = "Judges every photo of a small scene by a field trained without it";
+    const ABOUT: &'static str = "judges every photo of a small scene by a field trained without it";
     const VERSION: u32 = 1;
     const PORTS: &'static [Port] = &[
         Port::required("input", SCENE),

@@ -37,7 +37,7 @@ pub struct Render {
 impl Define for Render {
     type Params = RenderParams;
     const NAME: &'static str = RenderParams::STAGE;
-    const ABOUT: &'static str = "Renders a trained field along a path: the pictures of a film";
+    const ABOUT: &'static str = "renders a trained field along a path: the pictures of a film";
     const VERSION: u32 = 7;
     const PORTS: &'static [Port] = &[
         Port::required("input", WEIGHTS),

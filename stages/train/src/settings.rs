@@ -43,7 +43,7 @@ mod tests {
     #[test]
     fn photos_are_shrunk_by_the_least_factor_that_fits() {
         let mut scene = Scene::default();
-        let side_px = marf_field::Quality::Draft.longest_side_px();
+        let side_px = marf_field::Quality::LONGEST_SIDE_PX;
         assert_eq!(scale_to(side_px, &scene), 1);
         for (width, height, factor) in [(480, 360, 1), (481, 10, 2), (1440, 1920, 4), (10, 961, 3)] {
             scene.frames = vec![marf_scene::Frame {

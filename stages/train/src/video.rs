@@ -20,7 +20,7 @@ pub struct Video {
 impl Define for Video {
     type Params = VideoParams;
     const NAME: &'static str = VideoParams::STAGE;
-    const ABOUT: &'static str = "Makes a film (MP4) of the pictures of `render` or `bootstrap`";
+    const ABOUT: &'static str = "makes a film (MP4) of the pictures of `render` or `bootstrap`";
     const VERSION: u32 = 1;
     const PORTS: &'static [Port] = &[Port::required("input", Film::OUTPUT)];
     const OUTPUTS: &'static [&'static str] = &[VIDEO];

@@ -34,7 +34,7 @@ impl Define for ExportCameras {
     type Params = CamerasParams;
     const NAME: &'static str = <CamerasParams as Params>::STAGE;
     const ABOUT: &'static str =
-        "Writes cameras and photos as a folder for nerfstudio, instant-ngp and COLMAP, undistorted if asked";
+        "writes cameras and photos as a folder for nerfstudio, instant-ngp and COLMAP, undistorted if asked";
     const VERSION: u32 = 1;
     const PORTS: &'static [Port] = &[
         Port::required("input", SCENE),

@@ -37,7 +37,7 @@ pub struct Masks(MasksParams);
 impl Define for Masks {
     type Params = MasksParams;
     const NAME: &'static str = <MasksParams as Params>::STAGE;
-    const ABOUT: &'static str = "Proposes masks for what stands still while the camera moves";
+    const ABOUT: &'static str = "proposes masks for what stands still while the camera moves";
     const VERSION: u32 = 1;
     const PORTS: &'static [Port] = &[
         Port::required("input", PHOTOS),

@@ -36,7 +36,7 @@ impl Define for SplitByPlace {
     type Params = ScenesParams;
     const NAME: &'static str = <ScenesParams as Params>::STAGE;
     const ABOUT: &'static str =
-        "Splits the photos of a mission by place; what reads it runs once for each scene";
+        "splits the photos of a mission by place; what reads it runs once for each scene";
     const VERSION: u32 = 1;
     const PORTS: &'static [Port] = &[
         Port::required("input", PHOTOS),

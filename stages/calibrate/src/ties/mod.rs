@@ -37,7 +37,7 @@ pub struct TieScenes(TiesParams);
 impl Define for TieScenes {
     type Params = TiesParams;
     const NAME: &'static str = <TiesParams as Params>::STAGE;
-    const ABOUT: &'static str = "How scenes lie to each other, where photos of both show the same ground";
+    const ABOUT: &'static str = "how scenes lie to each other, where photos of both show the same ground";
     const VERSION: u32 = 1;
     const PORTS: &'static [Port] = &[Port::many("input", SCENE)];
     const OUTPUTS: &'static [&'static str] = &[Ties::OUTPUT];

@@ -128,7 +128,7 @@ pub struct TrainParams {
     pub target_psnr: Option<f64>,
     /// Seed of weights and rays.
     pub seed: u64,
-    /// Whole factor by which photos are shrunk; absent: the least that brings them to the size of `quality` and, with `budget` or
+    /// Whole factor by which photos are shrunk; absent: the least that brings them to 480 pixels and, with `budget` or
     /// `within`, lets the time be enough to see a twelfth of their pixels.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub scale: Option<u32>,
@@ -146,8 +146,7 @@ pub struct TrainParams {
     /// those trained on. A training with `within` chooses by its time.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub judged_photos: Option<u64>,
-    /// Whole factor by which the photos that it is judged by are shrunk; absent: `scale`, or the least that brings them to the size of
-    /// `quality`.
+    /// Whole factor by which the photos that it is judged by are shrunk; absent: `scale`, or the least that brings them to 480 pixels.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub judged_scale: Option<u32>,
     /// Seed with which as many training photos are drawn as there are, with replacement (a bootstrap sample).

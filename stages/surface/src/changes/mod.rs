@@ -52,7 +52,7 @@ pub struct FindChanges {
 impl Define for FindChanges {
     type Params = ChangesParams;
     const NAME: &'static str = ChangesParams::STAGE;
-    const ABOUT: &'static str = "Trains a place at two times apart and maps what changed on the ground";
+    const ABOUT: &'static str = "trains a place at two times apart and maps what changed on the ground";
     const VERSION: u32 = 2;
     const PORTS: &'static [Port] = &[Port::required("input", SCENE), Port::required("photos", PHOTOS)];
     const OUTPUTS: &'static [&'static str] = &[ChangesReport::OUTPUT, CHANGE_MAPS];

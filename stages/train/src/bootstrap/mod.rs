@@ -46,7 +46,7 @@ pub struct Bootstrap {
 impl Define for Bootstrap {
     type Params = BootstrapParams;
     const NAME: &'static str = BootstrapParams::STAGE;
-    const ABOUT: &'static str = "Retrains B times and maps where the fields disagree";
+    const ABOUT: &'static str = "retrains B times and maps where the fields disagree";
     const VERSION: u32 = 11;
     const PORTS: &'static [Port] = &[
         Port::required("input", SCENE),

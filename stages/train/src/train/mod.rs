@@ -59,8 +59,8 @@ pub struct Train {
 impl Define for Train {
     type Params = TrainParams;
     const NAME: &'static str = TrainParams::STAGE;
-    const ABOUT: &'static str = "Trains a radiance field and measures it on held-out photos";
-    const VERSION: u32 = 14;
+    const ABOUT: &'static str = "trains a radiance field and measures it on held-out photos";
+    const VERSION: u32 = 15;
     const PORTS: &'static [Port] = &[
         Port::required("input", SCENE),
         Port::optional("params", BestParams::OUTPUT),

@@ -25,8 +25,8 @@ pub struct Partial {
 impl Define for Partial {
     type Params = PartialParams;
     const NAME: &'static str = PartialParams::STAGE;
-    const ABOUT: &'static str = "Trains a part of the steps of a training, which `train` then goes on from";
-    const VERSION: u32 = 7;
+    const ABOUT: &'static str = "trains a part of the steps of a training, which `train` then goes on from";
+    const VERSION: u32 = 8;
     const PORTS: &'static [Port] = &[
         Port::required("input", SCENE),
         Port::optional("params", BestParams::OUTPUT),

@@ -1,6 +1,6 @@
 //! What decides a training before it begins: its own parameters, or the setup of another training.
 
-use marf_field::{Config, Derived, EXPECTED_STEPS_PER_S, Facts, Field, Overrides, Schedule};
+use marf_field::{Config, Derived, EXPECTED_STEPS_PER_S, Facts, Field, Overrides, Quality, Schedule};
 use marf_scene::Scene;
 use marf_schema::train::{Budget, Fit, Fold, Holdout, Memory, Setup, TrainParams};
 use marf_stage::{Ctx, Inputs, StageError};
@@ -60,9 +60,10 @@ impl Settings {
         }
         let schedule = scheduled(params);
         let keys = field_keys(ctx, inputs, &params.field)?;
-        let side_px = params.quality.longest_side_px();
         Ok(Self {
-            scale: params.scale.unwrap_or_else(|| scale_to(side_px, scene)),
+            scale: params
+                .scale
+                .unwrap_or_else(|| scale_to(Quality::LONGEST_SIDE_PX, scene)),
             memory: params.memory,
             photos: params.photos,
             holdout: params.holdout,

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use marf_cache::digest_of;
-use marf_field::{Background, Config, Gain, Quality, Trial, View, ViewDependence};
+use marf_field::{Background, Config, Gain, Quality, Trial, View};
 use marf_schema::train::{Fit, TrainParams};
 use marf_stage::{Ctx, StageError};
 
@@ -39,19 +39,9 @@ struct Part {
     without: fn(&Config) -> Config,
 }
 
-const PARTS: [Part; 4] = [
-    Part {
-        name: "view_dependence",
-        keys: &["view_dependence"],
-        with: |config| Config {
-            view_dependence: ViewDependence::On,
-            ..config.clone()
-        },
-        without: |config| Config {
-            view_dependence: ViewDependence::Off,
-            ..config.clone()
-        },
-    },
+/// Whether colours depend on the direction is none of them: a short trial learns them later and says the opposite of the whole training
+/// (`benches/tune.md`).
+const PARTS: [Part; 3] = [
     Part {
         name: "gain",
         keys: &["gain"],

@@ -8,7 +8,7 @@ mod judged;
 mod reduce;
 mod sampling;
 
-use marf_field::Overrides;
+use marf_field::{Overrides, Quality};
 use marf_schema::{
     output::SCENE,
     partial::PartialParams,
@@ -37,8 +37,8 @@ pub struct Tune {
 impl Define for Tune {
     type Params = TuneParams;
     const NAME: &'static str = TuneParams::STAGE;
-    const ABOUT: &'static str = "Tries parameters of the field and keeps the best, or the defaults";
-    const VERSION: u32 = 5;
+    const ABOUT: &'static str = "tries parameters of the field and keeps the best, or the defaults";
+    const VERSION: u32 = 6;
     const PORTS: &'static [Port] = &[Port::required("input", SCENE)];
     const OUTPUTS: &'static [&'static str] = &[BestParams::OUTPUT, Trials::OUTPUT, Scatter::OUTPUT];
 
@@ -103,12 +103,12 @@ impl Expand for Tune {
 }
 
 impl Tune {
-    /// Returns the parameters with the factor by which photos are shrunk: the size of `quality`, or half of it where all
+    /// Returns the parameters with the factor by which photos are shrunk: to the usual size, or half of it where all
     /// trials are trained to the end.
     fn with_scale(&self, ctx: &Ctx<'_>, inputs: &Inputs) -> Result<TuneParams, StageError> {
         let side_px = match self.params.search {
-            Search::Halving => self.params.quality.longest_side_px(),
-            Search::Random => self.params.quality.longest_side_px() / 2,
+            Search::Halving => Quality::LONGEST_SIDE_PX,
+            Search::Random => Quality::LONGEST_SIDE_PX / 2,
         };
         let scale = match self.params.scale {
             Some(scale) => scale,

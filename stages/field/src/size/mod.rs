@@ -1,0 +1,180 @@
+//! How large a field need be: near, far, levels and table, each beside the number that decided it.
+
+mod detail;
+mod grid;
+mod pulls;
+mod rays;
+
+use serde::{Deserialize, Serialize};
+
+use crate::config::MOST_HALVINGS;
+use crate::cpu::march::Steps;
+use crate::distances::Depths;
+use crate::frame::{FAR, Frame, MOST_FINEST};
+use crate::{Config, FieldError, View};
+use detail::{detail, detail_before};
+use grid::{finest, levels, log2_table, scaled, surface_cells};
+use pulls::{distortion, distortion_before, table_decay, table_decay_before};
+use rays::{NEAR, NEARER, far, halvings, near};
+
+/// A number and what decided it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Chosen<T> {
+    /// The number.
+    pub value: T,
+    /// A sentence with the number that decided it.
+    pub reason: String,
+}
+
+/// What the scene, or a key of the configuration, decides about the size of a field; the box is a [`Frame`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Sizes {
+    /// Distance of the first sample from the camera, half sides of the box.
+    pub near: Chosen<f64>,
+    /// Distance of the last sample from the camera, half sides.
+    pub far: Chosen<f64>,
+    /// Cells a side of the finest level, over the whole contracted box.
+    pub finest: Chosen<u32>,
+    /// Levels of the grid.
+    pub levels: Chosen<u32>,
+    /// Cells of the finest level that the surface passes through.
+    pub surface_cells: Chosen<u64>,
+    /// Share of them that the detail of the photos asks for: 1 where every pixel differs from its neighbours.
+    #[serde(default = "detail_before")]
+    pub detail: Chosen<f64>,
+    /// Binary logarithm of the most entries of a level.
+    pub log2_table: Chosen<u32>,
+    /// Times that the steps along rays are halved in training, at most.
+    pub halvings: Chosen<u32>,
+    /// Weight of the distortion loss at the start and at the end of the training; between it goes with the square of the share
+    /// that is done.
+    #[serde(default = "distortion_before")]
+    pub distortion: Chosen<[f64; 2]>,
+    /// Pull of the tables to zero at the start, see [`Config::table_decay`].
+    #[serde(default = "table_decay_before")]
+    pub table_decay: Chosen<f64>,
+}
+
+/// Derives all sizes; a key that is set wins over the scene.
+///
+/// `points`: sparse surface points, world units; fewer than 32, or points that no camera sees, count as none.
+/// `frame`: the box of both. Every number is finite, `near` is below `far`, whatever the points are.
+pub fn derive(views: &[View], points: &[[f64; 3]], config: &Config, frame: &Frame) -> Sizes {
+    let depths = Depths::seen(views, points, frame);
+    let finest = finest(config, &depths, frame, views);
+    let surface = if depths.is_ok() { points } else { &[] };
+    let surface_cells = surface_cells(views, surface, frame, finest.value);
+    let detail = detail(views);
+    Sizes {
+        near: near(config, &depths),
+        far: far(config, &depths),
+        levels: levels(config, finest.value),
+        log2_table: log2_table(config, surface_cells.value, detail.value),
+        halvings: halvings(config, views),
+        distortion: distortion(config, views.len(), depths.is_ok()),
+        table_decay: table_decay(config, views.len(), points.len()),
+        finest,
+        surface_cells,
+        detail,
+    }
+}
+
+impl Sizes {
+    /// Returns the largest sizes that any scene asks for under these keys.
+    pub(crate) fn most(config: &Config) -> Self {
+        let any = "any scene";
+        let finest = config.finest_resolution.unwrap_or(MOST_FINEST);
+        let finest = scaled(Chosen::new(finest, any), config).value;
+        Self {
+            near: Chosen::new(NEAR, any),
+            far: Chosen::new(FAR, any),
+            finest: Chosen::new(finest.max(config.base_resolution), any),
+            levels: levels(config, finest),
+            surface_cells: Chosen::new(u64::MAX, any),
+            detail: Chosen::new(1.0, any),
+            log2_table: log2_table(config, u64::MAX, 1.0),
+            halvings: Chosen::new(0, any),
+            distortion: Chosen::new([0.0; 2], any),
+            table_decay: Chosen::new(0.0, any),
+        }
+    }
+
+    /// Returns where rays are looked at after so many halvings of the steps.
+    ///
+    /// The shortest step is `min_step`, or that of `cone` at the nearest matter if that is less: close-ups get steps of as
+    /// many pixels as all else.
+    pub(crate) fn steps(&self, config: &Config, halvings: u32) -> Steps {
+        let share = 0.5_f64.powi(halvings.min(MOST_HALVINGS) as i32);
+        let nearest = self.near.value / NEARER;
+        let shortest = config.min_step.min(config.cone * nearest) * share;
+        let cone = config.cone * share;
+        Steps::new(self.near.value, self.far.value, shortest, cone)
+    }
+
+    /// Checks that these sizes, which another program may have written, can be used.
+    pub(crate) fn check(&self, config: &Config) -> Result<(), FieldError> {
+        let finest = self.finest.value;
+        if finest < config.base_resolution || finest > 1 << 20 {
+            let value = f64::from(finest);
+            let range = "base_resolution to 1048576";
+            return Err(FieldError::Config {
+                key: "finest",
+                value,
+                range,
+            });
+        }
+        let (near, far) = (self.near.value, self.far.value);
+        if !(near > 0.0 && far > near && far.is_finite()) {
+            let range = "above 0 and below `far`";
+            return Err(FieldError::Config {
+                key: "near",
+                value: near,
+                range,
+            });
+        }
+        let [first, last] = self.distortion.value;
+        for (key, value) in [
+            ("distortion", first),
+            ("distortion", last),
+            ("table_decay", self.table_decay.value),
+        ] {
+            if !(0.0..=1.0).contains(&value) {
+                let range = "0 to 1";
+                return Err(FieldError::Config { key, value, range });
+            }
+        }
+        let keys = Config {
+            levels: Some(self.levels.value),
+            log2_table: Some(self.log2_table.value),
+            halvings: Some(self.halvings.value),
+            ..config.clone()
+        };
+        keys.check()
+    }
+}
+
+impl<T> Chosen<T> {
+    fn new(value: T, reason: impl Into<String>) -> Self {
+        let reason = reason.into();
+        Self { value, reason }
+    }
+
+    fn said(value: T, key: &str) -> Self {
+        Self::new(value, format!("`{key}` says so"))
+    }
+}
+
+/// Writes a count in groups of three digits.
+pub fn grouped(count: u64) -> String {
+    let digits = count.to_string();
+    let mut text = String::new();
+    for (index, digit) in digits.chars().enumerate() {
+        if index > 0 && (digits.len() - index).is_multiple_of(3) {
+            text.push(',');
+        }
+        text.push(digit);
+    }
+    text
+}

@@ -1,0 +1,67 @@
+//! What pulls at a field beside its photos, and by how much.
+
+use super::Chosen;
+use crate::Config;
+
+/// Fewer photos than this are few: matter is to gather on surfaces before one of them alone explains it.
+const FEW_PHOTOS: usize = 24;
+/// Weights of the distortion loss at the start and at the end, of few photos and of many. `benches/field.md`.
+const DISTORTION_OF_FEW: [f64; 2] = [0.03; 2];
+const DISTORTION_OF_MANY: [f64; 2] = [0.0, 0.1];
+/// So many photos or fewer have their tables pulled to zero, so strongly at the start, where they overlap so little that a photo has
+/// fewer sparse points than this. `benches/field.md`.
+const FEWEST_PHOTOS: usize = 9;
+const FEW_POINTS_A_PHOTO: usize = 50;
+const TABLE_DECAY_OF_FEWEST: f64 = 1e-5;
+
+/// Returns the weights of fields that do not tell theirs: they were trained before it followed the photos.
+pub(super) fn distortion_before() -> Chosen<[f64; 2]> {
+    Chosen::new([1e-3; 2], "the same for all scenes")
+}
+
+/// Returns the weights of the distortion loss at the start and at the end.
+pub(super) fn distortion(config: &Config, photos: usize, has_points: bool) -> Chosen<[f64; 2]> {
+    if let Some(weight) = config.distortion {
+        return Chosen::said([weight; 2], "distortion");
+    }
+    if photos < FEW_PHOTOS && has_points {
+        let reason = format!(
+            "{photos} photos to train on are fewer than {FEW_PHOTOS}, and sparse points tell where matter is: the same from the start, before one photo alone explains it"
+        );
+        return Chosen::new(DISTORTION_OF_FEW, reason);
+    }
+    let why = match photos < FEW_PHOTOS {
+        true => "no sparse points tell where matter is".to_owned(),
+        false => format!("{photos} photos to train on, {FEW_PHOTOS} or more, find where matter is"),
+    };
+    let reason = format!("{why}: it grows from 0 with the square of the share of the training that is done");
+    Chosen::new(DISTORTION_OF_MANY, reason)
+}
+
+/// Returns the pull of fields that do not tell theirs: they were trained before there was one.
+pub(super) fn table_decay_before() -> Chosen<f64> {
+    Chosen::new(0.0, "none")
+}
+
+/// Returns the pull of the tables to zero at the start.
+///
+/// Fields of few photos from far apart show specks where one of them looks: a pull smooths these. It keeps details small, too, hence it
+/// fades, and photos that are more, or overlap, have none: `benches/field.md`.
+pub(super) fn table_decay(config: &Config, photos: usize, points: usize) -> Chosen<f64> {
+    if let Some(pull) = config.table_decay {
+        return Chosen::said(pull, "table_decay");
+    }
+    let why = match (photos <= FEWEST_PHOTOS, points < FEW_POINTS_A_PHOTO * photos) {
+        (true, true) => {
+            let reason = format!(
+                "{photos} photos to train on, {FEWEST_PHOTOS} or fewer, and {points} sparse points, fewer than {FEW_POINTS_A_PHOTO} a photo: what they tell nothing of is to stay smooth; it falls to 0 with the square of the share of the training that is left"
+            );
+            return Chosen::new(TABLE_DECAY_OF_FEWEST, reason);
+        }
+        (true, false) => format!(
+            "{points} sparse points of {photos} photos to train on, {FEW_POINTS_A_PHOTO} a photo or more, tell where matter is"
+        ),
+        (false, _) => format!("{photos} photos to train on, more than {FEWEST_PHOTOS}"),
+    };
+    Chosen::new(0.0, format!("{why}: it would keep details small"))
+}
