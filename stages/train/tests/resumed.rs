@@ -150,7 +150,6 @@ fn training(harness: &Harness, more: Value) -> Node {
 fn trials() -> Value {
     let mut field = small();
     field["gain"] = json!("off");
-    field["background"] = json!("black");
     json!({"field": field, "trials": {"steps": 6}})
 }
 

@@ -286,7 +286,7 @@ mod tests {
             ),
             (
                 json!({"trials": 2, "seed": 7, "steps": 40, "quality": "best", "device": device}),
-                json!({"seed": 7, "steps": 40, "quality": "best", "scale": 2, "device": device}),
+                json!({"seed": 7, "steps": 40, "quality": "best", "scale": 3, "device": device}),
             ),
         ] {
             let mut written = json!({"holdout": "validation", "trials": {"steps": 0}});
