@@ -159,7 +159,7 @@ pub struct TrainParams {
     pub warm_start: bool,
     /// What decides how large the field is.
     pub fit: Fit,
-    /// Short trainings that hold back one training photo in eight, by place: width, view dependence, exposure and sky by their gain.
+    /// Short trainings that hold back one training photo in eight, by place: width, exposure and sky by their gain.
     pub trials: TrialsParams,
     /// Keys of the field; they win over those of the input `params`.
     pub field: Overrides,
