@@ -39,8 +39,8 @@ struct Part {
     without: fn(&Config) -> Config,
 }
 
-/// Whether colours depend on the direction is none of them: a short trial learns them later and says the opposite of the whole training
-/// (`benches/tune.md`).
+/// Whether colours depend on the direction is none of them: a short trial says that they should not where the whole training gains by it
+/// (`benches/time.md`).
 const PARTS: [Part; 3] = [
     Part {
         name: "gain",
