@@ -19,11 +19,16 @@ pub struct View {
 impl View {
     /// Returns the distance of a point of the world from the camera, if the photo shows its place.
     pub(crate) fn distance_of(&self, point: &Vector3<f64>) -> Option<f64> {
-        let in_camera = self.cam_from_world.point(point);
-        let pixel = self.camera.project(&in_camera)?;
+        self.pixel_of(point)?;
+        Some(self.cam_from_world.point(point).norm())
+    }
+
+    /// Returns the pixel that shows the place of a point of the world, as column and row.
+    pub(crate) fn pixel_of(&self, point: &Vector3<f64>) -> Option<[u32; 2]> {
+        let pixel = self.camera.project(&self.cam_from_world.point(point))?;
         let (width, height) = (f64::from(self.camera.width), f64::from(self.camera.height));
         let inside = pixel.x >= 0.0 && pixel.y >= 0.0 && pixel.x < width && pixel.y < height;
-        inside.then(|| in_camera.norm())
+        inside.then_some([pixel.x as u32, pixel.y as u32])
     }
 }
 

@@ -1,8 +1,9 @@
-//! How much detail photos have: the numbers of the bilinear patches that draw them.
+//! How much detail the surface has in photos: the numbers of the bilinear patches that draw it.
+
+use nalgebra::Vector3;
 
 use super::{Chosen, grouped};
 use crate::View;
-use crate::pixels::Pixels;
 
 /// Sides of the largest and of the smallest patch, pixels; what a smallest one cannot draw takes a cell a pixel.
 const LARGEST: usize = 32;
@@ -13,47 +14,82 @@ const TOLERANCE: f64 = 1.5;
 const CORNERS: usize = 4;
 /// Blocks of the largest side that are looked at, about: of all photos, the same share of each.
 const BLOCKS: usize = 2048;
+/// Points by which blocks are chosen, about.
+const POINTS: usize = 4096;
 
 /// Returns the detail of fields that do not tell theirs: their tables had room for every pixel.
 pub(super) fn detail_before() -> Chosen<f64> {
     Chosen::new(1.0, "not measured: all pixels count")
 }
 
-/// Returns how many numbers a pixel the photos take, in (0, 1]: 1 where every pixel differs from its neighbours, 1/256 of a plain slope.
+/// Returns how many numbers a pixel the surface takes in the photos, in (0, 1]: 1 where every pixel differs from its neighbours, 1/256 of a
+/// plain slope.
 ///
-/// Where no photo holds a whole block of 32 x 32 pixels, or all are thinned so that neighbours are gone, it is 1. Masked pixels count.
-pub(super) fn detail(views: &[View]) -> Chosen<f64> {
-    let photos = views.iter().map(|view| &view.image);
-    let blocks: Vec<Block> = photos.flat_map(blocks).collect();
-    if blocks.is_empty() {
-        let reason = format!("no photo has {LARGEST} x {LARGEST} neighbouring pixels: all of them count");
+/// `points`: those by which the cells of the surface are counted. Blocks of 32 x 32 pixels with such a point count, not sky or ground without
+/// any; all do if there are no points. Transparent pixels do not count, masked ones do. Where no block is left, or photos are thinned so that
+/// neighbours are gone, it is 1.
+pub(super) fn detail(views: &[View], points: &[[f64; 3]]) -> Chosen<f64> {
+    let stride = points.len().div_ceil(POINTS).max(1);
+    let points: Vec<_> = points.iter().step_by(stride).map(|p| Vector3::from(*p)).collect();
+    let blocks: Vec<Block> = views.iter().flat_map(|view| blocks(view, &points)).collect();
+    let seen = || blocks.iter().step_by(blocks.len().div_ceil(BLOCKS).max(1));
+    let pixels: usize = seen().map(|block| block.opaque).sum();
+    if pixels == 0 {
+        let reason = format!(
+            "no {LARGEST} x {LARGEST} neighbouring pixels of a photo show the surface: all pixels count"
+        );
         return Chosen::new(1.0, reason);
     }
-    let seen = blocks.iter().step_by(blocks.len().div_ceil(BLOCKS));
-    let count = seen.len();
-    let numbers: usize = seen.map(Block::numbers).sum();
-    let share = numbers as f64 / (count * LARGEST * LARGEST) as f64;
+    let numbers: usize = seen().map(Block::numbers).sum();
+    let shown = if points.is_empty() {
+        ""
+    } else {
+        " with points of the surface"
+    };
     let reason = format!(
-        "{} corners of bilinear patches of {SMALLEST} to {LARGEST} pixels a side, and single pixels, draw {} blocks of {LARGEST} x {LARGEST} to within {TOLERANCE} gray levels",
+        "{} corners of bilinear patches of {SMALLEST} to {LARGEST} pixels a side, and single pixels, draw {} pixels in blocks of {LARGEST} x {LARGEST}{shown} to within {TOLERANCE} gray levels",
         grouped(numbers as u64),
-        grouped(count as u64)
+        grouped(pixels as u64)
     );
-    Chosen::new(share, reason)
+    Chosen::new((numbers as f64 / pixels as f64).min(1.0), reason)
 }
 
-/// Returns the whole blocks of a photo whose pixels are all kept.
-fn blocks(photo: &Pixels) -> impl Iterator<Item = Block<'_>> {
-    let width = photo.width as usize;
-    photo.all().into_iter().flat_map(move |pixels| {
-        let corners = |length: usize| (0..length / LARGEST).map(|index| index * LARGEST);
-        corners(pixels.len() / width).flat_map(move |row| {
-            corners(width).map(move |column| Block {
-                pixels: &pixels[row * width + column..],
-                width,
-                side: LARGEST,
-            })
-        })
-    })
+/// Returns the whole blocks of a photo that show a point, or all without points, whose pixels are all kept and not all transparent, in the
+/// order of its rows.
+fn blocks<'a>(view: &'a View, points: &[Vector3<f64>]) -> Vec<Block<'a>> {
+    let Some(pixels) = view.image.all() else {
+        return Vec::new();
+    };
+    let (width, height) = (view.image.width as usize, view.image.height as usize);
+    let [columns, rows] = [width / LARGEST, height / LARGEST];
+    let mut shows = vec![points.is_empty(); columns * rows];
+    for [x, y] in points.iter().filter_map(|point| view.pixel_of(point)) {
+        let [column, row] = [x, y].map(|at| at as usize / LARGEST);
+        if column < columns && row < rows {
+            shows[row * columns + column] = true;
+        }
+    }
+    let alpha = view.image.alpha();
+    let opaque = |first: usize| match alpha {
+        [] => LARGEST * LARGEST,
+        _ => {
+            let row = |row: usize| &alpha[first + row * width..][..LARGEST];
+            (0..LARGEST).flat_map(row).filter(|alpha| **alpha > 0).count()
+        }
+    };
+    let shown = (0..shows.len()).filter(|index| shows[*index]);
+    let first = |index: usize| (index / columns * width + index % columns) * LARGEST;
+    let block = |first: usize| Block {
+        pixels: &pixels[first..],
+        width,
+        side: LARGEST,
+        opaque: opaque(first),
+    };
+    shown
+        .map(first)
+        .map(block)
+        .filter(|block| block.opaque > 0)
+        .collect()
 }
 
 /// Square of a photo.
@@ -62,6 +98,8 @@ struct Block<'a> {
     pixels: &'a [[u8; 3]],
     width: usize,
     side: usize,
+    /// Pixels of the whole block that are not transparent.
+    opaque: usize,
 }
 
 impl Block<'_> {
@@ -120,21 +158,39 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+    use crate::pixels::Pixels;
     use crate::rng::{Purpose, Rng};
+
+    const FOCAL_PX: f64 = 100.0;
 
     /// A photo of `[height, width]` gray levels.
     fn photo(width: u32, height: u32, gray: impl Fn(u32, u32) -> u8) -> View {
         let image = Image::from_fn(width, height, |column, row| [gray(column, row); 3]);
         View {
             id: "photo".into(),
-            camera: Camera::pinhole(width, height, 100.0),
+            camera: Camera::pinhole(width, height, FOCAL_PX),
             cam_from_world: Pose::identity(),
             image: image.into(),
         }
     }
 
+    /// A point in the middle of every whole block from a column on.
+    fn points(width: u32, height: u32, from: u32) -> Vec<[f64; 3]> {
+        let middles =
+            |from: u32, length: u32| (from / 32..length / 32).map(|block| f64::from(block * 32 + 16));
+        let at = |pixel: f64, length: u32| (pixel - f64::from(length) / 2.0) / FOCAL_PX;
+        let columns = middles(from, width).map(|x| at(x, width));
+        columns
+            .flat_map(|x| middles(0, height).map(move |y| [x, at(y, height), 1.0]))
+            .collect()
+    }
+
     fn share(width: u32, height: u32, gray: impl Fn(u32, u32) -> u8) -> f64 {
-        detail(&[photo(width, height, gray)]).value
+        detail(&[photo(width, height, gray)], &points(width, height, 0)).value
+    }
+
+    fn noise(column: u32, row: u32) -> u8 {
+        Rng::new(1, Purpose::Thinning, column.into(), row.into()).below(256) as u8
     }
 
     #[test]
@@ -143,10 +199,50 @@ mod tests {
         assert_eq!(share(64, 64, |_, _| 7), block);
         assert_eq!(share(64, 64, |column, row| (2 * column + row) as u8), block);
         assert_eq!(share(32, 32, |column, row| (column * row / 4) as u8), block);
-        let noise = |column: u32, row: u32| {
-            Rng::new(1, Purpose::Thinning, column.into(), row.into()).below(256) as u8
-        };
         assert_eq!(share(64, 64, noise), 1.0);
+    }
+
+    /// A toy on a plain ground is as detailed as the toy.
+    #[test]
+    fn what_shows_no_point_does_not_count() {
+        let toy = [photo(
+            128,
+            64,
+            |column, row| if column < 64 { 255 } else { noise(column, row) },
+        )];
+        assert_eq!(detail(&toy, &points(128, 64, 64)).value, 1.0);
+        assert_eq!(
+            detail(&toy, &points(128, 64, 0)).value,
+            (1.0 + 4.0 / 1024.0) / 2.0
+        );
+        let behind = points(128, 64, 0).into_iter().map(|[x, y, z]| [x, y, -z]);
+        assert_eq!(detail(&toy, &behind.collect::<Vec<_>>()).value, 1.0);
+        let beside = detail(&toy, &[[10.0, 0.0, 1.0], [f64::NAN; 3]]);
+        assert!(
+            beside.value == 1.0 && beside.reason.starts_with("no 32 x 32"),
+            "{beside:?}"
+        );
+    }
+
+    /// Of a toy in front of nothing, the toy alone counts; a photo of nothing tells nothing.
+    #[test]
+    fn what_is_transparent_does_not_count() {
+        let with_alpha = |alpha: &dyn Fn(u32) -> u8| {
+            let mut view = photo(
+                64,
+                32,
+                |column, row| if column < 48 { 0 } else { noise(column, row) },
+            );
+            let alphas: Vec<u8> = (0..64 * 32).map(|index| alpha(index % 64)).collect();
+            view.image = view.image.with_alpha(&alphas);
+            detail(&[view], &[]).value
+        };
+        let toy = with_alpha(&|column| if column < 48 { 0 } else { 200 });
+        // Of the block with the toy, patches of 16 without it take 8 numbers.
+        assert_eq!(toy, 1.0);
+        let whole = with_alpha(&|_| 255);
+        assert_eq!(whole, (4.0 + 2.0 * 4.0 + 512.0) / 2048.0);
+        assert_eq!(with_alpha(&|_| 0), 1.0);
     }
 
     #[test]
@@ -181,14 +277,15 @@ mod tests {
 
     #[test]
     fn photos_without_a_block_count_whole_and_so_do_thinned_ones() {
-        assert_eq!(detail(&[]).value, 1.0);
+        assert_eq!(detail(&[], &points(64, 64, 0)).value, 1.0);
+        assert_eq!(detail(&[photo(64, 64, |_, _| 7)], &[]).value, 4.0 / 1024.0);
         assert_eq!(share(31, 500, |_, _| 7), 1.0);
         let image = Image::from_fn(64, 64, |_, _| [7; 3]);
         let thinned = View {
             image: Pixels::thinned(image, None, 2, 0, 0),
             ..photo(64, 64, |_, _| 7)
         };
-        assert_eq!(detail(&[thinned]).value, 1.0);
+        assert_eq!(detail(&[thinned], &points(64, 64, 0)).value, 1.0);
     }
 
     proptest! {
@@ -198,7 +295,7 @@ mod tests {
         ) {
             let gray = |column: u32, row: u32| (column.wrapping_mul(seed) ^ row.wrapping_mul(seed >> 7)) as u8 & mask;
             let views = vec![photo(width, height, gray); count];
-            let found = detail(&views).value;
+            let found = detail(&views, &points(width, height, 0)).value;
             prop_assert!((4.0 / 1024.0..=1.0).contains(&found), "{}", found);
         }
     }

@@ -41,7 +41,7 @@ pub struct Sizes {
     pub levels: Chosen<u32>,
     /// Cells of the finest level that the surface passes through.
     pub surface_cells: Chosen<u64>,
-    /// Share of them that the detail of the photos asks for: 1 where every pixel differs from its neighbours.
+    /// Share of them that its detail in the photos asks for: 1 where every pixel differs from its neighbours.
     #[serde(default = "detail_before")]
     pub detail: Chosen<f64>,
     /// Binary logarithm of the most entries of a level.
@@ -66,7 +66,7 @@ pub fn derive(views: &[View], points: &[[f64; 3]], config: &Config, frame: &Fram
     let finest = finest(config, &depths, frame, views);
     let surface = if depths.is_ok() { points } else { &[] };
     let surface_cells = surface_cells(views, surface, frame, finest.value);
-    let detail = detail(views);
+    let detail = detail(views, surface);
     Sizes {
         near: near(config, &depths),
         far: far(config, &depths),
