@@ -24,7 +24,7 @@ const SECRET: &str = "do-not-show-this";
 /// Filters of the built-in Mars, in a second.
 const PIPELINE: &str = concat!(
     "name = \"shared\"\n[store]\nremote = \"s3://mars/team/results\"\n",
-    "[archive.photos]\nkind = \"demo\"\nsols = \"1\"\n",
+    "[archive.photos]\nkind = \"demo\"\nsols = \"1\"\nwidth = 160\n",
     include_str!("../src/cli/bench/five_nodes.toml"),
 );
 
