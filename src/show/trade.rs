@@ -4,6 +4,7 @@ use marf_cache::Digest;
 use maud::{Markup, PreEscaped, html};
 use serde::{Deserialize, Serialize};
 
+use super::axis::linear_ticks;
 use super::format::{number, px, seconds};
 
 /// A measured trade of time against quality around a pipeline as it is.
@@ -265,6 +266,8 @@ const TOP: f64 = 16.0;
 const BOTTOM: f64 = 46.0;
 /// Room of a name in the drawing of effects.
 const NAMES: f64 = 290.0;
+/// Room of a time there, and of half a dot beside it.
+const TIMES: f64 = 110.0;
 const ROW: f64 = 20.0;
 
 /// Where drawings take their colours from when they stand alone.
@@ -300,9 +303,7 @@ pub fn front(trade: &Trade) -> Markup {
     let (low, high) = span(&|place| place.2);
     let x_of = |time: f64| LEFT + (time.log2() - first) / (last - first) * (WIDTH - LEFT - RIGHT);
     let y_of = |psnr: f64| TOP + (high - psnr) / (high - low) * (HEIGHT - TOP - BOTTOM);
-    let times = (0..40)
-        .map(|power| 2_f64.powi(power - 10))
-        .filter(|time| (first..last).contains(&time.log2()));
+    let times = time_ticks(first, last);
     let step = [0.1, 0.2, 0.5, 1.0, 2.0, 5.0]
         .into_iter()
         .find(|step| (high - low) / step <= 8.0)
@@ -362,6 +363,19 @@ pub fn front(trade: &Trade) -> Markup {
     }
 }
 
+/// Returns times to mark, seconds, between two given by their binary logarithms: powers of two, or round ones where those are fewer than two.
+fn time_ticks(first: f64, last: f64) -> Vec<f64> {
+    let inside = |time: &f64| (first..last).contains(&time.log2());
+    let powers: Vec<f64> = (-10..30).map(|power| 2_f64.powi(power)).filter(inside).collect();
+    match powers.len() {
+        0 | 1 => linear_ticks([first, last].into_iter().map(f64::exp2))
+            .into_iter()
+            .filter(inside)
+            .collect(),
+        _ => powers,
+    }
+}
+
 /// Draws what each setting gains, dB, with its interval, and the share of the time it takes.
 pub fn effects(trade: &Trade) -> Markup {
     let most = trade
@@ -378,7 +392,7 @@ pub fn effects(trade: &Trade) -> Markup {
                 * 1.5,
         );
     let height = TOP + ROW * (trade.effects.len() as f64 + 2.0);
-    let plot = WIDTH - NAMES - 90.0;
+    let plot = WIDTH - NAMES - TIMES;
     let x_of = |gain: f64| NAMES + (gain / most + 1.0) / 2.0 * plot;
     let clamped = |gain: f64| px(x_of(gain.clamp(-most, most)));
     html! {
@@ -438,6 +452,17 @@ mod tests {
              0.25 in place of 0.5, and it takes 0.50 of the time."
         );
         assert_eq!(Point::default().apart(&base), None);
+    }
+
+    #[test]
+    fn times_close_together_are_marked_at_round_ones() {
+        assert_eq!(time_ticks(2.5, 5.5), [8.0, 16.0, 32.0]);
+        let close = time_ticks(20_f64.log2(), 29_f64.log2());
+        assert!(
+            close.len() >= 3 && close.iter().all(|time| time % 1.0 == 0.0),
+            "{close:?}"
+        );
+        assert!(!time_ticks(20_f64.log2(), 20.4_f64.log2()).is_empty());
     }
 
     #[test]
