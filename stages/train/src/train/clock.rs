@@ -2,17 +2,19 @@
 
 use std::time::Instant;
 
-use marf_field::{Pace, STEPS_A_HALVING, Schedule, Trainer};
-use marf_scene::Camera;
+use marf_field::{Pace, Schedule, Trainer};
 use marf_schema::train::{Limit, TrainParams};
 use marf_stage::{Ctx, StageError};
 use serde::{Deserialize, Serialize};
 
-use super::{Plan, trials};
+use super::{
+    Plan,
+    foreseen::{JUDGED_SHARE, Judging, kept_s, steps_in},
+    trials,
+};
 use crate::{
     TrainError, checkpoint,
     photos::PhotoReader,
-    scoring::{Chosen, mean_psnr},
     views::{new_trainer, training_views},
 };
 
@@ -22,17 +24,8 @@ const PLANNED_EVERY: f64 = 1.0 / 32.0;
 const LEAST_CHANGE: f64 = 0.01;
 /// How much the rate since the last plan counts beside those before it.
 const NEWEST: f64 = 0.5;
-/// Samples of a training that take as long as a ray of a render before any halving: 2.4 on the fox, 4.4 on the mock-up.
-const SAMPLES_A_RAY: f64 = 4.0;
-/// By how much longer a render takes where steps along rays are half as long: mock-up, 24 photos of 360 x 480 pixels, 11 s after
-/// one halving and 46 s after four.
-const LONGER: f64 = 1.6;
 /// Steps before which a field is a fog, whose renders tell nothing of those at the end.
 const CLEAR_AT: u64 = 1_280;
-/// Longest side of the photos that judging is measured on, pixels.
-const MEASURED_SIDE_PX: u32 = 96;
-/// Share of a wait that is kept for judging where all photos would take longer.
-const JUDGED_SHARE: f64 = 0.25;
 /// Part of the time after which judging is measured again, where it is part of the same time.
 const JUDGED_EVERY: f64 = 1.0 / 12.0;
 /// Part of the photos' pixels that a training should see at least: photos are shrunk further until it does. Mock-up, 80 photos, judged
@@ -183,8 +176,7 @@ impl Pilot {
         let rates = paced(ctx, &mut trainer, (Pace::measured_s(limit.seconds()), plan))?;
         let batch_samples = trainer.batch_samples();
         let (rate, used_s) = (rates.steps, begun.elapsed().as_secs_f64());
-        let unhalved_s = plan.photo_rays() * SAMPLES_A_RAY / rates.samples;
-        let most_halvings = trainer.most_halvings();
+        let judging = Judging::foreseen(plan, &trainer, &rates);
         drop(trainer);
         let open_s = match limit {
             Limit::Training(budget) => budget.seconds() - used_s,
@@ -203,31 +195,14 @@ impl Pilot {
             }
             false => read_s,
         };
-        let photo_s = |halvings: u32| unhalved_s * LONGER.powi(halvings as i32);
-        let (held_out, seen) = plan.judged_photos();
-        let halved = plan
-            .start
-            .field
-            .as_ref()
-            .map_or(0, |field| field.facts().halvings);
-        let halvings = |steps: u64| halved.max(most_halvings.min((steps / STEPS_A_HALVING) as u32));
         let (budget_s, judging_s) = match limit {
             Limit::Training(budget) => {
-                let halvings = halvings(steps_in(budget.seconds() - used_s, rate));
-                (budget.seconds(), photo_s(halvings) * (held_out + seen) as f64)
+                let steps = steps_in(budget.seconds() - used_s, rate);
+                (budget.seconds(), judging.all_s(steps))
             }
             Limit::Wait(wait) => {
-                let judging = |halvings: u32| kept_s(photo_s(halvings), held_out, wait.seconds());
                 let left_s = wait.seconds() - ctx.began.elapsed().as_secs_f64() - again_s;
-                if left_s <= judging(0) {
-                    return Err(TrainError::NoTime {
-                        within_s: wait.seconds(),
-                        left_s,
-                        judging_s: judging(0),
-                    }
-                    .into());
-                }
-                let (steps, judging_s) = most_steps((left_s, rate), most_halvings, judging);
+                let (steps, judging_s) = judging.most_steps(wait.seconds(), (left_s, rate))?;
                 (used_s + steps as f64 / rate, judging_s)
             }
         };
@@ -239,7 +214,7 @@ impl Pilot {
             used_s,
             wait: matches!(limit, Limit::Wait(_)).then_some(Wait {
                 whole_s: limit.seconds(),
-                photos: held_out,
+                photos: judging.held_out,
                 judging_s,
                 at_s: used_s,
                 every_s: limit.seconds() * JUDGED_EVERY,
@@ -250,13 +225,6 @@ impl Pilot {
 }
 
 impl Plan<'_> {
-    /// Returns how many photos the field may be judged by: held out, and trained on.
-    fn judged_photos(&self) -> (usize, usize) {
-        let held_out = self.split.held_out.len();
-        let most = self.judging.chosen.most.unwrap_or(held_out);
-        (held_out.min(most), self.seen().map_or(0, |seen| seen.len()))
-    }
-
     /// Returns the least factor by which photos must be shrunk for so many rays to see the least part of them.
     fn scale_for(&self, rays: f64) -> u32 {
         let cameras = self.split.training.iter().map(|named| &named.frame.camera);
@@ -271,40 +239,6 @@ impl Plan<'_> {
             .plan_memory(self.split, self.times, self.judging.scale)?;
         Ok(())
     }
-
-    /// Returns the rays of a photo that the field will be judged by.
-    fn photo_rays(&self) -> f64 {
-        let camera = self.split.held_out[0]
-            .frame
-            .camera
-            .box_reduced(self.judging.scale);
-        f64::from(camera.width) * f64::from(camera.height)
-    }
-
-    /// Returns the seconds that judging a photo will take, as the held-out photos take now when they are small, and will take at
-    /// their size with the shorter steps of the end.
-    pub fn photo_s(
-        &self,
-        ctx: &Ctx<'_>,
-        photos: &PhotoReader<'_>,
-        trainer: &mut Trainer,
-    ) -> Result<f64, StageError> {
-        let held_out = &self.split.held_out;
-        let photos = &photos.at(self.scene, self.judging.scale);
-        let both = photos.map(held_out, self.memory.at_once, |_, photo| {
-            (photo.camera, photo.shrunk_to(MEASURED_SIDE_PX))
-        })?;
-        let rays = |camera: &Camera| f64::from(camera.width) * f64::from(camera.height);
-        let whole: f64 = both.iter().map(|(camera, _)| rays(camera)).sum();
-        let small: f64 = both.iter().map(|(_, small)| rays(&small.camera)).sum();
-        let small_photos = both.into_iter().map(|(_, small)| small);
-        let pairs: Vec<_> = held_out.iter().cloned().zip(small_photos).collect();
-        let field = trainer.field().map_err(TrainError::from)?;
-        let begun = Instant::now();
-        mean_psnr(ctx, &field, &pairs)?;
-        let slower = LONGER.powi(trainer.halvings_left() as i32);
-        Ok(begun.elapsed().as_secs_f64() * whole / small * slower / held_out.len() as f64)
-    }
 }
 
 /// Returns the least factor by which photos of these sizes must be shrunk for so many rays to see the least part of their pixels.
@@ -317,31 +251,6 @@ fn scale_for(sizes_px: impl Iterator<Item = [u32; 2]> + Clone, rays: f64) -> u32
     // Without any ray the factor is infinite, and the largest number.
     let wanted = (LEAST_SEEN * pixels / rays.max(0.0)).sqrt();
     (wanted.ceil() as u32).clamp(1, most)
-}
-
-/// Returns the seconds of a wait that are kept for judging photos, one of which takes `photo_s`: for all, or for as many as its share
-/// of the wait allows, but for a few at least.
-fn kept_s(photo_s: f64, photos: usize, wait_s: f64) -> f64 {
-    let of = |photos: usize| photo_s * photos as f64;
-    of(photos).min((JUDGED_SHARE * wait_s).max(of(Chosen::LEAST)))
-}
-
-/// Returns the most steps that, with the judging after them, fit into a time, and the seconds of that judging: every halving of the
-/// steps along rays, after [`STEPS_A_HALVING`] steps each, lets judging take longer.
-fn most_steps((left_s, rate): (f64, f64), most: u32, judging: impl Fn(u32) -> f64) -> (u64, f64) {
-    let of = |halvings: u32| {
-        let steps = steps_in(left_s - judging(halvings), rate);
-        let before_next = STEPS_A_HALVING * (u64::from(halvings) + 1) - 1;
-        let steps = if halvings < most {
-            steps.min(before_next)
-        } else {
-            steps
-        };
-        (steps, judging(halvings))
-    };
-    (1..=most)
-        .map(of)
-        .fold(of(0), |best, next| if next.0 > best.0 { next } else { best })
 }
 
 /// Trains for a time and returns the pace of its second half, with the batch that suits the device where none is said or taken
@@ -384,11 +293,6 @@ fn train_for(ctx: &Ctx<'_>, trainer: &mut Trainer, seconds: f64) -> Result<Pace,
             return Ok(Pace { steps, rays, samples });
         }
     }
-}
-
-/// Returns the steps that a time is for, at least one.
-fn steps_in(seconds: f64, steps_per_second: f64) -> u64 {
-    ((seconds * steps_per_second) as u64).max(1)
 }
 
 /// A clock that runs.
@@ -477,13 +381,6 @@ mod tests {
         .start(0)
     }
 
-    #[test]
-    fn a_time_is_for_whole_steps_and_at_least_one() {
-        assert_eq!(steps_in(60.0, 12.34), 740);
-        assert_eq!(steps_in(0.001, 12.0), 1);
-        assert_eq!([steps_in(60.0, f64::NAN), steps_in(-1.0, 9.0)], [1, 1]);
-    }
-
     /// Of 64 s, looked at every 2 s: 100 steps a second as planned change nothing; half as many move the end by what is left
     /// at the mean of both rates, and the time that is over ends it with the next step.
     #[test]
@@ -503,18 +400,6 @@ mod tests {
         );
     }
 
-    /// 100 steps a second and 60 s, judging 5 s and twice as long with each halving: 3,840 steps have six halvings of 640 steps,
-    /// which judging forbids; after three it takes 40 s and leaves 2,000 steps, after two 20 s, and the third comes at step 1,920.
-    #[test]
-    fn judging_that_becomes_slower_with_the_steps_leaves_as_many_as_fit() {
-        let judging = |halvings: u32| 5.0 * 2_f64.powi(halvings as i32);
-        assert_eq!(most_steps((60.0, 100.0), 6, judging), (2_000, 40.0));
-        assert_eq!(most_steps((50.0, 100.0), 6, judging), (1_919, 20.0));
-        assert_eq!(most_steps((60.0, 100.0), 0, judging), (5_500, 5.0));
-        assert_eq!(most_steps((60.0, 100.0), 1, |_| 0.0), (6_000, 0.0));
-        assert_eq!(most_steps((1.0, 100.0), 6, judging).0, 1, "no time is left");
-    }
-
     /// 80 photos of 1440 x 1920 pixels are 221.184 million, a twelfth of them 18.432: a tenth of that as rays asks for a tenth of the
     /// pixels, so for photos shrunk by 3.2.
     #[test]
@@ -530,15 +415,6 @@ mod tests {
             [scale_for(photos(100), 0.0), scale_for([].into_iter(), 9.0)],
             [1, 1]
         );
-    }
-
-    /// Of 60 s a quarter is for judging: 12 photos of 1 s fit it, of 5 s three would, and four are judged; two are all there are.
-    #[test]
-    fn judging_has_its_share_of_a_wait() {
-        assert_eq!(kept_s(1.0, 12, 60.0), 12.0);
-        assert_eq!(kept_s(2.0, 12, 60.0), 15.0);
-        assert_eq!(kept_s(5.0, 12, 60.0), 20.0);
-        assert_eq!(kept_s(5.0, 2, 60.0), 10.0);
     }
 
     /// Whatever the rate does, a training ends within a tenth of its time; only one that becomes faster at the end ends early.
