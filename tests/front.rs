@@ -7,20 +7,16 @@ use std::path::PathBuf;
 use marf_field::Quality;
 use serde_json::Value;
 
-/// The scenes, how far seeds move the PSNR of a point there, dB (the interval that `marf trade --seeds 3` tells; of the mock-up .21, for
-/// means of three, where its points are single runs), and the settings of each level as they were measured there: steps, on photos of 480
-/// pixels; with the trials where those decide anything.
+/// The scenes, how far seeds move the PSNR of a point there, dB (the interval that `marf trade --seeds 3` tells, for means of three; of the
+/// mock-up .21 and of lego .07, for single runs 1.7 times as much), and the settings of each level as they were measured there: steps, on
+/// photos of 480 pixels; with the trials where those decide anything.
 const MEASURED: [(&str, f64, [&[&str]; 3]); 3] = [
     (
         "mock-up",
         0.36,
         [&[], &["train.steps=4000"], &["train.steps=20000"]],
     ),
-    (
-        "lego",
-        0.40,
-        [&[], &["train.quality=\"standard\""], &["train.steps=20000"]],
-    ),
+    ("lego", 0.12, [&[], &["train.steps=4000"], &["train.steps=20000"]]),
     (
         "demo",
         0.27,
@@ -79,6 +75,11 @@ fn measured(trade: &Value) -> Vec<Point> {
     points.iter().filter_map(point).collect()
 }
 
+/// Training on few samples of a ray gains PSNR and loses near surfaces, which PSNR does not see: `benches/field.md`.
+fn keeps_surfaces(point: &Point) -> bool {
+    point.sets.iter().all(|set| !set.contains("ray_samples"))
+}
+
 #[test]
 fn no_measured_point_beats_a_level_in_time_and_in_quality() {
     for (scene, seeds_db, levels) in MEASURED {
@@ -87,7 +88,7 @@ fn no_measured_point_beats_a_level_in_time_and_in_quality() {
             let level = points.iter().find(|point| point.sets == sets);
             let level = level.unwrap_or_else(|| panic!("{scene}: {sets:?} was not measured"));
             let beats = |point: &&Point| point.seconds <= level.seconds && point.psnr > level.psnr + seeds_db;
-            if let Some(better) = points.iter().find(beats) {
+            if let Some(better) = points.iter().filter(|point| keeps_surfaces(point)).find(beats) {
                 panic!(
                     "{scene}: {:?} has {:.2} dB in {:.0} s, {sets:?} {:.2} dB in {:.0} s",
                     better.sets, better.psnr, better.seconds, level.psnr, level.seconds
