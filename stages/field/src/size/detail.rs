@@ -25,33 +25,33 @@ pub(super) fn detail_before() -> Chosen<f64> {
 /// Returns how many numbers a pixel the surface takes in the photos, in (0, 1]: 1 where every pixel differs from its neighbours, 1/256 of a
 /// plain slope.
 ///
-/// `points`: those by which the cells of the surface are counted. Blocks of 32 x 32 pixels with such a point count, not sky or ground without
+/// Three quarters of the blocks of 32 x 32 pixels take no more: those on the outline of a thing hold what is behind it, too, and would tell less of
+/// the thing than it has. `points`: those by which the cells of the surface are counted. Blocks with such a point count, not sky or ground without
 /// any; all do if there are no points. Transparent pixels do not count, masked ones do. Where no block is left, or photos are thinned so that
 /// neighbours are gone, it is 1.
 pub(super) fn detail(views: &[View], points: &[[f64; 3]]) -> Chosen<f64> {
     let stride = points.len().div_ceil(POINTS).max(1);
     let points: Vec<_> = points.iter().step_by(stride).map(|p| Vector3::from(*p)).collect();
     let blocks: Vec<Block> = views.iter().flat_map(|view| blocks(view, &points)).collect();
-    let seen = || blocks.iter().step_by(blocks.len().div_ceil(BLOCKS).max(1));
-    let pixels: usize = seen().map(|block| block.opaque).sum();
-    if pixels == 0 {
+    let seen = blocks.iter().step_by(blocks.len().div_ceil(BLOCKS).max(1));
+    let mut shares: Vec<f64> = seen.map(Block::share).collect();
+    shares.sort_unstable_by(f64::total_cmp);
+    let Some(share) = shares.get((shares.len() * 3).div_ceil(4).saturating_sub(1)) else {
         let reason = format!(
             "no {LARGEST} x {LARGEST} neighbouring pixels of a photo show the surface: all pixels count"
         );
         return Chosen::new(1.0, reason);
-    }
-    let numbers: usize = seen().map(Block::numbers).sum();
+    };
     let shown = if points.is_empty() {
         ""
     } else {
         " with points of the surface"
     };
     let reason = format!(
-        "{} corners of bilinear patches of {SMALLEST} to {LARGEST} pixels a side, and single pixels, draw {} pixels in blocks of {LARGEST} x {LARGEST}{shown} to within {TOLERANCE} gray levels",
-        grouped(numbers as u64),
-        grouped(pixels as u64)
+        "three quarters of {} blocks of {LARGEST} x {LARGEST} pixels{shown} take at most {share:.3} numbers a pixel: corners of bilinear patches of {SMALLEST} to {LARGEST} pixels a side, and single pixels, that draw them to within {TOLERANCE} gray levels",
+        grouped(shares.len() as u64)
     );
-    Chosen::new((numbers as f64 / pixels as f64).min(1.0), reason)
+    Chosen::new(*share, reason)
 }
 
 /// Returns the whole blocks of a photo that show a point, or all without points, whose pixels are all kept and not all transparent, in the
@@ -103,6 +103,11 @@ struct Block<'a> {
 }
 
 impl Block<'_> {
+    /// Returns the numbers a pixel, in (0, 1], of a whole block that is not all transparent.
+    fn share(&self) -> f64 {
+        (self.numbers() as f64 / self.opaque as f64).min(1.0)
+    }
+
     /// Returns the numbers that draw it: the corners of a patch, or what its four quarters take.
     fn numbers(&self) -> usize {
         if self.side < SMALLEST {
@@ -211,9 +216,16 @@ mod tests {
             |column, row| if column < 64 { 255 } else { noise(column, row) },
         )];
         assert_eq!(detail(&toy, &points(128, 64, 64)).value, 1.0);
+        // Half of the blocks show the toy; then two of twelve do, and two of them half of it.
+        assert_eq!(detail(&toy, &points(128, 64, 0)).value, 1.0);
+        let wide = photo(
+            192,
+            64,
+            |column, row| if column < 144 { 255 } else { noise(column, row) },
+        );
         assert_eq!(
-            detail(&toy, &points(128, 64, 0)).value,
-            (1.0 + 4.0 / 1024.0) / 2.0
+            detail(&[wide], &points(192, 64, 0)).value,
+            (2.0 * 4.0 + 512.0) / 1024.0
         );
         let behind = points(128, 64, 0).into_iter().map(|[x, y, z]| [x, y, -z]);
         assert_eq!(detail(&toy, &behind.collect::<Vec<_>>()).value, 1.0);
@@ -241,7 +253,7 @@ mod tests {
         // Of the block with the toy, patches of 16 without it take 8 numbers.
         assert_eq!(toy, 1.0);
         let whole = with_alpha(&|_| 255);
-        assert_eq!(whole, (4.0 + 2.0 * 4.0 + 512.0) / 2048.0);
+        assert_eq!(whole, (2.0 * 4.0 + 512.0) / 1024.0);
         assert_eq!(with_alpha(&|_| 0), 1.0);
     }
 

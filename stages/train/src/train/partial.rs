@@ -26,7 +26,7 @@ impl Define for Partial {
     type Params = PartialParams;
     const NAME: &'static str = PartialParams::STAGE;
     const ABOUT: &'static str = "trains a part of the steps of a training, which `train` then goes on from";
-    const VERSION: u32 = 9;
+    const VERSION: u32 = 10;
     const PORTS: &'static [Port] = &[
         Port::required("input", SCENE),
         Port::optional("params", BestParams::OUTPUT),

@@ -38,7 +38,7 @@ impl Define for Tune {
     type Params = TuneParams;
     const NAME: &'static str = TuneParams::STAGE;
     const ABOUT: &'static str = "tries parameters of the field and keeps the best, or the defaults";
-    const VERSION: u32 = 7;
+    const VERSION: u32 = 8;
     const PORTS: &'static [Port] = &[Port::required("input", SCENE)];
     const OUTPUTS: &'static [&'static str] = &[BestParams::OUTPUT, Trials::OUTPUT, Scatter::OUTPUT];
 

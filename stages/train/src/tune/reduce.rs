@@ -242,7 +242,7 @@ mod tests {
         let all = Digest::of(&serde_json::to_vec(&outputs).unwrap());
         assert_eq!(
             (Tune::VERSION, all.short().as_str()),
-            (7, "bef13b577428"),
+            (8, "bef13b577428"),
             "{outputs:?}"
         );
     }
