@@ -280,11 +280,12 @@ impl Samples {
     #[inline(always)]
     fn append<I: Isa>(&mut self, isa: I, numbers: [&Block; 6], lanes: u32) {
         let len = self.x.len() + lanes.count_ones() as usize;
-        let mut packed = Block::ZERO;
         for (array, numbers) in self.arrays().into_iter().zip(numbers) {
-            isa.store(isa.pack(isa.load(numbers), lanes as u16), &mut packed);
-            // A whole block is written and cut: a copy of fixed length is one instruction.
-            array.extend_from_slice(&packed.0);
+            // A whole block is appended and cut: what has a fixed length is copied without a loop.
+            array.extend_from_slice(&Block::ZERO.0);
+            if let Some(to) = array.last_chunk_mut() {
+                isa.pack(isa.load(numbers), lanes as u16, to);
+            }
             array.truncate(len);
         }
     }

@@ -5,7 +5,7 @@ use super::composite::{Colours, Depths, ExpNeg, RUNAWAY, Runaways};
 use super::encode::{Lookup, Points, Scatter, Shape};
 use super::gemm::{After, Outer, Product};
 use super::march::{Bits, March, Samples, Steps};
-use super::simd::{Block, InstructionSet, LANES, Plain, Run, Stripe, flat, flat_mut};
+use super::simd::{Block, InstructionSet, Isa, Kernel, LANES, Plain, Run, Stripe, flat, flat_mut};
 use crate::rng::{Purpose, Rng};
 
 fn numbers(len: usize, stream: u64) -> Vec<f32> {
@@ -429,6 +429,35 @@ fn adam_and_the_exponentials_are_the_same_on_every_set() {
         });
         rgb.concat()
     });
+}
+
+/// Lanes of a block, packed over numbers that were there before.
+struct Packed(Block, u16);
+
+impl Kernel for Packed {
+    type Output = [f32; LANES];
+
+    #[inline(always)]
+    fn run<I: Isa>(self, isa: I) -> [f32; LANES] {
+        let mut to = [9.0; LANES];
+        isa.pack(isa.load(&self.0), self.1, &mut to);
+        to
+    }
+}
+
+#[test]
+fn lanes_are_packed_in_order_and_zero_behind_on_every_set() {
+    let mut from = blocks(1, 6)[0];
+    (from.0[3], from.0[11]) = (f32::NAN, f32::NEG_INFINITY);
+    for level in InstructionSet::all() {
+        for lanes in 0..=u16::MAX {
+            let picked = (0..LANES).filter(|lane| lanes >> lane & 1 == 1);
+            let mut expected: Vec<f32> = picked.map(|lane| from.0[lane]).collect();
+            expected.resize(LANES, 0.0);
+            let packed = level.run(Packed(from, lanes));
+            assert_eq!(bits(&packed), bits(&expected), "{lanes:#018b} on {level:?}");
+        }
+    }
 }
 
 #[test]

@@ -145,17 +145,8 @@ pub trait Isa: Copy + Send + Sync {
     fn min_u(self, a: Self::U, b: Self::U) -> Self::U;
     /// Returns the greater.
     fn max_u(self, a: Self::U, b: Self::U) -> Self::U;
-    /// Moves the lanes whose bit is set to the front, in order; the rest is 0.
-    #[inline(always)]
-    fn pack(self, value: Self::V, lanes: u16) -> Self::V {
-        let (mut from, mut to, mut next) = (Block::ZERO, Block::ZERO, 0);
-        self.store(value, &mut from);
-        for lane in (0..LANES).filter(|lane| lanes >> lane & 1 == 1) {
-            to.0[next] = from.0[lane];
-            next += 1;
-        }
-        self.load(&to)
-    }
+    /// Writes the lanes whose bit is set to the front, in order, and 0 behind them.
+    fn pack(self, value: Self::V, lanes: u16, to: &mut [f32; LANES]);
 }
 
 /// Work that is compiled once a set. `run` and all it calls must be `#[inline(always)]`.

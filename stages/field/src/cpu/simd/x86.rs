@@ -6,6 +6,35 @@ use marf_numeric::{Avx2, Avx512};
 
 use super::isa::{Block, Isa, LANES};
 
+/// Of every set of 8 lanes the lanes that are in it, from the lowest, then -1.
+static PACKED: [[i8; 8]; 256] = {
+    let mut packed = [[-1; 8]; 256];
+    let mut lanes = 0;
+    while lanes < 256 {
+        let (mut lane, mut next) = (0, 0);
+        while lane < 8 {
+            if lanes >> lane & 1 == 1 {
+                packed[lanes][next] = lane as i8;
+                next += 1;
+            }
+            lane += 1;
+        }
+        lanes += 1;
+    }
+    packed
+};
+
+/// Returns the lanes whose bit is set at the front, in order, and 0 behind them.
+#[inline(always)]
+fn pack_8(_: Avx2, value: __m256, lanes: u8) -> __m256 {
+    // SAFETY: the token proves AVX2; a row of the table is 8 bytes.
+    unsafe {
+        let from = _mm256_cvtepi8_epi32(_mm_loadl_epi64(PACKED[usize::from(lanes)].as_ptr().cast()));
+        let packed = _mm256_permutevar8x32_ps(value, from);
+        _mm256_andnot_ps(_mm256_castsi256_ps(_mm256_srai_epi32::<31>(from)), packed)
+    }
+}
+
 impl Isa for Avx2 {
     type V = [__m256; 2];
     type U = [__m256i; 2];
@@ -137,6 +166,17 @@ impl Isa for Avx2 {
             _mm256_storeu_si256(at.add(1), value[1]);
         }
     }
+    #[inline(always)]
+    fn pack(self, value: Self::V, lanes: u16, to: &mut [f32; LANES]) {
+        let [low, high] = lanes.to_le_bytes();
+        let at = to.as_mut_ptr();
+        // SAFETY: self proves AVX2; of the low half there are at most 8, so that 8 numbers behind them are in bounds.
+        unsafe {
+            _mm256_storeu_ps(at.add(8), _mm256_setzero_ps());
+            _mm256_storeu_ps(at, pack_8(self, value[0], low));
+            _mm256_storeu_ps(at.add(low.count_ones() as usize), pack_8(self, value[1], high));
+        }
+    }
 }
 
 impl Isa for Avx512 {
@@ -248,8 +288,8 @@ impl Isa for Avx512 {
         unsafe { _mm512_storeu_si512(to.as_mut_ptr().cast(), value) }
     }
     #[inline(always)]
-    fn pack(self, value: Self::V, lanes: u16) -> Self::V {
-        // SAFETY: self proves AVX-512 F.
-        unsafe { _mm512_maskz_compress_ps(lanes, value) }
+    fn pack(self, value: Self::V, lanes: u16, to: &mut [f32; LANES]) {
+        // SAFETY: self proves AVX-512 F; `to` is 16 f32; the borrow is exclusive.
+        unsafe { _mm512_storeu_ps(to.as_mut_ptr(), _mm512_maskz_compress_ps(lanes, value)) }
     }
 }
