@@ -36,7 +36,9 @@ def main() -> None:
     for keys in draws:
         if keys in known:
             continue
-        fitted = fit(marf, photos, budget, {**keys, "judged_scale": int(judged_scale)})
+        # A number of photos to judge, more than there are: all that are held out, and none of those trained on.
+        judged = {"judged_scale": int(judged_scale), "judged_photos": 1000}
+        fitted = fit(marf, photos, budget, {**keys, **judged})
         line = json.dumps({"keys": keys, **fitted})
         print(line, flush=True)
         with out.open("a") as file:

@@ -112,7 +112,10 @@ impl Isa for Plain {
     #[inline(always)]
     fn pack(self, value: Self::V, lanes: u16, to: &mut [f32; LANES]) {
         *to = [0.0; LANES];
-        for (to, lane) in to.iter_mut().zip((0..LANES).filter(|lane| lanes >> lane & 1 == 1)) {
+        for (to, lane) in to
+            .iter_mut()
+            .zip((0..LANES).filter(|lane| lanes >> lane & 1 == 1))
+        {
             *to = value[lane];
         }
     }
