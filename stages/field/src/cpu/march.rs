@@ -281,7 +281,7 @@ impl Samples {
     fn append<I: Isa>(&mut self, isa: I, numbers: [&Block; 6], lanes: u32) {
         let len = self.x.len() + lanes.count_ones() as usize;
         for (array, numbers) in self.arrays().into_iter().zip(numbers) {
-            // A whole block is appended, which is then the last chunk, and cut: what has a fixed length is copied without a loop.
+            // A whole block is appended, which is then the last chunk, and cut: a copy of fixed length has no loop.
             array.extend_from_slice(&Block::ZERO.0);
             if let Some(to) = array.last_chunk_mut() {
                 isa.pack(isa.load(numbers), lanes as u16, to);
