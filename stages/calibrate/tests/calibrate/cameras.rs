@@ -1,0 +1,172 @@
+//! The folder for other programs: what transforms.json names is there, and without a lens if asked.
+
+use std::collections::BTreeMap;
+
+use crate::common::Input;
+use marf_cache::Digest;
+use marf_calibrate::import::{Model, read_colmap_text, read_transforms};
+use marf_calibrate::{ExportCameras, Observation, TrackPoint, Tracks, write_colmap};
+use marf_scene::{Image, Photo, Scene, Srgb, encode_png};
+use marf_schema::output::{CAMERAS, SCENE, SPARSE, SPARSE_IMAGES, SPARSE_POINTS};
+use marf_stage::{Define, Inputs, Outputs, PHOTOS, Set, StageError, define};
+use serde_json::{Value, json};
+
+/// What both photos see.
+const POINT: [f64; 3] = [0.15, 0.08, 4.0];
+
+/// Two photos of a lens, one beside the other, imported from a model of COLMAP with a point that both see.
+fn calibrated() -> (Input, Outputs) {
+    let mut input = Input::default();
+    for name in ["a.png", "b.jpg"] {
+        let image: Image<Srgb> = Image::from_fn(64, 48, |x, y| [(x * 4) as u8, (y * 5) as u8, 90]);
+        input.plain(name, &encode_png(&image).unwrap());
+    }
+    input.companion(
+        "sparse/0/cameras.txt",
+        b"1 OPENCV 64 48 60 60 32 24 -0.2 0.05 0.001 0\n",
+    );
+    input.companion(
+        "sparse/0/images.txt",
+        b"1 1 0 0 0 0 0 0 1 a.png\n\n2 1 0 0 0 -0.5 0 0 1 b.jpg\n\n",
+    );
+    input.companion("sparse/0/points3D.txt", b"1 0.15 0.08 4 9 8 7 0.5\n");
+    let stage = marf_calibrate::Calibrate::new(serde_json::from_value(json!({"method": "import"})).unwrap());
+    let mut outputs = input.outputs_of(&stage.unwrap());
+    // An import keeps no observations: here both photos see a point half a pixel to the right of where it is.
+    let scene = Scene::decode(&input.harness.get(&outputs[SCENE]).unwrap()).unwrap();
+    let observation = |frame: u32| {
+        let at = &scene.frames[frame as usize];
+        let pixel = at
+            .camera
+            .project(&at.cam_from_world.point(&POINT.into()))
+            .unwrap();
+        let pixel = [pixel.x + 0.5, pixel.y];
+        Observation { frame, pixel }
+    };
+    let point = TrackPoint {
+        position: POINT,
+        color: [9, 8, 7],
+        error_px: 0.5,
+        observations: vec![observation(0), observation(1)],
+    };
+    for (name, bytes) in write_colmap(&scene, &Tracks { points: vec![point] }) {
+        outputs.insert(format!("{SPARSE}0/{name}"), input.harness.put(&bytes));
+    }
+    (input, outputs)
+}
+
+fn exported(input: &Input, scene: &Outputs, params: &Value) -> Result<Outputs, StageError> {
+    let stage = ExportCameras::new(serde_json::from_value(params.clone()).unwrap()).unwrap();
+    let names = [SCENE, SPARSE_IMAGES, SPARSE_POINTS];
+    let mut inputs: BTreeMap<String, Digest> = names.map(|name| (name.to_owned(), scene[name])).into();
+    if params.get("photos_at").is_some() {
+        inputs.insert(PHOTOS.to_owned(), input.photo_set());
+    }
+    stage.run(&input.harness.ctx(), &Inputs(inputs))
+}
+
+fn text(input: &Input, outputs: &Outputs, name: &str) -> String {
+    let bytes = input.harness.get(&outputs[&format!("{CAMERAS}{name}")]).unwrap();
+    String::from_utf8(bytes.to_vec()).unwrap()
+}
+
+#[test]
+fn photos_are_named_where_they_lie_and_those_elsewhere_beside_the_file() {
+    let (input, scene) = calibrated();
+    let beside = exported(&input, &scene, &json!({})).unwrap();
+    let read = read_transforms(
+        "transforms.json",
+        text(&input, &beside, "transforms.json").as_bytes(),
+    )
+    .unwrap();
+    for (view, photo) in read.views.iter().zip(input.photos()) {
+        assert_eq!(beside[&format!("{CAMERAS}{}", view.file)], photo, "{}", view.file);
+    }
+    let there = exported(&input, &scene, &json!({"photos_at": "../photos"})).unwrap();
+    assert!(text(&input, &there, "transforms.json").contains("\"file_path\": \"../photos/a.png\""));
+    assert!(!there.keys().any(|name| name.ends_with("a.png")), "{there:?}");
+    // What is resampled lies there in another form, and is written.
+    let params = json!({"photos_at": "../photos", "undistort": true});
+    let straight = exported(&input, &scene, &params).unwrap();
+    assert!(text(&input, &straight, "transforms.json").contains("\"file_path\": \"b.png\""));
+    assert!(straight.contains_key("cameras/b.png"), "{straight:?}");
+}
+
+#[test]
+fn without_distortion_a_point_is_seen_where_the_pinhole_shows_it() {
+    let (input, scene) = calibrated();
+    let straight = exported(&input, &scene, &json!({"undistort": true})).unwrap();
+    let files = ["cameras", "images", "points3D"]
+        .map(|name| text(&input, &straight, &format!("sparse/0/{name}.txt")));
+    let read = read_colmap_text(&Model {
+        names: ["cameras", "images", "points3D"],
+        cameras: files[0].as_bytes(),
+        images: files[1].as_bytes(),
+        points: Some(files[2].as_bytes()),
+    });
+    let read = read.unwrap();
+    for view in &read.views {
+        let (width, height) = view.lens.size.unwrap();
+        let camera = view.lens.camera(width, height).unwrap();
+        assert_eq!([camera.k1, camera.k2, camera.p1, camera.p2], [0.0; 4]);
+        let photo = Photo::decode(
+            &input
+                .harness
+                .get(&straight[&format!("{CAMERAS}{}", view.file)])
+                .unwrap(),
+        );
+        let photo = photo.unwrap().image;
+        assert_eq!((photo.width, photo.height), (width, height), "{}", view.file);
+        // A barrel: what was bent inwards is stretched, so that the picture has more pixels at the same scale.
+        assert!(width > 64 && height > 48, "{width} x {height}");
+        // The observation moves with the picture: it is still about half a pixel off.
+        let error_px = view.error_px.unwrap();
+        assert!((0.45..0.6).contains(&error_px), "{}: {error_px}", view.file);
+    }
+    let error_px: f64 = files[2]
+        .lines()
+        .last()
+        .unwrap()
+        .split(' ')
+        .nth(7)
+        .unwrap()
+        .parse()
+        .unwrap();
+    assert!((0.45..0.6).contains(&error_px), "{error_px}");
+}
+
+#[test]
+fn where_photos_lie_is_not_guessed() {
+    let (input, scene) = calibrated();
+    let stage = ExportCameras::new(serde_json::from_value(json!({"photos_at": "x"})).unwrap()).unwrap();
+    let names = [SCENE, SPARSE_IMAGES, SPARSE_POINTS];
+    let inputs: BTreeMap<String, Digest> = names.map(|name| (name.to_owned(), scene[name])).into();
+    let StageError::Failed { message, hint, .. } =
+        stage.run(&input.harness.ctx(), &Inputs(inputs)).unwrap_err()
+    else {
+        panic!("another error");
+    };
+    assert!(
+        message.contains("`photos_at` (x)") && hint.unwrap().contains("photos = "),
+        "{message}"
+    );
+    let refused = ExportCameras::new(serde_json::from_value(json!({"photos_at": "/x"})).unwrap());
+    assert!(refused.unwrap_err().to_string().contains("no relative path"));
+}
+
+/// If this fails, `cameras` answers differently: raise its VERSION, then put the new pair here.
+#[test]
+fn the_answer_belongs_to_the_version() {
+    let (input, scene) = calibrated();
+    let outputs = exported(&input, &scene, &json!({"undistort": true})).unwrap();
+    let all: Vec<String> = outputs
+        .iter()
+        .map(|(name, digest)| format!("{name} {digest}"))
+        .collect();
+    let found = (
+        ExportCameras::VERSION,
+        Digest::of(all.join("\n").as_bytes()).short(),
+    );
+    assert_eq!(found, (1, "779efbaf5f66".to_owned()));
+    assert_eq!(define::<ExportCameras>().version, ExportCameras::VERSION);
+}

@@ -1,0 +1,16 @@
+//! The stages of this crate, from photos to cameras: one program, which the compiler links once.
+#![allow(clippy::unwrap_used, reason = "a fixture that is wrong should stop the test")]
+#![allow(clippy::print_stdout, reason = "a skipped test says so")]
+
+mod cameras;
+#[cfg(unix)]
+mod colmap;
+mod common;
+mod hardware;
+mod model;
+mod real_data;
+mod refused;
+mod scenes;
+mod sfm;
+mod stage;
+mod stereo;

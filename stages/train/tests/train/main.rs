@@ -1,0 +1,22 @@
+//! The stages of this crate, each with the real field: one program, which the compiler links once.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    reason = "a test that cannot go on should stop"
+)]
+
+mod bootstrap;
+#[path = "../common/mod.rs"]
+mod common;
+mod decodes;
+mod folds;
+mod length;
+mod members;
+mod partial;
+mod render;
+mod resumed;
+mod search;
+mod tiny_scene;
+#[cfg(all(feature = "h264", feature = "av1"))]
+mod video;
+mod warm_start;
