@@ -9,7 +9,7 @@ use common::{copy, marf, photos};
 
 /// Filters and cameras of the built-in Mars, in a second.
 const PIPELINE: &str = concat!(
-    "name = \"store\"\n[archive.photos]\nkind = \"demo\"\nsols = \"1\"\nwidth = 320\n",
+    "name = \"store\"\n[archive.photos]\nkind = \"demo\"\nsols = \"1\"\nwidth = 160\n",
     include_str!("../src/cli/bench/five_nodes.toml"),
     "[node.calibrate]\ninput = \"blur\"\nmethod = \"labels\"\n",
 );

@@ -23,7 +23,7 @@ const PIPELINE: &str = r#"name = "audit"
 [archive.demo]
 kind = "demo"
 sols = "1"
-width = 320
+width = 160
 [node.extract]
 archive = "demo"
 [node.blur]
@@ -34,7 +34,7 @@ method = "labels"
 [node.train]
 input = "calibrate"
 steps = 2
-scale = 8
+scale = 4
 device = "cpu"
 "#;
 

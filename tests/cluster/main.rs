@@ -25,7 +25,7 @@ const PIPELINE: &str = r#"name = "cluster"
 [archive.demo]
 kind = "demo"
 sols = "1"
-width = 320
+width = 160
 [node.extract]
 archive = "demo"
 [node.calibrate]
@@ -34,8 +34,9 @@ method = "labels"
 [node.train]
 input = "calibrate"
 steps = 16
-scale = 8
+scale = 4
 device = "cpu"
+field = { log2_table = 10, density_width = 16, color_width = 16, batch_samples = 1024, cone = 0.2, occupancy_resolution = 16 }
 [node.bootstrap]
 input = "calibrate"
 of = "train"
