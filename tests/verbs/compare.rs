@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serde_json::Value;
 
-use super::common::{Ran, marf};
+use super::common::{Ran, marf, ran};
 use super::with_pipeline;
 
 /// The built-in Mars before and after its change, with cameras from the photos.
@@ -27,16 +27,15 @@ method = "sfm"
 
 fn compare(dir: &Path, more: &[&str]) -> Ran {
     let words = [
-        "compare", "--device", "cpu", "--steps", "200", "-b", "2", "--cell", "0.05",
+        "compare", "--device", "cpu", "--steps", "60", "-b", "2", "--cell", "0.05",
     ];
     marf(dir, &[&words, more].concat())
 }
 
 #[test]
 fn two_times_are_compared_once_and_written_as_maps() {
-    let dir = with_pipeline(TWO_TIMES);
+    let dir = ran("two-times", TWO_TIMES);
     let dir = dir.path();
-    marf(dir, &["run"]).exits(0);
     let two = ["--sols", "1", "--sols", "8..=9", "--out", "maps"];
     let ran = compare(dir, &two).exits(0);
     assert!(
@@ -74,17 +73,22 @@ fn two_times_are_compared_once_and_written_as_maps() {
 
 #[test]
 fn times_that_cannot_be_compared_are_refused_with_the_way_out() {
-    let dir = with_pipeline(TWO_TIMES);
-    let dir = dir.path();
-    let refused = |more: &[&str], code: i32, words: &[&str]| {
+    let empty = with_pipeline(TWO_TIMES);
+    let dir = ran("two-times", TWO_TIMES);
+    let refused_in = |dir: &Path, more: &[&str], code: i32, words: &[&str]| {
         let ran = compare(dir, &[more, &["--out", "maps"]].concat()).exits(code);
         for word in words {
             assert!(ran.stderr.contains(word), "{word}: {}", ran.stderr);
         }
         assert!(!dir.join("maps").exists());
     };
-    refused(&["--sols", "1", "--sols", "8"], 1, &["there is no store"]);
-    marf(dir, &["run"]).exits(0);
+    refused_in(
+        empty.path(),
+        &["--sols", "1", "--sols", "8"],
+        1,
+        &["there is no store"],
+    );
+    let refused = |more: &[&str], code: i32, words: &[&str]| refused_in(dir.path(), more, code, words);
     refused(
         &["--sols", "1"],
         2,
