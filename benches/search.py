@@ -52,7 +52,8 @@ def fit(marf: str, photos: str, budget: str, keys: dict) -> dict:
         command = [marf, "fit", photos, "--budget", budget, "--store", f"{folder}/store", "--out", f"{folder}/out", "--json", *sets]
         ran = subprocess.run(command, capture_output=True, text=True)
     if ran.returncode != 0:
-        return {"refused": ran.stderr.strip().splitlines()[0]}
+        # Drivers of GPUs complain before.
+        return {"refused": [line for line in ran.stderr.splitlines() if line.startswith("error: ")][-1]}
     # Events are a line each; the answer is the one that begins with a line of its own.
     (fitted,) = json.loads("{" + ran.stdout.partition("\n{\n")[2]).values()
     return {key: fitted[key] for key in ("psnr", "ssim", "steps", "train_seconds", "peak_mb")}
