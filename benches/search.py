@@ -53,7 +53,10 @@ def fit(marf: str, photos: str, budget: str, keys: dict) -> dict:
         ran = subprocess.run(command, capture_output=True, text=True)
     if ran.returncode != 0:
         # Drivers of GPUs complain before.
-        return {"refused": [line for line in ran.stderr.splitlines() if line.startswith("error: ")][-1]}
+        errors = [line for line in ran.stderr.splitlines() if line.startswith("error: ")]
+        if not errors:
+            sys.exit(f"{' '.join(command)} ended with {ran.returncode} and no error:\n{ran.stderr}")
+        return {"refused": errors[-1]}
     # Events are a line each; the answer is the one that begins with a line of its own.
     (fitted,) = json.loads("{" + ran.stdout.partition("\n{\n")[2]).values()
     return {key: fitted[key] for key in ("psnr", "ssim", "steps", "train_seconds", "peak_mb")}

@@ -1,6 +1,6 @@
 //! How often photos are decoded: a decoding reads the photo from the store, a memo does not.
 
-use crate::common::{NoMemos, inputs, put_scene, run, small, stage};
+use crate::common::{self, NoMemos, inputs, put_scene, run, small, stage};
 use marf_scene::{Photo, Scene, encode_png};
 use marf_schema::train::TrainParams;
 use marf_stage::{Ctx, Define, Expand, Inputs, Outputs, Params, harness::Harness};
@@ -9,7 +9,7 @@ use serde_json::json;
 
 /// Returns a scene of twelve photos, no two with the same bytes: the ball looks alike from several sides.
 fn scene(harness: &Harness) -> Scene {
-    let mut scene = crate::common::scene(harness, 12);
+    let mut scene = common::scene(harness, 12);
     for (number, frame) in (0_u8..).zip(&mut scene.frames) {
         let mut image = Photo::decode(&harness.get(&frame.image).unwrap()).unwrap().image;
         image.pixels[0] = [number; 3];

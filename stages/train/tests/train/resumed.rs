@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 
-use crate::common::{inputs, put_scene, run, scene, scene_of, small, stage};
+use crate::common::{self, inputs, put_scene, run, scene, scene_of, small, stage};
 use marf_cache::Digest;
 use marf_schema::train::TrainParams;
 use marf_stage::{
@@ -216,8 +216,8 @@ fn a_budget_is_trained_on_from_where_it_was_stopped() {
         }
         let made = run(&train, &harness.ctx(), &inputs).unwrap();
         let params: TrainParams = serde_json::from_value(table).unwrap();
-        let setup = serde_json::from_value(crate::common::json(&harness, &made, "setup")).unwrap();
-        let metrics = serde_json::from_value(crate::common::json(&harness, &made, "metrics")).unwrap();
+        let setup = serde_json::from_value(common::json(&harness, &made, "setup")).unwrap();
+        let metrics = serde_json::from_value(common::json(&harness, &made, "metrics")).unwrap();
         let repeating: Train = stage(serde_json::to_value(params.repeating(&setup, &metrics)).unwrap());
         let fresh = Harness::default();
         put_scene(&fresh, &scene(&fresh, 8));
@@ -240,7 +240,7 @@ fn trained(harness: &Harness, width: u32, height: u32) -> Inputs {
 #[test]
 fn an_evaluation_goes_on_to_the_same_bytes_wherever_it_was_stopped() {
     same_when_stopped(5, 14, 4, &|harness| {
-        let inputs = trained(harness, crate::common::WIDTH, crate::common::HEIGHT);
+        let inputs = trained(harness, common::WIDTH, common::HEIGHT);
         let evaluate: Evaluate = stage(json!({"views": "all"}));
         Box::new(move |ctx| run(&evaluate, ctx, &inputs))
     });
@@ -250,7 +250,7 @@ fn an_evaluation_goes_on_to_the_same_bytes_wherever_it_was_stopped() {
 fn a_path_goes_on_to_the_same_bytes_wherever_it_was_stopped() {
     let path = |params: Value| {
         move |harness: &Harness| -> Node {
-            let inputs = trained(harness, crate::common::WIDTH, crate::common::HEIGHT);
+            let inputs = trained(harness, common::WIDTH, common::HEIGHT);
             let render: Render = stage(params.clone());
             Box::new(move |ctx| run(&render, ctx, &inputs))
         }
@@ -267,7 +267,7 @@ fn a_path_goes_on_to_the_same_bytes_wherever_it_was_stopped() {
 #[test]
 fn a_large_picture_goes_on_from_its_last_band() {
     let harness = Harness::default();
-    let inputs = trained(&harness, crate::common::WIDTH, crate::common::HEIGHT);
+    let inputs = trained(&harness, common::WIDTH, common::HEIGHT);
     let render: Render = stage(json!({"frames": 2, "width": 512}));
     let work = |ctx: &Ctx<'_>| run(&render, ctx, &inputs);
     let expected = work(&harness.ctx()).unwrap();
@@ -307,7 +307,7 @@ fn a_bootstrap_goes_on_to_the_same_bytes_wherever_it_was_stopped() {
 #[test]
 fn pictures_that_were_lost_from_the_store_are_made_again() {
     let harness = Harness::default();
-    let inputs = trained(&harness, crate::common::WIDTH, crate::common::HEIGHT);
+    let inputs = trained(&harness, common::WIDTH, common::HEIGHT);
     let evaluate: Evaluate = stage(json!({"views": "all"}));
     let work = |ctx: &Ctx<'_>| run(&evaluate, ctx, &inputs);
     let expected = work(&harness.ctx()).unwrap();

@@ -1,6 +1,6 @@
 //! Every stage of this crate on a tiny scene, with the real field.
 
-use crate::common::{inputs, json, put_scene, run, scene, small, stage};
+use crate::common::{self, inputs, json, put_scene, run, scene, small, stage};
 use marf_cache::Digest;
 use marf_scene::Photo;
 use marf_stage::{Define, Expand, Outputs, StageError, harness::Harness};
@@ -41,10 +41,7 @@ fn training_learns_the_floor_and_tells_what_it_did() {
     let picture = Photo::decode(&harness.get(&outputs["heldout/002.png"]).unwrap())
         .unwrap()
         .image;
-    assert_eq!(
-        (picture.width, picture.height),
-        (crate::common::WIDTH, crate::common::HEIGHT)
-    );
+    assert_eq!((picture.width, picture.height), (common::WIDTH, common::HEIGHT));
     let photo = Photo::decode(&harness.get(&outputs["photo/002.png"]).unwrap())
         .unwrap()
         .image;
