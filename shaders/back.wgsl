@@ -136,19 +136,21 @@ fn over_four(a: vec4<f32>, d: array<vec4<f32>, 4>, s: vec4<f32>) -> vec4<f32> {
     return vec4(over(a, d[0], s.x), over(a, d[1], s.y), over(a, d[2], s.z), over(a, d[3], s.w));
 }
 
-// Adds the share of the tile's first 4 `fours` samples of 8 x 8 weights of a layer to those at `to`: inputs from row `a` on,
-// slopes of outputs from row `d` on; 16 numbers read for 64 multiply-adds, as on the way there.
-fn learn_block(to: u32, width: u32, a: u32, d: u32, fours: u32, is_first: bool) {
+// Adds the share of the tile's first 4 `fours` samples of 8 x 8 weights of a layer to those at `to`: inputs from row `a` of the
+// workgroup's memory on, slopes of outputs from `d` of the tile on; 16 numbers read for 64 multiply-adds, as on the way there.
+// Neighbours begin `turn` groups of samples apart: what they read at once then lies in different banks.
+fn learn_block(to: u32, width: u32, a: u32, d: u32, fours: u32, turn: u32, is_first: bool) {
     var g = Sums();
-    for (var four = 0u; four < fours; four++) {
-        let d0 = work[d + four];
-        let d1 = work[d + FOURS + four];
-        let d2 = work[d + 2u * FOURS + four];
-        let d3 = work[d + 3u * FOURS + four];
-        let d4 = work[d + 4u * FOURS + four];
-        let d5 = work[d + 5u * FOURS + four];
-        let d6 = work[d + 6u * FOURS + four];
-        let d7 = work[d + 7u * FOURS + four];
+    for (var k = 0u; k < fours; k++) {
+        let four = (k + turn) % FOURS;
+        let d0 = tile[d + four];
+        let d1 = tile[d + FOURS + four];
+        let d2 = tile[d + 2u * FOURS + four];
+        let d3 = tile[d + 3u * FOURS + four];
+        let d4 = tile[d + 4u * FOURS + four];
+        let d5 = tile[d + 5u * FOURS + four];
+        let d6 = tile[d + 6u * FOURS + four];
+        let d7 = tile[d + 7u * FOURS + four];
         let low = array(d0, d1, d2, d3);
         let high = array(d4, d5, d6, d7);
         let a0 = work[a + four];
@@ -213,50 +215,51 @@ fn learn_block(to: u32, width: u32, a: u32, d: u32, fours: u32, is_first: bool) 
     work[to + 7u * width + 1u] = g[15];
 }
 
-// Adds the tile's share of all weights, in blocks of all layers. A block is the same thread's from tile to tile.
-fn learn(own: u32, memory: u32, me: u32, is_first: bool) {
-    var number = 0u;
-    var before = 0u;
-    for (var block = me; block < run.weights / 64u; block += THREADS) {
-        var layer = run.shapes[number];
-        while block - before >= layer.x * layer.y / 64u {
-            before += layer.x * layer.y / 64u;
-            number += 1u;
-            layer = run.shapes[number];
-        }
-        let across = layer.y / 8u;
-        let row = 8u * ((block - before) / across);
-        let column = 8u * ((block - before) % across);
-        let width = layer.y / 4u;
+// Adds the tile's share of the weights of a layer, whose slopes of outputs the tile holds. A block is the same thread's from tile
+// to tile.
+fn learn(own: u32, memory: u32, number: u32, me: u32, is_first: bool) {
+    let layer = run.shapes[number];
+    let across = layer.y / 8u;
+    let width = layer.y / 4u;
+    for (var block = me; block < layer.x / 8u * across; block += THREADS) {
+        let row = 8u * (block / across);
+        let column = 8u * (block % across);
         let to = own + layer.z / 4u + row * width + column / 4u;
-        let a = memory + (layer.w + row) * FOURS;
-        let d = memory + (layer.w + layer.x + column) * FOURS;
         // Nobody reads more than three outputs of the last layer: the gradients of the others are 0.
         let fours = select(FOURS, 0u, number + 1u == LAYERS && column > 0u);
-        learn_block(to, width, a, d, fours, is_first);
+        learn_block(to, width, memory + (layer.w + row) * FOURS, column * FOURS, fours, column / 8u, is_first);
     }
 }
 
-// Stores slopes of features of 4 samples, which are `sums` from `from_number` on, and tells of those that run away.
-fn give(at: u32, eight: u32, in_use: u32, sums: Sums, from_number: u32) {
-    var all = sums;
-    var is_wild = false;
-    for (var row = 0u; row < 8u; row++) {
-        let slope = all[from_number + row];
-        slopes[(8u * eight + row) * (run.capacity / 4u) + at] = slope;
-        let x = alive(slope, 4u * at, in_use);
-        is_wild = is_wild || runs_away(x.x) || runs_away(x.y) || runs_away(x.z) || runs_away(x.w);
-    }
-    if is_wild { atomicMax(&faults[FAULT_FEATURES], 1u); }
+// Tells whether one of 4 numbers of samples in use runs away.
+fn is_wild(slope: vec4<f32>, sample: u32, in_use: u32) -> bool {
+    let x = alive(slope, sample, in_use);
+    return runs_away(x.x) || runs_away(x.y) || runs_away(x.z) || runs_away(x.w);
+}
+
+// Stores slopes of 8 features of 4 samples, and tells of those that run away.
+fn give(at: u32, eight: u32, in_use: u32, s0: vec4<f32>, s1: vec4<f32>, s2: vec4<f32>, s3: vec4<f32>, s4: vec4<f32>, s5: vec4<f32>, s6: vec4<f32>, s7: vec4<f32>) {
+    let column = run.capacity / 4u;
+    let to = 8u * eight * column + at;
+    slopes[to + 0u * column] = s0;
+    slopes[to + 1u * column] = s1;
+    slopes[to + 2u * column] = s2;
+    slopes[to + 3u * column] = s3;
+    slopes[to + 4u * column] = s4;
+    slopes[to + 5u * column] = s5;
+    slopes[to + 6u * column] = s6;
+    slopes[to + 7u * column] = s7;
+    let low = is_wild(s0, 4u * at, in_use) || is_wild(s1, 4u * at, in_use) || is_wild(s2, 4u * at, in_use) || is_wild(s3, 4u * at, in_use);
+    let high = is_wild(s4, 4u * at, in_use) || is_wild(s5, 4u * at, in_use) || is_wild(s6, 4u * at, in_use) || is_wild(s7, 4u * at, in_use);
+    if low || high { atomicMax(&faults[FAULT_FEATURES], 1u); }
 }
 
 // Rows 16 to 31 of the tile and of the colour network's input: harmonics of 4 samples.
 fn recall_harmonics(memory: u32, first: u32, in_use: u32, me: u32) {
     let to = memory + run.shapes[DENSITY].w * FOURS;
-    for (var four = me; four < FOURS; four += THREADS) {
-        bring_harmonics(four, 4u * (first + four), in_use);
-        for (var row = 16u; row < 32u; row++) { work[to + row * FOURS + four] = tile[row * FOURS + four]; }
-    }
+    bring_harmonics(first, in_use, me);
+    workgroupBarrier();
+    for (var at = me; at < 16u * FOURS; at += THREADS) { work[to + 16u * FOURS + at] = tile[16u * FOURS + at]; }
 }
 
 // Forward through a layer that is not the last.
@@ -294,15 +297,12 @@ fn recall(memory: u32, first: u32, in_use: u32, me: u32) {
 }
 
 // Slopes in the first 8 outputs of the last layer, those of logits: rows 3 to 7 are 0. Nobody looks at the others.
-fn bring_slopes(memory: u32, first: u32, in_use: u32, me: u32) {
-    let layer = run.shapes[LAYERS - 1u];
-    let to = memory + (layer.w + layer.x) * FOURS;
+fn bring_slopes(first: u32, in_use: u32, me: u32) {
     for (var at = me; at < 8u * FOURS; at += THREADS) {
         let sample = first + at % FOURS;
         var slope = vec4<f32>(0.0);
         if at < 3u * FOURS { slope = alive(d_outputs[at / FOURS * (run.capacity / 4u) + sample], 4u * sample, in_use); }
         tile[at] = slope;
-        work[to + at] = slope;
     }
 }
 
@@ -312,7 +312,9 @@ fn raw_slopes(at: u32, in_use: u32) -> vec4<f32> {
 }
 
 // Back through one layer: the tile holds the slopes of its outputs, then those of its inputs.
-fn retreat(memory: u32, number: u32, first: u32, in_use: u32, me: u32) {
+fn retreat(own: u32, number: u32, first: u32, in_use: u32, me: u32, is_first: bool) {
+    let memory = own + run.weights / 4u;
+    learn(own, memory, number, me, is_first);
     let layer = run.shapes[number];
     let four = four_of(me);
     let eight = eight_of(me);
@@ -332,15 +334,12 @@ fn retreat(memory: u32, number: u32, first: u32, in_use: u32, me: u32) {
         } else if number > 0u {
             sums = gated(sums, memory + (layer.w + 8u * eight) * FOURS + four);
         } else {
-            give(first + four, eight, in_use, sums, 0u);
-            give(first + four + HALF, eight, in_use, sums, 8u);
+            give(first + four, eight, in_use, sums[0], sums[1], sums[2], sums[3], sums[4], sums[5], sums[6], sums[7]);
+            give(first + four + HALF, eight, in_use, sums[8], sums[9], sums[10], sums[11], sums[12], sums[13], sums[14], sums[15]);
         }
     }
     workgroupBarrier();
-    if is_busy && number > 0u {
-        let before = run.shapes[number - 1u];
-        put_and_keep(memory + (before.w + before.x) * FOURS, four, eight, sums);
-    }
+    if is_busy && number > 0u { put(four, eight, sums); }
     workgroupBarrier();
 }
 
@@ -348,17 +347,15 @@ fn retreat(memory: u32, number: u32, first: u32, in_use: u32, me: u32) {
 fn learn_tile(own: u32, first: u32, in_use: u32, me: u32, is_first: bool) {
     let memory = own + run.weights / 4u;
     recall(memory, first, in_use, me);
-    bring_slopes(memory, first, in_use, me);
+    bring_slopes(first, in_use, me);
     workgroupBarrier();
-    if LAYERS > 5u { retreat(memory, 5u, first, in_use, me); }
-    if LAYERS > 4u { retreat(memory, 4u, first, in_use, me); }
-    if LAYERS > 3u { retreat(memory, 3u, first, in_use, me); }
-    if LAYERS > 2u { retreat(memory, 2u, first, in_use, me); }
-    if LAYERS > 1u { retreat(memory, 1u, first, in_use, me); }
-    retreat(memory, 0u, first, in_use, me);
     storageBarrier();
-    learn(own, memory, me, is_first);
-    storageBarrier();
+    if LAYERS > 5u { retreat(own, 5u, first, in_use, me, is_first); }
+    if LAYERS > 4u { retreat(own, 4u, first, in_use, me, is_first); }
+    if LAYERS > 3u { retreat(own, 3u, first, in_use, me, is_first); }
+    if LAYERS > 2u { retreat(own, 2u, first, in_use, me, is_first); }
+    if LAYERS > 1u { retreat(own, 1u, first, in_use, me, is_first); }
+    retreat(own, 0u, first, in_use, me, is_first);
 }
 
 @compute @workgroup_size(64)

@@ -2,7 +2,7 @@
 //
 // Source    none.
 // Twin      marf_field::shade::Shade::choose (its list `kept`); equal.
-// Threads   one per ray: workgroup 64, folded.
+// Threads   LANES per ray: workgroup 64, folded.
 // Reads     spans [4][rays]: first sample and number of visited samples, then of kept ones; counts[slot] rays in use;
 //           shown, from 2 rays on [capacity]: numbers of the visited samples that are kept, the first of every ray
 // Writes    origin u32 [capacity]: number of the visited sample, for samples of rays in use, each once
@@ -15,11 +15,11 @@
 
 @compute @workgroup_size(64)
 fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
-    let ray = flat(id, groups);
+    let thread = flat(id, groups);
+    let ray = thread / LANES;
     if ray >= extent.rays || ray >= counts[extent.slot] { return; }
     let first = spans[2u * extent.rays + ray];
     let end = min(first + spans[3u * extent.rays + ray], extent.capacity);
-    for (var sample = first; sample < end; sample++) {
-        origin[sample] = shown[2u * extent.rays + spans[ray] + sample - first];
-    }
+    let from_row = 2u * extent.rays + spans[ray] - first;
+    for (var sample = first + thread % LANES; sample < end; sample += LANES) { origin[sample] = shown[from_row + sample]; }
 }

@@ -152,7 +152,7 @@ pub const KEPT: Shader = Shader {
     name: "kept",
     shared: &[FLAT, EXTENT],
     text: include_str!("kept.wgsl"),
-    heads: PLAIN,
+    heads: &["const LANES: u32 = 32u;\n"],
 };
 
 /// Colour of a ray beside its pixel.

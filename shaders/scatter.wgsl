@@ -10,11 +10,17 @@
 //           level, which is then left out (rescale). A sum may wrap beyond 2^31: peaks are kept at 2^25 for that.
 @group(0) @binding(6) var<storage, read_write> gradient: array<atomic<i32>>;
 
+fn add_one(at: u32, q: i32) {
+    if q != 0 { atomicAdd(&gradient[at], q); }
+}
+
 fn add(entry: u32, q: Quanta) {
-    for (var f = 0u; f < FEATURES; f++) {
-        if q[f] != 0 {
-            atomicAdd(&gradient[entry * FEATURES + f], q[f]);
-        }
+    let at = entry * FEATURES;
+    add_one(at, q.x);
+    add_one(at + 1u, q.y);
+    if FEATURES > 2u {
+        add_one(at + 2u, q[FEATURES / 2u]);
+        add_one(at + 3u, q[FEATURES - 1u]);
     }
 }
 

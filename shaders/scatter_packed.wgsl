@@ -9,12 +9,14 @@
 // Extremes  as scatter; q0 beyond 2^31 moves q1 by one quantum, too. Needs 64-bit integers and their atomics.
 @group(0) @binding(6) var<storage, read_write> gradient: array<atomic<i64>>;
 
+fn add_pair(at: u32, low: i32, high: i32) {
+    if low != 0 || high != 0 { atomicAdd(&gradient[at], (i64(high) << 32u) + i64(low)); }
+}
+
 fn add(entry: u32, q: Quanta) {
-    for (var f = 0u; f < FEATURES; f += 2u) {
-        if q[f] != 0 || q[f + 1u] != 0 {
-            atomicAdd(&gradient[(entry * FEATURES + f) / 2u], (i64(q[f + 1u]) << 32u) + i64(q[f]));
-        }
-    }
+    let at = entry * FEATURES / 2u;
+    add_pair(at, q.x, q.y);
+    if FEATURES > 2u { add_pair(at + 1u, q[FEATURES / 2u], q[FEATURES - 1u]); }
 }
 
 @compute @workgroup_size(64)

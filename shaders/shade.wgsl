@@ -33,17 +33,20 @@ fn any_is_wild(x: vec4<f32>, sample: u32, in_use: u32) -> bool {
     return any(live & vec4(runs_away(x.x), runs_away(x.y), runs_away(x.z), runs_away(x.w)));
 }
 
-// Colours of 4 samples from the first three outputs of the last layer, which are `logits` from `from_number` on.
-fn colour_four(at: u32, in_use: u32, logits: Sums, from_number: u32) {
+// Writes a channel of 4 samples: colour and logit.
+fn put_channel(at: u32, in_use: u32, channel: u32, logit: vec4<f32>) {
     let column = run.capacity / 4u;
+    colours[channel * column + at] = shaded(logit);
+    colours[(3u + channel) * column + at] = logit;
+    if any_is_wild(logit, 4u * at, in_use) { atomicMax(&faults[FAULT_LOGITS], 1u); }
+}
+
+// Colours of 4 samples from the first three outputs of the last layer.
+fn colour_four(at: u32, in_use: u32, red: vec4<f32>, green: vec4<f32>, blue: vec4<f32>) {
     if 4u * at >= in_use { return; }
-    for (var channel = 0u; channel < 3u; channel++) {
-        var all = logits;
-        let logit = all[from_number + channel];
-        colours[channel * column + at] = shaded(logit);
-        colours[(3u + channel) * column + at] = logit;
-        if any_is_wild(logit, 4u * at, in_use) { atomicMax(&faults[FAULT_LOGITS], 1u); }
-    }
+    put_channel(at, in_use, 0u, red);
+    put_channel(at, in_use, 1u, green);
+    put_channel(at, in_use, 2u, blue);
 }
 
 @compute @workgroup_size(64)
@@ -59,14 +62,14 @@ fn main(
         let places = bring_column(at / FOURS, 4u * (first + at % FOURS), in_use);
         tile[at] = vec4(latent_at(places.x), latent_at(places.y), latent_at(places.z), latent_at(places.w));
     }
-    if run.directed == 1u && me < FOURS { bring_harmonics(me, 4u * (first + me), in_use); }
+    if run.directed == 1u { bring_harmonics(first, in_use, me); }
     workgroupBarrier();
     if DENSITY + 1u < LAYERS { advance(run.shapes[DENSITY], me, true); }
     if DENSITY + 2u < LAYERS { advance(run.shapes[DENSITY + 1u], me, true); }
     if DENSITY + 3u < LAYERS { advance(run.shapes[DENSITY + 2u], me, true); }
     if me < HALF {
         let logits = ahead(run.shapes[LAYERS - 1u], me, 0u);
-        colour_four(first + me, in_use, logits, 0u);
-        colour_four(first + me + HALF, in_use, logits, 8u);
+        colour_four(first + me, in_use, logits[0], logits[1], logits[2]);
+        colour_four(first + me + HALF, in_use, logits[8], logits[9], logits[10]);
     }
 }

@@ -21,13 +21,27 @@ fn harmonics_at(sample: u32, in_use: u32) -> array<f32, 16> {
     return harmonics_of(direction.xyz);
 }
 
-// Rows 16 to 31 of the tile: harmonics of 4 samples.
-fn bring_harmonics(four: u32, sample: u32, in_use: u32) {
-    var h0 = harmonics_at(sample, in_use);
-    var h1 = harmonics_at(sample + 1u, in_use);
-    var h2 = harmonics_at(sample + 2u, in_use);
-    var h3 = harmonics_at(sample + 3u, in_use);
-    for (var index = 0u; index < 16u; index++) {
-        tile[(16u + index) * FOURS + four] = vec4(h0[index], h1[index], h2[index], h3[index]);
+// Rows 16 to 31 of the tile: harmonics of all its samples.
+fn bring_harmonics(first: u32, in_use: u32, me: u32) {
+    for (var sample = me; sample < 4u * FOURS; sample += THREADS) {
+        let h = harmonics_at(4u * first + sample, in_use);
+        let at = 16u * FOURS + sample / 4u;
+        let part = sample % 4u;
+        tile[at + 0u * FOURS][part] = h[0];
+        tile[at + 1u * FOURS][part] = h[1];
+        tile[at + 2u * FOURS][part] = h[2];
+        tile[at + 3u * FOURS][part] = h[3];
+        tile[at + 4u * FOURS][part] = h[4];
+        tile[at + 5u * FOURS][part] = h[5];
+        tile[at + 6u * FOURS][part] = h[6];
+        tile[at + 7u * FOURS][part] = h[7];
+        tile[at + 8u * FOURS][part] = h[8];
+        tile[at + 9u * FOURS][part] = h[9];
+        tile[at + 10u * FOURS][part] = h[10];
+        tile[at + 11u * FOURS][part] = h[11];
+        tile[at + 12u * FOURS][part] = h[12];
+        tile[at + 13u * FOURS][part] = h[13];
+        tile[at + 14u * FOURS][part] = h[14];
+        tile[at + 15u * FOURS][part] = h[15];
     }
 }

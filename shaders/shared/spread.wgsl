@@ -135,8 +135,12 @@ fn spread_one(sample: u32, number: u32, level: GridLevel, scale: f32) {
     let share = q - vec3<f32>(cell);
     let weights = across(share);
     var slope = Row(0.0);
-    for (var f = 0u; f < FEATURES; f++) {
-        slope[f] = slopes[(number * FEATURES + f) * capacity + sample];
+    let row = number * FEATURES * capacity + sample;
+    slope.x = slopes[row];
+    slope.y = slopes[row + capacity];
+    if FEATURES > 2u {
+        slope[FEATURES / 2u] = slopes[row + 2u * capacity];
+        slope[FEATURES - 1u] = slopes[row + 3u * capacity];
     }
     let below = slope * (1.0 - share.x);
     let above = slope * share.x;

@@ -19,8 +19,7 @@ struct NetsRun {
     latents: u32,
     pad0: u32,
     pad1: u32,
-    // Of every layer: inputs, outputs, first weight, first row of its input in the workgroup's own memory, behind which
-    // the slopes of its outputs lie.
+    // Of every layer: inputs, outputs, first weight, first row of its input in the workgroup's own memory.
     shapes: array<vec4<u32>, 6>,
 }
 
@@ -32,6 +31,7 @@ const HALF: u32 = FOURS / 2u;
 var<workgroup> tile: array<vec4<f32>, 1024>;
 
 // 4 samples for each of 8 neurons, then 4 more, HALF further on. Of 16 numbers read a thread makes 64 multiply-adds.
+// Only constants index it: a card keeps an array that a number indexes in memory, and took 2 to 6 times as long.
 alias Sums = array<vec4<f32>, 16>;
 
 // What runs a thread: 8 samples of 8 neurons, which are its own from layer to layer.
@@ -44,34 +44,96 @@ fn relu(x: vec4<f32>) -> vec4<f32> {
     return select(x, vec4<f32>(0.0), bits - vec4(0x80000001u) < vec4(0x7f800000u));
 }
 
-// Outputs 8 eight .. 8 eight + 8 of a layer: a chain of fused multiply-adds in the order of its inputs.
+// Outputs 8 eight .. 8 eight + 8 of a layer: a chain of fused multiply-adds in the order of its inputs. What four of these need is
+// read first: a card waits once for it.
 fn ahead(layer: vec4<u32>, four: u32, eight: u32) -> Sums {
     var s = Sums();
     var at = four;
+    let row = layer.y / 4u;
     var weight = layer.z / 4u + 2u * eight;
-    for (var k = 0u; k < layer.x; k++) {
-        let x = tile[at];
-        let y = tile[at + HALF];
-        let low = weights[weight];
-        let high = weights[weight + 1u];
-        s[0] = fma(x, vec4<f32>(low.x), s[0]);
-        s[8] = fma(y, vec4<f32>(low.x), s[8]);
-        s[1] = fma(x, vec4<f32>(low.y), s[1]);
-        s[9] = fma(y, vec4<f32>(low.y), s[9]);
-        s[2] = fma(x, vec4<f32>(low.z), s[2]);
-        s[10] = fma(y, vec4<f32>(low.z), s[10]);
-        s[3] = fma(x, vec4<f32>(low.w), s[3]);
-        s[11] = fma(y, vec4<f32>(low.w), s[11]);
-        s[4] = fma(x, vec4<f32>(high.x), s[4]);
-        s[12] = fma(y, vec4<f32>(high.x), s[12]);
-        s[5] = fma(x, vec4<f32>(high.y), s[5]);
-        s[13] = fma(y, vec4<f32>(high.y), s[13]);
-        s[6] = fma(x, vec4<f32>(high.z), s[6]);
-        s[14] = fma(y, vec4<f32>(high.z), s[14]);
-        s[7] = fma(x, vec4<f32>(high.w), s[7]);
-        s[15] = fma(y, vec4<f32>(high.w), s[15]);
-        at += FOURS;
-        weight += layer.y / 4u;
+    for (var k = 0u; k < layer.x; k += 4u) {
+        let x0 = tile[at + 0u * FOURS];
+        let y0 = tile[at + 0u * FOURS + HALF];
+        let low0 = weights[weight + 0u * row];
+        let high0 = weights[weight + 0u * row + 1u];
+        let x1 = tile[at + 1u * FOURS];
+        let y1 = tile[at + 1u * FOURS + HALF];
+        let low1 = weights[weight + 1u * row];
+        let high1 = weights[weight + 1u * row + 1u];
+        let x2 = tile[at + 2u * FOURS];
+        let y2 = tile[at + 2u * FOURS + HALF];
+        let low2 = weights[weight + 2u * row];
+        let high2 = weights[weight + 2u * row + 1u];
+        let x3 = tile[at + 3u * FOURS];
+        let y3 = tile[at + 3u * FOURS + HALF];
+        let low3 = weights[weight + 3u * row];
+        let high3 = weights[weight + 3u * row + 1u];
+        s[0] = fma(x0, vec4<f32>(low0.x), s[0]);
+        s[8] = fma(y0, vec4<f32>(low0.x), s[8]);
+        s[1] = fma(x0, vec4<f32>(low0.y), s[1]);
+        s[9] = fma(y0, vec4<f32>(low0.y), s[9]);
+        s[2] = fma(x0, vec4<f32>(low0.z), s[2]);
+        s[10] = fma(y0, vec4<f32>(low0.z), s[10]);
+        s[3] = fma(x0, vec4<f32>(low0.w), s[3]);
+        s[11] = fma(y0, vec4<f32>(low0.w), s[11]);
+        s[4] = fma(x0, vec4<f32>(high0.x), s[4]);
+        s[12] = fma(y0, vec4<f32>(high0.x), s[12]);
+        s[5] = fma(x0, vec4<f32>(high0.y), s[5]);
+        s[13] = fma(y0, vec4<f32>(high0.y), s[13]);
+        s[6] = fma(x0, vec4<f32>(high0.z), s[6]);
+        s[14] = fma(y0, vec4<f32>(high0.z), s[14]);
+        s[7] = fma(x0, vec4<f32>(high0.w), s[7]);
+        s[15] = fma(y0, vec4<f32>(high0.w), s[15]);
+        s[0] = fma(x1, vec4<f32>(low1.x), s[0]);
+        s[8] = fma(y1, vec4<f32>(low1.x), s[8]);
+        s[1] = fma(x1, vec4<f32>(low1.y), s[1]);
+        s[9] = fma(y1, vec4<f32>(low1.y), s[9]);
+        s[2] = fma(x1, vec4<f32>(low1.z), s[2]);
+        s[10] = fma(y1, vec4<f32>(low1.z), s[10]);
+        s[3] = fma(x1, vec4<f32>(low1.w), s[3]);
+        s[11] = fma(y1, vec4<f32>(low1.w), s[11]);
+        s[4] = fma(x1, vec4<f32>(high1.x), s[4]);
+        s[12] = fma(y1, vec4<f32>(high1.x), s[12]);
+        s[5] = fma(x1, vec4<f32>(high1.y), s[5]);
+        s[13] = fma(y1, vec4<f32>(high1.y), s[13]);
+        s[6] = fma(x1, vec4<f32>(high1.z), s[6]);
+        s[14] = fma(y1, vec4<f32>(high1.z), s[14]);
+        s[7] = fma(x1, vec4<f32>(high1.w), s[7]);
+        s[15] = fma(y1, vec4<f32>(high1.w), s[15]);
+        s[0] = fma(x2, vec4<f32>(low2.x), s[0]);
+        s[8] = fma(y2, vec4<f32>(low2.x), s[8]);
+        s[1] = fma(x2, vec4<f32>(low2.y), s[1]);
+        s[9] = fma(y2, vec4<f32>(low2.y), s[9]);
+        s[2] = fma(x2, vec4<f32>(low2.z), s[2]);
+        s[10] = fma(y2, vec4<f32>(low2.z), s[10]);
+        s[3] = fma(x2, vec4<f32>(low2.w), s[3]);
+        s[11] = fma(y2, vec4<f32>(low2.w), s[11]);
+        s[4] = fma(x2, vec4<f32>(high2.x), s[4]);
+        s[12] = fma(y2, vec4<f32>(high2.x), s[12]);
+        s[5] = fma(x2, vec4<f32>(high2.y), s[5]);
+        s[13] = fma(y2, vec4<f32>(high2.y), s[13]);
+        s[6] = fma(x2, vec4<f32>(high2.z), s[6]);
+        s[14] = fma(y2, vec4<f32>(high2.z), s[14]);
+        s[7] = fma(x2, vec4<f32>(high2.w), s[7]);
+        s[15] = fma(y2, vec4<f32>(high2.w), s[15]);
+        s[0] = fma(x3, vec4<f32>(low3.x), s[0]);
+        s[8] = fma(y3, vec4<f32>(low3.x), s[8]);
+        s[1] = fma(x3, vec4<f32>(low3.y), s[1]);
+        s[9] = fma(y3, vec4<f32>(low3.y), s[9]);
+        s[2] = fma(x3, vec4<f32>(low3.z), s[2]);
+        s[10] = fma(y3, vec4<f32>(low3.z), s[10]);
+        s[3] = fma(x3, vec4<f32>(low3.w), s[3]);
+        s[11] = fma(y3, vec4<f32>(low3.w), s[11]);
+        s[4] = fma(x3, vec4<f32>(high3.x), s[4]);
+        s[12] = fma(y3, vec4<f32>(high3.x), s[12]);
+        s[5] = fma(x3, vec4<f32>(high3.y), s[5]);
+        s[13] = fma(y3, vec4<f32>(high3.y), s[13]);
+        s[6] = fma(x3, vec4<f32>(high3.z), s[6]);
+        s[14] = fma(y3, vec4<f32>(high3.z), s[14]);
+        s[7] = fma(x3, vec4<f32>(high3.w), s[7]);
+        s[15] = fma(y3, vec4<f32>(high3.w), s[15]);
+        at += 4u * FOURS;
+        weight += 4u * row;
     }
     return s;
 }

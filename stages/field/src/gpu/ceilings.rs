@@ -43,6 +43,10 @@ pub fn ceilings(gpu: &Gpu) -> Result<Ceilings, GpuError> {
 /// Returns the seconds of the fastest of some runs.
 fn fastest(gpu: &Gpu, work: &Work) -> Result<f64, GpuError> {
     let mut least = f64::INFINITY;
+    let began = std::time::Instant::now();
+    while began.elapsed().as_secs_f64() < 1.0 {
+        gpu.submit_timed(|recorder| work.record(recorder))?;
+    }
     for _ in 0..RUNS {
         let times = gpu.submit_timed(|recorder| work.record(recorder))?;
         least = least.min(times.iter().map(|(_, seconds)| seconds).sum());

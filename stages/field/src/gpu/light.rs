@@ -5,6 +5,7 @@ use marf_shaders::{self as shaders, CompareRun, Extent, Pace, SpreadRun, Target,
 use super::Gpu;
 use super::array::{Array, Part};
 use super::kernel::Kernel;
+use super::march::{RAY_LANES, lanes_head};
 use super::nets::{Batch, limits, one_each};
 use super::record::{Work, dispatch};
 use crate::GpuError;
@@ -83,7 +84,7 @@ impl Light {
         let head = limits();
         Ok(Self {
             opacity: gpu.kernel(&shaders::OPACITY, &head)?,
-            kept: gpu.kernel(&shaders::KEPT, "")?,
+            kept: gpu.kernel(&shaders::KEPT, &lanes_head())?,
             totals: gpu.kernel(&shaders::TOTALS, "")?,
         })
     }
@@ -136,7 +137,12 @@ impl Light {
             shown.into(),
             origin.into(),
         ];
-        Ok(dispatch(batch.gpu, &self.kept, &parts, one_each(batch.rays)))
+        Ok(dispatch(
+            batch.gpu,
+            &self.kept,
+            &parts,
+            one_each(batch.rays * RAY_LANES),
+        ))
     }
 
     /// Binds the loss of every ray, its slopes in colour and exposure, and the parts of the background's gradient.

@@ -118,6 +118,11 @@ pub struct MarchArrays<'a> {
     pub samples: &'a SampleArrays,
 }
 
+/// Returns the head of kernels in which [`RAY_LANES`] threads share a ray.
+pub fn lanes_head() -> String {
+    format!("const LANES: u32 = {RAY_LANES}u;\n")
+}
+
 /// The kernels of a walk.
 pub struct March {
     count: Kernel,
@@ -146,7 +151,7 @@ impl March {
 
     /// As [`March::new`], of another text.
     pub(super) fn of(gpu: &Gpu, shader: &Shader) -> Result<Self, GpuError> {
-        let head = format!("const LANES: u32 = {RAY_LANES}u;\n");
+        let head = lanes_head();
         Ok(Self {
             count: gpu.entry(shader, &head, "count")?,
             scan: Scan::new(gpu)?,

@@ -15,9 +15,11 @@ use crate::{Background, GpuError};
 
 /// Most samples of a tile: that of networks 32 wide.
 const MOST_SAMPLES: usize = 128;
-/// Workgroups among which the tiles of the way back are dealt out: two for each of the 132 cores of the largest cards. The
-/// same on every device, so that sums have one order.
-pub(super) const GROUPS: usize = 264;
+/// Workgroups among which the tiles of the way back are dealt out, at most: six for each of the 132 cores of the largest cards.
+/// The same on every device, so that sums have one order.
+pub(super) const GROUPS: usize = 792;
+/// Numbers of all workgroups on the way back, at most: what a binding of core WebGPU holds, 128 MiB.
+const MOST_WORK: usize = 1 << 25;
 /// Weights of a workgroup of the kernel `sum`, whose other axis is as many slices of the parts.
 const SUMMED: usize = 16;
 /// Numbers of the background on a device: a row more than channels, which stays 0.
@@ -94,16 +96,16 @@ impl Layers {
         firsts.collect()
     }
 
-    /// Returns the numbers of a workgroup on the way back: gradients of all weights, then of a tile the inputs of all layers
-    /// and the slopes of their outputs.
+    /// Returns the numbers of a workgroup on the way back: gradients of all weights, then of a tile the inputs of all layers.
     fn stride(&self) -> usize {
-        let columns: usize = self.shapes.iter().flatten().sum();
+        let columns: usize = self.shapes.iter().map(|[inputs, _]| inputs).sum();
         self.weights() + columns * self.tile()
     }
 
     /// Returns the workgroups of the way back.
     fn groups(&self, capacity: usize) -> usize {
-        GROUPS.min(capacity.div_ceil(self.tile()))
+        let most = GROUPS.min(MOST_WORK / self.stride().max(1)).max(1);
+        most.min(capacity.div_ceil(self.tile()))
     }
 
     /// Returns the numbers of [`Back::work`] for so many samples and rays.
@@ -126,7 +128,7 @@ impl Layers {
         let mut row = 0;
         for ((to, [inputs, outputs]), first) in shapes.iter_mut().zip(&self.shapes).zip(self.firsts()) {
             *to = [*inputs as u32, *outputs as u32, first as u32, row];
-            row += (*inputs + *outputs) as u32;
+            row += *inputs as u32;
         }
         let seen = self.shapes.get(self.density).map_or(0, |[inputs, _]| *inputs);
         NetsRun {
