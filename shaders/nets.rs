@@ -31,11 +31,15 @@ pub struct Limits {
     pub even: f32,
 }
 
+/// Of so many threads next to each other one walks along a ray: rays that share a wave wait for each other's reads, and a card has
+/// more waves than a batch has rays.
+pub const APART: usize = 4;
+
 impl Limits {
     /// Returns the head of kernels that look at these numbers.
     pub fn head(&self) -> String {
         let bits = self.runaway.to_bits();
-        let mut head = format!("const RUNAWAY: u32 = {bits}u;\n");
+        let mut head = format!("const RUNAWAY: u32 = {bits}u;\nconst APART: u32 = {APART}u;\n");
         for (name, value) in [
             ("RAW_LIMIT", self.raw),
             ("RAW_SHIFT", self.shift),
@@ -95,7 +99,7 @@ const TILES: &[&str] = &[
     const LOGIT_LIMIT: f32 = 1.0;",
 ];
 const HEADS: &[&str] = &[
-    "const RUNAWAY: u32 = 9u; const RAW_LIMIT: f32 = 1.0; const RAW_SHIFT: f32 = -1.0; \
+    "const RUNAWAY: u32 = 9u; const APART: u32 = 4u; const RAW_LIMIT: f32 = 1.0; const RAW_SHIFT: f32 = -1.0; \
     const LOGIT_LIMIT: f32 = 1.0; const OPAQUE: f32 = 0.1; const EVEN: f32 = 0.1;",
 ];
 

@@ -3,7 +3,7 @@
 // Source    NeRF, arXiv 2003.08934, eq. 3, in log space: T_i = exp(-sum of tau before i). Systematic sampling by weight: Madow
 //           1949; of a share p that is kept, every length stands for 1 / p of itself.
 // Twin      marf_field::shade::Shade::opacities and choose; within 1e-6.
-// Threads   one per ray, its samples from the front: workgroup 64, folded.
+// Threads   one in APART per ray, its samples from the front: workgroup 64, folded.
 // Reads     spans [2][rays], density [.][capacity] (row 0, the raw density), along [3][capacity] (row 1, the length),
 //           before [rays] (optical depth in front of the first sample), counts[slot] rays in use
 // Writes    light [3][capacity]: tau (0 where the raw density is at its limit: the slope in it is tau times that in tau), alpha,
@@ -74,8 +74,9 @@ fn thin(ray: u32, visible: u32) -> u32 {
 
 @compute @workgroup_size(64)
 fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
-    let ray = flat(id, groups);
-    if ray >= extent.rays { return; }
+    let thread = flat(id, groups);
+    let ray = thread / APART;
+    if thread % APART != 0u || ray >= extent.rays { return; }
     var visible = 0u;
     var total = 0.0;
     if ray < counts[extent.slot] {

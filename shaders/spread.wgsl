@@ -4,7 +4,7 @@
 //           distortion loss of mip-NeRF 360 (arXiv 2111.12077, eq. 15), the price of opacity and the pull of a point.
 // Twin      marf_field::batch::Losses::ray (Ray::spread, emptiness, Pull::spread) and the first half of backward;
 //           within 1e-6 of the largest slope of the ray.
-// Threads   one per ray, its samples from the front for the sums and then from the back: workgroup 64, folded.
+// Threads   one in APART per ray, its samples from the front for the sums and then from the back: workgroup 64, folded.
 // Reads     spans [4][rays] (of visited samples, of kept ones: the first of the visited), rgb [3][capacity], along [3][capacity] (row 2, the place), logits [3][capacity], found [FOUND_ROWS][rays] of `compare`, pulls [rays]
 //           (place, weight), counts[slot] rays in use; light and along as `opacity` left them
 // Writes    d_outputs [4][capacity]: slopes in the three logits and in the raw density of kept samples of rays in use, each
@@ -32,23 +32,37 @@ struct SpreadRun {
 @group(0) @binding(8) var<storage, read> light: array<f32>;
 @group(0) @binding(9) var<storage, read_write> d_outputs: array<f32>;
 
+// Opacity, transmittance and place of a visited sample.
+fn lit_at(sample: u32) -> vec3<f32> {
+    return vec3(light[run.capacity + sample], light[2u * run.capacity + sample], along[2u * run.capacity + sample]);
+}
+
 fn row_of(row: u32, ray: u32) -> f32 {
     return found[row * run.rays + ray];
 }
 
-fn put_logits(sample: u32, slope: vec3<f32>, shade: vec3<f32>) {
+fn shade_at(sample: u32) -> vec3<f32> {
+    return vec3(rgb[sample], rgb[run.capacity + sample], rgb[2u * run.capacity + sample]);
+}
+
+fn logits_at(sample: u32) -> vec3<f32> {
+    return vec3(logits[sample], logits[run.capacity + sample], logits[2u * run.capacity + sample]);
+}
+
+fn put_logits(sample: u32, slope: vec3<f32>, shade: vec3<f32>, logit: vec3<f32>) {
     let green = run.capacity + sample;
     let blue = run.capacity + green;
-    d_outputs[sample] = slope.x * colour_slope(logits[sample], shade.x);
-    d_outputs[green] = slope.y * colour_slope(logits[green], shade.y);
-    d_outputs[blue] = slope.z * colour_slope(logits[blue], shade.z);
+    d_outputs[sample] = slope.x * colour_slope(logit.x, shade.x);
+    d_outputs[green] = slope.y * colour_slope(logit.y, shade.y);
+    d_outputs[blue] = slope.z * colour_slope(logit.z, shade.z);
 }
 
 @compute @workgroup_size(64)
 fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
-    let ray = flat(id, groups);
+    let thread = flat(id, groups);
+    let ray = thread / APART;
     let in_use = counts[run.slot];
-    if ray >= run.rays || ray >= in_use { return; }
+    if thread % APART != 0u || ray >= run.rays || ray >= in_use { return; }
     let first = spans[2u * run.rays + ray];
     let end = first + spans[3u * run.rays + ray];
     if first == end { return; }
@@ -63,15 +77,16 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
     var moment = 0.0;
     var near_by = run.floor;
     var left = 1.0;
+    // The next sample is read while one is worked on: nothing else hides what a read takes.
+    var next = lit_at(shift + first);
     for (var sample = first; sample < end; sample++) {
-        let alpha = light[run.capacity + shift + sample];
-        let transmittance = light[2u * run.capacity + shift + sample];
-        let place = along[2u * run.capacity + shift + sample];
-        let weight = transmittance * alpha;
+        let lit = next;
+        next = lit_at(shift + min(sample + 1u, end - 1u));
+        let weight = lit.y * lit.x;
         total += weight;
-        moment = fma(weight, place, moment);
-        near_by += select(0.0, weight, abs(place - pull.x) < reach);
-        left = transmittance * (1.0 - alpha);
+        moment = fma(weight, lit.z, moment);
+        near_by += select(0.0, weight, abs(lit.z - pull.x) < reach);
+        left = lit.y * (1.0 - lit.x);
     }
     // 0 without a pull, where the floor might be 0 too.
     let pulled = pull.y != 0.0;
@@ -81,28 +96,39 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
     var suffix_near = 0.0;
     var behind = 0.0;
     var behind_moment = 0.0;
+    next = lit_at(shift + end - 1u);
+    var next_tau = light[shift + end - 1u];
+    var next_shade = shade_at(end - 1u);
+    var next_logits = logits_at(end - 1u);
     for (var sample = end; sample > first;) {
         sample -= 1u;
-        let alpha = light[run.capacity + shift + sample];
-        let transmittance = light[2u * run.capacity + shift + sample];
-        let place = along[2u * run.capacity + shift + sample];
+        let alpha = next.x;
+        let transmittance = next.y;
+        let place = next.z;
+        let tau = next_tau;
+        let shade = next_shade;
+        let logit = next_logits;
+        let ahead = max(sample, first + 1u) - 1u;
+        next = lit_at(shift + ahead);
+        next_tau = light[shift + ahead];
+        next_shade = shade_at(ahead);
+        next_logits = logits_at(ahead);
         let weight = transmittance * alpha;
-        let next = transmittance - weight;
+        let after = transmittance - weight;
         let before = total - behind - weight;
         let before_moment = moment - behind_moment - weight * place;
         let apart = place * (before - behind) - before_moment + behind_moment;
         let spread = strength * (2.0 * apart + weight * run.cell * (2.0f / 3.0f));
-        let shade = vec3<f32>(rgb[sample], rgb[run.capacity + sample], rgb[2u * run.capacity + sample]);
         let q = dot_own(slope, shade) + spread;
-        var d_tau = next * q - suffix;
+        var d_tau = after * q - suffix;
         suffix = fma(weight, q, suffix);
         d_tau = fma(emptiness, 1.0 - alpha, d_tau);
         let q_near = select(0.0, strength_near, abs(place - pull.x) < reach);
-        d_tau += next * q_near - suffix_near;
+        d_tau += after * q_near - suffix_near;
         suffix_near = fma(weight, q_near, suffix_near);
         behind += weight;
         behind_moment = fma(weight, place, behind_moment);
-        d_outputs[3u * run.capacity + sample] = d_tau * light[shift + sample];
-        put_logits(sample, slope * weight, shade);
+        d_outputs[3u * run.capacity + sample] = d_tau * tau;
+        put_logits(sample, slope * weight, shade, logit);
     }
 }

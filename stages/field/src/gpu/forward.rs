@@ -9,7 +9,7 @@ use super::march::{MarchArrays, SampleArrays, Scan, WALKED};
 use super::nets::{Batch, Layers, Nets, Rows, Seen};
 use super::picture::STATE;
 use super::rays::{Progress, RayArrays};
-use super::record::Work;
+use super::record::{Groups, Work};
 use super::tables::{Encode, Encoded, Grid, Slots};
 use super::weights::{DeviceWeights, layers};
 use crate::GpuError;
@@ -272,7 +272,7 @@ fn colours(gpu: &Gpu, kernels: &Kernels, weights: &DeviceWeights, lanes: &Lanes)
         &lanes.counts,
         &lanes.visited,
     );
-    work.add(scan, Scan::groups(lanes.rays.slots));
+    work.add(scan, Groups::OfRays(lanes.rays.slots, Scan::groups));
     work = work.then(light.kept(batch, counts::RAYS, [&lanes.spans, &lanes.shown, &lanes.origin])?);
     let ends = [&lanes.latent, &lanes.colours];
     let shade = kernels.nets.shade(batch, &weights.nets, lanes.seen(), ends)?;

@@ -107,8 +107,8 @@ impl Learning {
     }
 
     /// Records a step behind the colours.
-    pub fn record(&self, recorder: &mut Recorder<'_>, averages: Averages) {
-        self.back.record(recorder);
+    pub fn record(&self, recorder: &mut Recorder<'_>, rays: usize, averages: Averages) {
+        self.back.record_for(recorder, rays);
         if let Some(exposing) = &self.exposing {
             exposing.record_sums(recorder);
         }

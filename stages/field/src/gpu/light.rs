@@ -1,13 +1,13 @@
 //! Light along the rays of a batch: opacities, what shows, colours, the loss and its slopes.
 
-use marf_shaders::{self as shaders, CompareRun, Extent, Pace, SpreadRun, Target, Total, counts};
+use marf_shaders::{self as shaders, APART, CompareRun, Extent, Pace, SpreadRun, Target, Total, counts};
 
 use super::Gpu;
 use super::array::{Array, Part};
 use super::kernel::Kernel;
-use super::march::{RAY_LANES, lanes_head};
+use super::march::{lanes_each, lanes_head};
 use super::nets::{Batch, limits, one_each};
-use super::record::{Work, dispatch};
+use super::record::{Work, dispatch, dispatch_rays};
 use crate::GpuError;
 use crate::depth::{FLOOR, REACH};
 use crate::training::Training;
@@ -67,6 +67,11 @@ pub struct Aims<'a> {
     pub parts: Part<'a>,
 }
 
+/// Returns the workgroups of kernels that walk along so many rays.
+fn apart_each(rays: usize) -> [usize; 3] {
+    one_each(APART * rays)
+}
+
 /// The kernels of light.
 pub struct Light {
     opacity: Kernel,
@@ -114,7 +119,7 @@ impl Light {
             shown.into(),
             batch.faults.into(),
         ];
-        dispatch(batch.gpu, &self.opacity, &parts, one_each(batch.rays))
+        dispatch_rays(batch, &self.opacity, &parts, apart_each)
     }
 
     /// Binds the list of kept samples, u32 `[capacity]`, from the spans of `Columns` and what `opacity` chose.
@@ -137,12 +142,7 @@ impl Light {
             shown.into(),
             origin.into(),
         ];
-        Ok(dispatch(
-            batch.gpu,
-            &self.kept,
-            &parts,
-            one_each(batch.rays * RAY_LANES),
-        ))
+        Ok(dispatch_rays(batch, &self.kept, &parts, lanes_each))
     }
 
     /// Binds the loss of every ray, its slopes in colour and exposure, and the parts of the background's gradient.
@@ -182,7 +182,7 @@ impl Light {
             aims.parts,
         ];
         let kernel = batch.gpu.kernel(&shaders::COMPARE, &limits())?;
-        Ok(dispatch(batch.gpu, &kernel, &parts, one_each(batch.rays)))
+        Ok(dispatch_rays(batch, &kernel, &parts, one_each))
     }
 
     /// Binds the slopes of kept samples to `d_outputs`, f32 `[4][capacity]`: in the logits, then in the raw density. `pulls`:
@@ -211,7 +211,7 @@ impl Light {
             d_outputs.into(),
         ];
         let kernel = batch.gpu.kernel(&shaders::SPREAD, &limits())?;
-        Ok(dispatch(batch.gpu, &kernel, &parts, one_each(batch.rays)))
+        Ok(dispatch_rays(batch, &kernel, &parts, apart_each))
     }
 
     /// Binds the totals of a step for the host; `loss` is f32 `[rays]`, row `found::LOSS` of what `compare` found.

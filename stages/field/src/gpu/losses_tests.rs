@@ -340,7 +340,8 @@ fn the_loss_of_rays_and_its_slopes_are_those_of_the_cpu() {
             .zip(expected.d_logits.chunks(CAPACITY));
         for (found, expected) in rows {
             agree("slope in logits", &found[..kept], &expected[..kept], TOLERANCE);
-            let zeros = |slopes: &[f32]| slopes.iter().map(|slope| *slope == 0.0).collect::<Vec<_>>();
+            // A card may flush denormals to 0.
+            let zeros = |slopes: &[f32]| slopes.iter().map(|slope| slope.abs() < 1e-30).collect::<Vec<_>>();
             assert_eq!(zeros(&found[..kept]), zeros(&expected[..kept]));
             assert!(found[kept..].iter().all(is_untouched));
         }

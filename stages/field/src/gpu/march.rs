@@ -5,6 +5,7 @@ use marf_shaders::{ALIVE, MARCH, SCAN, Shader, Walk, counts};
 use super::Gpu;
 use super::array::{Array, Part, halves};
 use super::kernel::{Bound, Kernel, fold};
+use super::nets::one_each;
 use super::rays::{Progress, RayArrays};
 use super::record::Recorder;
 use crate::GpuError;
@@ -123,6 +124,11 @@ pub fn lanes_head() -> String {
     format!("const LANES: u32 = {RAY_LANES}u;\n")
 }
 
+/// Returns their workgroups for so many rays.
+pub fn lanes_each(rays: usize) -> [usize; 3] {
+    one_each(RAY_LANES * rays)
+}
+
 /// The kernels of a walk.
 pub struct March {
     count: Kernel,
@@ -208,13 +214,13 @@ impl Marching {
 
     /// Records the first half: how many samples there are, and where they begin.
     pub fn record_count(&self, recorder: &mut Recorder<'_>, rays: usize) {
-        recorder.threads(&self.count, RAY_LANES * rays);
+        recorder.groups(&self.count, lanes_each(rays));
         recorder.groups(&self.scan, Scan::groups(rays));
     }
 
     /// Records the second half.
     pub fn record_write(&self, recorder: &mut Recorder<'_>, rays: usize) {
-        recorder.threads(&self.write, RAY_LANES * rays);
+        recorder.groups(&self.write, lanes_each(rays));
     }
 }
 

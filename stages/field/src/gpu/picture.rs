@@ -6,7 +6,7 @@ use super::array::{Array, Part};
 use super::kernel::Kernel;
 use super::light::Columns;
 use super::nets::{Batch, limits, one_each};
-use super::record::{Work, dispatch};
+use super::record::{Work, dispatch, dispatch_rays};
 use crate::GpuError;
 
 /// Rows of a ray's state: optical depth, colour, distance, what is left.
@@ -69,10 +69,9 @@ impl Picture {
             columns.along.into(),
             shown.into(),
         ];
-        let groups = one_each(batch.rays);
         Ok([
-            dispatch(batch.gpu, &self.begin, &parts[..2], groups),
-            dispatch(batch.gpu, &self.paint, &parts, groups),
+            dispatch(batch.gpu, &self.begin, &parts[..2], one_each(batch.rays)),
+            dispatch_rays(batch, &self.paint, &parts, one_each),
         ])
     }
 

@@ -3,6 +3,7 @@
 use super::Gpu;
 use super::array::Part;
 use super::kernel::{Bound, GROUP, Kernel, fold};
+use super::nets::Batch;
 use crate::GpuError;
 
 impl Gpu {
@@ -30,7 +31,7 @@ impl Gpu {
         Ok(times.collect::<Result<Vec<_>, _>>()?.concat())
     }
 
-    fn timed(&self, dispatches: &[(Bound, [usize; 3])]) -> Result<Vec<Timing>, GpuError> {
+    fn timed(&self, dispatches: &[(Bound, Groups)]) -> Result<Vec<Timing>, GpuError> {
         let count = 2 * dispatches.len() as u32;
         let queries = self.device.create_query_set(&wgpu::QuerySetDescriptor {
             label: Some("timestamps"),
@@ -40,6 +41,7 @@ impl Gpu {
         let ticks = self.array::<u64>("timestamps", count as usize, wgpu::BufferUsages::QUERY_RESOLVE)?;
         let mut encoder = self.device.create_command_encoder(&Default::default());
         for (begin, (bound, groups)) in (0..).step_by(2).zip(dispatches) {
+            let groups = groups.of(usize::MAX);
             let pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
                 label: Some(bound.name),
                 timestamp_writes: Some(wgpu::ComputePassTimestampWrites {
@@ -48,7 +50,7 @@ impl Gpu {
                     end_of_pass_write_index: Some(begin + 1),
                 }),
             });
-            Recorder::Pass(pass).groups(bound, *groups);
+            Recorder::Pass(pass).groups(bound, groups);
         }
         encoder.resolve_query_set(&queries, 0..count, &ticks.buffer, 0);
         self.queue.submit([encoder.finish()]);
@@ -92,18 +94,36 @@ impl Recorder<'_> {
                 pass.set_bind_group(0, &bound.group, &[]);
                 pass.dispatch_workgroups(x as u32, y as u32, z as u32);
             }
-            Self::List(work) => work.add(bound.clone(), [x, y, z]),
+            Self::List(work) => work.add(bound.clone(), Groups::All([x, y, z])),
+        }
+    }
+}
+
+/// Workgroups of a dispatch.
+#[derive(Clone, Copy)]
+pub enum Groups {
+    /// So many in x, y and z.
+    All([usize; 3]),
+    /// Those of the rays in use, of which there are so many slots: a card spends 1 to 9 ns on a workgroup that finds no ray.
+    OfRays(usize, fn(usize) -> [usize; 3]),
+}
+
+impl Groups {
+    fn of(self, rays: usize) -> [usize; 3] {
+        match self {
+            Self::All(groups) => groups,
+            Self::OfRays(slots, groups) => groups(rays.min(slots)),
         }
     }
 }
 
 /// Dispatches in order.
 #[derive(Default)]
-pub struct Work(Vec<(Bound, [usize; 3])>);
+pub struct Work(Vec<(Bound, Groups)>);
 
 impl Work {
-    /// Adds a kernel and its workgroups in x, y and z.
-    pub fn add(&mut self, bound: Bound, groups: [usize; 3]) {
+    /// Adds a kernel and its workgroups.
+    pub fn add(&mut self, bound: Bound, groups: Groups) {
         self.0.push((bound, groups));
     }
 
@@ -138,15 +158,33 @@ impl Work {
         self.0.iter().map(|(bound, _)| bound)
     }
 
-    /// Records all dispatches.
+    /// Records all dispatches, for every slot of rays.
     pub fn record(&self, recorder: &mut Recorder<'_>) {
+        self.record_for(recorder, usize::MAX);
+    }
+
+    /// Records all dispatches for so many rays: what belongs to others is not written.
+    pub fn record_for(&self, recorder: &mut Recorder<'_>, rays: usize) {
         for (bound, groups) in &self.0 {
-            recorder.groups(bound, *groups);
+            recorder.groups(bound, groups.of(rays));
         }
     }
 }
 
 /// Gives a kernel its buffers and workgroups.
 pub fn dispatch(gpu: &Gpu, kernel: &Kernel, parts: &[Part<'_>], groups: [usize; 3]) -> Work {
-    Work(vec![(gpu.bind(kernel, parts), groups)])
+    Work(vec![(gpu.bind(kernel, parts), Groups::All(groups))])
+}
+
+/// Gives a kernel its buffers, and the workgroups that rays need.
+pub fn dispatch_rays(
+    batch: Batch<'_>,
+    kernel: &Kernel,
+    parts: &[Part<'_>],
+    groups: fn(usize) -> [usize; 3],
+) -> Work {
+    Work(vec![(
+        batch.gpu.bind(kernel, parts),
+        Groups::OfRays(batch.rays, groups),
+    )])
 }

@@ -210,8 +210,8 @@ impl Canvas {
             self.submits.submit(&self.gpu, |recorder| {
                 self.marching.record(recorder, count);
                 self.forward.densities.record(recorder);
-                self.forward.colours.record(recorder);
-                self.paint.record(recorder);
+                self.forward.colours.record_for(recorder, count);
+                self.paint.record_for(recorder, count);
                 recorder.threads(&self.alive, count);
             });
             *limit = limit.saturating_mul(2);

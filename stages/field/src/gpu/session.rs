@@ -152,7 +152,7 @@ impl GpuSession {
             self.write_step(training, training.state.steps, rays);
             self.submits.submit(&self.gpu, |recorder| {
                 self.forward(recorder, rays);
-                self.learning.back.record(recorder);
+                self.learning.back.record_for(recorder, rays);
                 self.learning.scale.record(recorder);
             });
             self.held.arrays.clear_gradient(&self.gpu);
@@ -324,14 +324,14 @@ impl GpuSession {
     /// Records a step.
     pub(super) fn record(&self, recorder: &mut Recorder<'_>, rays: usize, averages: Averages) {
         self.forward(recorder, rays);
-        self.learning.record(recorder, averages);
+        self.learning.record(recorder, rays, averages);
     }
 
     fn forward(&self, recorder: &mut Recorder<'_>, rays: usize) {
         recorder.threads(&self.draw, rays);
         self.marching.record(recorder, rays);
         self.forward.densities.record(recorder);
-        self.forward.colours.record(recorder);
+        self.forward.colours.record_for(recorder, rays);
     }
 
     /// Computes the density of some cells anew and decides which are occupied.

@@ -11,7 +11,7 @@ use crate::gpu::Gpu;
 use crate::gpu::array::{Array, Part};
 use crate::gpu::device::BINDING;
 use crate::gpu::kernel::{GROUP, Kernel, fold};
-use crate::gpu::record::Work;
+use crate::gpu::record::{Groups, Work};
 
 /// Levels begin at a multiple of so many entries: at 4 bytes and more an entry, of 256 bytes, as bindings must.
 const ALIGNED: usize = 64;
@@ -149,7 +149,7 @@ impl Grid {
             let mut bindings = vec![Part::from(&part)];
             bindings.extend(arrays(levels));
             let [x, y, _] = fold(threads(&self.levels[levels.clone()]).div_ceil(GROUP));
-            work.add(gpu.bind(kernel, &bindings), [x, y, levels.len()]);
+            work.add(gpu.bind(kernel, &bindings), Groups::All([x, y, levels.len()]));
         }
         Ok(work)
     }

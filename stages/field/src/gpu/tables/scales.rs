@@ -6,7 +6,7 @@ use crate::GpuError;
 use crate::gpu::Gpu;
 use crate::gpu::array::{Array, Part};
 use crate::gpu::kernel::{Kernel, fold};
-use crate::gpu::record::Work;
+use crate::gpu::record::{Groups, Work};
 
 /// log2 of the first scale: gradients of a mean over the batch stay below 1, hence below `MOST`.
 const START_BITS: u32 = 28;
@@ -104,7 +104,7 @@ impl Scales {
         let mut work = grid.bind(gpu, &self.peak, Slots::NONE, bound, threads)?;
         let parts = [Part::from(rescaling), scales.into(), faults.into()];
         let rescale = gpu.bind(&self.rescale, &parts);
-        work.add(rescale, fold(1));
+        work.add(rescale, Groups::All(fold(1)));
         Ok(work)
     }
 }
