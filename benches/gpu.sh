@@ -17,6 +17,7 @@
 # TESTS           beginning of the names of the tests that run (gpu::)
 # TWICE           steps of the training that is run twice (2000)
 # SECONDS_LIST    budgets of the trainings by the clock (10,60)
+# VIEWS           folder that keeps the pictures of trainings (none is kept)
 # KEYS            keys of those trainings, as `--set` takes them, between blanks ()
 # LOADER=pack     takes the Vulkan loader of the pack even where the system has one
 set -euo pipefail
@@ -156,7 +157,7 @@ tests() {
 train() {
     local scene=$1 to=$2
     shift 2
-    "$work/marf" bench train "$work/data/$scene" --device "$gpu" --out "$work/views/$scene" "$@" |
+    "$work/marf" bench train "$work/data/$scene" --device "$gpu" --out "${VIEWS:-$work/views}/$scene" "$@" |
         sed "s/^{/{\"scene\":\"$scene\",/" >> "$out/$to.jsonl"
 }
 
