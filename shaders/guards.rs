@@ -54,3 +54,50 @@ fn a_relu_looks_at_bits_and_no_kernel_takes_a_maximum_of_floats() {
         assert!(!code.contains("max(0.0"), "{}", shader.name);
     }
 }
+
+/// Tells whether a function indexes an array that is no memory by a number that is not known beforehand.
+fn indexes_registers(module: &naga::Module, function: &naga::Function) -> bool {
+    let is_array =
+        |ty: naga::Handle<naga::Type>| matches!(module.types[ty].inner, naga::TypeInner::Array { .. });
+    let array_at = |mut at| {
+        if let naga::Expression::Load { pointer } = function.expressions[at] {
+            at = pointer;
+        }
+        match function.expressions[at] {
+            naga::Expression::LocalVariable(local) => is_array(function.local_variables[local].ty),
+            naga::Expression::FunctionArgument(index) => is_array(function.arguments[index as usize].ty),
+            naga::Expression::CallResult(called) => {
+                let result = module.functions[called].result.as_ref();
+                result.is_some_and(|result| is_array(result.ty))
+            }
+            _ => false,
+        }
+    };
+    function
+        .expressions
+        .iter()
+        .any(|(_, expression)| matches!(expression, naga::Expression::Access { base, .. } if array_at(*base)))
+}
+
+/// A card keeps an array that a number indexes in memory: networks took two to six times as long.
+#[test]
+fn kernels_of_networks_index_arrays_of_registers_by_constants() {
+    let indexes = |shader: &super::Shader, text: &str| {
+        let module = super::tests::validated(shader.name, text);
+        let entries = module.entry_points.iter().map(|entry| &entry.function);
+        let mut all = module
+            .functions
+            .iter()
+            .map(|(_, function)| function)
+            .chain(entries);
+        all.any(|function| indexes_registers(&module, function))
+    };
+    for shader in [super::DENSITY, super::SHADE, super::BACK] {
+        for head in shader.heads {
+            assert!(!indexes(&shader, &shader.source(head)), "{}", shader.name);
+        }
+    }
+    let text = super::SHADE.source(super::SHADE.heads[0]);
+    let spoiled = text.replace("logits[10]", "logits[8u + run.directed]");
+    assert!(text != spoiled && indexes(&super::SHADE, &spoiled));
+}

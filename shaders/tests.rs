@@ -3,7 +3,7 @@ use super::*;
 /// Names of the kernels beyond core WebGPU: they need 64-bit integers and atomic operations on them.
 const WIDE: &[&str] = &["scatter_packed"];
 
-fn validated(name: &str, source: &str) -> naga::Module {
+pub(super) fn validated(name: &str, source: &str) -> naga::Module {
     let module = naga::front::wgsl::parse_str(source)
         .unwrap_or_else(|error| panic!("{name}: {}", error.emit_to_string(source)));
     let mut validator = naga::valid::Validator::new(

@@ -32,8 +32,8 @@ const SAMPLES_A_PIXEL: f64 = 24.0;
 /// Operations a second that fused networks reach, two a multiply-add: a third of 60e12 on paper, weights and activations from
 /// workgroup memory.
 const ARITHMETIC: f64 = 20e12;
-/// Workgroups of the pass back, each with a gradient of its own: two for each of 132 multiprocessors.
-const GROUPS_BACK: f64 = 264.0;
+/// Workgroups of the pass back, each with a gradient of its own: six for each of 132 multiprocessors.
+const GROUPS_BACK: f64 = 792.0;
 /// Threads of the largest workgroups.
 const GROUP: f64 = 256.0;
 /// Operations of a step along a ray: its place in the box and its cell's bit.
