@@ -210,19 +210,23 @@ fn is_wild(slope: vec4<f32>, sample: u32, in_use: u32) -> bool {
 }
 
 // Stores slopes of 8 features of 4 samples, and tells of those that run away.
-fn give(at: u32, eight: u32, in_use: u32, s0: vec4<f32>, s1: vec4<f32>, s2: vec4<f32>, s3: vec4<f32>, s4: vec4<f32>, s5: vec4<f32>, s6: vec4<f32>, s7: vec4<f32>) {
+fn give(
+    at: u32, eight: u32, in_use: u32,
+    s0: vec4<f32>, s1: vec4<f32>, s2: vec4<f32>, s3: vec4<f32>, s4: vec4<f32>, s5: vec4<f32>, s6: vec4<f32>, s7: vec4<f32>,
+) {
     let column = run.capacity / 4u;
     let to = 8u * eight * column + at;
-    slopes[to + 0u * column] = s0;
-    slopes[to + 1u * column] = s1;
+    slopes[to] = s0;
+    slopes[to + column] = s1;
     slopes[to + 2u * column] = s2;
     slopes[to + 3u * column] = s3;
     slopes[to + 4u * column] = s4;
     slopes[to + 5u * column] = s5;
     slopes[to + 6u * column] = s6;
     slopes[to + 7u * column] = s7;
-    let low = is_wild(s0, 4u * at, in_use) || is_wild(s1, 4u * at, in_use) || is_wild(s2, 4u * at, in_use) || is_wild(s3, 4u * at, in_use);
-    let high = is_wild(s4, 4u * at, in_use) || is_wild(s5, 4u * at, in_use) || is_wild(s6, 4u * at, in_use) || is_wild(s7, 4u * at, in_use);
+    let first = 4u * at;
+    let low = is_wild(s0, first, in_use) || is_wild(s1, first, in_use) || is_wild(s2, first, in_use) || is_wild(s3, first, in_use);
+    let high = is_wild(s4, first, in_use) || is_wild(s5, first, in_use) || is_wild(s6, first, in_use) || is_wild(s7, first, in_use);
     if low || high { atomicMax(&faults[FAULT_FEATURES], 1u); }
 }
 

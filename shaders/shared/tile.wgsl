@@ -52,14 +52,14 @@ fn ahead(layer: vec4<u32>, four: u32, eight: u32) -> Sums {
     let row = layer.y / 4u;
     var weight = layer.z / 4u + 2u * eight;
     for (var k = 0u; k < layer.x; k += 4u) {
-        let x0 = tile[at + 0u * FOURS];
-        let y0 = tile[at + 0u * FOURS + HALF];
-        let low0 = weights[weight + 0u * row];
-        let high0 = weights[weight + 0u * row + 1u];
-        let x1 = tile[at + 1u * FOURS];
-        let y1 = tile[at + 1u * FOURS + HALF];
-        let low1 = weights[weight + 1u * row];
-        let high1 = weights[weight + 1u * row + 1u];
+        let x0 = tile[at];
+        let y0 = tile[at + HALF];
+        let low0 = weights[weight];
+        let high0 = weights[weight + 1u];
+        let x1 = tile[at + FOURS];
+        let y1 = tile[at + FOURS + HALF];
+        let low1 = weights[weight + row];
+        let high1 = weights[weight + row + 1u];
         let x2 = tile[at + 2u * FOURS];
         let y2 = tile[at + 2u * FOURS + HALF];
         let low2 = weights[weight + 2u * row];

@@ -18,8 +18,8 @@ const MOST_SAMPLES: usize = 128;
 /// Workgroups among which the tiles of the way back are dealt out, at most: six for each of the 132 cores of the largest cards.
 /// The same on every device, so that sums have one order.
 pub(super) const GROUPS: usize = 792;
-/// Numbers of all workgroups on the way back, at most: what a binding of core WebGPU holds, 128 MiB.
-const MOST_WORK: usize = 1 << 25;
+/// Numbers of all workgroups on the way back, at most, 120 MiB: a binding of core WebGPU holds 128, with the background's parts.
+const MOST_WORK: usize = 30 << 20;
 /// Weights of a workgroup of the kernel `sum`, whose other axis is as many slices of the parts.
 const SUMMED: usize = 16;
 /// Numbers of the background on a device: a row more than channels, which stays 0.

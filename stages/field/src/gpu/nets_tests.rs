@@ -308,6 +308,16 @@ fn more_tiles_than_workgroups_are_all_added_and_none_gives_zero() {
     }
 }
 
+#[test]
+fn workgroups_of_wide_layers_are_fewer_so_that_a_binding_holds_them() {
+    for width in [16, 64, 128, 512] {
+        let layers = layers([width; 3], 3, width);
+        let numbers = layers.work(1 << 20, 1 << 18);
+        assert!(4 * numbers <= 128 << 20, "{width}: {numbers} numbers");
+        assert!(layers.behind(1 << 20) > 0, "{width}: no workgroup");
+    }
+}
+
 /// Drivers may make a comparison with 0 a maximum, which takes NaN for the smaller.
 #[test]
 fn a_relu_passes_nan_and_infinity_on_to_their_own_sample() {
