@@ -14,6 +14,7 @@ fn add_one(at: u32, q: i32) {
     if q != 0 { atomicAdd(&gradient[at], q); }
 }
 
+// FEATURES is 2 or 4: constants index the vector, as a loop would put it into the memory of a card.
 fn add(entry: u32, q: Quanta) {
     let at = entry * FEATURES;
     add_one(at, q.x);

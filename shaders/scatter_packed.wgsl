@@ -13,6 +13,7 @@ fn add_pair(at: u32, low: i32, high: i32) {
     if low != 0 || high != 0 { atomicAdd(&gradient[at], (i64(high) << 32u) + i64(low)); }
 }
 
+// FEATURES is 2 or 4: constants index the vector, as a loop would put it into the memory of a card.
 fn add(entry: u32, q: Quanta) {
     let at = entry * FEATURES / 2u;
     add_pair(at, q.x, q.y);

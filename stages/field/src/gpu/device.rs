@@ -7,6 +7,7 @@ use marf_cache::Digest;
 use marf_shaders::{SHADERS, constants};
 use parking_lot::Mutex;
 
+use super::nets::{GROUPS, MOST_WORK};
 use crate::{Device, GpuError};
 
 /// An opened GPU.
@@ -278,12 +279,14 @@ impl Gpu {
     }
 }
 
-/// Returns a short digest of all kernels: a kernel that changed gives another id, so that no version has to be raised.
+/// Returns a short digest of all kernels and of what decides the order of their sums: a change gives another id, so that no
+/// version has to be raised.
 fn kernels() -> String {
     let texts = SHADERS
         .iter()
         .flat_map(|shader| shader.shared.iter().chain([&shader.text]));
-    let all = constants() + &texts.copied().collect::<String>();
+    let order = format!("{GROUPS} {MOST_WORK}\n");
+    let all = order + &constants() + &texts.copied().collect::<String>();
     Digest::of(all.as_bytes()).short().to_string()
 }
 

@@ -19,7 +19,7 @@ const MOST_SAMPLES: usize = 128;
 /// The same on every device, so that sums have one order.
 pub(super) const GROUPS: usize = 792;
 /// Numbers of all workgroups on the way back, at most, 120 MiB: a binding of core WebGPU holds 128, with the background's parts.
-const MOST_WORK: usize = 30 << 20;
+pub(super) const MOST_WORK: usize = 30 << 20;
 /// Weights of a workgroup of the kernel `sum`, whose other axis is as many slices of the parts.
 const SUMMED: usize = 16;
 /// Numbers of the background on a device: a row more than channels, which stays 0.
