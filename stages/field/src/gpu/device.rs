@@ -8,6 +8,7 @@ use marf_shaders::{SHADERS, constants};
 use parking_lot::Mutex;
 
 use super::nets::{GROUPS, MOST_WORK};
+use super::renderer::{AT_ONCE, FIRST_ROUND};
 use crate::{Device, GpuError};
 
 /// An opened GPU.
@@ -285,7 +286,7 @@ fn kernels() -> String {
     let texts = SHADERS
         .iter()
         .flat_map(|shader| shader.shared.iter().chain([&shader.text]));
-    let order = format!("{GROUPS} {MOST_WORK}\n");
+    let order = format!("{GROUPS} {MOST_WORK} {AT_ONCE:?} {FIRST_ROUND}\n");
     let all = order + &constants() + &texts.copied().collect::<String>();
     Digest::of(all.as_bytes()).short().to_string()
 }

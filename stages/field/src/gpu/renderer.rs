@@ -25,13 +25,11 @@ use crate::model::Model;
 use crate::render::MIDDLE;
 use crate::{Background, FieldError, GpuError, Render};
 
-/// Rays at once, where a card holds their samples: a round of few rays is mostly gaps between dispatches and waits of the march
-/// (`benches/gpu.md`). Devices that share the memory and software have the fewest.
-const RAYS: [usize; 3] = [1 << 16, 1 << 15, 1 << 14];
-/// Slots of samples a ray.
-const SLOTS: usize = 8;
+/// Slots of samples and rays at once; the first whose samples a card can bind. A round of few samples is mostly gaps between
+/// dispatches and kernels along rays (`benches/gpu.md`). Devices that share the memory and software have the fewest.
+pub(super) const AT_ONCE: [[usize; 2]; 3] = [[1 << 20, 1 << 16], [1 << 18, 1 << 15], [1 << 17, 1 << 14]];
 /// Samples that a ray gets in the first round; later rounds take twice as many.
-const FIRST_ROUND: u32 = 8;
+pub(super) const FIRST_ROUND: u32 = 8;
 /// Rounds between two reads of how many rays go on.
 const LOOK_EVERY: u64 = 2;
 
@@ -65,8 +63,8 @@ impl GpuRenderer {
     /// # Errors
     /// A device that lacks something or has too little memory.
     pub fn new(gpu: &Arc<Gpu>, model: &Model) -> Result<Self, FieldError> {
-        let rays = rays_at_once(gpu, model)?;
-        Ok(Self(Mutex::new(Canvas::new(gpu, model, rays)?)))
+        let slots = at_once(gpu, model)?;
+        Ok(Self(Mutex::new(Canvas::new(gpu, model, slots)?)))
     }
 }
 
@@ -83,27 +81,29 @@ impl Renderer for GpuRenderer {
     }
 }
 
-/// Returns the rays that a picture is made with at once.
+/// Returns the slots of samples and rays that a picture is made with at once.
 ///
 /// # Errors
-/// A device that does not even hold the samples of the fewest.
-fn rays_at_once(gpu: &Gpu, model: &Model) -> Result<usize, GpuError> {
-    let fits = |rays: usize| check_columns(gpu, &model.weights, [SLOTS * rays, rays], Purpose::Picture);
-    let [.., fewest] = RAYS;
-    let most = RAYS.into_iter().find(|rays| gpu.is_card() && fits(*rays).is_ok());
+/// A device that does not even hold the fewest samples.
+fn at_once(gpu: &Gpu, model: &Model) -> Result<[usize; 2], GpuError> {
+    let fits = |slots: [usize; 2]| check_columns(gpu, &model.weights, slots, Purpose::Picture);
+    let [.., fewest] = AT_ONCE;
+    let most = AT_ONCE
+        .into_iter()
+        .find(|slots| gpu.is_card() && fits(*slots).is_ok());
     match most {
-        Some(rays) => Ok(rays),
+        Some(slots) => Ok(slots),
         None => fits(fewest).map(|()| fewest),
     }
 }
 
 impl Canvas {
-    fn new(gpu: &Arc<Gpu>, model: &Model, rays: usize) -> Result<Self, GpuError> {
+    fn new(gpu: &Arc<Gpu>, model: &Model, slots: [usize; 2]) -> Result<Self, GpuError> {
         let device = gpu.as_ref();
         let features = model.weights.features;
         let grid = Grid::new(device, &model.weights.shapes, features)?;
         let weights = DeviceWeights::new(device, &grid, &model.weights)?;
-        let slots = [SLOTS * rays, rays];
+        let [_, rays] = slots;
         let lanes = Lanes::new(device, &weights, slots, &model.steps)?;
         device.write(&lanes.steps, 0, &step_table(&model.steps));
         let bits = device.filled("occupied cells", &bit_words(&model.bits))?;
@@ -239,7 +239,7 @@ mod tests {
         advance(&mut trainer, 60);
         let field = trainer.field().unwrap();
         let made = |rays: usize| {
-            let mut canvas = Canvas::new(&gpu, &field.model, rays).unwrap();
+            let mut canvas = Canvas::new(&gpu, &field.model, [8 * rays, rays]).unwrap();
             let View {
                 camera,
                 cam_from_world,
@@ -264,7 +264,7 @@ mod tests {
             .unwrap()
             .field()
             .unwrap();
-        let expected = if gpu.is_card() { RAYS[0] } else { RAYS[2] };
-        assert_eq!(rays_at_once(&gpu, &field.model), Ok(expected));
+        let expected = if gpu.is_card() { AT_ONCE[0] } else { AT_ONCE[2] };
+        assert_eq!(at_once(&gpu, &field.model), Ok(expected));
     }
 }
