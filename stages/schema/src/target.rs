@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 pub struct Target {
     /// Mean PSNR asked for, dB.
     pub psnr: f64,
-    /// Steps after which up to four of the validation photos had it; none: missed, and the training ended as planned.
+    /// Steps after which the validation photos had it; none: missed, and the training ended as planned.
     pub reached_at: Option<u64>,
     /// Mean PSNR on all validation photos at the end, dB.
     pub validation_psnr: f64,

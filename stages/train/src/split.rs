@@ -92,7 +92,7 @@ fn parted<'a>(frames: Vec<NamedFrame<'a>>, is_held_out: impl IntoIterator<Item =
 }
 
 /// Returns `wanted` indices below `count`, or all, evenly spaced.
-pub(crate) fn spread(count: usize, wanted: usize) -> impl Iterator<Item = usize> {
+pub(crate) fn spread(count: usize, wanted: usize) -> impl ExactSizeIterator<Item = usize> {
     let wanted = wanted.min(count);
     (0..wanted).map(move |index| (2 * index + 1) * count / (2 * wanted))
 }

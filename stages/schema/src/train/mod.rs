@@ -122,8 +122,8 @@ pub struct TrainParams {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(with = "Option<Vec<[u64; 2]>>")]
     pub schedule: Option<Schedule>,
-    /// Mean PSNR at which the training stops, dB, on up to four of the training photos held back, one in eight, by place; at the latest it ends
-    /// as `quality`, `steps` or `budget` says.
+    /// Mean PSNR at which the training stops, dB, on the training photos held back to watch it by, one in eight, by place; at the latest
+    /// it ends as `quality`, `steps` or `budget` says.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub target_psnr: Option<f64>,
     /// Seed of weights and rays.

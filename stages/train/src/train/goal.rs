@@ -19,8 +19,8 @@ const A_DOUBLING: f64 = 4.0;
 /// Photos of a small look, and their longest side in pixels: its renders cost as much as a point of the curve.
 const FEW: usize = 3;
 const SIDE_PX: u32 = 64;
-/// Photos of a whole look, at the size of the training; all are looked at once, at the end.
-const WHOLE: usize = 4;
+/// Photos of a whole look, at the size of the training, at most; where these have the target all are looked at.
+const WHOLE: usize = 12;
 /// Photos look better so small than they are: a whole look follows where the small one, less the difference of the last two, has the
 /// target but for this much, dB.
 const NEAR_DB: f64 = 0.1;
@@ -85,8 +85,7 @@ impl<'a> Goal<'a> {
         let small = mean_psnr(ctx, field, &self.few)?;
         watched.looks.push((steps, small));
         if small - watched.whole_less + NEAR_DB >= self.psnr {
-            let some: Vec<_> = spread(self.validation.len(), WHOLE).collect();
-            let whole = self.whole(ctx, field, &some)?;
+            let whole = self.whole(ctx, field)?;
             watched.whole_less = small - whole;
             if whole >= self.psnr {
                 watched.reached_at = Some(steps);
@@ -99,27 +98,50 @@ impl<'a> Goal<'a> {
         Ok(false)
     }
 
-    /// Returns how it went with the field at the end.
-    pub fn told(&self, ctx: &Ctx<'_>, watched: &Watched, field: &Field) -> Result<Target, StageError> {
-        let all: Vec<usize> = (0..self.validation.len()).collect();
+    /// Returns how it went with the field at the end, after `steps`.
+    pub fn told(
+        &self,
+        ctx: &Ctx<'_>,
+        watched: &Watched,
+        field: &Field,
+        steps: u64,
+    ) -> Result<Target, StageError> {
+        let validation_psnr = self.mean(ctx, field, 0..self.validation.len())?;
+        let at_the_end = (validation_psnr >= self.psnr).then_some(steps);
         Ok(Target {
             psnr: self.psnr,
-            reached_at: watched.reached_at,
-            validation_psnr: self.whole(ctx, field, &all)?,
+            reached_at: watched.reached_at.or(at_the_end),
+            validation_psnr,
             validation_photos: self.validation.len() as u64,
             forecast: watched.forecast,
         })
     }
 
+    /// Compares the field with [`WHOLE`] of the photos held back, and with all where these have the target.
+    fn whole(&self, ctx: &Ctx<'_>, field: &Field) -> Result<f64, StageError> {
+        let count = self.validation.len();
+        let some = self.mean(ctx, field, spread(count, WHOLE))?;
+        match some >= self.psnr && count > WHOLE {
+            true => self.mean(ctx, field, 0..count),
+            false => Ok(some),
+        }
+    }
+
     /// Compares the field with some of the photos held back, one at a time.
-    fn whole(&self, ctx: &Ctx<'_>, field: &Field, some: &[usize]) -> Result<f64, StageError> {
+    fn mean(
+        &self,
+        ctx: &Ctx<'_>,
+        field: &Field,
+        some: impl ExactSizeIterator<Item = usize>,
+    ) -> Result<f64, StageError> {
+        let count = some.len();
         let mut sum = 0.0;
         for index in some {
-            let named = &self.validation[*index];
+            let named = &self.validation[index];
             let photo = self.photos.read(named.frame)?;
             sum += mean_psnr(ctx, field, &[(named.clone(), photo)])?;
         }
-        Ok(sum / some.len() as f64)
+        Ok(sum / count as f64)
     }
 }
 

@@ -61,7 +61,7 @@ impl Define for Train {
     type Params = TrainParams;
     const NAME: &'static str = TrainParams::STAGE;
     const ABOUT: &'static str = "trains a radiance field and measures it on held-out photos";
-    const VERSION: u32 = 17;
+    const VERSION: u32 = 18;
     const PORTS: &'static [Port] = &[
         Port::required("input", SCENE),
         Port::optional("params", BestParams::OUTPUT),
@@ -444,7 +444,9 @@ impl Trained {
         let watched = log.watched.clone().unwrap_or_default();
         let trained = Self {
             told: Told {
-                target: goal.map(|goal| goal.told(ctx, &watched, &field)).transpose()?,
+                target: goal
+                    .map(|goal| goal.told(ctx, &watched, &field, trainer.steps()))
+                    .transpose()?,
                 seconds: log.clocked.as_ref().map_or(unclocked_s, |clocked| clocked.used_s),
                 config: begun.config,
                 log,

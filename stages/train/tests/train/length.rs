@@ -92,6 +92,29 @@ fn a_short_training_may_reach_its_target_and_no_time_is_an_error() {
     );
 }
 
+/// Of 15 photos held back, more than a look takes: all of them together decide.
+#[test]
+fn a_target_is_reached_where_all_photos_held_back_have_it() {
+    let harness = Harness::default();
+    let scene = inputs(&[("scene", put_scene(&harness, &scene(&harness, 160)))]);
+    let trained = |psnr: f64| {
+        let train: Train = stage(json!({"steps": 40, "field": small(), "target_psnr": psnr}));
+        let outputs = run(&train, &harness.ctx(), &scene).unwrap();
+        json(&harness, &outputs, "metrics")["target"].clone()
+    };
+    let missed = trained(80.0);
+    assert_eq!(missed["validation_photos"], 15);
+    let found = missed["validation_psnr"].as_f64().unwrap();
+    for (psnr, reached_at) in [(found - 1e-6, json!(40)), (found + 1e-6, Value::Null)] {
+        let target = trained(psnr);
+        assert_eq!(
+            (&target["reached_at"], target["validation_psnr"].as_f64()),
+            (&reached_at, Some(found)),
+            "{target}"
+        );
+    }
+}
+
 #[test]
 fn a_target_stops_a_training_or_is_told_to_be_missed() {
     let harness = Harness::default();
