@@ -38,6 +38,55 @@ impl ScaledPhoto {
             hidden: shrunk_mask(&self.hidden, self.image.width, factor),
         }
     }
+
+    /// Returns the photo without pixels between those in the middle of boxes of an odd side, so that its longest side is at most
+    /// `side_px`, or its shortest is one box. What is left stands for all: a field is as good on it as on the whole photo, while a shrunk
+    /// photo lacks the details by which fields differ.
+    pub fn thinned_to(&self, side_px: u32) -> Self {
+        let longest = self.camera.width.max(self.camera.height);
+        let shortest = self.camera.width.min(self.camera.height);
+        let side = (longest.div_ceil(side_px) | 1).min(shortest.saturating_sub(1) | 1);
+        // Its rays go through the middles of the boxes, which are middles of pixels.
+        let camera = self.camera.box_reduced(side);
+        let size = [camera.width, camera.height];
+        let thin = Thin {
+            width: self.camera.width,
+            side,
+            size,
+        };
+        Self {
+            camera,
+            image: Image {
+                width: size[0],
+                height: size[1],
+                pixels: thin.of(&self.image.pixels),
+            },
+            alpha: thin.of(&self.alpha),
+            hidden: thin.of(&self.hidden),
+        }
+    }
+}
+
+/// Which pixels of a photo are left when it is thinned.
+struct Thin {
+    /// Pixels a row of the photo.
+    width: u32,
+    /// Of a box, pixels.
+    side: u32,
+    /// Boxes a row, and rows of them.
+    size: [u32; 2],
+}
+
+impl Thin {
+    /// Takes the middles of the boxes out of `[height * width]`; of nothing nothing.
+    fn of<T: Copy>(&self, all: &[T]) -> Vec<T> {
+        let [columns, rows] = self.size;
+        let middle = |box_at: u32| (box_at * self.side + self.side / 2) as usize;
+        let places = (0..rows).flat_map(|row| {
+            (0..columns).map(move |column| middle(row) * self.width as usize + middle(column))
+        });
+        places.filter_map(|place| all.get(place).copied()).collect()
+    }
 }
 
 /// Reads photos of a scene at one working size.
@@ -392,6 +441,38 @@ mod tests {
                     .iter()
                     .all(|frame| kept.contains(&frame.image))
             );
+        }
+    }
+
+    /// 10 x 6 pixels, in boxes of 3: their middles are pixels 1, 4 and 7 of rows 1 and 4, seen along the same rays.
+    #[test]
+    fn a_photo_is_thinned_to_middles_of_boxes_that_are_seen_along_the_same_rays() {
+        let harness = Harness::default();
+        let (scene, ctx) = (scene(&harness, 1), harness.ctx());
+        let mut photo = PhotoReader::new(&ctx, &scene, 1).read(&scene.frames[0]).unwrap();
+        photo.image.pixels = (0..60).map(|pixel| [pixel; 3]).collect();
+        photo.alpha = (0..60).collect();
+        let thin = photo.thinned_to(5);
+        let expected = [11, 14, 17, 41, 44, 47];
+        assert_eq!(thin.alpha, expected);
+        assert_eq!(thin.image.pixels, expected.map(|pixel| [pixel; 3]));
+        assert_eq!(thin.hidden, [false; 0]);
+        for (index, pixel) in expected.into_iter().enumerate() {
+            let middle = |place: usize, width: usize| {
+                nalgebra::Vector2::new((place % width) as f64 + 0.5, (place / width) as f64 + 0.5)
+            };
+            let [small, whole] = [
+                thin.camera.unproject(&middle(index, 3)),
+                photo.camera.unproject(&middle(pixel.into(), 10)),
+            ];
+            assert!((small.unwrap() - whole.unwrap()).norm() < 1e-12, "{pixel}");
+        }
+        for (side_px, width, height) in [(10, 10, 6), (9, 3, 2), (1, 2, 1)] {
+            let thin = photo.thinned_to(side_px);
+            let size = [thin.image.width, thin.image.height];
+            assert_eq!(size, [width, height], "{side_px}");
+            assert_eq!([thin.camera.width, thin.camera.height], size);
+            assert_eq!(thin.image.pixels.len() as u32, width * height);
         }
     }
 

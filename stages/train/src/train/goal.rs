@@ -16,13 +16,11 @@ use crate::{
 /// The first look, in steps, and looks for every doubling of the steps: what is trained beyond the target is a sixth at most.
 const FIRST: f64 = 256.0;
 const A_DOUBLING: f64 = 4.0;
-/// Photos of a small look, and their longest side in pixels: its renders cost as much as a point of the curve.
-const FEW: usize = 3;
+/// Photos of a look, at most; where these have the target all are looked at.
+const PHOTOS: usize = 12;
+/// Longest side in pixels of the photos of a small look, thinned, which costs little; a whole look has all pixels of the training.
 const SIDE_PX: u32 = 64;
-/// Photos of a whole look, at the size of the training, at most; where these have the target all are looked at.
-const WHOLE: usize = 12;
-/// Photos look better so small than they are: a whole look follows where the small one, less the difference of the last two, has the
-/// target but for this much, dB.
+/// A whole look follows where the small one, less the difference of the last two, has the target but for this much, dB.
 const NEAR_DB: f64 = 0.1;
 /// Share of the training after which its end is foretold, from the looks of the last two doublings.
 const FORETOLD_FROM: f64 = 0.125;
@@ -34,7 +32,7 @@ pub(super) struct Goal<'a> {
     pub psnr: f64,
     photos: &'a PhotoReader<'a>,
     validation: Vec<NamedFrame<'a>>,
-    few: Vec<(NamedFrame<'a>, ScaledPhoto)>,
+    small: Vec<(NamedFrame<'a>, ScaledPhoto)>,
 }
 
 /// What was seen of a target; part of a checkpoint.
@@ -56,15 +54,15 @@ impl<'a> Goal<'a> {
         at_once: usize,
         validation: &[NamedFrame<'a>],
     ) -> Result<Self, StageError> {
-        let few: Vec<_> = spread(validation.len(), FEW)
+        let some: Vec<_> = spread(validation.len(), PHOTOS)
             .map(|index| validation[index].clone())
             .collect();
-        let shrunk = photos.map(&few, at_once, |_, photo: ScaledPhoto| photo.shrunk_to(SIDE_PX))?;
+        let thinned = photos.map(&some, at_once, |_, photo: ScaledPhoto| photo.thinned_to(SIDE_PX))?;
         Ok(Self {
             psnr,
             photos,
             validation: validation.to_vec(),
-            few: few.into_iter().zip(shrunk).collect(),
+            small: some.into_iter().zip(thinned).collect(),
         })
     }
 
@@ -82,7 +80,7 @@ impl<'a> Goal<'a> {
         field: &Field,
         (steps, done, end): (u64, f64, u64),
     ) -> Result<bool, StageError> {
-        let small = mean_psnr(ctx, field, &self.few)?;
+        let small = mean_psnr(ctx, field, &self.small)?;
         watched.looks.push((steps, small));
         if small - watched.whole_less + NEAR_DB >= self.psnr {
             let whole = self.whole(ctx, field)?;
@@ -117,11 +115,11 @@ impl<'a> Goal<'a> {
         })
     }
 
-    /// Compares the field with [`WHOLE`] of the photos held back, and with all where these have the target.
+    /// Compares the field with [`PHOTOS`] of the photos held back, and with all where these have the target.
     fn whole(&self, ctx: &Ctx<'_>, field: &Field) -> Result<f64, StageError> {
         let count = self.validation.len();
-        let some = self.mean(ctx, field, spread(count, WHOLE))?;
-        match some >= self.psnr && count > WHOLE {
+        let some = self.mean(ctx, field, spread(count, PHOTOS))?;
+        match some >= self.psnr && count > PHOTOS {
             true => self.mean(ctx, field, 0..count),
             false => Ok(some),
         }

@@ -175,7 +175,7 @@ fn look(
 }
 
 /// Reads all held-out photos, so that one that cannot be read stops a training before it begins, and returns up to
-/// three, evenly spaced and shrunk, to measure the curve on.
+/// three, evenly spaced and thinned, to measure the curve on.
 pub(crate) fn curve_photos<'a>(
     photos: &PhotoReader<'_>,
     held_out: &[NamedFrame<'a>],
@@ -183,9 +183,9 @@ pub(crate) fn curve_photos<'a>(
 ) -> Result<Vec<(NamedFrame<'a>, ScaledPhoto)>, StageError> {
     let count = held_out.len().min(CURVE_PHOTOS);
     let places: Vec<usize> = (0..count).map(|photo| photo * held_out.len() / count).collect();
-    let shrunk =
-        |index: usize, photo: ScaledPhoto| places.contains(&index).then(|| photo.shrunk_to(CURVE_SIDE_PX));
-    let read = photos.map(held_out, at_once, shrunk)?;
+    let thinned =
+        |index: usize, photo: ScaledPhoto| places.contains(&index).then(|| photo.thinned_to(CURVE_SIDE_PX));
+    let read = photos.map(held_out, at_once, thinned)?;
     let pairs = held_out.iter().zip(read);
     Ok(pairs
         .filter_map(|(named, photo)| Some((named.clone(), photo?)))
