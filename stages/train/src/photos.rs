@@ -48,45 +48,28 @@ impl ScaledPhoto {
         let side = (longest.div_ceil(side_px) | 1).min(shortest.saturating_sub(1) | 1);
         // Its rays go through the middles of the boxes, which are middles of pixels.
         let camera = self.camera.box_reduced(side);
-        let size = [camera.width, camera.height];
-        let thin = Thin {
-            width: self.camera.width,
-            side,
-            size,
-        };
+        let width = self.camera.width;
         Self {
-            camera,
             image: Image {
-                width: size[0],
-                height: size[1],
-                pixels: thin.of(&self.image.pixels),
+                width: camera.width,
+                height: camera.height,
+                pixels: middles(&self.image.pixels, width, side),
             },
-            alpha: thin.of(&self.alpha),
-            hidden: thin.of(&self.hidden),
+            alpha: middles(&self.alpha, width, side),
+            hidden: middles(&self.hidden, width, side),
+            camera,
         }
     }
 }
 
-/// Which pixels of a photo are left when it is thinned.
-struct Thin {
-    /// Pixels a row of the photo.
-    width: u32,
-    /// Of a box, pixels.
-    side: u32,
-    /// Boxes a row, and rows of them.
-    size: [u32; 2],
-}
-
-impl Thin {
-    /// Takes the middles of the boxes out of `[height * width]`; of nothing nothing.
-    fn of<T: Copy>(&self, all: &[T]) -> Vec<T> {
-        let [columns, rows] = self.size;
-        let middle = |box_at: u32| (box_at * self.side + self.side / 2) as usize;
-        let places = (0..rows).flat_map(|row| {
-            (0..columns).map(move |column| middle(row) * self.width as usize + middle(column))
-        });
-        places.filter_map(|place| all.get(place).copied()).collect()
-    }
+/// Returns the middles of boxes of an odd side of `[height * width]`, row by row; of nothing nothing.
+fn middles<T: Copy>(all: &[T], width: u32, side: u32) -> Vec<T> {
+    let (width, side) = (width as usize, side as usize);
+    let rows = all.chunks_exact(width).skip(side / 2).step_by(side);
+    rows.take(all.len() / width / side)
+        .flat_map(|row| row.iter().skip(side / 2).step_by(side).take(width / side))
+        .copied()
+        .collect()
 }
 
 /// Reads photos of a scene at one working size.

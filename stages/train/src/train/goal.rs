@@ -43,7 +43,8 @@ pub(super) struct Watched {
     /// By how much the last whole look was less than the small one, dB; 0 before there was one.
     whole_less: f64,
     forecast: Option<Forecast>,
-    reached_at: Option<u64>,
+    /// Steps after which all photos held back had the target, and their PSNR.
+    reached: Option<(u64, f64)>,
 }
 
 impl<'a> Goal<'a> {
@@ -86,7 +87,7 @@ impl<'a> Goal<'a> {
             let whole = self.whole(ctx, field)?;
             watched.whole_less = small - whole;
             if whole >= self.psnr {
-                watched.reached_at = Some(steps);
+                watched.reached = Some((steps, whole));
                 return Ok(true);
             }
         }
@@ -104,11 +105,16 @@ impl<'a> Goal<'a> {
         field: &Field,
         steps: u64,
     ) -> Result<Target, StageError> {
-        let validation_psnr = self.mean(ctx, field, 0..self.validation.len())?;
-        let at_the_end = (validation_psnr >= self.psnr).then_some(steps);
+        let (reached_at, validation_psnr) = match watched.reached {
+            Some((steps, psnr)) => (Some(steps), psnr),
+            None => {
+                let psnr = self.mean(ctx, field, 0..self.validation.len())?;
+                ((psnr >= self.psnr).then_some(steps), psnr)
+            }
+        };
         Ok(Target {
             psnr: self.psnr,
-            reached_at: watched.reached_at.or(at_the_end),
+            reached_at,
             validation_psnr,
             validation_photos: self.validation.len() as u64,
             forecast: watched.forecast,
