@@ -126,6 +126,7 @@ pub(super) fn facts() -> Facts {
             log2_table: chosen(17, "cells of the surface"),
             halvings: chosen(3, "two pixels"),
             distortion: chosen([0.0, 0.1], "many photos"),
+            depth_steps: chosen(200, "half of them"),
             table_decay: chosen(1e-6, "ten photos"),
         },
         trials: vec![trial],

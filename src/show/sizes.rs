@@ -33,7 +33,7 @@ pub(super) fn shown(facts: &Facts) -> Markup {
 }
 
 /// Name, value, unit and reason of each size.
-fn rows(facts: &Facts) -> [(&'static str, f64, &'static str, &str); 9] {
+fn rows(facts: &Facts) -> [(&'static str, f64, &'static str, &str); 10] {
     let sizes = &facts.sizes;
     let (near, far) = (&sizes.near, &sizes.far);
     let (finest, levels) = (&sizes.finest, &sizes.levels);
@@ -68,6 +68,12 @@ fn rows(facts: &Facts) -> [(&'static str, f64, &'static str, &str); 9] {
             &sizes.distortion.reason,
         ),
         (
+            "steps for which points pull",
+            f64::from(sizes.depth_steps.value),
+            "",
+            &sizes.depth_steps.reason,
+        ),
+        (
             "pull of the tables to zero at the start",
             sizes.table_decay.value,
             "",
@@ -94,6 +100,7 @@ mod tests {
             "0.25 half sides",
             "half of &lt;that&gt;",
             "by 1.9 a level",
+            "half of them",
             "1.00e-6",
             "ten photos",
             "left out: +0.02 dB",

@@ -89,8 +89,8 @@ fn decided(scatter: &Scatter, trials: &[Trial]) -> String {
     let sentence = format!("{}{}.", first.unwrap_or_default(), letters.as_str());
     match trials.iter().find_map(|trial| trial.judged_px) {
         Some(side_px) => format!(
-            "{sentence} Trials that were stopped on their way were judged by photos of at most {side_px} pixels: their PSNR \
-             compares with that of others at the same step only."
+            "{sentence} Trials that were stopped on their way were judged by a grid of pixels of each photo, at most {side_px} \
+             a side: their PSNR compares with that of others at the same step only."
         ),
         None => sentence,
     }
@@ -122,6 +122,6 @@ mod tests {
         let mut trials = [trial(0, 1, 21.0), trial(1, 2, 20.5)];
         assert_eq!(decided(&scatter, &trials), "The defaults stay: <b>.");
         trials[1].judged_px = Some(128);
-        assert!(decided(&scatter, &trials).contains("at most 128 pixels"));
+        assert!(decided(&scatter, &trials).contains("at most 128 a side"));
     }
 }

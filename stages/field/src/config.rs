@@ -132,8 +132,9 @@ pub struct Config {
     /// Weight of the loss that gathers matter at sparse points, in [0, 1], 0: off; it falls to 0 over `depth_steps`.
     /// It pays most where photos are few: `benches/field.md`. The squared error of the expected step instead fogs the ray.
     pub depth_weight: f64,
-    /// Steps after which sparse points no longer pull, 1 or more.
-    pub depth_steps: u32,
+    /// Steps after which sparse points no longer pull, 1 or more. Absent: from `steps` and the number of photos, at most 1,000:
+    /// `benches/field.md`.
+    pub depth_steps: Option<u32>,
     /// Exposure of single photos.
     pub gain: Gain,
     /// What lies behind the last sample. Rays of photos with transparency train over a random colour each; where all photos have some,
@@ -183,7 +184,7 @@ impl Default for Config {
             table_decay: None,
             emptiness: 3e-5,
             depth_weight: 1e-2,
-            depth_steps: 1000,
+            depth_steps: None,
             gain: Gain::Off,
             background: Background::Direction,
             view_dependence: ViewDependence::On,
@@ -414,8 +415,8 @@ impl Config {
             ),
             (
                 "depth_steps",
-                f64::from(self.depth_steps),
-                self.depth_steps > 0,
+                self.depth_steps.map_or(0.0, f64::from),
+                self.depth_steps != Some(0),
                 "1 or more",
             ),
         ]

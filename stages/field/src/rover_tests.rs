@@ -121,7 +121,7 @@ fn sparse_points_make_the_ball_opaque_sooner_and_leave_no_trace_where_they_are_o
         batch_samples: 4096,
         occupied: Occupied::NearPoints,
         depth_weight: 3e-3,
-        depth_steps: 200,
+        depth_steps: Some(200),
         ..small()
     };
     let plain = Config {
@@ -156,7 +156,7 @@ fn a_resumed_training_with_points_gives_the_same_bytes_and_refuses_other_points(
     let config = Config {
         occupied: Occupied::NearPoints,
         depth_weight: 3e-3,
-        depth_steps: 30,
+        depth_steps: Some(30),
         ..small()
     };
     let fresh = |points: &[[f64; 3]]| Trainer::new(ball(4, 16), points, &config, 7).unwrap();

@@ -194,7 +194,7 @@ impl Training {
 
     /// Returns the weight of a pull in a step of so many rays; `None` where no point pulls, or no longer.
     pub fn pull_at(&self, step: u64, rays: usize) -> Option<f32> {
-        let fading = 1.0 - step as f64 / f64::from(self.config.depth_steps);
+        let fading = 1.0 - step as f64 / f64::from(self.sizes.depth_steps.value);
         let weight = self.config.depth_weight * fading * SHARE as f64 / rays as f64;
         (!self.observations.is_empty() && fading > 0.0).then_some(weight as f32)
     }
@@ -467,6 +467,23 @@ mod tests {
             training.state.steps = steps;
             training.halve_steps();
             assert_eq!(training.state.halvings, halvings, "{steps}");
+        }
+    }
+
+    #[test]
+    fn points_pull_less_and_less_and_no_longer_after_their_steps() {
+        let points: Vec<[f64; 3]> = (0..64).map(|k| [0.0, 0.0, 0.01 * f64::from(k)]).collect();
+        for last in [1, 200, u32::MAX] {
+            let config = Config {
+                depth_steps: Some(last),
+                ..small()
+            };
+            let training = Training::new(ball(2, 8), &points, &config, 0).unwrap();
+            let pull = |step: u32| training.pull_at(step.into(), 100).map_or(0.0, f64::from);
+            assert!(pull(last - 1) > 0.0, "{last}");
+            assert_eq!(pull(last), 0.0, "{last}");
+            let half = pull(last / 2) / pull(0);
+            assert!(last == 1 || (half - 0.5).abs() < 1e-6, "{last}: {half}");
         }
     }
 

@@ -215,6 +215,43 @@ fn the_weight_of_the_distortion_loss_follows_the_number_of_photos_and_what_point
 }
 
 #[test]
+fn points_pull_for_half_of_the_steps_and_longer_where_photos_are_few() {
+    for (photos, steps, expected, said) in [
+        (24, Some(400), 200, "half of 400 steps, 1,000 at most"),
+        (24, Some(1), 1, "half of 1 steps"),
+        (24, Some(1_999), 999, "half of 1,999 steps"),
+        (24, Some(u64::MAX), 1_000, "1,000 at most"),
+        (24, None, 1_000, "not known"),
+        (23, Some(400), 1_000, "23 photos to train on, fewer than 24"),
+    ] {
+        let views: Vec<_> = above(8).into_iter().cycle().take(photos).collect();
+        let config = Config {
+            steps,
+            ..Config::default()
+        };
+        let found = sizes_of(&views, &plane(22), &config).depth_steps;
+        assert_eq!(found.value, expected, "{found:?}");
+        assert!(found.reason.contains(said), "{found:?}");
+    }
+    let config = Config {
+        depth_steps: Some(3),
+        ..Config::default()
+    };
+    let said = sizes_of(&above(8), &[], &config);
+    assert_eq!(said.depth_steps.value, 3);
+    let none = sizes(&above(8), &[]).depth_steps;
+    assert_eq!((none.value, &*none.reason), (1_000, "there are no sparse points"));
+    let mut before = serde_json::to_value(&said).unwrap();
+    before.as_object_mut().unwrap().remove("depth_steps").unwrap();
+    let mut read: Sizes = serde_json::from_value(before).unwrap();
+    assert_eq!(read.depth_steps.value, 1_000);
+    read.check(&config).unwrap();
+    read.depth_steps.value = 0;
+    let refused = read.check(&config).unwrap_err().to_string();
+    assert!(refused.contains("depth_steps"), "{refused}");
+}
+
+#[test]
 fn tables_are_pulled_to_zero_where_photos_are_few_and_overlap_little() {
     for (photos, points, pull, said) in [
         (

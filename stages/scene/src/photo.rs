@@ -270,7 +270,7 @@ fn over_black(decoded: DynamicImage) -> (Image<Srgb>, Vec<u8>) {
 }
 
 /// Returns opacities, `[height * width]` or none, reduced as [`Image::box_reduced`] reduces colours.
-pub fn alpha_reduced(alpha: &[u8], width: u32, factor: u32) -> Vec<u8> {
+fn alpha_reduced(alpha: &[u8], width: u32, factor: u32) -> Vec<u8> {
     box_means(alpha.as_chunks::<1>().0, width, factor)
         .as_flattened()
         .to_vec()

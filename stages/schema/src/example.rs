@@ -115,6 +115,7 @@ fn facts(config: &Config) -> Facts {
             log2_table: chosen(config.log2_table.unwrap_or(15)),
             halvings: chosen(0),
             distortion: chosen([0.0; 2]),
+            depth_steps: chosen(200),
             table_decay: chosen(0.0),
         },
         trials: Vec::new(),

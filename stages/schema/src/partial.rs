@@ -15,7 +15,7 @@ pub const STEPS_AT_ONCE: u64 = 16;
 pub struct PartialParams {
     /// Optimiser steps after which it stops, those of an input `state` included: a multiple of 16, or all of the training.
     pub until: u64,
-    /// Longest side of the photos that it is judged by, pixels: they are shrunk by a whole factor beyond `scale`.
+    /// Longest side of the grid of pixels of each photo that it is judged by: the middles of boxes of an odd side.
     #[serde(default = "judged_px")]
     pub judged_px: u32,
     /// The whole training: step size, length of steps along rays and box follow its `steps`, not `until`. Without a time or a
@@ -24,7 +24,7 @@ pub struct PartialParams {
     pub train: TrainParams,
 }
 
-/// The render of such a photo costs as much as 5 steps.
+/// The render of such a grid costs as much as 5 steps.
 fn judged_px() -> u32 {
     128
 }
@@ -86,11 +86,11 @@ pub struct Reached {
     pub until: u64,
     /// Those of the whole training.
     pub steps: u64,
-    /// Mean PSNR on the photos held out, shrunk to `judged_px`, dB.
+    /// Mean PSNR on pixels of the photos held out, dB.
     pub psnr: f64,
     /// Photos held out.
     pub held_out_photos: u64,
-    /// Longest side of these photos, pixels.
+    /// Longest side of the grid of these pixels, at most.
     pub judged_px: u32,
 }
 

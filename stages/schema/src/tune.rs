@@ -216,8 +216,7 @@ pub struct Trial {
     pub rank: u32,
     /// Optimiser steps that it was trained for.
     pub steps: u64,
-    /// Longest side of the photos that it was judged by, where they were shrunk for it, pixels; absent: they had the size of
-    /// the training's.
+    /// Longest side of the grid of pixels of each photo that it was judged by; absent: it was judged by all pixels.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub judged_px: Option<u32>,
     /// Mean PSNR on the validation photos after these steps, dB.

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use marf_cache::{Digest, digest_of};
-use marf_scene::{Camera, Frame, Image, Photo, Scene, Srgb, alpha_reduced};
+use marf_scene::{Camera, Frame, Image, Photo, Scene, Srgb};
 use marf_stage::{Ctx, StageError};
 use rayon::prelude::*;
 
@@ -26,19 +26,6 @@ pub(crate) struct ScaledPhoto {
 }
 
 impl ScaledPhoto {
-    /// Returns the photo shrunk until its longest side is at most `side_px`, or its shortest is one pixel.
-    pub fn shrunk_to(&self, side_px: u32) -> Self {
-        let longest = self.camera.width.max(self.camera.height);
-        let shortest = self.camera.width.min(self.camera.height);
-        let factor = longest.div_ceil(side_px).clamp(1, shortest);
-        Self {
-            camera: self.camera.box_reduced(factor),
-            image: self.image.box_reduced(factor),
-            alpha: alpha_reduced(&self.alpha, self.image.width, factor),
-            hidden: shrunk_mask(&self.hidden, self.image.width, factor),
-        }
-    }
-
     /// Returns the photo without pixels between those in the middle of boxes of an odd side, so that its longest side is at most
     /// `side_px`, or its shortest is one box. What is left stands for all: a field is as good on it as on the whole photo, while a shrunk
     /// photo lacks the details by which fields differ.
@@ -345,7 +332,6 @@ mod tests {
         let first = first.unwrap();
         assert_eq!(first.alpha, [0, 0, 255, 255, 255].repeat(3));
         assert_eq!(again.unwrap(), first);
-        assert_eq!(first.shrunk_to(2).alpha, [85], "of its first 3 x 3");
     }
 
     #[test]
@@ -391,7 +377,6 @@ mod tests {
         assert_eq!(places(&read(1).hidden), [2 * 10 + 3]);
         assert_eq!((places(&read(2).hidden), read(2).hidden.len()), (vec![5 + 1], 15));
         assert_eq!((places(&read(4).hidden), read(4).hidden.len()), (vec![0], 2));
-        assert_eq!(read(1).shrunk_to(5).hidden, read(2).hidden);
         let wrong = Image::from_fn(9, 6, |_, _| [255; 3]);
         scene.frames[0].mask = Some(harness.put(&encode_png(&wrong).unwrap()));
         let error = PhotoReader::new(&ctx, &scene, 1)
@@ -456,21 +441,6 @@ mod tests {
             assert_eq!(size, [width, height], "{side_px}");
             assert_eq!([thin.camera.width, thin.camera.height], size);
             assert_eq!(thin.image.pixels.len() as u32, width * height);
-        }
-    }
-
-    #[test]
-    fn a_photo_is_shrunk_to_a_side_and_never_to_nothing() {
-        let harness = Harness::default();
-        let (scene, ctx) = (scene(&harness, 1), harness.ctx());
-        let photo = PhotoReader::new(&ctx, &scene, 1).read(&scene.frames[0]).unwrap();
-        for (side_px, width, height) in [(20, 10, 6), (5, 5, 3), (4, 3, 2), (1, 1, 1)] {
-            let small = photo.shrunk_to(side_px);
-            assert_eq!(
-                (small.image.width, small.image.height),
-                (width, height),
-                "{side_px}"
-            );
         }
     }
 }

@@ -256,7 +256,7 @@ fn points_pull_and_steps_along_rays_are_halved_as_on_the_cpu() {
         min_step: 0.4,
         halvings: Some(2),
         depth_weight: 0.03,
-        depth_steps: 100,
+        depth_steps: Some(100),
         batch_samples: 512,
         ..small()
     };

@@ -139,7 +139,7 @@ fn training() -> Training {
         .collect();
     let config = Config {
         depth_weight: 0.05,
-        depth_steps: 1000,
+        depth_steps: Some(1000),
         ..small()
     };
     Training::new(views, &points, &config, 0x9876_5432_1012_3456).unwrap()

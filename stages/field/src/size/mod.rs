@@ -14,7 +14,9 @@ use crate::frame::{FAR, Frame, MOST_FINEST};
 use crate::{Config, FieldError, View};
 use detail::{detail, detail_before};
 use grid::{finest, levels, log2_table, scaled, surface_cells};
-use pulls::{distortion, distortion_before, table_decay, table_decay_before};
+use pulls::{
+    depth_steps, depth_steps_before, distortion, distortion_before, table_decay, table_decay_before,
+};
 use rays::{NEAR, NEARER, far, halvings, near};
 
 /// A number and what decided it.
@@ -52,6 +54,9 @@ pub struct Sizes {
     /// that is done.
     #[serde(default = "distortion_before")]
     pub distortion: Chosen<[f64; 2]>,
+    /// Steps after which sparse points no longer pull.
+    #[serde(default = "depth_steps_before")]
+    pub depth_steps: Chosen<u32>,
     /// Pull of the tables to zero at the start, see [`Config::table_decay`].
     #[serde(default = "table_decay_before")]
     pub table_decay: Chosen<f64>,
@@ -74,6 +79,7 @@ pub fn derive(views: &[View], points: &[[f64; 3]], config: &Config, frame: &Fram
         log2_table: log2_table(config, surface_cells.value, detail.value),
         halvings: halvings(config, views),
         distortion: distortion(config, views.len(), depths.is_ok()),
+        depth_steps: depth_steps(config, views.len(), points.len()),
         table_decay: table_decay(config, views.len(), points.len()),
         finest,
         surface_cells,
@@ -97,6 +103,7 @@ impl Sizes {
             log2_table: log2_table(config, u64::MAX, 1.0),
             halvings: Chosen::new(0, any),
             distortion: Chosen::new([0.0; 2], any),
+            depth_steps: Chosen::new(1, any),
             table_decay: Chosen::new(0.0, any),
         }
     }
@@ -149,6 +156,7 @@ impl Sizes {
             levels: Some(self.levels.value),
             log2_table: Some(self.log2_table.value),
             halvings: Some(self.halvings.value),
+            depth_steps: Some(self.depth_steps.value),
             ..config.clone()
         };
         keys.check()

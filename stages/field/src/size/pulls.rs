@@ -1,6 +1,6 @@
 //! What pulls at a field beside its photos, and by how much.
 
-use super::Chosen;
+use super::{Chosen, grouped};
 use crate::Config;
 
 /// Fewer photos than this are few: matter is to gather on surfaces before one of them alone explains it.
@@ -8,6 +8,8 @@ const FEW_PHOTOS: usize = 24;
 /// Weights of the distortion loss at the start and at the end, of few photos and of many. `benches/field.md`.
 const DISTORTION_OF_FEW: [f64; 2] = [0.03; 2];
 const DISTORTION_OF_MANY: [f64; 2] = [0.0, 0.1];
+/// Steps for which sparse points pull at most. `benches/field.md`.
+const LONGEST_PULL: u32 = 1_000;
 /// So many photos or fewer have their tables pulled to zero, so strongly at the start, where they overlap so little that a photo has
 /// fewer sparse points than this. `benches/field.md`.
 const FEWEST_PHOTOS: usize = 9;
@@ -36,6 +38,42 @@ pub(super) fn distortion(config: &Config, photos: usize, has_points: bool) -> Ch
     };
     let reason = format!("{why}: it grows from 0 with the square of the share of the training that is done");
     Chosen::new(DISTORTION_OF_MANY, reason)
+}
+
+/// Returns the steps of fields that do not tell theirs: they were trained before these followed the training.
+pub(super) fn depth_steps_before() -> Chosen<u32> {
+    Chosen::new(LONGEST_PULL, "the same for all scenes")
+}
+
+/// Returns the steps after which sparse points no longer pull.
+///
+/// They tell early where matter is. Until the end they would blur what many photos show; few photos need them longer: `benches/field.md`.
+pub(super) fn depth_steps(config: &Config, photos: usize, points: usize) -> Chosen<u32> {
+    if let Some(steps) = config.depth_steps {
+        return Chosen::said(steps, "depth_steps");
+    }
+    let most = grouped(LONGEST_PULL.into());
+    let (steps, reason) = match config.steps {
+        _ if points == 0 => (LONGEST_PULL, "there are no sparse points".to_owned()),
+        _ if photos < FEW_PHOTOS => (
+            LONGEST_PULL,
+            format!(
+                "{photos} photos to train on, fewer than {FEW_PHOTOS}, need sparse points for {most} steps"
+            ),
+        ),
+        None => (
+            LONGEST_PULL,
+            format!("{most}; how long it will be trained is not known"),
+        ),
+        Some(steps) => (
+            (steps / 2).clamp(1, LONGEST_PULL.into()) as u32,
+            format!(
+                "half of {} steps, {most} at most: later they would blur what {photos} photos show",
+                grouped(steps)
+            ),
+        ),
+    };
+    Chosen::new(steps, reason)
 }
 
 /// Returns the pull of fields that do not tell theirs: they were trained before there was one.

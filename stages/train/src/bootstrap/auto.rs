@@ -97,7 +97,7 @@ pub(super) fn rounds(
     Ok(counts.map(round).collect())
 }
 
-/// A photo that was held out, at a small size.
+/// Pixels of a photo that was held out.
 struct SmallView {
     camera: Camera,
     cam_from_world: Pose,
@@ -124,7 +124,7 @@ fn small_views(ctx: &Ctx<'_>, scene: &Scene, first: &Child<'_>) -> Result<Vec<Sm
             alpha: Vec::new(),
             hidden: photos.hidden(frame)?,
         };
-        let small = scaled.shrunk_to(SIDE_PX);
+        let small = scaled.thinned_to(SIDE_PX);
         let grays = small.image.pixels.iter().enumerate().map(|(pixel, rgb)| {
             let is_hidden = small.hidden.get(pixel).copied().unwrap_or(false);
             if is_hidden {
@@ -156,7 +156,7 @@ fn grays(
     let of_view = views.iter().map(|view| {
         ctx.check()?;
         let key = digest_of(&(
-            "gray render 1",
+            "gray render 2",
             (weights, view.digest),
             (device.backend_id(), SIDE_PX),
         ));

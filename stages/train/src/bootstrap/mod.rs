@@ -47,7 +47,7 @@ impl Define for Bootstrap {
     type Params = BootstrapParams;
     const NAME: &'static str = BootstrapParams::STAGE;
     const ABOUT: &'static str = "retrains B times and maps where the fields disagree";
-    const VERSION: u32 = 11;
+    const VERSION: u32 = 12;
     const PORTS: &'static [Port] = &[
         Port::required("input", SCENE),
         Port::optional("params", BestParams::OUTPUT),

@@ -104,7 +104,7 @@ impl Plan<'_> {
         let held_out = &self.split.held_out;
         let photos = &photos.at(self.scene, self.judging.scale);
         let both = photos.map(held_out, self.memory.at_once, |_, photo| {
-            (photo.camera, photo.shrunk_to(MEASURED_SIDE_PX))
+            (photo.camera, photo.thinned_to(MEASURED_SIDE_PX))
         })?;
         let rays = |camera: &Camera| f64::from(camera.width) * f64::from(camera.height);
         let whole: f64 = both.iter().map(|(camera, _)| rays(camera)).sum();

@@ -61,7 +61,7 @@ impl Define for Train {
     type Params = TrainParams;
     const NAME: &'static str = TrainParams::STAGE;
     const ABOUT: &'static str = "trains a radiance field and measures it on held-out photos";
-    const VERSION: u32 = 18;
+    const VERSION: u32 = 19;
     const PORTS: &'static [Port] = &[
         Port::required("input", SCENE),
         Port::optional("params", BestParams::OUTPUT),

@@ -26,7 +26,7 @@ impl Define for Partial {
     type Params = PartialParams;
     const NAME: &'static str = PartialParams::STAGE;
     const ABOUT: &'static str = "trains a part of the steps of a training, which `train` then goes on from";
-    const VERSION: u32 = 10;
+    const VERSION: u32 = 11;
     const PORTS: &'static [Port] = &[
         Port::required("input", SCENE),
         Port::optional("params", BestParams::OUTPUT),
@@ -96,10 +96,10 @@ impl Partial {
         save(ctx, &run, &log, &mut trainer)?;
         let field = trainer.field().map_err(TrainError::from)?;
         let held_out = &plan.split.held_out;
-        let shrunk = photos.map(held_out, plan.memory.at_once, |_, photo| {
-            photo.shrunk_to(*judged_px)
+        let thinned = photos.map(held_out, plan.memory.at_once, |_, photo| {
+            photo.thinned_to(*judged_px)
         })?;
-        let judged: Vec<_> = held_out.iter().cloned().zip(shrunk).collect();
+        let judged: Vec<_> = held_out.iter().cloned().zip(thinned).collect();
         let mut outputs = Outputs::new();
         let reached = Reached {
             until: *until,

@@ -25,7 +25,7 @@ use crate::{
 const PART: u64 = 5;
 /// Least steps of a trial: fewer show only which configuration starts faster.
 const LEAST_STEPS: u64 = 100;
-/// Longest side of a photo that a trial is measured on, pixels: its render costs as much as 5 steps.
+/// Longest side of the grid of pixels of a photo that a trial is measured on: its render costs as much as 5 steps.
 const SCORED_SIDE_PX: u32 = 128;
 /// Photos are halved once more for trials, unless a side would fall below this, pixels.
 const LEAST_SIDE_PX: u32 = 64;
@@ -284,8 +284,8 @@ impl<'a> TrialSetup<'a> {
     fn read(&self, ctx: &Ctx<'_>) -> Result<TrialPhotos<'a>, StageError> {
         let (split, times) = (&self.split, vec![1; self.split.training.len()]);
         let photos = PhotoReader::new(ctx, self.plan.scene, self.scale);
-        let shrunk = |_, photo: ScaledPhoto| photo.shrunk_to(SCORED_SIDE_PX);
-        let scored = photos.map(&split.held_out, self.memory.at_once, shrunk)?;
+        let thinned = |_, photo: ScaledPhoto| photo.thinned_to(SCORED_SIDE_PX);
+        let scored = photos.map(&split.held_out, self.memory.at_once, thinned)?;
         Ok(TrialPhotos {
             views: training_views(&photos, &split.training, &times, self.memory, self.params.seed)?,
             held_out: split.held_out.iter().cloned().zip(scored).collect(),

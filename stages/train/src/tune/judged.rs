@@ -66,7 +66,7 @@ pub(super) fn miscounted(params: &TuneParams, came: usize) -> StageError {
     ))
 }
 
-/// How a trial was judged: by the photos of its training, or by shrunk ones on its way.
+/// How a trial was judged: by whole photos, or by some of their pixels on its way.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Judged {
     /// Optimiser steps that it had taken.
@@ -79,7 +79,7 @@ pub(super) struct Judged {
     pub ssim: Option<f64>,
     /// Photos that it was judged by.
     pub photos: u64,
-    /// Longest side of these, where they were shrunk for it, pixels.
+    /// Longest side of the grid of pixels of each, if these were not all.
     pub judged_px: Option<u32>,
 }
 

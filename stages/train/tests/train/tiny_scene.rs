@@ -342,7 +342,7 @@ fn the_answers_belong_to_the_versions() {
     assert_eq!(
         found,
         [
-            ("train", 18, "9381078ef9b9"),
+            ("train", 19, "1e6700fcbf6e"),
             ("evaluate", 5, "33dfd60e0363"),
             ("render", 7, "30b222f6b290")
         ]
