@@ -53,7 +53,7 @@ pub struct Line {
     pub budget: Budget,
     /// Seconds trained.
     pub clock: f64,
-    /// Seconds of the budget that went before, to find the batch that suits a GPU and the steps it then takes.
+    /// Seconds of the budget that went before, to find the steps that there is time for, and the batch that suits a GPU.
     pub paced_s: f64,
     /// Processor seconds of these.
     pub cpu_s: f64,

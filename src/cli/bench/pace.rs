@@ -23,12 +23,15 @@ impl Paced<'_> {
     ///
     /// # Errors
     /// As those of trainings; the wish to stop.
-    pub fn config(self, views: Vec<View>, config: &Config, seconds: f64) -> Result<(Config, f64), CliError> {
+    pub fn config(self, views: &[View], config: &Config, seconds: f64) -> Result<(Config, f64), CliError> {
         let failed = |error: marf_field::FieldError| CliError::failed(error.to_string());
-        let trainer = Trainer::new(views, self.points, config, self.seed);
-        let mut trainer = trainer
-            .and_then(|trainer| trainer.on(self.device))
-            .map_err(failed)?;
+        let new = |config: &Config| {
+            let trainer = Trainer::new(views.to_vec(), self.points, config, self.seed);
+            trainer
+                .and_then(|trainer| trainer.on(self.device))
+                .map_err(failed)
+        };
+        let mut trainer = new(config)?;
         let begun = Instant::now();
         let half_s = Pace::measured_s(seconds) / 2.0;
         self.train_for(&mut trainer, half_s)?;
@@ -39,8 +42,18 @@ impl Paced<'_> {
             }
             pace = self.train_for(&mut trainer, half_s)?;
         }
-        let used_s = begun.elapsed().as_secs_f64();
-        let steps = (pace.steps * (seconds - used_s)).max(1.0) as u64;
+        let steps_of = |pace: &Pace| (pace.steps * (seconds - begun.elapsed().as_secs_f64())).max(1.0) as u64;
+        let measured = |steps: u64| {
+            let steps = Some(steps);
+            let mut trainer = new(&Config {
+                steps,
+                ..config.clone()
+            })?;
+            let pace = self.train_for(&mut trainer, half_s)?;
+            Ok::<_, CliError>((trainer, pace))
+        };
+        let (trainer, pace) = pace.settled(trainer, steps_of, measured)?;
+        let (used_s, steps) = (begun.elapsed().as_secs_f64(), steps_of(&pace));
         let config = Config {
             steps: Some(steps),
             batch_samples: trainer.batch_samples(),

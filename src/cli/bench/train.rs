@@ -163,8 +163,8 @@ impl Bench<'_> {
         Ok(lines)
     }
 
-    /// Returns the configuration of a training, and the seconds of its budget that finding it took: on a GPU and by the clock
-    /// its size follows the pace of the device.
+    /// Returns the configuration of a training, and the seconds of its budget that finding it took: by the clock its size
+    /// follows the pace of the device.
     fn paced(
         &self,
         views: &[View],
@@ -175,9 +175,6 @@ impl Bench<'_> {
         let Budget::Seconds(seconds) = budget else {
             return Ok((config.clone(), 0.0));
         };
-        if self.device.backend_id().is_none() {
-            return Ok((config.clone(), 0.0));
-        }
         let paced = Paced {
             device: self.device,
             cancel: self.cancel,
@@ -185,7 +182,7 @@ impl Bench<'_> {
             seed,
             has_batch: self.has_batch,
         };
-        paced.config(views.to_vec(), config, f64::from(seconds))
+        paced.config(views, config, f64::from(seconds))
     }
 
     /// Trains for a budget of which some seconds are used.

@@ -2,8 +2,7 @@
 
 use crate::{FieldError, Trainer};
 
-/// Steps that two cores take in a second, to choose the table that a time fills before the time is measured: its
-/// size changes the rate by less than the rate differs between machines.
+/// Steps that two cores take in a second, to choose the table that a pace is measured with first.
 pub const EXPECTED_STEPS_PER_S: f64 = 90.0;
 /// Samples a step of such a machine: those of [`Config::default`](crate::Config).
 const COMMON_BATCH: u32 = 1 << 15;
@@ -33,6 +32,33 @@ impl Pace {
     /// Returns the seconds for which the pace of a training of so many seconds is measured.
     pub fn measured_s(seconds: f64) -> f64 {
         (seconds * MEASURED_SHARE).min(MEASURED_MOST_S)
+    }
+
+    /// Tables that a pace is measured with after the first, at most.
+    const MOST_TABLES: usize = 2;
+
+    /// Returns this pace of a trainer, or that of one with the table that the time fills: a step takes the longer the larger its table is,
+    /// so it is measured again until the table is the one that it was measured with.
+    ///
+    /// `steps_of` a pace are those that there is time for; `measured` makes a trainer for so many steps and measures it. A GPU keeps its first.
+    ///
+    /// # Errors
+    /// Those of `measured`.
+    pub fn settled<E>(
+        mut self,
+        mut trainer: Trainer,
+        steps_of: impl Fn(&Self) -> u64,
+        measured: impl Fn(u64) -> Result<(Trainer, Self), E>,
+    ) -> Result<(Trainer, Self), E> {
+        for _ in 0..Self::MOST_TABLES {
+            let steps = steps_of(&self);
+            if trainer.backend.id().is_some() || trainer.has_table_of(steps) {
+                break;
+            }
+            drop(trainer);
+            (trainer, self) = measured(steps)?;
+        }
+        Ok((trainer, self))
     }
 
     /// Returns the samples of a step that suit a device of this pace, a power of two from 2^12 to 2^18.
@@ -67,6 +93,12 @@ impl Trainer {
             return Ok(false);
         }
         self.aim_at(wanted)
+    }
+
+    /// Returns whether a training of so many steps has a table as large as this one.
+    fn has_table_of(&self, steps: u64) -> bool {
+        let training = &self.training;
+        training.sizes.log2_table_after(&training.config, steps) == training.sizes.log2_table.value
     }
 
     /// Changes the samples that a step aims at, and returns whether the device holds so many; what was learnt stays.
@@ -146,6 +178,48 @@ mod tests {
     #[test]
     fn a_pilot_takes_a_sixteenth_of_the_time_and_no_more_than_three_seconds() {
         assert_eq!([8.0, 48.0, 1e9].map(Pace::measured_s), [0.5, 3.0, 3.0]);
+    }
+
+    /// The steps of the first row are what rover4 took in 300 s on two cores of a Xeon with tables of 2^17, 2^18 and 2^19.
+    #[test]
+    fn a_pace_is_that_of_the_table_which_its_steps_fill() {
+        let with = |log2: u32| {
+            let mut trainer = Trainer::new(ball(2, 8), &[], &small(), 1).unwrap();
+            trainer.training.config = Config::default();
+            let sizes = &mut trainer.training.sizes;
+            sizes.surface_cells.value = 1 << 40;
+            (sizes.detail.value, sizes.log2_table.value) = (1.0, log2);
+            trainer
+        };
+        for (steps, first, asked, last) in [
+            ([18_600, 13_578, 8_100], 19, vec![8_100, 18_600], 18),
+            ([18_600, 13_578, 8_100], 18, vec![], 18),
+            ([18_600, 13_578, 8_100], 17, vec![18_600], 18),
+            ([18_600, 8_100, 8_100], 17, vec![18_600, 8_100], 17),
+            ([u64::MAX, u64::MAX, u64::MAX], 22, vec![], 22),
+        ] {
+            let pace = |log2: u32| Pace {
+                steps: steps[log2.clamp(17, 19) as usize - 17] as f64,
+                ..of(1.0)
+            };
+            let measured_for = std::cell::RefCell::new(Vec::new());
+            let measured = |steps: u64| {
+                measured_for.borrow_mut().push(steps);
+                let log2 = with(12)
+                    .training
+                    .sizes
+                    .log2_table_after(&Config::default(), steps);
+                Ok::<_, FieldError>((with(log2), pace(log2)))
+            };
+            let settled = pace(first).settled(with(first), |pace| pace.steps as u64, measured);
+            let (trainer, found) = settled.unwrap();
+            assert_eq!(measured_for.into_inner(), asked, "{steps:?} from {first}");
+            assert_eq!(
+                trainer.training.sizes.log2_table.value, last,
+                "{steps:?} from {first}"
+            );
+            assert_eq!(found, pace(last), "{steps:?} from {first}");
+        }
     }
 
     #[test]

@@ -108,6 +108,15 @@ impl Sizes {
         }
     }
 
+    /// Returns the table that the same scene asks for in a training of so many steps.
+    pub(crate) fn log2_table_after(&self, config: &Config, steps: u64) -> u32 {
+        let config = Config {
+            steps: Some(steps),
+            ..config.clone()
+        };
+        log2_table(&config, self.surface_cells.value, self.detail.value).value
+    }
+
     /// Returns where rays are looked at after so many halvings of the steps.
     ///
     /// The shortest step is `min_step`, or that of `cone` at the nearest matter if that is less: close-ups get steps of as

@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use marf_field::{Pace, Schedule, Trainer};
+use marf_field::{Config, Pace, Schedule, Trainer};
 use marf_schema::train::{Limit, TrainParams};
 use marf_stage::{Ctx, StageError};
 use serde::{Deserialize, Serialize};
@@ -167,21 +167,39 @@ impl Pilot {
         plan: &Plan<'_>,
         photos: &PhotoReader<'_>,
     ) -> Result<Self, StageError> {
-        let (config, device) = (&plan.settings.config, &params.device);
         let read = Instant::now();
         let views = || training_views(photos, &plan.split.training, plan.times, plan.memory, params.seed);
-        let mut trainer = new_trainer(views()?, plan.scene, config, params.seed, plan.begin(), device)?;
+        let trainer = |config: &Config| {
+            let (seed, begin) = (params.seed, plan.begin());
+            new_trainer(views()?, plan.scene, config, seed, begin, &params.device).map_err(StageError::from)
+        };
+        let config = &plan.settings.config;
+        let mut first = trainer(config)?;
         let read_s = read.elapsed().as_secs_f64();
         let begun = Instant::now();
-        let rates = paced(ctx, &mut trainer, (Pace::measured_s(limit.seconds()), plan))?;
-        let batch_samples = trainer.batch_samples();
-        let (rate, used_s) = (rates.steps, begun.elapsed().as_secs_f64());
-        let judging = Judging::foreseen(plan, &trainer, &rates);
-        drop(trainer);
-        let open_s = match limit {
-            Limit::Training(budget) => budget.seconds() - used_s,
+        let open_s = || match limit {
+            Limit::Training(budget) => budget.seconds() - begun.elapsed().as_secs_f64(),
             Limit::Wait(wait) => (wait.seconds() - ctx.began.elapsed().as_secs_f64()) * (1.0 - JUDGED_SHARE),
         };
+        let measured_s = Pace::measured_s(limit.seconds());
+        let rates = paced(ctx, &mut first, (measured_s, plan))?;
+        let measured = |steps: u64| {
+            let steps = Some(steps);
+            let mut trainer = trainer(&Config {
+                steps,
+                ..config.clone()
+            })?;
+            let pace = train_for(ctx, &mut trainer, measured_s / 2.0)?;
+            Ok::<_, StageError>((trainer, pace))
+        };
+        let (trainer, rates) = match plan.settings.is_decided() {
+            true => (first, rates),
+            false => rates.settled(first, |rates| steps_in(open_s(), rates.steps), measured)?,
+        };
+        let batch_samples = trainer.batch_samples();
+        let (rate, used_s, open_s) = (rates.steps, begun.elapsed().as_secs_f64(), open_s());
+        let judging = Judging::foreseen(plan, &trainer, &rates);
+        drop(trainer);
         let scale = match params.scale {
             Some(scale) => scale,
             None => plan.settings.scale.max(plan.scale_for(rates.rays * open_s)),
