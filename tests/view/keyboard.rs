@@ -70,21 +70,22 @@ fn distances_photos_and_bookmarks_need_no_mouse() {
     };
     page.waits_for("document.getElementById('view-stage').dataset.divisor === '1'");
     page.value("document.getElementById('view-overlay').focus()");
-    // The middle of the first view is the horizon: the ground is below.
-    let turned = "document.getElementById('view-distance').textContent";
-    for _ in 0..12 {
-        page.holds("ArrowDown", "ArrowDown", 40, 120);
-        page.presses_key("m", "KeyM", 77, "m");
-        page.waits_for(&format!(
-            "{turned} !== '' && {turned} !== 'Mark a point: click, or M for the middle.'"
-        ));
-        if page.value(turned).as_str().unwrap().starts_with("Mark a second") {
-            break;
-        }
+    // The middle of the first view is the horizon: the ground is below. Where a field so short trained has no surface, none is marked.
+    let told = "document.getElementById('view-distance').textContent";
+    for (key, code, begins) in [
+        ("ArrowDown", 40, "Mark a second"),
+        ("ArrowRight", 39, "Distance: "),
+    ] {
+        let is_marked = (0..12).any(|_| {
+            page.holds(key, key, code, 120);
+            page.value(&format!("{told} = ''"));
+            page.presses_key("m", "KeyM", 77, "m");
+            page.waits_for(&format!("{told} !== ''"));
+            page.value(told).as_str().unwrap().starts_with(begins)
+        });
+        assert!(is_marked, "{key}: {}", page.value(told));
     }
-    page.holds("ArrowRight", "ArrowRight", 39, 120);
-    page.presses_key("m", "KeyM", 77, "m");
-    page.waits_for(&format!("/^Distance: [0-9.]+ m; /.test({turned})"));
+    page.waits_for(&format!("/^Distance: [0-9.]+ m; /.test({told})"));
     page.value(
         "document.getElementById('view-bookmarks').closest('details').querySelector('summary').focus()",
     );
