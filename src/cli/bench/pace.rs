@@ -52,7 +52,7 @@ impl Paced<'_> {
             let pace = self.train_for(&mut trainer, half_s)?;
             Ok::<_, CliError>((trainer, pace))
         };
-        let (trainer, pace) = pace.settled(trainer, steps_of, measured)?;
+        let (trainer, pace) = pace.settled(trainer, seconds, steps_of, measured)?;
         let (used_s, steps) = (begun.elapsed().as_secs_f64(), steps_of(&pace));
         let config = Config {
             steps: Some(steps),

@@ -150,7 +150,11 @@ impl Bench<'_> {
                 steps: config.steps.or(Some(budget.expected_steps())),
                 ..config.clone()
             };
-            let (config, paced_s) = self.paced(views, points, (&expected, seed), *budget)?;
+            let (paced, paced_s) = self.paced(views, points, (&expected, seed), *budget)?;
+            let config = Config {
+                steps: config.steps.or(paced.steps),
+                ..paced
+            };
             let open = (*budget, paced_s);
             let (mut trainer, effort) = self.trained(views.to_vec(), points, (&config, seed), open)?;
             let mut line = self.evaluate(&mut trainer, tests, &effort, *budget)?;

@@ -34,25 +34,30 @@ impl Pace {
         (seconds * MEASURED_SHARE).min(MEASURED_MOST_S)
     }
 
-    /// Tables that a pace is measured with after the first, at most.
+    /// Tables that a pace is measured with after the first, at most, in trainings of so many seconds or more: each takes two seconds.
     const MOST_TABLES: usize = 2;
+    const SETTLED_FROM_S: f64 = 120.0;
 
-    /// Returns this pace of a trainer, or that of one with the table that the time fills: a step takes the longer the larger its table is,
+    /// Returns this pace of a trainer for so many seconds, or that of one with the table that the time fills: a step takes the longer the larger its table is,
     /// so it is measured again until the table is the one that it was measured with.
     ///
-    /// `steps_of` a pace are those that there is time for; `measured` makes a trainer for so many steps and measures it. A GPU keeps its first.
+    /// `steps_of` a pace are those that there is time for; `measured` makes a trainer for so many steps and measures it. A GPU keeps its first, and so does a short time.
     ///
     /// # Errors
     /// Those of `measured`.
     pub fn settled<E>(
         mut self,
         mut trainer: Trainer,
+        seconds: f64,
         steps_of: impl Fn(&Self) -> u64,
         measured: impl Fn(u64) -> Result<(Trainer, Self), E>,
     ) -> Result<(Trainer, Self), E> {
+        if trainer.backend.id().is_some() || seconds < Self::SETTLED_FROM_S {
+            return Ok((trainer, self));
+        }
         for _ in 0..Self::MOST_TABLES {
             let steps = steps_of(&self);
-            if trainer.backend.id().is_some() || trainer.has_table_of(steps) {
+            if trainer.has_table_of(steps) {
                 break;
             }
             drop(trainer);
@@ -191,12 +196,13 @@ mod tests {
             (sizes.detail.value, sizes.log2_table.value) = (1.0, log2);
             trainer
         };
-        for (steps, first, asked, last) in [
-            ([18_600, 13_578, 8_100], 19, vec![8_100, 18_600], 18),
-            ([18_600, 13_578, 8_100], 18, vec![], 18),
-            ([18_600, 13_578, 8_100], 17, vec![18_600], 18),
-            ([18_600, 8_100, 8_100], 17, vec![18_600, 8_100], 17),
-            ([u64::MAX, u64::MAX, u64::MAX], 22, vec![], 22),
+        for (seconds, steps, first, asked, last) in [
+            (300.0, [18_600, 13_578, 8_100], 19, vec![8_100, 18_600], 18),
+            (119.9, [18_600, 13_578, 8_100], 19, vec![], 19),
+            (300.0, [18_600, 13_578, 8_100], 18, vec![], 18),
+            (300.0, [18_600, 13_578, 8_100], 17, vec![18_600], 18),
+            (120.0, [18_600, 8_100, 8_100], 17, vec![18_600, 8_100], 17),
+            (f64::INFINITY, [u64::MAX, u64::MAX, u64::MAX], 22, vec![], 22),
         ] {
             let pace = |log2: u32| Pace {
                 steps: steps[log2.clamp(17, 19) as usize - 17] as f64,
@@ -211,7 +217,7 @@ mod tests {
                     .log2_table_after(&Config::default(), steps);
                 Ok::<_, FieldError>((with(log2), pace(log2)))
             };
-            let settled = pace(first).settled(with(first), |pace| pace.steps as u64, measured);
+            let settled = pace(first).settled(with(first), seconds, |pace| pace.steps as u64, measured);
             let (trainer, found) = settled.unwrap();
             assert_eq!(measured_for.into_inner(), asked, "{steps:?} from {first}");
             assert_eq!(

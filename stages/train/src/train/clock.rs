@@ -194,7 +194,12 @@ impl Pilot {
         };
         let (trainer, rates) = match plan.settings.is_decided() {
             true => (first, rates),
-            false => rates.settled(first, |rates| steps_in(open_s(), rates.steps), measured)?,
+            false => rates.settled(
+                first,
+                limit.seconds(),
+                |rates| steps_in(open_s(), rates.steps),
+                measured,
+            )?,
         };
         let batch_samples = trainer.batch_samples();
         let (rate, used_s, open_s) = (rates.steps, begun.elapsed().as_secs_f64(), open_s());
