@@ -28,7 +28,7 @@ const fn row(folder: &'static str, package: &'static str, uses: &'static [&'stat
 }
 
 /// From the lowest to the highest: a crate uses only crates above its row.
-const CRATES: [Crate; 27] = [
+const CRATES: [Crate; 28] = [
     row("shaders", "marf-shaders", &[]),
     row("cache/derive", "marf-cache-derive", &[]),
     row("cache", "marf-cache", &["marf-cache-derive"]),
@@ -143,35 +143,49 @@ const CRATES: [Crate; 27] = [
         "marf-provenance",
         &["marf-cache", "marf-stage", "marf-engine"],
     ),
+    Crate {
+        tests_use: &["marf-video"],
+        ..row(
+            "src/report",
+            "marf-report",
+            &[
+                "marf-cache",
+                "marf-stage",
+                "marf-scene",
+                "marf-field",
+                "marf-schema",
+                "marf-stages",
+                "marf-engine",
+            ],
+        )
+    },
     row(
         "src/view",
         "marf-view",
         &["marf-cache", "marf-scene", "marf-field"],
     ),
-    Crate {
-        tests_use: &["marf-video"],
-        ..row(
-            "",
-            "marf",
-            &[
-                "marf-cache",
-                "marf-keys",
-                "marf-remote",
-                "marf-stage",
-                "marf-scene",
-                "marf-field",
-                "marf-loopback",
-                "marf-calibrate",
-                "marf-schema",
-                "marf-stages",
-                "marf-engine",
-                "marf-cluster",
-                "marf-export",
-                "marf-provenance",
-                "marf-view",
-            ],
-        )
-    },
+    row(
+        "",
+        "marf",
+        &[
+            "marf-cache",
+            "marf-keys",
+            "marf-remote",
+            "marf-stage",
+            "marf-scene",
+            "marf-field",
+            "marf-loopback",
+            "marf-calibrate",
+            "marf-schema",
+            "marf-stages",
+            "marf-engine",
+            "marf-cluster",
+            "marf-export",
+            "marf-provenance",
+            "marf-report",
+            "marf-view",
+        ],
+    ),
 ];
 
 /// Packages that only these crates may use.

@@ -11,7 +11,7 @@ use super::output::print_json;
 use super::run::{Execution, execute_as, options};
 use super::session::Session;
 use super::{export, folder, report, verdicts};
-use crate::show::{FACTORS, calls, percent};
+use marf_report::{FACTORS, calls, percent};
 use crate::terminal::{eprint_line, print_line};
 
 /// Returns the nodes of `marf filter` in their order: extract, then every filter of the table.

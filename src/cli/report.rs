@@ -12,8 +12,8 @@ use super::documents::{self, Documents};
 use super::error::CliError;
 use super::session::{Session, TRADES, warn};
 use super::{diff, export, files, scenes};
-use crate::show::trade::Trade;
-use crate::show::{self, ChangedNode, Changes, ChildView, NodeView, ReportInput, SceneView, State};
+use marf_report::trade::Trade;
+use marf_report::{self as show, ChangedNode, Changes, ChildView, NodeView, ReportInput, SceneView, State};
 use crate::terminal::eprint_line;
 
 /// `marf report`: writes the report of the last run: the one that the run kept, or for a run without one a new one.

@@ -20,7 +20,7 @@ use super::export::Exported;
 use super::session::{NodeInfo, Session, warn};
 use super::shared::Shared;
 use super::{export, files, manual_lists, on, program, report, scenes, verdicts};
-use crate::emptied;
+use marf_report::emptied;
 use crate::progress::{
     Began, Estimate, EventFile, Expected, JsonLines, Progress, Trace, duration, event_folder,
 };

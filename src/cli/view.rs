@@ -19,7 +19,7 @@ use super::error::{CliError, Diagnostic};
 use super::scenes;
 use super::session::{bootstraps_of, existing_store, is_aside};
 use crate::progress::event_folder;
-use crate::show;
+use marf_report as show;
 use crate::terminal::{eprint_line, print_line};
 
 /// Arguments of `view`.

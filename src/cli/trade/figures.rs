@@ -1,6 +1,6 @@
 //! The figures of a trade: effects with their intervals, and the front.
 
-use crate::show::trade::{Effect, Interval, Point, PointRun, Trade};
+use marf_report::trade::{Effect, Interval, Point, PointRun, Trade};
 
 /// Student's t for 95 %, two-sided, by degrees of freedom from 1 on (Abramowitz and Stegun, table 26.10); beyond, the normal
 /// distribution's is less than a tenth smaller.

@@ -11,7 +11,7 @@ use super::as_toml;
 use super::measured::Base;
 use crate::cli::error::{CliError, Diagnostic};
 use crate::cli::session::Session;
-use crate::show::trade::Point;
+use marf_report::trade::Point;
 
 /// A key of the pipeline with other values for it.
 #[derive(Debug, Clone, PartialEq)]

@@ -16,7 +16,7 @@ use crate::cli::args::Global;
 use crate::cli::error::CliError;
 use crate::cli::run::{execute, options};
 use crate::cli::session::{Session, node_named};
-use crate::show::trade::{Point, PointRun};
+use marf_report::trade::{Point, PointRun};
 
 /// What all points share: the pipeline as it is.
 pub struct Base {

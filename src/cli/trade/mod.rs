@@ -22,7 +22,7 @@ use super::output::print_json;
 use super::run::{Execution, execute_as, options};
 use super::session::{Session, TRADES};
 use super::{documents, files, program, report, scenes};
-use crate::show::trade::{self, Point, Trade};
+use marf_report::trade::{self, Point, Trade};
 use crate::terminal::{eprint_line, print_line};
 
 /// Arguments of `trade`.

@@ -85,7 +85,7 @@ fn rows(facts: &Facts) -> [(&'static str, f64, &'static str, &str); 10] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::show::fixture_documents::facts;
+    use crate::fixture_documents::facts;
 
     #[test]
     fn every_size_stands_beside_its_reason_and_every_part_beside_its_decision() {

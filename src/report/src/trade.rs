@@ -436,7 +436,7 @@ mod tests {
 
     #[test]
     fn a_point_judged_by_other_photos_is_told_apart() {
-        let mut base = crate::show::fixture_documents::trade().points[0].clone();
+        let mut base = crate::fixture_documents::trade().points[0].clone();
         base.runs[0].judged_by = Some(Digest::of(b"a"));
         base.runs[0].position_error = Some(0.5);
         let mut point = base.clone();
@@ -524,7 +524,7 @@ mod tests {
         assert_eq!(with(&["a=1", "b=2"]).lines(), ["a=1 b=2"]);
         assert_eq!(with(&["a=1", "b=2", "c=3"]).lines(), ["a=1 b=2", "c=3"]);
 
-        let mut trade = crate::show::fixture_documents::trade();
+        let mut trade = crate::fixture_documents::trade();
         let drawn_rows = |trade: &Trade| {
             let drawn = front(trade).into_string();
             let rows = drawn.matches("x=\"200\"").count();

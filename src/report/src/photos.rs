@@ -207,7 +207,7 @@ mod tests {
     use marf_stage::PHOTOS;
 
     use super::*;
-    use crate::show::fixture::{self, giving, node};
+    use crate::fixture::{self, giving, node};
 
     /// Draws from a set of sols with ten photos each.
     fn drawn(sols: u32) -> BTreeSet<Spot> {

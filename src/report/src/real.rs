@@ -18,7 +18,7 @@ use super::fixture_documents::{calibration, spread, training, trial};
 use super::*;
 
 fn shared_data() -> PathBuf {
-    let beside = concat!(env!("CARGO_MANIFEST_DIR"), "/../shared/data");
+    let beside = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data");
     std::env::var_os("MARF_SHARED_DATA").map_or_else(|| beside.into(), PathBuf::from)
 }
 

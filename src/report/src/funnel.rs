@@ -114,7 +114,7 @@ fn no_photos(sum: &Summary) -> Markup {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::show::fixture::node;
+    use crate::fixture::node;
 
     #[test]
     fn a_filter_that_rejects_all_says_what_keeps_them_and_others_say_nothing() {

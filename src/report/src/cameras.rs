@@ -475,7 +475,7 @@ mod tests {
     #[test]
     fn a_plan_shows_one_camera_among_the_others_and_the_nearest() {
         let plan = Plan {
-            scene: crate::show::fixture::scene(),
+            scene: crate::fixture::scene(),
         };
         let drawn = plan.whereabouts("d.jpg", Some("a.jpg")).unwrap().into_string();
         assert!(drawn.contains("class=\"held-out error0\"") && drawn.contains("class=\"nearest\""));
@@ -501,7 +501,7 @@ mod tests {
     /// A traverse of 10,000 photos: the drawings stay small, and those held out lie on top.
     #[test]
     fn very_many_cameras_are_drawn_in_a_few_paths() {
-        let mut scene = crate::show::fixture::scene();
+        let mut scene = crate::fixture::scene();
         let some = scene.frames.clone();
         scene.frames = (0..10_000)
             .map(|index| some[index % some.len()].clone())

@@ -99,7 +99,7 @@ fn decided(scatter: &Scatter, trials: &[Trial]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::show::fixture_documents::trial;
+    use crate::fixture_documents::trial;
 
     #[test]
     fn trials_stand_by_rank_and_the_chosen_one_is_marked() {

@@ -293,7 +293,7 @@ fn crossing(layers: &[usize], edges: &BTreeSet<(usize, usize)>) -> BTreeMap<usiz
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::show::fixture::node;
+    use crate::fixture::node;
 
     fn diamond() -> Vec<NodeView> {
         vec![

@@ -9,6 +9,7 @@ mod cameras;
 mod changes;
 mod curves;
 mod embed;
+pub mod emptied;
 mod format;
 mod funnel;
 mod gallery;
