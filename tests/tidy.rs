@@ -28,7 +28,7 @@ const fn row(folder: &'static str, package: &'static str, uses: &'static [&'stat
 }
 
 /// From the lowest to the highest: a crate uses only crates above its row.
-const CRATES: [Crate; 28] = [
+const CRATES: [Crate; 30] = [
     row("shaders", "marf-shaders", &[]),
     row("cache/derive", "marf-cache-derive", &[]),
     row("cache", "marf-cache", &["marf-cache-derive"]),
@@ -134,6 +134,23 @@ const CRATES: [Crate; 28] = [
         &["marf-cache", "marf-remote", "marf-stage", "marf-engine"],
     ),
     row(
+        "src/config",
+        "marf-config",
+        &[
+            "marf-remote",
+            "marf-stage",
+            "marf-field",
+            "marf-schema",
+            "marf-stages",
+            "marf-engine",
+        ],
+    ),
+    row(
+        "src/progress",
+        "marf-progress",
+        &["marf-cache", "marf-engine"],
+    ),
+    row(
         "src/export",
         "marf-export",
         &["marf-cache", "marf-keys", "marf-stage", "marf-engine"],
@@ -180,6 +197,8 @@ const CRATES: [Crate; 28] = [
             "marf-stages",
             "marf-engine",
             "marf-cluster",
+            "marf-config",
+            "marf-progress",
             "marf-export",
             "marf-provenance",
             "marf-report",

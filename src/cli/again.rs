@@ -13,7 +13,7 @@ use super::error::{CliError, Diagnostic};
 use super::replay::resolved;
 use super::run::{execute, options};
 use super::session::{EXPORTS, Session, TRADES, last_of, warn};
-use crate::config::{GlobalOptions, check_tree};
+use marf_config::{GlobalOptions, check_tree};
 
 /// Returns the last run, or the one of a number, in which a node ended well.
 ///

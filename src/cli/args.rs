@@ -13,7 +13,7 @@ use super::cache::CacheVerb;
 use super::diff::DiffArgs;
 use super::exec::ExecArgs;
 use super::replay::ReplayArgs;
-use crate::config::GlobalOptions;
+use marf_config::GlobalOptions;
 
 /// Raw Mars rover and helicopter photos to radiance fields, with proof of how.
 #[derive(Debug, Parser)]

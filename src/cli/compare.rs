@@ -19,7 +19,7 @@ use super::error::{CliError, Diagnostic};
 use super::export_table::ExportTable;
 use super::output::print_json;
 use super::session::{Session, digest, existing_store, node_named};
-use crate::config::scenes::scene_of;
+use marf_config::scenes::scene_of;
 use crate::terminal::print_line;
 
 /// Most patches that are listed in the terminal.

@@ -2,7 +2,7 @@ use std::process::ExitCode;
 
 use serde::Serialize;
 
-use crate::config::LoadError;
+use marf_config::LoadError;
 use crate::terminal::escape_control;
 
 /// Why a command failed; decides the exit code.

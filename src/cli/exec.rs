@@ -19,7 +19,7 @@ use super::error::{CliError, Diagnostic};
 use super::program;
 use super::session::{open_store, warn};
 use super::trust::trust;
-use crate::progress::{JsonLines, Progress};
+use super::progress::{JsonLines, Progress};
 use crate::terminal::print_line;
 
 /// Time between two writes of the file with the progress, which lies on a file system that many machines share.

@@ -1,7 +1,7 @@
 use super::args::{Global, Mission};
 use super::error::{CliError, Diagnostic};
 use super::files;
-use crate::config;
+use marf_config as config;
 use crate::terminal::eprint_line;
 
 /// `marf init`: writes a commented pipeline; never over one that is there.

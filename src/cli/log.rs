@@ -5,7 +5,7 @@ use super::args::Global;
 use super::error::CliError;
 use super::output::print_json;
 use super::session::{existing_store, warn};
-use crate::progress::duration;
+use marf_progress::duration;
 use crate::terminal::print_line;
 
 /// `marf log`: the runs so far, the newest first.

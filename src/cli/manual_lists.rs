@@ -5,8 +5,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use marf_stage::Verdict;
 
 use super::session::NodeInfo;
-use crate::config::manual_entries;
-use crate::nearest::did_you_mean;
+use marf_config::manual_entries;
+use marf_config::nearest::did_you_mean;
 
 /// Verdicts of files that gave no photo.
 const NO_PHOTO: [&str; 2] = ["decode", "skipped"];

@@ -30,6 +30,7 @@ mod output;
 mod photos;
 mod plan;
 mod program;
+mod progress;
 mod render;
 mod replay;
 mod report;
@@ -89,8 +90,8 @@ fn dispatch(cli: &Cli, cancel: &Cancel) -> Result<(), CliError> {
         Verb::Log { last } => log::log(global, *last, cancel),
         Verb::Init { mission } => init::init(global, *mission),
         Verb::Schema { of } => match of {
-            SchemaOf::Pipeline => print_json(&crate::config::schema()),
-            SchemaOf::Events => print_json(&crate::progress::event_schema()),
+            SchemaOf::Pipeline => print_json(&marf_config::schema()),
+            SchemaOf::Events => print_json(&marf_progress::event_schema()),
         },
         Verb::Report { out } => report::report(global, out, cancel),
         Verb::View(args) => view::view(global, args, cancel),

@@ -9,7 +9,7 @@ use super::output::print_json;
 use super::scenes;
 use super::session::Session;
 use super::shared::Shared;
-use crate::progress::duration;
+use marf_progress::duration;
 use crate::terminal::print_line;
 
 /// A node, as `--json` prints it.

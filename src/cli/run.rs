@@ -21,9 +21,8 @@ use super::session::{NodeInfo, Session, warn};
 use super::shared::Shared;
 use super::{export, files, manual_lists, on, program, report, scenes, verdicts};
 use marf_report::emptied;
-use crate::progress::{
-    Began, Estimate, EventFile, Expected, JsonLines, Progress, Trace, duration, event_folder,
-};
+use super::progress::{JsonLines, Progress};
+use marf_progress::{Began, Estimate, EventFile, Expected, Trace, duration, event_folder};
 use crate::terminal::{eprint_line, print_line};
 
 /// `marf run`: runs what changed, writes pictures, models and the report.

@@ -11,7 +11,7 @@ use super::args::{Global, Selection};
 use super::error::{CliError, Diagnostic};
 use super::run::{execute, options};
 use super::session::{SCENES, Session, node_named};
-use crate::config::scenes::scene_of;
+use marf_config::scenes::scene_of;
 use crate::terminal::eprint_line;
 
 /// Most groups that are no scene, which are named in the terminal; the report names all.
@@ -145,7 +145,7 @@ pub fn is_of(node: &str, scene: Option<&str>) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::scenes::node_of;
+    use marf_config::scenes::node_of;
 
     #[test]
     fn groups_that_are_no_scene_are_named_up_to_five() {

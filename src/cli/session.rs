@@ -13,8 +13,8 @@ use marf_stage::{Document, Verdict};
 
 use super::args::Global;
 use super::error::{CliError, Diagnostic};
-use crate::config::scenes::ByScene;
-use crate::config::{self, Pipeline, SharedStore};
+use marf_config::scenes::ByScene;
+use marf_config::{self as config, Pipeline, SharedStore};
 use crate::terminal::eprint_line;
 
 /// What the name of a pipeline is followed by in runs of exports: they are no runs of the pipeline.

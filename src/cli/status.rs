@@ -10,8 +10,8 @@ use super::output::print_json;
 use super::run::state_word;
 use super::scenes::parent_of;
 use super::session::{existing_store, is_aside_name, last_of, warn};
-use crate::config::scenes::scene_of;
-use crate::progress::{Standing, duration, event_folder};
+use marf_config::scenes::scene_of;
+use marf_progress::{Standing, duration, event_folder};
 use crate::terminal::print_line;
 
 /// `marf status`: the nodes of the run that goes on and began last, and how far others are; or the nodes of the last run. Exports aside.

@@ -18,7 +18,7 @@ use super::args::Global;
 use super::error::{CliError, Diagnostic};
 use super::scenes;
 use super::session::{bootstraps_of, existing_store, is_aside};
-use crate::progress::event_folder;
+use marf_progress::event_folder;
 use marf_report as show;
 use crate::terminal::{eprint_line, print_line};
 

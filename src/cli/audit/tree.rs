@@ -9,7 +9,7 @@ use super::Report;
 use super::changed::Changed;
 use super::identity::Identity;
 use super::lineage::{Origin, ProductLine, Products, Step};
-use crate::progress::duration;
+use marf_progress::duration;
 use marf_export::iso_time;
 
 /// Writes into a string cannot fail.

@@ -18,7 +18,7 @@ use super::error::{CliError, Diagnostic};
 use super::files;
 use super::output::print_json;
 use super::session::{existing_store, open_store, store_dir, warn};
-use crate::progress::duration;
+use marf_progress::duration;
 use crate::terminal::{eprint_line, print_line};
 use args::{FsckArgs, GcArgs};
 

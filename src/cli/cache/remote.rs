@@ -14,8 +14,8 @@ use crate::cli::error::{CliError, Diagnostic};
 use crate::cli::output::print_json;
 use crate::cli::session::{last_of, unnamed, warn};
 use crate::cli::trust::trust;
-use crate::config;
-use crate::progress::Progress;
+use marf_config as config;
+use crate::cli::progress::Progress;
 use crate::terminal::{eprint_line, print_line};
 
 /// `marf cache push`: sends a run.

@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 
 use crate::cli::copies::object_of;
 use crate::cli::error::{CliError, Diagnostic};
-use crate::nearest::did_you_mean;
+use marf_config::nearest::did_you_mean;
 
 /// The words of the command line, and the paths that they are.
 const WORDS: [(&str, PathKind); 4] = [

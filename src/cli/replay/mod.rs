@@ -21,7 +21,7 @@ use super::error::{Answer, CliError, Diagnostic};
 use super::output::print_json;
 use super::program;
 use super::session::{existing_store, warn};
-use crate::progress::Progress;
+use super::progress::Progress;
 use crate::terminal::{escape_control, print_line};
 
 /// Arguments of `replay`.

@@ -15,7 +15,7 @@ use serde_json::Value;
 use crate::cli::documents::put_on_cpu;
 use crate::cli::error::CliError;
 use crate::cli::session::graph_of;
-use crate::config::{GlobalOptions, check_tree};
+use marf_config::{GlobalOptions, check_tree};
 
 /// How a run is made again.
 pub struct Plan {

@@ -10,8 +10,8 @@ pub fn duration(seconds: f64) -> String {
     }
 }
 
-/// Returns the line of an event; none for progress, which the caller prints itself.
-pub(super) fn sentence(event: &Event) -> Option<String> {
+/// Returns the line of an event; none for progress.
+pub fn sentence(event: &Event) -> Option<String> {
     let name = |node: &str| format!("{node:<22}");
     Some(match event {
         Event::WillRun { node, reason, .. } => format!("run     {} {reason}", name(node)),

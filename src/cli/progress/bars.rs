@@ -3,10 +3,9 @@ use std::sync::OnceLock;
 
 use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
 use marf_engine::{Event, Listener};
+use marf_progress::{Standing, sentence};
 use parking_lot::Mutex;
 
-use super::estimate::Standing;
-use super::text::sentence;
 use crate::terminal::escape_control;
 
 /// A bar for each running node, finished nodes as lines above them.

@@ -134,7 +134,7 @@ pub(super) fn schema() -> Json {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::{GlobalOptions, check};
+    use crate::{GlobalOptions, check};
 
     fn shared(table: &str) -> Result<Option<SharedStore>, String> {
         let text =

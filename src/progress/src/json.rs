@@ -1,19 +1,12 @@
 use std::time::SystemTime;
 
-use marf_engine::{Event, Listener};
+use marf_engine::Event;
 use schemars::{JsonSchema, Schema, generate::SchemaSettings};
 use serde::Serialize;
 
-use crate::terminal::print_line;
-
-/// One JSON object a line on stdout: the event, its time, and the run it is of.
-pub struct JsonLines {
-    run: String,
-}
-
 /// A line of the output of `--json`.
 #[derive(Debug, Serialize, JsonSchema)]
-pub(super) struct Line<'a> {
+pub struct Line<'a> {
     /// When it happened, as RFC 3339 in UTC with milliseconds.
     time: String,
     /// Name of the run, as in its record.
@@ -25,24 +18,9 @@ pub(super) struct Line<'a> {
 
 impl<'a> Line<'a> {
     /// Returns the line of an event that happens now.
-    pub(super) fn now(run: &'a str, event: &'a Event) -> Self {
+    pub fn now(run: &'a str, event: &'a Event) -> Self {
         let time = humantime::format_rfc3339_millis(SystemTime::now()).to_string();
         Self { time, run, event }
-    }
-}
-
-impl JsonLines {
-    /// Returns the printer of a run's events.
-    pub fn new(run: String) -> Self {
-        Self { run }
-    }
-}
-
-impl Listener for JsonLines {
-    fn on_event(&self, event: &Event) {
-        if let Ok(line) = serde_json::to_string(&Line::now(&self.run, event)) {
-            print_line(&line);
-        }
     }
 }
 

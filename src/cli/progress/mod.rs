@@ -1,24 +1,17 @@
 //! Prints the events of a run: bars on a terminal, plain lines elsewhere, JSON lines with `--json`.
 
 mod bars;
-mod estimate;
-mod event_file;
-mod json;
+mod json_lines;
 mod lines;
-mod text;
-mod trace;
 
 use std::io::IsTerminal as _;
 
 use marf_engine::{Event, Listener};
+use marf_progress::Standing;
 
-pub use bars::Bars;
-pub use estimate::{Estimate, Expected, Standing};
-pub use event_file::{Began, EventFile, event_folder};
-pub use json::{JsonLines, event_schema};
-pub use lines::Lines;
-pub use text::duration;
-pub use trace::Trace;
+use bars::Bars;
+pub use json_lines::JsonLines;
+use lines::Lines;
 
 /// How the events of a run are printed.
 pub enum Progress {

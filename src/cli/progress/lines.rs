@@ -2,10 +2,9 @@ use std::collections::HashMap;
 use std::time::{Duration, Instant};
 
 use marf_engine::{Event, Listener};
+use marf_progress::{Standing, duration, sentence};
 use parking_lot::Mutex;
 
-use super::estimate::Standing;
-use super::text::{duration, sentence};
 use crate::terminal::{eprint_line, escape_control};
 
 /// Least time between two progress lines of one node.

@@ -6,6 +6,7 @@
 mod archives;
 mod error;
 mod manual_lists;
+pub mod nearest;
 mod options;
 mod resolve;
 pub mod scenes;

@@ -140,7 +140,7 @@ fn takes_many(node: &Node, key: &str) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::{GlobalOptions, check, check_tree};
+    use crate::{GlobalOptions, check, check_tree};
     use std::path::Path;
 
     const MISSION: &str = r#"

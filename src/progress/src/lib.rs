@@ -1,0 +1,13 @@
+//! The events of a run as data: JSON lines, the file that `marf view` follows, a trace, an estimate of the remaining time.
+
+mod estimate;
+mod event_file;
+mod json;
+mod text;
+mod trace;
+
+pub use estimate::{Estimate, Expected, Standing};
+pub use event_file::{Began, EventFile, event_folder};
+pub use json::{Line, event_schema};
+pub use text::{duration, sentence};
+pub use trace::Trace;
