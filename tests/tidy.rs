@@ -28,7 +28,7 @@ const fn row(folder: &'static str, package: &'static str, uses: &'static [&'stat
 }
 
 /// From the lowest to the highest: a crate uses only crates above its row.
-const CRATES: [Crate; 30] = [
+const CRATES: [Crate; 31] = [
     row("shaders", "marf-shaders", &[]),
     row("cache/derive", "marf-cache-derive", &[]),
     row("cache", "marf-cache", &["marf-cache-derive"]),
@@ -145,11 +145,7 @@ const CRATES: [Crate; 30] = [
             "marf-engine",
         ],
     ),
-    row(
-        "src/progress",
-        "marf-progress",
-        &["marf-cache", "marf-engine"],
-    ),
+    row("src/progress", "marf-progress", &["marf-cache", "marf-engine"]),
     row(
         "src/export",
         "marf-export",
@@ -182,8 +178,8 @@ const CRATES: [Crate; 30] = [
         &["marf-cache", "marf-scene", "marf-field"],
     ),
     row(
-        "",
-        "marf",
+        "src/run",
+        "marf-run",
         &[
             "marf-cache",
             "marf-keys",
@@ -191,7 +187,6 @@ const CRATES: [Crate; 30] = [
             "marf-stage",
             "marf-scene",
             "marf-field",
-            "marf-loopback",
             "marf-calibrate",
             "marf-schema",
             "marf-stages",
@@ -205,6 +200,31 @@ const CRATES: [Crate; 30] = [
             "marf-view",
         ],
     ),
+    Crate {
+        tests_use: &["marf-video"],
+        ..row(
+            "",
+            "marf",
+            &[
+                "marf-cache",
+                "marf-remote",
+                "marf-stage",
+                "marf-scene",
+                "marf-field",
+                "marf-loopback",
+                "marf-schema",
+                "marf-stages",
+                "marf-engine",
+                "marf-config",
+                "marf-progress",
+                "marf-export",
+                "marf-provenance",
+                "marf-report",
+                "marf-view",
+                "marf-run",
+            ],
+        )
+    },
 ];
 
 /// Packages that only these crates may use.

@@ -1,31 +1,20 @@
 //! `marf compare`: what changed at a place between two times.
 
-use std::collections::BTreeSet;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use clap::Args;
-use marf_cache::Digest;
-use marf_engine::{Cancel, NodeRun, RunRecord};
 use marf_field::Quality;
-use marf_schema::calibrate;
+use marf_run::compare::{CompareRequest, REPORT};
+use marf_run::{Context, Diagnostic, Error};
 use marf_schema::changes::{Change, ChangesParams, ChangesReport};
-use marf_schema::output::CHANGE_MAPS;
-use marf_stage::{Document, Params};
-use serde_json::{Map, Value, json};
+use serde_json::json;
 
-use super::again::{run_nodes, run_where};
-use super::args::Global;
-use super::error::{CliError, Diagnostic};
-use super::export_table::ExportTable;
+use super::global::Global;
 use super::output::print_json;
-use super::session::{Session, digest, existing_store, node_named};
-use marf_config::scenes::scene_of;
 use crate::terminal::print_line;
 
 /// Most patches that are listed in the terminal.
 const MOST_LISTED: usize = 20;
-/// The report among the files.
-const REPORT: &str = "changes.json";
 
 /// Arguments of `compare`.
 #[derive(Debug, Clone, Args)]
@@ -68,132 +57,36 @@ fn quality(word: &str) -> Result<Quality, String> {
 }
 
 /// Compares what is wanted, unless it is compared already, and writes it.
-pub fn compare(global: &Global, args: &CompareArgs, cancel: &Cancel) -> Result<(), CliError> {
+pub fn compare(global: &Global, args: CompareArgs, context: &Context) -> Result<(), Error> {
     let [before, after] = args.sols.as_slice() else {
         let diagnostic = Diagnostic::new(format!(
             "--sols: {} times are given, two are compared",
             args.sols.len()
         ));
-        return Err(CliError::Usage(diagnostic.hint("`--sols 1..=2 --sols 8..=9`")));
+        return Err(Error::Usage(diagnostic.hint("`--sols 1..=2 --sols 8..=9`")));
     };
-    let store = existing_store(global, cancel)?;
-    let scene = args.scene.as_deref();
-    let has = |run: &RunRecord| calibrated(run, scene).is_some();
-    let run = run_where(&store, args.run, has, |run| without(run, scene))?;
-    let calibrated = calibrated(&run, scene).ok_or_else(|| without(&run, scene))?;
-    let (name, table) = (
-        format!("changes-of-{}", calibrated.name),
-        table(args, calibrated, before, after)?,
-    );
-    let (session, record) = run_nodes(store, &run, &[(&name, table)], global, cancel)?;
-    let node = node_named(&record, &name)?;
-    let report: ChangesReport = session.document(node)?;
-    let written = write(&session, &record, node, &args.out)?;
+    let request = CompareRequest {
+        scene: args.scene,
+        before: before.clone(),
+        after: after.clone(),
+        out: args.out,
+        run: args.run,
+        quality: args.quality,
+        steps: args.steps,
+        members: args.members,
+        cell: args.cell,
+    };
+    let result = marf_run::compare::compare(context, &request)?;
     if global.json {
-        return print_json(&json!({"files": written, "run": record.number, "changes": report}));
+        return print_json(&json!(result));
     }
-    text(&report).iter().for_each(|line| print_line(line));
+    text(&result.changes).iter().for_each(|line| print_line(line));
     print_line(&format!(
         "wrote {} files to {}",
-        written.len(),
-        args.out.display()
+        result.files.len(),
+        request.out.display()
     ));
     Ok(())
-}
-
-/// Returns the node that placed the photos of a scene; without a scene, of the only one.
-fn calibrated<'r>(run: &'r RunRecord, scene: Option<&str>) -> Option<&'r NodeRun> {
-    let mut found = placing(run).filter(|node| scene.is_none() || scene_of(&node.name) == scene);
-    let first = found.next()?;
-    found.next().is_none().then_some(first)
-}
-
-/// Returns the nodes of a run that placed photos.
-fn placing(run: &RunRecord) -> impl Iterator<Item = &NodeRun> {
-    let good = |node: &&NodeRun| node.parent.is_none() && node.state.is_good();
-    run.nodes
-        .iter()
-        .filter(|node| node.stage == calibrate::Metrics::STAGE)
-        .filter(good)
-}
-
-fn without(run: &RunRecord, scene: Option<&str>) -> CliError {
-    let scenes: Vec<&str> = placing(run).filter_map(|node| scene_of(&node.name)).collect();
-    let (message, hint) = match (scene, scenes.as_slice()) {
-        (Some(scene), []) => (
-            format!(
-                "run {} does not split its photos by place: there is no scene `{scene}`",
-                run.number
-            ),
-            "leave the scene out".to_owned(),
-        ),
-        (Some(scene), scenes) => (
-            format!("run {} has no scene `{scene}`", run.number),
-            format!("its scenes are {}", scenes.join(", ")),
-        ),
-        (None, []) => (
-            format!("run {} has placed no photos, or more than once", run.number),
-            "a pipeline with one node `calibrate` is compared".to_owned(),
-        ),
-        (None, scenes) => (
-            format!("run {} has several scenes", run.number),
-            format!("name one: {}", scenes.join(", ")),
-        ),
-    };
-    CliError::Usage(Diagnostic::new(message).hint(hint))
-}
-
-/// Returns the table of the node, as pipeline.toml would have it.
-fn table(args: &CompareArgs, calibrated: &NodeRun, before: &str, after: &str) -> Result<Value, CliError> {
-    let edge = calibrated.edges.iter().find(|edge| edge.key == "input");
-    let edge = edge.ok_or_else(|| CliError::failed(format!("`{}` read no photos", calibrated.name)))?;
-    let photos = match &edge.part {
-        Some(part) => format!("{}/{part}", edge.upstream),
-        None => edge.upstream.clone(),
-    };
-    let mut table = Map::from_iter([
-        ("uses".to_owned(), json!(ChangesParams::STAGE)),
-        ("input".to_owned(), json!(calibrated.name)),
-        ("photos".to_owned(), json!(photos)),
-        ("before".to_owned(), json!(before)),
-        ("after".to_owned(), json!(after)),
-        ("quality".to_owned(), json!(args.quality)),
-        ("b".to_owned(), json!(args.members)),
-    ]);
-    table.extend(args.steps.map(|steps| ("steps".to_owned(), json!(steps))));
-    table.extend(args.cell.map(|cell| ("cell".to_owned(), json!(cell))));
-    Ok(Value::Object(table))
-}
-
-fn write(
-    session: &Session,
-    record: &RunRecord,
-    node: &NodeRun,
-    out: &Path,
-) -> Result<Vec<PathBuf>, CliError> {
-    let mut table = ExportTable::load(&session.store, out, record.root);
-    let written = write_all(session, &mut table, node);
-    table.save();
-    Ok(written?.into_iter().map(|file| out.join(file)).collect())
-}
-
-fn write_all(
-    session: &Session,
-    table: &mut ExportTable,
-    node: &NodeRun,
-) -> Result<BTreeSet<PathBuf>, CliError> {
-    let mut files: Vec<(PathBuf, Digest)> =
-        vec![(PathBuf::from(REPORT), digest(node, ChangesReport::OUTPUT)?)];
-    let maps = node.outputs.iter().filter_map(|(name, output)| {
-        let file = name.strip_prefix(CHANGE_MAPS)?;
-        Some((PathBuf::from(file), output.digest))
-    });
-    files.extend(maps);
-    for (file, digest) in &files {
-        session.check()?;
-        table.write(file, digest, || Ok::<_, CliError>(session.store.get(digest)?))?;
-    }
-    Ok(files.into_iter().map(|(file, _)| file).collect())
 }
 
 /// Says what changed.

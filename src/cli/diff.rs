@@ -1,21 +1,11 @@
 //! `marf diff`: what changed between two runs, node by node.
 
-use std::fmt;
-
 use clap::Args;
-use marf_cache::{Digest, Store};
-use marf_engine::{Cancel, Change};
-use marf_provenance::LineageError;
-use marf_provenance::diff::{NodeDiff, Presence, diff as nodes};
-use marf_provenance::difference::value_text;
-use marf_provenance::lineage::Lineage;
-use marf_scene::Photo;
-use serde::Serialize;
+use marf_run::diff::RunNames;
+use marf_run::{Context, Error};
 
-use super::args::Global;
-use super::error::CliError;
+use super::global::Global;
 use super::output::print_json;
-use super::session::existing_store;
 use crate::terminal::{escape_control, print_line};
 
 /// Arguments of `diff`.
@@ -27,166 +17,27 @@ pub struct DiffArgs {
     pub second: u64,
 }
 
-/// What `--json` prints.
-#[derive(Debug, Serialize)]
-struct Report {
-    runs: (u64, u64),
-    nodes: Vec<NodeChanges>,
-}
-
-/// What changed of a node between two runs.
-#[derive(Debug, Serialize)]
-pub struct NodeChanges {
-    #[serde(flatten)]
-    diff: NodeDiff,
-    /// Pictures of the same size that both runs have.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    pictures: Vec<Picture>,
-}
-
-/// How two pictures differ.
-#[derive(Debug, Serialize)]
-struct Picture {
-    output: String,
-    /// Share of the pixels that differ, in [0, 1].
-    share: f64,
-    /// Largest difference of a channel, of 255.
-    most: u8,
-}
-
 /// `marf diff`: prints parameters, products, metrics and pictures that differ between two runs.
-pub fn diff(global: &Global, args: &DiffArgs, cancel: &Cancel) -> Result<(), CliError> {
-    let store = existing_store(global, cancel)?;
-    let (first, second) = (
-        Lineage::open(&store, args.first)?,
-        Lineage::open(&store, args.second)?,
-    );
-    let report = Report {
-        runs: (args.first, args.second),
-        nodes: compare(&first, &second, usize::MAX)?,
-    };
+pub fn diff(global: &Global, args: &DiffArgs, context: &Context) -> Result<(), Error> {
+    let diff = marf_run::diff::diff(context, args.first, args.second)?;
     if global.json {
-        return print_json(&report);
+        return print_json(&diff);
     }
-    let names = [args.first, args.second].map(|number| format!("run {number}"));
-    for node in &report.nodes {
+    let names = RunNames {
+        first: format!("run {}", args.first),
+        second: format!("run {}", args.second),
+    };
+    for node in &diff.nodes {
         let lines = node.lines().into_iter().map(|line| format!("\n  {line}"));
-        let text = node.heading([&names[0], &names[1]]) + &lines.collect::<String>();
+        let text = node.heading(&names) + &lines.collect::<String>();
         print_line(&escape_control(&text));
     }
     print_line(&format!(
         "{} of {} nodes differ between {} and {}; --json lists everything",
-        report.nodes.len(),
-        second.nodes.len(),
-        names[0],
-        names[1]
+        diff.nodes.len(),
+        diff.of_nodes,
+        names.first,
+        names.second
     ));
     Ok(())
-}
-
-/// Returns the nodes that differ between two runs of a store, in the order of the second; `most_pictures` is how many pictures
-/// of a node are decoded and compared.
-///
-/// # Errors
-/// A store that cannot be read.
-pub fn compare(
-    first: &Lineage<'_>,
-    second: &Lineage<'_>,
-    most_pictures: usize,
-) -> Result<Vec<NodeChanges>, LineageError> {
-    let with_pictures = |diff: NodeDiff| NodeChanges {
-        pictures: pictures(second.store(), &diff).take(most_pictures).collect(),
-        diff,
-    };
-    Ok(nodes(first, second)?.into_iter().map(with_pictures).collect())
-}
-
-/// Compares the pictures of a node that both runs have in the same size.
-fn pictures(store: &Store, diff: &NodeDiff) -> impl Iterator<Item = Picture> {
-    let read = |digest: &Digest| Photo::decode(&store.get(digest).ok()?).ok();
-    diff.outputs
-        .iter()
-        .filter(|(name, _)| name.ends_with(".png"))
-        .filter_map(move |(name, of)| {
-            let (was, is) = (read(&of.0?)?.image, read(&of.1?)?.image);
-            if (was.width, was.height) != (is.width, is.height) {
-                return None;
-            }
-            let steps = was
-                .pixels
-                .iter()
-                .zip(&is.pixels)
-                .map(|(was, is)| was.iter().zip(is).map(|(a, b)| a.abs_diff(*b)).max());
-            let steps: Vec<u8> = steps.map(Option::unwrap_or_default).collect();
-            let differing = steps.iter().filter(|step| **step > 0).count();
-            Some(Picture {
-                output: name.clone(),
-                share: differing as f64 / steps.len().max(1) as f64,
-                most: steps.into_iter().max().unwrap_or_default(),
-            })
-        })
-}
-
-/// Most values, products or pictures of a node that have a line of their own.
-pub const MOST: usize = 8;
-
-impl NodeChanges {
-    /// Returns the node and how much of it differs; `runs` are the names of the two runs.
-    pub fn heading(&self, runs: [&str; 2]) -> String {
-        let diff = &self.diff;
-        let products = &diff.products;
-        let counts = [
-            (products.added.len(), "products in"),
-            (products.removed.len(), "products out"),
-            (products.edited.len(), "products edited"),
-            (diff.outputs.len(), "outputs differ"),
-        ];
-        let counts = counts.iter().filter(|(count, _)| *count > 0);
-        let counts: Vec<String> = counts.map(|(count, what)| format!("{count} {what}")).collect();
-        let what = match diff.presence {
-            Presence::First => format!("in {} alone", runs[0]),
-            Presence::Second => format!("in {} alone", runs[1]),
-            Presence::Both if counts.is_empty() => "the outputs are equal".to_owned(),
-            Presence::Both => counts.join(", "),
-        };
-        format!("{}: {what}", diff.node)
-    }
-
-    /// Returns parameters, products, values and pictures that differ, a line each, the first [`MOST`] of each kind.
-    pub fn lines(&self) -> Vec<String> {
-        let mut lines = Vec::new();
-        let mut add = |all: Vec<String>| {
-            let more = all.len().saturating_sub(MOST);
-            lines.extend(all.into_iter().take(MOST));
-            lines.extend((more > 0).then(|| format!("and {more} more")));
-        };
-        add(self.diff.changes.iter().map(ToString::to_string).collect());
-        let products = &self.diff.products;
-        for (word, ids) in [
-            ("in", &products.added),
-            ("out", &products.removed),
-            ("edited", &products.edited),
-        ] {
-            add(ids.iter().map(|id| format!("product {word}: {id}")).collect());
-        }
-        for (output, values) in &self.diff.values {
-            // Means and totals stand above what they are of.
-            let mut values: Vec<&Change> = values.iter().collect();
-            values.sort_by_key(|value| value.path.matches('.').count());
-            let line = |value: &&Change| format!("{output}: {}", value_text(value));
-            add(values.iter().map(line).collect());
-        }
-        add(self.pictures.iter().map(ToString::to_string).collect());
-        lines
-    }
-}
-
-impl fmt::Display for Picture {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let (output, share, most) = (&self.output, 100.0 * self.share, self.most);
-        write!(
-            f,
-            "{output}: {share:.1} % of the pixels differ, by at most {most} of 255"
-        )
-    }
 }

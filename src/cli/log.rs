@@ -1,17 +1,25 @@
-use marf_engine::{Cancel, NodeState};
+use clap::Args;
+use marf_engine::NodeState;
 use marf_export::iso_time;
-
-use super::args::Global;
-use super::error::CliError;
-use super::output::print_json;
-use super::session::{existing_store, warn};
 use marf_progress::duration;
+use marf_run::{Context, Error};
+
+use super::global::Global;
+use super::output::print_json;
 use crate::terminal::print_line;
 
+/// Arguments of `log`.
+#[derive(Debug, Clone, Args)]
+pub struct LogArgs {
+    /// How many, the newest first
+    #[arg(short = 'n', long, default_value_t = 20)]
+    last: usize,
+}
+
 /// `marf log`: the runs so far, the newest first.
-pub fn log(global: &Global, last: usize, cancel: &Cancel) -> Result<(), CliError> {
-    let runs = marf_engine::runs(&existing_store(global, cancel)?, warn)?;
-    let shown: Vec<_> = runs.iter().rev().take(last).collect();
+pub fn log(global: &Global, args: &LogArgs, context: &Context) -> Result<(), Error> {
+    let runs = marf_engine::runs(&context.existing_store()?, context.warnings())?;
+    let shown: Vec<_> = runs.iter().rev().take(args.last).collect();
     if global.json {
         return print_json(&shown);
     }

@@ -4,14 +4,13 @@ use std::path::Path;
 
 use clap::{Command, CommandFactory};
 use clap_mangen::Man;
+use marf_run::{Error, files};
 
 use super::args::Cli;
-use super::error::CliError;
-use super::files;
 use crate::terminal::print_line;
 
 /// Writes `marf.1`, and `marf-VERB.1` of every verb, into a folder.
-pub fn man(dir: &Path) -> Result<(), CliError> {
+pub fn man(dir: &Path) -> Result<(), Error> {
     let mut command = Cli::command();
     command.build();
     let mut written = 0;
@@ -25,11 +24,11 @@ pub fn man(dir: &Path) -> Result<(), CliError> {
 }
 
 /// Writes the page of a command, and those of the commands below it.
-fn write(command: &Command, dir: &Path, written: &mut u32) -> Result<(), CliError> {
+fn write(command: &Command, dir: &Path, written: &mut u32) -> Result<(), Error> {
     let page = Man::new(command.clone());
     let mut bytes = Vec::new();
     page.render(&mut bytes)
-        .map_err(|error| CliError::failed(format!("a manual page cannot be made: {error}")))?;
+        .map_err(|error| Error::failed(format!("a manual page cannot be made: {error}")))?;
     files::write(&dir.join(page.get_filename()), &bytes)?;
     *written += 1;
     let mut below = command

@@ -1,59 +1,46 @@
 //! The verbs, one file each.
 
-mod again;
 mod args;
 mod audit;
 mod bench;
-mod budget;
 mod cache;
 mod calibrate;
 mod compare;
-mod copies;
 mod diff;
-mod documents;
 mod error;
 mod exec;
 mod export;
-mod export_table;
-mod field_file;
-mod file_state;
-mod files;
+mod feedback;
 mod filter;
 mod fit;
-mod folder;
+mod global;
 mod init;
 mod log;
 mod man;
-mod manual_lists;
-mod on;
 mod output;
 mod photos;
 mod plan;
-mod program;
 mod progress;
 mod render;
 mod replay;
 mod report;
 mod run;
-mod scenes;
-mod session;
-mod share;
-mod shared;
+mod schema;
+mod selection;
 mod status;
 mod trade;
-mod trust;
-mod verdicts;
+mod traffic;
+mod verify;
 mod view;
 
 use std::process::ExitCode;
 
 use clap::{CommandFactory, Parser};
 use marf_engine::Cancel;
+use marf_run::Error;
 
 use crate::terminal::{eprint_line, print_line};
-use args::{Cli, SchemaOf, Verb};
-use error::CliError;
-use output::print_json;
+use args::{Cli, Verb};
 
 /// Parses the command line, runs the verb and returns the exit code.
 ///
@@ -66,54 +53,52 @@ pub fn main(cancel: &Cancel) -> ExitCode {
             return ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(2));
         }
     };
-    match dispatch(&cli, cancel) {
+    match dispatch(cli, cancel) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             // A wait for another program ends with Ctrl-C, and nothing else went wrong.
-            let is_stopped = cancel.is_set() && matches!(error, CliError::Locked(_));
-            let error = if is_stopped { CliError::Interrupted } else { error };
-            eprint_line(&error.render());
-            error.code()
+            let is_stopped = cancel.is_set() && matches!(error, Error::Locked(_));
+            let error = if is_stopped { Error::Interrupted } else { error };
+            eprint_line(&error::text(&error));
+            error::exit_code(&error)
         }
     }
 }
 
-fn dispatch(cli: &Cli, cancel: &Cancel) -> Result<(), CliError> {
+fn dispatch(cli: Cli, cancel: &Cancel) -> Result<(), Error> {
     let global = &cli.global;
     std::env::set_current_dir(&global.directory)
-        .map_err(|error| CliError::usage(format!("-C {}: {error}", global.directory.display())))?;
-    match &cli.verb {
-        Verb::Run(args) => run::run(global, args, cancel),
-        Verb::Plan(args) => plan::plan(global, args, cancel),
-        Verb::Why { node, files } => plan::why(global, node, *files, cancel),
-        Verb::Status => status::status(global, cancel),
-        Verb::Log { last } => log::log(global, *last, cancel),
-        Verb::Init { mission } => init::init(global, *mission),
-        Verb::Schema { of } => match of {
-            SchemaOf::Pipeline => print_json(&marf_config::schema()),
-            SchemaOf::Events => print_json(&marf_progress::event_schema()),
-        },
-        Verb::Report { out } => report::report(global, out, cancel),
-        Verb::View(args) => view::view(global, args, cancel),
-        Verb::Render(args) => render::render(global, args, cancel),
-        Verb::Compare(args) => compare::compare(global, args, cancel),
-        Verb::Export { verb } => share::export(global, verb, cancel),
-        Verb::Verify(args) => share::verify_path(global, args),
-        Verb::Audit(args) => audit::audit(global, args, cancel),
-        Verb::Diff(args) => diff::diff(global, args, cancel),
-        Verb::Replay(args) => replay::replay(global, args, cancel),
-        Verb::Exec(args) => exec::exec(global, args, cancel),
-        Verb::Cache { verb } => cache::cache(global, verb, cancel),
-        Verb::Filter(args) => filter::filter(global, args, cancel),
-        Verb::Photos { dir, node } => photos::photos(global, dir.as_deref(), node, cancel),
-        Verb::Calibrate(args) => calibrate::calibrate(global, args, cancel),
-        Verb::Fit(args) => fit::fit(global, args, cancel),
-        Verb::Trade(args) => trade::trade(global, args, cancel),
-        Verb::Bench { verb } => bench::bench(global, verb, cancel),
-        Verb::Man { dir } => man::man(dir),
+        .map_err(|error| Error::usage(format!("-C {}: {error}", global.directory.display())))?;
+    let context = &global.context(cancel);
+    match cli.verb {
+        Verb::Run(args) => run::run(global, args, context),
+        Verb::Plan(args) => plan::plan(global, args, context),
+        Verb::Why(args) => plan::why(global, args, context),
+        Verb::Status => status::status(global, context),
+        Verb::Log(args) => log::log(global, &args, context),
+        Verb::Init(args) => init::init(global, &args),
+        Verb::Schema(args) => schema::schema(&args),
+        Verb::Report(args) => report::report(&args, context),
+        Verb::View(args) => view::view(args, context),
+        Verb::Render(args) => render::render(global, args, context),
+        Verb::Compare(args) => compare::compare(global, args, context),
+        Verb::Export { verb } => export::export(global, verb, context),
+        Verb::Verify(args) => verify::verify(global, args),
+        Verb::Audit(args) => audit::audit(global, args, context),
+        Verb::Diff(args) => diff::diff(global, &args, context),
+        Verb::Replay(args) => replay::replay(global, args, context),
+        Verb::Exec(args) => exec::exec(args, context),
+        Verb::Cache { verb } => cache::cache(global, verb, context),
+        Verb::Filter(args) => filter::filter(global, args, context),
+        Verb::Photos(args) => photos::photos(global, args, context),
+        Verb::Calibrate(args) => calibrate::calibrate(global, args, context),
+        Verb::Fit(args) => fit::fit(global, args, context),
+        Verb::Trade(args) => trade::trade(global, args, context),
+        Verb::Bench { verb } => bench::bench(global, &verb, context),
+        Verb::Man { dir } => man::man(&dir),
         Verb::Completions { shell } => {
             let mut bytes = Vec::new();
-            clap_complete::generate(*shell, &mut Cli::command(), "marf", &mut bytes);
+            clap_complete::generate(shell, &mut Cli::command(), "marf", &mut bytes);
             print_line(String::from_utf8_lossy(&bytes).trim_end());
             Ok(())
         }

@@ -1,66 +1,31 @@
-use std::path::Path;
+use std::path::PathBuf;
 
-use marf_cache::Digest;
-use marf_engine::sets;
-use marf_engine::{Cancel, RunRecord};
-use marf_scene::{CameraPrior, Photo, PhotoFacts};
-use marf_stage::{PHOTOS, VERDICTS, Verdict};
-use serde::Serialize;
+use clap::Args;
+use marf_run::photos::{PhotoLine, PhotosRequest, UnreadFile};
+use marf_run::{Context, Error};
+use marf_scene::CameraPrior;
 
-use super::args::Global;
-use super::error::CliError;
-use super::folder;
+use super::global::Global;
 use super::output::print_json;
-use super::run::{execute, options};
-use super::session::Session;
 use crate::terminal::print_line;
 
-/// One photo, as the table shows it.
-#[derive(Debug, Serialize)]
-struct Line {
-    product: String,
-    image: Option<Digest>,
-    /// Of the file, by its bytes.
-    format: &'static str,
-    #[serde(flatten)]
-    facts: PhotoFacts,
-}
-
-/// What `--json` prints.
-#[derive(Debug, Serialize)]
-struct Table {
-    photos: Vec<Line>,
-    /// Files that gave no photo.
-    not_read: Vec<NotRead>,
-}
-
-/// A file that gave no photo.
-#[derive(Debug, Serialize)]
-struct NotRead {
-    file: String,
-    reason: String,
+/// Arguments of `photos`.
+#[derive(Debug, Clone, Args)]
+pub struct PhotosArgs {
+    /// A folder with photos [default: the last run of the pipeline]
+    dir: Option<PathBuf>,
+    /// The node whose photos are shown
+    #[arg(long, default_value = "extract")]
+    node: String,
 }
 
 /// `marf photos [DIR]`: what was read of every photo, from a folder or from the pipeline's last run, and which files were not.
-pub fn photos(global: &Global, dir: Option<&Path>, node: &str, cancel: &Cancel) -> Result<(), CliError> {
-    let (session, record) = match dir {
-        Some(dir) => {
-            let session = Session::implicit(&folder::photos("photos", dir), global, cancel)?;
-            let (record, ended) = execute(&session, &options(global, &session.name), global, cancel)?;
-            ended?;
-            (session, record)
-        }
-        None => {
-            let session = Session::open(global, cancel)?;
-            let last = session.last()?;
-            let record = last.ok_or_else(|| CliError::failed("no run of this pipeline yet".to_owned()))?;
-            (session, record)
-        }
+pub fn photos(global: &Global, args: PhotosArgs, context: &Context) -> Result<(), Error> {
+    let request = PhotosRequest {
+        dir: args.dir,
+        node: args.node,
     };
-    let table = Table {
-        photos: lines(&session, &record, node)?,
-        not_read: not_read(&session, &record, node)?,
-    };
+    let table = marf_run::photos::photos(context, &request)?;
     if global.json {
         return print_json(&table);
     }
@@ -71,39 +36,11 @@ pub fn photos(global: &Global, dir: Option<&Path>, node: &str, cancel: &Cancel) 
     table.photos.iter().for_each(|line| print_line(&row(line)));
     if !table.not_read.is_empty() {
         print_line("\n| file without a photo | why |\n|---|---|");
-        for NotRead { file, reason } in &table.not_read {
+        for UnreadFile { file, reason } in &table.not_read {
             print_line(&cells(&[file.clone(), reason.clone()]));
         }
     }
     Ok(())
-}
-
-/// Returns the files that a source has met and took no photo from; none of a filter, whose verdicts are on photos.
-fn not_read(session: &Session, record: &RunRecord, node: &str) -> Result<Vec<NotRead>, CliError> {
-    let source = record
-        .nodes
-        .iter()
-        .find(|one| one.name == node && one.edges.is_empty());
-    let Some(verdicts) = source.and_then(|node| node.outputs.get(VERDICTS)) else {
-        return Ok(Vec::new());
-    };
-    let verdicts = session.verdicts(&verdicts.digest)?.into_iter();
-    let left_out = verdicts.filter(|verdict| !verdict.keeps());
-    Ok(left_out
-        .map(|Verdict { file, reason, .. }| NotRead { file, reason })
-        .collect())
-}
-
-/// Returns the format of a photo's file: what its bytes are, whatever it is called. Raw pixels are kept beside the photo made of them.
-///
-/// # Errors
-/// A photo that the store has lost.
-fn format(session: &Session, image: Option<&Digest>, has_raw: bool) -> Result<&'static str, CliError> {
-    match image {
-        Some(_) if has_raw => Ok("IMG"),
-        Some(image) => Ok(Photo::format(&session.store.get(image)?).unwrap_or("-")),
-        None => Ok("-"),
-    }
 }
 
 /// Returns a row of a table.
@@ -112,34 +49,7 @@ fn cells(cells: &[String]) -> String {
     format!("| {} |", cells.join(" | "))
 }
 
-fn lines(session: &Session, record: &RunRecord, node: &str) -> Result<Vec<Line>, CliError> {
-    let found = record.nodes.iter().find(|one| one.name == node);
-    let output = found.and_then(|node| node.outputs.get(PHOTOS)).ok_or_else(|| {
-        let nodes: Vec<&str> = record.nodes.iter().map(|node| node.name.as_str()).collect();
-        CliError::usage(format!(
-            "node `{node}` gave no photos in the last run; its nodes: {}",
-            nodes.join(", ")
-        ))
-    })?;
-    let rows = sets::rows(&output.digest, |digest| {
-        Ok::<_, CliError>(session.store.get(digest)?)
-    })?;
-    let mut lines = Vec::new();
-    for row in rows {
-        let facts = PhotoFacts::from_json(&row.facts)
-            .map_err(|error| CliError::failed(format!("photos of `{node}`: {error}")))?;
-        let image = row.blobs.get("image").copied();
-        lines.push(Line {
-            facts,
-            format: format(session, image.as_ref(), row.blobs.contains_key("raw"))?,
-            image,
-            product: row.id,
-        });
-    }
-    Ok(lines)
-}
-
-fn row(line: &Line) -> String {
+fn row(line: &PhotoLine) -> String {
     let facts = &line.facts;
     let prior = facts.prior.as_ref();
     let known = |text: Option<String>| text.unwrap_or_else(|| "-".to_owned());

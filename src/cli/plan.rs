@@ -1,16 +1,24 @@
-use marf_engine::{Cancel, Extent, Needs, PlanState, PlannedNode, SharedResults};
-use marf_schema::scenes::Scenes;
-use marf_stage::Document;
+use clap::Args;
+use marf_engine::{Extent, Needs, PlanState, PlannedNode};
+use marf_progress::duration;
+use marf_run::plan::WhyRequest;
+use marf_run::{Context, Error};
 use serde::Serialize;
 
-use super::args::{Global, Selection};
-use super::error::CliError;
+use super::global::Global;
 use super::output::print_json;
-use super::scenes;
-use super::session::Session;
-use super::shared::Shared;
-use marf_progress::duration;
+use super::selection::SelectionArgs;
 use crate::terminal::print_line;
+
+/// Arguments of `why`.
+#[derive(Debug, Clone, Args)]
+pub struct WhyArgs {
+    /// The node
+    node: String,
+    /// Name every photo that was added, edited or removed
+    #[arg(long)]
+    files: bool,
+}
 
 /// A node, as `--json` prints it.
 #[derive(Debug, Serialize)]
@@ -24,7 +32,7 @@ struct Row<'a> {
 }
 
 impl<'a> Row<'a> {
-    fn of(planned: &'a PlannedNode) -> Self {
+    fn new(planned: &'a PlannedNode) -> Self {
         Self {
             node: &planned.node,
             reason: &planned.reason,
@@ -36,18 +44,10 @@ impl<'a> Row<'a> {
 }
 
 /// `marf plan`: the state of every node and the first thing that changed.
-pub fn plan(global: &Global, selection: &Selection, cancel: &Cancel) -> Result<(), CliError> {
-    let session = known(Session::open(global, cancel)?, global)?;
-    let last = session.last()?;
-    let shared = Shared::open(&session, global, cancel)?;
-    let shared = shared.as_deref().map(|shared| shared as &dyn SharedResults);
-    let (graph, store) = (&session.graph, &session.store);
-    let mut nodes = marf_engine::plan_beside(graph, store, last.as_ref(), global.threads, shared)?;
-    let (to, from) = scenes::selected(&session, selection)?;
-    let chosen = session.graph.select(&to, &from)?;
-    nodes.retain(|node| chosen.contains(&node.node));
+pub fn plan(global: &Global, selection: SelectionArgs, context: &Context) -> Result<(), Error> {
+    let nodes = marf_run::plan::plan(context, &selection.request())?;
     if global.json {
-        let rows: Vec<Row<'_>> = nodes.iter().map(Row::of).collect();
+        let rows: Vec<Row<'_>> = nodes.iter().map(Row::new).collect();
         return print_json(&rows);
     }
     for node in &nodes {
@@ -66,29 +66,6 @@ fn summary(nodes: &[PlannedNode]) -> String {
         0 => will,
         may => format!("{will}; {may} may, if what is upstream of them comes out otherwise than before"),
     }
-}
-
-/// Returns the session with its nodes for each scene, as far as they are known without running anything: those that the photos are
-/// split into now, or else, where that is to run again, those of the last run.
-fn known(session: Session, global: &Global) -> Result<Session, CliError> {
-    let Some(by_scene) = &session.by_scene else {
-        return Ok(session);
-    };
-    let last = session.last()?;
-    let (graph, store) = (&session.graph, &session.store);
-    let nodes = marf_engine::plan(graph, store, last.as_ref(), global.threads)?;
-    let split = nodes.iter().find(|node| node.node == by_scene.split);
-    let key = split
-        .filter(|node| !node.state.is_open())
-        .and_then(|node| node.key);
-    let record = key.map(|key| session.store.record(&key)).transpose()?.flatten();
-    let digest = record.and_then(|record| record.outputs.get(Scenes::OUTPUT).map(|output| output.digest));
-    let Some(digest) = digest else {
-        return session.for_scenes_of(last.as_ref(), global);
-    };
-    let scenes = Scenes::decode(&session.store.get(&digest)?)
-        .map_err(|error| CliError::failed(format!("{}: {error}", Scenes::OUTPUT)))?;
-    session.for_scenes(&scenes, global)
 }
 
 /// Returns the line of a node: state, reason, what it will look at, how long it took last.
@@ -123,16 +100,13 @@ fn counted(number: u64, what: &str) -> String {
     }
 }
 
-/// `marf why NODE`: everything that differs from what made its last result; with `files` every photo too.
-pub fn why(global: &Global, node: &str, files: bool, cancel: &Cancel) -> Result<(), CliError> {
-    let session = known(Session::open(global, cancel)?, global)?;
-    let last = session.last()?;
-    let (graph, store) = (&session.graph, &session.store);
-    let mut planned = marf_engine::why(graph, store, last.as_ref(), global.threads, node)?;
-    if files {
-        let photos = marf_engine::photo_changes(graph, store, last.as_ref(), global.threads, node)?;
-        planned.changes.extend(photos);
-    }
+/// `marf why NODE`: everything that differs from what made its last result; with `--files` every photo too.
+pub fn why(global: &Global, args: WhyArgs, context: &Context) -> Result<(), Error> {
+    let request = WhyRequest {
+        node: args.node,
+        with_photos: args.files,
+    };
+    let planned = marf_run::plan::why(context, &request)?;
     if global.json {
         return print_json(&planned);
     }

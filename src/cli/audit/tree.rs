@@ -3,14 +3,11 @@
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
 
-use marf_provenance::find::{Maker, Place};
-
-use super::Report;
-use super::changed::Changed;
-use super::identity::Identity;
-use super::lineage::{Origin, ProductLine, Products, Step};
-use marf_progress::duration;
 use marf_export::iso_time;
+use marf_progress::duration;
+use marf_provenance::find::{Maker, Place};
+use marf_run::audit::identity::Identity;
+use marf_run::audit::{AuditReport, Changed, Origin, ProductLine, Products, Step};
 
 /// Writes into a string cannot fail.
 macro_rules! line {
@@ -18,14 +15,14 @@ macro_rules! line {
 }
 
 /// Returns the answer as text: what the file is, who made it, the tree, what was verified.
-pub(super) fn text(report: &Report<'_>) -> String {
+pub(super) fn text(report: &AuditReport) -> String {
     let mut text = String::new();
-    line!(text, "{}: {}", report.file.display(), verdict(report.identity));
-    for origin in report.lineage {
+    line!(text, "{}: {}", report.file.display(), verdict(&report.identity));
+    for origin in &report.lineage {
         line!(text, "");
         add_origin(&mut text, origin);
     }
-    if let Some(verified) = report.verified {
+    if let Some(verified) = &report.verified {
         line!(text, "");
         line!(
             text,
@@ -156,10 +153,10 @@ fn others(maker: &Maker, run: u64) -> String {
         .filter(|number| **number != run)
         .map(ToString::to_string)
         .collect();
-    match others.is_empty() {
-        true => String::new(),
-        false => format!("; also in runs {}", others.join(", ")),
+    if others.is_empty() {
+        return String::new();
     }
+    format!("; also in runs {}", others.join(", "))
 }
 
 /// The nodes of a lineage as a tree; a node that several others read is told once.
@@ -189,9 +186,10 @@ impl<'a> Tree<'a> {
             return;
         }
         line!(text, "{indent}{edge}{}", about(step));
-        let below = match edge.is_empty() {
-            true => indent.to_owned(),
-            false => format!("{indent}  "),
+        let below = if edge.is_empty() {
+            indent.to_owned()
+        } else {
+            format!("{indent}  ")
         };
         for lost in &step.lost {
             line!(text, "{below}  {lost} is not in the store any more");

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use serde::Serialize;
 use serde_json::Value;
 
-use super::super::error::{CliError, Diagnostic};
+use marf_run::{Diagnostic, Error};
 
 /// Ticks a second in /proc/self/stat, on every Linux.
 const TICKS_PER_S: f64 = 100.0;
@@ -31,10 +31,10 @@ pub struct Cost {
 ///
 /// # Errors
 /// A program that cannot be started, or that fails; its words are the cause.
-pub fn run(dir: &Path, arguments: &[&str]) -> Result<(Cost, Vec<Value>), CliError> {
+pub fn run(dir: &Path, arguments: &[&str]) -> Result<(Cost, Vec<Value>), Error> {
     let failed = |cause: String| {
         let message = format!("`marf {}` in {} failed", arguments.join(" "), dir.display());
-        CliError::Failed(Diagnostic {
+        Error::Failed(Diagnostic {
             message,
             cause: Some(cause),
             hint: None,

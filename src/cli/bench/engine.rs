@@ -7,14 +7,14 @@ use rayon::prelude::*;
 use serde::Serialize;
 use serde_json::Value;
 
-use super::super::args::Global;
-use super::super::error::{CliError, Diagnostic};
-use super::super::files;
 use super::FIVE_NODES;
 use super::args::EngineArgs;
 use super::child::{Cost, bytes_below, random, run};
 use super::pictures::{Shade, picture};
+use crate::cli::global::Global;
 use crate::terminal::{eprint_line, print_line};
+use marf_run::files;
+use marf_run::{Diagnostic, Error};
 
 /// The archive of the pipeline.
 const ARCHIVE: &str = "name = \"bench\"\n[archive.photos]\nkind = \"folder\"\npath = \"photos\"\n";
@@ -42,9 +42,9 @@ struct Phase {
 ///
 /// # Errors
 /// A folder that cannot be written, a run that fails, the wish to stop.
-pub fn engine(global: &Global, args: &EngineArgs, cancel: &Cancel) -> Result<(), CliError> {
+pub fn engine(global: &Global, args: &EngineArgs, cancel: &Cancel) -> Result<(), Error> {
     if args.sols == 0 || args.photos < u64::from(args.sols) {
-        return Err(CliError::usage(format!(
+        return Err(Error::usage(format!(
             "{} photos cannot fill {} sols; give each sol one at least",
             args.photos, args.sols
         )));
@@ -52,7 +52,7 @@ pub fn engine(global: &Global, args: &EngineArgs, cancel: &Cancel) -> Result<(),
     for round in 1..=args.rounds {
         let dir = args.dir.join(format!("round-{round}"));
         if dir.exists() {
-            return Err(CliError::usage(format!(
+            return Err(Error::usage(format!(
                 "{} is there already; remove it or name another folder with --dir",
                 dir.display()
             )));
@@ -75,7 +75,7 @@ fn one_round(
     round: u32,
     dir: &Path,
     cancel: &Cancel,
-) -> Result<(), CliError> {
+) -> Result<(), Error> {
     let pipeline = [ARCHIVE, FIVE_NODES].concat();
     files::write(&dir.join("pipeline.toml"), pipeline.as_bytes())?;
     let photos = Photos {
@@ -124,9 +124,9 @@ struct Bench<'a> {
 
 impl Bench<'_> {
     /// Runs the pipeline once as a program of its own and prints what it cost.
-    fn phase(&mut self, phase: &'static str, cancel: &Cancel) -> Result<(), CliError> {
+    fn phase(&mut self, phase: &'static str, cancel: &Cancel) -> Result<(), Error> {
         if cancel.is_set() {
-            return Err(CliError::Interrupted);
+            return Err(Error::Interrupted);
         }
         let threads = self.global.threads.map(|threads| threads.to_string());
         let mut arguments = vec!["--json", "run"];
@@ -151,7 +151,7 @@ impl Bench<'_> {
             photo_bytes: bytes_below(&self.dir.join("photos")),
             decided: decided.collect(),
         };
-        print_line(&serde_json::to_string(&phase).map_err(|error| CliError::failed(error.to_string()))?);
+        print_line(&serde_json::to_string(&phase).map_err(|error| Error::failed(error.to_string()))?);
         Ok(())
     }
 }
@@ -166,18 +166,18 @@ struct Photos {
 
 impl Photos {
     /// Writes the photos of some sols.
-    fn make(&self, sols: std::ops::Range<u32>, cancel: &Cancel) -> Result<(), CliError> {
+    fn make(&self, sols: std::ops::Range<u32>, cancel: &Cancel) -> Result<(), Error> {
         std::fs::create_dir_all(&self.dir).map_err(|error| unwritable(&self.dir, &error))?;
         sols.into_par_iter().try_for_each(|sol| {
             if cancel.is_set() {
-                return Err(CliError::Interrupted);
+                return Err(Error::Interrupted);
             }
             (0..self.a_sol).try_for_each(|at| self.write(sol, at))
         })
     }
 
     /// Writes one photo. Of the flawed ones a third each is small, empty, and a darker copy of the one before it.
-    fn write(&self, sol: u32, at: u64) -> Result<(), CliError> {
+    fn write(&self, sol: u32, at: u64) -> Result<(), Error> {
         let number = u64::from(sol) * self.a_sol + at;
         let share = (random(number, 7) % 10_000) as f64 / 10_000.0;
         let is_flawed = share < self.flawed && at > 0;
@@ -203,14 +203,14 @@ impl Photos {
     }
 }
 
-fn unwritable(path: &Path, error: &std::io::Error) -> CliError {
-    CliError::Failed(Diagnostic {
+fn unwritable(path: &Path, error: &std::io::Error) -> Error {
+    Error::Failed(Diagnostic {
         message: format!("cannot write {}", path.display()),
         cause: Some(error.to_string()),
         hint: Some("choose another place with --dir".to_owned()),
     })
 }
 
-fn remove(dir: &Path) -> Result<(), CliError> {
+fn remove(dir: &Path) -> Result<(), Error> {
     std::fs::remove_dir_all(dir).map_err(|error| unwritable(dir, &error))
 }

@@ -15,11 +15,11 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
-use super::super::args::Global;
-use super::super::error::{CliError, Diagnostic};
 use super::args::{ItemsArgs, ItemsPhase};
 use super::child::{bytes_below, run};
+use crate::cli::global::Global;
 use crate::terminal::print_line;
+use marf_run::{Diagnostic, Error};
 
 /// Rows that are made from their numbers.
 struct SyntheticItems(ItemsParams);
@@ -108,7 +108,7 @@ impl Source for SyntheticItems {
 ///
 /// # Errors
 /// A folder that cannot be written, a run that fails, the wish to stop.
-pub fn items(global: &Global, args: &ItemsArgs, cancel: &Cancel) -> Result<(), CliError> {
+pub fn items(global: &Global, args: &ItemsArgs, cancel: &Cancel) -> Result<(), Error> {
     if let Some(phase) = args.phase {
         return one_run(global, args, phase, cancel);
     }
@@ -120,7 +120,7 @@ pub fn items(global: &Global, args: &ItemsArgs, cancel: &Cancel) -> Result<(), C
     for (phase, name, rounds) in phases {
         for round in 1..=rounds {
             if cancel.is_set() {
-                return Err(CliError::Interrupted);
+                return Err(Error::Interrupted);
             }
             let dir = std::path::absolute(&args.dir).unwrap_or_else(|_| args.dir.clone());
             let dir = dir.display().to_string();
@@ -141,7 +141,7 @@ pub fn items(global: &Global, args: &ItemsArgs, cancel: &Cancel) -> Result<(), C
 }
 
 /// Runs the pipeline of synthetic items once and prints its nodes.
-fn one_run(global: &Global, args: &ItemsArgs, phase: ItemsPhase, cancel: &Cancel) -> Result<(), CliError> {
+fn one_run(global: &Global, args: &ItemsArgs, phase: ItemsPhase, cancel: &Cancel) -> Result<(), Error> {
     let sols = match phase {
         ItemsPhase::All => args.sols,
         ItemsPhase::OneMore => args.sols.saturating_add(1),
@@ -162,13 +162,13 @@ fn one_run(global: &Global, args: &ItemsArgs, phase: ItemsPhase, cancel: &Cancel
     }
     match record.outcome {
         Outcome::Done => Ok(()),
-        Outcome::Cancelled => Err(CliError::Interrupted),
-        Outcome::Failed => Err(CliError::Failed(Diagnostic::new("a node failed"))),
+        Outcome::Cancelled => Err(Error::Interrupted),
+        Outcome::Failed => Err(Error::Failed(Diagnostic::new("a node failed"))),
     }
 }
 
 /// Returns the graph: the source and two filters that read facts alone.
-fn graph(sols: u32, a_sol: u64) -> Result<Graph, CliError> {
+fn graph(sols: u32, a_sol: u64) -> Result<Graph, Error> {
     let mut table: Vec<StageDef> = marf_stages::stages().to_vec();
     table.push(define::<SyntheticItems>());
     let mut decls = Vec::new();
@@ -179,8 +179,8 @@ fn graph(sols: u32, a_sol: u64) -> Result<Graph, CliError> {
     ];
     for (name, params, upstream) in nodes {
         let def = table.iter().find(|def| def.name == name).copied();
-        let stage = def.ok_or_else(|| CliError::failed(format!("there is no stage `{name}`")))?;
-        let bound = (stage.bind)(params).map_err(|error| CliError::failed(error.to_string()))?;
+        let stage = def.ok_or_else(|| Error::failed(format!("there is no stage `{name}`")))?;
+        let bound = (stage.bind)(params).map_err(|error| Error::failed(error.to_string()))?;
         let edge = upstream.map(|upstream| Edge::new("input", upstream));
         decls.push(NodeDecl {
             name: name.to_owned(),

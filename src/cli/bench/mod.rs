@@ -15,10 +15,9 @@ mod pictures;
 mod table1;
 mod train;
 
-use marf_engine::Cancel;
+use marf_run::{Context, Error};
 
-use super::args::Global;
-use super::error::CliError;
+use super::global::Global;
 
 pub use args::BenchVerb;
 
@@ -29,13 +28,13 @@ const FIVE_NODES: &str = include_str!("five_nodes.toml");
 ///
 /// # Errors
 /// Those of the verb.
-pub fn bench(global: &Global, verb: &BenchVerb, cancel: &Cancel) -> Result<(), CliError> {
+pub fn bench(global: &Global, verb: &BenchVerb, context: &Context) -> Result<(), Error> {
     match verb {
-        BenchVerb::Train(args) => train::train(global, args, cancel),
-        BenchVerb::Engine(args) => engine::engine(global, args, cancel),
-        BenchVerb::Items(args) => items::items(global, args, cancel),
-        BenchVerb::Table1(args) => table1::table1(global, args, cancel),
+        BenchVerb::Train(args) => train::train(args, context),
+        BenchVerb::Engine(args) => engine::engine(global, args, &context.cancel),
+        BenchVerb::Items(args) => items::items(global, args, &context.cancel),
+        BenchVerb::Table1(args) => table1::table1(global, args, context),
         #[cfg(unix)]
-        BenchVerb::Faults(args) => faults::faults(args, cancel),
+        BenchVerb::Faults(args) => faults::faults(args, &context.cancel),
     }
 }

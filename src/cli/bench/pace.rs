@@ -5,7 +5,7 @@ use std::time::Instant;
 use marf_engine::Cancel;
 use marf_field::{Config, Device, Pace, Trainer, View};
 
-use super::super::error::CliError;
+use marf_run::Error;
 
 /// A training whose size follows the pace of its device.
 #[derive(Clone, Copy)]
@@ -23,8 +23,8 @@ impl Paced<'_> {
     ///
     /// # Errors
     /// As those of trainings; the wish to stop.
-    pub fn config(self, views: &[View], config: &Config, seconds: f64) -> Result<(Config, f64), CliError> {
-        let failed = |error: marf_field::FieldError| CliError::failed(error.to_string());
+    pub fn config(self, views: &[View], config: &Config, seconds: f64) -> Result<(Config, f64), Error> {
+        let failed = |error: marf_field::FieldError| Error::failed(error.to_string());
         let new = |config: &Config| {
             let trainer = Trainer::new(views.to_vec(), self.points, config, self.seed);
             trainer
@@ -50,7 +50,7 @@ impl Paced<'_> {
                 ..config.clone()
             })?;
             let pace = self.train_for(&mut trainer, half_s)?;
-            Ok::<_, CliError>((trainer, pace))
+            Ok::<_, Error>((trainer, pace))
         };
         let (trainer, pace) = pace.settled(trainer, seconds, steps_of, measured)?;
         let (used_s, steps) = (begun.elapsed().as_secs_f64(), steps_of(&pace));
@@ -63,15 +63,15 @@ impl Paced<'_> {
     }
 
     /// Trains for a time, at least one step.
-    fn train_for(self, trainer: &mut Trainer, seconds: f64) -> Result<Pace, CliError> {
+    fn train_for(self, trainer: &mut Trainer, seconds: f64) -> Result<Pace, Error> {
         let (begun, before) = (Instant::now(), trainer.steps());
         // A slow device may need longer for sixteen steps, which a GPU takes at once, than the time is.
         let (mut rays, mut samples, mut most) = (0, 0, 1_u64);
         loop {
             if self.cancel.is_set() {
-                return Err(CliError::Interrupted);
+                return Err(Error::Interrupted);
             }
-            let failed = |error: marf_field::FieldError| CliError::failed(error.to_string());
+            let failed = |error: marf_field::FieldError| Error::failed(error.to_string());
             let step = trainer.advance(most).map_err(failed)?;
             (rays, samples, most) = (rays + step.rays, samples + step.samples, most.saturating_mul(2));
             if begun.elapsed().as_secs_f64() >= seconds {

@@ -3,8 +3,8 @@
 use marf_field::View;
 use marf_scene::{Frame, Image, Photo, Scene, Srgb, picture_names};
 
-use super::super::error::CliError;
-use super::super::session::Session;
+use marf_run::Error;
+use marf_run::session::Session;
 
 /// A view to score: name of its picture, its frame, its photo.
 #[derive(Clone)]
@@ -28,13 +28,13 @@ pub struct Photos {
 ///
 /// # Errors
 /// A photo that cannot be decoded; no photo held out.
-pub fn photos(session: &Session, scene: &Scene, scale: u32, most: usize) -> Result<Photos, CliError> {
+pub fn photos(session: &Session, scene: &Scene, scale: u32, most: usize) -> Result<Photos, Error> {
     let (mut views, mut tests, mut explained) = (Vec::new(), Vec::new(), Vec::new());
     let training = scene.frames.iter().filter(|frame| !frame.held_out).count();
     let every = training.checked_div(most).map(|_| training.div_ceil(most));
     for (frame, name) in scene.frames.iter().zip(picture_names(scene)) {
         let photo = Photo::decode(&session.store.get(&frame.image)?);
-        let photo = photo.map_err(|error| CliError::failed(format!("photo `{}`: {error}", frame.id)))?;
+        let photo = photo.map_err(|error| Error::failed(format!("photo `{}`: {error}", frame.id)))?;
         let photo = photo.image.box_reduced(scale);
         let camera = frame.camera.box_reduced(scale);
         let frame = Frame {
@@ -57,9 +57,7 @@ pub fn photos(session: &Session, scene: &Scene, scale: u32, most: usize) -> Resu
         }
     }
     if tests.is_empty() {
-        return Err(CliError::failed(
-            "no photo is held out: `test_filenames` names none",
-        ));
+        return Err(Error::failed("no photo is held out: `test_filenames` names none"));
     }
     Ok(Photos {
         views,

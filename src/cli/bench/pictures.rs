@@ -2,8 +2,8 @@
 
 use marf_scene::{Image, Srgb, encode_jpeg};
 
-use super::super::error::CliError;
 use super::child::random;
+use marf_run::Error;
 
 /// Columns and rows of squares in a picture.
 const SQUARES: (u32, u32) = (16, 12);
@@ -25,7 +25,8 @@ pub enum Shade {
 ///
 /// # Errors
 /// What the encoder refuses.
-pub fn picture(seed: u64, (width, height): (u32, u32), shade: Shade) -> Result<Vec<u8>, CliError> {
+pub fn picture(seed: u64, size: (u32, u32), shade: Shade) -> Result<Vec<u8>, Error> {
+    let (width, height) = size;
     let image: Image<Srgb> = Image::from_fn(width, height, |x, y| {
         let square = u64::from(y * SQUARES.1 / height * SQUARES.0 + x * SQUARES.0 / width);
         let channel = |channel: u64| {
@@ -38,5 +39,5 @@ pub fn picture(seed: u64, (width, height): (u32, u32), shade: Shade) -> Result<V
         };
         [channel(0), channel(1), channel(2)]
     });
-    encode_jpeg(&image, QUALITY).map_err(|error| CliError::failed(error.to_string()))
+    encode_jpeg(&image, QUALITY).map_err(|error| Error::failed(error.to_string()))
 }

@@ -3,20 +3,20 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use marf_engine::{Cancel, Options};
+use marf_engine::Options;
 use marf_schema::train::{Metrics, TrainParams};
 use marf_stage::Params;
 use serde::Serialize;
 
-use crate::cli::args::Global;
-use crate::cli::budget::whole_seconds;
-use crate::cli::error::CliError;
-use crate::cli::folder;
+use crate::cli::global::Global;
 use crate::cli::output::print_json;
-use crate::cli::run::{execute, options};
-use crate::cli::scenes;
-use crate::cli::session::{Session, node_named};
 use crate::terminal::print_line;
+use marf_run::budget::whole_seconds;
+use marf_run::execute::{execute, options};
+use marf_run::folder;
+use marf_run::scenes;
+use marf_run::session::{Session, node_named};
+use marf_run::{Context, Error};
 
 /// The paper's rows: seconds, then dB for Curiosity, Perseverance and Ingenuity. Its photos and their number are not given, nor the
 /// machine; the views are those trained on, the peak is each photo's largest value.
@@ -64,12 +64,12 @@ struct Row {
 ///
 /// # Errors
 /// A time that is none, and whatever keeps a training from its end.
-pub fn table1(global: &Global, args: &Table1Args, cancel: &Cancel) -> Result<(), CliError> {
+pub fn table1(global: &Global, args: &Table1Args, context: &Context) -> Result<(), Error> {
     let times = args.budget.iter().map(|text| whole_seconds(text));
     let times = times.collect::<Result<Vec<u32>, _>>()?;
     let mut rows = Vec::new();
     for budget_s in times {
-        let row = row(global, args, budget_s, cancel)?;
+        let row = row(args, budget_s, context)?;
         if !global.json {
             if rows.is_empty() {
                 print_line(HEAD);
@@ -78,32 +78,29 @@ pub fn table1(global: &Global, args: &Table1Args, cancel: &Cancel) -> Result<(),
         }
         rows.push(row);
     }
-    match global.json {
-        true => print_json(&rows),
-        false => {
-            print_line(FOOT);
-            Ok(())
-        }
+    if global.json {
+        return print_json(&rows);
     }
+    print_line(FOOT);
+    Ok(())
 }
 
-fn row(global: &Global, args: &Table1Args, budget_s: u32, cancel: &Cancel) -> Result<Row, CliError> {
+fn row(args: &Table1Args, budget_s: u32, context: &Context) -> Result<Row, Error> {
     let name = TrainParams::STAGE;
-    let global = Global {
-        sets: [&global.sets[..], &[format!("{name}.budget={budget_s}s")]].concat(),
-        ..global.clone()
+    let context = Context {
+        sets: [&context.sets[..], &[format!("{name}.budget={budget_s}s")]].concat(),
+        ..context.clone()
     };
     let session = match &args.dir {
-        Some(dir) => Session::implicit(&folder::training("table1", dir), &global, cancel)?,
-        None => Session::open(&global, cancel)?,
+        Some(dir) => Session::implicit(&folder::training("table1", dir), &context)?,
+        None => Session::open(&context)?,
     };
     scenes::one(&session)?;
     let options = Options {
         to: vec![name.to_owned()],
-        ..options(&global, &session.name)
+        ..options(&session)
     };
-    let (record, ended) = execute(&session, &options, &global, cancel)?;
-    ended?;
+    let record = execute(&session, &options)?.done()?;
     let node = node_named(&record, name)?;
     let metrics: Metrics = session.document(node)?;
     let made = node.key.and_then(|key| session.store.record(&key).ok().flatten());

@@ -5,6 +5,7 @@
 //! so it is not kept in the store.
 
 use std::path::Path;
+use std::sync::Arc;
 
 use marf_cache::Digest;
 use marf_engine::{Cancel, Options};
@@ -16,19 +17,19 @@ use marf_schema::train::TrainParams;
 use marf_stage::Params;
 use serde::Deserialize;
 
-use super::super::args::Global;
-use super::super::error::CliError;
-use super::super::folder;
-use super::super::run::{execute, options};
-use super::super::session::{Session, node_named};
-use super::super::{budget, files};
 use super::args::{Clock, TrainArgs};
 use super::effort::{Effort, peak_mb};
 use super::explain;
 use super::line::{Budget, Explained, Line, table};
 use super::pace::Paced;
 use super::photos::{Photos, TestView, photos};
+use crate::cli::feedback::Terminal;
 use crate::terminal::{eprint_line, print_line};
+use marf_run::execute::{execute, options};
+use marf_run::folder;
+use marf_run::session::{Session, node_named};
+use marf_run::{Context, Error};
+use marf_run::{budget, files};
 
 /// The end of a training by the clock is planned again, from its rate so far, after each such part of it.
 const PLANNED_EVERY: f64 = 1.0 / 16.0;
@@ -43,13 +44,13 @@ struct BenchParams {
     device: Device,
 }
 
-fn budgets(args: &TrainArgs) -> Result<Vec<Budget>, CliError> {
+fn budgets(args: &TrainArgs) -> Result<Vec<Budget>, Error> {
     let seconds = args
         .seconds
         .iter()
         .map(|text| Ok(Budget::Seconds(budget::whole_seconds(text)?)));
     let mut budgets = match args.steps.as_slice() {
-        [] => seconds.collect::<Result<Vec<_>, CliError>>()?,
+        [] => seconds.collect::<Result<Vec<_>, Error>>()?,
         steps => steps.iter().map(|steps| Budget::Steps((*steps).max(1))).collect(),
     };
     budgets.sort_unstable();
@@ -61,34 +62,34 @@ fn budgets(args: &TrainArgs) -> Result<Vec<Budget>, CliError> {
 const EXPLAINED: usize = 24;
 
 /// `marf bench train DIR`: a training a budget, of the size that the budget fills.
-pub fn train(global: &Global, args: &TrainArgs, cancel: &Cancel) -> Result<(), CliError> {
+pub fn train(args: &TrainArgs, context: &Context) -> Result<(), Error> {
     let budgets = budgets(args)?;
     // Events of the import would stand between the lines.
-    let quiet = Global {
-        json: false,
-        ..global.clone()
+    let quiet = Context {
+        feedback: Arc::new(Terminal::with_progress()),
+        ..context.clone()
     };
-    let session = Session::implicit(&folder::training("bench", &args.dir), &quiet, cancel)?;
+    let session = Session::implicit(&folder::training("bench", &args.dir), &quiet)?;
     let keys = keys(&session)?;
     let config = keys
         .field
         .over(&Config::default())
-        .map_err(|error| CliError::usage(format!("train.field.{}: {}", error.key, error.message)))?;
-    let scene = import(&session, &quiet, cancel)?;
+        .map_err(|error| Error::usage(format!("train.field.{}: {}", error.key, error.message)))?;
+    let scene = import(&session)?;
     let most = if args.explain { EXPLAINED } else { 0 };
     let Photos {
         views,
         tests,
         explained,
     } = photos(&session, &scene, keys.scale.unwrap_or(1), most)?;
-    let threads = global.threads.map_or(0, std::num::NonZero::get);
+    let threads = context.threads.map_or(0, std::num::NonZero::get);
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
-    let pool = pool.map_err(|error| CliError::failed(format!("threads cannot be started: {error}")))?;
+    let pool = pool.map_err(|error| Error::failed(format!("threads cannot be started: {error}")))?;
     let bench = Bench {
         clock: args.clock,
         threads: pool.current_num_threads(),
         out: &args.out,
-        cancel,
+        cancel: &context.cancel,
         device: &keys.device,
         has_batch: keys.field.0.contains_key("batch_samples"),
         explained: args.explain.then_some(&explained),
@@ -99,26 +100,25 @@ pub fn train(global: &Global, args: &TrainArgs, cancel: &Cancel) -> Result<(), C
     Ok(())
 }
 
-fn keys(session: &Session) -> Result<BenchParams, CliError> {
+fn keys(session: &Session) -> Result<BenchParams, Error> {
     let node = session.nodes.iter().find(|node| node.name == TrainParams::STAGE);
     let mut params = node.map(|node| node.params.clone()).unwrap_or_default();
     if let Some(table) = params.as_object_mut() {
         table.retain(|_, value| !value.is_null());
     }
-    serde_json::from_value(params).map_err(|error| CliError::usage(format!("train: {error}")))
+    serde_json::from_value(params).map_err(|error| Error::usage(format!("train: {error}")))
 }
 
 /// Runs what leads to the cameras.
-fn import(session: &Session, global: &Global, cancel: &Cancel) -> Result<Scene, CliError> {
+fn import(session: &Session) -> Result<Scene, Error> {
     let options = Options {
         to: vec![CalibrateParams::STAGE.to_owned()],
-        ..options(global, &session.name)
+        ..options(session)
     };
-    let (record, ended) = execute(session, &options, global, cancel)?;
-    ended?;
+    let record = execute(session, &options)?.done()?;
     let node = node_named(&record, CalibrateParams::STAGE)?;
     let bytes = session.output(node, output::SCENE)?;
-    Scene::decode(&bytes).map_err(|error| CliError::failed(error.to_string()))
+    Scene::decode(&bytes).map_err(|error| Error::failed(error.to_string()))
 }
 
 /// Settings of a benchmark.
@@ -143,7 +143,7 @@ impl Bench<'_> {
         points: &[[f64; 3]],
         (config, seed): (&Config, u64),
         budgets: &[Budget],
-    ) -> Result<Vec<Line>, CliError> {
+    ) -> Result<Vec<Line>, Error> {
         let mut lines = Vec::new();
         for budget in budgets {
             let expected = Config {
@@ -161,7 +161,7 @@ impl Bench<'_> {
             line.paced_s = paced_s;
             line.explained = self.explain(&mut trainer, views, tests)?;
             let text = serde_json::to_string(&line);
-            print_line(&text.map_err(|error| CliError::failed(error.to_string()))?);
+            print_line(&text.map_err(|error| Error::failed(error.to_string()))?);
             lines.push(line);
         }
         Ok(lines)
@@ -175,7 +175,7 @@ impl Bench<'_> {
         points: &[[f64; 3]],
         (config, seed): (&Config, u64),
         budget: Budget,
-    ) -> Result<(Config, f64), CliError> {
+    ) -> Result<(Config, f64), Error> {
         let Budget::Seconds(seconds) = budget else {
             return Ok((config.clone(), 0.0));
         };
@@ -196,8 +196,8 @@ impl Bench<'_> {
         points: &[[f64; 3]],
         (config, seed): (&Config, u64),
         (budget, used_s): (Budget, f64),
-    ) -> Result<(Trainer, Effort), CliError> {
-        let failed = |error: marf_field::FieldError| CliError::failed(error.to_string());
+    ) -> Result<(Trainer, Effort), Error> {
+        let failed = |error: marf_field::FieldError| Error::failed(error.to_string());
         let mut effort = Effort::default();
         let mut trainer = effort
             .timed(|| Trainer::new(views, points, config, seed))
@@ -212,7 +212,7 @@ impl Bench<'_> {
         let mut planned = PLANNED_EVERY;
         while is_open(&trainer, &effort) {
             if self.cancel.is_set() {
-                return Err(CliError::Interrupted);
+                return Err(Error::Interrupted);
             }
             if let Budget::Seconds(seconds) = budget {
                 let share = self.seconds(&effort) / (f64::from(seconds) - used_s).max(f64::MIN_POSITIVE);
@@ -249,8 +249,8 @@ impl Bench<'_> {
         tests: &[TestView],
         effort: &Effort,
         budget: Budget,
-    ) -> Result<Line, CliError> {
-        let failed = |error: marf_field::FieldError| CliError::failed(error.to_string());
+    ) -> Result<Line, Error> {
+        let failed = |error: marf_field::FieldError| Error::failed(error.to_string());
         let field = trainer.field().map_err(failed)?;
         let folder = self.out.join(budget.to_string());
         let mut rendering = Effort::default();
@@ -258,7 +258,7 @@ impl Bench<'_> {
         for test in tests {
             let render = rendering.timed(|| rendered(&field, test)).map_err(failed)?;
             rendering.rays += render.pixels.len() as u64;
-            let fail = |error: &dyn std::fmt::Display| CliError::failed(format!("{}: {error}", test.name));
+            let fail = |error: &dyn std::fmt::Display| Error::failed(format!("{}: {error}", test.name));
             psnr.push(metrics::psnr(&render, &test.photo, &[]).map_err(|error| fail(&error))?);
             paper.extend(metrics::psnr_paper(&render, &test.photo, &[]));
             ssim.extend(metrics::ssim(&render, &test.photo, &[]));
@@ -293,11 +293,11 @@ impl Bench<'_> {
         trainer: &mut Trainer,
         views: &[View],
         tests: &[TestView],
-    ) -> Result<Option<Explained>, CliError> {
+    ) -> Result<Option<Explained>, Error> {
         let Some(photos) = self.explained else {
             return Ok(None);
         };
-        let failed = |error: marf_field::FieldError| CliError::failed(error.to_string());
+        let failed = |error: marf_field::FieldError| Error::failed(error.to_string());
         let field = trainer.field().map_err(failed)?;
         let cameras: Vec<_> = views.iter().map(|view| view.cam_from_world).collect();
         let explained = Explained {

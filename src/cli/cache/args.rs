@@ -1,6 +1,9 @@
 //! The arguments of `marf cache`.
 
+use std::time::Duration;
+
 use clap::{Args, Subcommand};
+use marf_run::Error;
 
 /// Verbs of `cache`.
 #[derive(Debug, Clone, Subcommand)]
@@ -91,4 +94,16 @@ pub struct FsckArgs {
     /// Verify a shared store in place of the own: that of the pipeline, or this one
     #[arg(long, value_name = "URL")]
     pub remote: Option<Option<String>>,
+}
+
+impl GcArgs {
+    /// Reads the time to keep: `24h`, `30m`, `0s`.
+    ///
+    /// # Errors
+    /// A text that is no time.
+    pub fn grace(&self) -> Result<Duration, Error> {
+        let text = &self.grace;
+        humantime::parse_duration(text)
+            .map_err(|error| Error::usage(format!("--grace {text}: {error}; write a time, such as 24h")))
+    }
 }

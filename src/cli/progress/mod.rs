@@ -8,10 +8,13 @@ use std::io::IsTerminal as _;
 
 use marf_engine::{Event, Listener};
 use marf_progress::Standing;
+use marf_run::RunFeedback;
 
 use bars::Bars;
 pub use json_lines::JsonLines;
 use lines::Lines;
+
+use crate::terminal::eprint_line;
 
 /// How the events of a run are printed.
 pub enum Progress {
@@ -34,9 +37,14 @@ impl Progress {
     }
 }
 
-impl Progress {
-    /// Tells how far the whole run is.
-    pub fn on_standing(&self, standing: &Standing) {
+impl RunFeedback for Progress {
+    fn on_devices(&self, devices: &str) {
+        if !matches!(self, Self::Json(_)) {
+            eprint_line(&format!("device  {devices}"));
+        }
+    }
+
+    fn on_standing(&self, standing: &Standing) {
         match self {
             Self::Json(_) => {}
             Self::Bars(bars) => bars.on_standing(standing),

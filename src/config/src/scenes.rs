@@ -35,7 +35,7 @@ pub fn scene_of(node: &str) -> Option<&str> {
 
 impl ByScene {
     /// Returns which nodes run for each scene; none where nothing is split by place, or has been already.
-    pub fn of(pipeline: &Pipeline) -> Option<Self> {
+    pub fn from_pipeline(pipeline: &Pipeline) -> Option<Self> {
         let mut nodes = pipeline.nodes.iter();
         let split = nodes
             .find(|node| node.def.name == ScenesParams::STAGE)?
@@ -125,9 +125,10 @@ impl ByScene {
 
     /// Returns the nodes that a name stands for: of one that runs for each scene, that of each of these.
     pub fn named(&self, name: &str, scenes: &[String]) -> Vec<String> {
-        match self.nodes.contains(name) {
-            true => scenes.iter().map(|scene| node_of(name, scene)).collect(),
-            false => vec![name.to_owned()],
+        if self.nodes.contains(name) {
+            scenes.iter().map(|scene| node_of(name, scene)).collect()
+        } else {
+            vec![name.to_owned()]
         }
     }
 }
@@ -169,7 +170,7 @@ of = "train"
     #[test]
     fn what_follows_from_the_scenes_runs_for_each_and_nothing_else() {
         let pipeline = pipeline(MISSION);
-        let by_scene = ByScene::of(&pipeline).unwrap();
+        let by_scene = ByScene::from_pipeline(&pipeline).unwrap();
         assert_eq!(by_scene.split, "scenes");
         assert_eq!(
             Vec::from_iter(&by_scene.nodes),
@@ -198,7 +199,7 @@ of = "train"
         assert_eq!(tree["node"]["bootstrap@a"]["of"], "train@a");
         assert_eq!(tree["node"]["train@a"]["steps"], 50);
         // What has its scenes is not split again.
-        assert_eq!(ByScene::of(&expanded), None);
+        assert_eq!(ByScene::from_pipeline(&expanded), None);
         assert_eq!(by_scene.named("train", &scenes), ["train@a", "train@b"]);
         assert_eq!(by_scene.named("extract", &scenes), ["extract"]);
         assert_eq!((scene_of("train@a"), scene_of("train")), (Some("a"), None));
@@ -207,7 +208,7 @@ of = "train"
     #[test]
     fn what_takes_several_nodes_runs_once_and_reads_all_scenes() {
         let pipeline = pipeline(&format!("{MISSION}[node.ties]\ninput = \"calibrate\"\n"));
-        let by_scene = ByScene::of(&pipeline).unwrap();
+        let by_scene = ByScene::from_pipeline(&pipeline).unwrap();
         assert_eq!(Vec::from_iter(&by_scene.after), ["ties"]);
         assert!(!by_scene.nodes.contains("ties"));
         let tree = by_scene.expanded(&pipeline, &["a".to_owned(), "b".to_owned()]);
@@ -248,10 +249,10 @@ of = "train"
     fn a_pipeline_without_places_has_no_node_by_scene() {
         let whole = MISSION.replace("[node.scenes]\ninput = \"extract\"\n", "");
         let whole = whole.replace("input = \"scenes\"", "input = \"extract\"");
-        assert_eq!(ByScene::of(&pipeline(&whole)), None);
+        assert_eq!(ByScene::from_pipeline(&pipeline(&whole)), None);
         let one = MISSION.replace("input = \"scenes\"", "input = \"scenes/site1-20\"");
         assert_eq!(
-            ByScene::of(&pipeline(&one)),
+            ByScene::from_pipeline(&pipeline(&one)),
             None,
             "one scene by its name is no template"
         );

@@ -59,14 +59,15 @@ fn stage_schema(def: &marf_stage::StageDef) -> Json {
     }
     schema["properties"]["uses"] = json!({"const": def.name});
     for port in def.ports {
-        schema["properties"][port.key] = match port.many {
-            false => json!({"type": "string", "description": format!("Node that gives `{}`.", port.output)}),
-            true => json!({
+        schema["properties"][port.key] = if port.many {
+            json!({
                 "type": ["string", "array"],
                 "items": {"type": "string"},
                 "minItems": 1,
                 "description": format!("Nodes that give `{}`.", port.output),
-            }),
+            })
+        } else {
+            json!({"type": "string", "description": format!("Node that gives `{}`.", port.output)})
         };
     }
     schema["additionalProperties"] = json!(false);

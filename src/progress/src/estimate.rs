@@ -23,7 +23,7 @@ pub struct Expected {
 
 impl Expected {
     /// Returns what earlier runs of a pipeline tell, the newest first.
-    pub fn of<'r>(runs: impl Iterator<Item = &'r RunRecord>) -> Self {
+    pub fn from_runs<'r>(runs: impl Iterator<Item = &'r RunRecord>) -> Self {
         let mut seconds = BTreeMap::new();
         let mut at_once: Option<f64> = None;
         for run in runs {

@@ -8,7 +8,7 @@ use serde_json::Value;
 
 use super::lab::{Lab, Outputs, Variant};
 use super::{Outcome, RoundError};
-use crate::cli::error::CliError;
+use marf_run::Error;
 
 /// A pipeline in a folder of its own.
 pub struct Case<'a> {
@@ -37,10 +37,11 @@ impl<'a> Case<'a> {
     ///
     /// # Errors
     /// A folder that cannot be removed.
-    pub fn remove(&self) -> Result<(), CliError> {
-        match self.dir.exists() {
-            true => super::remove(&self.dir),
-            false => Ok(()),
+    pub fn remove(&self) -> Result<(), Error> {
+        if self.dir.exists() {
+            super::remove(&self.dir)
+        } else {
+            Ok(())
         }
     }
 
@@ -139,18 +140,19 @@ impl<'a> Case<'a> {
     ///
     /// # Errors
     /// Files that cannot be copied.
-    pub fn copy_store(&self, from: &Case<'_>) -> Result<(), CliError> {
+    pub fn copy_store(&self, from: &Case<'_>) -> Result<(), Error> {
         let (from, to) = (from.store(), self.store());
         let failed =
-            |error: std::io::Error| CliError::failed(format!("cannot copy {}: {error}", from.display()));
+            |error: std::io::Error| Error::failed(format!("cannot copy {}: {error}", from.display()));
         for entry in walkdir::WalkDir::new(&from).into_iter().filter_map(Result::ok) {
             let Ok(below) = entry.path().strip_prefix(&from) else {
                 continue;
             };
             let target = to.join(below);
-            match entry.file_type().is_dir() {
-                true => std::fs::create_dir_all(&target).map_err(failed)?,
-                false => drop(std::fs::copy(entry.path(), &target).map_err(failed)?),
+            if entry.file_type().is_dir() {
+                std::fs::create_dir_all(&target).map_err(failed)?;
+            } else {
+                std::fs::copy(entry.path(), &target).map_err(failed)?;
             }
         }
         Ok(())
@@ -170,9 +172,10 @@ pub fn files_of(dir: &Path) -> Vec<PathBuf> {
 
 /// Checks that a program ended well.
 pub fn is_success(what: &str, output: &Output) -> Outcome {
-    match output.status.success() {
-        true => Ok(()),
-        false => Err(bad_end(what, output)),
+    if output.status.success() {
+        Ok(())
+    } else {
+        Err(bad_end(what, output))
     }
 }
 

@@ -7,7 +7,7 @@ use super::case::{Case, is_success};
 use super::eight::{PROGRAMS, THREADS};
 use super::lab::{Lab, Variant};
 use super::{Injector, Outcome, RoundError};
-use crate::cli::error::CliError;
+use marf_run::Error;
 
 /// Exit code of a collection that another one kept from its work.
 const BUSY: i32 = 11;
@@ -25,9 +25,9 @@ impl<'a> Collect<'a> {
     ///
     /// # Errors
     /// A folder that cannot be written.
-    pub fn new(lab: &'a Lab) -> Result<Self, CliError> {
+    pub fn new(lab: &'a Lab) -> Result<Self, Error> {
         let case = lab.case(&Fault::Collect.word())?;
-        std::fs::create_dir_all(case.store()).map_err(|error| CliError::failed(error.to_string()))?;
+        std::fs::create_dir_all(case.store()).map_err(|error| Error::failed(error.to_string()))?;
         Ok(Self {
             case,
             runs: Vec::new(),
@@ -84,9 +84,10 @@ impl Injector for Collect<'_> {
 
     fn judge(&mut self, _round: u32) -> Outcome {
         self.reap()?;
-        match self.runs.is_empty() {
-            true => self.judge_store(),
-            false => Ok(()),
+        if self.runs.is_empty() {
+            self.judge_store()
+        } else {
+            Ok(())
         }
     }
 

@@ -8,7 +8,7 @@ use super::case::{Case, ends_in_one_error, is_success};
 use super::lab::{Lab, Variant};
 use super::namespace::Namespace;
 use super::{Injector, Outcome, RoundError};
-use crate::cli::error::CliError;
+use marf_run::Error;
 
 /// Size of the disk.
 const DISK_BYTES: u64 = 16 << 20;
@@ -27,9 +27,9 @@ impl<'a> Full<'a> {
     ///
     /// # Errors
     /// A system on which that cannot be done.
-    pub fn new(lab: &'a Lab) -> Result<Self, CliError> {
+    pub fn new(lab: &'a Lab) -> Result<Self, Error> {
         let dir = lab.dir.join("disk");
-        std::fs::create_dir_all(&dir).map_err(|error| CliError::failed(error.to_string()))?;
+        std::fs::create_dir_all(&dir).map_err(|error| Error::failed(error.to_string()))?;
         let mount = format!("mount -t tmpfs -o size={DISK_BYTES} marf \"$1\"");
         Ok(Self {
             disk: Namespace::new(&mount, &[dir.as_os_str()])?,

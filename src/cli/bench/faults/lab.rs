@@ -12,8 +12,8 @@ use super::args::Fault;
 use super::case::Case;
 use super::source::Source;
 use super::{Outcome, RoundError};
-use crate::cli::error::CliError;
-use crate::cli::files;
+use marf_run::Error;
+use marf_run::files;
 
 /// The outputs of all nodes: name of node and output to digest.
 pub type Outputs = BTreeMap<String, String>;
@@ -56,8 +56,8 @@ impl Lab {
     ///
     /// # Errors
     /// A folder that cannot be written, a run that fails.
-    pub fn new(dir: &Path, seed: u64, source: Source) -> Result<Self, CliError> {
-        let program = std::env::current_exe().map_err(|error| CliError::failed(error.to_string()))?;
+    pub fn new(dir: &Path, seed: u64, source: Source) -> Result<Self, Error> {
+        let program = std::env::current_exe().map_err(|error| Error::failed(error.to_string()))?;
         let mut lab = Self {
             dir: dir.to_owned(),
             program,
@@ -74,11 +74,11 @@ impl Lab {
         Ok(lab)
     }
 
-    fn run_whole(&self, name: &str, variant: Variant) -> Result<Outputs, CliError> {
+    fn run_whole(&self, name: &str, variant: Variant) -> Result<Outputs, Error> {
         let case = self.case(name)?;
         let outputs = case.ends(variant).and_then(|()| case.outputs());
         outputs.map_err(|error| match error {
-            RoundError::Bad(what) => CliError::failed(format!("the undisturbed run: {what}")),
+            RoundError::Bad(what) => Error::failed(format!("the undisturbed run: {what}")),
             RoundError::Impossible(error) => error,
         })
     }
@@ -92,7 +92,7 @@ impl Lab {
     ///
     /// # Errors
     /// A folder that cannot be written.
-    pub fn case(&self, name: &str) -> Result<Case<'_>, CliError> {
+    pub fn case(&self, name: &str) -> Result<Case<'_>, Error> {
         let case = Case::at(self, self.dir.join(name));
         case.remove()?;
         files::write(&case.dir.join("pipeline.toml"), self.source.pipeline.as_bytes())?;

@@ -22,10 +22,10 @@ use clap::ValueEnum as _;
 use marf_engine::Cancel;
 use serde::Serialize;
 
-use crate::cli::error::CliError;
 use crate::terminal::{eprint_line, print_line};
 use args::Fault;
 use lab::Lab;
+use marf_run::Error;
 use source::Source;
 use stop::{Signal, Stop};
 
@@ -65,18 +65,18 @@ enum RoundError {
     /// The program did what it should not.
     Bad(String),
     /// The fault cannot be done here.
-    Impossible(CliError),
+    Impossible(Error),
 }
 
-impl From<CliError> for RoundError {
-    fn from(error: CliError) -> Self {
+impl From<Error> for RoundError {
+    fn from(error: Error) -> Self {
         Self::Impossible(error)
     }
 }
 
 impl From<std::io::Error> for RoundError {
     fn from(error: std::io::Error) -> Self {
-        Self::Impossible(CliError::failed(error.to_string()))
+        Self::Impossible(Error::failed(error.to_string()))
     }
 }
 
@@ -100,17 +100,18 @@ struct Report {
 /// # Errors
 /// A folder that cannot be written; a fault that cannot be done here, with the way out; a fault after which something was
 /// wrong.
-pub fn faults(args: &FaultsArgs, cancel: &Cancel) -> Result<(), CliError> {
+pub fn faults(args: &FaultsArgs, cancel: &Cancel) -> Result<(), Error> {
     let dir = std::path::absolute(&args.dir).unwrap_or_else(|_| args.dir.clone());
     if dir.exists() {
-        return Err(CliError::usage(format!(
+        return Err(Error::usage(format!(
             "{} is there already; remove it or name another folder with --dir",
             dir.display()
         )));
     }
-    let chosen = match args.fault.is_empty() {
-        true => Fault::value_variants(),
-        false => &args.fault,
+    let chosen = if args.fault.is_empty() {
+        Fault::value_variants()
+    } else {
+        &args.fault
     };
     let (remote, local): (Vec<Fault>, Vec<Fault>) = chosen.iter().partition(|fault| fault.needs_server());
     let mut bad = 0;
@@ -123,7 +124,7 @@ pub fn faults(args: &FaultsArgs, cancel: &Cancel) -> Result<(), CliError> {
     }
     match bad {
         0 => remove(&dir),
-        _ => Err(CliError::failed(format!("{bad} rounds ended badly"))),
+        _ => Err(Error::failed(format!("{bad} rounds ended badly"))),
     }
 }
 
@@ -134,20 +135,20 @@ fn of_source(
     faults: &[Fault],
     args: &FaultsArgs,
     cancel: &Cancel,
-) -> Result<u32, CliError> {
+) -> Result<u32, Error> {
     eprint_line("the undisturbed runs");
     let lab = Lab::new(dir, args.seed, source)?;
     let mut bad = 0;
     for &fault in faults {
         let report = all_rounds(&lab, fault, args.rounds, cancel)?;
-        print_line(&serde_json::to_string(&report).map_err(|error| CliError::failed(error.to_string()))?);
+        print_line(&serde_json::to_string(&report).map_err(|error| Error::failed(error.to_string()))?);
         bad += report.bad;
     }
     Ok(bad)
 }
 
 /// Does all rounds of a fault.
-fn all_rounds(lab: &Lab, fault: Fault, rounds: u32, cancel: &Cancel) -> Result<Report, CliError> {
+fn all_rounds(lab: &Lab, fault: Fault, rounds: u32, cancel: &Cancel) -> Result<Report, Error> {
     let began = Instant::now();
     let mut told = began;
     let mut report = Report {
@@ -157,7 +158,7 @@ fn all_rounds(lab: &Lab, fault: Fault, rounds: u32, cancel: &Cancel) -> Result<R
     let mut injector = injector(lab, fault)?;
     for round in 0..rounds {
         if cancel.is_set() {
-            return Err(CliError::Interrupted);
+            return Err(Error::Interrupted);
         }
         let outcome = injector
             .prepare(round)
@@ -182,7 +183,7 @@ impl Report {
     ///
     /// # Errors
     /// A fault that cannot be done here.
-    fn count(&mut self, round: u32, outcome: Outcome) -> Result<(), CliError> {
+    fn count(&mut self, round: u32, outcome: Outcome) -> Result<(), Error> {
         match outcome {
             Ok(()) => Ok(()),
             Err(RoundError::Impossible(error)) => Err(error),
@@ -205,7 +206,7 @@ impl Report {
 }
 
 /// Returns what does a fault.
-fn injector<'a>(lab: &'a Lab, fault: Fault) -> Result<Box<dyn Injector + 'a>, CliError> {
+fn injector<'a>(lab: &'a Lab, fault: Fault) -> Result<Box<dyn Injector + 'a>, Error> {
     Ok(match fault {
         Fault::Kill | Fault::FetchKill => Box::new(Stop::new(lab, fault, Signal::Kill)?),
         Fault::Interrupt | Fault::FetchInterrupt => Box::new(Stop::new(lab, fault, Signal::Interrupt)?),
@@ -219,7 +220,7 @@ fn injector<'a>(lab: &'a Lab, fault: Fault) -> Result<Box<dyn Injector + 'a>, Cl
     })
 }
 
-fn remove(dir: &Path) -> Result<(), CliError> {
+fn remove(dir: &Path) -> Result<(), Error> {
     std::fs::remove_dir_all(dir)
-        .map_err(|error| CliError::failed(format!("cannot remove {}: {error}", dir.display())))
+        .map_err(|error| Error::failed(format!("cannot remove {}: {error}", dir.display())))
 }

@@ -4,7 +4,7 @@ use std::ffi::{OsStr, OsString};
 use std::io::{BufRead as _, BufReader, Read as _};
 use std::process::{Child, Command, Stdio};
 
-use crate::cli::error::{CliError, Diagnostic};
+use marf_run::{Diagnostic, Error};
 
 /// A user and mount namespace; it ends with this.
 pub struct Namespace {
@@ -17,7 +17,7 @@ impl Namespace {
     ///
     /// # Errors
     /// A system on which this user may not mount, or that has no `unshare` or `nsenter`, with the way out.
-    pub fn new(mount: &str, arguments: &[&OsStr]) -> Result<Self, CliError> {
+    pub fn new(mount: &str, arguments: &[&OsStr]) -> Result<Self, Error> {
         let script = format!("set -e; {mount}; echo mounted; exec cat");
         let holder = Command::new("unshare")
             .args(["--user", "--map-root-user", "--mount", "sh", "-c", &script, "sh"])
@@ -33,7 +33,7 @@ impl Namespace {
         Ok(namespace)
     }
 
-    fn await_mount(&mut self) -> Result<(), CliError> {
+    fn await_mount(&mut self) -> Result<(), Error> {
         let mut line = String::new();
         if let Some(stdout) = self.holder.stdout.take() {
             BufReader::new(stdout)
@@ -74,8 +74,8 @@ impl Drop for Namespace {
     }
 }
 
-fn impossible(cause: &str) -> CliError {
-    CliError::Failed(Diagnostic {
+fn impossible(cause: &str) -> Error {
+    Error::Failed(Diagnostic {
         message: "a file system cannot be mounted for this fault".to_owned(),
         cause: Some(cause.to_owned()),
         hint: Some(

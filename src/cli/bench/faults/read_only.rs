@@ -48,9 +48,10 @@ impl<'a> ReadOnly<'a> {
     fn lift(&mut self) -> Outcome {
         self.mount = None;
         self.case.wrapper.clear();
-        match self.case.store().exists() {
-            true => self.permissions("u+w"),
-            false => Ok(()),
+        if self.case.store().exists() {
+            self.permissions("u+w")
+        } else {
+            Ok(())
         }
     }
 
@@ -96,9 +97,10 @@ impl Injector for ReadOnly<'_> {
         }
         self.case.ends(Variant::Plain)?;
         let output = self.case.run_command(Variant::Changed).output()?;
-        match ends_in_one_error(&output, "--store")? {
-            true => Ok(()),
-            false => Err(RoundError::Bad("a run stored what it may not".to_owned())),
+        if ends_in_one_error(&output, "--store")? {
+            Ok(())
+        } else {
+            Err(RoundError::Bad("a run stored what it may not".to_owned()))
         }
     }
 
@@ -132,8 +134,9 @@ fn without_privileges() -> Result<Vec<OsString>, RoundError> {
         "--ambient-caps=-all",
         "--",
     ];
-    Ok(match is_root {
-        true => setpriv.map(OsString::from).to_vec(),
-        false => Vec::new(),
+    Ok(if is_root {
+        setpriv.map(OsString::from).to_vec()
+    } else {
+        Vec::new()
     })
 }

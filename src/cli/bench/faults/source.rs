@@ -12,8 +12,8 @@ use marf_scene::{Image, Srgb, encode_png};
 use super::super::FIVE_NODES;
 use super::super::child::random;
 use super::super::pictures::{Shade, picture};
-use crate::cli::error::CliError;
-use crate::cli::files;
+use marf_run::Error;
+use marf_run::files;
 
 /// The rest of the filters, cameras, a training and two retrainings, in a second.
 const BEHIND: &str = r#"[node.grayscale]
@@ -69,7 +69,7 @@ impl Source {
     ///
     /// # Errors
     /// A folder that cannot be written.
-    pub fn folder(dir: &Path) -> Result<Self, CliError> {
+    pub fn folder(dir: &Path) -> Result<Self, Error> {
         let photos = dir.join("photos");
         files::write(&photos.join("transforms.json"), ring().to_string().as_bytes())?;
         for at in 0..RING {
@@ -89,8 +89,8 @@ impl Source {
     ///
     /// # Errors
     /// A system without a free port.
-    pub fn server() -> Result<Self, CliError> {
-        let failed = |error: std::io::Error| CliError::failed(format!("cannot start a server: {error}"));
+    pub fn server() -> Result<Self, Error> {
+        let failed = |error: std::io::Error| Error::failed(format!("cannot start a server: {error}"));
         let server = Server::start().map_err(failed)?;
         let mut products = BTreeSet::new();
         for (sol, number) in (1..=SOLS).flat_map(|sol| (0..A_SOL).map(move |number| (sol, number))) {
@@ -117,12 +117,13 @@ fn photo_name(at: u32) -> String {
 }
 
 /// Returns a picture of random pixels as PNG, which hardly shrinks.
-fn noise(seed: u32, (width, height): (u32, u32)) -> Result<Vec<u8>, CliError> {
+fn noise(seed: u32, size: (u32, u32)) -> Result<Vec<u8>, Error> {
+    let (width, height) = size;
     let image: Image<Srgb> = Image::from_fn(width, height, |x, y| {
         let bits = random(u64::from(seed), u64::from(y) << 32 | u64::from(x));
         [bits as u8, (bits >> 8) as u8, (bits >> 16) as u8]
     });
-    encode_png(&image).map_err(|error| CliError::failed(error.to_string()))
+    encode_png(&image).map_err(|error| Error::failed(error.to_string()))
 }
 
 /// Returns the cameras of the photos, in nerfstudio's form: on a circle, looking at its middle.

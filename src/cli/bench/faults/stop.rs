@@ -8,7 +8,7 @@ use super::args::Fault;
 use super::case::{Case, files_of};
 use super::lab::{Lab, Variant};
 use super::{Injector, Outcome, RoundError};
-use crate::cli::error::CliError;
+use marf_run::Error;
 
 /// A run that was asked to stop must have ended after this time.
 const LIMIT: Duration = Duration::from_secs(2);
@@ -49,7 +49,7 @@ impl<'a> Stop<'a> {
     ///
     /// # Errors
     /// A folder that cannot be written.
-    pub fn new(lab: &'a Lab, fault: Fault, signal: Signal) -> Result<Self, CliError> {
+    pub fn new(lab: &'a Lab, fault: Fault, signal: Signal) -> Result<Self, Error> {
         Ok(Self {
             lab,
             fault,
@@ -102,9 +102,10 @@ impl<'a> Stop<'a> {
         self.longest = self.longest.max(took);
         // Exit code 0 is that of a run that had just ended; one that had just begun ends by the signal itself.
         let is_stopped = matches!(status.code(), Some(0 | 130)) || status.signal() == Some(SIGINT);
-        match is_stopped && took <= LIMIT {
-            true => Ok(()),
-            false => Err(RoundError::Bad(format!("it took {took:?}: {status}"))),
+        if is_stopped && took <= LIMIT {
+            Ok(())
+        } else {
+            Err(RoundError::Bad(format!("it took {took:?}: {status}")))
         }
     }
 }
@@ -137,9 +138,10 @@ impl Injector for Stop<'_> {
             Signal::Kill => "SIGKILL".to_owned(),
             Signal::Interrupt => format!("SIGINT (longest stop {:.2} s)", self.longest.as_secs_f64()),
         };
-        let downloads = match self.fault.needs_server() {
-            true => format!(", {} in mid-download", self.in_download),
-            false => String::new(),
+        let downloads = if self.fault.needs_server() {
+            format!(", {} in mid-download", self.in_download)
+        } else {
+            String::new()
         };
         format!("{how} at random moments{downloads}; {stores}")
     }

@@ -1,0 +1,183 @@
+//! `marf export mesh | points | splats | height | orthophoto | depth`: files of a trained field for other programs.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use marf_run::export::{SurfaceKind, SurfaceRequest, export_surface};
+use marf_run::{Context, Error};
+use marf_schema::surface::{ColorBy, SplatPsnr, SplatReport, SpreadOf, SurfaceReport};
+use serde_json::json;
+
+use crate::cli::global::Global;
+use crate::cli::output::print_json;
+use crate::terminal::print_line;
+
+/// Arguments of the exports of a surface.
+#[derive(Debug, Clone, Args)]
+pub struct SurfaceArgs {
+    /// A node with a trained field
+    #[arg(value_name = "NODE", default_value = "train")]
+    pub node: String,
+    /// The field in this file instead, as a run of the store made it (`out/train/weights.safetensors`)
+    #[arg(long, value_name = "FILE", conflicts_with = "node")]
+    pub field: Option<PathBuf>,
+    /// Where to
+    #[arg(long, value_name = "PATH")]
+    pub out: PathBuf,
+    /// Number of the run [default: the last one that has the node]
+    #[arg(long, value_name = "NUMBER")]
+    pub run: Option<u64>,
+    /// Distance between samples, metres (units of the scene where it has no scale) [default: two pixels of what is near]
+    #[arg(long, value_name = "LENGTH")]
+    pub cell: Option<f64>,
+    /// Largest distance from a photo, as `--cell` [default: where a pixel is four cells wide]
+    #[arg(long, value_name = "LENGTH")]
+    pub reach: Option<f64>,
+    /// Photos that must show a point [default: 2; of splats 1]
+    #[arg(long, value_name = "COUNT")]
+    pub least_photos: Option<u32>,
+    /// Largest difference between the views at a point, as `--cell` [default: a cell]
+    #[arg(long, value_name = "LENGTH")]
+    pub most_spread: Option<f64>,
+    /// What mesh and points are coloured by: `photos`, or `uncertainty`: how far the retrainings of the run's bootstrap differ, or the views
+    /// of the field where the run has none
+    #[arg(long, value_name = "WHAT", default_value = "photos", value_parser = color)]
+    pub color: ColorBy,
+    /// Width of a pixel of a map, metres [default: that of a cell]
+    #[arg(long, value_name = "METRES")]
+    pub map_cell: Option<f64>,
+}
+
+/// Arguments of `export splats`.
+#[derive(Debug, Clone, Args)]
+pub struct SplatsArgs {
+    #[command(flatten)]
+    pub surface: SurfaceArgs,
+    /// Folder for pictures splats | field at the views of the held-out photos
+    #[arg(long, value_name = "DIR")]
+    pub pictures: Option<PathBuf>,
+}
+
+/// Reads what colours are, as pipeline.toml has it.
+fn color(word: &str) -> Result<ColorBy, String> {
+    serde_json::from_value(json!(word)).map_err(|error| error.to_string())
+}
+
+impl SurfaceArgs {
+    /// Returns the request of a kind of export.
+    pub fn request(self, kind: SurfaceKind) -> SurfaceRequest {
+        SurfaceRequest {
+            kind,
+            node: self.node,
+            field: self.field,
+            out: self.out,
+            run: self.run,
+            cell: self.cell,
+            reach: self.reach,
+            least_photos: self.least_photos,
+            most_spread: self.most_spread,
+            color: self.color,
+            map_cell: self.map_cell,
+            pictures: None,
+        }
+    }
+}
+
+impl SplatsArgs {
+    /// Returns the request of the splats.
+    pub fn request(self) -> SurfaceRequest {
+        SurfaceRequest {
+            pictures: self.pictures,
+            ..self.surface.request(SurfaceKind::Splats)
+        }
+    }
+}
+
+/// Makes what is wanted, unless it is made already, and writes it.
+pub fn export(global: &Global, request: SurfaceRequest, context: &Context) -> Result<(), Error> {
+    let kind = request.kind;
+    let result = export_surface(context, &request)?;
+    if global.json {
+        return print_json(&json!(result));
+    }
+    print_line(&text(kind, &result.surface));
+    if matches!(kind, SurfaceKind::Mesh | SurfaceKind::Points) {
+        print_line(&uncertainty_text(&result.surface));
+    }
+    for path in result.files {
+        print_line(&format!("wrote {}", path.display()));
+    }
+    Ok(())
+}
+
+/// Says what the uncertainty of a surface is.
+fn uncertainty_text(report: &SurfaceReport) -> String {
+    let uncertainty = &report.uncertainty;
+    let of = match uncertainty.of {
+        SpreadOf::Retrainings => format!("{} retrainings differ by", uncertainty.members),
+        SpreadOf::Views => "no bootstrap: the views of the field differ by".to_owned(),
+    };
+    format!(
+        "{of} {:.4} at half of the vertices, {:.4} at 95 of 100 ({})",
+        uncertainty.median, uncertainty.scale_end, report.unit
+    )
+}
+
+fn text(kind: SurfaceKind, report: &SurfaceReport) -> String {
+    let SurfaceReport {
+        photos, cell, unit, ..
+    } = report;
+    if let (SurfaceKind::Splats, Some(splats)) = (kind, &report.splats) {
+        return splats_text(splats, report);
+    }
+    match (kind, &report.map) {
+        (SurfaceKind::Points, _) => format!(
+            "{} points in cells of {cell:.4} ({unit}), from {photos} photos",
+            report.points
+        ),
+        (SurfaceKind::Height | SurfaceKind::Orthophoto, Some(map)) => format!(
+            "{} x {} pixels of {:.4} m, {:.0} % with a surface; heights from {:.3} m in steps of {} m",
+            map.columns,
+            map.rows,
+            map.pixel_m,
+            100.0 * map.covered_share,
+            map.lowest_m,
+            map.interval_m
+        ),
+        (SurfaceKind::Depth, _) => format!("depths at the views of {photos} photos ({unit})"),
+        _ => format!(
+            "{} triangles, {} vertices, samples {cell:.4} apart ({unit}), from {photos} photos",
+            report.triangles, report.vertices
+        ),
+    }
+}
+
+/// Says how many splats there are, and how near they come to the field.
+fn splats_text(splats: &SplatReport, report: &SurfaceReport) -> String {
+    let mut text = format!(
+        "{} splats, standard deviations {:.4} to {:.4} ({}), from {} photos; {} before the surface left out; no sky, no colours by direction",
+        splats.splats, splats.finest, splats.coarsest, report.unit, report.photos, splats.floating
+    );
+    for (of, psnr) in [
+        ("trained on", splats.trained_on),
+        ("held out", splats.held_out),
+        (
+            "held out, but for what no photo trained on saw",
+            splats.held_out_seen,
+        ),
+    ] {
+        text += &match psnr {
+            Some(SplatPsnr {
+                photos,
+                mean_db,
+                least_db,
+                share,
+            }) => format!(
+                "\nagainst the field at {photos} photos {of}: PSNR {mean_db:.2} dB, {least_db:.2} the worst, over the {:.0} % of the pixels where it shows a surface",
+                100.0 * share
+            ),
+            None => format!("\nagainst the field at photos {of}: nothing to compare"),
+        };
+    }
+    text
+}

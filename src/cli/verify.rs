@@ -1,0 +1,75 @@
+//! `marf verify`: checks what was handed over, without a store.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use marf_export::verify::{Report, Signature};
+use marf_run::Error;
+use marf_run::export::{VerifyRequest, VerifyResult, verify_path, without_faults};
+
+use super::global::Global;
+use super::output::print_json;
+use crate::terminal::{escape_control, print_line};
+
+/// Arguments of `verify`.
+#[derive(Debug, Clone, Args)]
+pub struct VerifyArgs {
+    /// A folder of `export crate`, or a file of `export attest`
+    #[arg(value_name = "CRATE|STATEMENT")]
+    pub path: PathBuf,
+    /// Check the signature with this public key (PEM)
+    #[arg(long, value_name = "FILE")]
+    pub key: Option<PathBuf>,
+    /// A file that the statement must be about
+    #[arg(long, value_name = "FILE")]
+    pub subject: Vec<PathBuf>,
+}
+
+/// `marf verify`.
+pub fn verify(global: &Global, args: VerifyArgs) -> Result<(), Error> {
+    let request = VerifyRequest {
+        path: args.path,
+        key: args.key,
+        subjects: args.subject,
+    };
+    match verify_path(&request)? {
+        VerifyResult::Crate(report) => {
+            if global.json {
+                print_json(&report)?;
+            } else {
+                print_report(&report);
+            }
+            without_faults(&request.path, &report)
+        }
+        VerifyResult::Statement { found, subjects } => {
+            for (file, name) in found {
+                print_line(&format!("{} is {name}", file.display()));
+            }
+            print_line(&format!("signed by this key; files it is about: {subjects}"));
+            Ok(())
+        }
+    }
+}
+
+fn print_report(report: &Report) {
+    print_line(&format!("run {}, root {}", report.run, report.root));
+    if let Some(manifest) = &report.manifest_sha256 {
+        print_line(&format!("manifest SHA-256 {manifest}"));
+    }
+    print_line(&format!(
+        "{} files in the bag, {} named only; {} actions gave their keys; {} photos followed to files of the archive",
+        report.files, report.named, report.actions, report.photos
+    ));
+    print_line(match report.signature {
+        Signature::None => "not signed",
+        Signature::NotChecked => "signed; name a public key with --key to check by whom",
+        Signature::Good => "signed by this key",
+        Signature::Bad => "the signature does not hold",
+    });
+    for fault in &report.faults {
+        print_line(&format!("fault: {}", escape_control(fault)));
+    }
+    if report.faults.is_empty() {
+        print_line("holds");
+    }
+}

@@ -1,0 +1,142 @@
+//! Files of archives that are not what they were when a run read them.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use marf_cache::Digest;
+use marf_engine::document;
+use marf_provenance::lineage::{Lineage, NodeLineage};
+use marf_provenance::product::{origins, parts};
+use marf_provenance::unless_lost;
+use marf_stage::{LOCK_FILE, Origin};
+use marf_stages::PinnedProduct;
+use serde::Serialize;
+use serde_json::Value;
+
+use crate::context::Context;
+use crate::error::Error;
+
+/// A file that an archive, or marf.lock, has otherwise than it was when it was read.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Changed {
+    /// Its name in the archive.
+    pub file: String,
+    /// The sol.
+    pub sol: u32,
+    /// The bytes that were used.
+    pub used: Digest,
+    /// What is otherwise now, one sentence each.
+    pub now: Vec<String>,
+}
+
+/// Compares what the sources of a run read with what is there now: of servers with marf.lock, which notes later answers (no
+/// server is asked), of folders with the files.
+///
+/// # Errors
+/// A store or a lock that cannot be read.
+pub fn since(
+    context: &Context,
+    lineage: &Lineage<'_>,
+    nodes: &[&NodeLineage],
+) -> Result<Vec<Changed>, Error> {
+    let base = context.folder();
+    let pins = marf_stages::pinned_products(&base.join(LOCK_FILE));
+    let pins = pins.map_err(|error| Error::failed(error.to_string()))?;
+    let mut by_sol: BTreeMap<u32, Pins<'_>> = BTreeMap::new();
+    for pin in &pins {
+        let sol = by_sol.entry(pin.sol).or_default();
+        sol.entry(&pin.name).or_default().push(pin);
+    }
+    let mut changed = Vec::new();
+    for source in nodes.iter().filter(|node| node.is_source()) {
+        let folder = folder_of(lineage, &source.run.name).map(|path| base.join(path));
+        for part in unless_lost(parts(lineage.store(), source))?.into_iter().flatten() {
+            for file in unless_lost(origins(lineage.store(), &part))?
+                .into_iter()
+                .flatten()
+            {
+                let now = match (&file.fetched, &folder) {
+                    (Some(_), _) => of_lock(by_sol.get(&part.shard), &file),
+                    (None, Some(folder)) if file.bytes.is_some() => of_folder(folder, &file),
+                    _ => Vec::new(),
+                };
+                if !now.is_empty() {
+                    changed.push(Changed {
+                        file: file.file,
+                        sol: part.shard,
+                        used: file.blake3,
+                        now,
+                    });
+                }
+            }
+        }
+    }
+    Ok(changed)
+}
+
+/// The pins of a sol by name; several archives may have the same.
+type Pins<'a> = BTreeMap<&'a str, Vec<&'a PinnedProduct>>;
+
+/// Returns what the pins of a sol say otherwise than what was noted when the file was read; nothing if the sol has no pins, or if
+/// one of several archives has the file as it was.
+fn of_lock(sol: Option<&Pins<'_>>, file: &Origin) -> Vec<String> {
+    let Some(pins) = sol else { return Vec::new() };
+    let Some(pins) = pins.get(file.file.as_str()) else {
+        return vec![format!("{LOCK_FILE} has no product of this name")];
+    };
+    let told: Vec<Vec<String>> = pins.iter().map(|pin| differences(pin, file)).collect();
+    if told.iter().any(Vec::is_empty) {
+        return Vec::new();
+    }
+    told.into_iter().next().unwrap_or_default()
+}
+
+fn differences(pin: &PinnedProduct, file: &Origin) -> Vec<String> {
+    let mut now = Vec::new();
+    let mut compare = |what: &str, was: Option<String>, is: Option<String>| {
+        if let (Some(was), Some(is)) = (was, is)
+            && was != is
+        {
+            now.push(format!("{LOCK_FILE} has {what} {is}, it was {was}"));
+        }
+    };
+    compare(
+        "blake3",
+        Some(file.blake3.to_string()),
+        Some(pin.blake3.to_string()),
+    );
+    let text = |number: u64| number.to_string();
+    compare("bytes", file.bytes.map(text), Some(text(pin.bytes)));
+    compare(
+        "sha256",
+        file.sha256.map(|sha256| sha256.to_string()),
+        pin.sha256.map(|sha256| sha256.to_string()),
+    );
+    compare("url", file.url.clone(), pin.url.clone());
+    compare("fetched", file.fetched.clone(), Some(pin.fetched.clone()));
+    now.extend(
+        pin.others
+            .iter()
+            .map(|other| format!("the archive has given other bytes since, blake3 {other}")),
+    );
+    now
+}
+
+fn of_folder(folder: &Path, file: &Origin) -> Vec<String> {
+    match std::fs::read(folder.join(&file.file)).map(|bytes| Digest::of(&bytes)) {
+        Ok(now) if now == file.blake3 => Vec::new(),
+        Ok(now) => vec![format!("the folder has other bytes now, blake3 {now}")],
+        Err(error) => vec![format!("the folder has it no longer: {error}")],
+    }
+}
+
+/// Returns the folder that a source read, if its archive is one, as the pipeline names it.
+fn folder_of(lineage: &Lineage<'_>, source: &str) -> Option<PathBuf> {
+    let resolved = lineage.run.documents.get(document::RESOLVED)?;
+    let tree: Value = serde_json::from_slice(&lineage.store().get(&resolved.digest).ok()?).ok()?;
+    let archive = tree["node"][source]["archive"].as_str()?;
+    let table = &tree["archive"][archive];
+    (table["kind"] == "folder")
+        .then(|| table["path"].as_str().map(PathBuf::from))
+        .flatten()
+}

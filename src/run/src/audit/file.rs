@@ -1,0 +1,124 @@
+//! Who made a file, from which bytes.
+
+use std::path::{Path, PathBuf};
+
+use marf_provenance::lineage::Lineage;
+use marf_provenance::verify::{self, Verified};
+use serde::Serialize;
+
+use super::changed::{self, Changed};
+use super::identity::{Identity, identify};
+use super::lineage::{Origin, origin_of};
+use crate::context::Context;
+use crate::error::{Answer, Diagnostic, Error};
+
+/// A file to trace.
+#[derive(Debug, Clone)]
+pub struct AuditRequest {
+    /// The file, wherever it lies now.
+    pub file: PathBuf,
+    /// Whether everything that it was made from is read and compared with its digests.
+    pub verify: bool,
+    /// Whether all products of archives are listed.
+    pub products: bool,
+}
+
+/// Who made a file.
+#[derive(Debug, Serialize)]
+pub struct AuditReport {
+    /// The file.
+    pub file: PathBuf,
+    /// The answer in a word.
+    pub answer: Answer,
+    /// What the file is.
+    #[serde(flatten)]
+    pub identity: Identity,
+    /// From what each of its makers made it.
+    pub lineage: Vec<Origin>,
+    /// What was verified.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub verified: Option<Verified>,
+    /// Files of archives that have changed since.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub changed: Vec<Changed>,
+}
+
+/// Traces a file.
+///
+/// # Errors
+/// A file or a store that cannot be read.
+pub fn audit(context: &Context, request: &AuditRequest) -> Result<AuditReport, Error> {
+    let file = &request.file;
+    let bytes = std::fs::read(file)
+        .map_err(|error| Error::failed(format!("cannot read {}: {error}", file.display())))?;
+    let store = context.existing_store()?;
+    let check = request.verify.then(|| verify::check(&store)).transpose()?;
+    let runs = marf_engine::runs(&store, context.warnings())?;
+    let identity = identify(&store, &runs, &bytes)?;
+    let (mut lineage, mut changed) = (Vec::new(), Vec::new());
+    let mut verified = check.as_ref().map(Verified::of_files);
+    for maker in identity.makers() {
+        let number = maker.made_in.or(maker.runs.first().copied());
+        let Some(run) = runs.iter().find(|run| Some(run.number) == number) else {
+            continue;
+        };
+        let whole = Lineage::of(&store, run.clone())?;
+        let nodes = match maker.place.node() {
+            Some(node) => whole.upstream(node),
+            None => whole.nodes.iter().collect(),
+        };
+        lineage.push(origin_of(&whole, maker, &nodes, request.products)?);
+        if let Some(check) = &check {
+            let found = verify::verify(&whole, &nodes, check)?;
+            verified = verified.map(|before| before.and(found));
+            changed.extend(changed::since(context, &whole, &nodes)?);
+        }
+    }
+    Ok(AuditReport {
+        file: file.clone(),
+        answer: answer(&identity, &lineage, verified.as_ref(), &changed),
+        identity,
+        lineage,
+        verified,
+        changed,
+    })
+}
+
+/// Returns the answer: the first of altered, incomplete, changed that holds.
+fn answer(
+    identity: &Identity,
+    lineages: &[Origin],
+    verified: Option<&Verified>,
+    changed: &[Changed],
+) -> Answer {
+    let has_faults = verified.is_some_and(|verified| !verified.faults.is_empty());
+    let has_lost = verified.is_some_and(|verified| !verified.missing.is_empty());
+    match identity {
+        _ if has_faults => Answer::Altered,
+        Identity::NotOurs { .. } => Answer::NotOurs,
+        Identity::Altered { .. } => Answer::Altered,
+        Identity::Elsewhere { .. } => Answer::Incomplete,
+        Identity::Whole { .. } if has_lost || lineages.iter().any(Origin::is_incomplete) => {
+            Answer::Incomplete
+        }
+        Identity::Whole { .. } if !changed.is_empty() => Answer::Changed,
+        Identity::Whole { .. } => Answer::Whole,
+    }
+}
+
+/// Returns an error unless a file is whole.
+///
+/// # Errors
+/// [`Error::Answered`] with the answer in a sentence.
+pub fn is_whole(answer: Answer, file: &Path) -> Result<(), Error> {
+    let file = file.display();
+    let said = |message: String| Err(Error::Answered(answer, Diagnostic::new(message)));
+    match answer {
+        // The last two are answers of a replay.
+        Answer::Whole | Answer::Differs | Answer::NotMade => Ok(()),
+        Answer::NotOurs => said(format!("{file} was not made by a run of this store")),
+        Answer::Altered => said(format!("{file}, or something that it was made from, was altered")),
+        Answer::Incomplete => said(format!("not all of what {file} was made from is in the store")),
+        Answer::Changed => said(format!("an archive has changed a product of {file} since")),
+    }
+}

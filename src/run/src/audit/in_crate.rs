@@ -1,0 +1,38 @@
+//! Who made a file, by a crate alone.
+
+use std::path::Path;
+
+use marf_cache::Digest;
+use marf_export::verify::Trace;
+use marf_provenance::stamp::Stamp;
+
+use crate::copies::object_of;
+use crate::error::{Answer, Diagnostic, Error};
+use crate::export::{open_crate, verify_crate};
+
+/// Returns what the run of a crate says of a file.
+///
+/// # Errors
+/// A file or a crate that cannot be read; the answers "altered", of the file or of the crate, and "not ours".
+pub fn trace(file: &Path, folder: &Path) -> Result<Trace, Error> {
+    let bytes = std::fs::read(file)
+        .map_err(|error| Error::failed(format!("cannot read {}: {error}", file.display())))?;
+    let answered = |answer, message: String| Error::Answered(answer, Diagnostic::new(message));
+    verify_crate(folder)?;
+    let named = Stamp::off(&bytes).map(|(_, stamp)| stamp.object);
+    let digest = Digest::of(&object_of(bytes));
+    if named.is_some_and(|object| object != digest) {
+        let message = format!("{} is not what its mark says: it was altered", file.display());
+        return Err(answered(Answer::Altered, message));
+    }
+    let trace = open_crate(folder)?.trace(&digest);
+    let trace =
+        trace.map_err(|cause| answered(Answer::Incomplete, format!("{}: {cause}", folder.display())))?;
+    trace.ok_or_else(|| {
+        let (file, folder) = (file.display(), folder.display());
+        answered(
+            Answer::NotOurs,
+            format!("{file} was not made by the run of {folder}"),
+        )
+    })
+}

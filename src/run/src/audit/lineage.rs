@@ -1,0 +1,222 @@
+//! The lineage of a file.
+
+use std::collections::BTreeMap;
+
+use marf_cache::{Digest, Store, manifest};
+use marf_engine::{Build, OutputName};
+use marf_provenance::{
+    LineageError,
+    find::Maker,
+    lineage::{Lineage, NodeLineage},
+    product::{Product, parts, products},
+    unless_lost,
+};
+use marf_stage::PHOTOS;
+use serde::Serialize;
+
+/// How many products are listed unless all are asked for.
+const FIRST: usize = 3;
+
+/// Who made a file, with the lineage up to the products.
+#[derive(Debug, Serialize)]
+pub struct Origin {
+    /// As what, and in which runs.
+    pub maker: Maker,
+    /// Number of the run that the rest is told of: the one that made it, else the oldest that has it.
+    pub run: u64,
+    /// Digest of its root.
+    pub root: Option<Digest>,
+    /// The command as typed.
+    pub command: String,
+    /// The program with its version.
+    pub program: String,
+    /// The program to the byte, if the run knows it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub build: Option<Build>,
+    /// Start, in seconds since 1970.
+    pub started_unix_s: u64,
+    /// The nodes that it was made by, in topological order; the last that is no child is the node itself.
+    pub nodes: Vec<Step>,
+    /// What the sources among them read.
+    pub sources: Vec<Products>,
+}
+
+/// A node of a lineage.
+#[derive(Debug, Serialize)]
+pub struct Step {
+    /// Its name.
+    pub node: String,
+    /// Its stage.
+    pub stage: String,
+    /// The node that it is a child of.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub parent: Option<String>,
+    /// Key of its result.
+    pub key: Option<Digest>,
+    /// Version of the stage; absent if its action is lost.
+    pub version: Option<u32>,
+    /// Device that computed the result; absent if its record is lost.
+    pub device: Option<String>,
+    /// Its parameters.
+    pub params: serde_json::Value,
+    /// Start, in seconds since 1970.
+    pub started_unix_s: Option<u64>,
+    /// Wall time, seconds.
+    pub seconds: f64,
+    /// Its inputs by name.
+    pub inputs: BTreeMap<String, StepInput>,
+    /// What of it is not in the store any more.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub lost: Vec<String>,
+}
+
+/// An input of a node.
+#[derive(Debug, Serialize)]
+pub struct StepInput {
+    /// Its digest.
+    pub digest: Digest,
+    /// The output that it is, if a node made it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub made_by: Option<OutputName>,
+    /// Photos in the set, where it is one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub photos: Option<u64>,
+}
+
+/// What a source read.
+#[derive(Debug, Default, Serialize)]
+pub struct Products {
+    /// The source.
+    pub node: String,
+    /// How many photos it gave.
+    pub photos: u64,
+    /// How many sols they are of.
+    pub sols: usize,
+    /// The first ones, or all.
+    pub listed: Vec<ProductLine>,
+    /// Sols of which nothing is known any more.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub lost_sols: Vec<u32>,
+}
+
+/// A product.
+#[derive(Debug, Serialize)]
+pub struct ProductLine {
+    /// Its id.
+    pub id: String,
+    /// Its sol.
+    pub sol: u32,
+    /// Digests of its blobs by role.
+    pub blobs: BTreeMap<String, Digest>,
+    /// The files of the archive that they are, by role.
+    pub files: BTreeMap<String, marf_stage::Origin>,
+}
+
+impl Origin {
+    /// Tells whether something of the lineage is known to be gone.
+    pub fn is_incomplete(&self) -> bool {
+        let of_source = |source: &Products| !source.lost_sols.is_empty();
+        self.nodes.iter().any(|node| !node.lost.is_empty()) || self.sources.iter().any(of_source)
+    }
+}
+
+/// Tells who made a content; `nodes` are those that it was made by.
+///
+/// # Errors
+/// A store that cannot be read.
+pub fn origin_of(
+    lineage: &Lineage<'_>,
+    maker: &Maker,
+    nodes: &[&NodeLineage],
+    all_products: bool,
+) -> Result<Origin, LineageError> {
+    let run = &lineage.run;
+    let most = if all_products { usize::MAX } else { FIRST };
+    let sources = nodes.iter().filter(|node| node.is_source());
+    Ok(Origin {
+        maker: maker.clone(),
+        run: run.number,
+        root: run.root,
+        command: run.command.clone(),
+        program: run.program.clone(),
+        build: run.build.clone(),
+        started_unix_s: run.started_unix_s,
+        nodes: nodes.iter().map(|node| step(lineage.store(), node)).collect(),
+        sources: sources
+            .map(|node| read_by(lineage.store(), node, most))
+            .collect::<Result<_, _>>()?,
+    })
+}
+
+fn step(store: &Store, node: &NodeLineage) -> Step {
+    let run = &node.run;
+    let mut lost = Vec::new();
+    if run.state.is_good() {
+        lost.extend(node.action.is_none().then(|| "its action".to_owned()));
+        lost.extend(node.record.is_none().then(|| "its record".to_owned()));
+        let outputs = run
+            .outputs
+            .iter()
+            .filter(|(_, output)| !store.contains(&output.digest));
+        lost.extend(outputs.map(|(name, _)| format!("its output `{name}`")));
+    }
+    let input = |(name, input): (&String, &marf_engine::NodeInput)| {
+        let bytes = (name == PHOTOS).then(|| store.get(&input.digest).ok()).flatten();
+        let input = StepInput {
+            digest: input.digest,
+            made_by: input.made_by.clone(),
+            photos: bytes.and_then(|bytes| manifest::Root::count(&bytes).ok()),
+        };
+        (name.clone(), input)
+    };
+    Step {
+        node: run.name.clone(),
+        stage: run.stage.clone(),
+        parent: run.parent.clone(),
+        key: run.key,
+        version: node.action.as_ref().map(|action| action.version),
+        device: node.record.as_ref().map(|record| record.metadata.device.clone()),
+        params: node
+            .action
+            .as_ref()
+            .map(|action| action.params.clone())
+            .unwrap_or_default(),
+        started_unix_s: run.started_unix_s,
+        seconds: run.seconds,
+        inputs: run.inputs.iter().map(input).collect(),
+        lost,
+    }
+}
+
+/// Returns what a source read: of all sols the numbers, and the first products.
+fn read_by(store: &Store, source: &NodeLineage, most: usize) -> Result<Products, LineageError> {
+    let mut read = Products {
+        node: source.run.name.clone(),
+        photos: source.run.counts.get("photos").copied().unwrap_or(0),
+        ..Products::default()
+    };
+    let parts = unless_lost(parts(store, source))?.unwrap_or_default();
+    read.sols = parts.len();
+    for part in &parts {
+        if read.listed.len() >= most {
+            break;
+        }
+        match unless_lost(products(store, part))? {
+            None => read.lost_sols.push(part.shard),
+            Some(products) => {
+                let room = most - read.listed.len();
+                read.listed.extend(products.into_iter().take(room).map(line));
+            }
+        }
+    }
+    Ok(read)
+}
+
+fn line(product: Product) -> ProductLine {
+    ProductLine {
+        id: product.id,
+        sol: product.shard,
+        blobs: product.blobs,
+        files: product.origins,
+    }
+}

@@ -1,0 +1,14 @@
+//! Who made a file, and what a product went into.
+
+mod changed;
+mod file;
+mod from;
+pub mod identity;
+mod in_crate;
+mod lineage;
+
+pub use changed::Changed;
+pub use file::{AuditReport, AuditRequest, audit, is_whole};
+pub use from::{ProductUses, uses};
+pub use in_crate::trace;
+pub use lineage::{Origin, ProductLine, Products, Step, StepInput};

@@ -1,0 +1,76 @@
+//! `marf run --on slurm`: nodes as jobs of a batch system.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use marf_cluster::{Cluster, Site, SiteError};
+use marf_engine::Executor;
+use marf_remote::{Patience, Remote};
+use marf_stage::{Progress, StageError};
+use parking_lot::Mutex;
+
+use crate::context::{Context, Feedback};
+use crate::error::{Diagnostic, Error};
+use crate::program::PROGRAM;
+use crate::trust::trust;
+
+/// Returns what computes nodes as jobs, by a site file if there is one.
+///
+/// # Errors
+/// A site file that is not there or is none; a shared store that cannot be opened; jobs on a GPU that do not tell which it is.
+pub fn executor(context: &Context, site: Option<&Path>) -> Result<Option<Arc<dyn Executor>>, Error> {
+    let Some(site) = site else {
+        return Ok(None);
+    };
+    let refused = |error: SiteError| {
+        let diagnostic = Diagnostic::new(error.to_string());
+        match error {
+            SiteError::Silent { .. } => Error::Failed(diagnostic.hint("run on a machine from which jobs can be submitted")),
+            _ => Error::Usage(diagnostic.hint(
+                "a site file has a table [executor] with `store` (the address of the shared store) and `folder` (a folder that \
+                 all machines see); see the README",
+            )),
+        }
+    };
+    let site = Site::read(site).map_err(refused)?;
+    let remote = Arc::new(Remote::open(&site.store, Patience::Patient, trust(&site.trust)?)?);
+    let program =
+        std::env::current_exe().map_err(|error| Error::failed(format!("this program's file: {error}")))?;
+    let progress = QuestionProgress {
+        feedback: context.feedback.as_ref(),
+        last: Mutex::default(),
+    };
+    let mut cluster = Cluster::new(site, remote, program).map_err(refused)?;
+    cluster
+        .ask_backend(PROGRAM, &progress, &context.cancel)
+        .map_err(failed)?;
+    Ok(Some(Arc::new(cluster)))
+}
+
+fn failed(error: StageError) -> Error {
+    match error {
+        StageError::Cancelled => Error::Interrupted,
+        StageError::Failed { message, cause, hint } => Error::Failed(Diagnostic { message, cause, hint }),
+        StageError::Blob(error) => Error::failed(error.message),
+    }
+}
+
+/// Reports what is seen of the job that asks for the backend of the others, each time that it changes.
+struct QuestionProgress<'a> {
+    feedback: &'a dyn Feedback,
+    last: Mutex<String>,
+}
+
+impl Progress for QuestionProgress<'_> {
+    fn at(&self, _done: u64, _total: u64, note: &str) {
+        let mut last = self.last.lock();
+        if *last != note {
+            note.clone_into(&mut last);
+            self.feedback.note(&format!("backend of jobs: {note}"));
+        }
+    }
+
+    fn warn(&self, message: &str) {
+        self.feedback.warn(message);
+    }
+}

@@ -1,0 +1,7 @@
+//! What is kept in a store, and shared stores.
+
+mod local;
+mod remote;
+
+pub use local::{GcRequest, GcResult, gc, pin, unpin};
+pub use remote::{PullResult, PushResult, SharedStore};

@@ -1,0 +1,167 @@
+//! What changed at a place between two times.
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+use marf_cache::Digest;
+use marf_config::scenes::scene_of;
+use marf_engine::{NodeRun, RunRecord};
+use marf_field::Quality;
+use marf_schema::calibrate;
+use marf_schema::changes::{ChangesParams, ChangesReport};
+use marf_schema::output::CHANGE_MAPS;
+use marf_stage::{Document, Params};
+use serde::Serialize;
+use serde_json::{Map, Value, json};
+
+use crate::context::Context;
+use crate::derived::{AddedNode, DerivedRun, run_nodes, run_where};
+use crate::error::{Diagnostic, Error};
+use crate::export_table::ExportTable;
+use crate::session::{Session, digest, node_named};
+
+/// The report among the files.
+pub const REPORT: &str = "changes.json";
+
+/// A place to compare at two times.
+#[derive(Debug, Clone)]
+pub struct CompareRequest {
+    /// The scene, where the photos are split by place.
+    pub scene: Option<String>,
+    /// Sols of the earlier photos.
+    pub before: String,
+    /// Sols of the later photos.
+    pub after: String,
+    /// Folder to write.
+    pub out: PathBuf,
+    /// Number of the run; none for the last one that has the scene.
+    pub run: Option<u64>,
+    /// How much time a training may take.
+    pub quality: Quality,
+    /// Optimiser steps of a training, instead of those of its quality.
+    pub steps: Option<u64>,
+    /// Trainings of each time, at least 2.
+    pub members: u32,
+    /// Width of a cell of the map, metres; none for as fine as the photos allow.
+    pub cell: Option<f64>,
+}
+
+/// What changed.
+#[derive(Debug, Serialize)]
+pub struct CompareResult {
+    /// The files.
+    pub files: Vec<PathBuf>,
+    /// Number of the run that compared.
+    pub run: u64,
+    /// Every change.
+    pub changes: ChangesReport,
+}
+
+/// Compares a place at two times, unless that is done already, and writes the result.
+///
+/// # Errors
+/// A run without the scene, a comparison that fails, a place that cannot be written.
+pub fn compare(context: &Context, request: &CompareRequest) -> Result<CompareResult, Error> {
+    let store = context.existing_store()?;
+    let scene = request.scene.as_deref();
+    let has = |run: &RunRecord| calibrated(run, scene).is_some();
+    let run = run_where(context, &store, request.run, has, |run| without(run, scene))?;
+    let calibrated = calibrated(&run, scene).ok_or_else(|| without(&run, scene))?;
+    let added = AddedNode {
+        name: format!("changes-of-{}", calibrated.name),
+        table: table(request, calibrated)?,
+    };
+    let DerivedRun { session, record } = run_nodes(context, store, &run, std::slice::from_ref(&added))?;
+    let node = node_named(&record, &added.name)?;
+    Ok(CompareResult {
+        changes: session.document(node)?,
+        files: write(&session, &record, node, &request.out)?,
+        run: record.number,
+    })
+}
+
+/// Returns the node that placed the photos of a scene; without a scene, of the only one.
+fn calibrated<'r>(run: &'r RunRecord, scene: Option<&str>) -> Option<&'r NodeRun> {
+    let mut found = placing(run).filter(|node| scene.is_none() || scene_of(&node.name) == scene);
+    let first = found.next()?;
+    found.next().is_none().then_some(first)
+}
+
+/// Returns the nodes of a run that placed photos.
+fn placing(run: &RunRecord) -> impl Iterator<Item = &NodeRun> {
+    let good = |node: &&NodeRun| node.parent.is_none() && node.state.is_good();
+    run.nodes
+        .iter()
+        .filter(|node| node.stage == calibrate::Metrics::STAGE)
+        .filter(good)
+}
+
+fn without(run: &RunRecord, scene: Option<&str>) -> Error {
+    let scenes: Vec<&str> = placing(run).filter_map(|node| scene_of(&node.name)).collect();
+    let (message, hint) = match (scene, scenes.as_slice()) {
+        (Some(scene), []) => (
+            format!(
+                "run {} does not split its photos by place: there is no scene `{scene}`",
+                run.number
+            ),
+            "leave the scene out".to_owned(),
+        ),
+        (Some(scene), scenes) => (
+            format!("run {} has no scene `{scene}`", run.number),
+            format!("its scenes are {}", scenes.join(", ")),
+        ),
+        (None, []) => (
+            format!("run {} has placed no photos, or more than once", run.number),
+            "a pipeline with one node `calibrate` is compared".to_owned(),
+        ),
+        (None, scenes) => (
+            format!("run {} has several scenes", run.number),
+            format!("name one: {}", scenes.join(", ")),
+        ),
+    };
+    Error::Usage(Diagnostic::new(message).hint(hint))
+}
+
+/// Returns the table of the node, as pipeline.toml would have it.
+fn table(request: &CompareRequest, calibrated: &NodeRun) -> Result<Value, Error> {
+    let edge = calibrated.edges.iter().find(|edge| edge.key == "input");
+    let edge = edge.ok_or_else(|| Error::failed(format!("`{}` read no photos", calibrated.name)))?;
+    let photos = match &edge.part {
+        Some(part) => format!("{}/{part}", edge.upstream),
+        None => edge.upstream.clone(),
+    };
+    let mut table = Map::from_iter([
+        ("uses".to_owned(), json!(ChangesParams::STAGE)),
+        ("input".to_owned(), json!(calibrated.name)),
+        ("photos".to_owned(), json!(photos)),
+        ("before".to_owned(), json!(request.before)),
+        ("after".to_owned(), json!(request.after)),
+        ("quality".to_owned(), json!(request.quality)),
+        ("b".to_owned(), json!(request.members)),
+    ]);
+    table.extend(request.steps.map(|steps| ("steps".to_owned(), json!(steps))));
+    table.extend(request.cell.map(|cell| ("cell".to_owned(), json!(cell))));
+    Ok(Value::Object(table))
+}
+
+fn write(session: &Session, record: &RunRecord, node: &NodeRun, out: &Path) -> Result<Vec<PathBuf>, Error> {
+    let mut table = ExportTable::load(&session.store, out, record.root);
+    let written = write_all(session, &mut table, node);
+    table.save();
+    Ok(written?.into_iter().map(|file| out.join(file)).collect())
+}
+
+fn write_all(session: &Session, table: &mut ExportTable, node: &NodeRun) -> Result<BTreeSet<PathBuf>, Error> {
+    let mut files: Vec<(PathBuf, Digest)> =
+        vec![(PathBuf::from(REPORT), digest(node, ChangesReport::OUTPUT)?)];
+    let maps = node.outputs.iter().filter_map(|(name, output)| {
+        let file = name.strip_prefix(CHANGE_MAPS)?;
+        Some((PathBuf::from(file), output.digest))
+    });
+    files.extend(maps);
+    for (file, digest) in &files {
+        session.check()?;
+        table.write(file, digest, || Ok::<_, Error>(session.store.get(digest)?))?;
+    }
+    Ok(files.into_iter().map(|(file, _)| file).collect())
+}

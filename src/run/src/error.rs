@@ -1,0 +1,224 @@
+//! Why a request failed.
+
+use marf_cache::StoreError;
+use marf_cache::manifest::ManifestError;
+use marf_config::LoadError;
+use marf_engine::{EngineError, GraphError};
+use marf_export::ExportError;
+use marf_provenance::LineageError;
+use marf_remote::RemoteError;
+use marf_view::ViewError;
+use serde::Serialize;
+
+/// Why a request failed, by what has to be done about it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Error {
+    /// A stage failed, or a result cannot be read or written.
+    Failed(Diagnostic),
+    /// A bad argument or pipeline.toml.
+    Usage(Diagnostic),
+    /// Something was made by a newer version.
+    Newer(Diagnostic),
+    /// Another marf or another machine must do it.
+    Elsewhere(Diagnostic),
+    /// Another process holds the store.
+    Locked(Diagnostic),
+    /// The request is answered, and the answer is not the one that the user hoped for.
+    Answered(Answer, Diagnostic),
+    /// The user has stopped it.
+    Interrupted,
+}
+
+/// An answer about a file or a run.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Answer {
+    /// Made by a run, and as it was made.
+    Whole,
+    /// Not made by a run of the store.
+    NotOurs,
+    /// Altered, or made from something that was.
+    Altered,
+    /// Something of the lineage is not in the store any more.
+    Incomplete,
+    /// An archive has changed a product since.
+    Changed,
+    /// A replay gave something else.
+    Differs,
+    /// A replay could not make everything again here, and what it made is equal.
+    NotMade,
+}
+
+/// The text of an error: message, cause, hint.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Diagnostic {
+    /// What, where and how much, in one line.
+    pub message: String,
+    /// The cause, if known.
+    pub cause: Option<String>,
+    /// What to do about it, if known.
+    pub hint: Option<String>,
+}
+
+impl Diagnostic {
+    /// Returns a text without cause or hint.
+    pub fn new(message: impl Into<String>) -> Self {
+        Self {
+            message: message.into(),
+            cause: None,
+            hint: None,
+        }
+    }
+
+    /// Adds a hint.
+    #[must_use]
+    pub fn hint(mut self, hint: impl Into<String>) -> Self {
+        self.hint = Some(hint.into());
+        self
+    }
+}
+
+impl Error {
+    /// Returns a failure with a message alone.
+    pub fn failed(message: impl Into<String>) -> Self {
+        Self::Failed(Diagnostic::new(message))
+    }
+
+    /// Returns a usage error with a message alone.
+    pub fn usage(message: impl Into<String>) -> Self {
+        Self::Usage(Diagnostic::new(message))
+    }
+
+    /// Returns the error of something that is not as it was made.
+    pub fn altered(diagnostic: Diagnostic) -> Self {
+        Self::Answered(Answer::Altered, diagnostic)
+    }
+
+    /// Returns the text; none of a request that the user has stopped.
+    pub fn diagnostic(&self) -> Option<&Diagnostic> {
+        match self {
+            Self::Failed(diagnostic)
+            | Self::Usage(diagnostic)
+            | Self::Newer(diagnostic)
+            | Self::Elsewhere(diagnostic)
+            | Self::Locked(diagnostic)
+            | Self::Answered(_, diagnostic) => Some(diagnostic),
+            Self::Interrupted => None,
+        }
+    }
+
+    /// Returns the message alone.
+    pub fn message(&self) -> &str {
+        self.diagnostic()
+            .map_or("stopped", |diagnostic| &diagnostic.message)
+    }
+}
+
+impl From<LoadError> for Error {
+    fn from(error: LoadError) -> Self {
+        Self::Usage(Diagnostic {
+            message: error.message,
+            cause: None,
+            hint: error.hint,
+        })
+    }
+}
+
+impl From<StoreError> for Error {
+    fn from(error: StoreError) -> Self {
+        let hint = error.hint();
+        let diagnostic = Diagnostic {
+            message: error.to_string(),
+            cause: None,
+            hint,
+        };
+        match error {
+            StoreError::Locked { .. } => {
+                Self::Locked(diagnostic.hint("wait for the other run, or give this one its own --store"))
+            }
+            _ => Self::Failed(diagnostic),
+        }
+    }
+}
+
+impl From<ManifestError> for Error {
+    fn from(error: ManifestError) -> Self {
+        Self::failed(error.to_string())
+    }
+}
+
+impl From<EngineError> for Error {
+    fn from(error: EngineError) -> Self {
+        match error {
+            EngineError::Store(error) => error.into(),
+            EngineError::UnknownNode { .. } => Self::usage(error.to_string()),
+            EngineError::BadRun { .. } | EngineError::BadSet(_) | EngineError::Threads { .. } => {
+                Self::failed(error.to_string())
+            }
+        }
+    }
+}
+
+impl From<LineageError> for Error {
+    fn from(error: LineageError) -> Self {
+        match error {
+            LineageError::Store(error) => error.into(),
+            LineageError::Run(error) => error.into(),
+            error => Self::failed(error.to_string()),
+        }
+    }
+}
+
+impl From<GraphError> for Error {
+    fn from(error: GraphError) -> Self {
+        Self::usage(error.to_string())
+    }
+}
+
+impl From<ExportError> for Error {
+    fn from(error: ExportError) -> Self {
+        let diagnostic = Diagnostic {
+            message: error.to_string(),
+            cause: None,
+            hint: error.hint().map(str::to_owned),
+        };
+        match error {
+            ExportError::UnknownItem { .. }
+            | ExportError::UnknownNode { .. }
+            | ExportError::Exists { .. } => Self::Usage(diagnostic),
+            _ => Self::Failed(diagnostic),
+        }
+    }
+}
+
+impl From<RemoteError> for Error {
+    fn from(error: RemoteError) -> Self {
+        let diagnostic = Diagnostic {
+            message: error.to_string(),
+            cause: None,
+            hint: error.hint(),
+        };
+        match error {
+            RemoteError::Stopped => Self::Interrupted,
+            RemoteError::Store(error) => error.into(),
+            RemoteError::BadUrl { .. } | RemoteError::NoCredentials { .. } => Self::Usage(diagnostic),
+            RemoteError::Newer { .. } => Self::Newer(diagnostic),
+            RemoteError::Busy { .. } => Self::Locked(diagnostic),
+            _ => Self::Failed(diagnostic),
+        }
+    }
+}
+
+impl From<ViewError> for Error {
+    fn from(error: ViewError) -> Self {
+        let diagnostic = Diagnostic {
+            message: error.to_string(),
+            cause: None,
+            hint: error.hint().map(str::to_owned),
+        };
+        match error {
+            ViewError::Access(_) | ViewError::Prefix(_) => Self::Usage(diagnostic),
+            _ => Self::Failed(diagnostic),
+        }
+    }
+}

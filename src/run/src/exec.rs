@@ -1,0 +1,333 @@
+//! Computes actions, with their inputs from a shared store and their results into it.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use marf_cache::{Action, Conflict, Digest, Record, Store, Upstream};
+use marf_cluster::{BackendQuestion, Fault, JobProgress, JobResult};
+use marf_engine::{ActionError, Cancel, Event, Listener, Options, run_action};
+use marf_field::{Device, DeviceError};
+use marf_remote::{Observer, Patience, Reader, Remote, Traffic, in_words};
+use parking_lot::Mutex;
+
+use crate::context::{Context, RunFeedback, open_store};
+use crate::documents::params_of;
+use crate::error::{Diagnostic, Error};
+use crate::program;
+use crate::trust::trust;
+
+/// Time between two writes of the file with the progress, which lies on a file system that many machines share.
+const PROGRESS_INTERVAL: Duration = Duration::from_secs(2);
+
+/// Actions to compute.
+#[derive(Debug, Clone)]
+pub struct ExecRequest {
+    /// A file with actions, a line each, or the key of a result in the shared store.
+    pub action: String,
+    /// Where to write how it ended.
+    pub result: Option<PathBuf>,
+    /// Folder for checkpoints and what was fetched, kept until there is a result; none for a temporary one.
+    pub scratch: Option<PathBuf>,
+}
+
+/// What was computed.
+#[derive(Debug, Clone)]
+pub enum ExecResult {
+    /// The actions, whose results are in the shared store, and what that moved.
+    Actions(Vec<Action>, Traffic),
+    /// The backend of a device of this machine; none of a CPU.
+    Backend(Option<String>),
+}
+
+/// Computes actions, or answers which backend this machine has.
+///
+/// # Errors
+/// A shared store that cannot be used, actions that cannot be computed here, a file that cannot be written.
+pub fn exec(context: &Context, request: &ExecRequest) -> Result<ExecResult, Error> {
+    let remote = Remote::open(&address(context)?, Patience::Patient, trust(&[])?)?;
+    let remote = Arc::new(match index_folder() {
+        Some(folder) => remote.keeping_indexes(&folder),
+        None => remote,
+    });
+    let stop = StopObserver(context.cancel.clone());
+    let reader = Arc::new(Reader::new(Arc::clone(&remote), stop));
+    let task = Task::read(&request.action, reader.as_ref())?;
+    let outcome = match &task.work {
+        Work::Actions(list) => {
+            let machine = Machine {
+                context,
+                request,
+                remote: &remote,
+            };
+            machine.compute(list, reader)
+        }
+        Work::Backend(question) => backend_of(question),
+    };
+    if let Some(path) = &request.result
+        && !matches!(outcome, Err(Error::Interrupted))
+    {
+        let written = job_result(task.key, &outcome).write(path);
+        written.map_err(|error| Error::failed(format!("{}: {error}", path.display())))?;
+    }
+    let outcome = outcome?;
+    outcome
+        .conflicts
+        .iter()
+        .map(in_words)
+        .for_each(context.warnings());
+    Ok(match task.work {
+        Work::Actions(list) => ExecResult::Actions(list, remote.traffic()),
+        Work::Backend(_) => ExecResult::Backend(outcome.backend),
+    })
+}
+
+/// Returns what the file of a job says about its end.
+fn job_result(key: Digest, outcome: &Result<Outcome, Error>) -> JobResult {
+    JobResult {
+        key,
+        program: program::PROGRAM.to_owned(),
+        fault: outcome.as_ref().err().map(fault),
+        backend: outcome.iter().find_map(|outcome| outcome.backend.clone()),
+        warnings: outcome
+            .iter()
+            .flat_map(|outcome| &outcome.conflicts)
+            .map(in_words)
+            .collect(),
+    }
+}
+
+/// The work of a job, with the digest of its bytes.
+struct Task {
+    key: Digest,
+    work: Work,
+}
+
+/// What a job does.
+enum Work {
+    /// Computes actions.
+    Actions(Vec<Action>),
+    /// Answers a run that plans for this machine.
+    Backend(BackendQuestion),
+}
+
+/// What came of a job.
+#[derive(Default)]
+struct Outcome {
+    /// Conflicts with results that were there.
+    conflicts: Vec<Conflict>,
+    /// The backend that was asked for.
+    backend: Option<String>,
+}
+
+/// Returns the backend of a device of this machine.
+fn backend_of(question: &BackendQuestion) -> Result<Outcome, Error> {
+    let device: Device = question
+        .backend_of
+        .parse()
+        .map_err(|error: DeviceError| Error::usage(error.to_string()))?;
+    let backend = device
+        .opened_id()
+        .map_err(|error| Error::failed(error.to_string()))?;
+    Ok(Outcome {
+        backend,
+        ..Outcome::default()
+    })
+}
+
+/// Returns where jobs of this machine keep the indexes of packs: the cache folder of the user; none without one.
+fn index_folder() -> Option<PathBuf> {
+    let folder = |name: &str| {
+        std::env::var_os(name)
+            .filter(|path| !path.is_empty())
+            .map(PathBuf::from)
+    };
+    let cache = folder("XDG_CACHE_HOME").or_else(|| Some(folder("HOME")?.join(".cache")));
+    Some(cache?.join("marf/indexes"))
+}
+
+/// Returns the address of the shared store.
+fn address(context: &Context) -> Result<String, Error> {
+    let given = context.store.as_ref().and_then(|store| store.to_str());
+    given.map(str::to_owned).ok_or_else(|| {
+        let diagnostic = Diagnostic::new("--store is needed: inputs come from a shared store");
+        Error::Usage(diagnostic.hint("file:///FOLDER or s3://BUCKET/PREFIX"))
+    })
+}
+
+impl Task {
+    /// Reads what a file holds, or the action of a key.
+    fn read(given: &str, reader: &dyn Upstream) -> Result<Self, Error> {
+        let bytes = match given.parse::<Digest>() {
+            Ok(key) => reader
+                .blob(&key)
+                .map_err(Error::failed)?
+                .filter(|bytes| Digest::of(bytes) == key)
+                .ok_or_else(|| Error::failed(format!("the shared store has no action {}", key.short())))?,
+            Err(_) => std::fs::read(given).map_err(|error| Error::usage(format!("{given}: {error}")))?,
+        };
+        let key = Digest::of(&bytes);
+        if let Some(question) = BackendQuestion::decode(&bytes) {
+            let work = Work::Backend(question);
+            return Ok(Self { key, work });
+        }
+        let lines = bytes.split(|byte| *byte == b'\n').filter(|line| !line.is_empty());
+        let list: Result<Vec<Action>, _> = lines.map(Action::decode).collect();
+        let list = list.map_err(|error| Error::usage(format!("{given}: {error}")))?;
+        if list.is_empty() {
+            return Err(Error::usage(format!("{given}: no action")));
+        }
+        let work = Work::Actions(list);
+        Ok(Self { key, work })
+    }
+}
+
+/// This machine, and the shared store that it computes for.
+struct Machine<'a> {
+    context: &'a Context,
+    request: &'a ExecRequest,
+    remote: &'a Remote,
+}
+
+impl Machine<'_> {
+    /// Computes actions one after the other and sends their results. Returns the conflicts with results that were there.
+    fn compute<R: Upstream + 'static>(&self, actions: &[Action], reader: Arc<R>) -> Result<Outcome, Error> {
+        let kept = self.request.scratch.as_deref();
+        let temporary = kept.is_none().then(tempfile::tempdir).transpose();
+        let temporary = temporary.map_err(|error| Error::failed(error.to_string()))?;
+        let dir = kept
+            .or(temporary.as_ref().map(|dir| dir.path()))
+            .unwrap_or(Path::new("."));
+        let store = open_store(dir, &self.context.cancel)?.with_upstream(reader);
+        let made = actions.iter().map(|action| Ok(self.record(action, &store)?.key));
+        let keys: Vec<Digest> = made.collect::<Result<_, Error>>()?;
+        let stop = StopObserver(self.context.cancel.clone());
+        let sent = self.remote.send(&store, &keys, &[], &stop)?;
+        drop(store);
+        if let Some(dir) = kept {
+            // What is left takes space and nothing else.
+            let _ = std::fs::remove_dir_all(dir);
+        }
+        Ok(Outcome {
+            conflicts: sent.conflicts,
+            ..Outcome::default()
+        })
+    }
+
+    /// Makes the result of an action in its own store.
+    fn record(&self, action: &Action, store: &Store) -> Result<Record, Error> {
+        let context = self.context;
+        let listener = ActionListener {
+            top: action.stage.clone(),
+            file: self.request.result.as_deref().map(JobProgress::path),
+            written: Mutex::default(),
+            feedback: context.feedback.follow(&action.key().short()),
+            failure: Mutex::default(),
+        };
+        let options = Options {
+            threads: context.threads,
+            program: program::PROGRAM.to_owned(),
+            ..Options::default()
+        };
+        let wanted = (action, params_of(action));
+        let stages = marf_stages::stages();
+        let made = run_action(wanted, stages, store, &options, &listener, &context.cancel);
+        let failure = listener.failure.into_inner();
+        store.take_warnings().into_iter().for_each(context.warnings());
+        made.map_err(|error| match error {
+            ActionError::Failed(message) => {
+                Error::Failed(failure.unwrap_or_else(|| Diagnostic::new(message)))
+            }
+            error => action_error(error),
+        })
+    }
+}
+
+fn action_error(error: ActionError) -> Error {
+    match error {
+        ActionError::Stopped => Error::Interrupted,
+        ActionError::Failed(message) => Error::failed(message),
+        ActionError::Store(error) => error.into(),
+        ActionError::Engine(error) => error.into(),
+        ActionError::Graph(error) => error.into(),
+        error @ ActionError::Source { .. } => Error::Elsewhere(
+            Diagnostic::new(format!("the action is of {error}"))
+                .hint("`marf replay` fetches again, with the pipeline and its archive"),
+        ),
+        error => Error::Elsewhere(
+            Diagnostic::new(format!("the action is of {error}"))
+                .hint("use the marf that planned it, on a machine with the same backend"),
+        ),
+    }
+}
+
+fn fault(error: &Error) -> Fault {
+    let diagnostic = error.diagnostic();
+    Fault {
+        message: error.message().to_owned(),
+        is_elsewhere: matches!(error, Error::Elsewhere(_)),
+        cause: diagnostic.and_then(|diagnostic| diagnostic.cause.clone()),
+        hint: diagnostic.and_then(|diagnostic| diagnostic.hint.clone()),
+    }
+}
+
+/// Passes events on, and keeps why the action failed.
+struct ActionListener {
+    feedback: Box<dyn RunFeedback>,
+    failure: Mutex<Option<Diagnostic>>,
+    /// Name of the node whose progress is written next to the result, and where; that of its children is not.
+    top: String,
+    file: Option<PathBuf>,
+    /// When it was last written.
+    written: Mutex<Option<Instant>>,
+}
+
+impl ActionListener {
+    /// Replaces the file with the progress, if that is due. One that cannot be written costs the job nothing.
+    fn write(&self, progress: &JobProgress) {
+        let Some(file) = &self.file else { return };
+        let mut written = self.written.lock();
+        if written.is_none_or(|written| written.elapsed() >= PROGRESS_INTERVAL) {
+            *written = Some(Instant::now());
+            let _ = progress.write(file);
+        }
+    }
+}
+
+impl Listener for ActionListener {
+    fn on_event(&self, event: &Event) {
+        self.feedback.on_event(event);
+        if let Event::Progress {
+            node,
+            done,
+            total,
+            note,
+        } = event
+            && *node == self.top
+        {
+            let (done, total, note) = (*done, *total, note.clone());
+            self.write(&JobProgress { done, total, note });
+        }
+        if let Event::Failed {
+            message, cause, hint, ..
+        } = event
+        {
+            self.failure.lock().get_or_insert(Diagnostic {
+                message: message.clone(),
+                cause: cause.clone(),
+                hint: hint.clone(),
+            });
+        }
+    }
+}
+
+/// Tells a shared store whether the user wants to stop.
+struct StopObserver(Cancel);
+
+impl Observer for StopObserver {
+    fn on_progress(&self, _progress: marf_remote::Progress) {}
+
+    fn is_stopped(&self) -> bool {
+        self.0.is_set()
+    }
+}

@@ -1,0 +1,13 @@
+//! Runs and their results for use without the store.
+
+mod attest;
+pub mod cameras;
+mod crates;
+mod handed;
+mod surface;
+mod verify;
+
+pub use attest::{AttestRequest, Attestation, attest};
+pub use crates::{CrateRequest, CrateResult, export as export_crate};
+pub use surface::{SurfaceKind, SurfaceRequest, SurfaceResult, export as export_surface};
+pub use verify::{VerifyRequest, VerifyResult, open_crate, verify_crate, verify_path, without_faults};

@@ -1,0 +1,256 @@
+//! Files of the surface of a trained field for other programs.
+
+use std::path::{Path, PathBuf};
+
+use marf_cache::Store;
+use marf_engine::{NodeRun, RunRecord};
+use marf_schema::output::{DEPTH, MESH_GLB, MESH_PLY, POINTS, SPLAT_VIEWS, SPLATS, SURFACE_MAPS};
+use marf_schema::surface::{ColorBy, SurfaceParams, SurfaceReport};
+use marf_stage::Params;
+use serde::Serialize;
+use serde_json::{Map, Value, json};
+
+use crate::context::Context;
+use crate::derived::{AddedNode, DerivedRun, run_nodes, run_where, run_with, without};
+use crate::error::{Diagnostic, Error};
+use crate::field_file::{FieldMaker, made_by};
+use crate::outputs;
+use crate::session::{bootstraps_of, digest, node_named};
+
+/// A surface to export.
+#[derive(Debug, Clone)]
+pub struct SurfaceRequest {
+    /// What is exported.
+    pub kind: SurfaceKind,
+    /// A node with a trained field.
+    pub node: String,
+    /// The field in this file instead.
+    pub field: Option<PathBuf>,
+    /// File or folder to write.
+    pub out: PathBuf,
+    /// Number of the run; none for the last one that has the node.
+    pub run: Option<u64>,
+    /// Distance between samples, metres (units of the scene where it has no scale).
+    pub cell: Option<f64>,
+    /// Largest distance from a photo, as `cell`.
+    pub reach: Option<f64>,
+    /// Photos that must show a point.
+    pub least_photos: Option<u32>,
+    /// Largest difference between the views at a point, as `cell`.
+    pub most_spread: Option<f64>,
+    /// What mesh and points are coloured by.
+    pub color: ColorBy,
+    /// Width of a pixel of a map, metres.
+    pub map_cell: Option<f64>,
+    /// Of splats, a folder for pictures of them and of the field.
+    pub pictures: Option<PathBuf>,
+}
+
+/// An exported surface.
+#[derive(Debug, Serialize)]
+pub struct SurfaceResult {
+    /// The files.
+    pub files: Vec<PathBuf>,
+    /// Number of the run that made it.
+    pub run: u64,
+    /// What is known of it.
+    pub surface: SurfaceReport,
+}
+
+/// What is exported.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum SurfaceKind {
+    /// A mesh, by the ending of the file.
+    Mesh,
+    /// A cloud of points.
+    Points,
+    /// Gaussian splats.
+    Splats,
+    /// Heights, and how far views differ.
+    Height,
+    /// Colours from above.
+    Orthophoto,
+    /// Depths at the views of all photos.
+    Depth,
+}
+
+/// Makes a surface, unless it is made already, and writes it.
+///
+/// # Errors
+/// A run without the field, a surface that the scene does not have, a place that cannot be written.
+pub fn export(context: &Context, request: &SurfaceRequest) -> Result<SurfaceResult, Error> {
+    let kind = request.kind;
+    if kind == SurfaceKind::Splats && request.color != ColorBy::default() {
+        return Err(Error::usage(
+            "splats show the colours of the photos; `export mesh` and `export points` show uncertainty"
+                .to_owned(),
+        ));
+    }
+    check_ending(kind, &request.out)?;
+    let store = context.existing_store()?;
+    let (trained, run) = trained(context, &store, request)?;
+    let added = AddedNode {
+        name: format!("surface-of-{trained}"),
+        table: table(request, &run, &trained),
+    };
+    let DerivedRun { session, record } = run_nodes(context, store, &run, std::slice::from_ref(&added))?;
+    let node = node_named(&record, &added.name)?;
+    let surface: SurfaceReport = session.document(node)?;
+    has_map(kind, &surface)?;
+    let mut files = files_of(kind, node, &request.out);
+    let pictures = request.pictures.as_deref();
+    files.extend(
+        pictures
+            .map(|folder| below(node, SPLAT_VIEWS, folder))
+            .unwrap_or_default(),
+    );
+    for (name, path) in &files {
+        outputs::one(&session, &record, &digest(node, name)?, path)?;
+    }
+    Ok(SurfaceResult {
+        files: files.into_iter().map(|(_, path)| path).collect(),
+        run: record.number,
+        surface,
+    })
+}
+
+/// Refuses a map that the surface does not have.
+fn has_map(kind: SurfaceKind, report: &SurfaceReport) -> Result<(), Error> {
+    let is_map = matches!(kind, SurfaceKind::Height | SurfaceKind::Orthophoto);
+    let Some(why) = report.refused.get(SURFACE_MAPS).filter(|_| is_map) else {
+        return Ok(());
+    };
+    // Of a scene without scale all else is asked for in vain.
+    let hint = match (report.vertices, report.unit.as_str()) {
+        (0, "metres") => {
+            "lower --least-photos, or widen --most-spread or --cell: what few photos show alike is left out"
+        }
+        _ => {
+            "cameras from labels (`method = \"sfm\"` or \"labels\" on photos with labels) give metres and an up direction"
+        }
+    };
+    Err(Error::Failed(Diagnostic::new(why.clone()).hint(hint)))
+}
+
+/// Returns the node whose field is exported, and a run that has it.
+fn trained(context: &Context, store: &Store, request: &SurfaceRequest) -> Result<(String, RunRecord), Error> {
+    let Some(file) = &request.field else {
+        let run = run_with(context, store, request.run, &request.node)?;
+        return Ok((request.node.clone(), run));
+    };
+    let FieldMaker { node, runs } = made_by(context, store, file, request.run)?;
+    // A run that has retrained it tells more than one that reused it.
+    let has = |run: &RunRecord| runs.contains(&run.number);
+    let retrained = |run: &RunRecord| has(run) && bootstraps_of(run, &node).any(|node| node.state.is_good());
+    let missing = |run: &RunRecord| without(run, &node);
+    let run = run_where(context, store, request.run, retrained, missing)
+        .or_else(|_| run_where(context, store, request.run, has, missing))?;
+    Ok((node, run))
+}
+
+/// Refuses an ending that says something else than what is written.
+fn check_ending(kind: SurfaceKind, out: &Path) -> Result<(), Error> {
+    let endings: &[&str] = match kind {
+        SurfaceKind::Mesh => &["ply", "glb"],
+        SurfaceKind::Points | SurfaceKind::Splats => &["ply"],
+        SurfaceKind::Height | SurfaceKind::Orthophoto => &["png", "tif"],
+        SurfaceKind::Depth => return Ok(()),
+    };
+    let ending = out
+        .extension()
+        .and_then(|ending| ending.to_str())
+        .unwrap_or_default();
+    if endings.contains(&ending) {
+        return Ok(());
+    }
+    Err(Error::usage(format!(
+        "--out {}: the file must end with .{}",
+        out.display(),
+        endings.join(" or .")
+    )))
+}
+
+/// Returns the table of the node, as pipeline.toml would have it.
+fn table(request: &SurfaceRequest, run: &RunRecord, trained: &str) -> Value {
+    let kind = request.kind;
+    let mut table = Map::from_iter([
+        ("uses".to_owned(), json!(SurfaceParams::STAGE)),
+        ("input".to_owned(), json!(trained)),
+    ]);
+    let lengths = [
+        ("cell", request.cell),
+        ("reach", request.reach),
+        ("most_spread", request.most_spread),
+        ("map_cell", request.map_cell),
+    ];
+    let lengths = lengths
+        .into_iter()
+        .filter_map(|(key, length)| Some((key, json!(length?))));
+    // Splats are looked at, not measured: what one photo shows is worth showing.
+    let least_photos = request
+        .least_photos
+        .or((kind == SurfaceKind::Splats).then_some(1));
+    let count = least_photos.map(|count| ("least_photos", json!(count)));
+    let has_members = matches!(kind, SurfaceKind::Mesh | SurfaceKind::Points);
+    let members = bootstraps_of(run, trained).find(|node| has_members && node.state.is_good());
+    let members = members.map(|node| ("members", json!(node.name)));
+    let color = (request.color != ColorBy::default()).then_some(("color", json!(request.color)));
+    let depth = (kind == SurfaceKind::Depth).then_some(("depth", json!(true)));
+    let splats = (kind == SurfaceKind::Splats).then_some(("splats", json!(true)));
+    table.extend(
+        lengths
+            .chain(count)
+            .chain(depth)
+            .chain(splats)
+            .chain(members)
+            .chain(color)
+            .map(|(key, value)| (key.to_owned(), value)),
+    );
+    Value::Object(table)
+}
+
+/// Returns the outputs to write, and where to.
+fn files_of(kind: SurfaceKind, node: &NodeRun, out: &Path) -> Vec<(String, PathBuf)> {
+    let is_glb = out.extension().is_some_and(|ending| ending == "glb");
+    let is_tiff = out.extension().is_some_and(|ending| ending == "tif");
+    let map = |name: &str, ending: &str| format!("{SURFACE_MAPS}{name}.{ending}");
+    match kind {
+        SurfaceKind::Mesh if is_glb => vec![(MESH_GLB.to_owned(), out.to_owned())],
+        SurfaceKind::Mesh => vec![(MESH_PLY.to_owned(), out.to_owned())],
+        SurfaceKind::Points => vec![(POINTS.to_owned(), out.to_owned())],
+        SurfaceKind::Splats => vec![(SPLATS.to_owned(), out.to_owned())],
+        SurfaceKind::Height if is_tiff => vec![
+            (map("height", "tif"), out.to_owned()),
+            (map("spread", "tif"), beside(out, "-spread")),
+        ],
+        SurfaceKind::Height => {
+            let spread = beside(out, "-spread");
+            vec![
+                (map("height", "png"), out.to_owned()),
+                (map("height", "pgw"), out.with_extension("pgw")),
+                (map("spread", "pgw"), spread.with_extension("pgw")),
+                (map("spread", "png"), spread),
+            ]
+        }
+        SurfaceKind::Orthophoto if is_tiff => vec![(map("orthophoto", "tif"), out.to_owned())],
+        SurfaceKind::Orthophoto => vec![
+            (map("orthophoto", "png"), out.to_owned()),
+            (map("orthophoto", "pgw"), out.with_extension("pgw")),
+        ],
+        SurfaceKind::Depth => below(node, DEPTH, out),
+    }
+}
+
+/// Returns the outputs of a node whose names begin with a prefix, and their files in a folder.
+fn below(node: &NodeRun, prefix: &str, folder: &Path) -> Vec<(String, PathBuf)> {
+    let names = node.outputs.keys();
+    let files = names.filter_map(|name| Some((name.clone(), folder.join(name.strip_prefix(prefix)?))));
+    files.collect()
+}
+
+/// Returns the file beside another whose name has more before the ending.
+fn beside(file: &Path, more: &str) -> PathBuf {
+    let [stem, ending] =
+        [file.file_stem(), file.extension()].map(|part| part.unwrap_or_default().to_string_lossy());
+    file.with_file_name(format!("{stem}{more}.{ending}"))
+}

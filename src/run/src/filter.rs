@@ -1,0 +1,125 @@
+//! Filters the photos of a folder.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use marf_engine::{RunRecord, document};
+use marf_report::calls;
+use marf_stage::Verdict;
+
+use crate::context::Context;
+use crate::documents::{self, Documents};
+use crate::error::Error;
+use crate::execute::{Extras, execute_with, options};
+use crate::session::Session;
+use crate::{folder, outputs, report, verdicts};
+
+/// A folder whose photos are filtered.
+#[derive(Debug, Clone)]
+pub struct FilterRequest {
+    /// The folder.
+    pub dir: PathBuf,
+    /// The CSV to write; a page with the photos goes next to it as .html.
+    pub out: PathBuf,
+    /// Photos to keep whatever the filters say, by product id or file name.
+    pub keep: Vec<String>,
+    /// Photos to reject whatever the filters say.
+    pub reject: Vec<String>,
+}
+
+/// The verdicts on the photos of a folder.
+#[derive(Debug, Clone)]
+pub struct FilterResult {
+    /// How many photos have each verdict.
+    pub counts: BTreeMap<String, usize>,
+    /// The filters that judged by a threshold, in the order of the chain.
+    pub filters: Vec<FilterCalls>,
+    /// The page with the photos.
+    pub page: PathBuf,
+}
+
+/// How firm the verdicts of a filter are.
+#[derive(Debug, Clone)]
+pub struct FilterCalls {
+    /// The filter.
+    pub name: String,
+    /// Its verdicts by a threshold.
+    pub verdicts: Vec<Verdict>,
+}
+
+/// Runs every filter with its defaults on the photos of a folder, and writes their verdicts.
+///
+/// # Errors
+/// A folder that cannot be read, a place that cannot be written, a run that fails.
+pub fn filter(context: &Context, request: &FilterRequest) -> Result<FilterResult, Error> {
+    let chain = chain();
+    let session = Session::implicit(&pipeline(&chain, request), context)?;
+    let extras = Extras {
+        trace: None,
+        documents: &|record| documents(&session, record, &chain),
+    };
+    let execution = execute_with(&session, &options(&session), &extras)?;
+    let by_node = verdicts::by_node(&session, &execution.record)?;
+    let page = page(&request.out);
+    for (name, path) in [(document::VERDICTS, &request.out), (document::REPORT, &page)] {
+        if let Some(document) = execution.record.documents.get(name) {
+            outputs::one(&session, &execution.record, &document.digest, path)?;
+        }
+    }
+    execution.done()?;
+    let mut counts: BTreeMap<String, usize> = BTreeMap::new();
+    for verdict in verdicts::merged(&by_node, &chain) {
+        *counts.entry(verdict.verdict).or_default() += 1;
+    }
+    let calls_of = |name: &&str| {
+        let verdicts = by_node.get(*name)?;
+        (!calls(verdicts).is_empty()).then(|| FilterCalls {
+            name: (*name).to_owned(),
+            verdicts: verdicts.clone(),
+        })
+    };
+    let filters = chain.iter().filter_map(calls_of).collect();
+    Ok(FilterResult {
+        counts,
+        filters,
+        page,
+    })
+}
+
+/// Returns the nodes of the pipeline in their order: extract, then every filter of the table.
+fn chain() -> Vec<&'static str> {
+    let filters = marf_stages::filters().iter().map(|filter| filter.name);
+    std::iter::once("extract").chain(filters).collect()
+}
+
+/// Stores the table of the verdicts and the page that shows them; nothing where there is no verdict.
+fn documents(session: &Session, record: &RunRecord, chain: &[&str]) -> Result<Documents, Error> {
+    let merged = verdicts::merged(&verdicts::by_node(session, record)?, chain);
+    if merged.is_empty() {
+        return Ok(Documents::new());
+    }
+    let mut documents = report::documents(session, record)?;
+    let (name, csv) = documents::put(session, document::VERDICTS, &verdicts::csv(&merged)?)?;
+    documents.insert(name, csv);
+    Ok(documents)
+}
+
+/// Returns the path of the page of the verdicts, beside the CSV.
+fn page(csv: &Path) -> PathBuf {
+    csv.with_extension("html")
+}
+
+/// Returns the text of the pipeline that runs a chain of nodes on the folder of a request.
+fn pipeline(chain: &[&str], request: &FilterRequest) -> String {
+    let mut text = folder::photos("filter", &request.dir);
+    for pair in chain.windows(2) {
+        text.push_str(&format!("[node.{}]\ninput = \"{}\"\n", pair[1], pair[0]));
+    }
+    for (list, ids) in [("keep", &request.keep), ("reject", &request.reject)] {
+        if !ids.is_empty() {
+            let ids = toml::Value::from(ids.clone());
+            text.push_str(&format!("[{list}]\nids = {ids}\n"));
+        }
+    }
+    text
+}

@@ -1,0 +1,248 @@
+//! Trains a field on the photos of a folder, once for each time.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use marf_cache::Digest;
+use marf_engine::{NodeRun, Outcome, RunRecord, document};
+use marf_schema::calibrate::{self, CalibrateParams};
+use marf_schema::folds::{self, FoldsParams};
+use marf_schema::output;
+use marf_schema::scores::PhotoScores;
+use marf_schema::train::{Metrics, Target, TrainParams};
+use marf_stage::Params;
+use serde::Serialize;
+
+use crate::context::Context;
+use crate::documents::{self, Documents};
+use crate::error::Error;
+use crate::execute::{Extras, execute_with, options};
+use crate::session::{Session, node_named};
+use crate::{budget, folder, outputs};
+
+/// A folder to train on.
+#[derive(Debug, Clone)]
+pub struct FitRequest {
+    /// The folder.
+    pub dir: PathBuf,
+    /// How long to train.
+    pub time: FitTime,
+    /// Stop at this PSNR on training photos that are held back, dB.
+    pub target: Option<f64>,
+    /// Folder to write.
+    pub out: PathBuf,
+    /// Seed of the training.
+    pub seed: u64,
+    /// Memory that the training may take, as pipeline.toml has it.
+    pub memory: Option<String>,
+    /// What decides how large the field is, as pipeline.toml names it.
+    pub fit: &'static str,
+}
+
+/// How long to train.
+#[derive(Debug, Clone)]
+pub enum FitTime {
+    /// Trials and steps, each time on its own.
+    Budgets(Vec<String>),
+    /// The whole wait.
+    Within(String),
+}
+
+/// What metrics.json holds of one time.
+#[derive(Debug, Clone, Serialize)]
+struct Fitted {
+    /// Key of the training, by which other runs have it too.
+    key: Digest,
+    #[serde(flatten)]
+    seconds: Seconds,
+    #[serde(flatten)]
+    metrics: Metrics,
+    /// A scene of few photos, judged on all of them.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    folds: Option<folds::Judged>,
+}
+
+/// How long a training took when it was made.
+#[derive(Debug, Clone, Serialize)]
+pub struct Seconds {
+    /// Trials and steps.
+    pub train_seconds: f64,
+    /// Renders and scores of the photos that it is judged by.
+    pub judging_seconds: f64,
+    /// All, with decoding.
+    pub seconds: f64,
+    /// All, as it was foreseen before the first step.
+    pub expected_seconds: f64,
+}
+
+/// Scores of one time, with what it took on this machine.
+#[derive(Debug, Serialize)]
+pub struct FitScores {
+    /// Mean PSNR of the held-out photos, dB.
+    pub psnr: f64,
+    /// The same as the paper computes it.
+    pub psnr_paper: Option<f64>,
+    /// Mean SSIM of the held-out photos.
+    pub ssim: Option<f64>,
+    /// Optimiser steps.
+    pub steps: u64,
+    /// Rays a second.
+    pub rays_per_s: f64,
+    /// Samples a second.
+    pub samples_per_s: f64,
+    /// How long it took.
+    #[serde(flatten)]
+    pub seconds: Seconds,
+    /// Largest memory, MB.
+    pub peak_mb: u64,
+    /// How the target went, if there was one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub target: Option<Target>,
+    /// Scores by photo.
+    pub views: Vec<PhotoScores>,
+    /// A scene of few photos, judged on all of them.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub folds: Option<folds::Judged>,
+}
+
+/// Trains for each time and renders the held-out views. One time after the other, so that each has the whole machine.
+///
+/// # Errors
+/// A time that is none, a folder that cannot be read or written, a run that fails.
+pub fn fit(context: &Context, request: &FitRequest) -> Result<BTreeMap<String, FitScores>, Error> {
+    let times = match &request.time {
+        FitTime::Budgets(budgets) => budgets.as_slice(),
+        FitTime::Within(within) => std::slice::from_ref(within),
+    };
+    let times = times.iter().map(|text| budget::whole_seconds(text));
+    let (mut fitted, mut scores) = (BTreeMap::new(), BTreeMap::new());
+    for seconds in times.collect::<Result<Vec<_>, _>>()? {
+        let name = format!("{seconds}s");
+        let session = Session::implicit(&pipeline(request, seconds), context)?;
+        let extras = Extras {
+            trace: None,
+            documents: &|record| document(&session, record, &name, &fitted),
+        };
+        let record = execute_with(&session, &options(&session), &extras)?.done()?;
+        let cameras: calibrate::Metrics = session.document(node_named(&record, CalibrateParams::STAGE)?)?;
+        let totals = &cameras.totals;
+        context.feedback.note(&format!(
+            "cameras: {}, {} of {} photos placed",
+            cameras.method, totals.registered, totals.photos
+        ));
+        write(&session, &record, &request.out, &name)?;
+        scores.insert(name.clone(), scores_of(&session, &record)?);
+        fitted.insert(name, fitted_of(&session, &record)?);
+    }
+    Ok(scores)
+}
+
+fn pipeline(request: &FitRequest, seconds: u32) -> String {
+    let memory = request.memory.as_ref().map_or_else(String::new, |size| {
+        format!("memory = {}\n", toml::Value::String(size.clone()))
+    });
+    let (length, folds) = match request.time {
+        FitTime::Within(_) => ("within", ""),
+        FitTime::Budgets(_) => ("budget", "[node.folds]\ninput = \"calibrate\"\nof = \"train\"\n"),
+    };
+    let target = request
+        .target
+        .map_or_else(String::new, |psnr| format!("target_psnr = {psnr:?}\n"));
+    format!(
+        "{}{length} = \"{seconds}s\"\nseed = {}\nfit = \"{}\"\n{memory}{target}{folds}",
+        folder::training("fit", &request.dir),
+        request.seed,
+        request.fit
+    )
+}
+
+/// Stores the metrics of this budget and of those before it; nothing of a run that has none.
+fn document(
+    session: &Session,
+    record: &RunRecord,
+    budget: &str,
+    before: &BTreeMap<String, Fitted>,
+) -> Result<Documents, Error> {
+    if record.outcome != Outcome::Done {
+        return Ok(Documents::new());
+    }
+    let mut all = before.clone();
+    all.insert(budget.to_owned(), fitted_of(session, record)?);
+    let json = serde_json::to_vec_pretty(&all).map_err(|error| Error::failed(error.to_string()))?;
+    Ok(Documents::from([documents::put(
+        session,
+        document::METRICS,
+        &json,
+    )?]))
+}
+
+/// Writes metrics.json and, into the folder of the budget, the held-out renders.
+fn write(session: &Session, record: &RunRecord, out: &Path, budget: &str) -> Result<(), Error> {
+    if let Some(metrics) = record.documents.get(document::METRICS) {
+        outputs::one(session, record, &metrics.digest, &out.join(document::METRICS))?;
+    }
+    let node = node_named(record, TrainParams::STAGE)?;
+    for (name, output) in &node.outputs {
+        if let Some(file) = name.strip_prefix(output::HELDOUT) {
+            outputs::one(session, record, &output.digest, &out.join(budget).join(file))?;
+        }
+    }
+    Ok(())
+}
+
+fn fitted_of(session: &Session, record: &RunRecord) -> Result<Fitted, Error> {
+    let node = node_named(record, TrainParams::STAGE)?;
+    let key = node.key.ok_or_else(|| Error::failed("the training has no key"))?;
+    let metrics = session.document(node)?;
+    Ok(Fitted {
+        key,
+        seconds: seconds_of(session, node),
+        metrics,
+        folds: folds_of(session, record)?,
+    })
+}
+
+/// Returns what folds gave, where the scene is small enough for them.
+fn folds_of(session: &Session, record: &RunRecord) -> Result<Option<folds::Judged>, Error> {
+    let node = record.node(FoldsParams::STAGE);
+    let metrics = node
+        .map(|node| session.document::<folds::Metrics>(node))
+        .transpose()?;
+    Ok(metrics.and_then(|metrics| metrics.judged))
+}
+
+/// Returns the scores of a training with what it took on this machine.
+fn scores_of(session: &Session, record: &RunRecord) -> Result<FitScores, Error> {
+    let node = node_named(record, TrainParams::STAGE)?;
+    let metrics: Metrics = session.document(node)?;
+    let made = node.key.and_then(|key| session.store.record(&key).ok().flatten());
+    let peak_mb = made.map_or(0, |record| record.metadata.peak_mb);
+    let seconds = seconds_of(session, node);
+    let rate = |count: u64| count as f64 / seconds.train_seconds.max(1e-9);
+    Ok(FitScores {
+        psnr: metrics.scores.psnr,
+        psnr_paper: metrics.scores.psnr_paper,
+        ssim: metrics.scores.ssim,
+        steps: metrics.steps,
+        rays_per_s: rate(metrics.rays),
+        samples_per_s: rate(metrics.samples),
+        seconds,
+        peak_mb,
+        target: metrics.target,
+        views: metrics.scores.views,
+        folds: folds_of(session, record)?,
+    })
+}
+
+/// Returns how long a training took when it was made; 0 where an earlier version has made it and told no parts.
+fn seconds_of(session: &Session, node: &NodeRun) -> Seconds {
+    let record = node.key.and_then(|key| session.store.record(&key).ok().flatten());
+    let parts = record.map(|record| record.metadata.parts_s).unwrap_or_default();
+    let part = |name: &str| parts.get(name).copied().unwrap_or_default();
+    Seconds {
+        train_seconds: part("training"),
+        judging_seconds: part("judging"),
+        seconds: node.seconds,
+        expected_seconds: part("expected"),
+    }
+}

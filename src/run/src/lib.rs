@@ -1,0 +1,47 @@
+//! What the verbs of marf do, without a command line or a terminal: requests and their results.
+//!
+//! Every request gets a [`Context`]: the pipeline and the store that it is about, and who hears of its progress.
+
+pub mod audit;
+mod batch_system;
+pub mod budget;
+pub mod cache;
+pub mod calibrate;
+pub mod compare;
+mod context;
+mod copies;
+mod derived;
+pub mod diff;
+mod documents;
+mod error;
+pub mod exec;
+pub mod execute;
+pub mod export;
+mod export_table;
+mod field_file;
+mod file_state;
+pub mod files;
+pub mod filter;
+pub mod fit;
+pub mod folder;
+mod manual_lists;
+mod outputs;
+pub mod photos;
+pub mod plan;
+pub mod program;
+pub mod render;
+pub mod replay;
+pub mod report;
+pub mod results;
+pub mod run;
+pub mod scenes;
+pub mod session;
+mod shared;
+pub mod status;
+pub mod trade;
+mod trust;
+mod verdicts;
+pub mod view;
+
+pub use context::{Context, Feedback, RunFeedback, open_store};
+pub use error::{Answer, Diagnostic, Error};

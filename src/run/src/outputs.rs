@@ -1,0 +1,209 @@
+//! Writes the outputs of a run to `OUT/<node>/<file>`.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Component, Path, PathBuf};
+
+use marf_cache::Digest;
+use marf_engine::{RunRecord, document, sets};
+use marf_schema::changes::ChangesReport;
+use marf_schema::scenes::Scenes;
+use marf_schema::ties::Ties;
+use marf_schema::{output, train, tune};
+use marf_stage::{Document, VERDICTS};
+
+use crate::copies;
+use crate::error::Error;
+use crate::export_table::ExportTable;
+use crate::files;
+use crate::scenes::{self, SCENE_PAGES};
+use crate::session::Session;
+
+/// Outputs without a file name of their own, and the name they get.
+const NAMED: [(&str, &str); 13] = [
+    (Scenes::OUTPUT, "scenes.json"),
+    (Ties::OUTPUT, "ties.json"),
+    (output::SCENE, "scene.json"),
+    (output::TRANSFORMS, "transforms.json"),
+    (train::Metrics::OUTPUT, "metrics.json"),
+    (output::WEIGHTS, "weights.safetensors"),
+    (train::Curve::OUTPUT, "curve.json"),
+    (train::Setup::OUTPUT, "setup.json"),
+    (tune::BestParams::OUTPUT, "params.json"),
+    (tune::Trials::OUTPUT, "trials.json"),
+    (tune::Scatter::OUTPUT, "scatter.json"),
+    (output::VIDEO, "video.mp4"),
+    (ChangesReport::OUTPUT, "changes.json"),
+];
+
+/// Whether all outputs could be written.
+pub enum Exported {
+    /// All are in their files.
+    All,
+    /// The store has lost one of a node.
+    Lost(LostOutput),
+}
+
+/// An output that the store has lost, or an object behind it.
+pub struct LostOutput {
+    /// The node.
+    pub node: String,
+    /// Which output and which object, in a sentence.
+    pub what: String,
+}
+
+/// Writes what is new or different. A file that was written before and not touched since is neither read nor written.
+///
+/// Verdicts become one file a sol, so that a new sol writes its own.
+///
+/// # Errors
+/// A place that cannot be written, a store that cannot be read, the wish to stop before any file.
+pub fn write(session: &Session, record: &RunRecord, out: &Path) -> Result<Exported, Error> {
+    let mut table = ExportTable::load(&session.store, out, record.root);
+    let written = write_all(session, record, &mut table);
+    table.save();
+    match written {
+        Err(Fault::Lost(lost)) => Ok(Exported::Lost(lost)),
+        Err(Fault::Other(error)) => Err(error),
+        Ok(()) => Ok(Exported::All),
+    }
+}
+
+/// Why an output was not written.
+enum Fault {
+    Lost(LostOutput),
+    Other(Error),
+}
+
+impl From<Error> for Fault {
+    fn from(error: Error) -> Self {
+        Self::Other(error)
+    }
+}
+
+impl From<marf_cache::manifest::ManifestError> for Fault {
+    fn from(error: marf_cache::manifest::ManifestError) -> Self {
+        Self::Other(error.into())
+    }
+}
+
+fn write_all(session: &Session, record: &RunRecord, table: &mut ExportTable) -> Result<(), Fault> {
+    if let Some(report) = record.documents.get(document::REPORT) {
+        let get = || session.store.get(&report.digest).map_err(Error::from);
+        table.write(Path::new(document::REPORT), &report.digest, get)?;
+    }
+    let mut pages = BTreeSet::new();
+    for (name, page) in record.documents.iter().filter(|(name, _)| scenes::is_page(name)) {
+        let get = || session.store.get(&page.digest).map_err(Error::from);
+        table.write(Path::new(name), &page.digest, get)?;
+        pages.extend(
+            Path::new(name)
+                .file_name()
+                .and_then(|name| name.to_str())
+                .map(str::to_owned),
+        );
+    }
+    if !pages.is_empty() {
+        table.keep_only(Path::new(SCENE_PAGES), &pages)?;
+    }
+    for node in record.nodes.iter().filter(|node| node.parent.is_none()) {
+        let folder = Path::new(&node.name);
+        let mut written: BTreeMap<PathBuf, BTreeSet<String>> = BTreeMap::new();
+        for (name, output) in &node.outputs {
+            let get = |digest: &Digest| {
+                session.check()?;
+                session.store.get(digest).map_err(|error| match error.lost() {
+                    Some(_) => Fault::Lost(LostOutput {
+                        node: node.name.clone(),
+                        what: format!("output `{name}` of `{}`: {error}", node.name),
+                    }),
+                    None => Fault::Other(error.into()),
+                })
+            };
+            if name == VERDICTS {
+                write_verdicts(table, &folder.join(VERDICTS), &output.digest, get)?;
+            } else if let Some(file) = file_name(name) {
+                let file = folder.join(file);
+                table.write(&file, &output.digest, || get(&output.digest))?;
+                note(&mut written, &file);
+            }
+        }
+        // Maps and frames that the last run had and this one has not: beside new ones they would be taken for its own.
+        for (below, names) in written.iter().filter(|(below, _)| *below != folder) {
+            table.keep_only(below, names)?;
+        }
+    }
+    Ok(())
+}
+
+fn note(written: &mut BTreeMap<PathBuf, BTreeSet<String>>, file: &Path) {
+    if let (Some(folder), Some(name)) = (file.parent(), file.file_name().and_then(|name| name.to_str())) {
+        written
+            .entry(folder.to_owned())
+            .or_default()
+            .insert(name.to_owned());
+    }
+}
+
+/// Writes the verdicts of a node, one file a sol, and removes those of sols that are no longer there.
+fn write_verdicts(
+    table: &mut ExportTable,
+    folder: &Path,
+    root: &Digest,
+    mut get: impl FnMut(&Digest) -> Result<std::sync::Arc<[u8]>, Fault>,
+) -> Result<(), Fault> {
+    if table.has_folder(folder, root) {
+        return Ok(());
+    }
+    let mut names = BTreeSet::new();
+    let (mut shard, mut part) = (None, 0);
+    for leaf in sets::leaves(root, &mut get)? {
+        part = if shard == Some(leaf.shard) { part + 1 } else { 0 };
+        shard = Some(leaf.shard);
+        let name = match part {
+            0 => format!("sol-{:05}.jsonl", leaf.shard),
+            part => format!("sol-{:05}-{part}.jsonl", leaf.shard),
+        };
+        table.write(&folder.join(&name), &leaf.leaf, || get(&leaf.leaf))?;
+        names.insert(name);
+    }
+    table.keep_only(folder, &names)?;
+    table.note_folder(folder, root);
+    Ok(())
+}
+
+/// Writes one object of a run to a file, unless it is there already.
+///
+/// # Errors
+/// A place that cannot be written, or an object that the store has lost.
+pub fn one(session: &Session, record: &RunRecord, digest: &Digest, path: &Path) -> Result<(), Error> {
+    if copies::is_copy(path, digest) {
+        return Ok(());
+    }
+    let bytes = session.store.get(digest)?;
+    files::write(path, &copies::copy(path, digest, &bytes, record.root))
+}
+
+/// Returns the file an output becomes; `None` for manifests, which only the store can resolve.
+/// A name that would lead out of its folder has none.
+pub fn file_name(output: &str) -> Option<&str> {
+    if let Some((_, file)) = NAMED.iter().find(|(name, _)| *name == output) {
+        return Some(file);
+    }
+    let path = Path::new(output);
+    let plain = path.components().all(|part| matches!(part, Component::Normal(_)));
+    (plain && path.extension().is_some()).then_some(output)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn outputs_become_files_and_none_leaves_its_folder() {
+        assert_eq!(file_name("scene"), Some("scene.json"));
+        assert_eq!(file_name("maps/a-std.png"), Some("maps/a-std.png"));
+        for bad in ["photos", "companions", "../x.png", "/x.png", "a/../../x.png"] {
+            assert_eq!(file_name(bad), None, "{bad}");
+        }
+    }
+}

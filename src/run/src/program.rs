@@ -1,0 +1,76 @@
+//! Which program runs, to the byte.
+
+use std::path::Path;
+
+use marf_cache::{Digest, Store};
+use marf_engine::Build;
+use serde::{Deserialize, Serialize};
+
+use crate::file_state::{FileState, state_of};
+use crate::files;
+
+/// The program with its version, as records name it.
+pub const PROGRAM: &str = concat!("marf ", env!("CARGO_PKG_VERSION"));
+
+/// The digest of the program's file, and the file's state when it was read.
+#[derive(Debug, Serialize, Deserialize)]
+struct Known {
+    state: FileState,
+    blake3: Digest,
+    bytes: u64,
+}
+
+/// Returns what is known of the program's file, with the commit that it is built from; none where the system does not tell which it is, or it cannot be read.
+///
+/// The digest of 100 MB takes 20 ms, so it is kept in the scratch folder of the store with the state of the file.
+pub fn build(store: &Store, commit: Option<&str>) -> Option<Build> {
+    let path = std::env::current_exe().ok()?;
+    let table = store.scratch().join("program.json");
+    let state = state_of(&path)?;
+    let known = std::fs::read(&table)
+        .ok()
+        .and_then(|bytes| serde_json::from_slice::<Known>(&bytes).ok())
+        .filter(|known| known.state == state);
+    let known = match known {
+        Some(known) => known,
+        None => read(&path, state, &table)?,
+    };
+    Some(Build {
+        commit: commit.map(str::to_owned),
+        blake3: known.blake3,
+        bytes: known.bytes,
+        os: std::env::consts::OS.to_owned(),
+        arch: std::env::consts::ARCH.to_owned(),
+    })
+}
+
+fn read(path: &Path, state: FileState, table: &Path) -> Option<Known> {
+    let (blake3, bytes) = Digest::of_reader(std::fs::File::open(path).ok()?).ok()?;
+    let known = Known { state, blake3, bytes };
+    if let Ok(json) = serde_json::to_vec(&known) {
+        let _ = files::write(table, &json); // what cannot be kept is read again
+    }
+    Some(known)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_program_is_known_by_its_digest_and_read_once() {
+        let dir = tempfile::tempdir().unwrap();
+        let store = Store::open(dir.path()).unwrap();
+        let first = build(&store, None).unwrap();
+        let exe = std::fs::read(std::env::current_exe().unwrap()).unwrap();
+        assert_eq!((first.blake3, first.bytes), (Digest::of(&exe), exe.len() as u64));
+        let table = store.scratch().join("program.json");
+        let mut known: Known = serde_json::from_slice(&std::fs::read(&table).unwrap()).unwrap();
+        known.blake3 = Digest::of(b"kept");
+        std::fs::write(&table, serde_json::to_vec(&known).unwrap()).unwrap();
+        assert_eq!(build(&store, None).unwrap().blake3, Digest::of(b"kept"));
+        known.state = state_of(&table).unwrap();
+        std::fs::write(&table, serde_json::to_vec(&known).unwrap()).unwrap();
+        assert_eq!(build(&store, None), Some(first), "another file is read anew");
+    }
+}

@@ -1,0 +1,176 @@
+//! A run made again in an empty store, from its root and the pinned bytes alone.
+
+use std::path::{Path, PathBuf};
+
+use marf_cache::Store;
+use marf_engine::{Options, Outcome};
+use marf_provenance::lineage::Lineage;
+use marf_provenance::replay::{NotMade, Replayed, compare};
+use serde::Serialize;
+
+use super::plan::{Plan, plan};
+use super::target::{Target, target};
+use crate::context::{Context, open_store};
+use crate::error::{Answer, Diagnostic, Error};
+use crate::program;
+
+/// What to make again.
+#[derive(Debug, Clone)]
+pub struct ReplayRequest {
+    /// Number of a run, a node of the last run, or a file that a run made; none for the last run.
+    pub what: Option<String>,
+    /// Folder for the store of the replay, which is kept; none for a temporary one.
+    pub scratch: Option<PathBuf>,
+}
+
+/// What came of a replay.
+#[derive(Debug, Serialize)]
+pub struct ReplayReport {
+    /// Number of the run.
+    pub run: u64,
+    /// Threads that the replay used.
+    pub threads: usize,
+    /// The nodes.
+    pub nodes: Vec<Replayed>,
+}
+
+/// Makes a run, a node or what made a file again, and compares digests.
+///
+/// # Errors
+/// What is needed and not there, a folder that is not empty, a run that fails.
+pub fn replay(context: &Context, request: &ReplayRequest) -> Result<ReplayReport, Error> {
+    let store = context.existing_store()?;
+    let Target { run, node } = target(context, &store, request.what.as_deref())?;
+    let lineage = Lineage::of(&store, run)?;
+    let nodes = match &node {
+        Some(node) => lineage.upstream(node),
+        None => lineage.nodes.iter().collect(),
+    };
+    let temporary = request.scratch.is_none().then(tempfile::tempdir).transpose();
+    let temporary = temporary.map_err(|error| Error::failed(error.to_string()))?;
+    let dir = match (&request.scratch, &temporary) {
+        (Some(dir), _) => dir.clone(),
+        (None, Some(temporary)) => temporary.path().join("store"),
+        (None, None) => PathBuf::new(),
+    };
+    let scratch = empty_store(context, &dir)?;
+    let Plan { graph, to, not_made } = plan(&lineage, &nodes, &scratch).map_err(incomplete)?;
+    let options = Options {
+        threads: context.threads,
+        to,
+        pipeline: lineage.run.pipeline.clone(),
+        command: format!("replay of run {}", lineage.run.number),
+        program: program::PROGRAM.to_owned(),
+        ..Options::default()
+    };
+    let listener = context.feedback.follow("replay");
+    let record = marf_engine::run(&graph, &scratch, &options, &*listener, &context.cancel)?;
+    if record.outcome == Outcome::Cancelled {
+        return Err(Error::Interrupted);
+    }
+    let replayed = compare(&lineage, &nodes, (&record, &scratch), &not_made)?;
+    scratch.take_warnings().into_iter().for_each(context.warnings());
+    Ok(ReplayReport {
+        run: lineage.run.number,
+        threads: record.threads,
+        nodes: replayed,
+    })
+}
+
+/// Opens the store of a replay, which must be empty: what it had would be taken for what the replay made.
+fn empty_store(context: &Context, dir: &Path) -> Result<Store, Error> {
+    let is_empty = std::fs::read_dir(dir).map_or(true, |mut entries| entries.next().is_none());
+    if !is_empty {
+        return Err(Error::usage(format!(
+            "--scratch {}: the folder is not empty",
+            dir.display()
+        )));
+    }
+    open_store(dir, &context.cancel)
+}
+
+/// Makes an answer of an error that something is lost.
+fn incomplete(error: Error) -> Error {
+    match error {
+        Error::Failed(diagnostic) => Error::Answered(Answer::Incomplete, diagnostic),
+        other => other,
+    }
+}
+
+/// Tells whether a node came out otherwise.
+pub fn differs(node: &Replayed) -> bool {
+    !node.differs.is_empty()
+}
+
+/// Tells whether a node could not be made again here.
+pub fn is_missing(node: &Replayed) -> bool {
+    matches!(node.not_made, Some(NotMade::NotMade(_)))
+}
+
+/// Returns an error unless everything came out as it was: a difference counts before what could not be made.
+///
+/// # Errors
+/// [`Error::Answered`]: differs, or not made.
+pub fn is_equal(report: &ReplayReport) -> Result<(), Error> {
+    let first = |wanted: fn(&Replayed) -> bool| report.nodes.iter().find(|node| wanted(node));
+    let (answer, said) = match (first(differs), first(is_missing)) {
+        (Some(node), _) => (
+            Answer::Differs,
+            format!("did not come out as it was, first at `{}`", node.node),
+        ),
+        (None, Some(node)) => (
+            Answer::NotMade,
+            format!("could not all be made again here, first `{}`", node.node),
+        ),
+        (None, None) => return Ok(()),
+    };
+    let diagnostic = Diagnostic::new(format!("run {} {said}", report.run));
+    Err(Error::Answered(answer, diagnostic))
+}
+
+#[cfg(test)]
+mod tests {
+    use marf_provenance::replay::DifferingOutput;
+
+    use super::*;
+
+    fn node(differs: &[&str], not_made: Option<NotMade>) -> Replayed {
+        let output = |name: &&str| DifferingOutput {
+            output: (*name).to_owned(),
+            was: None,
+            is: None,
+            difference: None,
+        };
+        Replayed {
+            node: "n".to_owned(),
+            equal: 1,
+            differs: differs.iter().map(output).collect(),
+            not_made,
+        }
+    }
+
+    #[test]
+    fn a_difference_counts_before_what_could_not_be_made_and_that_before_what_is_equal() {
+        let made = || node(&[], None);
+        let taken_over = || node(&[], Some(NotMade::TakenOver("it varies".to_owned())));
+        let missing = || node(&[], Some(NotMade::NotMade("out of memory".to_owned())));
+        let differing = || node(&["field"], None);
+        for (nodes, expected) in [
+            (vec![], None),
+            (vec![made(), taken_over()], None),
+            (vec![made(), missing(), taken_over()], Some(Answer::NotMade)),
+            (vec![missing(), differing(), made()], Some(Answer::Differs)),
+        ] {
+            let report = ReplayReport {
+                run: 1,
+                threads: 1,
+                nodes,
+            };
+            let found = match is_equal(&report) {
+                Err(Error::Answered(answer, _)) => Some(answer),
+                _ => None,
+            };
+            assert_eq!(found, expected, "{report:?}");
+        }
+    }
+}

@@ -1,0 +1,333 @@
+//! A pipeline, its graph and its store: what most verbs begin with.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use marf_cache::{Digest, Store};
+use marf_config::scenes::ByScene;
+use marf_config::{self as config, Loaded, SharedStore};
+use marf_engine::{Graph, Listings, NodeDecl, NodeRun, Outcome, RunRecord};
+use marf_schema::bootstrap;
+use marf_schema::scenes::Scenes;
+use marf_stage::{Document, Verdict};
+
+use crate::context::{Context, open_store};
+use crate::error::{Diagnostic, Error};
+
+/// What the name of a pipeline is followed by in runs of exports: they are no runs of the pipeline.
+pub const EXPORTS: &str = " (export)";
+
+/// What the name of a pipeline is followed by in runs of `marf trade`.
+pub const TRADES: &str = " (trade)";
+
+/// What the name of a pipeline is followed by in runs that only tell which scenes there are.
+pub const SCENES: &str = " (scenes)";
+
+/// Tells whether a run is no run of the pipeline as it is: it made a file for another program, a point of a trade, or told the scenes.
+pub fn is_aside(run: &RunRecord) -> bool {
+    is_aside_name(&run.pipeline)
+}
+
+/// As [`is_aside`], of the name of a run's pipeline.
+pub fn is_aside_name(pipeline: &str) -> bool {
+    [EXPORTS, TRADES, SCENES]
+        .iter()
+        .any(|aside| pipeline.ends_with(aside))
+}
+
+/// Returns the last run of a pipeline among runs, oldest first.
+pub fn last_of(runs: &[RunRecord]) -> Option<&RunRecord> {
+    runs.iter().rev().find(|run| !is_aside(run))
+}
+
+/// A pipeline ready to plan and run.
+pub struct Session {
+    /// Name of the pipeline.
+    pub name: String,
+    /// The graph of its nodes.
+    pub graph: Graph,
+    /// Where results are.
+    pub store: Store,
+    /// Nodes as the report shows them: name, one line about the stage, parameters.
+    pub nodes: Vec<NodeInfo>,
+    /// The pipeline as written.
+    pub written: String,
+    /// The pipeline with all overrides applied, as JSON.
+    pub tree: serde_json::Value,
+    /// The nodes that are to run for each scene; none where nothing is split by place, or they do so already.
+    pub by_scene: Option<ByScene>,
+    /// Names of the scenes that nodes run for.
+    pub scenes: Vec<String>,
+    /// What its archives have told.
+    listings: Listings,
+    /// The store that results are shared through.
+    pub shared: Option<SharedStore>,
+    /// What the request was given.
+    pub context: Context,
+}
+
+/// What a report shows of a node beside its run.
+#[derive(Debug, Clone, PartialEq)]
+pub struct NodeInfo {
+    /// Its name.
+    pub name: String,
+    /// One line about its stage.
+    pub about: &'static str,
+    /// Of a filter: what in its table keeps photos that it rejects.
+    pub relax: Option<&'static str>,
+    /// Its parameters as given.
+    pub params: serde_json::Value,
+}
+
+impl Session {
+    /// Loads the pipeline of a context.
+    ///
+    /// # Errors
+    /// A bad pipeline, or a store that cannot be opened.
+    pub fn open(context: &Context) -> Result<Self, Error> {
+        let loaded = config::load(&context.file, &context.sets, &context.config)?;
+        let name = loaded.pipeline.name.clone();
+        let name = name.unwrap_or_else(|| unnamed(&context.file));
+        Self::new(context, loaded, name, context.open_store()?, Listings::default())
+    }
+
+    /// Loads the text of a pipeline that a verb has built for one folder.
+    ///
+    /// # Errors
+    /// As [`Session::open`].
+    pub fn implicit(text: &str, context: &Context) -> Result<Self, Error> {
+        let pipeline =
+            config::check(text, &context.sets, &context.config, Path::new("")).map_err(|error| {
+                Error::Usage(Diagnostic {
+                    message: error.render(Path::new("(built-in pipeline)"), text),
+                    cause: None,
+                    hint: error.hint,
+                })
+            })?;
+        let store = open_store(&context.store_dir(Path::new("")), &context.cancel)?;
+        let name = pipeline.name.clone().unwrap_or_else(|| "built-in".to_owned());
+        let text = text.to_owned();
+        Self::new(
+            context,
+            Loaded { pipeline, text },
+            name,
+            store,
+            Listings::default(),
+        )
+    }
+
+    /// Takes a pipeline that an earlier run had, changed or not, under a name, with the store of that run.
+    ///
+    /// # Errors
+    /// Nodes that form no graph.
+    pub fn derived(context: &Context, loaded: Loaded, name: String, store: Store) -> Result<Self, Error> {
+        Self::new(context, loaded, name, store, Listings::default())
+    }
+
+    fn new(
+        context: &Context,
+        loaded: Loaded,
+        name: String,
+        store: Store,
+        listings: Listings,
+    ) -> Result<Self, Error> {
+        let pipeline = loaded.pipeline;
+        let info = |node: &config::Node| NodeInfo {
+            name: node.name.clone(),
+            about: node.def.about,
+            relax: node.def.relax,
+            params: node.params.clone(),
+        };
+        let nodes = pipeline.nodes.iter().map(info).collect();
+        let by_scene = ByScene::from_pipeline(&pipeline);
+        let graph = graph_of(pipeline.nodes)?.sharing(&listings);
+        Ok(Self {
+            name,
+            graph,
+            store,
+            nodes,
+            written: loaded.text,
+            tree: pipeline.tree,
+            shared: pipeline.shared,
+            by_scene,
+            scenes: Vec::new(),
+            listings,
+            context: context.clone(),
+        })
+    }
+
+    /// Returns the session with its nodes for each of these scenes; as it is where nothing is split by place.
+    ///
+    /// # Errors
+    /// A file that was changed meanwhile.
+    pub fn for_scenes(self, scenes: &Scenes) -> Result<Self, Error> {
+        let Some(by_scene) = &self.by_scene else {
+            return Ok(self);
+        };
+        let names: Vec<String> = scenes.scenes.iter().map(|scene| scene.name.clone()).collect();
+        let context = &self.context;
+        let loaded = config::load(&context.file, &context.sets, &context.config)?;
+        let tree = by_scene.expanded(&loaded.pipeline, &names);
+        let pipeline = config::check_tree(&tree, &context.config, context.folder())
+            .map_err(|error| Error::usage(format!("the pipeline by scene: {}", error.message)))?;
+        let loaded = Loaded {
+            pipeline,
+            text: self.written,
+        };
+        Ok(Self {
+            scenes: names,
+            by_scene: self.by_scene,
+            ..Self::new(context, loaded, self.name, self.store, self.listings)?
+        })
+    }
+
+    /// Returns the session with its nodes for each scene that a run has found, if it has.
+    ///
+    /// # Errors
+    /// As [`Session::for_scenes`]; a store that cannot be read.
+    pub fn for_scenes_of(self, run: Option<&RunRecord>) -> Result<Self, Error> {
+        let split = self.by_scene.as_ref().map(|by_scene| by_scene.split.as_str());
+        let node = split.and_then(|split| run?.node(split));
+        match node.filter(|node| node.outputs.contains_key(Scenes::OUTPUT)) {
+            None => Ok(self),
+            Some(node) => {
+                let scenes: Scenes = self.document(node)?;
+                self.for_scenes(&scenes)
+            }
+        }
+    }
+
+    /// Returns an error if the user wants to stop.
+    ///
+    /// # Errors
+    /// [`Error::Interrupted`].
+    pub fn check(&self) -> Result<(), Error> {
+        if self.context.cancel.is_set() {
+            return Err(Error::Interrupted);
+        }
+        Ok(())
+    }
+
+    /// Reads a document that a node has written.
+    ///
+    /// # Errors
+    /// An output that the node or the store does not have, or that is no such document.
+    pub fn document<D: Document>(&self, node: &NodeRun) -> Result<D, Error> {
+        let bytes = self.output(node, D::OUTPUT)?;
+        D::decode(&bytes).map_err(|error| Error::failed(format!("{} of `{}`: {error}", D::OUTPUT, node.name)))
+    }
+
+    /// Reads an output of a node.
+    ///
+    /// # Errors
+    /// An output that the node or the store does not have.
+    pub fn output(&self, node: &NodeRun, name: &str) -> Result<Arc<[u8]>, Error> {
+        Ok(self.store.get(&digest(node, name)?)?)
+    }
+
+    /// Reads the verdicts of a node, by shard and id.
+    ///
+    /// # Errors
+    /// Verdicts that the store has lost, or bytes that are none.
+    pub fn verdicts(&self, root: &Digest) -> Result<Vec<Verdict>, Error> {
+        marf_engine::sets::verdicts(root, |digest| Ok(self.store.get(digest)?))
+    }
+
+    /// Returns the last run of this pipeline.
+    ///
+    /// # Errors
+    /// A store that cannot be read.
+    pub fn last(&self) -> Result<Option<RunRecord>, Error> {
+        Ok(marf_engine::last_run(
+            &self.store,
+            &self.name,
+            self.context.warnings(),
+        )?)
+    }
+
+    /// Returns the last run of this pipeline that came before a run, which need not be stored yet, was done and has other keys.
+    ///
+    /// # Errors
+    /// A store that cannot be read.
+    pub fn before(&self, record: &RunRecord) -> Result<Option<RunRecord>, Error> {
+        self.earlier(record, |run| {
+            run.outcome == Outcome::Done && !run.has_keys_of(record)
+        })
+    }
+
+    /// Returns the last wanted run of this pipeline that came before a run, which need not be stored yet.
+    ///
+    /// # Errors
+    /// A store that cannot be read.
+    pub fn earlier(
+        &self,
+        record: &RunRecord,
+        wanted: impl Fn(&RunRecord) -> bool,
+    ) -> Result<Option<RunRecord>, Error> {
+        let is_earlier = |run: &RunRecord| record.number == 0 || run.number < record.number;
+        let wanted = |run: &RunRecord| is_earlier(run) && wanted(run);
+        Ok(marf_engine::last_run_where(
+            &self.store,
+            &self.name,
+            self.context.warnings(),
+            wanted,
+        )?)
+    }
+
+    /// Tells whether a run has made every node of this pipeline, or found it made.
+    pub fn is_whole(&self, run: &RunRecord) -> bool {
+        let has = |info: &NodeInfo| run.node(&info.name).is_some_and(|node| node.state.is_good());
+        self.nodes.iter().all(has)
+    }
+}
+
+/// Returns the graph of the nodes of a pipeline.
+///
+/// # Errors
+/// Nodes that form no graph.
+pub fn graph_of(nodes: Vec<config::Node>) -> Result<Graph, Error> {
+    let decls = nodes.into_iter().map(|node| NodeDecl {
+        name: node.name,
+        stage: node.def,
+        bound: node.stage,
+        edges: node.edges,
+    });
+    Ok(Graph::new(decls.collect(), marf_stages::stages())?)
+}
+
+/// Returns the name of a pipeline that has none: that of its file, with eight digits that tell it from files of the same name
+/// in other folders. Two pipelines that share a store are then never compared with each other.
+pub fn unnamed(file: &Path) -> String {
+    let whole = std::path::absolute(file).unwrap_or_else(|_| file.to_owned());
+    let digits = &Digest::of(whole.as_os_str().as_encoded_bytes()).to_string()[..8];
+    let stem = file.file_stem().unwrap_or_default().to_string_lossy();
+    format!("{stem}-{digits}")
+}
+
+/// Returns the node of this name.
+///
+/// # Errors
+/// A run without that node.
+pub fn node_named<'r>(record: &'r RunRecord, name: &str) -> Result<&'r NodeRun, Error> {
+    let node = record.nodes.iter().find(|node| node.name == name);
+    node.ok_or_else(|| Error::failed(format!("the run has no node `{name}`")))
+}
+
+/// Returns the bootstraps of a run that retrain the field of a node.
+pub fn bootstraps_of<'r>(run: &'r RunRecord, trained: &str) -> impl Iterator<Item = &'r NodeRun> {
+    let retrains = move |node: &&NodeRun| {
+        let reads = node.edges.iter().any(|edge| edge.upstream == trained);
+        reads && node.stage == bootstrap::Metrics::STAGE
+    };
+    run.nodes.iter().filter(retrains)
+}
+
+/// Returns the digest of an output of a node.
+///
+/// # Errors
+/// Names the output that the node does not have.
+pub fn digest(node: &NodeRun, name: &str) -> Result<Digest, Error> {
+    let output = node.outputs.get(name);
+    let output = output.ok_or_else(|| Error::failed(format!("`{}` has no output `{name}`", node.name)))?;
+    Ok(output.digest)
+}

@@ -1,0 +1,155 @@
+//! What runs now, and how the last run ended.
+
+use std::collections::BTreeMap;
+
+use marf_cache::Store;
+use marf_engine::RunRecord;
+use marf_progress::{Standing, duration, event_folder};
+use marf_view::lines_of_running;
+use serde::Deserialize;
+
+use crate::context::Context;
+use crate::error::Error;
+use crate::scenes::parent_of;
+use crate::session::{is_aside_name, last_of};
+
+/// Returns the programs that run a pipeline on a store, the one that began last first.
+pub fn running(store: &Store) -> Vec<RunningProgram> {
+    programs(&lines_of_running(&event_folder(store)))
+}
+
+/// Returns the programs that have left these lines and run a pipeline.
+pub fn programs(lines: &[Vec<String>]) -> Vec<RunningProgram> {
+    let all = lines.iter().filter_map(|lines| RunningProgram::read(lines));
+    all.filter(|program| !is_aside_name(&program.pipeline)).collect()
+}
+
+/// Returns the last run of a store, those aside that are of no pipeline as it is.
+///
+/// # Errors
+/// A store that cannot be read, or has no run.
+pub fn last_run(context: &Context, store: &Store) -> Result<RunRecord, Error> {
+    let runs = marf_engine::runs(store, context.warnings())?;
+    let last = last_of(&runs).cloned();
+    last.ok_or_else(|| Error::failed(format!("no run in {}", store.dir().display())))
+}
+
+/// A line that a running program has left, as far as it is shown.
+#[derive(Deserialize)]
+#[serde(tag = "event", rename_all = "snake_case")]
+enum Line {
+    Began {
+        pipeline: String,
+        command: String,
+        nodes: Vec<String>,
+        upstream: BTreeMap<String, Vec<String>>,
+    },
+    Standing(Standing),
+    WillRun {
+        node: String,
+    },
+    Reused {
+        node: String,
+    },
+    Progress {
+        node: String,
+        done: u64,
+        total: u64,
+        note: String,
+    },
+    Finished {
+        node: String,
+        seconds: f64,
+    },
+    Failed {
+        node: String,
+        message: String,
+    },
+    Skipped {
+        node: String,
+        reason: String,
+    },
+    Warning {},
+}
+
+/// A program that runs, as its lines tell.
+#[derive(Default)]
+pub struct RunningProgram {
+    /// Name of its pipeline.
+    pub pipeline: String,
+    /// The command as typed.
+    pub command: String,
+    /// The nodes with their children below them, in the order in which they are shown.
+    pub order: Vec<String>,
+    /// The state of each node; of one that waits there is none.
+    pub nodes: BTreeMap<String, NodeProgress>,
+    /// What each node reads, by name.
+    pub upstream: BTreeMap<String, Vec<String>>,
+    /// How far the whole run is, once it is known.
+    pub standing: Option<Standing>,
+}
+
+/// How far a node is.
+pub struct NodeProgress {
+    /// Its state.
+    pub word: &'static str,
+    /// More about it.
+    pub note: String,
+}
+
+impl RunningProgram {
+    /// Reads the lines of a program; none if the first of them is not the beginning of a run.
+    fn read(lines: &[String]) -> Option<Self> {
+        let mut running = Self::default();
+        // A line of a newer version is passed over.
+        let known = lines.iter().filter_map(|line| serde_json::from_str(line).ok());
+        known.for_each(|line| running.take(line));
+        (!running.command.is_empty()).then_some(running)
+    }
+
+    fn take(&mut self, line: Line) {
+        match line {
+            Line::Began {
+                pipeline,
+                command,
+                nodes,
+                upstream,
+            } => {
+                self.pipeline = pipeline;
+                self.command = command;
+                self.order = nodes;
+                self.upstream = upstream;
+            }
+            Line::Standing(standing) => self.standing = Some(standing),
+            Line::WillRun { node } => self.set(node, "running", String::new()),
+            Line::Reused { node } => self.set(node, "reused", String::new()),
+            Line::Progress {
+                node,
+                done,
+                total,
+                note,
+            } => {
+                let at = if total > 0 {
+                    format!("{done}/{total}  {note}")
+                } else {
+                    note
+                };
+                self.set(node, "running", at);
+            }
+            Line::Finished { node, seconds } => self.set(node, "ran", duration(seconds)),
+            Line::Failed { node, message } => self.set(node, "failed", message),
+            Line::Skipped { node, reason } => self.set(node, "skipped", reason),
+            Line::Warning {} => {}
+        }
+    }
+
+    fn set(&mut self, node: String, word: &'static str, note: String) {
+        if !self.nodes.contains_key(&node) && !self.order.contains(&node) {
+            let parent = parent_of(&node).to_owned();
+            let place = self.order.iter().rposition(|name| parent_of(name) == parent);
+            self.order
+                .insert(place.map_or(self.order.len(), |place| place + 1), node.clone());
+        }
+        self.nodes.insert(node, NodeProgress { word, note });
+    }
+}

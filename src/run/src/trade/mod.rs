@@ -1,0 +1,10 @@
+//! Trades of time for quality.
+
+mod base;
+mod figures;
+mod knobs;
+mod measured;
+mod request;
+mod truth;
+
+pub use request::{TradeRequest, trade};
