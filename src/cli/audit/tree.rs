@@ -166,7 +166,7 @@ struct Tree<'a> {
 }
 
 impl<'a> Tree<'a> {
-    /// Tells whether no other node reads anything of a node.
+    /// Returns whether no other node reads anything of a node.
     fn is_end(&self, step: &Step) -> bool {
         let reads = |other: &Step| {
             let mut makers = other.inputs.values().filter_map(|input| input.made_by.as_ref());

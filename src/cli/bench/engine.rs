@@ -191,7 +191,7 @@ impl Photos {
         } else {
             self.width
         };
-        let bytes = picture(seed, (width, width * 3 / 4), shade)?;
+        let bytes = picture(seed, width, width * 3 / 4, shade)?;
         let name = format!(
             "NLF_{sol:04}_{:010}_{:03}ECM_N0000000NCAM00000_00_0LLJ.jpg",
             600_000_000 + number * 13,

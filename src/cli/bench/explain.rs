@@ -54,7 +54,7 @@ pub fn explain(field: &Field, views: &[TestView], trained: &[Pose]) -> Result<Fo
     for view in views {
         let pose = &view.frame.cam_from_world;
         let render = field.render(&view.frame.camera, pose)?;
-        let size = (render.width as usize, render.height as usize);
+        let (width, height) = (render.width as usize, render.height as usize);
         let squares = squares(&render, &view.photo);
         let error = mean(&squares);
         psnr += decibels(error);
@@ -63,8 +63,8 @@ pub fn explain(field: &Field, views: &[TestView], trained: &[Pose]) -> Result<Fo
             let (shown, photo) = (shown(&render, channel), seen(&view.photo, channel));
             fitted += unexplained(&shown, &photo) / 3.0;
             let apart: Vec<f64> = shown.iter().zip(&photo).map(|(a, b)| a - b).collect();
-            add_bands(&mut bands, apart, size);
-            add_bands(&mut energies, photo, size);
+            add_bands(&mut bands, apart, width, height);
+            add_bands(&mut energies, photo, width, height);
         }
         psnr_affine += decibels(fitted);
         let depths = render.depth.iter().map(|depth| f64::from(*depth));
@@ -135,7 +135,7 @@ fn unexplained(shown: &[f64], photo: &[f64]) -> f64 {
 
 /// Adds the mean energy of every band of an image: means of blocks of 1, 2, 4, 8 and 16 px, each without that of the
 /// next (Haar's pyramid). Bands are orthogonal, so they add up to the mean square where both sides are multiples of 16.
-fn add_bands(bands: &mut [f64; BANDS], mut image: Vec<f64>, (mut width, mut height): (usize, usize)) {
+fn add_bands(bands: &mut [f64; BANDS], mut image: Vec<f64>, mut width: usize, mut height: usize) {
     for (index, band) in bands.iter_mut().enumerate() {
         if index + 1 == BANDS || width < 2 || height < 2 {
             *band += mean(&image.iter().map(|x| x * x).collect::<Vec<_>>());
@@ -249,19 +249,22 @@ mod tests {
     fn stripes_lie_in_the_band_of_their_width_and_bands_add_up() {
         for (index, period) in [2, 4, 8, 16].into_iter().enumerate() {
             let mut bands = [0.0; BANDS];
-            add_bands(&mut bands, wave(32, period), (32, 32));
+            add_bands(&mut bands, wave(32, period), 32, 32);
             let mut expected = [0.0; BANDS];
             expected[index] = 1.0;
             assert_eq!(bands, expected, "period {period}");
         }
         let mut bands = [0.0; BANDS];
-        add_bands(&mut bands, vec![0.5; 256], (16, 16));
+        add_bands(&mut bands, vec![0.5; 256], 16, 16);
         assert_eq!(bands, [0.0, 0.0, 0.0, 0.0, 0.25]);
         // Nothing, and a row: no pyramid, no NaN.
-        for (image, size) in [(Vec::new(), (0, 0)), (vec![2.0; 5], (5, 1))] {
+        for (image, width, height) in [(Vec::new(), 0, 0), (vec![2.0; 5], 5, 1)] {
             let mut bands = [0.0; BANDS];
-            add_bands(&mut bands, image, size);
-            assert!(bands.iter().all(|band| band.is_finite()), "{size:?}: {bands:?}");
+            add_bands(&mut bands, image, width, height);
+            assert!(
+                bands.iter().all(|band| band.is_finite()),
+                "{width} x {height}: {bands:?}"
+            );
         }
     }
 

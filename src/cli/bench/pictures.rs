@@ -25,8 +25,7 @@ pub enum Shade {
 ///
 /// # Errors
 /// What the encoder refuses.
-pub fn picture(seed: u64, size: (u32, u32), shade: Shade) -> Result<Vec<u8>, Error> {
-    let (width, height) = size;
+pub fn picture(seed: u64, width: u32, height: u32, shade: Shade) -> Result<Vec<u8>, Error> {
     let image: Image<Srgb> = Image::from_fn(width, height, |x, y| {
         let square = u64::from(y * SQUARES.1 / height * SQUARES.0 + x * SQUARES.0 / width);
         let channel = |channel: u64| {

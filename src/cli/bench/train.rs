@@ -91,11 +91,12 @@ pub fn train(args: &TrainArgs, context: &Context) -> Result<(), Error> {
         out: &args.out,
         cancel: &context.cancel,
         device: &keys.device,
+        seed: keys.seed,
         has_batch: keys.field.0.contains_key("batch_samples"),
         explained: args.explain.then_some(&explained),
     };
     let points: Vec<[f64; 3]> = scene.points.iter().map(|point| point.position).collect();
-    let lines = pool.install(|| bench.run(&views, &tests, &points, (&config, keys.seed), &budgets))?;
+    let lines = pool.install(|| bench.run(&views, &tests, &points, &config, &budgets))?;
     eprint_line(&table(&lines));
     Ok(())
 }
@@ -128,6 +129,7 @@ struct Bench<'a> {
     out: &'a Path,
     cancel: &'a Cancel,
     device: &'a Device,
+    seed: u64,
     /// Whether a key says the samples of a step.
     has_batch: bool,
     /// Photos trained on whose error is explained, if that was asked for.
@@ -141,7 +143,7 @@ impl Bench<'_> {
         views: &[View],
         tests: &[TestView],
         points: &[[f64; 3]],
-        (config, seed): (&Config, u64),
+        config: &Config,
         budgets: &[Budget],
     ) -> Result<Vec<Line>, Error> {
         let mut lines = Vec::new();
@@ -150,13 +152,12 @@ impl Bench<'_> {
                 steps: config.steps.or(Some(budget.expected_steps())),
                 ..config.clone()
             };
-            let (paced, paced_s) = self.paced(views, points, (&expected, seed), *budget)?;
+            let (paced, paced_s) = self.paced(views, points, &expected, *budget)?;
             let config = Config {
                 steps: config.steps.or(paced.steps),
                 ..paced
             };
-            let open = (*budget, paced_s);
-            let (mut trainer, effort) = self.trained(views.to_vec(), points, (&config, seed), open)?;
+            let (mut trainer, effort) = self.trained(views.to_vec(), points, &config, *budget, paced_s)?;
             let mut line = self.evaluate(&mut trainer, tests, &effort, *budget)?;
             line.paced_s = paced_s;
             line.explained = self.explain(&mut trainer, views, tests)?;
@@ -173,7 +174,7 @@ impl Bench<'_> {
         &self,
         views: &[View],
         points: &[[f64; 3]],
-        (config, seed): (&Config, u64),
+        config: &Config,
         budget: Budget,
     ) -> Result<(Config, f64), Error> {
         let Budget::Seconds(seconds) = budget else {
@@ -183,7 +184,7 @@ impl Bench<'_> {
             device: self.device,
             cancel: self.cancel,
             points,
-            seed,
+            seed: self.seed,
             has_batch: self.has_batch,
         };
         paced.config(views, config, f64::from(seconds))
@@ -194,13 +195,14 @@ impl Bench<'_> {
         &self,
         views: Vec<View>,
         points: &[[f64; 3]],
-        (config, seed): (&Config, u64),
-        (budget, used_s): (Budget, f64),
+        config: &Config,
+        budget: Budget,
+        used_s: f64,
     ) -> Result<(Trainer, Effort), Error> {
         let failed = |error: marf_field::FieldError| Error::failed(error.to_string());
         let mut effort = Effort::default();
         let mut trainer = effort
-            .timed(|| Trainer::new(views, points, config, seed))
+            .timed(|| Trainer::new(views, points, config, self.seed))
             .and_then(|trainer| trainer.on(self.device))
             .map_err(failed)?;
         let is_open = |trainer: &Trainer, effort: &Effort| match budget {

@@ -3,7 +3,7 @@ use std::sync::OnceLock;
 
 use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
 use marf_engine::{Event, Listener};
-use marf_progress::{Standing, sentence};
+use marf_progress::{RunProgress, sentence};
 use parking_lot::Mutex;
 
 use crate::terminal::escape_control;
@@ -19,7 +19,7 @@ pub struct Bars {
 
 impl Bars {
     /// Shows how far the whole run is.
-    pub fn on_standing(&self, standing: &Standing) {
+    pub fn on_run_progress(&self, standing: &RunProgress) {
         let whole = self.whole.get_or_init(|| {
             let bar = self
                 .all

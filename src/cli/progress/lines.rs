@@ -2,7 +2,7 @@ use std::collections::HashMap;
 use std::time::{Duration, Instant};
 
 use marf_engine::{Event, Listener};
-use marf_progress::{Standing, duration, sentence};
+use marf_progress::{RunProgress, duration, sentence};
 use parking_lot::Mutex;
 
 use crate::terminal::{eprint_line, escape_control};
@@ -13,13 +13,13 @@ const EVERY: Duration = Duration::from_secs(10);
 /// Plain lines, for logs: one an event, and one each ten seconds for a node's progress and remaining time.
 #[derive(Default)]
 pub struct Lines {
-    tracked: Mutex<HashMap<String, Tracked>>,
+    tracked: Mutex<HashMap<String, PieceOfWork>>,
     last_standing: Mutex<Option<Instant>>,
 }
 
 /// Progress of one piece of a node's work.
 #[derive(Clone, Copy)]
-struct Tracked {
+struct PieceOfWork {
     began: Instant,
     last: Instant,
     at_first: u64,
@@ -28,7 +28,7 @@ struct Tracked {
 
 impl Lines {
     /// Tells how far the whole run is, each ten seconds, from ten seconds after its beginning.
-    pub fn on_standing(&self, standing: &Standing) {
+    pub fn on_run_progress(&self, standing: &RunProgress) {
         let now = Instant::now();
         let mut last = self.last_standing.lock();
         if now - *last.get_or_insert(now) >= EVERY {
@@ -42,7 +42,7 @@ impl Lines {
     fn due(&self, node: &str, done: u64, total: u64) -> Option<String> {
         let now = Instant::now();
         let mut tracked = self.tracked.lock();
-        let fresh = Tracked {
+        let fresh = PieceOfWork {
             began: now,
             last: now,
             at_first: done,

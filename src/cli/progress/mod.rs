@@ -7,7 +7,7 @@ mod lines;
 use std::io::IsTerminal as _;
 
 use marf_engine::{Event, Listener};
-use marf_progress::Standing;
+use marf_progress::RunProgress;
 use marf_run::RunFeedback;
 
 use bars::Bars;
@@ -44,11 +44,11 @@ impl RunFeedback for Progress {
         }
     }
 
-    fn on_standing(&self, standing: &Standing) {
+    fn on_run_progress(&self, standing: &RunProgress) {
         match self {
             Self::Json(_) => {}
-            Self::Bars(bars) => bars.on_standing(standing),
-            Self::Lines(lines) => lines.on_standing(standing),
+            Self::Bars(bars) => bars.on_run_progress(standing),
+            Self::Lines(lines) => lines.on_run_progress(standing),
         }
     }
 }

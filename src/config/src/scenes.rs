@@ -133,7 +133,7 @@ impl ByScene {
     }
 }
 
-/// Tells whether a key of a node may name several nodes.
+/// Returns whether a key of a node may name several nodes.
 fn takes_many(node: &Node, key: &str) -> bool {
     node.def.ports.iter().any(|port| port.key == key && port.many)
 }

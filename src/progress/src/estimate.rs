@@ -14,14 +14,14 @@ const EVERY: Duration = Duration::from_secs(1);
 
 /// What nodes took when they last ran.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Expected {
+pub struct NodeTimes {
     /// Wall time by node, seconds.
     seconds: BTreeMap<String, f64>,
     /// Nodes that ran at a time, in the mean; at least 1.
     at_once: f64,
 }
 
-impl Expected {
+impl NodeTimes {
     /// Returns what earlier runs of a pipeline tell, the newest first.
     pub fn from_runs<'r>(runs: impl Iterator<Item = &'r RunRecord>) -> Self {
         let mut seconds = BTreeMap::new();
@@ -46,7 +46,7 @@ impl Expected {
 
 /// How far a run is.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Standing {
+pub struct RunProgress {
     /// Seconds since its beginning.
     pub seconds: f64,
     /// Nodes that are over, whatever became of them.
@@ -59,7 +59,7 @@ pub struct Standing {
     pub unknown: usize,
 }
 
-impl Standing {
+impl RunProgress {
     /// Says it: `12 of 34 nodes, about 2 min 05 s left`.
     pub fn text(&self) -> String {
         let left = match (self.left_s > 0.0, self.unknown) {
@@ -78,20 +78,20 @@ impl Standing {
 /// Follows the events of a run.
 pub struct Estimate {
     began: Instant,
-    expected: Expected,
+    expected: NodeTimes,
     state: Mutex<State>,
 }
 
 struct State {
     /// Nodes that are not over, children aside.
-    open: HashMap<String, Option<Running>>,
+    open: HashMap<String, Option<NodeWork>>,
     nodes: usize,
     last: Option<Instant>,
 }
 
 /// A node that runs.
 #[derive(Clone, Copy)]
-struct Running {
+struct NodeWork {
     began: Instant,
     /// The piece of work that it is at: when it was first told of, how much was done then and is now, and how much it has.
     piece: Option<(Instant, [u64; 3])>,
@@ -99,7 +99,7 @@ struct Running {
 
 impl Estimate {
     /// Begins with nodes none of which is over.
-    pub fn new(nodes: &[&str], expected: Expected) -> Self {
+    pub fn new(nodes: &[&str], expected: NodeTimes) -> Self {
         let open = nodes.iter().map(|name| ((*name).to_owned(), None)).collect();
         let state = State {
             open,
@@ -114,7 +114,7 @@ impl Estimate {
     }
 
     /// Takes an event in and returns how far the run is, if that is due to be told.
-    pub fn after(&self, event: &Event) -> Option<Standing> {
+    pub fn after(&self, event: &Event) -> Option<RunProgress> {
         let now = Instant::now();
         let mut state = self.state.lock();
         state.take(event, now);
@@ -125,14 +125,14 @@ impl Estimate {
         Some(self.standing(&state, now))
     }
 
-    fn standing(&self, state: &State, now: Instant) -> Standing {
-        let left = |(name, running): (&String, &Option<Running>)| {
+    fn standing(&self, state: &State, now: Instant) -> RunProgress {
+        let left = |(name, running): (&String, &Option<NodeWork>)| {
             let known = self.expected.seconds.get(name).copied();
             running.map_or(known, |running| running.left_s(known, now))
         };
         let left: Vec<Option<f64>> = state.open.iter().map(left).collect();
         let known = || left.iter().flatten().copied();
-        Standing {
+        RunProgress {
             seconds: (now - self.began).as_secs_f64(),
             over: state.nodes - state.open.len(),
             nodes: state.nodes,
@@ -148,7 +148,7 @@ impl State {
         match event {
             Event::WillRun { node, .. } => {
                 if let Some(open) = self.open.get_mut(node) {
-                    *open = Some(Running {
+                    *open = Some(NodeWork {
                         began: now,
                         piece: None,
                     });
@@ -172,7 +172,7 @@ impl State {
     }
 }
 
-impl Running {
+impl NodeWork {
     fn at(&mut self, done: u64, total: u64, now: Instant) {
         self.piece = match self.piece {
             Some((since, [first, _, all])) if all == total => Some((since, [first, done, total])),
@@ -199,11 +199,11 @@ impl Running {
 mod tests {
     use super::*;
 
-    fn expected(seconds: &[(&str, f64)], at_once: f64) -> Expected {
+    fn expected(seconds: &[(&str, f64)], at_once: f64) -> NodeTimes {
         let seconds = seconds
             .iter()
             .map(|(name, seconds)| ((*name).to_owned(), *seconds));
-        Expected {
+        NodeTimes {
             seconds: seconds.collect(),
             at_once,
         }
@@ -244,7 +244,7 @@ mod tests {
     fn a_running_node_is_as_long_as_it_was_or_as_its_piece_of_work_tells() {
         let now = Instant::now();
         let ago = |seconds| now.checked_sub(Duration::from_secs(seconds)).unwrap();
-        let mut running = Running {
+        let mut running = NodeWork {
             began: ago(30),
             piece: None,
         };

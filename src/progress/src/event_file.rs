@@ -11,7 +11,7 @@ use marf_engine::{Event, Listener};
 use parking_lot::Mutex;
 use serde::Serialize;
 
-use super::estimate::Standing;
+use super::estimate::RunProgress;
 use super::json::Line;
 
 /// Shortest time between two lines of progress of a node, except the last one.
@@ -39,7 +39,7 @@ struct State {
 
 /// The first line.
 #[derive(Debug, Serialize)]
-pub struct Began<'a> {
+pub struct RunStart<'a> {
     /// Always `began`.
     pub event: &'static str,
     /// Name of the run.
@@ -56,11 +56,11 @@ pub struct Began<'a> {
 
 /// A line on how far the whole run is.
 #[derive(Debug, Serialize)]
-struct StandingLine<'a> {
+struct RunProgressLine<'a> {
     /// Always `standing`.
     event: &'static str,
     #[serde(flatten)]
-    standing: &'a Standing,
+    standing: &'a RunProgress,
     /// The same in words.
     text: String,
 }
@@ -70,7 +70,7 @@ impl EventFile {
     ///
     /// # Errors
     /// A folder that cannot be written.
-    pub fn create(folder: &Path, began: &Began<'_>) -> io::Result<Self> {
+    pub fn create(folder: &Path, began: &RunStart<'_>) -> io::Result<Self> {
         std::fs::create_dir_all(folder)?;
         remove_dead(folder);
         let path = folder.join(format!("{}.jsonl", began.run));
@@ -92,8 +92,8 @@ impl EventFile {
 
 impl EventFile {
     /// Adds how far the whole run is.
-    pub fn on_standing(&self, standing: &Standing) {
-        let line = StandingLine {
+    pub fn on_run_progress(&self, standing: &RunProgress) {
+        let line = RunProgressLine {
             event: "standing",
             text: standing.text(),
             standing,
@@ -162,8 +162,8 @@ fn remove(path: &Path) {
 mod tests {
     use super::*;
 
-    fn began<'a>(run: &'a str, nodes: &'a [&'a str]) -> Began<'a> {
-        Began {
+    fn began<'a>(run: &'a str, nodes: &'a [&'a str]) -> RunStart<'a> {
+        RunStart {
             event: "began",
             run,
             pipeline: "demo",

@@ -6,8 +6,8 @@ mod json;
 mod text;
 mod trace;
 
-pub use estimate::{Estimate, Expected, Standing};
-pub use event_file::{Began, EventFile, event_folder};
+pub use estimate::{Estimate, NodeTimes, RunProgress};
+pub use event_file::{EventFile, RunStart, event_folder};
 pub use json::{Line, event_schema};
 pub use text::{duration, sentence};
 pub use trace::Trace;

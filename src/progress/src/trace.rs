@@ -17,11 +17,11 @@ struct State {
     events: Vec<Value>,
     /// Lanes: the node that each is drawing, if any.
     lanes: Vec<Option<String>>,
-    running: HashMap<String, Running>,
+    running: HashMap<String, DrawnNode>,
 }
 
 /// A node that is drawn at this moment.
-struct Running {
+struct DrawnNode {
     lane: usize,
     began_us: u64,
     reason: String,
@@ -63,7 +63,7 @@ impl State {
             self.lanes.len() - 1
         });
         self.lanes[lane] = Some(node.to_owned());
-        let running = Running {
+        let running = DrawnNode {
             lane,
             began_us,
             reason: reason.to_owned(),

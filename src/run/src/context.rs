@@ -7,7 +7,7 @@ use std::sync::Arc;
 use marf_cache::Store;
 use marf_config::GlobalOptions;
 use marf_engine::{Cancel, Listener};
-use marf_progress::Standing;
+use marf_progress::RunProgress;
 
 use crate::error::{Diagnostic, Error};
 
@@ -55,7 +55,7 @@ pub trait RunFeedback: Listener + Send {
     fn on_devices(&self, devices: &str);
 
     /// Receives how far the whole run is.
-    fn on_standing(&self, standing: &Standing);
+    fn on_run_progress(&self, standing: &RunProgress);
 }
 
 impl Context {

@@ -24,7 +24,7 @@ pub fn copy<'a>(path: &Path, object: &Digest, bytes: &'a [u8], run: Option<Diges
     marked.map_or(Cow::Borrowed(bytes), Cow::Owned)
 }
 
-/// Tells whether a file is a copy of an object, with a mark or without.
+/// Returns whether a file is a copy of an object, with a mark or without.
 pub fn is_copy(path: &Path, object: &Digest) -> bool {
     let Ok(bytes) = std::fs::read(path) else {
         return false;

@@ -121,16 +121,9 @@ pub fn run_nodes(
         tree
     };
     let pipeline = check_tree(&tree, &given, Path::new("")).map_err(|error| {
-        Error::Usage(Diagnostic {
-            message: format!(
-                "`{}` on run {}: {}",
-                names.join("`, `"),
-                run.number,
-                error.message
-            ),
-            cause: None,
-            hint: error.hint,
-        })
+        let names = names.join("`, `");
+        let message = format!("`{names}` on run {}: {}", run.number, error.message);
+        Error::Usage(Diagnostic::with_hint(message, error.hint))
     })?;
     let name = format!("{}{EXPORTS}", run.pipeline.trim_end_matches(EXPORTS));
     let text = json!(tree).to_string();

@@ -100,7 +100,7 @@ pub fn params_of(action: &Action) -> Value {
     params
 }
 
-/// Tells whether a stage has a parameter.
+/// Returns whether a stage has a parameter.
 fn has_key(stage: &str, key: &str) -> bool {
     let mut stages = marf_stages::stages().iter().filter(|def| def.name == stage);
     stages.any(|def| (def.schema)().to_value()["properties"].get(key).is_some())

@@ -63,10 +63,15 @@ pub struct Diagnostic {
 impl Diagnostic {
     /// Returns a text without cause or hint.
     pub fn new(message: impl Into<String>) -> Self {
+        Self::with_hint(message, None)
+    }
+
+    /// Returns a text with a hint, if there is one.
+    pub fn with_hint(message: impl Into<String>, hint: Option<String>) -> Self {
         Self {
             message: message.into(),
             cause: None,
-            hint: None,
+            hint,
         }
     }
 
@@ -116,22 +121,13 @@ impl Error {
 
 impl From<LoadError> for Error {
     fn from(error: LoadError) -> Self {
-        Self::Usage(Diagnostic {
-            message: error.message,
-            cause: None,
-            hint: error.hint,
-        })
+        Self::Usage(Diagnostic::with_hint(error.message, error.hint))
     }
 }
 
 impl From<StoreError> for Error {
     fn from(error: StoreError) -> Self {
-        let hint = error.hint();
-        let diagnostic = Diagnostic {
-            message: error.to_string(),
-            cause: None,
-            hint,
-        };
+        let diagnostic = Diagnostic::with_hint(error.to_string(), error.hint());
         match error {
             StoreError::Locked { .. } => {
                 Self::Locked(diagnostic.hint("wait for the other run, or give this one its own --store"))
@@ -177,11 +173,7 @@ impl From<GraphError> for Error {
 
 impl From<ExportError> for Error {
     fn from(error: ExportError) -> Self {
-        let diagnostic = Diagnostic {
-            message: error.to_string(),
-            cause: None,
-            hint: error.hint().map(str::to_owned),
-        };
+        let diagnostic = Diagnostic::with_hint(error.to_string(), error.hint().map(str::to_owned));
         match error {
             ExportError::UnknownItem { .. }
             | ExportError::UnknownNode { .. }
@@ -193,11 +185,7 @@ impl From<ExportError> for Error {
 
 impl From<RemoteError> for Error {
     fn from(error: RemoteError) -> Self {
-        let diagnostic = Diagnostic {
-            message: error.to_string(),
-            cause: None,
-            hint: error.hint(),
-        };
+        let diagnostic = Diagnostic::with_hint(error.to_string(), error.hint());
         match error {
             RemoteError::Stopped => Self::Interrupted,
             RemoteError::Store(error) => error.into(),
@@ -211,11 +199,7 @@ impl From<RemoteError> for Error {
 
 impl From<ViewError> for Error {
     fn from(error: ViewError) -> Self {
-        let diagnostic = Diagnostic {
-            message: error.to_string(),
-            cause: None,
-            hint: error.hint().map(str::to_owned),
-        };
+        let diagnostic = Diagnostic::with_hint(error.to_string(), error.hint().map(str::to_owned));
         match error {
             ViewError::Access(_) | ViewError::Prefix(_) => Self::Usage(diagnostic),
             _ => Self::Failed(diagnostic),

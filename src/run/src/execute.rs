@@ -7,7 +7,7 @@ use std::time::SystemTime;
 
 use marf_cache::Digest;
 use marf_engine::{Event, Listener, Options, Outcome, RunRecord, SharedResults};
-use marf_progress::{Began, Estimate, EventFile, Expected, Trace, event_folder};
+use marf_progress::{Estimate, EventFile, NodeTimes, RunStart, Trace, event_folder};
 use marf_report::emptied;
 use parking_lot::Mutex;
 
@@ -177,7 +177,7 @@ fn event_file(session: &Session, options: &Options) -> Option<EventFile> {
     if session.store.is_read_only() {
         return None;
     }
-    let began = Began {
+    let began = RunStart {
         event: "began",
         run: &options.id,
         pipeline: &session.name,
@@ -231,7 +231,7 @@ fn upstream(session: &Session) -> BTreeMap<&str, Vec<&str>> {
 const RUNS_ASKED: usize = 5;
 
 /// Returns what the last runs of this pipeline tell of how long its nodes take; a run that cannot be read tells nothing.
-fn expected(session: &Session) -> Expected {
+fn expected(session: &Session) -> NodeTimes {
     let numbers = session.store.run_numbers().unwrap_or_default();
     let runs = numbers
         .into_iter()
@@ -242,7 +242,7 @@ fn expected(session: &Session) -> Expected {
         .filter(|run| run.pipeline == session.name)
         .take(RUNS_ASKED)
         .collect();
-    Expected::from_runs(own.iter())
+    NodeTimes::from_runs(own.iter())
 }
 
 /// Returns what the nodes of a session run on: the GPUs, or `cpu`.
@@ -274,9 +274,9 @@ impl Listener for RunListener {
             file.on_event(event);
         }
         if let Some(standing) = self.estimate.after(event) {
-            self.feedback.on_standing(&standing);
+            self.feedback.on_run_progress(&standing);
             if let Some(file) = &self.event_file {
-                file.on_standing(&standing);
+                file.on_run_progress(&standing);
             }
         }
         if let Event::Failed {

@@ -73,7 +73,7 @@ impl ExportTable {
         Ok(())
     }
 
-    /// Tells whether a folder was written from this set, and no file of it was added or removed since.
+    /// Returns whether a folder was written from this set, and no file of it was added or removed since.
     pub fn has_folder(&mut self, folder: &Path, root: &Digest) -> bool {
         self.has(folder, root)
     }

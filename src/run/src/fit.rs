@@ -50,7 +50,7 @@ pub enum FitTime {
 
 /// What metrics.json holds of one time.
 #[derive(Debug, Clone, Serialize)]
-struct Fitted {
+struct TimeMetrics {
     /// Key of the training, by which other runs have it too.
     key: Digest,
     #[serde(flatten)]
@@ -132,7 +132,7 @@ pub fn fit(context: &Context, request: &FitRequest) -> Result<BTreeMap<String, F
         ));
         write(&session, &record, &request.out, &name)?;
         scores.insert(name.clone(), scores_of(&session, &record)?);
-        fitted.insert(name, fitted_of(&session, &record)?);
+        fitted.insert(name, metrics_of(&session, &record)?);
     }
     Ok(scores)
 }
@@ -161,13 +161,13 @@ fn document(
     session: &Session,
     record: &RunRecord,
     budget: &str,
-    before: &BTreeMap<String, Fitted>,
+    before: &BTreeMap<String, TimeMetrics>,
 ) -> Result<Documents, Error> {
     if record.outcome != Outcome::Done {
         return Ok(Documents::new());
     }
     let mut all = before.clone();
-    all.insert(budget.to_owned(), fitted_of(session, record)?);
+    all.insert(budget.to_owned(), metrics_of(session, record)?);
     let json = serde_json::to_vec_pretty(&all).map_err(|error| Error::failed(error.to_string()))?;
     Ok(Documents::from([documents::put(
         session,
@@ -190,11 +190,11 @@ fn write(session: &Session, record: &RunRecord, out: &Path, budget: &str) -> Res
     Ok(())
 }
 
-fn fitted_of(session: &Session, record: &RunRecord) -> Result<Fitted, Error> {
+fn metrics_of(session: &Session, record: &RunRecord) -> Result<TimeMetrics, Error> {
     let node = node_named(record, TrainParams::STAGE)?;
     let key = node.key.ok_or_else(|| Error::failed("the training has no key"))?;
     let metrics = session.document(node)?;
-    Ok(Fitted {
+    Ok(TimeMetrics {
         key,
         seconds: seconds_of(session, node),
         metrics,

@@ -11,7 +11,7 @@ use marf_config::nearest::did_you_mean;
 /// Verdicts of files that gave no photo.
 const NO_PHOTO: [&str; 2] = ["decode", "skipped"];
 
-/// Tells whether any filter has a name in a list.
+/// Returns whether any filter has a name in a list.
 pub fn any(nodes: &[NodeInfo]) -> bool {
     nodes
         .iter()

@@ -36,7 +36,7 @@ const NAMED: [(&str, &str); 13] = [
 ];
 
 /// Whether all outputs could be written.
-pub enum Exported {
+pub enum Completeness {
     /// All are in their files.
     All,
     /// The store has lost one of a node.
@@ -57,14 +57,14 @@ pub struct LostOutput {
 ///
 /// # Errors
 /// A place that cannot be written, a store that cannot be read, the wish to stop before any file.
-pub fn write(session: &Session, record: &RunRecord, out: &Path) -> Result<Exported, Error> {
+pub fn write(session: &Session, record: &RunRecord, out: &Path) -> Result<Completeness, Error> {
     let mut table = ExportTable::load(&session.store, out, record.root);
     let written = write_all(session, record, &mut table);
     table.save();
     match written {
-        Err(Fault::Lost(lost)) => Ok(Exported::Lost(lost)),
+        Err(Fault::Lost(lost)) => Ok(Completeness::Lost(lost)),
         Err(Fault::Other(error)) => Err(error),
-        Ok(()) => Ok(Exported::All),
+        Ok(()) => Ok(Completeness::All),
     }
 }
 

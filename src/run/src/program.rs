@@ -14,7 +14,7 @@ pub const PROGRAM: &str = concat!("marf ", env!("CARGO_PKG_VERSION"));
 
 /// The digest of the program's file, and the file's state when it was read.
 #[derive(Debug, Serialize, Deserialize)]
-struct Known {
+struct ProgramFile {
     state: FileState,
     blake3: Digest,
     bytes: u64,
@@ -29,7 +29,7 @@ pub fn build(store: &Store, commit: Option<&str>) -> Option<Build> {
     let state = state_of(&path)?;
     let known = std::fs::read(&table)
         .ok()
-        .and_then(|bytes| serde_json::from_slice::<Known>(&bytes).ok())
+        .and_then(|bytes| serde_json::from_slice::<ProgramFile>(&bytes).ok())
         .filter(|known| known.state == state);
     let known = match known {
         Some(known) => known,
@@ -44,9 +44,9 @@ pub fn build(store: &Store, commit: Option<&str>) -> Option<Build> {
     })
 }
 
-fn read(path: &Path, state: FileState, table: &Path) -> Option<Known> {
+fn read(path: &Path, state: FileState, table: &Path) -> Option<ProgramFile> {
     let (blake3, bytes) = Digest::of_reader(std::fs::File::open(path).ok()?).ok()?;
-    let known = Known { state, blake3, bytes };
+    let known = ProgramFile { state, blake3, bytes };
     if let Ok(json) = serde_json::to_vec(&known) {
         let _ = files::write(table, &json); // what cannot be kept is read again
     }
@@ -65,7 +65,7 @@ mod tests {
         let exe = std::fs::read(std::env::current_exe().unwrap()).unwrap();
         assert_eq!((first.blake3, first.bytes), (Digest::of(&exe), exe.len() as u64));
         let table = store.scratch().join("program.json");
-        let mut known: Known = serde_json::from_slice(&std::fs::read(&table).unwrap()).unwrap();
+        let mut known: ProgramFile = serde_json::from_slice(&std::fs::read(&table).unwrap()).unwrap();
         known.blake3 = Digest::of(b"kept");
         std::fs::write(&table, serde_json::to_vec(&known).unwrap()).unwrap();
         assert_eq!(build(&store, None).unwrap().blake3, Digest::of(b"kept"));

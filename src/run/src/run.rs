@@ -8,7 +8,7 @@ use crate::batch_system;
 use crate::context::Context;
 use crate::error::Error;
 use crate::execute::{Execution, Extras, execute_with, options};
-use crate::outputs::{self, Exported};
+use crate::outputs::{self, Completeness};
 use crate::report;
 use crate::scenes::{self, Selection};
 use crate::session::Session;
@@ -57,8 +57,8 @@ pub fn run(context: &Context, request: &RunRequest) -> Result<PipelineRun, Error
             return Ok(PipelineRun { session, execution });
         }
         match outputs::write(&session, &execution.record, &request.out)? {
-            Exported::All => return Ok(PipelineRun { session, execution }),
-            Exported::Lost(lost) => {
+            Completeness::All => return Ok(PipelineRun { session, execution }),
+            Completeness::Lost(lost) => {
                 context.warn(format!("{}; it is made again", lost.what));
                 options.lost = vec![lost.node];
             }

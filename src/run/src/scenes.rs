@@ -138,7 +138,7 @@ pub fn page_name(scene: &str) -> String {
     format!("{SCENE_PAGES}/{scene}.html")
 }
 
-/// Tells whether a document of a run is the page of a scene.
+/// Returns whether a document of a run is the page of a scene.
 pub fn is_page(document: &str) -> bool {
     Path::new(document).parent() == Some(Path::new(SCENE_PAGES))
 }
@@ -156,7 +156,7 @@ pub fn parent_of(node: &str) -> &str {
     node.split('/').next().unwrap_or(node)
 }
 
-/// Tells whether a name in a run is that of a node of a scene, or for none of one that all scenes share.
+/// Returns whether a name in a run is that of a node of a scene, or for none of one that all scenes share.
 pub fn is_of(node: &str, scene: Option<&str>) -> bool {
     scene_of(parent_of(node)) == scene
 }

@@ -23,7 +23,7 @@ pub const TRADES: &str = " (trade)";
 /// What the name of a pipeline is followed by in runs that only tell which scenes there are.
 pub const SCENES: &str = " (scenes)";
 
-/// Tells whether a run is no run of the pipeline as it is: it made a file for another program, a point of a trade, or told the scenes.
+/// Returns whether a run is no run of the pipeline as it is: it made a file for another program, a point of a trade, or told the scenes.
 pub fn is_aside(run: &RunRecord) -> bool {
     is_aside_name(&run.pipeline)
 }
@@ -98,11 +98,8 @@ impl Session {
     pub fn implicit(text: &str, context: &Context) -> Result<Self, Error> {
         let pipeline =
             config::check(text, &context.sets, &context.config, Path::new("")).map_err(|error| {
-                Error::Usage(Diagnostic {
-                    message: error.render(Path::new("(built-in pipeline)"), text),
-                    cause: None,
-                    hint: error.hint,
-                })
+                let message = error.render(Path::new("(built-in pipeline)"), text);
+                Error::Usage(Diagnostic::with_hint(message, error.hint))
             })?;
         let store = open_store(&context.store_dir(Path::new("")), &context.cancel)?;
         let name = pipeline.name.clone().unwrap_or_else(|| "built-in".to_owned());
@@ -274,7 +271,7 @@ impl Session {
         )?)
     }
 
-    /// Tells whether a run has made every node of this pipeline, or found it made.
+    /// Returns whether a run has made every node of this pipeline, or found it made.
     pub fn is_whole(&self, run: &RunRecord) -> bool {
         let has = |info: &NodeInfo| run.node(&info.name).is_some_and(|node| node.state.is_good());
         self.nodes.iter().all(has)

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use marf_cache::Store;
 use marf_engine::RunRecord;
-use marf_progress::{Standing, duration, event_folder};
+use marf_progress::{RunProgress, duration, event_folder};
 use marf_view::lines_of_running;
 use serde::Deserialize;
 
@@ -44,7 +44,7 @@ enum Line {
         nodes: Vec<String>,
         upstream: BTreeMap<String, Vec<String>>,
     },
-    Standing(Standing),
+    Standing(RunProgress),
     WillRun {
         node: String,
     },
@@ -86,7 +86,7 @@ pub struct RunningProgram {
     /// What each node reads, by name.
     pub upstream: BTreeMap<String, Vec<String>>,
     /// How far the whole run is, once it is known.
-    pub standing: Option<Standing>,
+    pub standing: Option<RunProgress>,
 }
 
 /// How far a node is.

@@ -49,7 +49,7 @@ pub enum Fault {
 }
 
 impl Fault {
-    /// Tells whether photos are fetched from a server.
+    /// Returns whether photos are fetched from a server.
     pub fn needs_server(self) -> bool {
         matches!(self, Self::FetchKill | Self::FetchInterrupt)
     }

@@ -73,7 +73,7 @@ impl Source {
         let photos = dir.join("photos");
         files::write(&photos.join("transforms.json"), ring().to_string().as_bytes())?;
         for at in 0..RING {
-            let bytes = picture(u64::from(at), SIZE, Shade::Full)?;
+            let bytes = picture(u64::from(at), SIZE.0, SIZE.1, Shade::Full)?;
             files::write(&photos.join(photo_name(at)), &bytes)?;
         }
         let path = toml::Value::String(photos.to_string_lossy().into_owned());
@@ -94,11 +94,11 @@ impl Source {
         let server = Server::start().map_err(failed)?;
         let mut products = BTreeSet::new();
         for (sol, number) in (1..=SOLS).flat_map(|sol| (0..A_SOL).map(move |number| (sol, number))) {
-            let size = match (sol, number) {
+            let (width, height) = match (sol, number) {
                 (1, 0) => (LARGE, LARGE),
                 _ => SIZE,
             };
-            let png = noise(sol << 8 | number, size)?;
+            let png = noise(sol << 8 | number, width, height)?;
             products.insert(Digest::of(&png));
             let path = server.navcam(sol, number, png);
             server.script(&path, vec![PACE.always()]);
@@ -117,8 +117,7 @@ fn photo_name(at: u32) -> String {
 }
 
 /// Returns a picture of random pixels as PNG, which hardly shrinks.
-fn noise(seed: u32, size: (u32, u32)) -> Result<Vec<u8>, Error> {
-    let (width, height) = size;
+fn noise(seed: u32, width: u32, height: u32) -> Result<Vec<u8>, Error> {
     let image: Image<Srgb> = Image::from_fn(width, height, |x, y| {
         let bits = random(u64::from(seed), u64::from(y) << 32 | u64::from(x));
         [bits as u8, (bits >> 8) as u8, (bits >> 16) as u8]

@@ -113,7 +113,7 @@ pub struct ProductLine {
 }
 
 impl Origin {
-    /// Tells whether something of the lineage is known to be gone.
+    /// Returns whether something of the lineage is known to be gone.
     pub fn is_incomplete(&self) -> bool {
         let of_source = |source: &Products| !source.lost_sols.is_empty();
         self.nodes.iter().any(|node| !node.lost.is_empty()) || self.sources.iter().any(of_source)

@@ -114,7 +114,7 @@ fn bookmarks(file: &Path) -> Result<Vec<Bookmark>, Error> {
 }
 
 impl CameraPath {
-    /// Tells whether a film is made: stills are looked at one by one.
+    /// Returns whether a film is made: stills are looked at one by one.
     pub fn has_film(&self) -> bool {
         !matches!(self, Self::Stills(_))
     }

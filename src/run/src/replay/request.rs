@@ -97,12 +97,12 @@ fn incomplete(error: Error) -> Error {
     }
 }
 
-/// Tells whether a node came out otherwise.
+/// Returns whether a node came out otherwise.
 pub fn differs(node: &Replayed) -> bool {
     !node.differs.is_empty()
 }
 
-/// Tells whether a node could not be made again here.
+/// Returns whether a node could not be made again here.
 pub fn is_missing(node: &Replayed) -> bool {
     matches!(node.not_made, Some(NotMade::NotMade(_)))
 }
