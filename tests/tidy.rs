@@ -28,7 +28,7 @@ const fn row(folder: &'static str, package: &'static str, uses: &'static [&'stat
 }
 
 /// From the lowest to the highest: a crate uses only crates above its row.
-const CRATES: [Crate; 31] = [
+const CRATES: [Crate; 32] = [
     row("shaders", "marf-shaders", &[]),
     row("cache/derive", "marf-cache-derive", &[]),
     row("cache", "marf-cache", &["marf-cache-derive"]),
@@ -64,7 +64,16 @@ const CRATES: [Crate; 31] = [
             "marf-field",
         ],
     ),
-    row("stages/sfm", "marf-sfm", &["marf-numeric", "marf-scene"]),
+    row(
+        "stages/sfm-features",
+        "marf-sfm-features",
+        &["marf-numeric", "marf-scene"],
+    ),
+    row(
+        "stages/sfm",
+        "marf-sfm",
+        &["marf-numeric", "marf-scene", "marf-sfm-features"],
+    ),
     Crate {
         tests_use: &["marf-loopback"],
         ..row(
@@ -85,9 +94,11 @@ const CRATES: [Crate; 31] = [
             "marf-calibrate",
             &[
                 "marf-cache",
+                "marf-numeric",
                 "marf-stage",
                 "marf-scene",
                 "marf-schema",
+                "marf-sfm-features",
                 "marf-sfm",
             ],
         )
@@ -249,7 +260,7 @@ const UNSAFE: [&str; 4] = [
     "stages/numeric/src/instruction_set.rs",
     "stages/field/src/cpu/simd.rs",
     "stages/field/src/cpu/simd/",
-    "stages/sfm/src/simd.rs",
+    "stages/sfm-features/src/simd.rs",
 ];
 
 fn root() -> PathBuf {

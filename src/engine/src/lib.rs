@@ -22,6 +22,7 @@ mod roots;
 mod run;
 pub mod sets;
 mod shared;
+mod source;
 mod stage_io;
 mod work;
 
@@ -36,10 +37,11 @@ pub use needs::Needs;
 pub use photo_changes::photo_changes;
 pub use plan::{PlanState, PlannedNode, plan, plan_beside, why};
 pub use record::{
-    Build, EngineError, NodeInput, NodeRun, NodeState, Outcome, OutputName, RUN_FORMAT, RunRecord, document,
-    last_run, last_run_where, run_of, runs,
+    Build, EngineError, NodeInput, NodeRun, NodeState, Outcome, OutputName, RUN_FORMAT, RecordError,
+    RunRecord, document, last_run, last_run_where, run_of, runs,
 };
 pub use roots::{KeptRuns, kept_runs};
-pub use run::{ActionError, Options, run, run_action, run_nodes, trace_inputs};
+pub use run::{ActionError, Options, run, run_action, run_nodes};
 pub use shared::SharedResults;
+pub use source::{Purpose, RunSource};
 pub use work::Extent;

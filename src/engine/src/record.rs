@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use marf_cache::{Digest, Output, SetError, Store, StoreError};
 use serde::{Deserialize, Serialize};
 
-use crate::{check::Edge, graph::Graph};
+use crate::{check::Edge, graph::Graph, source::RunSource};
 
 /// A run and its results.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -16,19 +16,19 @@ pub struct RunRecord {
     /// Digest of the run root's bytes, which is in the file's name; absent if the run is not stored.
     #[serde(skip)]
     pub root: Option<Digest>,
-    /// [`RUN_FORMAT`]; 1 for runs of 0.1.0, whose keys are of another form; before 3 without documents, inputs and build.
-    #[serde(default = "first_format")]
+    /// [`RUN_FORMAT`].
     pub format: u32,
     /// Name of the run, unique in its store: it is in all events.
-    #[serde(default)]
     pub id: String,
     /// Name of the pipeline.
     pub pipeline: String,
+    /// What it is a run of.
+    pub source: RunSource,
     /// The command as typed.
     pub command: String,
     /// The program with its version.
     pub program: String,
-    /// The program's file; absent in older records, and where it cannot be read.
+    /// The program's file; absent where it cannot be read.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub build: Option<Build>,
     /// Start, in seconds since 1970.
@@ -50,8 +50,8 @@ pub struct RunRecord {
     pub latest: BTreeMap<String, Digest>,
 }
 
-/// Version of the form of run records. A newer one is refused.
-pub const RUN_FORMAT: u32 = 3;
+/// Version of the form of run records. Records of another form are refused.
+pub const RUN_FORMAT: u32 = 4;
 
 /// Names of the documents of a run ([`RunRecord::documents`]).
 pub mod document {
@@ -85,10 +85,6 @@ pub struct Build {
     pub arch: String,
 }
 
-fn first_format() -> u32 {
-    1
-}
-
 /// How a run ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -112,7 +108,7 @@ pub struct NodeRun {
     pub parent: Option<String>,
     /// The upstream nodes of its inputs.
     pub edges: Vec<Edge>,
-    /// What it read, by the name of the input; empty if it did not come so far, and in older records.
+    /// What it read, by the name of the input; empty if it did not come so far.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub inputs: BTreeMap<String, NodeInput>,
     /// Its key, as far as its inputs were known.
@@ -123,7 +119,7 @@ pub struct NodeRun {
     pub reason: String,
     /// Wall time; of a reused node that of the run that made the result.
     pub seconds: f64,
-    /// When the work began that made the result, in seconds since 1970; absent if there is none, and in older records.
+    /// When the work began that made the result, in seconds since 1970; absent if there is none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub started_unix_s: Option<u64>,
     /// Output blobs by name.
@@ -165,6 +161,20 @@ pub enum NodeState {
     Skipped,
     /// The run was stopped before its end.
     Cancelled,
+}
+
+/// Why bytes are no run record of this program.
+#[derive(Debug, thiserror::Error)]
+pub enum RecordError {
+    /// They are of another form.
+    #[error("it has form {found} and this marf reads form {RUN_FORMAT} alone")]
+    Form {
+        /// Their form; 0 if they name none.
+        found: u32,
+    },
+    /// They cannot be parsed.
+    #[error(transparent)]
+    Malformed(#[from] serde_json::Error),
 }
 
 /// Why a plan or a run cannot be made.
@@ -237,6 +247,26 @@ impl NodeState {
 }
 
 impl RunRecord {
+    /// Reads the bytes of a run root. Its number is not in them.
+    ///
+    /// # Errors
+    /// Bytes that are no record, or one of another form.
+    pub fn decode(root: &[u8]) -> Result<Self, RecordError> {
+        #[derive(Deserialize)]
+        struct Form {
+            #[serde(default)]
+            format: u32,
+        }
+        let Form { format: found } = serde_json::from_slice(root)?;
+        if found != RUN_FORMAT {
+            return Err(RecordError::Form { found });
+        }
+        Ok(Self {
+            root: Some(Digest::of(root)),
+            ..serde_json::from_slice(root)?
+        })
+    }
+
     /// Stores the record under the next free number. A store that cannot be written is enough for a run in which nothing
     /// ran: it is warned of, and the run has no number.
     ///
@@ -291,53 +321,53 @@ pub fn runs(store: &Store, warn: impl Fn(String)) -> Result<Vec<RunRecord>, Engi
     Ok(numbers.filter_map(|number| read(store, number, &warn)).collect())
 }
 
-/// Reads the last run of a pipeline, as [`last_run_where`].
+/// Reads the run that a run is compared with and whose outputs are its earlier ones: the last run of the same pipeline and source, or
+/// for a derived run the one that it is made from. A run that cannot be read is left out and warned of.
 ///
 /// # Errors
 /// A folder that cannot be read.
 pub fn last_run(
     store: &Store,
     pipeline: &str,
+    source: &RunSource,
     warn: impl Fn(String),
 ) -> Result<Option<RunRecord>, EngineError> {
-    last_run_where(store, pipeline, warn, |_| true)
+    let RunSource::Derived { from, .. } = source else {
+        return last_run_where(store, warn, |run| {
+            run.pipeline == pipeline && run.source == *source
+        });
+    };
+    match from {
+        None => Ok(None),
+        Some(from) => last_run_where(store, warn, |run| run.root == Some(*from)),
+    }
 }
 
-/// Reads the last run of a pipeline that is `wanted`. A newer run that cannot be read is left out and warned of.
+/// Reads the last run that is `wanted`. A newer run that cannot be read is left out and warned of.
 ///
 /// # Errors
 /// A folder that cannot be read.
 pub fn last_run_where(
     store: &Store,
-    pipeline: &str,
     warn: impl Fn(String),
     wanted: impl Fn(&RunRecord) -> bool,
 ) -> Result<Option<RunRecord>, EngineError> {
     let numbers = store.run_numbers()?.into_iter().rev();
     let mut runs = numbers.filter_map(|number| read(store, number, &warn));
-    Ok(runs.find(|run| run.pipeline == pipeline && wanted(run)))
+    Ok(runs.find(wanted))
 }
 
 /// Reads a run by its number.
 ///
 /// # Errors
-/// [`EngineError::BadRun`]: a run that is not there, damaged, or of a newer form.
+/// [`EngineError::BadRun`]: a run that is not there, damaged, or of another form.
 pub fn run_of(store: &Store, number: u64) -> Result<RunRecord, EngineError> {
     let bad = |message: String| EngineError::BadRun { number, message };
     let bytes = store.run(number).map_err(|error| bad(error.to_string()))?;
-    let run: RunRecord = serde_json::from_slice(&bytes).map_err(|error| bad(error.to_string()))?;
-    if run.format > RUN_FORMAT {
-        let (found, known) = (run.format, RUN_FORMAT);
-        return Err(bad(format!(
-            "it has form {found}, this program reads up to {known}"
-        )));
-    }
-    Ok(RunRecord {
-        number,
-        root: Some(Digest::of(&bytes)),
-        ..run
-    })
+    let run = RunRecord::decode(&bytes).map_err(|error| bad(error.to_string()))?;
+    Ok(RunRecord { number, ..run })
 }
+
 /// Reads one run; none if it cannot be read.
 fn read(store: &Store, number: u64, warn: &impl Fn(String)) -> Option<RunRecord> {
     match run_of(store, number) {

@@ -4,7 +4,10 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use marf_cache::{Digest, Roots, Store};
 
-use crate::record::{EngineError, RunRecord, runs};
+use crate::{
+    record::{EngineError, RunRecord, runs},
+    source::RunSource,
+};
 
 /// The runs of a store that a collection may keep, and those that it gives up.
 pub struct KeptRuns {
@@ -32,9 +35,11 @@ pub fn kept_runs(
         runs: Vec::new(),
         given_up: Vec::new(),
     };
-    let mut seen: BTreeMap<String, usize> = BTreeMap::new();
+    let mut seen: BTreeMap<(String, RunSource), usize> = BTreeMap::new();
     for run in runs(store, warn)?.into_iter().rev() {
-        let of_pipeline = seen.entry(run.pipeline.clone()).or_default();
+        let of_pipeline = seen
+            .entry((run.pipeline.clone(), run.source.series()))
+            .or_default();
         *of_pipeline += 1;
         // A short run (`--to`) carries the latest results of all nodes.
         if *of_pipeline == 1 || pinned.contains(&run.number) {

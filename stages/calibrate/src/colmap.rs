@@ -15,7 +15,7 @@ use rayon::prelude::*;
 
 use crate::calibration::{Calibration, PlacedPhoto, mean_up};
 use crate::import::{self, Model, read_colmap_binary};
-use crate::masks::mask_file;
+use crate::mask_files::mask_file;
 use crate::photos::{InputPhoto, decode};
 use program::{Program, cannot_write};
 
@@ -67,7 +67,10 @@ pub(crate) fn run(
         .collect();
     let placed = views
         .par_iter()
-        .map(|(item, view)| import::place(ctx, FILES[1], view, *item, &items[*item], params))
+        .map(|(item, view)| {
+            let photo = import::sized_photo(ctx, FILES[1], view, &items[*item], params)?;
+            Ok(import::placed(*item, view, photo))
+        })
         .collect::<Result<Vec<PlacedPhoto>, StageError>>()?;
     let found: BTreeSet<usize> = placed.iter().map(|one| one.item).collect();
     let absent = (0..items.len()).filter(|item| !found.contains(item));

@@ -49,7 +49,8 @@ pub(crate) fn run(
     let matched = match_views(&source, &cameras.views, items).map_err(refused)?;
     let done = matched.pairs.par_iter().map(|(item, view)| {
         ctx.check()?;
-        place(ctx, &source.name(), view, *item, &items[*item], params)
+        let photo = sized_photo(ctx, &source.name(), view, &items[*item], params)?;
+        Ok(placed(*item, view, photo))
     });
     let mut placed = done.collect::<Result<Vec<PlacedPhoto>, StageError>>()?;
     let (mut points, mut tracks) = (cameras.points, Vec::new());
@@ -245,15 +246,21 @@ fn match_views<'a>(
     })
 }
 
-/// Returns one photo with the camera of its view; `file` is named in errors.
-pub(crate) fn place(
+/// A photo at the size that the field is trained on, with its camera.
+pub(crate) struct SizedPhoto {
+    image: Digest,
+    file: String,
+    camera: Camera,
+}
+
+/// Returns a photo with the camera of its view; `file` is named in errors.
+pub(crate) fn sized_photo(
     ctx: &Ctx<'_>,
     file: &str,
     view: &View,
-    index: usize,
     item: &InputPhoto,
     params: &CalibrateParams,
-) -> Result<PlacedPhoto, StageError> {
+) -> Result<SizedPhoto, StageError> {
     let (width, height) = match (item.facts.width, item.facts.height) {
         (0, _) | (_, 0) => {
             let photo = decode(ctx, item)?.image;
@@ -265,12 +272,29 @@ pub(crate) fn place(
         let problem = format!("photo `{}`: {problem}", item.id);
         refused(ImportError::new(file, &view.place, problem))
     })?;
-    let (image, name, camera) = sized(ctx, item, camera, params)?;
-    Ok(PlacedPhoto {
-        item: index,
-        file: name,
-        image,
-        camera,
+    let factor = reduction(camera.width, camera.height, params.longest_side_px);
+    if factor == 1 {
+        return Ok(SizedPhoto {
+            image: item.image,
+            file: item.facts.file.clone(),
+            camera,
+        });
+    }
+    let size_px = [camera.width, camera.height];
+    Ok(SizedPhoto {
+        image: reduced(ctx, &item.id, &item.image, size_px, factor)?,
+        file: as_png(&item.facts.file),
+        camera: camera.box_reduced(factor),
+    })
+}
+
+/// Returns a photo of the input set where its view has it.
+pub(crate) fn placed(item: usize, view: &View, photo: SizedPhoto) -> PlacedPhoto {
+    PlacedPhoto {
+        item,
+        file: photo.file,
+        image: photo.image,
+        camera: photo.camera,
         cam_from_world: view.cam_from_world,
         held_out: match view.role {
             Role::Open => None,
@@ -283,24 +307,5 @@ pub(crate) fn place(
             error_px: view.error_px,
             ..PhotoStatistics::default()
         },
-    })
-}
-
-/// Returns image, file name and camera of a photo at the size that the field is trained on.
-fn sized(
-    ctx: &Ctx<'_>,
-    item: &InputPhoto,
-    camera: Camera,
-    params: &CalibrateParams,
-) -> Result<(Digest, String, Camera), StageError> {
-    let factor = reduction(camera.width, camera.height, params.longest_side_px);
-    if factor == 1 {
-        return Ok((item.image, item.facts.file.clone(), camera));
     }
-    let size_px = [camera.width, camera.height];
-    Ok((
-        reduced(ctx, &item.id, &item.image, size_px, factor)?,
-        as_png(&item.facts.file),
-        camera.box_reduced(factor),
-    ))
 }

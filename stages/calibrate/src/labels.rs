@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use marf_cache::{Digest, digest_of};
+use marf_numeric::upper_median;
 use marf_scene::{Cahvor, Camera, CameraPrior, Image, Pinhole, Pose, SiteFrame, Srgb};
 use marf_schema::calibrate::{CalibrateParams, Tie};
 use marf_stage::{Ctx, StageError};
@@ -65,9 +66,9 @@ pub(crate) fn run(
         }
     }
     let site = chosen_site(&candidates, params.site);
-    let (here, elsewhere): (Vec<_>, Vec<_>) = candidates
+    let (here, elsewhere) = candidates
         .into_iter()
-        .partition(|candidate| candidate.site == site);
+        .partition::<Vec<_>, _>(|candidate| candidate.site == site);
     unplaced.extend(
         elsewhere
             .iter()
@@ -384,21 +385,16 @@ pub(crate) fn tie(found: &Calibration, items: &[InputPhoto]) -> Option<Tie> {
         let labelled = label.site_from_frame.point(&Vector3::from(label.model.c));
         (label.site == Some(site)).then(|| (centre - labelled).norm())
     });
-    let mut off: Vec<f64> = off.collect();
-    off.sort_unstable_by(f64::total_cmp);
+    let off: Vec<f64> = off.collect();
     Some(Tie {
         site,
         photos: off.len(),
-        median_m: *off.get(off.len() / 2)?,
-        largest_m: *off.last()?,
+        median_m: upper_median(off.iter().copied())?,
+        largest_m: off.into_iter().max_by(f64::total_cmp)?,
     })
 }
 
 /// Returns the median of points, axis by axis; the origin for no points.
 pub(crate) fn median(points: &[Vector3<f64>]) -> Vector3<f64> {
-    Vector3::from_fn(|axis, _| {
-        let mut values: Vec<f64> = points.iter().map(|point| point[axis]).collect();
-        values.sort_by(f64::total_cmp);
-        values.get(values.len() / 2).copied().unwrap_or(0.0)
-    })
+    Vector3::from_fn(|axis, _| upper_median(points.iter().map(|point| point[axis])).unwrap_or(0.0))
 }

@@ -9,9 +9,9 @@ mod calibration;
 mod cameras;
 mod colmap;
 mod export;
-mod hardware;
 pub mod import;
 mod labels;
+mod mask_files;
 mod masks;
 mod photos;
 mod resample;
@@ -24,7 +24,7 @@ pub use cameras::ExportCameras;
 pub use export::{
     Observation, TrackPoint, Tracks, write_colmap, write_colmap_text, write_ply, write_transforms,
 };
-pub use hardware::Masks;
+pub use masks::Masks;
 pub use scenes::SplitByPlace;
 pub use stage::Calibrate;
 pub use ties::TieScenes;

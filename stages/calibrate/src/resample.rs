@@ -25,7 +25,7 @@ pub(crate) fn resample(
 ) -> Result<Image<Srgb>, Option<CahvorError>> {
     let camera = &pinhole.camera;
     let frame_from_cam = pinhole.cam_from_frame.rotation.transpose();
-    resample_by(photo, (camera.width, camera.height), cancel, |pixel| {
+    resample_by(photo, [camera.width, camera.height], cancel, |pixel| {
         let direction = frame_from_cam * direction(camera, pixel);
         let (x, y) = (pixel.x, pixel.y);
         model
@@ -41,10 +41,11 @@ pub(crate) fn resample(
 /// The first of `source`, by rows; `None` if `cancel`, which is asked at each row, is set.
 pub(crate) fn resample_by<E: Send>(
     photo: &Image<Srgb>,
-    (width, height): (u32, u32),
+    size_px: [u32; 2],
     cancel: &Cancel,
     source: impl Fn(&Vector2<f64>) -> Result<Vector2<f64>, E> + Sync,
 ) -> Result<Image<Srgb>, Option<E>> {
+    let [width, height] = size_px;
     let row = |row: u32| {
         if cancel.is_set() {
             return Err(None);

@@ -13,7 +13,7 @@ use marf_stage::{
 
 use crate::calibration::{Calibration, HeldOut, PlacedPhoto};
 use crate::export::{TrackPoint, Tracks, beside, write_colmap, write_ply, write_transforms};
-use crate::masks::field_masks;
+use crate::mask_files::field_masks;
 use crate::photos::{InputPhoto, load};
 use crate::{colmap, import, labels, sfm};
 
@@ -101,9 +101,10 @@ impl Set for Calibrate {
         let tracks = std::mem::take(&mut found.tracks);
         let masks = field_masks(ctx, inputs, &items, &found.placed, params)?;
         let scene = scene(found, &items, &masks);
-        let tracks = match tracks.is_empty() {
-            true => Tracks::without_observations(&scene.points),
-            false => of_frames(tracks, &scene, &items),
+        let tracks = if tracks.is_empty() {
+            Tracks::without_observations(&scene.points)
+        } else {
+            of_frames(tracks, &scene, &items)
         };
         let bytes = scene
             .encode()
@@ -200,11 +201,8 @@ fn by_place(found: &Calibration, every: u32, items: &[InputPhoto], known: &[Opti
 
 /// Tells which photos are held out where one in `every` is, the first among them, and `known` ones stay as they were.
 fn every(every: usize, known: &[Option<bool>]) -> Vec<bool> {
-    let is_held_out = |(index, known): (usize, &Option<bool>)| match every {
-        0 => false,
-        every => known.unwrap_or(index.is_multiple_of(every)),
-    };
-    known.iter().enumerate().map(is_held_out).collect()
+    let is_held_out = |index: usize| every > 0 && known[index].unwrap_or(index.is_multiple_of(every));
+    (0..known.len()).map(is_held_out).collect()
 }
 
 /// Refuses a scene without photos for training.
@@ -300,11 +298,11 @@ fn scene(found: Calibration, items: &[InputPhoto], masks: &BTreeMap<usize, Diges
     };
     let mut frames: Vec<Frame> = found.placed.into_iter().map(frame).collect();
     frames.sort_by(|a, b| a.id.cmp(&b.id));
-    let reason = |(index, reason): (usize, String)| Unplaced {
+    let unplaced = found.unplaced.into_iter().map(|(index, reason)| Unplaced {
         id: items[index].id.clone(),
         reason,
-    };
-    let mut unplaced: Vec<Unplaced> = found.unplaced.into_iter().map(reason).collect();
+    });
+    let mut unplaced: Vec<Unplaced> = unplaced.collect();
     unplaced.sort_by(|a, b| a.id.cmp(&b.id));
     Scene {
         frames,

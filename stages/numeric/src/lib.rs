@@ -1,11 +1,13 @@
-//! Random numbers and the choice of instruction set, for every crate that computes.
+//! Random numbers, quantiles and the choice of instruction set, for every crate that computes.
 //!
 //! Invariant: the same seed gives the same numbers, and every instruction set the same bits, on every machine.
 
 mod instruction_set;
+mod quantiles;
 mod rng;
 
 #[cfg(target_arch = "x86_64")]
 pub use instruction_set::{Avx2, Avx512};
 pub use instruction_set::{Dispatch, InstructionSet, Plain};
+pub use quantiles::{lower_median, quantile, upper_median};
 pub use rng::{GOLDEN, Rng, mix};

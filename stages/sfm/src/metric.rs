@@ -3,7 +3,7 @@
 use marf_scene::Pose;
 use nalgebra::Vector3;
 
-use crate::align::{Similarity, Tolerance, align, pose_difference};
+use crate::align::{PosePair, Similarity, Tolerance, align, pose_difference};
 use crate::bundle::Prior;
 use crate::mapper::{FINE, MapError, MapperInput, Model, refine};
 
@@ -65,12 +65,13 @@ pub fn align_to_labels(
 }
 
 /// Returns the photos of the model that have a label, with both poses.
-fn labelled(model: &Model, labels: &[Option<LabelPose>]) -> (Vec<usize>, Vec<(Pose, Pose)>) {
+fn labelled(model: &Model, labels: &[Option<LabelPose>]) -> (Vec<usize>, Vec<PosePair>) {
     let both = model.photos().filter_map(|photo| {
-        Some((
-            photo,
-            (model.poses[photo]?, labels[photo].as_ref()?.cam_from_site),
-        ))
+        let pair = PosePair {
+            cam_from_source: model.poses[photo]?,
+            cam_from_target: labels[photo].as_ref()?.cam_from_site,
+        };
+        Some((photo, pair))
     });
     both.unzip()
 }

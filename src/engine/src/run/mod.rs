@@ -17,10 +17,7 @@ use std::{collections::BTreeMap, num::NonZero, sync::Arc, thread, time::Instant}
 use marf_cache::Store;
 use marf_stage::Cancel;
 
-pub use self::{
-    action::{ActionError, run_action},
-    report::trace_inputs,
-};
+pub use self::action::{ActionError, run_action};
 use self::{
     context::RunContext,
     job::{STACK_BYTES, unix_seconds},
@@ -33,6 +30,7 @@ use crate::{
     graph::Graph,
     record::{Build, EngineError, RUN_FORMAT, RunRecord, last_run},
     shared::SharedResults,
+    source::RunSource,
 };
 
 /// How to run.
@@ -47,8 +45,10 @@ pub struct Options {
     /// Nodes that have lost an object behind their outputs (a leaf of a set): they run although their results are recorded,
     /// and make only the parts that are not whole.
     pub lost: Vec<String>,
-    /// Name of the pipeline: a run is compared with the last run of the same name.
+    /// Name of the pipeline: a run is compared with the last run of the same name and source.
     pub pipeline: String,
+    /// What it is a run of.
+    pub source: RunSource,
     /// Name of this run, unique in its store: it is in all events.
     pub id: String,
     /// The command as typed, for the record.
@@ -94,7 +94,7 @@ pub fn run_nodes(
 ) -> Result<RunRecord, EngineError> {
     let (began, started_unix_s) = (Instant::now(), unix_seconds());
     let warn = |message: String| listener.on_event(&Event::Warning { node: None, message });
-    let last = last_run(store, &options.pipeline, warn)?;
+    let last = last_run(store, &options.pipeline, &options.source, warn)?;
     let roles = select::roles(graph, &options.to, &options.from)?;
     let lost = select::indices(graph, &options.lost)?;
     let threads = threads(options.threads);
@@ -123,6 +123,7 @@ pub fn run_nodes(
         format: RUN_FORMAT,
         id: options.id.clone(),
         pipeline: options.pipeline.clone(),
+        source: options.source.clone(),
         command: options.command.clone(),
         program: options.program.clone(),
         build: options.build.clone(),

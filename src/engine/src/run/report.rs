@@ -11,7 +11,7 @@ use super::{
 use crate::{
     key::action_at,
     lookup::lasting_counts,
-    record::{EngineError, NodeInput, NodeRun, NodeState, Outcome, OutputName, RunRecord},
+    record::{NodeInput, NodeRun, NodeState, Outcome, OutputName},
 };
 
 /// Returns how the run ended.
@@ -35,20 +35,6 @@ pub(super) fn node_runs(state: &RunState<'_>) -> Result<Vec<NodeRun>, StoreError
     add_inputs(state.context.store, &mut runs)?;
     Ok(runs)
 }
-
-/// Adds inputs and who made them to the nodes of a run of an earlier form, whose root does not hold them.
-///
-/// # Errors
-/// A store that cannot be read; a node whose action is lost has no inputs.
-pub fn trace_inputs(store: &Store, run: &mut RunRecord) -> Result<(), EngineError> {
-    match run.format < FORMAT_WITH_INPUTS {
-        true => Ok(add_inputs(store, &mut run.nodes)?),
-        false => Ok(()),
-    }
-}
-
-/// Run roots hold inputs from this form on.
-const FORMAT_WITH_INPUTS: u32 = 3;
 
 /// Adds to each node what its action names as inputs, each with the output that it is.
 fn add_inputs(store: &Store, runs: &mut [NodeRun]) -> Result<(), StoreError> {

@@ -2,7 +2,7 @@
 
 use crate::common::*;
 use marf_cache::{Action, Store};
-use marf_engine::{Graph, NodeState, Outcome, PlanState, RunRecord, last_run, plan, why};
+use marf_engine::{Graph, NodeState, Outcome, PlanState, RunRecord, RunSource, last_run, plan, why};
 
 /// The archive, its sum times a number, and a list of its results.
 struct AppendPipeline {
@@ -36,7 +36,7 @@ impl AppendPipeline {
 
     /// Plans and runs; the two must agree on the node, its key and whether it runs.
     fn run(&self, store: &Store) -> (RunRecord, NodeState, EventLog) {
-        let last = last_run(store, "test", no_warning).unwrap();
+        let last = last_run(store, "test", &RunSource::default(), no_warning).unwrap();
         let planned = plan(&self.graph(), store, last.as_ref(), None).unwrap().remove(2);
         let (record, log) = run_on(&self.graph(), store);
         assert_eq!(record.outcome, Outcome::Done, "{:?}", node_events(&log));
@@ -98,10 +98,15 @@ fn what_changed_is_added_to_the_last_output_and_without_a_change_nothing_runs() 
 #[test]
 fn the_earlier_output_stands_in_the_key_and_among_the_changes() {
     let (_dir, store, mut pipeline) = begun();
-    let first = last_run(&store, "test", no_warning).unwrap().unwrap();
+    let first = last_run(&store, "test", &RunSource::default(), no_warning)
+        .unwrap()
+        .unwrap();
     pipeline.times = 2;
     pipeline.run(&store);
-    let key = last_run(&store, "test", no_warning).unwrap().unwrap().latest["append"];
+    let key = last_run(&store, "test", &RunSource::default(), no_warning)
+        .unwrap()
+        .unwrap()
+        .latest["append"];
     let action = Action::decode(&store.get(&key).unwrap()).unwrap();
     let earlier = first.node("append").unwrap().outputs["appended"].digest;
     assert_eq!(action.inputs["earlier"], earlier);
@@ -113,7 +118,7 @@ fn the_earlier_output_stands_in_the_key_and_among_the_changes() {
         &only("sum"),
         &marf_engine::Cancel::default(),
     );
-    let last = last_run(&store, "test", no_warning).unwrap();
+    let last = last_run(&store, "test", &RunSource::default(), no_warning).unwrap();
     let planned = why(&pipeline.graph(), &store, last.as_ref(), None, "append").unwrap();
     let changes: Vec<String> = planned.changes.iter().map(ToString::to_string).collect();
     assert_eq!(changes, ["input sum changed", "input earlier changed"]);

@@ -12,7 +12,9 @@ use crate::common::*;
 use proptest::prelude::*;
 
 use marf_cache::{Action, Digest};
-use marf_engine::{Graph, Listings, NodeState, Outcome, PlanState, PlannedNode, last_run, plan, runs, why};
+use marf_engine::{
+    Graph, Listings, NodeState, Outcome, PlanState, PlannedNode, RunSource, last_run, plan, runs, why,
+};
 
 /// A store with the pipeline's first run in it.
 fn after_first_run() -> (
@@ -148,7 +150,7 @@ fn going_back_to_an_old_parameter_runs_nothing() {
     pipeline.most = 4;
     run_on(&pipeline.graph(), &store);
     pipeline.most = 12;
-    let last = last_run(&store, "test", no_warning).unwrap();
+    let last = last_run(&store, "test", &RunSource::default(), no_warning).unwrap();
     let planned = plan(&pipeline.graph(), &store, last.as_ref(), None).unwrap();
     let states: Vec<PlanState> = planned.iter().map(|node| node.state).collect();
     assert_eq!(states[0], PlanState::Fresh);
@@ -381,8 +383,14 @@ fn runs_are_kept_in_order_and_carry_the_latest_keys() {
     let all = runs(&store, no_warning).unwrap();
     assert_eq!(all.iter().map(|run| run.number).collect::<Vec<_>>(), vec![1, 2]);
     assert_eq!(all[1], second);
-    assert_eq!(last_run(&store, "test", no_warning).unwrap(), Some(second));
-    assert_eq!(last_run(&store, "another", no_warning).unwrap(), None);
+    assert_eq!(
+        last_run(&store, "test", &RunSource::default(), no_warning).unwrap(),
+        Some(second)
+    );
+    assert_eq!(
+        last_run(&store, "another", &RunSource::default(), no_warning).unwrap(),
+        None
+    );
 }
 
 #[test]

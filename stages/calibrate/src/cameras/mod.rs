@@ -69,19 +69,23 @@ impl Set for ExportCameras {
         let scene = Scene::decode(&ctx.get(inputs.required(SCENE)?)?).map_err(|error| failed(&error))?;
         let images = ctx.get(inputs.required(SPARSE_IMAGES)?)?;
         let points = ctx.get(inputs.required(SPARSE_POINTS)?)?;
-        let tracks = read_tracks(&scene, (SPARSE_IMAGES, &images), (SPARSE_POINTS, &points));
+        let tracks = read_tracks(&scene, [SPARSE_IMAGES, SPARSE_POINTS], &images, &points);
         let tracks = tracks.map_err(|error| failed(&error))?;
-        let (scene, tracks) = match self.0.undistort {
-            true => undistorted(ctx, &scene, tracks)?,
-            false => (scene, tracks),
+        let (scene, tracks) = if self.0.undistort {
+            undistorted(ctx, &scene, tracks)?
+        } else {
+            (scene, tracks)
         };
         let there = self.photos_there(ctx, inputs, &scene)?;
         let mut outputs = Outputs::new();
         put_photos(&scene, &there, &mut outputs)?;
         let folder = self.0.photos_at.as_deref().unwrap_or_default();
-        let path_of = |frame: &Frame| match there.contains(&frame.id) {
-            true => format!("{folder}/{}", frame.file),
-            false => frame.file.clone(),
+        let path_of = |frame: &Frame| {
+            if there.contains(&frame.id) {
+                format!("{folder}/{}", frame.file)
+            } else {
+                frame.file.clone()
+            }
         };
         let mut put = |name: String, bytes: &[u8]| outputs.put_bytes(ctx, CAMERAS.to_owned() + &name, bytes);
         let transforms = write_transforms(&scene, &path_of);

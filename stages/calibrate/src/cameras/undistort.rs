@@ -62,7 +62,7 @@ pub fn undistort(
     pinhole: &Camera,
     cancel: &Cancel,
 ) -> Result<Image<Srgb>, Option<Vector2<f64>>> {
-    resample_by(photo, (pinhole.width, pinhole.height), cancel, |pixel| {
+    resample_by(photo, [pinhole.width, pinhole.height], cancel, |pixel| {
         let source = camera.project(&direction(pinhole, pixel));
         Ok(source.ok_or(*pixel)? - Vector2::repeat(0.5))
     })

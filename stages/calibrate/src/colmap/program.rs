@@ -23,9 +23,9 @@ pub(super) struct Program {
 }
 
 /// A running step that is killed when dropped.
-struct Running(Child);
+struct StepProcess(Child);
 
-impl Drop for Running {
+impl Drop for StepProcess {
     fn drop(&mut self) {
         // It may have ended by itself: then there is nothing to kill.
         let _ = self.0.kill();
@@ -149,7 +149,7 @@ impl Program {
             .stdout(out)
             .stderr(both)
             .spawn();
-        let mut running = Running(command.map_err(|error| self.cannot_start(&error))?);
+        let mut running = StepProcess(command.map_err(|error| self.cannot_start(&error))?);
         let status = loop {
             ctx.check()?;
             match running.0.try_wait() {

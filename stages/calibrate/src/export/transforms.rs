@@ -43,7 +43,7 @@ struct Lens {
 }
 
 impl Lens {
-    fn of(camera: &Camera) -> Self {
+    fn new(camera: &Camera) -> Self {
         Self {
             w: camera.width,
             h: camera.height,
@@ -77,12 +77,12 @@ pub fn write_transforms(scene: &Scene, path_of: &dyn Fn(&Frame) -> String) -> St
     };
     let entries = frames.iter().map(|frame| Entry {
         file_path: path_of(frame),
-        camera: shared.is_none().then(|| Lens::of(&frame.camera)),
+        camera: shared.is_none().then(|| Lens::new(&frame.camera)),
         transform_matrix: opengl(&frame.cam_from_world),
     });
     let transforms = Transforms {
         camera_model: "OPENCV",
-        camera: shared.as_ref().map(Lens::of),
+        camera: shared.as_ref().map(Lens::new),
         ply_file_path: (!scene.points.is_empty()).then_some(POINTS),
         train_filenames: names(false),
         val_filenames: names(true),

@@ -68,33 +68,31 @@ pub fn read_colmap_text(model: &Model<'_>) -> Result<Cameras, ImportError> {
 
 /// Reads the points of a scene with their observations from the images.bin and points3D.bin that were written of it.
 ///
-/// The error of a point is the mean distance of its observations from its projections, in pixels.
+/// The error of a point is the mean distance of its observations from its projections, in pixels. `names`: those of images
+/// and points, for messages.
 ///
 /// # Errors
 /// As [`read_colmap_binary`].
 pub fn read_tracks(
     scene: &Scene,
-    images: (&str, &[u8]),
-    points: (&str, &[u8]),
+    names: [&str; 2],
+    images: &[u8],
+    points: &[u8],
 ) -> Result<Tracks, ImportError> {
     let frame_of: BTreeMap<&str, usize> = (0..)
         .zip(&scene.frames)
         .map(|(index, frame)| (frame.file.as_str(), index))
         .collect();
-    let point = |(number, point): (u64, Point)| {
-        let track = TrackPoint {
-            position: point.position,
-            color: point.color.unwrap_or([128; 3]),
-            error_px: 0.0,
-            observations: Vec::new(),
-        };
-        (number, track)
+    let track = |point: Point| TrackPoint {
+        position: point.position,
+        color: point.color.unwrap_or([128; 3]),
+        error_px: 0.0,
+        observations: Vec::new(),
     };
-    let mut tracks: BTreeMap<u64, TrackPoint> = binary::points(points.0, points.1)?
-        .into_iter()
-        .map(point)
-        .collect();
-    for image in binary::images(images.0, images.1)? {
+    let points = binary::points(names[1], points)?.into_iter();
+    let mut tracks: BTreeMap<u64, TrackPoint> =
+        points.map(|(number, point)| (number, track(point))).collect();
+    for image in binary::images(names[0], images)? {
         let Some(frame) = frame_of.get(image.name.as_str()) else {
             continue;
         };
@@ -162,12 +160,12 @@ impl Parts {
     fn error_px(&self, image: &Image, lens: &Lens, cam_from_world: &Pose) -> Option<f64> {
         let (width, height) = lens.size?;
         let camera = lens.camera(width, height).ok()?;
-        let distance = |(seen, point): &([f64; 2], u64)| {
+        let distances = image.observations.iter().filter_map(|(seen, point)| {
             let point = self.points.get(point)?;
             let pixel = camera.project(&cam_from_world.point(&Vector3::from(point.position)))?;
             Some((pixel - Vector2::from(*seen)).norm())
-        };
-        let distances: Vec<f64> = image.observations.iter().filter_map(distance).collect();
+        });
+        let distances: Vec<f64> = distances.collect();
         let mean = distances.iter().sum::<f64>() / distances.len() as f64;
         mean.is_finite().then_some(mean)
     }

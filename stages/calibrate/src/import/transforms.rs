@@ -79,7 +79,7 @@ fn view(root: &JsonNode<'_>, frame: &JsonNode<'_>, roles: &Roles) -> Result<View
     let name = path(&frame.required("file_path")?)?;
     Ok(View {
         place: frame.pointer.clone(),
-        role: roles.of(&name),
+        role: roles.role(&name),
         file: name,
         lens: lens(root, frame)?,
         cam_from_world: pose(&frame.required("transform_matrix")?)?,
@@ -139,7 +139,7 @@ impl Roles {
     }
 
     /// Returns the purpose of a photo.
-    fn of(&self, name: &str) -> Role {
+    fn role(&self, name: &str) -> Role {
         let within = |names: &Option<BTreeSet<String>>| names.as_ref().map(|names| names.contains(name));
         match (within(&self.train), within(&self.held_out)) {
             (None, None) => Role::Open,

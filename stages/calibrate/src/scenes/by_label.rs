@@ -5,8 +5,7 @@ use std::collections::BTreeMap;
 use nalgebra::Vector3;
 
 use super::group::{Group, mean};
-use crate::labels;
-use crate::photos::InputPhoto;
+use super::label_position::LabelPosition;
 
 /// Photos taken from one place: of one site and drive, or a part of them if there are too many for one scene.
 #[derive(Debug, Clone, PartialEq)]
@@ -22,30 +21,8 @@ pub(super) struct Place {
 /// Site, and drive if a label tells it.
 pub(super) type Stop = (i64, Option<i64>);
 
-/// Where a label says that a photo was taken.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Labelled {
-    pub site: i64,
-    pub drive: Option<i64>,
-    /// The camera in the site's frame, metres: north, east, down.
-    pub centre: Vector3<f64>,
-}
-
-/// Returns where a photo was taken by its label, if that tells a site and a position there.
-pub(super) fn labelled(index: usize, item: &InputPhoto) -> Option<Labelled> {
-    let candidate = labels::candidate(index, item).ok()?;
-    let counter = &item.facts.prior.as_ref()?.motion_counter;
-    let centre = candidate.site_from_frame.point(&Vector3::from(candidate.model.c));
-    Some(Labelled {
-        site: candidate.site?,
-        drive: counter.get(1).copied(),
-        centre,
-    })
-    .filter(|labelled| labelled.centre.iter().all(|metres| metres.is_finite()))
-}
-
 /// Returns the places of photos `(index, label)`, which come in the order in which they were taken, by site and drive.
-pub(super) fn places(photos: &[(usize, Labelled)], max_photos: usize) -> Vec<Place> {
+pub(super) fn places(photos: &[(usize, LabelPosition)], max_photos: usize) -> Vec<Place> {
     let mut by_stop: BTreeMap<Stop, Vec<(usize, Vector3<f64>)>> = BTreeMap::new();
     for (index, label) in photos {
         let stop = by_stop.entry((label.site, label.drive)).or_default();
@@ -181,7 +158,7 @@ mod tests {
 
     #[test]
     fn photos_of_one_stop_are_one_place_and_too_many_are_several() {
-        let at = |drive: i64, north: f64| Labelled {
+        let at = |drive: i64, north: f64| LabelPosition {
             site: 3,
             drive: Some(drive),
             centre: Vector3::new(north, 0.0, 0.0),

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use marf_schema::scenes::{HandMade, PhotoGroup};
 use nalgebra::Vector3;
 
-use super::by_label::Labelled;
+use super::label_position::LabelPosition;
 use crate::photos::InputPhoto;
 use crate::sfm::Overlap;
 
@@ -23,11 +23,11 @@ pub(super) struct Group {
     pub members: Vec<usize>,
 }
 
-/// What is known of all photos.
-pub(super) struct Known<'a> {
+/// All photos, and what decides how they are split.
+pub(super) struct SplitInput<'a> {
     pub items: &'a [InputPhoto],
     /// Where each was taken by its label.
-    pub labels: &'a [Option<Labelled>],
+    pub labels: &'a [Option<LabelPosition>],
     /// Which show the same; empty where it was not looked for.
     pub overlaps: &'a [Overlap],
 }
@@ -69,13 +69,13 @@ impl Group {
     }
 
     /// Returns why it can be no scene, if it cannot.
-    pub fn fault(&self, known: &Known<'_>, min_photos: usize) -> Option<String> {
+    pub fn fault(&self, known: &SplitInput<'_>, min_photos: usize) -> Option<String> {
         let count = self.members.len();
         if count < min_photos {
             let photos = if count == 1 { "photo" } else { "photos" };
             return Some(format!("{count} {photos}, `min_photos` asks for {min_photos}"));
         }
-        let labels: Vec<&Labelled> = self.labels(known).collect();
+        let labels: Vec<&LabelPosition> = self.labels(known).collect();
         if labels.len() == count
             && let Some(span_m) = self.span_m(known).filter(|span_m| *span_m < LEAST_SPAN_M)
         {
@@ -96,15 +96,15 @@ impl Group {
         None
     }
 
-    fn labels<'k>(&'k self, known: &'k Known<'_>) -> impl Iterator<Item = &'k Labelled> {
+    fn labels<'k>(&'k self, known: &'k SplitInput<'_>) -> impl Iterator<Item = &'k LabelPosition> {
         self.members
             .iter()
             .filter_map(|member| known.labels[*member].as_ref())
     }
 
     /// Returns the largest distance of two cameras of the same site, metres; none without two labels.
-    fn span_m(&self, known: &Known<'_>) -> Option<f64> {
-        let labels: Vec<&Labelled> = self.labels(known).collect();
+    fn span_m(&self, known: &SplitInput<'_>) -> Option<f64> {
+        let labels: Vec<&LabelPosition> = self.labels(known).collect();
         let distances = labels.iter().enumerate().flat_map(|(index, a)| {
             let others = labels[index + 1..].iter();
             others
@@ -115,7 +115,7 @@ impl Group {
     }
 
     /// Returns it as the stage gives it.
-    pub fn told(&self, known: &Known<'_>) -> PhotoGroup {
+    pub fn told(&self, known: &SplitInput<'_>) -> PhotoGroup {
         let mut photos: Vec<String> = self
             .members
             .iter()
@@ -176,8 +176,8 @@ mod tests {
         (0..count).map(item).collect()
     }
 
-    fn at(north: f64) -> Option<Labelled> {
-        Some(Labelled {
+    fn at(north: f64) -> Option<LabelPosition> {
+        Some(LabelPosition {
             site: 1,
             drive: Some(0),
             centre: Vector3::new(north, 0.0, 0.0),
@@ -196,7 +196,7 @@ mod tests {
     fn what_is_too_small_or_has_no_parallax_says_so_with_its_number() {
         let items = items(4);
         let labels = [at(0.0), at(0.12), at(0.24), None];
-        let known = Known {
+        let known = SplitInput {
             items: &items,
             labels: &labels,
             overlaps: &[],
@@ -212,7 +212,7 @@ mod tests {
             matches: 90,
             has_depth: false,
         }];
-        let known = Known {
+        let known = SplitInput {
             items: &items,
             labels: &[None; 4],
             overlaps: &turned,

@@ -3,6 +3,7 @@
 mod by_label;
 mod by_overlap;
 mod group;
+mod label_position;
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -16,8 +17,9 @@ use marf_stage::{
     StageError, Threads, Work,
 };
 
-use self::by_label::{Labelled, joined, labelled, places};
-use self::group::{Group, Known, mean, name_apart};
+use self::by_label::{joined, places};
+use self::group::{Group, SplitInput, mean, name_apart};
+use self::label_position::LabelPosition;
 use crate::photos::{InputPhoto, item, rows};
 use crate::sfm::{Overlap, capture_order, overlaps};
 
@@ -72,10 +74,10 @@ impl Set for SplitByPlace {
         let labels = items
             .iter()
             .enumerate()
-            .map(|(index, item)| labelled(index, item));
-        let labels: Vec<Option<Labelled>> = labels.collect();
+            .map(|(index, item)| LabelPosition::from_photo(index, item));
+        let labels: Vec<Option<LabelPosition>> = labels.collect();
         let (groups, overlaps) = self.groups(ctx, inputs, &items, &labels)?;
-        let known = Known {
+        let known = SplitInput {
             items: &items,
             labels: &labels,
             overlaps: &overlaps,
@@ -104,7 +106,7 @@ impl SplitByPlace {
         ctx: &Ctx<'_>,
         inputs: &Inputs,
         items: &[InputPhoto],
-        labels: &[Option<Labelled>],
+        labels: &[Option<LabelPosition>],
     ) -> Result<(Vec<Group>, Vec<Overlap>), StageError> {
         let params = &self.0;
         let max_photos = params.max_photos as usize;
@@ -118,9 +120,12 @@ impl SplitByPlace {
             .filter(|index| free.contains(index))
             .collect();
         let label_of = |index: &usize| labels[*index].filter(|_| params.by != By::Overlap);
-        let (with, without): (Vec<usize>, Vec<usize>) =
-            order.into_iter().partition(|index| label_of(index).is_some());
-        let with = with.iter().filter_map(|index| Some((*index, label_of(index)?)));
+        let with = order.iter().filter_map(|index| Some((*index, label_of(index)?)));
+        let without: Vec<usize> = order
+            .iter()
+            .copied()
+            .filter(|index| label_of(index).is_none())
+            .collect();
         let places = places(&with.collect::<Vec<_>>(), max_photos);
         let joined = joined(&places, params.max_span_m, max_photos);
         groups.extend(joined.iter().map(|places| by_label::group(places)));
@@ -145,15 +150,16 @@ impl SplitByPlace {
     }
 
     /// Returns the groups that are scenes, and what is told of all.
-    fn judged(&self, groups: Vec<Group>, known: &Known<'_>) -> Result<(Vec<Group>, Scenes), StageError> {
+    fn judged(&self, groups: Vec<Group>, known: &SplitInput<'_>) -> Result<(Vec<Group>, Scenes), StageError> {
         let min_photos = self.0.min_photos as usize;
         let (mut scenes, mut told) = (Vec::new(), Scenes::default());
         for group in groups {
             let is_unlabelled =
                 self.0.by == By::Label && group.members.iter().all(|one| known.labels[*one].is_none());
-            let fault = match is_unlabelled {
-                true => Some(group.reason.clone()),
-                false => group.fault(known, min_photos),
+            let fault = if is_unlabelled {
+                Some(group.reason.clone())
+            } else {
+                group.fault(known, min_photos)
             };
             match fault {
                 None => {
@@ -190,7 +196,7 @@ fn none(told: &Scenes, photos: usize) -> StageError {
 }
 
 /// Returns where the rover stood, by site and drive.
-fn stops(known: &Known<'_>, scenes: &[Group]) -> Vec<Stop> {
+fn stops(known: &SplitInput<'_>, scenes: &[Group]) -> Vec<Stop> {
     let mut scene_of: BTreeMap<usize, &str> = BTreeMap::new();
     for scene in scenes {
         scene_of.extend(scene.members.iter().map(|member| (*member, scene.name.as_str())));

@@ -13,11 +13,11 @@ use marf_stage::{Ctx, StageError};
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
-use super::earlier::Earlier;
+use super::earlier::EarlierScene;
 use super::photo_features::PhotoFeatures;
 use super::reasons::{Cause, cause};
 use super::reconstruction::Reconstruction;
-use super::run::failed;
+use super::supervisor::failed;
 use crate::calibration::{Calibration, PhotoStatistics, PlacedPhoto, mean_up};
 use crate::export::{Observation, TrackPoint};
 use crate::labels::median;
@@ -27,7 +27,7 @@ use crate::photos::{as_png, reduced, reduction};
 pub(super) fn assemble(
     ctx: &Ctx<'_>,
     reconstruction: &Reconstruction<'_>,
-    earlier: Option<&Earlier>,
+    earlier: Option<&EarlierScene>,
     params: &CalibrateParams,
 ) -> Result<Calibration, StageError> {
     let metric = reconstruction.metric.first().is_some_and(Option::is_some);
@@ -92,7 +92,7 @@ pub(super) fn assemble(
 fn world_from_model(
     reconstruction: &Reconstruction<'_>,
     metric: bool,
-    earlier: Option<&Earlier>,
+    earlier: Option<&EarlierScene>,
 ) -> Similarity {
     let Some(model) = reconstruction.models.first().filter(|_| earlier.is_none()) else {
         return Similarity::identity();
@@ -140,20 +140,21 @@ fn frames(
     let uncertainties = uncertainties.unwrap_or_default();
     let frames = photos.into_par_iter().enumerate().map(|(rank, photo)| {
         let rejected = rejected.iter().find(|one| one.photo == photo);
-        let mut placed = frame(ctx, reconstruction, model, photo, rejected, params)?;
+        let label_note = reconstruction.features[photo].row.note.as_deref();
+        let mut placed = frame(ctx, reconstruction, model, photo, params)?;
+        placed.statistics.note = note(label_note, rejected);
         placed.statistics.uncertainty = uncertainties.get(rank).copied();
         Ok(placed)
     });
     frames.collect()
 }
 
-/// Returns a photo of a model at the size that the field is trained on.
+/// Returns a photo of a model at the size that the field is trained on, without uncertainty and note.
 fn frame(
     ctx: &Ctx<'_>,
     reconstruction: &Reconstruction<'_>,
     model: &Model,
     photo: usize,
-    rejected: Option<&RejectedLabel>,
     params: &CalibrateParams,
 ) -> Result<PlacedPhoto, StageError> {
     let row = &reconstruction.features[photo].row;
@@ -190,8 +191,6 @@ fn frame(
             inliers: Some(errors.len() as u32),
             error_px: Some(mean * f64::from(row.factor) / f64::from(factor)),
             error_working_px: Some(mean),
-            uncertainty: None,
-            note: note(row.note.as_deref(), rejected),
             ..feature_counts(reconstruction, photo)
         },
     })
@@ -337,7 +336,7 @@ fn labelled(reconstruction: &Reconstruction<'_>, model: &Model) -> usize {
 }
 
 /// Returns a sentence on the method, for people and for the record.
-fn method(reconstruction: &Reconstruction<'_>, metric: bool, earlier: Option<&Earlier>) -> String {
+fn method(reconstruction: &Reconstruction<'_>, metric: bool, earlier: Option<&EarlierScene>) -> String {
     let Some(model) = reconstruction.models.first() else {
         return "sfm".to_owned();
     };

@@ -2,8 +2,8 @@
 
 use marf_scene::Camera;
 use marf_schema::calibrate::{CalibrateParams, Intrinsics};
-use marf_sfm::two_view::FocalKnown;
 use marf_sfm::view_graph::{SharedCamera, View};
+use marf_sfm_features::two_view::FocalKnown;
 
 use super::photo_features::PhotoFeatures;
 use crate::photos::InputPhoto;

@@ -3,17 +3,18 @@
 use std::collections::BTreeSet;
 
 use marf_cache::{Digest, digest_of};
-use marf_scene::{Camera, Pose};
 use marf_schema::calibrate::{CalibrateParams, Pairs};
-use marf_sfm::features::Features;
-use marf_sfm::matching::{MatchOptions, Samples, exhaustive, match_pair, most_similar, sequential};
-use marf_sfm::two_view::{FocalKnown, VerifiedKind, VerifiedPair, VerifyOptions, ViewPoints, verify};
-use marf_sfm::view_graph::{ComparedPair, SharedCamera, View, focal_known, max_error_px};
+use marf_sfm::view_graph::{ComparedPair, PosedCamera, SharedCamera, View, focal_known, max_error_px};
+use marf_sfm_features::features::Features;
+use marf_sfm_features::matching::{MatchOptions, Samples, exhaustive, match_pair, most_similar, sequential};
+use marf_sfm_features::two_view::{
+    FocalKnown, VerifiedKind, VerifiedPair, VerifyOptions, ViewPoints, verify,
+};
 use marf_stage::{Ctx, StageError};
 use nalgebra::{Matrix3, Vector2, Vector3};
 use rayon::prelude::*;
 
-use super::pair_memos::{OfPairs, of_pairs};
+use super::pair_memos::{PairFunction, map_pairs};
 use super::photo_features::PhotoFeatures;
 
 /// Raised when matching or verification may change.
@@ -56,7 +57,7 @@ pub(super) fn choose(
             features,
             samples: Samples::new(&found),
         };
-        let matches = of_pairs(ctx, &names(features), &all, &similarity)?;
+        let matches = map_pairs(ctx, &names(features), &all, &similarity)?;
         let similar = most_similar(count, &matches, RETRIEVED, MIN_RETRIEVAL_MATCHES);
         pairs.extend(similar.into_iter().map(|(a, b)| ordered(a, b)));
         pairs.extend(by_label(ctx, features)?);
@@ -66,25 +67,31 @@ pub(super) fn choose(
 
 /// Returns for each labelled photo the pairs with those that by their labels overlap most with it.
 fn by_label(ctx: &Ctx<'_>, features: &[PhotoFeatures]) -> Result<Vec<[usize; 2]>, StageError> {
-    let labels: Vec<(usize, &(Camera, Pose))> = features
-        .iter()
-        .enumerate()
-        .filter_map(|(index, one)| Some((index, one.row.label.as_ref()?)))
-        .collect();
+    let labels = features.iter().enumerate().filter_map(|(index, one)| {
+        let (camera, cam_from_world) = one.row.label?;
+        Some((
+            index,
+            PosedCamera {
+                camera,
+                cam_from_world,
+            },
+        ))
+    });
+    let labels: Vec<(usize, PosedCamera)> = labels.collect();
     let chosen: Result<Vec<Vec<[usize; 2]>>, StageError> = labels
         .par_iter()
-        .map(|&(index, label)| {
+        .map(|(index, label)| {
             ctx.check()?;
-            let others = labels.iter().filter(|(other, _)| *other != index);
+            let others = labels.iter().filter(|(other, _)| other != index);
             let mut seen: Vec<(usize, usize)> = others
-                .map(|&(other, against)| (view_overlap(label, against), other))
+                .map(|(other, against)| (view_overlap(label, against), *other))
                 .filter(|(hits, _)| *hits > 0)
                 .collect();
             seen.sort_by_key(|&(hits, other)| (std::cmp::Reverse(hits), other));
             seen.truncate(BY_LABEL);
             let pairs = seen.into_iter();
             Ok(pairs
-                .map(|(_, other)| [index.min(other), index.max(other)])
+                .map(|(_, other)| [other.min(*index), other.max(*index)])
                 .collect())
         })
         .collect();
@@ -92,11 +99,9 @@ fn by_label(ctx: &Ctx<'_>, features: &[PhotoFeatures]) -> Result<Vec<[usize; 2]>
 }
 
 /// Returns how many of a grid of points in the view of the first photo lie in the second.
-pub(crate) fn view_overlap(
-    (camera, cam_from_site): &(Camera, Pose),
-    (other, other_from_site): &(Camera, Pose),
-) -> usize {
-    let other_from_cam = *other_from_site * cam_from_site.inverse();
+pub(crate) fn view_overlap(first: &PosedCamera, second: &PosedCamera) -> usize {
+    let (camera, other) = (&first.camera, &second.camera);
+    let other_from_cam = second.cam_from_world * first.cam_from_world.inverse();
     let shares = [0.1, 0.3, 0.5, 0.7, 0.9];
     let rays = shares.iter().flat_map(|y| {
         shares.iter().filter_map(move |x| {
@@ -125,8 +130,8 @@ struct Similarity<'a> {
     samples: Samples,
 }
 
-impl OfPairs for Similarity<'_> {
-    type Found = ([usize; 2], usize);
+impl PairFunction for Similarity<'_> {
+    type Output = ([usize; 2], usize);
     const NOTE: &'static str = "photos compared roughly";
 
     fn table(&self) -> Digest {
@@ -139,43 +144,32 @@ impl OfPairs for Similarity<'_> {
         digest_of(&found)
     }
 
-    fn compute(&self, [a, b]: [usize; 2], _key: &Digest) -> Self::Found {
+    fn compute(&self, [a, b]: [usize; 2], _key: &Digest) -> Self::Output {
         ([a, b], self.samples.matches(a, b))
     }
 
-    fn pack(&self, (_, matches): &Self::Found) -> Vec<u8> {
-        (*matches as u32).to_le_bytes().to_vec()
+    fn pack(&self, found: &Self::Output) -> Vec<u8> {
+        (found.1 as u32).to_le_bytes().to_vec()
     }
 
-    fn unpack(&self, photos: [usize; 2], row: &[u8]) -> Option<Self::Found> {
+    fn unpack(&self, photos: [usize; 2], row: &[u8]) -> Option<Self::Output> {
         Some((photos, u32::from_le_bytes(row.try_into().ok()?) as usize))
     }
 }
 
 /// Matching and verification of pairs.
-struct Comparison<'a> {
-    features: &'a [PhotoFeatures],
-    views: &'a [View],
-    cameras: &'a [SharedCamera],
-    params: &'a CalibrateParams,
+pub(super) struct Comparison<'a> {
+    pub features: &'a [PhotoFeatures],
+    pub views: &'a [View],
+    pub cameras: &'a [SharedCamera],
+    pub params: &'a CalibrateParams,
 }
 
-/// Returns the verified matches of the pairs; results of an earlier run are taken from the memos.
-pub(super) fn compare(
-    ctx: &Ctx<'_>,
-    features: &[PhotoFeatures],
-    views: &[View],
-    cameras: &[SharedCamera],
-    pairs: &[[usize; 2]],
-    params: &CalibrateParams,
-) -> Result<Vec<ComparedPair>, StageError> {
-    let work = Comparison {
-        features,
-        views,
-        cameras,
-        params,
-    };
-    of_pairs(ctx, &names(features), pairs, &work)
+impl Comparison<'_> {
+    /// Returns the verified matches of the pairs; results of an earlier run are taken from the memos.
+    pub(super) fn run(&self, ctx: &Ctx<'_>, pairs: &[[usize; 2]]) -> Result<Vec<ComparedPair>, StageError> {
+        map_pairs(ctx, &names(self.features), pairs, self)
+    }
 }
 
 /// Returns what stands for each photo in the tables of pairs.
@@ -198,8 +192,8 @@ pub(super) fn photos_key(
     Digest::of(&serde_json::to_vec(&parts).unwrap_or_default())
 }
 
-impl OfPairs for Comparison<'_> {
-    type Found = ComparedPair;
+impl PairFunction for Comparison<'_> {
+    type Output = ComparedPair;
     const NOTE: &'static str = "pairs compared";
 
     fn table(&self) -> Digest {
@@ -237,7 +231,7 @@ impl OfPairs for Comparison<'_> {
             min_inliers: self.params.min_matches,
             ..VerifyOptions::default()
         };
-        let verified = verify(&points(a), &points(b), &matches, focal, &options, seed_of(key));
+        let verified = verify([&points(a), &points(b)], &matches, focal, &options, seed_of(key));
         ComparedPair {
             photos,
             matches: matches.len() as u32,

@@ -1,16 +1,17 @@
 //! The scene of an earlier run, to which new photos are added.
 
-use marf_scene::{Camera, Pose, Scene};
+use marf_scene::Scene;
 use marf_sfm::mapper::MapperInput;
+use marf_sfm::view_graph::PosedCamera;
 use marf_stage::{Ctx, Inputs, StageError};
 
 use crate::photos::InputPhoto;
 
 /// A scene of an earlier run.
-pub(super) struct Earlier {
+pub(super) struct EarlierScene {
     pub scene: Scene,
-    /// Pose and working-size camera of each photo that was in it.
-    pub known: Vec<Option<(Pose, Camera)>>,
+    /// Working-size camera and pose of each photo that was in it.
+    pub known: Vec<Option<PosedCamera>>,
 }
 
 /// Reads the scene of the last run, if one is connected.
@@ -29,19 +30,19 @@ pub(super) fn load(
     inputs: &Inputs,
     items: &[InputPhoto],
     input: &MapperInput<'_>,
-) -> Result<Option<Earlier>, StageError> {
+) -> Result<Option<EarlierScene>, StageError> {
     let Some(scene) = earlier_scene(ctx, inputs)? else {
         return Ok(None);
     };
     let known = items.iter().enumerate().map(|(photo, item)| {
         let frame = scene.frame(&item.id)?;
         let size = &input.cameras[input.views[photo].camera].camera;
-        Some((
-            frame.cam_from_world,
-            frame.camera.resized(size.width, size.height),
-        ))
+        Some(PosedCamera {
+            camera: frame.camera.resized(size.width, size.height),
+            cam_from_world: frame.cam_from_world,
+        })
     });
     let known: Vec<_> = known.collect();
     let enough = known.iter().flatten().count() >= 2;
-    Ok(enough.then_some(Earlier { scene, known }))
+    Ok(enough.then_some(EarlierScene { scene, known }))
 }

@@ -3,57 +3,44 @@
 use marf_cache::{Digest, digest_of};
 use marf_scene::Pose;
 use marf_schema::calibrate::CalibrateParams;
-use marf_sfm::two_view::{RelativePose, RelativePoseKind};
 use marf_sfm::view_graph::{ComparedPair, Link, SharedCamera, View, link_pair};
+use marf_sfm_features::two_view::{RelativePose, RelativePoseKind};
 use marf_stage::{Ctx, StageError};
 use nalgebra::{Matrix3, Vector3};
 
 use super::compare::{names, pack_inliers, photos_key, seed_of, unpack_inliers};
-use super::pair_memos::{OfPairs, of_pairs};
+use super::pair_memos::{PairFunction, map_pairs};
 use super::photo_features::PhotoFeatures;
 
 /// Raised when relative poses may change.
 const VERSION: u32 = 1;
 
 /// Relative poses of compared pairs, with the cameras as the pairs have refined them.
-struct Links<'a> {
-    features: &'a [PhotoFeatures],
-    views: &'a [View],
-    cameras: &'a [SharedCamera],
+pub(super) struct PairLinks<'a> {
+    pub features: &'a [PhotoFeatures],
+    pub views: &'a [View],
+    pub cameras: &'a [SharedCamera],
     /// Sorted by photos.
-    compared: &'a [ComparedPair],
-    params: &'a CalibrateParams,
+    pub compared: &'a [ComparedPair],
+    pub params: &'a CalibrateParams,
 }
 
-/// Returns the edges of the pairs that have one.
-///
-/// # Errors
-/// A request to stop.
-pub(super) fn links(
-    ctx: &Ctx<'_>,
-    features: &[PhotoFeatures],
-    views: &[View],
-    cameras: &[SharedCamera],
-    compared: &[ComparedPair],
-    params: &CalibrateParams,
-) -> Result<Vec<Link>, StageError> {
-    let work = Links {
-        features,
-        views,
-        cameras,
-        compared,
-        params,
-    };
-    // Others have no edge.
-    let verified = compared
-        .iter()
-        .filter(|pair| pair.verified.inliers.len() >= params.min_matches as usize);
-    let pairs: Vec<[usize; 2]> = verified.map(|pair| pair.photos).collect();
-    let found = of_pairs(ctx, &names(features), &pairs, &work)?;
-    Ok(found.into_iter().flatten().collect())
-}
+impl PairLinks<'_> {
+    /// Returns the edges of the pairs that have one.
+    ///
+    /// # Errors
+    /// A request to stop.
+    pub(super) fn run(&self, ctx: &Ctx<'_>) -> Result<Vec<Link>, StageError> {
+        // Others have no edge.
+        let verified = self
+            .compared
+            .iter()
+            .filter(|pair| pair.verified.inliers.len() >= self.params.min_matches as usize);
+        let pairs: Vec<[usize; 2]> = verified.map(|pair| pair.photos).collect();
+        let found = map_pairs(ctx, &names(self.features), &pairs, self)?;
+        Ok(found.into_iter().flatten().collect())
+    }
 
-impl Links<'_> {
     /// Returns the verified matches of a pair.
     fn verified(&self, photos: [usize; 2]) -> Option<&ComparedPair> {
         let place = self.compared.binary_search_by_key(&photos, |pair| pair.photos);
@@ -66,8 +53,8 @@ impl Links<'_> {
     }
 }
 
-impl OfPairs for Links<'_> {
-    type Found = Option<Link>;
+impl PairFunction for PairLinks<'_> {
+    type Output = Option<Link>;
     const NOTE: &'static str = "relative poses";
 
     fn table(&self) -> Digest {

@@ -1,12 +1,13 @@
 //! Which photos show the same, without solving for cameras.
 
 use marf_schema::calibrate::CalibrateParams;
-use marf_sfm::two_view::VerifiedKind;
+use marf_sfm_features::two_view::VerifiedKind;
 use marf_stage::{Ctx, Inputs, StageError};
 
+use super::cameras;
 use super::capture_order::capture_order;
+use super::compare::{Comparison, choose};
 use super::photo_features::photo_features;
-use super::{cameras, compare};
 use crate::labels;
 use crate::photos::InputPhoto;
 
@@ -38,8 +39,14 @@ pub(crate) fn overlaps(
         .collect();
     let features = photo_features(ctx, inputs, items, &candidates, params)?;
     let (shared, views) = cameras::group(items, &features, params);
-    let pairs = compare::choose(ctx, &features, &capture_order(items), params)?;
-    let compared = compare::compare(ctx, &features, &views, &shared, &pairs, params)?;
+    let pairs = choose(ctx, &features, &capture_order(items), params)?;
+    let comparison = Comparison {
+        features: &features,
+        views: &views,
+        cameras: &shared,
+        params,
+    };
+    let compared = comparison.run(ctx, &pairs)?;
     let found = compared.iter().filter_map(|pair| {
         let matches = pair.verified.inliers.len() as u32;
         let is_rigid = matches!(pair.verified.kind, VerifiedKind::General | VerifiedKind::Planar);

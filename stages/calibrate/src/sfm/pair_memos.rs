@@ -18,9 +18,9 @@ const MAGIC: &[u8; 8] = b"marftab2";
 const SAVE_EVERY: Duration = Duration::from_secs(10);
 
 /// A function of pairs of photos.
-pub(super) trait OfPairs: Sync {
+pub(super) trait PairFunction: Sync {
     /// What it returns.
-    type Found: Send;
+    type Output: Send;
     /// Progress for people.
     const NOTE: &'static str;
 
@@ -31,13 +31,13 @@ pub(super) trait OfPairs: Sync {
     fn key(&self, photos: [usize; 2]) -> Digest;
 
     /// Computes a pair; `key` is its key.
-    fn compute(&self, photos: [usize; 2], key: &Digest) -> Self::Found;
+    fn compute(&self, photos: [usize; 2], key: &Digest) -> Self::Output;
 
     /// Returns what is kept of a pair.
-    fn pack(&self, found: &Self::Found) -> Vec<u8>;
+    fn pack(&self, found: &Self::Output) -> Vec<u8>;
 
-    /// Reads what [`OfPairs::pack`] wrote; none if it is anything else.
-    fn unpack(&self, photos: [usize; 2], row: &[u8]) -> Option<Self::Found>;
+    /// Reads what [`PairFunction::pack`] wrote; none if it is anything else.
+    fn unpack(&self, photos: [usize; 2], row: &[u8]) -> Option<Self::Output>;
 }
 
 /// Returns what `work` finds of the pairs, in order; what an earlier run found is taken from the tables.
@@ -46,12 +46,12 @@ pub(super) trait OfPairs: Sync {
 ///
 /// # Errors
 /// A request to stop; what is finished is then saved.
-pub(super) fn of_pairs<W: OfPairs>(
+pub(super) fn map_pairs<W: PairFunction>(
     ctx: &Ctx<'_>,
     photos: &[Digest],
     pairs: &[[usize; 2]],
     work: &W,
-) -> Result<Vec<W::Found>, StageError> {
+) -> Result<Vec<W::Output>, StageError> {
     let tables = Mutex::new(Tables::load(ctx, work.table(), photos, pairs)?);
     let done = AtomicU64::new(0);
     let find = |&pair: &[usize; 2]| {
@@ -68,7 +68,7 @@ pub(super) fn of_pairs<W: OfPairs>(
         ctx.progress.at(so_far, pairs.len() as u64, W::NOTE);
         Ok(found)
     };
-    let found: Result<Vec<W::Found>, StageError> = pairs.par_iter().map(find).collect();
+    let found: Result<Vec<W::Output>, StageError> = pairs.par_iter().map(find).collect();
     locked(&tables).save(ctx);
     found
 }
@@ -190,8 +190,8 @@ mod tests {
         computed: AtomicU64,
     }
 
-    impl OfPairs for Sums {
-        type Found = usize;
+    impl PairFunction for Sums {
+        type Output = usize;
         const NOTE: &'static str = "sums";
 
         fn table(&self) -> Digest {
@@ -229,7 +229,7 @@ mod tests {
     /// Returns how many pairs were computed.
     fn run(harness: &Harness, count: usize) -> u64 {
         let work = Sums::default();
-        let found = of_pairs(&harness.ctx(), &photos(count), &pairs(count), &work).unwrap();
+        let found = map_pairs(&harness.ctx(), &photos(count), &pairs(count), &work).unwrap();
         let sums: Vec<usize> = pairs(count).iter().map(|[a, b]| a + b).collect();
         assert_eq!(found, sums);
         work.computed.into_inner()
@@ -265,7 +265,7 @@ mod tests {
                 ..harness.ctx()
             };
             let first = Sums::default();
-            let stopped = of_pairs(&ctx, &photos(6), &pairs(6), &first);
+            let stopped = map_pairs(&ctx, &photos(6), &pairs(6), &first);
             // Six tables are read, then fifteen pairs are computed; each asks once.
             assert_eq!(stopped.is_ok(), checks >= 21, "{checks}");
             assert_eq!(first.computed.into_inner() + run(&harness, 6), 15, "{checks}");

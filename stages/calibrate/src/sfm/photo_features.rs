@@ -5,14 +5,14 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use marf_cache::{Digest, digest_of};
 use marf_scene::{Camera, Image, Pose, Srgb};
 use marf_schema::calibrate::{CalibrateParams, FirstOctaveParam};
-use marf_sfm::features::{FeatureOptions, Features, FirstOctave, Gray, Mask, extract_until};
+use marf_sfm_features::features::{FeatureOptions, Features, FirstOctave, Gray, Mask, extract_until};
 use marf_stage::{Ctx, Inputs, StageError};
 use nalgebra::Vector2;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::labels::{Candidate, Pixels, ideal, photo_key};
-use crate::masks::undistorted_mask;
+use crate::mask_files::undistorted_mask;
 use crate::photos::{InputPhoto, as_png, decode, kept, store};
 
 /// Raised when features, working images or label cameras may change.
@@ -164,8 +164,8 @@ fn computed(
         .div_ceil(params.feature_side_px)
         .max(1);
     let features = extract_until(
-        &Gray::of(&photo, factor),
-        &Mask::of(&photo, factor, mask),
+        &Gray::from_photo(&photo, factor),
+        &Mask::from_photo(&photo, factor, mask),
         &options(params),
         &|| ctx.cancel.is_set(),
     );

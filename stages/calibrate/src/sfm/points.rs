@@ -1,20 +1,19 @@
 //! Points of photos whose cameras are known.
 
 use marf_cache::{Digest, digest_of};
-use marf_scene::{Camera, Pose};
+use marf_scene::Camera;
 use marf_schema::calibrate::CalibrateParams;
 use marf_sfm::mapper::{MapOptions, MapperInput, Model, Tracks, triangulate};
-use marf_sfm::two_view::FocalKnown;
-use marf_sfm::view_graph::{KnownView, Link, SharedCamera, View, link_known};
+use marf_sfm::view_graph::{KnownView, Link, PosedCamera, SharedCamera, View, link_known};
+use marf_sfm_features::two_view::FocalKnown;
 use marf_stage::{Ctx, Inputs, StageError};
 
 use super::assemble::tracks;
 use super::capture_order::capture_order;
 use super::compare::{choose, names, pack_inliers, unpack_inliers};
-use super::pair_memos::{OfPairs, of_pairs};
+use super::pair_memos::{PairFunction, map_pairs};
 use super::photo_features::{PhotoFeatures, photo_features};
-use super::run::failed;
-use super::supervisor::NodeSupervisor;
+use super::supervisor::{NodeSupervisor, failed};
 use crate::calibration::{PhotoStatistics, PlacedPhoto};
 use crate::export::TrackPoint;
 use crate::photos::InputPhoto;
@@ -46,17 +45,17 @@ pub(crate) fn points_of_known(
 ) -> Result<KnownPoints, StageError> {
     let candidates: Vec<_> = photos.iter().map(|_| None).collect();
     let features = photo_features(ctx, inputs, photos, &candidates, params)?;
-    let known: Vec<(Pose, Camera)> = placed
-        .iter()
-        .zip(&features)
-        .map(|(one, features)| (one.cam_from_world, working_camera(one, features)))
-        .collect();
+    let known = placed.iter().zip(&features).map(|(one, features)| PosedCamera {
+        camera: working_camera(one, features),
+        cam_from_world: one.cam_from_world,
+    });
+    let known: Vec<PosedCamera> = known.collect();
     let pairs = choose(ctx, &features, &capture_order(photos), params)?;
     let work = KnownPairs {
         features: &features,
         known: &known,
     };
-    let links = of_pairs(ctx, &names(&features), &pairs, &work)?;
+    let links = map_pairs(ctx, &names(&features), &pairs, &work)?;
     let (cameras, views) = own_cameras(&features, &known);
     let supervisor = NodeSupervisor::new(ctx);
     let input = MapperInput {
@@ -68,7 +67,7 @@ pub(crate) fn points_of_known(
         supervisor: &supervisor,
         registered: &|_| (),
     };
-    let known: Vec<Option<(Pose, Camera)>> = known.into_iter().map(Some).collect();
+    let known: Vec<Option<PosedCamera>> = known.into_iter().map(Some).collect();
     let model = triangulate(&input, &known).map_err(failed)?;
     Ok(KnownPoints {
         tracks: model.as_ref().map_or_else(Vec::new, |model| {
@@ -76,12 +75,8 @@ pub(crate) fn points_of_known(
         }),
         statistics: (0..features.len())
             .map(|photo| {
-                statistics(
-                    &features[photo],
-                    &input,
-                    (model.as_ref(), photo),
-                    &placed[photo].camera,
-                )
+                let camera = &placed[photo].camera;
+                statistics(&features[photo], &input, model.as_ref(), photo, camera)
             })
             .collect(),
     })
@@ -98,19 +93,19 @@ fn working_camera(one: &PlacedPhoto, features: &PhotoFeatures) -> Camera {
 }
 
 /// Returns a camera for each photo.
-fn own_cameras(features: &[PhotoFeatures], known: &[(Pose, Camera)]) -> (Vec<SharedCamera>, Vec<View>) {
-    let shared = |(_, camera): &(Pose, Camera)| SharedCamera {
-        camera: *camera,
+fn own_cameras(features: &[PhotoFeatures], known: &[PosedCamera]) -> (Vec<SharedCamera>, Vec<View>) {
+    let shared = |known: &PosedCamera| SharedCamera {
+        camera: known.camera,
         focal: FocalKnown::Known,
         focal_sigma_share: None,
     };
-    let view = |(photo, one): (usize, &PhotoFeatures)| View {
+    let view = |photo: usize| View {
         camera: photo,
-        pixels: one.pixels(),
+        pixels: features[photo].pixels(),
     };
     (
         known.iter().map(shared).collect(),
-        features.iter().enumerate().map(view).collect(),
+        (0..features.len()).map(view).collect(),
     )
 }
 
@@ -119,7 +114,8 @@ fn own_cameras(features: &[PhotoFeatures], known: &[(Pose, Camera)]) -> (Vec<Sha
 fn statistics(
     features: &PhotoFeatures,
     input: &MapperInput<'_>,
-    (model, photo): (Option<&Model>, usize),
+    model: Option<&Model>,
+    photo: usize,
     camera: &Camera,
 ) -> PhotoStatistics {
     let errors = model.into_iter().flat_map(|model| {
@@ -143,11 +139,11 @@ fn statistics(
 /// Matching of photos whose cameras are known.
 struct KnownPairs<'a> {
     features: &'a [PhotoFeatures],
-    known: &'a [(Pose, Camera)],
+    known: &'a [PosedCamera],
 }
 
-impl OfPairs for KnownPairs<'_> {
-    type Found = Link;
+impl PairFunction for KnownPairs<'_> {
+    type Output = Link;
     const NOTE: &'static str = "pairs compared";
 
     fn table(&self) -> Digest {
@@ -155,15 +151,21 @@ impl OfPairs for KnownPairs<'_> {
     }
 
     fn key(&self, photos: [usize; 2]) -> Digest {
-        let parts = photos.map(|photo| (self.features[photo].row.found, &self.known[photo]));
+        let parts = photos.map(|photo| {
+            let known = &self.known[photo];
+            (
+                self.features[photo].row.found,
+                (known.cam_from_world, known.camera),
+            )
+        });
         Digest::of(&serde_json::to_vec(&parts).unwrap_or_default())
     }
 
     fn compute(&self, photos: [usize; 2], _key: &Digest) -> Link {
         let view = |photo: usize| KnownView {
             features: &self.features[photo].features,
-            cam_from_world: &self.known[photo].0,
-            camera: &self.known[photo].1,
+            cam_from_world: &self.known[photo].cam_from_world,
+            camera: &self.known[photo].camera,
         };
         link_known(photos, photos.map(view))
     }
@@ -174,7 +176,7 @@ impl OfPairs for KnownPairs<'_> {
 
     fn unpack(&self, photos: [usize; 2], row: &[u8]) -> Option<Link> {
         let inliers = unpack_inliers(row)?;
-        let poses = photos.map(|photo| self.known[photo].0);
+        let poses = photos.map(|photo| self.known[photo].cam_from_world);
         Some(Link::known(photos, poses.each_ref(), inliers))
     }
 }

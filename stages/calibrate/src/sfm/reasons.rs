@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use marf_sfm::two_view::RelativePoseKind;
+use marf_sfm_features::two_view::RelativePoseKind;
 
 use super::reconstruction::Reconstruction;
 
@@ -30,7 +30,8 @@ pub(super) enum Cause {
     OtherComponent {
         rank: usize,
         files: Vec<String>,
-        mapped: Mapped,
+        /// Whether they were placed relative to each other.
+        has_model: bool,
     },
     NoPose {
         links: usize,
@@ -38,24 +39,11 @@ pub(super) enum Cause {
     /// No pair of photos has enough matches and parallax to start a model.
     NoInitialPair {
         angle_deg: f64,
-        fewest: Fewest,
+        /// Whether there are more than two photos: a scene then takes three.
+        needs_three: bool,
     },
     /// There is no other photo.
     SinglePhoto,
-}
-
-/// Smallest number of photos of a scene: two suffice only if there are no more.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Fewest {
-    Two,
-    Three,
-}
-
-/// Whether photos of another component were placed relative to each other.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Mapped {
-    Yes,
-    No,
 }
 
 /// Returns why a photo was not placed; `component` is the rank of each photo's connected component.
@@ -94,11 +82,7 @@ pub(super) fn cause(reconstruction: &Reconstruction<'_>, component: &[usize], ph
             .map(|link| link.relative_pose.median_angle_rad.to_degrees());
         return Cause::NoInitialPair {
             angle_deg: angles.fold(0.0, f64::max),
-            fewest: if reconstruction.features.len() > 2 {
-                Fewest::Three
-            } else {
-                Fewest::Two
-            },
+            needs_three: reconstruction.features.len() > 2,
         };
     }
     let main = reconstruction
@@ -124,7 +108,7 @@ pub(super) fn cause(reconstruction: &Reconstruction<'_>, component: &[usize], ph
     Cause::OtherComponent {
         rank: component[photo] + 1,
         files: members.into_iter().map(file).collect(),
-        mapped: if mapped.is_some() { Mapped::Yes } else { Mapped::No },
+        has_model: mapped.is_some(),
     }
 }
 
@@ -154,12 +138,11 @@ impl Cause {
             Self::OtherComponent { .. } => "a component of their own: nothing links them to the scene",
             Self::NoPose { .. } => "linked to the scene, but no pose fits",
             Self::NoInitialPair {
-                fewest: Fewest::Two, ..
+                needs_three: false, ..
             } => "no pair of photos has both matches and parallax enough to begin with",
-            Self::NoInitialPair {
-                fewest: Fewest::Three,
-                ..
-            } => "no three photos that overlap have both matches and parallax enough to begin with",
+            Self::NoInitialPair { .. } => {
+                "no three photos that overlap have both matches and parallax enough to begin with"
+            }
             Self::SinglePhoto => "a single photo: depth takes two or more, from different places",
         }
     }
@@ -210,7 +193,11 @@ impl fmt::Display for Cause {
                 write!(f, "no overlap: at most {most} matches with any other photo hold")
             }
             Self::PureRotation { pairs, .. } => write!(f, "{} ({pairs} pairs){}", self.kind(), self.place()),
-            Self::OtherComponent { rank, files, mapped } => {
+            Self::OtherComponent {
+                rank,
+                files,
+                has_model,
+            } => {
                 let named = files
                     .iter()
                     .take(NAMED)
@@ -218,9 +205,10 @@ impl fmt::Display for Cause {
                     .collect::<Vec<_>>()
                     .join(", ");
                 let more = if files.len() > NAMED { ", …" } else { "" };
-                let among = match mapped {
-                    Mapped::Yes => "placed among themselves",
-                    Mapped::No => "not placed",
+                let among = if *has_model {
+                    "placed among themselves"
+                } else {
+                    "not placed"
                 };
                 write!(
                     f,

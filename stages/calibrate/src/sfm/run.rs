@@ -3,18 +3,19 @@
 use marf_schema::calibrate::{CalibrateParams, LensParam, PrincipalPoint};
 use marf_sfm::bundle::LensModel;
 use marf_sfm::mapper::{
-    LensChoice, MapError, MapOptions, MapperInput, Model, PrincipalPointChoice, Tracks, extend, map,
+    LensChoice, MapOptions, MapperInput, Model, PrincipalPointChoice, Tracks, extend, map,
 };
 use marf_sfm::metric::{LabelPose, RejectedLabel, align_to_labels};
 use marf_sfm::view_graph::{SharedCamera, refine_focal_lengths};
 use marf_stage::{Ctx, Inputs, StageError};
 
 use super::capture_order::capture_order;
-use super::links::links;
+use super::compare::{Comparison, choose};
+use super::links::PairLinks;
 use super::photo_features::{PhotoFeatures, photo_features};
 use super::reconstruction::Reconstruction;
-use super::supervisor::NodeSupervisor;
-use super::{assemble, cameras, compare, earlier};
+use super::supervisor::{NodeSupervisor, failed};
+use super::{assemble, cameras, earlier};
 use crate::calibration::Calibration;
 use crate::labels;
 use crate::photos::InputPhoto;
@@ -29,10 +30,23 @@ pub(crate) fn run(
     let candidates = labels::of_one_site(items, params.site);
     let features = photo_features(ctx, inputs, items, &candidates, params)?;
     let (mut shared, views) = cameras::group(items, &features, params);
-    let pairs = compare::choose(ctx, &features, &capture_order(items), params)?;
-    let compared = compare::compare(ctx, &features, &views, &shared, &pairs, params)?;
+    let pairs = choose(ctx, &features, &capture_order(items), params)?;
+    let comparison = Comparison {
+        features: &features,
+        views: &views,
+        cameras: &shared,
+        params,
+    };
+    let compared = comparison.run(ctx, &pairs)?;
     refine_focal_lengths(&mut shared, &views, &compared);
-    let links = links(ctx, &features, &views, &shared, &compared, params)?;
+    let links = PairLinks {
+        features: &features,
+        views: &views,
+        cameras: &shared,
+        compared: &compared,
+        params,
+    };
+    let links = links.run(ctx)?;
     let total = features.len() as u64;
     let supervisor = NodeSupervisor::new(ctx);
     let input = MapperInput {
@@ -66,13 +80,6 @@ pub(crate) fn run(
         site: candidates.iter().flatten().find_map(|candidate| candidate.site),
     };
     assemble::assemble(ctx, &reconstruction, earlier.as_ref(), params)
-}
-
-pub(super) fn failed(error: MapError) -> StageError {
-    match error {
-        MapError::Stopped => StageError::Cancelled,
-        other => StageError::new(other.to_string()),
-    }
 }
 
 /// Aligns each model with the labels of its photos, where enough of them agree.
@@ -109,14 +116,13 @@ fn options(params: &CalibrateParams, cameras: &[SharedCamera]) -> MapOptions {
 
 /// Returns the pose of each photo from its label, if it has one of the chosen site.
 fn label_poses(items: &[InputPhoto], features: &[PhotoFeatures]) -> Vec<Option<LabelPose>> {
-    let label = |(photo, one): (usize, &PhotoFeatures)| {
+    let labels = items.iter().zip(features).map(|(item, one)| {
         let (_, cam_from_site) = one.row.label?;
-        let facts = &items[photo].facts;
         Some(LabelPose {
             cam_from_site,
-            motion_counter: facts.prior.as_ref()?.motion_counter.clone(),
-            instrument: facts.instrument.clone().unwrap_or_default(),
+            motion_counter: item.facts.prior.as_ref()?.motion_counter.clone(),
+            instrument: item.facts.instrument.clone().unwrap_or_default(),
         })
-    };
-    features.iter().enumerate().map(label).collect()
+    });
+    labels.collect()
 }

@@ -4,7 +4,8 @@ use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use marf_sfm::Supervisor;
-use marf_stage::Ctx;
+use marf_sfm::mapper::MapError;
+use marf_stage::{Ctx, StageError};
 
 /// The node's cancel request and checkpoints, with the time of the last one.
 pub(super) struct NodeSupervisor<'a> {
@@ -38,5 +39,13 @@ impl Supervisor for NodeSupervisor<'_> {
     fn save(&self, part: &str, state: &[u8]) {
         self.ctx.checkpoints.save(part, state);
         *self.saved_at.lock().unwrap_or_else(PoisonError::into_inner) = Instant::now();
+    }
+}
+
+/// Returns the error of the stage for that of a mapping.
+pub(super) fn failed(error: MapError) -> StageError {
+    match error {
+        MapError::Stopped => StageError::Cancelled,
+        other => StageError::new(other.to_string()),
     }
 }

@@ -57,9 +57,10 @@ fn spread(worlds: &[World], links: &[Link], placed: &mut BTreeMap<usize, TiedSce
         .max_by_key(|(pair, _, points)| (*points, std::cmp::Reverse(*pair)))
     {
         // The world of the scene that has a frame, from the world of the one that gets it.
-        let (from, to, known_from_new) = match placed.contains_key(first) {
-            true => (*first, *second, similarity.clone()),
-            false => (*second, *first, similarity.inverse()),
+        let (from, to, known_from_new) = if placed.contains_key(first) {
+            (*first, *second, similarity.clone())
+        } else {
+            (*second, *first, similarity.inverse())
         };
         let Some(known) = placed.get(&from) else { break };
         let frame_from_world = restored(&known.frame_from_world).after(&known_from_new);

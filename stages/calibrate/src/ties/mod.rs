@@ -5,6 +5,7 @@ mod photo_pairs;
 mod sightings;
 mod world;
 
+use marf_numeric::upper_median;
 use marf_schema::output::SCENE;
 use marf_schema::ties::{Apart, LabelGap, SceneTie, Ties, TiesParams};
 use marf_sfm::align::{PointAlignment, Sighting, Similarity, align_points};
@@ -179,11 +180,11 @@ fn told(
         photo_pairs,
         points: points.len() as u32,
         inliers: found.inliers.len() as u32,
-        median_px: median(off_px.collect()),
+        median_px: median(off_px),
         median_m: worlds[0]
             .scene
             .metres_per_unit
-            .map(|metres| metres * median(apart.collect())),
+            .map(|metres| metres * median(apart)),
         first_from_second: stored(similarity),
         labels: label_gap(worlds, found, sightings),
     }
@@ -213,7 +214,6 @@ fn label_gap(
 }
 
 /// Returns the median; NaN for no values.
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_unstable_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
+fn median(values: impl Iterator<Item = f64>) -> f64 {
+    upper_median(values).unwrap_or(f64::NAN)
 }

@@ -2,10 +2,10 @@
 
 use std::cmp::Reverse;
 
-use marf_scene::{Camera, Pose};
 use marf_sfm::align::Similarity;
-use marf_sfm::features::Features;
-use marf_sfm::matching::Samples;
+use marf_sfm::view_graph::PosedCamera;
+use marf_sfm_features::features::Features;
+use marf_sfm_features::matching::Samples;
 use marf_stage::{Ctx, StageError};
 use nalgebra::Vector3;
 use rayon::prelude::*;
@@ -44,7 +44,7 @@ pub(super) fn may_overlap(worlds: [&World; 2]) -> bool {
 pub(super) fn chosen(ctx: &Ctx<'_>, worlds: [&World; 2], most: usize) -> Result<Vec<[usize; 2]>, StageError> {
     let mut ranked = match worlds.map(World::site_from_world) {
         [Some((_, first)), Some((_, second))] => {
-            let views = |world: &World, site_from_world| -> Vec<(Camera, Pose)> {
+            let views = |world: &World, site_from_world| -> Vec<PosedCamera> {
                 let photos = 0..world.scene.frames.len();
                 photos
                     .map(|photo| world.view_in_site(photo, site_from_world))
@@ -61,11 +61,11 @@ pub(super) fn chosen(ctx: &Ctx<'_>, worlds: [&World; 2], most: usize) -> Result<
 }
 
 /// Ranks pairs by how much the poses say that they overlap.
-fn by_pose(first: &[(Camera, Pose)], second: &[(Camera, Pose)]) -> Vec<([usize; 2], usize)> {
+fn by_pose(first: &[PosedCamera], second: &[PosedCamera]) -> Vec<([usize; 2], usize)> {
     let of_photo = |a: usize| {
         let rank = move |b: usize| {
             let (view, other) = (&first[a], &second[b]);
-            let is_near = (view.1.centre() - other.1.centre()).norm() <= REACH_M;
+            let is_near = (view.cam_from_world.centre() - other.cam_from_world.centre()).norm() <= REACH_M;
             let both = is_near.then(|| view_overlap(view, other).min(view_overlap(other, view)))?;
             (both > 0).then_some(([a, b], both))
         };

@@ -5,9 +5,9 @@ use std::collections::BTreeMap;
 use marf_cache::digest_of;
 use marf_schema::calibrate::CalibrateParams;
 use marf_sfm::align::Sighting;
-use marf_sfm::matching::{MatchOptions, match_pair};
-use marf_sfm::two_view::{FocalKnown, VerifiedKind, VerifyOptions, ViewPoints, verify};
 use marf_sfm::view_graph::max_error_px;
+use marf_sfm_features::matching::{MatchOptions, match_pair};
+use marf_sfm_features::two_view::{FocalKnown, VerifiedKind, VerifyOptions, ViewPoints, verify};
 use marf_stage::{Ctx, StageError};
 use nalgebra::{Vector2, Vector3};
 use rayon::prelude::*;
@@ -19,11 +19,11 @@ use crate::sfm::{PhotoFeatures, seed_of};
 const SAME_PX: f64 = 1.0;
 
 /// A point of each of two scenes that matches say are one, and where a photo of each shows it.
-pub(super) struct PointPair([Sighted; 2]);
+pub(super) struct PointPair([ObservedPoint; 2]);
 
 /// A point of a scene in a photo of it, by their indices.
 #[derive(Clone, Copy)]
-struct Sighted {
+struct ObservedPoint {
     photo: usize,
     point: usize,
     pixel: Vector2<f64>,
@@ -33,7 +33,7 @@ impl PointPair {
     /// Returns them as what an alignment takes.
     pub(super) fn sightings<'w>(&self, worlds: [&'w World; 2]) -> [Sighting<'w>; 2] {
         [0, 1].map(|side| {
-            let (Sighted { photo, point, pixel }, scene) = (self.0[side], &worlds[side].scene);
+            let (ObservedPoint { photo, point, pixel }, scene) = (self.0[side], &worlds[side].scene);
             let frame = &scene.frames[photo];
             Sighting {
                 point: Vector3::from(scene.points[point].position),
@@ -58,14 +58,14 @@ pub(super) fn point_pairs(
     photos.dedup();
     let seen = photos.par_iter().map(|&(side, photo)| {
         ctx.check()?;
-        Ok(((side, photo), Seen::of(ctx, worlds[side], photo)?))
+        Ok(((side, photo), PhotoPoints::new(ctx, worlds[side], photo)?))
     });
-    let seen: BTreeMap<(usize, usize), Seen> = seen.collect::<Result<_, StageError>>()?;
+    let seen: BTreeMap<(usize, usize), PhotoPoints> = seen.collect::<Result<_, StageError>>()?;
     let found = pairs.par_iter().map(|&[a, b]| {
         ctx.check()?;
         Ok(joined([&seen[&(0, a)], &seen[&(1, b)]], seed))
     });
-    let found: Vec<Vec<[Sighted; 2]>> = found.collect::<Result<_, StageError>>()?;
+    let found: Vec<Vec<[ObservedPoint; 2]>> = found.collect::<Result<_, StageError>>()?;
     let joining = found.iter().filter(|pairs| !pairs.is_empty()).count();
     let mut once: BTreeMap<[usize; 2], PointPair> = BTreeMap::new();
     for [a, b] in found.into_iter().flatten() {
@@ -75,7 +75,7 @@ pub(super) fn point_pairs(
 }
 
 /// A photo with its features, and the point of the scene that each is.
-struct Seen {
+struct PhotoPoints {
     photo: usize,
     found: PhotoFeatures,
     /// Positions of the features, pixels of the working size.
@@ -85,8 +85,8 @@ struct Seen {
     points: Vec<Option<usize>>,
 }
 
-impl Seen {
-    fn of(ctx: &Ctx<'_>, world: &World, photo: usize) -> Result<Self, StageError> {
+impl PhotoPoints {
+    fn new(ctx: &Ctx<'_>, world: &World, photo: usize) -> Result<Self, StageError> {
         let found = world.features(ctx, photo)?;
         let pixels = found.pixels();
         let frame = &world.scene.frames[photo];
@@ -128,7 +128,7 @@ fn nearest(fallen: &[(Vector2<f64>, usize)], pixel: &Vector2<f64>) -> Option<usi
 }
 
 /// Returns the points that verified matches of two photos join.
-fn joined(seen: [&Seen; 2], seed: u64) -> Vec<[Sighted; 2]> {
+fn joined(seen: [&PhotoPoints; 2], seed: u64) -> Vec<[ObservedPoint; 2]> {
     let [a, b] = seen;
     let matches = match_pair(&a.found.features, &b.found.features, &MatchOptions::default());
     let views = seen.map(|one| ViewPoints {
@@ -141,20 +141,26 @@ fn joined(seen: [&Seen; 2], seed: u64) -> Vec<[Sighted; 2]> {
         ..VerifyOptions::default()
     };
     let seed = seed_of(&digest_of(&(seen.map(|one| one.found.row.found), seed)));
-    let verified = verify(&views[0], &views[1], &matches, FocalKnown::Known, &options, seed);
+    let verified = verify(
+        [&views[0], &views[1]],
+        &matches,
+        FocalKnown::Known,
+        &options,
+        seed,
+    );
     if !matches!(verified.kind, VerifiedKind::General | VerifiedKind::Planar) {
         return Vec::new();
     }
     let joined = verified.inliers.iter().filter_map(|features| {
-        let of = |side: usize| {
+        let observed = |side: usize| {
             let (one, feature) = (seen[side], features[side] as usize);
-            Some(Sighted {
+            Some(ObservedPoint {
                 photo: one.photo,
                 point: one.points[feature]?,
                 pixel: one.pixels[feature] * f64::from(one.found.row.factor),
             })
         };
-        Some([of(0)?, of(1)?])
+        Some([observed(0)?, observed(1)?])
     });
     joined.collect()
 }

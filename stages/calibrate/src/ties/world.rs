@@ -1,9 +1,10 @@
 //! A scene that may be tied to others.
 
 use marf_cache::Digest;
-use marf_scene::{Camera, Photo, PhotoFacts, Pose, Scene, SiteFrame};
+use marf_scene::{Photo, PhotoFacts, Scene, SiteFrame};
 use marf_schema::calibrate::CalibrateParams;
 use marf_sfm::align::Similarity;
+use marf_sfm::view_graph::PosedCamera;
 use marf_stage::{Ctx, StageError};
 use nalgebra::{Matrix3, Vector3};
 
@@ -40,10 +41,13 @@ impl World {
         Some((site, frame))
     }
 
-    /// Returns the camera of a photo, and its pose in the site.
-    pub(super) fn view_in_site(&self, photo: usize, site_from_world: &Similarity) -> (Camera, Pose) {
+    /// Returns the camera of a photo with its pose in the site.
+    pub(super) fn view_in_site(&self, photo: usize, site_from_world: &Similarity) -> PosedCamera {
         let frame = &self.scene.frames[photo];
-        (frame.camera, site_from_world.pose(&frame.cam_from_world))
+        PosedCamera {
+            camera: frame.camera,
+            cam_from_world: site_from_world.pose(&frame.cam_from_world),
+        }
     }
 
     /// Returns the features of a photo, found now or before.

@@ -6,7 +6,8 @@ mod cameras;
 #[cfg(unix)]
 mod colmap;
 mod common;
-mod hardware;
+mod feed;
+mod masks;
 mod model;
 mod real_data;
 mod refused;

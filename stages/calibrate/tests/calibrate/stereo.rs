@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 
 use marf_pds::{ProductName, pds4, raw};
 use marf_scene::{Cahvor, Photo};
-use marf_sfm::features::{FeatureOptions, Features, Gray, Mask, extract};
-use marf_sfm::matching::{MatchOptions, match_pair};
+use marf_sfm_features::features::{FeatureOptions, Features, Gray, Mask, extract};
+use marf_sfm_features::matching::{MatchOptions, match_pair};
 use nalgebra::{Vector2, Vector3};
 
 use crate::common::shared;
@@ -75,7 +75,10 @@ fn eye(folder: &Path, product: &str) -> Eye {
     };
     // The 8-bit picture that later stages decode.
     let photo = Photo::decode(&raw::png(&developed.image).unwrap()).unwrap();
-    let (gray, mask) = (Gray::of(&photo.image, 1), Mask::of(&photo.image, 1, None));
+    let (gray, mask) = (
+        Gray::from_photo(&photo.image, 1),
+        Mask::from_photo(&photo.image, 1, None),
+    );
     Eye {
         model: prior.model.transformed(&prior.site_from_frame.unwrap()),
         features: extract(&gray, &mask, &options),

@@ -2,10 +2,10 @@
 
 use marf_numeric::Rng;
 use marf_scene::{Camera, Pose};
+use marf_sfm_features::estimators::{RansacOptions, nearest_rotation};
 use nalgebra::{Matrix3, Vector2, Vector3};
 
 use super::similarity::Similarity;
-use crate::estimators::{RansacOptions, lo_ransac, nearest_rotation};
 
 /// A point of a world, and where a photo of that world shows it.
 #[derive(Debug, Clone, Copy)]
@@ -68,7 +68,7 @@ pub fn align_points(pairs: &[[Sighting<'_>; 2]], min_inliers: usize, seed: u64) 
     };
     let solve = |sample: &[usize; 3]| fit(pairs, sample).into_iter().collect();
     let improve = |_: &Similarity, inliers: &[usize]| fit(pairs, inliers);
-    let found = lo_ransac(pairs.len(), &options, &mut Rng::new(seed), solve, error2, improve)?;
+    let found = options.lo_ransac(pairs.len(), &mut Rng::new(seed), solve, error2, improve)?;
     (found.inliers.len() >= min_inliers.max(3)).then_some(PointAlignment {
         similarity: found.model,
         inliers: found.inliers,

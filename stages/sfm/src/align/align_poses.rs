@@ -1,10 +1,19 @@
 //! The similarity between two frames from photos that have a pose in both.
 
 use marf_scene::Pose;
+use marf_sfm_features::estimators::{log_so3, nearest_rotation};
 use nalgebra::{Matrix3, Vector3};
 
 use super::similarity::Similarity;
-use crate::estimators::{log_so3, nearest_rotation};
+
+/// The poses of one photo in two frames.
+#[derive(Debug, Clone, Copy)]
+pub struct PosePair {
+    /// Takes points of the source to the camera.
+    pub cam_from_source: Pose,
+    /// Takes points of the target to the camera.
+    pub cam_from_target: Pose,
+}
 
 /// Largest difference of the poses of an inlier.
 #[derive(Debug, Clone, Copy)]
@@ -29,12 +38,12 @@ const ROUNDS: usize = 5;
 /// Largest number of photos of which pairs are tried, evenly chosen.
 const MAX_TRIED: usize = 40;
 
-/// Returns the similarity with most inliers among poses `(cam_from_source, cam_from_target)` of the same photos.
+/// Returns the similarity with most inliers among photos that have a pose in both frames.
 ///
 /// Attitudes give the rotation, centres give scale and translation, so that two photos suffice and collinear centres do no
 /// harm. Every pair of photos is a hypothesis; the one with most inliers is fitted to them. `None` with fewer than two
 /// photos, if all centres coincide, or if no two photos agree.
-pub fn align(pairs: &[(Pose, Pose)], tolerance: &Tolerance) -> Option<Alignment> {
+pub fn align(pairs: &[PosePair], tolerance: &Tolerance) -> Option<Alignment> {
     let mut best: Option<Alignment> = None;
     let tried: Vec<usize> = evenly_spaced(pairs.len());
     for (rank, &i) in tried.iter().enumerate() {
@@ -72,7 +81,7 @@ fn evenly_spaced(count: usize) -> Vec<usize> {
 }
 
 /// Returns a similarity with its inliers.
-fn score(pairs: &[(Pose, Pose)], similarity: Similarity, tolerance: &Tolerance) -> Alignment {
+fn score(pairs: &[PosePair], similarity: Similarity, tolerance: &Tolerance) -> Alignment {
     let agrees = |index: &usize| {
         let (distance, angle_rad) = pose_difference(&pairs[*index], &similarity);
         distance <= tolerance.distance && angle_rad <= tolerance.angle_rad
@@ -82,32 +91,33 @@ fn score(pairs: &[(Pose, Pose)], similarity: Similarity, tolerance: &Tolerance) 
 }
 
 /// Returns the distance between centres, in the unit of the target, and the angle between attitudes.
-pub fn pose_difference((source, target): &(Pose, Pose), similarity: &Similarity) -> (f64, f64) {
-    let moved = similarity.pose(source);
-    let rotation = moved.rotation * target.rotation.transpose();
+pub fn pose_difference(pair: &PosePair, similarity: &Similarity) -> (f64, f64) {
+    let moved = similarity.pose(&pair.cam_from_source);
+    let rotation = moved.rotation * pair.cam_from_target.rotation.transpose();
     (
-        (moved.centre() - target.centre()).norm(),
+        (moved.centre() - pair.cam_from_target.centre()).norm(),
         log_so3(&rotation).norm(),
     )
 }
 
 /// Returns the similarity of least squares over some photos.
-fn fit(pairs: &[(Pose, Pose)], chosen: &[usize]) -> Option<Similarity> {
+fn fit(pairs: &[PosePair], chosen: &[usize]) -> Option<Similarity> {
     let count = chosen.len() as f64;
     let sum: Matrix3<f64> = chosen
         .iter()
-        .map(|&index| pairs[index].1.rotation.transpose() * pairs[index].0.rotation)
+        .map(|&index| &pairs[index])
+        .map(|pair| pair.cam_from_target.rotation.transpose() * pair.cam_from_source.rotation)
         .sum();
     let rotation = nearest_rotation(&sum);
-    let mean = |side: fn(&(Pose, Pose)) -> Vector3<f64>| {
+    let mean = |side: fn(&PosePair) -> Vector3<f64>| {
         chosen
             .iter()
             .map(|&index| side(&pairs[index]))
             .sum::<Vector3<f64>>()
             / count
     };
-    let source = |pair: &(Pose, Pose)| pair.0.centre();
-    let target = |pair: &(Pose, Pose)| pair.1.centre();
+    let source = |pair: &PosePair| pair.cam_from_source.centre();
+    let target = |pair: &PosePair| pair.cam_from_target.centre();
     let (mean_source, mean_target) = (mean(source), mean(target));
     let (mut along, mut squared) = (0.0, 0.0);
     for &index in chosen {
@@ -146,6 +156,13 @@ mod tests {
         }
     }
 
+    fn pair(index: usize) -> PosePair {
+        PosePair {
+            cam_from_source: pose(index),
+            cam_from_target: truth().pose(&pose(index)),
+        }
+    }
+
     const CLOSE: Tolerance = Tolerance {
         distance: 0.1,
         angle_rad: 0.01,
@@ -154,9 +171,7 @@ mod tests {
     #[test]
     fn two_photos_suffice_and_centres_in_a_line_do_no_harm() {
         for count in [2, 3, 9] {
-            let pairs: Vec<(Pose, Pose)> = (0..count)
-                .map(|index| (pose(index), truth().pose(&pose(index))))
-                .collect();
+            let pairs: Vec<PosePair> = (0..count).map(pair).collect();
             let found = align(&pairs, &CLOSE).unwrap();
             assert_eq!(found.inliers.len(), count, "{count}");
             assert!(
@@ -170,11 +185,9 @@ mod tests {
 
     #[test]
     fn photos_whose_label_is_wrong_are_outvoted() {
-        let mut pairs: Vec<(Pose, Pose)> = (0..9)
-            .map(|index| (pose(index), truth().pose(&pose(index))))
-            .collect();
+        let mut pairs: Vec<PosePair> = (0..9).map(pair).collect();
         for index in [1, 4, 8] {
-            pairs[index].1.translation += Vector3::new(30.0, index as f64, 2.0);
+            pairs[index].cam_from_target.translation += Vector3::new(30.0, index as f64, 2.0);
         }
         let found = align(&pairs, &CLOSE).unwrap();
         assert_eq!(found.inliers, [0, 2, 3, 5, 6, 7]);
@@ -183,7 +196,7 @@ mod tests {
 
     #[test]
     fn one_photo_or_one_place_gives_no_answer() {
-        let one = (pose(1), truth().pose(&pose(1)));
+        let one = pair(1);
         assert!(align(&[one], &CLOSE).is_none());
         assert!(align(&[one, one, one], &CLOSE).is_none());
         assert!(align(&[], &CLOSE).is_none());

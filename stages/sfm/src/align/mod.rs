@@ -5,5 +5,5 @@ mod align_poses;
 mod similarity;
 
 pub use align_points::{PointAlignment, Sighting, align_points};
-pub use align_poses::{Alignment, Tolerance, align, pose_difference};
+pub use align_poses::{Alignment, PosePair, Tolerance, align, pose_difference};
 pub use similarity::Similarity;

@@ -1,9 +1,8 @@
 //! Similarity transforms.
 
 use marf_scene::Pose;
+use marf_sfm_features::estimators::log_so3;
 use nalgebra::{Matrix3, Vector3};
-
-use crate::estimators::log_so3;
 
 /// A similarity transform: to = scale R from + t.
 #[derive(Debug, Clone)]

@@ -5,18 +5,12 @@ use super::normal_equations::NormalEquations;
 use super::objective::Objective;
 use super::options::{BundleOptions, BundleReport, Solver};
 use super::problem::Problem;
-use super::schur::{SchurComplement, predicted_gain};
+use super::schur::{ReducedSystem, SchurComplement, predicted_gain};
 use super::state::{Normalization, State, Step};
+use super::step_control::StepControl;
 use super::validate::{self, BundleError};
 use super::{conjugate_gradients, dense};
 use crate::Supervisor;
-
-/// Damping of the first step, as a share of the diagonal.
-const FIRST_DAMPING: f64 = 1e-4;
-
-/// Free poses up to which the matrix is factored. A ring of 300 photos took 5 CPU s dense and 34 by conjugate gradients (15
-/// steps, long chains converge slowly); at 600 a factorisation is 16 GFLOP and the matrix 104 MB.
-const MOST_DENSE_POSES: usize = 600;
 
 /// Trials with ten times the damping when the matrix is not positive definite.
 const MOST_FAILURES: usize = 10;
@@ -55,7 +49,7 @@ pub fn adjust(
     if let Some(finished) = checkpoint.finished(problem) {
         return Ok(finished);
     }
-    let normalization = Normalization::of(problem);
+    let normalization = Normalization::new(problem);
     let start = State::new(problem, &normalization);
     let objective = Objective::new(problem, &normalization, options.loss, options.prior_loss);
     let (state, mut report) = descend(&objective, &start, options, &checkpoint);
@@ -79,48 +73,6 @@ struct Workspace {
     conjugate_gradients: conjugate_gradients::Workspace,
 }
 
-/// How the next step is computed.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct StepControl {
-    pub solver: Solver,
-    pub damping: f64,
-    /// Factor by which the damping rises next.
-    pub rise: f64,
-    /// Relative residual at which conjugate gradients end.
-    pub forcing: f64,
-}
-
-impl StepControl {
-    fn new(objective: &Objective, options: &BundleOptions) -> Self {
-        let solver = match options.solver {
-            Solver::Auto if objective.index.slots > MOST_DENSE_POSES => Solver::ConjugateGradients,
-            Solver::Auto => Solver::Dense,
-            chosen => chosen,
-        };
-        Self {
-            solver,
-            damping: FIRST_DAMPING,
-            rise: 2.0,
-            forcing: 0.1,
-        }
-    }
-
-    /// Nielsen's rule: the damping falls to a third after a step as good as predicted, and rises after a poor one.
-    fn accepted(&mut self, gain: f64, change: f64) {
-        let miss = 2.0 * gain - 1.0;
-        self.damping = (self.damping * (1.0 - miss * miss * miss).max(1.0 / 3.0)).max(1e-30);
-        self.rise = 2.0;
-        self.forcing = change.clamp(1e-3, 0.1);
-    }
-
-    /// Raises the damping, each time by a larger factor.
-    fn rejected(&mut self) {
-        self.damping *= self.rise;
-        self.rise *= 2.0;
-        self.forcing = self.forcing.min(1e-3);
-    }
-}
-
 /// Returns the state at which a step changes the cost by less than the tolerance, and the report.
 fn descend(
     objective: &Objective,
@@ -128,21 +80,23 @@ fn descend(
     options: &BundleOptions,
     checkpoint: &Checkpoint<'_>,
 ) -> (State, BundleReport) {
-    let mut control = StepControl::new(objective, options);
+    let mut control = StepControl::new(objective.index.slots, options);
     let mut workspace = Workspace::new(objective);
     let (mut state, mut trial) = (start.clone(), start.clone());
     let mut report = BundleReport::new(objective, start);
     let exact = 0.5 * EXACT_PX * EXACT_PX * report.residuals as f64;
-    let mut linearised = Linearised::No;
+    let mut is_linearised = false;
     report.converged = report.final_cost <= exact;
-    checkpoint.resume(&mut state, &mut control, &mut report);
+    if let Some(saved) = checkpoint.unfinished() {
+        (state, control, report) = saved;
+    }
     let stop = || checkpoint.supervisor.stop();
     while !report.converged && report.iterations < options.max_iterations && !stop() {
         checkpoint.save_unfinished(&state, &control, &report);
         report.iterations += 1;
-        if linearised == Linearised::No {
+        if !is_linearised {
             workspace.equations.linearise(objective, &state);
-            linearised = Linearised::Yes;
+            is_linearised = true;
         }
         if !workspace.solve(objective, &mut control, &stop) {
             break;
@@ -163,7 +117,7 @@ fn descend(
             control.accepted(gain / expected.max(f64::MIN_POSITIVE), change);
             std::mem::swap(&mut state, &mut trial);
             report.final_cost = cost;
-            linearised = Linearised::No;
+            is_linearised = false;
             report.converged = change <= options.tolerance || cost <= exact || lost;
             continue;
         }
@@ -172,13 +126,6 @@ fn descend(
     }
     report.hidden = objective.hidden(&state);
     (state, report)
-}
-
-/// Whether the normal equations are those of the present state.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Linearised {
-    No,
-    Yes,
 }
 
 impl BundleReport {
@@ -235,19 +182,18 @@ impl Workspace {
         control: &StepControl,
         stop: &dyn Fn() -> bool,
     ) -> bool {
-        let (equations, schur, solution) = (&self.equations, &self.schur, &mut self.step.reduced);
-        let damping = control.damping;
+        let solution = &mut self.step.reduced;
+        let system = ReducedSystem {
+            objective,
+            equations: &self.equations,
+            schur: &self.schur,
+            damping: control.damping,
+        };
         if control.solver == Solver::ConjugateGradients {
-            let damped = conjugate_gradients::Damped {
-                objective,
-                equations,
-                schur,
-                damping,
-            };
             let workspace = &mut self.conjugate_gradients;
-            return conjugate_gradients::solve(&damped, control.forcing, workspace, solution, stop);
+            return conjugate_gradients::solve(&system, control.forcing, workspace, solution, stop);
         }
-        dense::assemble(objective, equations, schur, damping, &mut self.matrix);
-        dense::solve(&mut self.matrix, &schur.right, solution, stop)
+        dense::assemble(&system, &mut self.matrix);
+        dense::solve(&mut self.matrix, &self.schur.right, solution, stop)
     }
 }

@@ -49,7 +49,8 @@ pub(super) fn factor_from(
             .for_each(|row| solve_row(row, corner, n, start..end));
         pack(&mut packed, below, n, start..end);
         let tiles = below.par_chunks_mut(TILE * n).enumerate();
-        tiles.for_each(|(tile, rows)| subtract_tiles(rows, n, end, tile, &packed, end - start));
+        let width = end - start;
+        tiles.for_each(|(tile, rows)| subtract_tiles(rows, n, end, &packed[..(tile + 1) * width], width));
     }
     true
 }
@@ -135,10 +136,11 @@ fn pack(packed: &mut Vec<Strip>, below: &[f64], n: usize, columns: std::ops::Ran
     }
 }
 
-/// Subtracts the panel's products from four rows, up to their diagonal tile.
-fn subtract_tiles(rows: &mut [f64], n: usize, first: usize, tile: usize, packed: &[Strip], width: usize) {
-    let left = &packed[tile * width..(tile + 1) * width];
-    for (across, right) in packed.chunks_exact(width).enumerate().take(tile + 1) {
+/// Subtracts the panel's products from four rows, up to their diagonal tile. `packed`: the tiles up to that of these rows,
+/// each of `width` columns.
+fn subtract_tiles(rows: &mut [f64], n: usize, first: usize, packed: &[Strip], width: usize) {
+    let left = &packed[packed.len() - width..];
+    for (across, right) in packed.chunks_exact(width).enumerate() {
         let products = products(left, right);
         let at = first + across * TILE;
         let end = (at + TILE).min(n);

@@ -7,10 +7,9 @@ use rayon::prelude::*;
 
 use super::cholesky::{self, dot};
 use super::index::POSE_PARAMS;
-use super::normal_equations::{GRAIN, NormalEquations};
-use super::objective::Objective;
+use super::normal_equations::GRAIN;
 use super::residual::CAMERA_PARAMS;
-use super::schur::{SchurComplement, damped, padded, subtract_transposed};
+use super::schur::{ReducedSystem, damped, padded, subtract_transposed};
 
 /// Largest number of products; an unfinished solution is still a descent direction.
 const MOST_PRODUCTS: usize = 200;
@@ -32,34 +31,20 @@ struct Block {
     factor: Vec<f64>,
 }
 
-/// The damped reduced system.
-pub(super) struct Damped<'a> {
-    pub objective: &'a Objective<'a>,
-    pub equations: &'a NormalEquations,
-    pub schur: &'a SchurComplement,
-    pub damping: f64,
-}
-
 /// Sets `solution` to that of the system, with a residual below `forcing` times the right side. Tells whether the matrix
 /// was positive definite along all directions tried and `stop`, which is polled before each product, stayed false.
 pub(super) fn solve(
-    system: &Damped<'_>,
+    system: &ReducedSystem<'_>,
     forcing: f64,
     workspace: &mut Workspace,
     solution: &mut [f64],
     stop: &dyn Fn() -> bool,
 ) -> bool {
-    let &Damped {
-        objective,
-        equations,
-        schur,
-        damping,
-    } = system;
-    let Some(blocks) = blocks(objective, equations, schur, damping) else {
+    let Some(blocks) = blocks(system) else {
         return false;
     };
     solution.fill(0.0);
-    workspace.residual.clone_from(&schur.right);
+    workspace.residual.clone_from(&system.schur.right);
     precondition(&blocks, &workspace.residual, &mut workspace.preconditioned);
     workspace.direction.clone_from(&workspace.preconditioned);
     let mut power = dot(&workspace.residual, &workspace.preconditioned);
@@ -72,7 +57,7 @@ pub(super) fn solve(
         if stop() {
             return false;
         }
-        multiply(objective, equations, schur, damping, workspace);
+        multiply(system, workspace);
         let curvature = dot(&workspace.direction, &workspace.product);
         if curvature.is_nan() || curvature <= 0.0 {
             return false;
@@ -111,13 +96,13 @@ fn precondition(blocks: &[Block], vector: &[f64], to: &mut Vec<f64>) {
 }
 
 /// Sets `product` to the damped reduced matrix times `direction`.
-fn multiply(
-    objective: &Objective,
-    equations: &NormalEquations,
-    schur: &SchurComplement,
-    damping: f64,
-    workspace: &mut Workspace,
-) {
+fn multiply(system: &ReducedSystem<'_>, workspace: &mut Workspace) {
+    let &ReducedSystem {
+        objective,
+        equations,
+        schur,
+        damping,
+    } = system;
     let index = &objective.index;
     let vector = &workspace.direction;
     workspace
@@ -128,7 +113,7 @@ fn multiply(
     let gathered = &workspace.gathered;
     workspace.product.resize(vector.len(), 0.0);
     let (cameras, poses) = workspace.product.split_at_mut(index.camera_unknowns);
-    multiply_cameras(objective, equations, schur, damping, vector, gathered, cameras);
+    multiply_cameras(system, vector, gathered, cameras);
     let slots = poses.par_chunks_mut(POSE_PARAMS).enumerate();
     slots.for_each(|(slot, to)| {
         let active = index.active_of_slot[slot] as usize;
@@ -143,7 +128,7 @@ fn multiply(
         for (mixed, value) in block.mixed.iter().zip(of_camera) {
             add_scaled(&mut sum, mixed, *value);
         }
-        for &free in index.free_of_slot.of(slot) {
+        for &free in index.free_of_slot.members(slot) {
             let point = index.free_observations[free as usize].point as usize;
             subtract_transposed(
                 &mut sum,
@@ -166,15 +151,13 @@ fn multiply(
 }
 
 /// Sets `to` to the rows of the cameras of the same product.
-fn multiply_cameras(
-    objective: &Objective,
-    equations: &NormalEquations,
-    schur: &SchurComplement,
-    damping: f64,
-    vector: &[f64],
-    gathered: &[[f64; 3]],
-    to: &mut [f64],
-) {
+fn multiply_cameras(system: &ReducedSystem<'_>, vector: &[f64], gathered: &[[f64; 3]], to: &mut [f64]) {
+    let &ReducedSystem {
+        objective,
+        equations,
+        schur,
+        damping,
+    } = system;
     let index = &objective.index;
     let mut products = vec![[0.0; CAMERA_PARAMS]; index.terms.len()];
     for (camera, (product, block)) in products.iter_mut().zip(&equations.cameras).enumerate() {
@@ -205,12 +188,13 @@ fn damping_term(h: f64, damping: f64) -> f64 {
 }
 
 /// Returns the factors of the diagonal blocks of the reduced matrix; `None` if one is not positive definite.
-fn blocks(
-    objective: &Objective,
-    equations: &NormalEquations,
-    schur: &SchurComplement,
-    damping: f64,
-) -> Option<Vec<Block>> {
+fn blocks(system: &ReducedSystem<'_>) -> Option<Vec<Block>> {
+    let &ReducedSystem {
+        objective,
+        equations,
+        schur,
+        damping,
+    } = system;
     let index = &objective.index;
     let mut cameras: Vec<_> = equations.cameras.iter().map(|block| block.h).collect();
     for (block, point_camera) in schur.point_cameras.iter().zip(&index.point_cameras) {
@@ -229,7 +213,7 @@ fn blocks(
         .map(|slot| {
             let block = &equations.poses[index.active_of_slot[slot] as usize];
             let mut h = block.h;
-            for &free in index.free_of_slot.of(slot) {
+            for &free in index.free_of_slot.members(slot) {
                 subtract_square(&mut h, &schur.free_observations[free as usize]);
             }
             Block::new(index.pose_at(slot), &h, &block.h, damping)

@@ -9,7 +9,7 @@ use super::loss::Loss;
 use super::normal_equations::NormalEquations;
 use super::objective::Objective;
 use super::problem::{PoseFreedom, Prior, Problem};
-use super::schur::SchurComplement;
+use super::schur::{ReducedSystem, SchurComplement};
 use super::state::{Normalization, State};
 use super::{cholesky, dense, validate};
 use crate::Supervisor;
@@ -40,7 +40,7 @@ pub fn pose_covariances(
     if !usable {
         return None;
     }
-    let normalization = Normalization::of(problem);
+    let normalization = Normalization::new(problem);
     let mut objective = Objective::new(problem, &normalization, Loss::Squared, Loss::Squared);
     if !all_free_poses_observed(&objective) || objective.index.unknowns() > MOST_UNKNOWNS {
         return None;
@@ -146,7 +146,7 @@ fn factored(
     supervisor: &dyn Supervisor,
 ) -> Option<ScaledMatrix> {
     let n = objective.index.unknowns();
-    let mut matrix = match checkpoint.matrix(n) {
+    let mut matrix = match checkpoint.matrix() {
         Some(matrix) => matrix,
         None => assembled(objective, state, supervisor)?,
     };
@@ -182,7 +182,13 @@ fn assembled(objective: &Objective, state: &State, supervisor: &dyn Supervisor) 
         return None;
     }
     let mut l = Vec::new();
-    dense::assemble(objective, &equations, &schur, 0.0, &mut l);
+    let system = ReducedSystem {
+        objective,
+        equations: &equations,
+        schur: &schur,
+        damping: 0.0,
+    };
+    dense::assemble(&system, &mut l);
     let n = objective.index.unknowns();
     let scale: Vec<f64> = (0..n).map(|row| 1.0 / l[row * n + row].sqrt()).collect();
     for row in 0..n {

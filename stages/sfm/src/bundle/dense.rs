@@ -4,9 +4,8 @@ use rayon::prelude::*;
 
 use super::cholesky;
 use super::index::POSE_PARAMS;
-use super::normal_equations::NormalEquations;
 use super::objective::Objective;
-use super::schur::{FreeBlock, SchurComplement, damped};
+use super::schur::{FreeBlock, ReducedSystem, SchurComplement, damped};
 
 /// A pivot below this fraction of its diagonal is only rounding.
 const PIVOT_FLOOR: f64 = 1e-15;
@@ -29,20 +28,15 @@ pub(super) fn solve(
 
 /// Sets the lower triangle of H + damping D - Σ U Uᵀ: cameras first, then poses. Only pairs of photos that share a
 /// point cost time.
-pub(super) fn assemble(
-    objective: &Objective,
-    equations: &NormalEquations,
-    schur: &SchurComplement,
-    damping: f64,
-    matrix: &mut Vec<f64>,
-) {
+pub(super) fn assemble(system: &ReducedSystem<'_>, matrix: &mut Vec<f64>) {
+    let objective = system.objective;
     let n = objective.index.unknowns();
     matrix.resize(n * n, 0.0);
     let (cameras, poses) = matrix.split_at_mut(objective.index.camera_unknowns * n);
-    assemble_cameras(objective, equations, schur, damping, cameras);
+    assemble_cameras(system, cameras);
     let slots = poses.par_chunks_mut(POSE_PARAMS * n.max(1)).enumerate();
-    slots.for_each(|(slot, rows)| assemble_pose(objective, equations, schur, damping, slot, rows));
-    for cross in &equations.cross_blocks {
+    slots.for_each(|(slot, rows)| assemble_pose(system, slot, rows));
+    for cross in &system.equations.cross_blocks {
         let [first, second] = cross.slots;
         let (row, column) = (
             objective.index.pose_at(first.max(second)),
@@ -60,13 +54,13 @@ pub(super) fn assemble(
 }
 
 /// Sets the rows of the cameras.
-fn assemble_cameras(
-    objective: &Objective,
-    equations: &NormalEquations,
-    schur: &SchurComplement,
-    damping: f64,
-    rows: &mut [f64],
-) {
+fn assemble_cameras(system: &ReducedSystem<'_>, rows: &mut [f64]) {
+    let &ReducedSystem {
+        objective,
+        equations,
+        schur,
+        damping,
+    } = system;
     let index = &objective.index;
     let n = index.unknowns();
     rows.fill(0.0);
@@ -110,14 +104,13 @@ fn subtract_point_cameras(
 }
 
 /// Sets the six rows of one pose, up to its own block.
-fn assemble_pose(
-    objective: &Objective,
-    equations: &NormalEquations,
-    schur: &SchurComplement,
-    damping: f64,
-    slot: usize,
-    rows: &mut [f64],
-) {
+fn assemble_pose(system: &ReducedSystem<'_>, slot: usize, rows: &mut [f64]) {
+    let &ReducedSystem {
+        objective,
+        equations,
+        schur,
+        damping,
+    } = system;
     let index = &objective.index;
     let n = index.unknowns();
     let active = index.active_of_slot[slot] as usize;
@@ -132,7 +125,7 @@ fn assemble_pose(
         target[at..at + POSE_PARAMS].copy_from_slice(&block.h[row]);
         target[at + row] = damped(target[at + row], damping);
     }
-    for &free in index.free_of_slot.of(slot) {
+    for &free in index.free_of_slot.members(slot) {
         let left = &schur.free_observations[free as usize];
         let point = index.free_observations[free as usize].point as usize;
         for point_camera in index.point_cameras_of(point) {

@@ -35,7 +35,7 @@ impl Groups {
     }
 
     /// Returns the members of a group.
-    pub(super) fn of(&self, group: usize) -> &[u32] {
+    pub(super) fn members(&self, group: usize) -> &[u32] {
         &self.items[self.start[group] as usize..self.start[group + 1] as usize]
     }
 }

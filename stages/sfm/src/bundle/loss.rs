@@ -1,9 +1,11 @@
 //! Robust losses.
 
+use serde::Serialize;
+
 /// Loss ρ of a squared residual s; the cost is ½ Σ ρ(s).
 ///
 /// The width is in the unit of the residual: pixels for observations, sigmas for priors.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub enum Loss {
     /// s.
     Squared,
@@ -14,15 +16,6 @@ pub enum Loss {
 }
 
 impl Loss {
-    /// Returns its kind as a number, and its width.
-    pub(super) fn kind_and_width(self) -> (u64, f64) {
-        match self {
-            Self::Squared => (0, 0.0),
-            Self::Huber(width) => (1, width),
-            Self::Cauchy(width) => (2, width),
-        }
-    }
-
     /// Returns ρ(s).
     pub(super) fn cost(self, squared: f64) -> f64 {
         match self {

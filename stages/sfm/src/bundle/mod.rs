@@ -23,6 +23,7 @@ mod residual;
 mod schur;
 mod so3;
 mod state;
+mod step_control;
 mod validate;
 
 pub use adjust::adjust;

@@ -22,15 +22,8 @@ pub(super) struct PointBlock {
     /// xx, yx, yy, zx, zy, zz.
     pub h: [f64; 6],
     pub g: [f64; 3],
-    pub determined: Determined,
-}
-
-/// Whether the observations determine a point.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub(super) enum Determined {
-    #[default]
-    No,
-    Yes,
+    /// Whether the observations determine the point.
+    pub is_determined: bool,
 }
 
 /// Normal equations of one pose, its contribution to those of its camera, and their off-diagonal block.
@@ -102,7 +95,7 @@ impl NormalEquations {
         self.set_rows(objective, state);
         self.set_points(objective);
         for (point, block) in self.points.iter().enumerate() {
-            if block.determined == Determined::No {
+            if !block.is_determined {
                 let range = objective.index.observations_of(point);
                 self.rows[range.clone()].fill(ResidualBlock::default());
                 if !self.camera_jacobians.is_empty() {
@@ -179,27 +172,14 @@ impl NormalEquations {
                 camera, sigma_share, ..
             } = *prior
             {
-                self.add_focal(objective, state, camera as usize, weight, error.x, sigma_share);
+                if is_focal_free(objective, state, camera as usize) {
+                    let block = &mut self.cameras[camera as usize];
+                    block.h[0][0] += weight / (sigma_share * sigma_share);
+                    block.g[0] -= weight * error.x / sigma_share;
+                }
                 continue;
             }
             self.add_pose_prior(objective, state, prior, weight, &error);
-        }
-    }
-
-    /// Adds a prior on a focal length, which is the first parameter of its camera if it is free.
-    fn add_focal(
-        &mut self,
-        objective: &Objective,
-        state: &State,
-        camera: usize,
-        weight: f64,
-        error: f64,
-        sigma: f64,
-    ) {
-        let reached = objective.camera_bounds[camera].reached(&state.cameras[camera], CameraParam::Focal);
-        if objective.index.terms[camera].first() == Some(&CameraParam::Focal) && !reached {
-            self.cameras[camera].h[0][0] += weight / (sigma * sigma);
-            self.cameras[camera].g[0] -= weight * error / sigma;
         }
     }
 
@@ -243,16 +223,21 @@ impl NormalEquations {
     }
 }
 
+/// Tells whether the focal length of a camera may change: it is then the first parameter.
+fn is_focal_free(objective: &Objective, state: &State, camera: usize) -> bool {
+    let reached = objective.camera_bounds[camera].reached(&state.cameras[camera], CameraParam::Focal);
+    objective.index.terms[camera].first() == Some(&CameraParam::Focal) && !reached
+}
+
 /// Returns for each camera the columns of parameters that lie on their bound.
 fn held_columns(objective: &Objective, state: &State) -> Vec<Vec<usize>> {
-    let held = |(camera, terms): (usize, &Vec<CameraParam>)| {
-        let reached =
-            |term: &CameraParam| objective.camera_bounds[camera].reached(&state.cameras[camera], *term);
-        (0..terms.len())
-            .filter(|&column| reached(&terms[column]))
-            .collect()
+    let held = |camera: usize| {
+        let (bounds, camera_state) = (&objective.camera_bounds[camera], &state.cameras[camera]);
+        let terms = objective.index.terms[camera].iter().enumerate();
+        let reached = terms.filter(|(_, term)| bounds.reached(camera_state, **term));
+        reached.map(|(column, _)| column).collect()
     };
-    objective.index.terms.iter().enumerate().map(held).collect()
+    (0..objective.index.terms.len()).map(held).collect()
 }
 
 /// Returns the residual block and camera Jacobian of one observation; `None` if it has no projection.
@@ -303,7 +288,7 @@ fn point_block(rows: &[ResidualBlock]) -> PointBlock {
     if is_singular(&block.h) {
         return PointBlock::default();
     }
-    block.determined = Determined::Yes;
+    block.is_determined = true;
     block
 }
 
@@ -334,7 +319,7 @@ fn pose_block(
         .flatten();
     let camera = objective.problem.camera_of_pose[pose.pose as usize] as usize;
     let terms = objective.index.terms[camera].len();
-    for &observation in objective.index.observations_of_active.of(active) {
+    for &observation in objective.index.observations_of_active.members(active) {
         let row = &rows[observation as usize];
         let columns = pose_columns(row, held_axis);
         if pose.slot != NONE {

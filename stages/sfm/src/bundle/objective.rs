@@ -49,7 +49,7 @@ impl<'a> Objective<'a> {
                 .iter()
                 .map(|prior| normalization.prior(prior))
                 .collect(),
-            camera_bounds: problem.cameras.iter().map(CameraBounds::of).collect(),
+            camera_bounds: problem.cameras.iter().map(CameraBounds::new).collect(),
             loss,
             prior_loss,
             hidden: problem

@@ -1,9 +1,11 @@
 //! Options and report of an adjustment, and the criterion by which models are compared.
 
+use serde::{Deserialize, Serialize};
+
 use super::loss::Loss;
 
 /// How the reduced system of poses and cameras is solved.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Solver {
     /// Dense up to 600 free poses, conjugate gradients above.
     Auto,
@@ -14,7 +16,7 @@ pub enum Solver {
 }
 
 /// Options of a bundle adjustment.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct BundleOptions {
     /// Loss of observations, in pixels.
     pub loss: Loss,
@@ -29,7 +31,7 @@ pub struct BundleOptions {
 }
 
 /// Result of a bundle adjustment.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct BundleReport {
     /// Steps tried.
     pub iterations: u32,

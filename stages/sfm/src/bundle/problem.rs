@@ -2,9 +2,10 @@
 
 use marf_scene::{Camera, Pose};
 use nalgebra::{Vector2, Vector3};
+use serde::{Deserialize, Serialize};
 
 /// Distortion model, smallest first; the coefficients are those of [`Camera`].
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum LensModel {
     /// No distortion.
     Pinhole,
@@ -18,7 +19,7 @@ pub enum LensModel {
 
 /// Which parameters of a camera are free. fx and fy vary together (their ratio is fixed); coefficients that `lens` does not
 /// have are fixed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct CameraFreedom {
     /// Whether the focal length is free.
     pub focal: bool,
@@ -29,7 +30,7 @@ pub struct CameraFreedom {
 }
 
 /// Which parameters of a pose are free.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub enum PoseFreedom {
     /// All.
     Free,
@@ -40,7 +41,7 @@ pub enum PoseFreedom {
 }
 
 /// A point observed in a photo.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Observation {
     /// Index of the point.
     pub point: u32,
@@ -51,7 +52,7 @@ pub struct Observation {
 }
 
 /// Prior knowledge as a residual in units of its sigma, under the loss of priors.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub enum Prior {
     /// The camera centre in the world.
     Centre {
@@ -96,7 +97,7 @@ pub enum Prior {
 }
 
 /// What is adjusted together. Observations are sorted by (point, pose).
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone, Default, Serialize)]
 pub struct Problem {
     /// Lenses that photos share.
     pub cameras: Vec<Camera>,

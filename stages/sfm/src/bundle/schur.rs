@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use super::cholesky3::{backward, factor, forward, inverse};
 use super::index::{FreeObservation, POSE_PARAMS, PointCamera};
-use super::normal_equations::{Determined, GRAIN, NormalEquations, PointBlock, pose_columns};
+use super::normal_equations::{GRAIN, NormalEquations, PointBlock, pose_columns};
 use super::objective::Objective;
 use super::residual::CAMERA_PARAMS;
 use super::state::Step;
@@ -44,6 +44,14 @@ pub(super) fn damped(h: f64, damping: f64) -> f64 {
 /// Returns the scale of the damping of a diagonal element.
 fn scale(h: f64) -> f64 {
     h.clamp(1e-6, 1e32)
+}
+
+/// The damped reduced system.
+pub(super) struct ReducedSystem<'a> {
+    pub objective: &'a Objective<'a>,
+    pub equations: &'a NormalEquations,
+    pub schur: &'a SchurComplement,
+    pub damping: f64,
 }
 
 impl SchurComplement {
@@ -96,7 +104,7 @@ impl SchurComplement {
         let slots = poses.par_chunks_mut(POSE_PARAMS).enumerate();
         slots.for_each(|(slot, right)| {
             let mut sum = equations.poses[index.active_of_slot[slot] as usize].g;
-            for &free in index.free_of_slot.of(slot) {
+            for &free in index.free_of_slot.members(slot) {
                 let point = index.free_observations[free as usize].point as usize;
                 subtract_transposed(&mut sum, &free_observations[free as usize], &points[point].y);
             }
@@ -171,7 +179,7 @@ pub(super) fn predicted_gain(
 
 /// Returns the inverse factor and y of a point; zero if it is not determined.
 fn point_factor(block: &PointBlock, damping: f64) -> PointFactor {
-    if block.determined == Determined::No {
+    if !block.is_determined {
         return PointFactor::default();
     }
     let mut h = block.h;

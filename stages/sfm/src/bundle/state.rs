@@ -1,7 +1,9 @@
 //! The parameters, in normalised coordinates: the middle of the scene at zero, its size near one.
 
+use marf_numeric::upper_median;
 use marf_scene::{Camera, Pose};
 use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
 
 use super::index::{Index, NONE};
 use super::problem::{Prior, Problem};
@@ -17,14 +19,16 @@ pub(super) struct Normalization {
 
 impl Normalization {
     /// Returns the normalisation of a problem; medians, so that a few points near infinity have no influence.
-    pub(super) fn of(problem: &Problem) -> Self {
+    pub(super) fn new(problem: &Problem) -> Self {
         let observed = problem
             .observations
             .chunk_by(|a, b| a.point == b.point)
             .map(|group| problem.points[group[0].point as usize]);
         let places: Vec<Vector3<f64>> = observed.chain(problem.poses.iter().map(Pose::centre)).collect();
-        let middle = Vector3::from_fn(|axis, _| median(places.iter().map(|place| place[axis]).collect()));
-        let size = median(places.iter().map(|place| (place - middle).norm()).collect());
+        let median =
+            |value: &dyn Fn(&Vector3<f64>) -> f64| upper_median(places.iter().map(value)).unwrap_or(0.0);
+        let middle = Vector3::from_fn(|axis, _| median(&|place| place[axis]));
+        let size = median(&|place| (place - middle).norm());
         let usable = size.is_finite() && size > 0.0 && (1.0 / size).is_finite();
         Self {
             middle,
@@ -81,17 +85,8 @@ impl Normalization {
     }
 }
 
-/// Returns the median (the upper of two), 0 of none.
-fn median(mut values: Vec<f64>) -> f64 {
-    let middle = values.len() / 2;
-    if values.is_empty() {
-        return 0.0;
-    }
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
-}
-
 /// The parameters.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub(super) struct State {
     pub cameras: Vec<Camera>,
     pub views: Vec<CentredPose>,
@@ -193,7 +188,7 @@ pub(super) struct CameraBounds {
 impl CameraBounds {
     /// Returns the bounds: focal length in [0.1, 10] times the longer side, |k|, |p| at most 1; a start outside may at most
     /// double (long telephoto lenses are 10 times the longer side).
-    pub(super) fn of(camera: &Camera) -> Self {
+    pub(super) fn new(camera: &Camera) -> Self {
         let longer = f64::from(camera.width.max(camera.height));
         let focal = (0.1 * longer, 10.0 * longer);
         let within = focal.0 < camera.fx_px && camera.fx_px < focal.1;

@@ -1,23 +1,22 @@
 //! Registration of new photos in an earlier scene.
 
-use marf_scene::{Camera, Pose};
-
 use super::checkpoint::{PART, fingerprint, is_due};
 use super::global_adjustment::{FINE, refine};
 use super::input::{MapError, MapperInput};
 use super::model::Model;
-use super::register::{Growing, Growth};
-use crate::align::{Tolerance, align};
-use crate::bytes::{Fingerprint, Reader, Writer};
+use super::register::{GrowingModel, Progress};
+use crate::align::{PosePair, Tolerance, align};
+use crate::bytes;
+use crate::view_graph::PosedCamera;
 
 /// Form of the saved state; a new number where it is written or used otherwise.
-const FORM: &[u8; 8] = b"extends1";
+const FORM: &[u8; 8] = b"extends2";
 
 /// Returns the model of an earlier scene with all new photos registered that fit it, in the frame of the earlier scene.
 ///
-/// `known`: pose and working-size camera of each photo of the earlier scene. All poses are adjusted, then the model is
+/// `known`: working-size camera and pose of each photo of the earlier scene. All poses are adjusted, then the model is
 /// aligned with the earlier poses. `None` if no photo is known.
-pub fn extend(input: &MapperInput<'_>, known: &[Option<(Pose, Camera)>]) -> Result<Option<Model>, MapError> {
+pub fn extend(input: &MapperInput<'_>, known: &[Option<PosedCamera>]) -> Result<Option<Model>, MapError> {
     let Some(model) = Model::known(input, known) else {
         return Ok(None);
     };
@@ -29,36 +28,29 @@ pub fn extend(input: &MapperInput<'_>, known: &[Option<(Pose, Camera)>]) -> Resu
 
 /// Adds photos until none fits, from the state that an unfinished run has saved.
 fn grown(input: &MapperInput<'_>, model: Model) -> Result<Model, MapError> {
-    let mut writer = Writer::new(FORM, fingerprint(input));
-    model.write(&mut writer);
-    let mut of = Fingerprint::new();
-    of.add_state(writer);
-    let mut growing = resume(input, of.value()).unwrap_or_else(|| Growing::new(model));
+    let fingerprint = bytes::fingerprint(&(fingerprint(input), &model));
+    let saved = input.supervisor.load(PART);
+    let saved = saved.and_then(|saved| bytes::decode(&saved, FORM, fingerprint));
+    let mut growing = saved.unwrap_or_else(|| GrowingModel::new(model));
     let taken = vec![false; input.views.len()];
-    while growing.step(input, &taken)? == Growth::Unfinished {
+    while growing.step(input, &taken)? == Progress::Unfinished {
         if is_due(input)? {
-            let mut writer = Writer::new(FORM, of.value());
-            growing.write(&mut writer);
-            input.supervisor.save(PART, &writer.finish());
+            let state = bytes::encode(FORM, fingerprint, &growing);
+            input.supervisor.save(PART, &state);
         }
     }
     Ok(growing.model)
 }
 
-/// Returns the state that an unfinished run has saved.
-fn resume(input: &MapperInput<'_>, of: u64) -> Option<Growing> {
-    let saved = input.supervisor.load(PART)?;
-    let mut reader = Reader::new(&saved, FORM, of)?;
-    let growing = Growing::read(input, &mut reader)?;
-    reader.end()?;
-    Some(growing)
-}
-
 /// Transforms a model so that its poses are nearest to known ones.
-fn align_with(model: &mut Model, known: &[Option<(Pose, Camera)>]) {
-    let pairs: Vec<(Pose, Pose)> = (model.poses.iter().zip(known))
-        .filter_map(|(now, before)| Some(((*now)?, before.as_ref()?.0)))
-        .collect();
+fn align_with(model: &mut Model, known: &[Option<PosedCamera>]) {
+    let pairs = model.poses.iter().zip(known).filter_map(|(now, before)| {
+        Some(PosePair {
+            cam_from_source: (*now)?,
+            cam_from_target: before.as_ref()?.cam_from_world,
+        })
+    });
+    let pairs: Vec<PosePair> = pairs.collect();
     let any = Tolerance {
         distance: f64::INFINITY,
         angle_rad: f64::INFINITY,

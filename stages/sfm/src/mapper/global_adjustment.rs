@@ -308,14 +308,14 @@ fn released(lens: LensModel, photos: usize) -> LensModel {
 /// Returns priors on the known focal lengths.
 fn focal_priors(input: &MapperInput<'_>, model: &Model) -> Vec<Prior> {
     let known = input.cameras.iter().enumerate().take(model.cameras.len());
-    let prior = |(index, shared): (usize, &SharedCamera)| {
-        shared.focal_sigma_share.map(|sigma_share| Prior::Focal {
+    let priors = known.filter_map(|(index, shared)| {
+        Some(Prior::Focal {
             camera: index as u32,
             focal_px: shared.camera.fx_px,
-            sigma_share,
+            sigma_share: shared.focal_sigma_share?,
         })
-    };
-    known.filter_map(prior).collect()
+    });
+    priors.collect()
 }
 
 /// Fixes the gauge: the pose of the anchor and, of the photo farthest from it, the coordinate in which it is farthest.

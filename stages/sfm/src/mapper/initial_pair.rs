@@ -1,12 +1,13 @@
 //! The pair of photos that a model starts from.
 
+use marf_numeric::upper_median;
 use marf_scene::Pose;
+use marf_sfm_features::estimators::ray_angle_rad;
+use marf_sfm_features::two_view::RelativePoseKind;
 
 use super::global_adjustment::{FINE, adjust_all};
 use super::input::{MapError, MapperInput};
 use super::model::Model;
-use crate::estimators::ray_angle_rad;
-use crate::two_view::RelativePoseKind;
 use crate::view_graph::Link;
 
 /// Thresholds for an initial pair.
@@ -113,14 +114,9 @@ fn is_good(input: &MapperInput<'_>, model: &Model, link: &Link) -> bool {
     let [first, second] = centres[..] else {
         return false;
     };
-    let mut angles: Vec<f64> = model
-        .points
-        .iter()
-        .flatten()
-        .map(|point| ray_angle_rad(&first, &second, point))
-        .collect();
-    angles.sort_by(f64::total_cmp);
+    let points: Vec<_> = model.points.iter().flatten().collect();
     let needed = (POINT_SHARE * link.relative_pose.inliers.len() as f64) as usize;
-    let median = angles.get(angles.len() / 2).copied().unwrap_or(0.0);
-    angles.len() >= needed.max(15) && median >= input.options.min_angle_rad / 2.0
+    let angles = points.iter().map(|point| ray_angle_rad(&first, &second, point));
+    let median = upper_median(angles).unwrap_or(0.0);
+    points.len() >= needed.max(15) && median >= input.options.min_angle_rad / 2.0
 }

@@ -1,27 +1,29 @@
 //! Incremental mapping: models from the view graph.
 
+use serde::{Deserialize, Serialize};
+
 use super::checkpoint::{PART, fingerprint, is_due};
 use super::input::{MIN_PHOTOS, MapError, MapperInput};
 use super::merge::merge_last;
 use super::model::Model;
-use super::register::{Search, Searched};
+use super::register::{Progress, Search, SearchStep};
 use super::{initial_pair, lens};
-use crate::bytes::{Reader, Writer};
+use crate::bytes::{decode, encode};
 use crate::view_graph::Link;
 
 /// Form of the saved state; a new number where it is written or used otherwise.
-const FORM: &[u8; 8] = b"mapping1";
+const FORM: &[u8; 8] = b"mapping2";
 
 /// Returns the models that the photos form, the largest first.
 ///
 /// A photo is in at most one model; none is forced into one. The result is empty if no pair of photos has both enough
 /// matches and enough parallax.
 pub fn map(input: &MapperInput<'_>) -> Result<Vec<Model>, MapError> {
-    let of = fingerprint(input);
-    let mut mapping = Mapping::resume(input, of).unwrap_or_else(|| Mapping::new(input));
+    let fingerprint = fingerprint(input);
+    let mut mapping = Mapping::resume(input, fingerprint).unwrap_or_else(|| Mapping::new(input));
     while mapping.step(input)? == Progress::Unfinished {
         if is_due(input)? {
-            input.supervisor.save(PART, &mapping.encode(of));
+            input.supervisor.save(PART, &mapping.encode(fingerprint));
         }
     }
     let mut models = mapping.models;
@@ -39,17 +41,12 @@ struct Mapping<'a> {
     candidates: Vec<&'a Link>,
 }
 
+#[derive(Serialize, Deserialize)]
 enum Phase {
     /// Further models are searched for.
     Growing(Box<Search>),
     /// The lens of this model is chosen next.
     Lens(usize),
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Progress {
-    Unfinished,
-    Finished,
 }
 
 impl<'a> Mapping<'a> {
@@ -66,7 +63,7 @@ impl<'a> Mapping<'a> {
     fn step(&mut self, input: &'a MapperInput<'_>) -> Result<Progress, MapError> {
         match &mut self.phase {
             Phase::Growing(search) => {
-                if let Searched::Finished(found) = search.step(input, &self.taken, &self.candidates)? {
+                if let SearchStep::Finished(found) = search.step(input, &self.taken, &self.candidates)? {
                     self.phase = self.add(input, found)?;
                 }
             }
@@ -99,35 +96,15 @@ impl<'a> Mapping<'a> {
         Ok(Phase::Growing(Box::default()))
     }
 
-    fn encode(&self, of: u64) -> Vec<u8> {
-        let mut writer = Writer::new(FORM, of);
-        writer.list(&self.models, |writer, model| model.write(writer));
-        writer.flags(&self.taken);
-        match &self.phase {
-            Phase::Growing(search) => {
-                writer.count(0);
-                search.write(&mut writer);
-            }
-            Phase::Lens(index) => {
-                writer.count(1);
-                writer.count(*index as u64);
-            }
-        }
-        writer.finish()
+    /// Returns the state as bytes.
+    fn encode(&self, fingerprint: u64) -> Vec<u8> {
+        encode(FORM, fingerprint, &(&self.models, &self.taken, &self.phase))
     }
 
     /// Returns the state that an unfinished run has saved.
-    fn resume(input: &'a MapperInput<'_>, of: u64) -> Option<Self> {
+    fn resume(input: &'a MapperInput<'_>, fingerprint: u64) -> Option<Self> {
         let saved = input.supervisor.load(PART)?;
-        let mut reader = Reader::new(&saved, FORM, of)?;
-        let models = reader.any_list(|reader| Model::read(input, reader))?;
-        let taken = reader.flags(input.views.len())?;
-        let phase = match reader.count()? {
-            0 => Phase::Growing(Box::new(Search::read(input, &mut reader)?)),
-            1 => Phase::Lens(reader.index()?),
-            _ => return None,
-        };
-        reader.end()?;
+        let (models, taken, phase) = decode::<(Vec<Model>, Vec<bool>, Phase)>(&saved, FORM, fingerprint)?;
         Some(Self {
             models,
             candidates: initial_pair::candidates(input, &taken),

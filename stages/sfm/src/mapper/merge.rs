@@ -1,11 +1,9 @@
 //! Merging of models that share photos.
 
-use marf_scene::Pose;
-
 use super::global_adjustment::{COARSE, refine};
 use super::input::{MIN_PHOTOS, MapError, MapperInput};
 use super::model::Model;
-use crate::align::{Tolerance, align};
+use crate::align::{PosePair, Tolerance, align};
 
 /// Largest distance between centres of shared photos, as a fraction of the extent of these photos, and largest angle.
 const MAX_SHARE: f64 = 0.05;
@@ -44,10 +42,13 @@ fn merged(
     last: &Model,
     shared: &[usize],
 ) -> Result<Option<Model>, MapError> {
-    let pairs: Vec<(Pose, Pose)> = shared
-        .iter()
-        .filter_map(|&photo| Some((last.poses[photo]?, earlier.poses[photo]?)))
-        .collect();
+    let pairs = shared.iter().filter_map(|&photo| {
+        Some(PosePair {
+            cam_from_source: last.poses[photo]?,
+            cam_from_target: earlier.poses[photo]?,
+        })
+    });
+    let pairs: Vec<PosePair> = pairs.collect();
     let extent = extent(&pairs);
     let tolerance = Tolerance {
         distance: MAX_SHARE * extent,
@@ -72,8 +73,8 @@ fn merged(
 }
 
 /// Returns the largest distance of a centre from the first.
-fn extent(pairs: &[(Pose, Pose)]) -> f64 {
-    let centres: Vec<_> = pairs.iter().map(|(_, to)| to.centre()).collect();
+fn extent(pairs: &[PosePair]) -> f64 {
+    let centres: Vec<_> = pairs.iter().map(|pair| pair.cam_from_target.centre()).collect();
     let distances = centres.iter().map(|centre| (centre - centres[0]).norm());
     distances.fold(0.0, f64::max)
 }

@@ -1,18 +1,19 @@
 //! A model: registered photos and triangulated points.
 
 use marf_scene::{Camera, Pose};
+use marf_sfm_features::estimators::{Ray, ray_angle_rad, triangulate_robust};
 use nalgebra::Vector3;
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 use super::input::MapperInput;
 use super::tracks::Observation;
 use crate::align::Similarity;
 use crate::bundle::LensModel;
-use crate::bytes::{Reader, Writer};
-use crate::estimators::{Ray, ray_angle_rad, triangulate_robust};
+use crate::view_graph::PosedCamera;
 
 /// Registered photos in one coordinate frame, with the points they observe.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Model {
     /// By index of [`MapperInput::cameras`].
     pub cameras: Vec<Camera>,
@@ -33,14 +34,6 @@ pub struct Model {
 /// Tracks between two questions whether to stop.
 const TRACKS_AT_ONCE: usize = 1024;
 
-/// Distortion models by their numbers in a saved state.
-const LENSES: [LensModel; 4] = [
-    LensModel::Pinhole,
-    LensModel::SimpleRadial,
-    LensModel::Radial,
-    LensModel::OpenCv,
-];
-
 /// State of one track: its point, and which of its observations are used.
 type TrackState = (Option<Vector3<f64>>, Vec<bool>);
 
@@ -59,47 +52,18 @@ impl Model {
     }
 
     /// Returns the model of the photos whose pose and working-size camera are known, with the tracks that fit; `None` without any.
-    pub(super) fn known(input: &MapperInput<'_>, known: &[Option<(Pose, Camera)>]) -> Option<Self> {
+    pub(super) fn known(input: &MapperInput<'_>, known: &[Option<PosedCamera>]) -> Option<Self> {
         let anchor = known.iter().position(Option::is_some)?;
         let mut model = Self::empty(input, anchor);
         for (photo, known) in known.iter().enumerate() {
-            if let Some((pose, camera)) = known {
-                model.poses[photo] = Some(*pose);
-                model.cameras[input.views[photo].camera] = *camera;
+            if let Some(known) = known {
+                model.poses[photo] = Some(known.cam_from_world);
+                model.cameras[input.views[photo].camera] = known.camera;
             }
         }
         model.set_lens_from_cameras();
         model.complete(input, input.tracks.all());
         Some(model)
-    }
-
-    /// Writes the model.
-    pub(super) fn write(&self, writer: &mut Writer) {
-        writer.list(&self.cameras, Writer::camera);
-        let lens = LENSES.iter().position(|lens| *lens == self.lens);
-        writer.count(lens.unwrap_or_default() as u64);
-        writer.flags(&[self.principal_point]);
-        writer.list(&self.poses, |writer, pose| {
-            writer.option(pose.as_ref(), Writer::pose)
-        });
-        writer.list(&self.points, |writer, point| {
-            writer.option(point.as_ref(), Writer::point);
-        });
-        writer.flags(&self.active);
-        writer.count(self.anchor as u64);
-    }
-
-    /// Reads what [`Model::write`] wrote of a model of this input.
-    pub(super) fn read(input: &MapperInput<'_>, reader: &mut Reader<'_>) -> Option<Self> {
-        Some(Self {
-            cameras: reader.list(input.cameras.len(), Reader::camera)?,
-            lens: *LENSES.get(reader.index()?)?,
-            principal_point: reader.flags(1)? == [true],
-            poses: reader.list(input.views.len(), |reader| reader.option(Reader::pose))?,
-            points: reader.list(input.tracks.len(), |reader| reader.option(Reader::point))?,
-            active: reader.flags(input.tracks.observations.len())?,
-            anchor: reader.index().filter(|anchor| *anchor < input.views.len())?,
-        })
     }
 
     /// Sets the distortion model to the smallest that holds the coefficients of all cameras.

@@ -1,10 +1,12 @@
 //! Options of the mapper.
 
+use serde::Serialize;
+
 use crate::bundle::LensModel;
 use crate::view_graph::{SharedCamera, max_error_px};
 
 /// Which distortion model a scene gets.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub enum LensChoice {
     /// The smallest model that the photos support.
     Smallest {
@@ -16,7 +18,7 @@ pub enum LensChoice {
 }
 
 /// Whether the principal point is free in the last adjustment.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub enum PrincipalPointChoice {
     /// Fixed.
     Fixed,
@@ -27,7 +29,7 @@ pub enum PrincipalPointChoice {
 }
 
 /// Options of the mapper.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize)]
 pub struct MapOptions {
     /// Largest reprojection error of an observation, pixels of the working size.
     pub max_error_px: f64,

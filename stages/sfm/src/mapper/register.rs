@@ -2,13 +2,14 @@
 
 use std::collections::BTreeMap;
 
+use marf_sfm_features::estimators::{PointObservation, Resection, resect};
+use marf_sfm_features::two_view::FocalKnown;
+use serde::{Deserialize, Serialize};
+
 use super::global_adjustment::{COARSE, adjust_local, refine};
 use super::initial_pair;
 use super::input::{MIN_PHOTOS, MapError, MapperInput};
 use super::model::Model;
-use crate::bytes::{Reader, Writer};
-use crate::estimators::{PointObservation, Resection, resect};
-use crate::two_view::FocalKnown;
 use crate::view_graph::Link;
 
 /// Observations of triangulated points that a photo needs to be tried.
@@ -32,18 +33,18 @@ const STARTS: usize = 3;
 const FOCAL_FACTORS: [f64; 5] = [1.0, 0.7, 1.4, 0.5, 2.0];
 
 /// The search for the largest model of photos not taken, between two steps.
-#[derive(Default)]
+#[derive(Default, Serialize, Deserialize)]
 pub(super) struct Search {
     /// Candidates that were looked at.
     looked_at: usize,
     tried_starts: usize,
     best: Option<Model>,
     /// A model that grows, and the photo it started from.
-    growing: Option<(Growing, usize)>,
+    growing: Option<(GrowingModel, usize)>,
 }
 
-/// What a step of a search came to.
-pub(super) enum Searched {
+/// The result of one step of a search.
+pub(super) enum SearchStep {
     /// There is more to do.
     Unfinished,
     /// The largest model, if any pair could start one.
@@ -57,10 +58,10 @@ impl Search {
         input: &MapperInput<'_>,
         taken: &[bool],
         candidates: &[&Link],
-    ) -> Result<Searched, MapError> {
+    ) -> Result<SearchStep, MapError> {
         if let Some((growing, start)) = &mut self.growing {
-            if growing.step(input, taken)? == Growth::Unfinished {
-                return Ok(Searched::Unfinished);
+            if growing.step(input, taken)? == Progress::Unfinished {
+                return Ok(SearchStep::Unfinished);
             }
             let reachable = reachable(input, *start, taken);
             if let Some((grown, _)) = self.growing.take() {
@@ -75,9 +76,9 @@ impl Search {
         if !self.best.as_ref().is_some_and(known)
             && let Some(model) = initial_pair::initial_model(input, link)?
         {
-            self.growing = Some((Growing::new(model), link.photos[0]));
+            self.growing = Some((GrowingModel::new(model), link.photos[0]));
         }
-        Ok(Searched::Unfinished)
+        Ok(SearchStep::Unfinished)
     }
 
     /// Keeps a model if it is larger than the best, and decides whether others are tried.
@@ -87,7 +88,7 @@ impl Search {
         model: Model,
         taken: &[bool],
         reachable: usize,
-    ) -> Searched {
+    ) -> SearchStep {
         let size = |model: &Model| model.photos().filter(|&photo| !taken[photo]).count();
         if self.best.as_ref().is_none_or(|best| size(&model) > size(best)) {
             self.best = Some(model);
@@ -97,37 +98,12 @@ impl Search {
         if enough || self.tried_starts >= STARTS {
             return self.finish(input);
         }
-        Searched::Unfinished
+        SearchStep::Unfinished
     }
 
-    fn finish(&mut self, input: &MapperInput<'_>) -> Searched {
+    fn finish(&mut self, input: &MapperInput<'_>) -> SearchStep {
         let large = |model: &Model| model.photos().count() >= MIN_PHOTOS.min(input.views.len());
-        Searched::Finished(self.best.take().filter(large))
-    }
-
-    pub(super) fn write(&self, writer: &mut Writer) {
-        writer.count(self.looked_at as u64);
-        writer.count(self.tried_starts as u64);
-        writer.option(self.best.as_ref(), |writer, best| best.write(writer));
-        writer.option(self.growing.as_ref(), |writer, (growing, start)| {
-            growing.write(writer);
-            writer.count(*start as u64);
-        });
-    }
-
-    pub(super) fn read(input: &MapperInput<'_>, reader: &mut Reader<'_>) -> Option<Self> {
-        Some(Self {
-            looked_at: reader.index()?,
-            tried_starts: reader.index()?,
-            best: reader.option(|reader| Model::read(input, reader))?,
-            growing: reader.option(|reader| {
-                let growing = Growing::read(input, reader)?;
-                Some((
-                    growing,
-                    reader.index().filter(|start| *start < input.views.len())?,
-                ))
-            })?,
-        })
+        SearchStep::Finished(self.best.take().filter(large))
     }
 }
 
@@ -147,7 +123,7 @@ fn reachable(input: &MapperInput<'_>, from: usize, taken: &[bool]) -> usize {
 }
 
 /// Number of attempts and points visible at the last one, of photos that did not fit.
-#[derive(Default)]
+#[derive(Default, Serialize, Deserialize)]
 struct Attempts(BTreeMap<usize, (u32, usize)>);
 
 impl Attempts {
@@ -166,7 +142,8 @@ impl Attempts {
 }
 
 /// A model to which photos are added one by one until none fits; then all is adjusted and each is tried again.
-pub(super) struct Growing {
+#[derive(Serialize, Deserialize)]
+pub(super) struct GrowingModel {
     pub model: Model,
     attempts: Attempts,
     /// Photos of the model when all of it was adjusted last.
@@ -175,14 +152,14 @@ pub(super) struct Growing {
     stable: usize,
 }
 
-/// What a step of a growing model came to.
+/// Whether a computation by steps is at its end.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Growth {
+pub(super) enum Progress {
     Unfinished,
     Finished,
 }
 
-impl Growing {
+impl GrowingModel {
     pub(super) fn new(model: Model) -> Self {
         Self {
             attempts: Attempts::default(),
@@ -193,7 +170,7 @@ impl Growing {
     }
 
     /// Tries the next photo; without one, adjusts all.
-    pub(super) fn step(&mut self, input: &MapperInput<'_>, taken: &[bool]) -> Result<Growth, MapError> {
+    pub(super) fn step(&mut self, input: &MapperInput<'_>, taken: &[bool]) -> Result<Progress, MapError> {
         if input.supervisor.stop() {
             return Err(MapError::Stopped);
         }
@@ -201,50 +178,23 @@ impl Growing {
         let placed = model.photos().count();
         let Some((photo, visible)) = next_photo(input, model, taken, &self.attempts) else {
             if placed == self.stable {
-                return Ok(Growth::Finished);
+                return Ok(Progress::Finished);
             }
             refine(input, model, &[], COARSE)?;
             self.adjusted = model.photos().count();
             (self.stable, self.attempts) = (placed, Attempts::default());
-            return Ok(Growth::Unfinished);
+            return Ok(Progress::Unfinished);
         };
         if !register(input, model, photo)? {
             self.attempts.note(photo, visible);
-            return Ok(Growth::Unfinished);
+            return Ok(Progress::Unfinished);
         }
         (input.registered)(placed + 1);
         if (placed + 1) as f64 >= GROWTH * self.adjusted as f64 {
             refine(input, model, &[], COARSE)?;
             self.adjusted = model.photos().count().max(placed);
         }
-        Ok(Growth::Unfinished)
-    }
-
-    pub(super) fn write(&self, writer: &mut Writer) {
-        self.model.write(writer);
-        let attempts: Vec<_> = self.attempts.0.iter().collect();
-        writer.list(&attempts, |writer, (photo, (tries, visible))| {
-            writer.count(**photo as u64);
-            writer.count(u64::from(*tries));
-            writer.count(*visible as u64);
-        });
-        writer.count(self.adjusted as u64);
-        writer.count(self.stable as u64);
-    }
-
-    pub(super) fn read(input: &MapperInput<'_>, reader: &mut Reader<'_>) -> Option<Self> {
-        let model = Model::read(input, reader)?;
-        let attempts = reader.any_list(|reader| {
-            let photo = reader.index()?;
-            let tries = u32::try_from(reader.count()?).ok()?;
-            Some((photo, (tries, reader.index()?)))
-        })?;
-        Some(Self {
-            model,
-            attempts: Attempts(attempts.into_iter().collect()),
-            adjusted: reader.index()?,
-            stable: reader.index()?,
-        })
+        Ok(Progress::Unfinished)
     }
 }
 

@@ -1,11 +1,12 @@
 //! Tracks: features of several photos that are one point of the scene.
 
 use nalgebra::Vector2;
+use serde::Serialize;
 
 use crate::view_graph::{Link, View};
 
 /// A feature of a photo that belongs to a track.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Observation {
     /// Index of the track.
     pub track: u32,
@@ -37,7 +38,8 @@ impl Tracks {
         let mut sets = DisjointSets::new(views);
         for link in order {
             for &[a, b] in &link.relative_pose.inliers {
-                sets.union((link.photos[0], a), (link.photos[1], b));
+                let [first, second] = link.photos;
+                sets.union(FeatureId::new(first, a), FeatureId::new(second, b));
             }
         }
         Self::collect(views, sets)
@@ -57,7 +59,7 @@ impl Tracks {
         };
         for (track, members) in members.iter().enumerate() {
             tracks.starts.push(tracks.observations.len() as u32);
-            for &(photo, feature) in members {
+            for &FeatureId { photo, feature } in members {
                 tracks.of_photo[photo].push(tracks.observations.len() as u32);
                 tracks.observations.push(Observation {
                     track: track as u32,
@@ -110,8 +112,18 @@ impl Tracks {
     }
 }
 
-/// Photo and feature.
-type FeatureId = (usize, u32);
+/// A feature by its photo and its index there.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+struct FeatureId {
+    photo: usize,
+    feature: u32,
+}
+
+impl FeatureId {
+    fn new(photo: usize, feature: u32) -> Self {
+        Self { photo, feature }
+    }
+}
 
 /// Disjoint sets of features, each sorted by photo.
 struct DisjointSets {
@@ -126,7 +138,7 @@ impl DisjointSets {
         let mut members = Vec::new();
         for (photo, view) in views.iter().enumerate() {
             first.push(members.len());
-            members.extend((0..view.pixels.len() as u32).map(|feature| vec![(photo, feature)]));
+            members.extend((0..view.pixels.len() as u32).map(|feature| vec![FeatureId::new(photo, feature)]));
         }
         Self {
             first,
@@ -136,8 +148,8 @@ impl DisjointSets {
     }
 
     /// Returns the position of a feature in the list of all.
-    fn index(&self, (photo, feature): FeatureId) -> usize {
-        self.first[photo] + feature as usize
+    fn index(&self, id: FeatureId) -> usize {
+        self.first[id.photo] + id.feature as usize
     }
 
     /// Unites the sets of two features unless they would hold two features of one photo.
@@ -166,6 +178,6 @@ impl DisjointSets {
 fn merged(a: &[FeatureId], b: &[FeatureId]) -> Option<Vec<FeatureId>> {
     let mut merged = [a, b].concat();
     merged.sort_unstable();
-    let clash = merged.windows(2).any(|pair| pair[0].0 == pair[1].0);
+    let clash = merged.windows(2).any(|pair| pair[0].photo == pair[1].photo);
     (!clash).then_some(merged)
 }

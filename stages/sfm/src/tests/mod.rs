@@ -6,8 +6,9 @@ mod synthetic;
 use marf_scene::{Camera, Pose};
 use nalgebra::{Matrix3, Vector3};
 
-use crate::align::{Similarity, Tolerance, align};
+use crate::align::{PosePair, Similarity, Tolerance, align};
 use crate::mapper::{MapError, Model, map, merge_last, triangulate};
+use crate::view_graph::PosedCamera;
 use synthetic::{Errors, Synthetic, arc, camera, cloud, guessed, known};
 
 /// 0.3 px of noise at 800 px of focal length and some 150 points leave about this much.
@@ -329,9 +330,11 @@ fn models_that_share_photos_are_merged_and_others_stay_apart() {
         let merged = merge_last(input, vec![part(0..8), elsewhere(part(4..12))]).unwrap();
         assert_eq!(merged.len(), 1);
         assert_eq!(merged[0].photos().count(), 12);
-        let pairs: Vec<(Pose, Pose)> = (0..12)
-            .map(|photo| (merged[0].poses[photo].unwrap(), scene.poses[photo]))
-            .collect();
+        let pair = |photo: usize| PosePair {
+            cam_from_source: merged[0].poses[photo].unwrap(),
+            cam_from_target: scene.poses[photo],
+        };
+        let pairs: Vec<PosePair> = (0..12).map(pair).collect();
         let close = Tolerance {
             distance: 0.02,
             angle_rad: ANGLE_RAD,
@@ -346,11 +349,16 @@ fn models_that_share_photos_are_merged_and_others_stay_apart() {
 #[test]
 fn photos_of_known_cameras_give_points_and_stay_where_they_are() {
     let scene = Synthetic::new(arc(8, 4.0, 1.2), ball(300));
-    let known = scene.poses.iter().map(|pose| Some((*pose, scene.camera)));
-    let mut known: Vec<Option<(Pose, Camera)>> = known.collect();
+    let known = scene.poses.iter().map(|pose| {
+        Some(PosedCamera {
+            camera: scene.camera,
+            cam_from_world: *pose,
+        })
+    });
+    let mut known: Vec<Option<PosedCamera>> = known.collect();
     known[7] = None;
     let model = scene.with_input(|input| triangulate(input, &known).unwrap().unwrap());
-    let poses: Vec<Option<Pose>> = known.iter().map(|known| known.map(|known| known.0)).collect();
+    let poses: Vec<Option<Pose>> = known.iter().map(|known| Some((*known)?.cam_from_world)).collect();
     assert_eq!(model.poses, poses);
     let distance = |point: &Vector3<f64>| {
         let all = scene.points.iter().map(|truth| (truth - point).norm());

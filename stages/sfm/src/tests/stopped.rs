@@ -1,11 +1,12 @@
 //! A mapping that is stopped anywhere goes on to the same bits.
 
-use marf_scene::{Camera, Pose};
+use marf_scene::Pose;
 use nalgebra::Vector3;
 
 use super::synthetic::{Synthetic, arc, camera, cloud};
 use crate::mapper::{MapError, MapperInput, Model, extend, map};
 use crate::supervisor::testing::Stopping;
+use crate::view_graph::PosedCamera;
 
 /// Two groups of photos of two objects, one camera for all: two models.
 fn two_models() -> Synthetic {
@@ -89,11 +90,16 @@ fn an_extension_is_the_same_wherever_it_was_stopped() {
         arc(9, 6.0, 1.6),
         cloud(250, Vector3::zeros(), Vector3::new(2.0, 1.5, 2.0), 1),
     );
-    let known: Vec<Option<(Pose, Camera)>> = scene
+    let known: Vec<Option<PosedCamera>> = scene
         .poses
         .iter()
         .enumerate()
-        .map(|(photo, pose)| (photo < 4).then_some((*pose, camera())))
+        .map(|(photo, pose)| {
+            (photo < 4).then_some(PosedCamera {
+                camera: camera(),
+                cam_from_world: *pose,
+            })
+        })
         .collect();
     let work = |input: &MapperInput<'_>| Ok(extend(input, &known)?.into_iter().collect());
     check(&scene, &work, 1);

@@ -2,12 +2,12 @@
 
 use marf_numeric::{Rng, mix};
 use marf_scene::{Camera, Pose};
+use marf_sfm_features::two_view::{FocalKnown, VerifyOptions, ViewPoints, verify};
 use nalgebra::{Vector2, Vector3};
 
 use crate::Supervisor;
-use crate::align::{Tolerance, align, pose_difference};
+use crate::align::{PosePair, Tolerance, align, pose_difference};
 use crate::mapper::{MapOptions, MapperInput, Model, Tracks, map};
-use crate::two_view::{FocalKnown, VerifyOptions, ViewPoints, verify};
 use crate::view_graph::{ComparedPair, SharedCamera, View, link_pair, max_error_px, refine_focal_lengths};
 
 /// Synthetic photos and the errors added to them.
@@ -130,9 +130,10 @@ impl Synthetic {
         for a in 0..views.len() {
             for b in a + 1..views.len() {
                 let half = self.points.len() / 2;
-                let mut seen_as = |point: usize| match self.confused > 0.0 && rng.unit_f64() < self.confused {
-                    true => features[b][(point + half) % self.points.len()],
-                    false => features[b][point],
+                let mut seen_as = |point: usize| {
+                    let is_confused = self.confused > 0.0 && rng.unit_f64() < self.confused;
+                    let shift = if is_confused { half } else { 0 };
+                    features[b][(point + shift) % self.points.len()]
                 };
                 let both = features[a].iter().enumerate();
                 let mut matches: Vec<[u32; 2]> = both
@@ -151,7 +152,7 @@ impl Synthetic {
                     max_error_px: max_error_px(&self.camera),
                     ..VerifyOptions::default()
                 };
-                let verified = verify(&points(a), &points(b), &matches, self.start.focal, &options, 3);
+                let verified = verify([&points(a), &points(b)], &matches, self.start.focal, &options, 3);
                 compared.push(ComparedPair {
                     photos: [a, b],
                     matches: matches.len() as u32,
@@ -204,16 +205,17 @@ impl Synthetic {
     pub(super) fn errors(&self) -> Option<Errors> {
         let models = self.solve();
         let model = models.first()?;
-        let pairs: Vec<(Pose, Pose)> = model
-            .photos()
-            .map(|photo| (model.poses[photo].unwrap(), self.poses[photo]))
-            .collect();
+        let pair = |photo: usize| PosePair {
+            cam_from_source: model.poses[photo].unwrap(),
+            cam_from_target: self.poses[photo],
+        };
+        let pairs: Vec<PosePair> = model.photos().map(pair).collect();
         let any = Tolerance {
             distance: f64::INFINITY,
             angle_rad: f64::INFINITY,
         };
         let aligned = align(&pairs, &any)?;
-        let centres: Vec<_> = pairs.iter().map(|(_, truth)| truth.centre()).collect();
+        let centres: Vec<_> = pairs.iter().map(|pair| pair.cam_from_target.centre()).collect();
         let distances = centres
             .iter()
             .flat_map(|a| centres.iter().map(move |b| (a - b).norm()));

@@ -1,9 +1,10 @@
 //! Focal lengths that are not known, from the verified pairs.
 
+use marf_numeric::upper_median;
 use marf_scene::Camera;
+use marf_sfm_features::two_view::{FocalKnown, focal_from_pairs};
 
 use super::view::{ComparedPair, SharedCamera, View};
-use crate::two_view::{FocalKnown, focal_from_pairs};
 
 /// Replaces guessed focal lengths by those that the pairs of a camera's photos determine; otherwise by the median of those
 /// found for other cameras, relative to the longer side: mostly they are one camera, held upright or reduced.
@@ -29,8 +30,7 @@ pub fn refine_focal_lengths(cameras: &mut [SharedCamera], views: &[View], pairs:
             None => open.push(index),
         }
     }
-    found.sort_by(f64::total_cmp);
-    let Some(share) = found.get(found.len() / 2) else {
+    let Some(share) = upper_median(found) else {
         return;
     };
     for index in open {

@@ -1,13 +1,13 @@
 //! Edges of the view graph between photos whose cameras and poses are known.
 
 use marf_scene::{Camera, Pose};
+use marf_sfm_features::estimators::{essential_of, sampson2};
+use marf_sfm_features::features::Features;
+use marf_sfm_features::matching::{MatchOptions, match_pair};
+use marf_sfm_features::two_view::{RelativePose, RelativePoseKind};
 use nalgebra::Vector2;
 
 use super::view::{Link, max_error_px};
-use crate::estimators::{essential_of, sampson2};
-use crate::features::Features;
-use crate::matching::{MatchOptions, match_pair};
-use crate::two_view::{RelativePose, RelativePoseKind};
 
 /// A photo whose camera and pose are known.
 #[derive(Debug, Clone, Copy)]
@@ -70,7 +70,7 @@ impl KnownView<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::features::Keypoint;
+    use marf_sfm_features::features::Keypoint;
     use nalgebra::Vector3;
 
     /// Features at these pixels whose descriptors have nothing in common.

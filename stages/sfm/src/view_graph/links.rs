@@ -1,7 +1,8 @@
 //! Edges of the view graph from verified pairs.
 
+use marf_sfm_features::two_view::{ViewPoints, estimate_relative_pose};
+
 use super::view::{ComparedPair, Link, SharedCamera, View, focal_known, max_error_px};
-use crate::two_view::{ViewPoints, estimate_relative_pose};
 
 /// Returns the edge of a pair; `None` if it has no relative pose with at least `min_inliers` inliers.
 ///
@@ -24,7 +25,7 @@ pub fn link_pair(
     }
     let error_px = max_error_px(points(a).camera);
     let focal = focal_known(views, cameras, pair.photos);
-    let relative_pose = estimate_relative_pose(&points(a), &points(b), inliers, focal, error_px, seed)?;
+    let relative_pose = estimate_relative_pose([&points(a), &points(b)], inliers, focal, error_px, seed)?;
     (relative_pose.inliers.len() >= min_inliers).then_some(Link {
         photos: pair.photos,
         relative_pose,

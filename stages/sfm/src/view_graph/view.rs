@@ -1,9 +1,8 @@
 //! Photos, their cameras, and the pairs and edges of the view graph.
 
-use marf_scene::Camera;
+use marf_scene::{Camera, Pose};
+use marf_sfm_features::two_view::{FocalKnown, RelativePose, VerifiedPair};
 use nalgebra::Vector2;
-
-use crate::two_view::{FocalKnown, RelativePose, VerifiedPair};
 
 /// Camera and features of a photo.
 #[derive(Debug, Clone)]
@@ -12,6 +11,15 @@ pub struct View {
     pub camera: usize,
     /// Features, pixels of the working size.
     pub pixels: Vec<Vector2<f64>>,
+}
+
+/// A camera with its pose.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PosedCamera {
+    /// The camera.
+    pub camera: Camera,
+    /// Takes points of the world to the camera.
+    pub cam_from_world: Pose,
 }
 
 /// A camera that photos share, as known before mapping.

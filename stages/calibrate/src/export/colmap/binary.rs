@@ -1,6 +1,6 @@
 //! The binary form: little-endian records behind a count.
 
-use super::{Model, model, quaternion};
+use super::model::{Model, lens, quaternion};
 
 /// Little-endian bytes.
 #[derive(Default)]
@@ -28,12 +28,12 @@ impl Bytes {
 }
 
 /// Returns cameras.bin.
-pub(super) fn cameras(of: &Model<'_>) -> Vec<u8> {
-    let mut bytes = Bytes::counted(of.cameras.len());
-    for (number, camera) in (1..).zip(&of.cameras) {
-        let (lens, _, params) = model(camera);
+pub(super) fn cameras(model: &Model<'_>) -> Vec<u8> {
+    let mut bytes = Bytes::counted(model.cameras.len());
+    for (number, camera) in (1..).zip(&model.cameras) {
+        let (number_of_lens, _, params) = lens(camera);
         bytes.u32(number);
-        bytes.u32(lens);
+        bytes.u32(number_of_lens);
         bytes.u64(u64::from(camera.width));
         bytes.u64(u64::from(camera.height));
         bytes.floats(params);
@@ -42,9 +42,9 @@ pub(super) fn cameras(of: &Model<'_>) -> Vec<u8> {
 }
 
 /// Returns images.bin.
-pub(super) fn images(of: &Model<'_>) -> Vec<u8> {
-    let mut bytes = Bytes::counted(of.images.len());
-    for (number, image) in (1..).zip(&of.images) {
+pub(super) fn images(model: &Model<'_>) -> Vec<u8> {
+    let mut bytes = Bytes::counted(model.images.len());
+    for (number, image) in (1..).zip(&model.images) {
         let pose = &image.frame.cam_from_world;
         bytes.u32(number);
         bytes.floats(quaternion(&pose.rotation));
@@ -61,9 +61,9 @@ pub(super) fn images(of: &Model<'_>) -> Vec<u8> {
 }
 
 /// Returns points3D.bin.
-pub(super) fn points(of: &Model<'_>) -> Vec<u8> {
-    let mut bytes = Bytes::counted(of.points.len());
-    for (number, point) in (1..).zip(&of.points) {
+pub(super) fn points(model: &Model<'_>) -> Vec<u8> {
+    let mut bytes = Bytes::counted(model.points.len());
+    for (number, point) in (1..).zip(&model.points) {
         bytes.u64(number);
         bytes.floats(point.track.position);
         bytes.0.extend(point.track.color);

@@ -1,7 +1,8 @@
 use marf_cache::Digest;
-use marf_scene::{Frame, Pose};
+use marf_scene::{Camera, Frame, Pose};
 use nalgebra::{Vector2, Vector3};
 
+use super::model::{lens, quaternion};
 use super::*;
 use crate::export::Observation;
 use crate::export::TrackPoint;
@@ -147,11 +148,7 @@ fn the_text_says_what_the_binary_says() {
 #[test]
 fn each_camera_gets_the_smallest_lens_and_equal_ones_share_it() {
     let files = write_colmap(&scene(), &Tracks::default());
-    let numbers: Vec<u32> = scene()
-        .frames
-        .iter()
-        .map(|frame| super::model(&frame.camera).0)
-        .collect();
+    let numbers: Vec<u32> = scene().frames.iter().map(|frame| lens(&frame.camera).0).collect();
     assert_eq!(numbers, [1, 2, 3, 4, 1]);
     // Four cameras of 4, 4, 5 and 8 parameters behind 24 bytes each.
     assert_eq!(files[0].1.len(), 8 + 4 * 24 + (4 + 4 + 5 + 8) * 8);
@@ -161,7 +158,7 @@ fn each_camera_gets_the_smallest_lens_and_equal_ones_share_it() {
         k1: 0.1,
         ..Camera::pinhole(8, 8, 1453.0)
     };
-    assert_eq!(model(&uneven).0, 4);
+    assert_eq!(lens(&uneven).0, 4);
     assert!(read_back(&files).points.is_empty());
 }
 

@@ -1,6 +1,6 @@
 //! The text form: one record a line, an image takes two.
 
-use super::{Model, model, quaternion};
+use super::model::{Model, lens, quaternion};
 
 /// Returns numbers or words with spaces between.
 fn line(words: impl IntoIterator<Item = String>) -> String {
@@ -12,10 +12,10 @@ fn texts<T: ToString>(numbers: impl IntoIterator<Item = T>) -> impl Iterator<Ite
 }
 
 /// Returns cameras.txt.
-pub(super) fn cameras(of: &Model<'_>) -> String {
+pub(super) fn cameras(model: &Model<'_>) -> String {
     let mut text = "# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n".to_owned();
-    for (number, camera) in (1..).zip(&of.cameras) {
-        let (_, name, params) = model(camera);
+    for (number, camera) in (1..).zip(&model.cameras) {
+        let (_, name, params) = lens(camera);
         let size = texts([camera.width, camera.height]);
         let head: [String; 2] = [u32::to_string(&number), name.to_owned()];
         text += &line(head.into_iter().chain(size).chain(texts(params)));
@@ -24,11 +24,11 @@ pub(super) fn cameras(of: &Model<'_>) -> String {
 }
 
 /// Returns images.txt.
-pub(super) fn images(of: &Model<'_>) -> String {
+pub(super) fn images(model: &Model<'_>) -> String {
     let mut text =
         "# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME\n# POINTS2D[] as (X, Y, POINT3D_ID)\n"
             .to_owned();
-    for (number, image) in (1..).zip(&of.images) {
+    for (number, image) in (1..).zip(&model.images) {
         let pose = &image.frame.cam_from_world;
         let numbers = quaternion(&pose.rotation)
             .into_iter()
@@ -42,9 +42,9 @@ pub(super) fn images(of: &Model<'_>) -> String {
 }
 
 /// Returns points3D.txt.
-pub(super) fn points(of: &Model<'_>) -> String {
+pub(super) fn points(model: &Model<'_>) -> String {
     let mut text = "# POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[] as (IMAGE_ID, POINT2D_IDX)\n".to_owned();
-    for (number, point) in (1..).zip(&of.points) {
+    for (number, point) in (1..).zip(&model.points) {
         let head = [u64::to_string(&number)]
             .into_iter()
             .chain(texts(point.track.position));

@@ -97,7 +97,7 @@ pub(super) fn lenses(file: &str, bytes: &[u8]) -> Result<BTreeMap<u32, Lens>, Im
     for index in 0..bytes.count(24, "")? {
         let place = format!("camera record {index}");
         let (id, model) = (bytes.u32(&place)?, bytes.u32(&place)?);
-        let size = (bytes.u64(&place)?, bytes.u64(&place)?);
+        let size = [bytes.u64(&place)?, bytes.u64(&place)?];
         let fail = |problem| ImportError::new(file, &place, problem);
         let known = LENSES.get(model as usize);
         let (name, count) = known.ok_or_else(|| fail(format!("the lens number {model} is unknown")))?;

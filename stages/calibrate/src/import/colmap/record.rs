@@ -31,7 +31,7 @@ pub(super) const LENSES: [(&str, usize); 11] = [
 ];
 
 /// Returns the lens of a COLMAP camera model and its parameters.
-pub(super) fn lens(name: &str, size: (u64, u64), params: &[f64]) -> Result<Lens, String> {
+pub(super) fn lens(name: &str, size: [u64; 2], params: &[f64]) -> Result<Lens, String> {
     let (fx, fy, cx, cy, distortion) = match (name, params) {
         ("SIMPLE_PINHOLE", [f, cx, cy]) => (f, f, cx, cy, [0.0; 4]),
         ("PINHOLE", [fx, fy, cx, cy]) => (fx, fy, cx, cy, [0.0; 4]),
@@ -51,7 +51,7 @@ pub(super) fn lens(name: &str, size: (u64, u64), params: &[f64]) -> Result<Lens,
             .ok()
             .filter(|side| (1..=MAX_SIDE_PX).contains(side))
     };
-    let size = side(size.0).zip(side(size.1));
+    let size = side(size[0]).zip(side(size[1]));
     Ok(Lens {
         size: Some(size.ok_or_else(|| format!("a size beyond 1 to {MAX_SIDE_PX} pixels a side"))?),
         focal: Focal::Px(*fx, *fy),

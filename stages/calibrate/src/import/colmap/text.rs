@@ -69,7 +69,7 @@ pub(super) fn lenses(file: &str, bytes: &[u8]) -> Result<BTreeMap<u32, Lens>, Im
     for mut line in lines(file, bytes)?.filter(|line| !is_blank(line)) {
         let id = line.number("the camera's number")?;
         let name = line.word("the lens")?;
-        let size = (line.number("the width")?, line.number("the height")?);
+        let size = [line.number("the width")?, line.number("the height")?];
         let mut params = Vec::new();
         while !is_blank(&line) {
             params.push(line.number("a parameter of the lens")?);

@@ -22,7 +22,7 @@ fn handed_on(params: &serde_json::Value) -> (Output, Input) {
 
 fn tracks(output: &Output) -> Tracks {
     let [_, images, points] = &output.model;
-    read_tracks(&output.scene, ("images.bin", images), ("points3D.bin", points)).unwrap()
+    read_tracks(&output.scene, ["images.bin", "points3D.bin"], images, points).unwrap()
 }
 
 /// Returns the distance of an observation from the projection of its point, the largest of all.

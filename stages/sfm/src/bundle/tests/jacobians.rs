@@ -163,9 +163,9 @@ fn with_priors() -> Problem {
 #[test]
 fn derivatives_of_every_prior_agree_with_central_differences() {
     let problem = with_priors();
-    let normalization = Normalization::of(&problem);
+    let normalization = Normalization::new(&problem);
     let index = Index::new(&problem);
-    let camera_bounds = [CameraBounds::of(&problem.cameras[0])];
+    let camera_bounds = [CameraBounds::new(&problem.cameras[0])];
     let state = State::new(&problem, &normalization);
     let moved = |unknown: usize, h: f64| {
         let mut step = Step {
