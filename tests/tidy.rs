@@ -28,7 +28,7 @@ const fn row(folder: &'static str, package: &'static str, uses: &'static [&'stat
 }
 
 /// From the lowest to the highest: a crate uses only crates above its row.
-const CRATES: [Crate; 32] = [
+const CRATES: [Crate; 33] = [
     row("shaders", "marf-shaders", &[]),
     row("cache/derive", "marf-cache-derive", &[]),
     row("cache", "marf-cache", &["marf-cache-derive"]),
@@ -158,14 +158,25 @@ const CRATES: [Crate; 32] = [
     ),
     row("src/progress", "marf-progress", &["marf-cache", "marf-engine"]),
     row(
-        "src/export",
-        "marf-export",
-        &["marf-cache", "marf-keys", "marf-stage", "marf-engine"],
+        "src/model",
+        "marf-model",
+        &["marf-cache", "marf-stage", "marf-engine"],
     ),
     row(
         "src/provenance",
         "marf-provenance",
-        &["marf-cache", "marf-stage", "marf-engine"],
+        &["marf-cache", "marf-stage", "marf-engine", "marf-model"],
+    ),
+    row(
+        "src/export",
+        "marf-export",
+        &[
+            "marf-cache",
+            "marf-keys",
+            "marf-stage",
+            "marf-engine",
+            "marf-model",
+        ],
     ),
     Crate {
         tests_use: &["marf-video"],
@@ -205,8 +216,9 @@ const CRATES: [Crate; 32] = [
             "marf-cluster",
             "marf-config",
             "marf-progress",
-            "marf-export",
+            "marf-model",
             "marf-provenance",
+            "marf-export",
             "marf-report",
             "marf-view",
         ],

@@ -1,5 +1,5 @@
 use clap::Args;
-use marf_engine::NodeState;
+use marf_engine::{NodeState, RunRecord, RunSource};
 use marf_export::iso_time;
 use marf_progress::duration;
 use marf_run::{Context, Error};
@@ -25,8 +25,9 @@ pub fn log(global: &Global, args: &LogArgs, context: &Context) -> Result<(), Err
     }
     for run in shown {
         let count = |state: NodeState| run.nodes.iter().filter(|node| node.state == state).count();
+        let derived = derived(&runs, run).map(|what| format!("  ({what})"));
         print_line(&format!(
-            "{:>4}  {}  {:<9} {:>3} ran, {:>3} reused, {} failed  {:>12}  {}",
+            "{:>4}  {}  {:<9} {:>3} ran, {:>3} reused, {} failed  {:>12}  {}{}",
             run.number,
             iso_time(run.started_unix_s),
             format!("{:?}", run.outcome).to_lowercase(),
@@ -35,7 +36,20 @@ pub fn log(global: &Global, args: &LogArgs, context: &Context) -> Result<(), Err
             count(NodeState::Failed),
             duration(run.seconds),
             run.command,
+            derived.unwrap_or_default(),
         ));
     }
     Ok(())
+}
+
+/// Says what a run was made for and from which run; none of a run of a pipeline or folder.
+fn derived(runs: &[RunRecord], run: &RunRecord) -> Option<String> {
+    let RunSource::Derived { from, purpose } = run.source else {
+        return None;
+    };
+    let base = runs.iter().find(|base| from.is_some() && base.root == from);
+    Some(base.map_or_else(
+        || purpose.to_string(),
+        |base| format!("{purpose} of run {}", base.number),
+    ))
 }

@@ -10,17 +10,17 @@ use super::global::Global;
 use super::output::print_json;
 use crate::terminal::print_line;
 
-/// `marf status`: the nodes of the run that goes on and began last, and how far others are; or the nodes of the last run. Exports aside.
+/// `marf status`: the nodes of the run that goes on and began last, and how far others are; or the nodes of the newest run. Exports aside.
 pub fn status(global: &Global, context: &Context) -> Result<(), Error> {
     let store = context.existing_store()?;
     if global.json {
-        return print_json(&status::last_run(context, &store)?);
+        return print_json(&status::newest_run(context, &store)?);
     }
     if let Some(text) = running_text(&status::running(&store)) {
         text.lines().for_each(print_line);
         return Ok(());
     }
-    print_run(&status::last_run(context, &store)?);
+    print_run(&status::newest_run(context, &store)?);
     Ok(())
 }
 
@@ -111,7 +111,7 @@ mod tests {
         pages(&[lines])
     }
 
-    const BEGAN: &str = r#"{"event":"began","run":"0a","pipeline":"demo","command":"marf run","nodes":["a","b","c"],
+    const BEGAN: &str = r#"{"event":"began","run":"0a","pipeline":"demo","source":{"kind":"pipeline","file":"pipeline.toml"},"command":"marf run","nodes":["a","b","c"],
         "upstream":{"b":["a"],"c":["a","b"]}}"#;
 
     #[test]
@@ -135,12 +135,14 @@ mod tests {
 
     #[test]
     fn programs_beside_it_are_a_line_each_and_exports_none() {
-        let began = |pipeline: &str| {
+        let began = |pipeline: &str, source: &str| {
             format!(
-                r#"{{"event":"began","run":"0b","pipeline":"{pipeline}","command":"marf run --to a","nodes":["a"],"upstream":{{}}}}"#
+                r#"{{"event":"began","run":"0b","pipeline":"{pipeline}","source":{source},"command":"marf run --to a","nodes":["a"],"upstream":{{}}}}"#
             )
         };
-        let [export, other, new] = ["demo (export)", "other", "new"].map(began);
+        let of_file = |pipeline: &str| began(pipeline, r#"{"kind":"pipeline","file":"pipeline.toml"}"#);
+        let export = began("demo", r#"{"kind":"derived","from":null,"purpose":"export"}"#);
+        let [other, new] = ["other", "new"].map(of_file);
         let standing =
             r#"{"event":"standing","seconds":70.0,"over":1,"nodes":3,"left_s":30.0,"unknown":0,"text":""}"#;
         let page = pages(&[&[&export], &[&new], &[&other, standing], &[&new]]);

@@ -14,7 +14,7 @@ use crate::terminal::{eprint_line, print_line};
 #[derive(Debug, Clone, Args)]
 #[command(after_help = AFTER_HELP)]
 pub struct ViewArgs {
-    /// Number of the run [default: the last one with a report or a field, anew at each load]
+    /// Number of the run [default: the newest one, looked up at each load]
     #[arg(long, value_name = "NUMBER")]
     pub run: Option<u64>,
     /// Port; 0 takes a free one

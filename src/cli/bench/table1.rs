@@ -92,7 +92,7 @@ fn row(args: &Table1Args, budget_s: u32, context: &Context) -> Result<Row, Error
         ..context.clone()
     };
     let session = match &args.dir {
-        Some(dir) => Session::implicit(&folder::training("table1", dir), &context)?,
+        Some(dir) => Session::implicit(&context, &folder::training("table1", dir), "table1", dir)?,
         None => Session::open(&context)?,
     };
     scenes::one(&session)?;

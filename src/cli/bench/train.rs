@@ -69,7 +69,7 @@ pub fn train(args: &TrainArgs, context: &Context) -> Result<(), Error> {
         feedback: Arc::new(Terminal::with_progress()),
         ..context.clone()
     };
-    let session = Session::implicit(&folder::training("bench", &args.dir), &quiet)?;
+    let session = Session::implicit(&quiet, &folder::training("bench", &args.dir), "bench", &args.dir)?;
     let keys = keys(&session)?;
     let config = keys
         .field

@@ -34,7 +34,7 @@ pub fn cache(global: &Global, verb: CacheVerb, context: &Context) -> Result<(), 
         CacheVerb::Gc(args) => gc(global, &store, &args, context),
         CacheVerb::Fsck(args) => fsck(global, &store, &args),
         CacheVerb::Push(args) => remote::push(global, &store, &args, context),
-        CacheVerb::Pin { name, run } => pin(&store, &name, run),
+        CacheVerb::Pin { name, run } => pin(&store, &name, run, context),
         CacheVerb::Unpin { name } => cache::unpin(&store, &name),
         CacheVerb::Pull(args) => remote::pull(global, &store, &args, context),
         CacheVerb::Migrate { .. } => Ok(()),
@@ -43,8 +43,8 @@ pub fn cache(global: &Global, verb: CacheVerb, context: &Context) -> Result<(), 
     done
 }
 
-fn pin(store: &Store, name: &str, run: Option<u64>) -> Result<(), Error> {
-    let number = cache::pin(store, name, run)?;
+fn pin(store: &Store, name: &str, run: Option<u64>, context: &Context) -> Result<(), Error> {
+    let number = cache::pin(context, store, name, run)?;
     print_line(&format!("pinned run {number} as `{name}`"));
     Ok(())
 }

@@ -4,17 +4,19 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use marf_cache::{Digest, Sha256};
+use marf_cache::Sha256;
+use marf_engine::RunRecord;
 
 use crate::bag::{BagWriter, FileDigest, MANIFEST};
-use crate::contents::{Content, Contents, File, OBJECTS, Photos, Purpose, ReadObject, object};
+use crate::contents::{Content, Contents, File, OBJECTS, Photos, Purpose, contents, object};
 use crate::dsse::Envelope;
 use crate::error::ExportError;
-use crate::graph::{Described, GraphInput, METADATA, PREVIEW, graph};
+use crate::graph::{Described, GraphInput, METADATA, PREVIEW, graph, root_name};
 use crate::preview::preview;
-use crate::run::Run;
+use crate::run::check_finished;
 use crate::statement::{Subject, statement_on_run};
 use marf_keys::SigningKey;
+use marf_model::Run;
 
 /// Name of the signed statement on a crate, beside the payload.
 pub const ATTESTATION: &str = "attestation.dsse.json";
@@ -34,6 +36,8 @@ pub struct CrateOptions<'a> {
     pub data: Data,
     /// Of which photos.
     pub photos: Photos,
+    /// Names the file that an output is elsewhere; none for sets, which are many files.
+    pub file_name: fn(&str) -> Option<&str>,
     /// Licence of the crate: an SPDX id or a URL.
     pub license: Option<&'a str>,
     /// Signs the crate.
@@ -58,20 +62,16 @@ pub struct Written {
 /// # Errors
 /// An object that cannot be read, a photo that the run does not have, or a place that cannot be written; then nothing
 /// is left there.
-pub fn write_crate(
-    run: &Run,
-    read: &ReadObject<'_>,
-    options: &CrateOptions<'_>,
-    folder: &Path,
-) -> Result<Written, ExportError> {
+pub fn write_crate(run: &Run<'_>, options: &CrateOptions<'_>, folder: &Path) -> Result<Written, ExportError> {
+    check_finished(&run.record)?;
     if folder.exists() {
         return Err(ExportError::Exists {
             path: folder.to_owned(),
         });
     }
-    let contents = Contents::of(run, read, &options.photos)?;
+    let contents = contents(run, &options.photos, options.file_name)?;
     let partial = beside(folder);
-    let written = write_bag(run, read, options, &contents, &partial).and_then(|written| {
+    let written = write_bag(run, options, &contents, &partial).and_then(|written| {
         fs::rename(&partial, folder)
             .map(|()| written)
             .map_err(failed(folder))
@@ -96,8 +96,7 @@ fn failed(path: &Path) -> impl Fn(io::Error) -> ExportError {
 }
 
 fn write_bag(
-    run: &Run,
-    read: &ReadObject<'_>,
+    run: &Run<'_>,
     options: &CrateOptions<'_>,
     contents: &Contents,
     folder: &Path,
@@ -109,11 +108,11 @@ fn write_bag(
     let mut bag = BagWriter::create(folder).map_err(&failed)?;
     let mut described = Vec::new();
     for file in contents.files.values() {
-        described.push(add_file(&mut bag, file, read, options.data, &failed)?);
+        described.push(add_file(&mut bag, file, run, options.data, &failed)?);
     }
     for (digest, purpose) in &contents.objects {
         if *purpose == Purpose::Record || options.data == Data::Included {
-            let bytes = object(read, digest, || "an object of a set".to_owned())?;
+            let bytes = object(run, digest, || "an object of a set".to_owned())?;
             bag.add(&format!("{OBJECTS}{digest}"), &bytes).map_err(&failed)?;
         }
     }
@@ -132,14 +131,14 @@ fn write_bag(
     if let Some(key) = options.key {
         let subjects = [
             Subject::new(MANIFEST, manifest),
-            Subject::new(crate::contents::RUN_ROOT, FileDigest::of(&run.root)),
+            Subject::new(crate::contents::RUN_ROOT, FileDigest::new(&run.root()?)),
         ];
-        let envelope = Envelope::sign(&statement_on_run(run, &subjects, read)?, key);
+        let envelope = Envelope::sign(&statement_on_run(run, &subjects)?, key);
         bag.tag(ATTESTATION, &envelope.encode()).map_err(&failed)?;
     }
     let is_named = |described: &&Described<'_>| described.id != described.file.path;
     let (files, bytes) = bag.payload_size();
-    bag.finish(&info(run)).map_err(&failed)?;
+    bag.finish(&info(&run.record)).map_err(&failed)?;
     Ok(Written {
         files,
         bytes,
@@ -148,11 +147,11 @@ fn write_bag(
     })
 }
 
-fn info(run: &Run) -> [(&'static str, String); 3] {
+fn info(run: &RunRecord) -> [(&'static str, String); 3] {
     let one_line = |text: &str| text.replace(['\r', '\n'], " ");
     [
         ("Bag-Software-Agent", one_line(&run.program)),
-        ("External-Identifier", format!("blake3:{}", Digest::of(&run.root))),
+        ("External-Identifier", root_name(run)),
         (
             "External-Description",
             one_line(&format!("marf run {} of {}", run.id, run.pipeline)),
@@ -164,7 +163,7 @@ fn info(run: &Run) -> [(&'static str, String); 3] {
 fn add_file<'a>(
     bag: &mut BagWriter,
     file: &'a File,
-    read: &ReadObject<'_>,
+    run: &Run<'_>,
     data: Data,
     failed: impl Fn(io::Error) -> ExportError,
 ) -> Result<Described<'a>, ExportError> {
@@ -172,12 +171,12 @@ fn add_file<'a>(
     let bytes: &[u8] = match &file.content {
         Content::Bytes(bytes) => bytes,
         Content::Object(digest) => {
-            stored = object(read, digest, || file.name.clone())?;
+            stored = object(run, digest, || file.name.clone())?;
             &stored
         }
     };
     if file.purpose == Purpose::Data && data == Data::Named {
-        let digest = FileDigest::of(bytes);
+        let digest = FileDigest::new(bytes);
         let id = name_of(&digest.sha256);
         return Ok(Described { file, digest, id });
     }

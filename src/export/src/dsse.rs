@@ -108,12 +108,12 @@ impl Envelope {
             let decoded = STANDARD.decode(&signature.sig);
             decoded.is_ok_and(|decoded| key.verifies(&message, &decoded))
         };
-        match self.signatures.iter().any(is_of_key) {
-            true => Ok(payload),
-            false => Err(EnvelopeError::NotSigned {
-                signatures: self.signatures.len(),
-            }),
+        if self.signatures.iter().any(is_of_key) {
+            return Ok(payload);
         }
+        Err(EnvelopeError::NotSigned {
+            signatures: self.signatures.len(),
+        })
     }
 }
 

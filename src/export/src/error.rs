@@ -3,13 +3,18 @@
 use std::path::PathBuf;
 
 use marf_cache::{ActionError, Digest, manifest::ManifestError};
+use marf_engine::RecordError;
+use marf_model::RunError;
 
 /// Why a crate or a statement cannot be made.
 #[derive(Debug, thiserror::Error)]
 pub enum ExportError {
     /// The bytes of a run root are none.
     #[error("the root of the run cannot be read: {0}")]
-    BadRoot(String),
+    BadRoot(#[from] RecordError),
+    /// The store cannot be read, or has lost something of the run.
+    #[error(transparent)]
+    Run(#[from] RunError),
     /// The run did not end well.
     #[error("run `{id}` did not end with a result for every node ({outcome})")]
     Unfinished {
@@ -85,7 +90,7 @@ impl ExportError {
             Self::UnknownItem { .. } => Some("`marf photos` lists the names of all photos"),
             Self::UnknownNode { .. } => Some("`marf status` lists the nodes"),
             Self::Exists { .. } => Some("remove it, or name another folder"),
-            Self::BadRoot(_) | Self::Write { .. } => None,
+            Self::BadRoot(_) | Self::Run(_) | Self::Write { .. } => None,
         }
     }
 }

@@ -1,7 +1,7 @@
 //! Runs as files that strangers can check.
 //!
 //! ```text
-//! run.rs        a run as it is handed out: plain data, whoever read it
+//! run.rs        what a run must have to be exported
 //! contents/     which objects of the store go along
 //! graph/        what ran on what, as JSON-LD (RO-Crate 1.1, Provenance Run Crate 0.5), and as a page for people
 //! bag/          BagIt bags: every file with its SHA-256
@@ -24,9 +24,8 @@ mod statement;
 mod time;
 pub mod verify;
 
-pub use contents::{Photos, ReadObject};
+pub use contents::Photos;
 pub use crates::{CrateOptions, Data, Written, write_crate};
 pub use error::ExportError;
-pub use run::{Node, NodeOutput, Run};
 pub use statement::{Subject, statement_on_node, statement_on_run, subjects_in, subjects_of};
 pub use time::iso_time;

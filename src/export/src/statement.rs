@@ -3,12 +3,14 @@
 use std::collections::BTreeSet;
 
 use marf_cache::{Digest, Sha256};
+use marf_engine::RunRecord;
+use marf_model::{Run, RunNode};
 use serde_json::{Value, json};
 
 use crate::bag::FileDigest;
-use crate::contents::{ReadObject, action_of, object};
+use crate::contents::{object, read_action};
 use crate::error::ExportError;
-use crate::run::{Node, Run};
+use crate::run::check_finished;
 use crate::time::{end_of, iso_time};
 
 /// Type of a statement.
@@ -53,57 +55,55 @@ impl Subject {
 /// # Errors
 /// An object that cannot be read.
 pub fn statement_on_node(
-    run: &Run,
-    node: &Node,
+    run: &Run<'_>,
+    node: &RunNode,
     subjects: &[Subject],
-    read: &ReadObject<'_>,
 ) -> Result<Vec<u8>, ExportError> {
-    let action = action_of(node, read)?;
-    let mut dependencies = documents(run, read)?;
+    check_finished(&run.record)?;
+    let action = read_action(run, node)?;
+    let mut dependencies = documents(run)?;
     let inputs = action.inputs.iter();
     let inputs = inputs.map(|(name, digest)| (format!("input {name}"), *digest));
-    dependencies.extend(subjects_of(inputs.chain(origins(node)), read)?);
-    let times = node.started_unix_s.map(|started| (started, node.seconds));
+    dependencies.extend(subjects_of(run, inputs.chain(origins(run, node)?))?);
+    let metadata = metadata(run, node.run.started_unix_s, node.run.seconds);
     let parameters = json!({
-        "pipeline": run.pipeline,
-        "node": node.name,
-        "key": node.key,
+        "pipeline": run.record.pipeline,
+        "node": node.run.name,
+        "key": node.run.key,
         "action": action,
     });
-    Ok(encode(run, parameters, &dependencies, times, subjects))
+    encode(run, parameters, &dependencies, metadata, subjects)
 }
 
 /// Returns the statement that a run made these bytes.
 ///
 /// # Errors
 /// An object that cannot be read.
-pub fn statement_on_run(
-    run: &Run,
-    subjects: &[Subject],
-    read: &ReadObject<'_>,
-) -> Result<Vec<u8>, ExportError> {
-    let outputs = run.nodes.iter().flat_map(|node| node.outputs.values());
+pub fn statement_on_run(run: &Run<'_>, subjects: &[Subject]) -> Result<Vec<u8>, ExportError> {
+    check_finished(&run.record)?;
+    let outputs = run.record.nodes.iter().flat_map(|node| node.outputs.values());
     let made: BTreeSet<Digest> = outputs.map(|output| output.digest).collect();
-    let mut dependencies = documents(run, read)?;
+    let mut dependencies = documents(run)?;
     for node in &run.nodes {
-        let inputs = action_of(node, read)?.inputs.into_iter();
+        let inputs = read_action(run, node)?.inputs.into_iter();
         let foreign = inputs.filter(|(_, digest)| !made.contains(digest));
-        let named = foreign.map(|(name, digest)| (format!("{} input {name}", node.name), digest));
-        dependencies.extend(subjects_of(named.chain(origins(node)), read)?);
+        let named = foreign.map(|(name, digest)| (format!("{} input {name}", node.run.name), digest));
+        dependencies.extend(subjects_of(run, named.chain(origins(run, node)?))?);
     }
-    let parameters = json!({ "pipeline": run.pipeline, "command": run.command });
-    let times = Some((run.started_unix_s, run.seconds));
-    Ok(encode(run, parameters, &dependencies, times, subjects))
+    let parameters = json!({ "pipeline": run.record.pipeline, "command": run.record.command });
+    let metadata = metadata(run, Some(run.record.started_unix_s), run.record.seconds);
+    encode(run, parameters, &dependencies, metadata, subjects)
 }
 
-fn documents(run: &Run, read: &ReadObject<'_>) -> Result<Vec<Subject>, ExportError> {
-    let named = run.documents.iter().map(|(name, digest)| (name.clone(), *digest));
-    subjects_of(named, read)
+fn documents(run: &Run<'_>) -> Result<Vec<Subject>, ExportError> {
+    let documents = run.record.documents.iter();
+    subjects_of(run, documents.map(|(name, output)| (name.clone(), output.digest)))
 }
 
-fn origins(node: &Node) -> impl Iterator<Item = (String, Digest)> {
-    let lists = (0..).zip(&node.origins);
-    lists.map(|(number, digest)| (format!("{} read, list {number}", node.name), *digest))
+fn origins(run: &Run<'_>, node: &RunNode) -> Result<impl Iterator<Item = (String, Digest)>, ExportError> {
+    let name = node.run.name.clone();
+    let lists = (0..).zip(run.origins(node)?);
+    Ok(lists.map(move |(number, digest)| (format!("{name} read, list {number}"), digest)))
 }
 
 /// Reads objects and returns them with their digests.
@@ -111,30 +111,36 @@ fn origins(node: &Node) -> impl Iterator<Item = (String, Digest)> {
 /// # Errors
 /// An object that cannot be read.
 pub fn subjects_of(
+    run: &Run<'_>,
     named: impl Iterator<Item = (String, Digest)>,
-    read: &ReadObject<'_>,
 ) -> Result<Vec<Subject>, ExportError> {
-    let subject = |(name, digest): (String, Digest)| {
-        let bytes = object(read, &digest, || name.clone())?;
-        Ok(Subject::new(name, FileDigest::of(&bytes)))
-    };
-    named.map(subject).collect()
+    let mut subjects = Vec::new();
+    for (name, digest) in named {
+        let bytes = object(run, &digest, || name.clone())?;
+        subjects.push(Subject::new(name, FileDigest::new(&bytes)));
+    }
+    Ok(subjects)
 }
 
-fn encode(
-    run: &Run,
-    parameters: Value,
-    dependencies: &[Subject],
-    times: Option<(u64, f64)>,
-    subjects: &[Subject],
-) -> Vec<u8> {
-    let descriptors = |subjects: &[Subject]| subjects.iter().map(Subject::descriptor).collect::<Vec<_>>();
-    let mut metadata = json!({ "invocationId": run.id });
-    if let Some((started_unix_s, seconds)) = times {
+/// Returns which run it was, and when the work began and ended if that is known.
+fn metadata(run: &Run<'_>, started_unix_s: Option<u64>, seconds: f64) -> Value {
+    let mut metadata = json!({ "invocationId": run.record.id });
+    if let Some(started_unix_s) = started_unix_s {
         metadata["startedOn"] = iso_time(started_unix_s).into();
         metadata["finishedOn"] = iso_time(end_of(started_unix_s, seconds)).into();
     }
-    let root = Subject::new(crate::contents::RUN_ROOT, FileDigest::of(&run.root));
+    metadata
+}
+
+fn encode(
+    run: &Run<'_>,
+    parameters: Value,
+    dependencies: &[Subject],
+    metadata: Value,
+    subjects: &[Subject],
+) -> Result<Vec<u8>, ExportError> {
+    let descriptors = |subjects: &[Subject]| subjects.iter().map(Subject::descriptor).collect::<Vec<_>>();
+    let root = Subject::new(crate::contents::RUN_ROOT, FileDigest::new(&run.root()?));
     let statement = json!({
         "_type": STATEMENT_TYPE,
         "subject": descriptors(subjects),
@@ -146,13 +152,13 @@ fn encode(
                 "resolvedDependencies": descriptors(dependencies),
             },
             "runDetails": {
-                "builder": builder(run),
+                "builder": builder(&run.record),
                 "metadata": metadata,
                 "byproducts": [root.descriptor()],
             },
         },
     });
-    marf_cache::canonical_json(&statement)
+    Ok(marf_cache::canonical_json(&statement))
 }
 
 /// Returns names and digests of what a statement is about; none if the bytes are no statement with SLSA provenance.
@@ -168,8 +174,8 @@ pub fn subjects_in(statement: &[u8]) -> Option<Vec<(String, Sha256)>> {
     statement["subject"].as_array()?.iter().map(subject).collect()
 }
 
-/// Returns which program built it: its version and, in newer roots, its file.
-fn builder(run: &Run) -> Value {
+/// Returns which program built it: its version and its file, where that is known.
+fn builder(run: &RunRecord) -> Value {
     let mut builder = json!({ "id": BUILDER, "version": { "marf": run.program } });
     if let Some(build) = &run.build {
         if let Some(commit) = &build.commit {

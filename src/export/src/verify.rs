@@ -23,6 +23,7 @@ use serde::Serialize;
 use marf_keys::PublicKey;
 
 pub use open::{OpenCrate, OpenError};
+pub use signature::Signature;
 pub use trace::{Product, Role, Step, Trace};
 
 /// What a check found.
@@ -48,20 +49,6 @@ pub struct Report {
     pub faults: Vec<String>,
 }
 
-/// What is known of the signature.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Signature {
-    /// There is none.
-    None,
-    /// There is one, and no key was given to check it.
-    NotChecked,
-    /// It is of the given key, over this payload.
-    Good,
-    /// A fault says what is wrong with it.
-    Bad,
-}
-
 /// Checks a crate: all of it, and the signature against a key if one is given.
 ///
 /// # Errors
@@ -75,7 +62,7 @@ pub fn verify(folder: &Path, key: Option<&PublicKey>) -> Result<Report, OpenErro
     let signature = signature::check(&opened, key, &mut faults);
     Ok(Report {
         run: opened.run.id.clone(),
-        root: Digest::of(&opened.run.root),
+        root: Digest::of(&opened.root),
         manifest_sha256: opened
             .bag
             .tag(crate::bag::MANIFEST)

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use marf_cache::Store;
-use marf_engine::{Event, Listener};
+use marf_engine::{Event, Listener, RunSource};
 use parking_lot::Mutex;
 use serde::Serialize;
 
@@ -46,6 +46,8 @@ pub struct RunStart<'a> {
     pub run: &'a str,
     /// Name of the pipeline.
     pub pipeline: &'a str,
+    /// What it is a run of.
+    pub source: &'a RunSource,
     /// The command as typed.
     pub command: &'a str,
     /// The nodes, producers first.
@@ -163,10 +165,12 @@ mod tests {
     use super::*;
 
     fn began<'a>(run: &'a str, nodes: &'a [&'a str]) -> RunStart<'a> {
+        static SOURCE: RunSource = RunSource::Pipeline { file: String::new() };
         RunStart {
             event: "began",
             run,
             pipeline: "demo",
+            source: &SOURCE,
             command: "marf run",
             nodes,
             upstream: BTreeMap::new(),

@@ -7,16 +7,11 @@ use marf_cache::{
     manifest::{Leaf, LeafRef},
 };
 use marf_engine::{Change, differences};
+use marf_model::{Run, RunError, RunNode, product::set, unless_lost};
 use marf_stage::{PHOTOS, VERDICTS};
 use serde::Serialize;
 
-use crate::{
-    LineageError,
-    difference::values,
-    lineage::{Lineage, NodeLineage},
-    product::set,
-    unless_lost,
-};
+use crate::difference::values;
 
 /// What changed of a node.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -63,30 +58,16 @@ pub struct ProductsDiff {
 ///
 /// # Errors
 /// A store that cannot be read. What the store has lost of a set or a document is not compared.
-pub fn diff(first: &Lineage<'_>, second: &Lineage<'_>) -> Result<Vec<NodeDiff>, LineageError> {
-    let good = |lineage: &Lineage<'_>| -> Vec<NodeLineage> {
-        lineage
-            .nodes
-            .iter()
-            .filter(|node| node.run.state.is_good())
-            .cloned()
-            .collect()
-    };
-    let (before, after) = (good(first), good(second));
-    let named = |nodes: &[NodeLineage], name: &str| nodes.iter().find(|node| node.run.name == name).cloned();
+pub fn diff(first: &Run<'_>, second: &Run<'_>) -> Result<Vec<NodeDiff>, RunError> {
     let mut found = Vec::new();
-    for node in &after {
-        found.push(of_node(
-            second.store(),
-            named(&before, &node.run.name).as_ref(),
-            Some(node),
-        )?);
+    for node in good(second) {
+        let before = good(first).find(|before| before.run.name == node.run.name);
+        found.push(of_node(second.store(), before, Some(node))?);
     }
-    for node in before
-        .iter()
-        .filter(|node| named(&after, &node.run.name).is_none())
-    {
-        found.push(of_node(second.store(), Some(node), None)?);
+    for node in good(first) {
+        if good(second).all(|after| after.run.name != node.run.name) {
+            found.push(of_node(second.store(), Some(node), None)?);
+        }
     }
     found.retain(|node| {
         node.presence != Presence::Both || !node.changes.is_empty() || !node.outputs.is_empty()
@@ -94,16 +75,17 @@ pub fn diff(first: &Lineage<'_>, second: &Lineage<'_>) -> Result<Vec<NodeDiff>, 
     Ok(found)
 }
 
-fn of_node(
-    store: &Store,
-    before: Option<&NodeLineage>,
-    after: Option<&NodeLineage>,
-) -> Result<NodeDiff, LineageError> {
+/// Returns the nodes of a run that have a result.
+fn good<'r>(run: &'r Run<'_>) -> impl Iterator<Item = &'r RunNode> {
+    run.nodes.iter().filter(|node| node.run.state.is_good())
+}
+
+fn of_node(store: &Store, before: Option<&RunNode>, after: Option<&RunNode>) -> Result<NodeDiff, RunError> {
     let name = after
         .or(before)
         .map(|node| node.run.name.clone())
         .unwrap_or_default();
-    let outputs = |node: Option<&NodeLineage>| -> BTreeMap<String, Digest> {
+    let outputs = |node: Option<&RunNode>| -> BTreeMap<String, Digest> {
         let outputs = node.into_iter().flat_map(|node| &node.run.outputs);
         outputs
             .map(|(name, output)| (name.clone(), output.digest))
@@ -122,7 +104,7 @@ fn of_node(
         outputs: BTreeMap::new(),
         values: BTreeMap::new(),
     };
-    let actions = |node: Option<&NodeLineage>| node.and_then(|node| node.action.clone());
+    let actions = |node: Option<&RunNode>| node.and_then(|node| node.action.clone());
     if let (Some(old), Some(new)) = (actions(before), actions(after)) {
         diff.changes = differences(&old, &new);
     }
@@ -150,7 +132,7 @@ fn of_node(
 }
 
 /// Compares two sets of photos; leaves that both have are not read.
-fn of_sets(store: &Store, was: &Digest, is: &Digest) -> Result<ProductsDiff, LineageError> {
+fn of_sets(store: &Store, was: &Digest, is: &Digest) -> Result<ProductsDiff, RunError> {
     let (was, is) = (set(store, was)?.leaves, set(store, is)?.leaves);
     let shared: BTreeSet<Digest> = was.iter().map(|leaf| leaf.leaf).collect();
     let shared: BTreeSet<Digest> = is
@@ -177,7 +159,7 @@ fn rows(
     store: &Store,
     leaves: &[LeafRef],
     without: &BTreeSet<Digest>,
-) -> Result<BTreeMap<String, Digest>, LineageError> {
+) -> Result<BTreeMap<String, Digest>, RunError> {
     let mut rows = BTreeMap::new();
     for leaf in leaves.iter().filter(|leaf| !without.contains(&leaf.leaf)) {
         for row in Leaf::decode(&store.get(&leaf.leaf)?)?.rows {

@@ -20,8 +20,7 @@ pub struct Difference {
 
 /// Returns how two contents differ; none if they are equal.
 pub fn difference(one: &[u8], two: &[u8]) -> Option<Difference> {
-    let differs = |(a, b): (&u8, &u8)| a != b;
-    let first = one.iter().zip(two).position(differs);
+    let first = one.iter().zip(two).position(|(a, b)| a != b);
     if first.is_none() && one.len() == two.len() {
         return None;
     }

@@ -4,14 +4,13 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use marf_cache::{Digest, Record, Store, read_digest_list};
 use marf_engine::{NodeRun, NodeState, OutputName, RunRecord};
-use marf_stage::{PHOTOS, VERDICTS};
-use serde::Serialize;
-
-use crate::{
-    LineageError,
+use marf_model::{
+    RunError,
     product::{SourcePart, origins, parts_of, products, set},
     unless_lost,
 };
+use marf_stage::{PHOTOS, VERDICTS};
+use serde::Serialize;
 
 /// As what a run knows a content.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize)]
@@ -92,7 +91,7 @@ impl Place {
 ///
 /// # Errors
 /// A store that cannot be read. What the store has lost is passed over.
-pub fn find(store: &Store, runs: &[RunRecord], content: &Digest) -> Result<Vec<Maker>, LineageError> {
+pub fn find(store: &Store, runs: &[RunRecord], content: &Digest) -> Result<Vec<Maker>, RunError> {
     let mut makers = Makers::default();
     for run in runs {
         named_by(run, content, &mut makers);
@@ -166,12 +165,7 @@ struct Seen {
 
 impl Seen {
     /// Returns where the content is in what objects of a node's result name.
-    fn places(
-        &mut self,
-        store: &Store,
-        node: &NodeRun,
-        content: &Digest,
-    ) -> Result<Vec<Place>, LineageError> {
+    fn places(&mut self, store: &Store, node: &NodeRun, content: &Digest) -> Result<Vec<Place>, RunError> {
         let Some(key) = node.key else {
             return Ok(Vec::new());
         };
@@ -202,13 +196,13 @@ impl Seen {
         node: &NodeRun,
         part: &SourcePart,
         content: &Digest,
-    ) -> Result<Vec<Place>, LineageError> {
+    ) -> Result<Vec<Place>, RunError> {
         if self.parts.get(&part.key) == Some(&false) {
             return Ok(Vec::new());
         }
         let places = match store.record(&part.key)? {
             Some(record) if has_need(store, &record, content)? => {
-                in_record(store, node, (part, &record), content)?
+                in_record(store, node, part, &record, content)?
             }
             _ => Vec::new(),
         };
@@ -221,9 +215,10 @@ impl Seen {
 fn in_record(
     store: &Store,
     node: &NodeRun,
-    (part, record): (&SourcePart, &Record),
+    part: &SourcePart,
+    record: &Record,
     content: &Digest,
-) -> Result<Vec<Place>, LineageError> {
+) -> Result<Vec<Place>, RunError> {
     let (name, sol) = (|| node.name.clone(), part.shard);
     let mut places = Vec::new();
     if record.origins.is_some() {
@@ -253,7 +248,7 @@ fn in_record(
 }
 
 /// Returns the sols of the sets of a node whose leaf is the content.
-fn in_sets(store: &Store, node: &NodeRun, content: &Digest) -> Result<Vec<Place>, LineageError> {
+fn in_sets(store: &Store, node: &NodeRun, content: &Digest) -> Result<Vec<Place>, RunError> {
     let mut places = Vec::new();
     for output in [PHOTOS, VERDICTS] {
         let Some(root) = node.outputs.get(output) else {
@@ -278,7 +273,7 @@ fn in_sets(store: &Store, node: &NodeRun, content: &Digest) -> Result<Vec<Place>
 }
 
 /// Tells whether a record lists a blob among what it needs.
-fn has_need(store: &Store, record: &Record, content: &Digest) -> Result<bool, LineageError> {
+fn has_need(store: &Store, record: &Record, content: &Digest) -> Result<bool, RunError> {
     let Some(list) = record.needs else {
         return Ok(false);
     };

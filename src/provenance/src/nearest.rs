@@ -24,7 +24,7 @@ pub struct Outline {
 
 impl Outline {
     /// Returns the outline of a file.
-    pub fn of(file: &[u8]) -> Self {
+    pub fn new(file: &[u8]) -> Self {
         let end_bits = if file.len() < SMALL_BYTES {
             SMALL_END_BITS
         } else {
@@ -91,12 +91,12 @@ mod tests {
         flipped[777] ^= 4;
         let mut longer = object.clone();
         longer.splice(5_000..5_000, *b"words");
-        assert_eq!(Outline::of(&object).share_with(&object), 1.0);
+        assert_eq!(Outline::new(&object).share_with(&object), 1.0);
         for file in [flipped, longer, object[..19_000].to_vec()] {
-            let share = Outline::of(&file).share_with(&object);
+            let share = Outline::new(&file).share_with(&object);
             assert!((0.9..1.0).contains(&share), "{share}");
         }
-        let other = Outline::of(&noise(2, 20_000)).share_with(&object);
+        let other = Outline::new(&noise(2, 20_000)).share_with(&object);
         assert!(other < 0.05, "{other}");
     }
 
@@ -106,17 +106,17 @@ mod tests {
             br#"[{"psnr":18.32006166448675,"step":2,"rays":352,"samples":9211},{"psnr":18.5,"step":4}]"#;
         let mut file = object.to_vec();
         file[12] ^= 1;
-        let share = Outline::of(&file).share_with(object);
+        let share = Outline::new(&file).share_with(object);
         assert!((LEAST_SHARE..1.0).contains(&share), "{share}");
     }
 
     #[test]
     fn the_extremes_are_no_resemblance_and_no_panic() {
-        let empty = Outline::of(b"");
+        let empty = Outline::new(b"");
         assert_eq!(empty.share_with(b""), 0.0);
         assert_eq!(empty.share_with(b"abc"), 0.0);
         assert!(!empty.may_resemble(1) && empty.may_resemble(0));
-        let zeros = Outline::of(&[0; 1000]);
+        let zeros = Outline::new(&[0; 1000]);
         assert_eq!(zeros.share_with(&[0; 1000]), 1.0);
         assert!(zeros.may_resemble(500) && !zeros.may_resemble(499) && !zeros.may_resemble(u64::MAX));
     }

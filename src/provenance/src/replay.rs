@@ -3,32 +3,32 @@
 use std::collections::BTreeMap;
 
 use marf_cache::{Digest, Record, Store, digest_list, read_digest_list};
-use marf_engine::{LISTING, NodeRun, RunRecord};
+use marf_engine::{LISTING, NodeRun};
+use marf_model::{
+    Run, RunError, RunNode,
+    product::{SourcePart, set},
+    unless_lost,
+};
 use marf_stage::{COMPANIONS, Origin, RecordedArchive, Shard};
 use serde::Serialize;
 
-use crate::{
-    LineageError,
-    difference::{Difference, difference},
-    lineage::{Lineage, NodeLineage},
-    product::{SourcePart, parts, set},
-    unless_lost,
-};
+use crate::difference::{Difference, difference};
 
 /// Returns what a source met, to be read again in place of its archive.
 ///
 /// # Errors
-/// Something of it that is lost, or was not noted by an earlier version.
-pub fn recorded(store: &Store, source: &NodeLineage) -> Result<RecordedArchive, LineageError> {
+/// Something of it that is lost, or was not noted.
+pub fn recorded(store: &Store, source: &RunNode) -> Result<RecordedArchive, RunError> {
     let listing = source.run.inputs.get(LISTING).map(|input| input.digest);
     let listed = listing
         .map(|listing| set(store, &listing))
         .transpose()?
         .unwrap_or_default();
-    let lists: BTreeMap<u32, Digest> = parts(store, source)?
+    let lists: BTreeMap<u32, Digest> = source
+        .parts(store)?
         .iter()
         .map(|part| Ok((part.shard, list_of(store, part)?)))
-        .collect::<Result<_, LineageError>>()?;
+        .collect::<Result<_, RunError>>()?;
     let mut shards = Vec::new();
     for leaf in listed.leaves {
         let shard = Shard {
@@ -41,7 +41,7 @@ pub fn recorded(store: &Store, source: &NodeLineage) -> Result<RecordedArchive, 
     let companions = match source.run.inputs.get(COMPANIONS) {
         None => BTreeMap::new(),
         Some(input) => {
-            serde_json::from_slice(&store.get(&input.digest)?).map_err(|error| LineageError::Malformed {
+            serde_json::from_slice(&store.get(&input.digest)?).map_err(|error| RunError::Malformed {
                 what: "the list of companions".to_owned(),
                 message: error.to_string(),
             })?
@@ -50,18 +50,18 @@ pub fn recorded(store: &Store, source: &NodeLineage) -> Result<RecordedArchive, 
     Ok(RecordedArchive { shards, companions })
 }
 
-fn list_of(store: &Store, part: &SourcePart) -> Result<Digest, LineageError> {
-    let record = store.record(&part.key)?.ok_or_else(|| LineageError::NoRecord {
-        of: format!("sol {}", part.shard),
+fn list_of(store: &Store, part: &SourcePart) -> Result<Digest, RunError> {
+    let record = store.record(&part.key)?.ok_or_else(|| RunError::NoRecord {
+        what: format!("sol {}", part.shard),
         key: part.key,
     })?;
     record.origins.ok_or_else(|| not_noted(part.shard))
 }
 
-fn not_noted(sol: u32) -> LineageError {
-    LineageError::Malformed {
+fn not_noted(sol: u32) -> RunError {
+    RunError::Malformed {
         what: format!("the list of files of sol {sol}"),
-        message: "an earlier version of the program read it and did not note its files".to_owned(),
+        message: "the program that read it did not note its files".to_owned(),
     }
 }
 
@@ -69,10 +69,10 @@ fn not_noted(sol: u32) -> LineageError {
 ///
 /// # Errors
 /// A file that is lost, a store that cannot be read or written.
-pub fn copy_archive(archive: &RecordedArchive, from: &Store, to: &Store) -> Result<(), LineageError> {
+pub fn copy_archive(archive: &RecordedArchive, from: &Store, to: &Store) -> Result<(), RunError> {
     for (shard, list) in &archive.shards {
         let bytes = from.get(list)?;
-        let origins = Origin::decode(&bytes).map_err(|error| LineageError::Malformed {
+        let origins = Origin::decode(&bytes).map_err(|error| RunError::Malformed {
             what: format!("the list of files of sol {}", shard.shard),
             message: error.to_string(),
         })?;
@@ -91,7 +91,7 @@ pub fn copy_archive(archive: &RecordedArchive, from: &Store, to: &Store) -> Resu
 ///
 /// # Errors
 /// A part of it that is lost, a store that cannot be read or written.
-pub fn copy_result(key: &Digest, from: &Store, to: &Store) -> Result<(), LineageError> {
+pub fn copy_result(key: &Digest, from: &Store, to: &Store) -> Result<(), RunError> {
     let record = copy_record(key, from, to)?;
     for output in record.outputs.values() {
         to.put(&from.get(&output.digest)?)?;
@@ -110,9 +110,9 @@ pub fn copy_result(key: &Digest, from: &Store, to: &Store) -> Result<(), Lineage
 ///
 /// # Errors
 /// A record or action that is lost, a store that cannot be read or written.
-pub fn copy_record(key: &Digest, from: &Store, to: &Store) -> Result<Record, LineageError> {
-    let record = from.record(key)?.ok_or_else(|| LineageError::NoRecord {
-        of: "a result".to_owned(),
+pub fn copy_record(key: &Digest, from: &Store, to: &Store) -> Result<Record, RunError> {
+    let record = from.record(key)?.ok_or_else(|| RunError::NoRecord {
+        what: "a result".to_owned(),
         key: *key,
     })?;
     to.put(&from.get(key)?)?;
@@ -171,11 +171,11 @@ impl Replayed {
 /// # Errors
 /// A store that cannot be read.
 pub fn compare(
-    lineage: &Lineage<'_>,
-    nodes: &[&NodeLineage],
-    (replay, store): (&RunRecord, &Store),
+    run: &Run<'_>,
+    nodes: &[&RunNode],
+    replay: &Run<'_>,
     not_made: &BTreeMap<String, NotMade>,
-) -> Result<Vec<Replayed>, LineageError> {
+) -> Result<Vec<Replayed>, RunError> {
     let mut compared = Vec::new();
     for node in nodes.iter().filter(|node| node.run.state.is_good()) {
         let name = &node.run.name;
@@ -185,29 +185,31 @@ pub fn compare(
             differs: Vec::new(),
             not_made: not_made.get(name).cloned(),
         };
-        match replay.node(name).filter(|made| made.state.is_good()) {
+        match replay.record.node(name).filter(|made| made.state.is_good()) {
             _ if replayed.not_made.is_some() => {}
             None => replayed.not_made = Some(NotMade::NotMade(reason(replay, name))),
-            Some(made) => outputs((lineage.store(), &node.run), (store, made), &mut replayed)?,
+            Some(made) => compare_outputs(run.store(), &node.run, replay.store(), made, &mut replayed)?,
         }
         compared.push(replayed);
     }
     Ok(compared)
 }
 
-fn reason(replay: &RunRecord, node: &str) -> String {
-    let made = replay.node(node);
+fn reason(replay: &Run<'_>, node: &str) -> String {
+    let made = replay.record.node(node);
     made.map_or_else(
         || "the replay has no such node".to_owned(),
         |made| made.reason.clone(),
     )
 }
 
-fn outputs(
-    (was_in, was): (&Store, &NodeRun),
-    (is_in, is): (&Store, &NodeRun),
+fn compare_outputs(
+    was_in: &Store,
+    was: &NodeRun,
+    is_in: &Store,
+    is: &NodeRun,
     replayed: &mut Replayed,
-) -> Result<(), LineageError> {
+) -> Result<(), RunError> {
     let names: std::collections::BTreeSet<&String> = was.outputs.keys().chain(is.outputs.keys()).collect();
     for name in names {
         let digest = |node: &NodeRun| node.outputs.get(name).map(|output| output.digest);
@@ -218,7 +220,7 @@ fn outputs(
         }
         let read = |store: &Store, digest: Option<Digest>| match digest {
             None => Ok(None),
-            Some(digest) => unless_lost(store.get(&digest).map_err(LineageError::from)),
+            Some(digest) => unless_lost(store.get(&digest).map_err(RunError::from)),
         };
         let both = read(was_in, was)?.zip(read(is_in, is)?);
         replayed.differs.push(DifferingOutput {

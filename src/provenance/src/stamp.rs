@@ -42,7 +42,7 @@ const TEXT: usize = 7 + DIGITS + 1 + 4 + DIGITS + 1 + 6 + CHECK;
 
 impl Stamp {
     /// Returns the copy of an object with the mark; none if its format has no place for one.
-    pub fn on(&self, object: &[u8]) -> Option<Vec<u8>> {
+    pub fn add_to(&self, object: &[u8]) -> Option<Vec<u8>> {
         let form = form_of(object)?;
         let (start, rest) = object.split_at_checked(form.at)?;
         let mut copy = start.to_vec();
@@ -61,14 +61,14 @@ impl Stamp {
     /// Takes a mark off a copy: the bytes of the object, and what the mark says; none if there is no whole mark.
     ///
     /// Whether these bytes have the digest that the mark names is for the caller to check.
-    pub fn off(copy: &[u8]) -> Option<(Vec<u8>, Self)> {
+    pub fn take_from(copy: &[u8]) -> Option<(Vec<u8>, Self)> {
         let (object, text) = cut(copy)?;
         let stamp = Self::parse(text)?;
-        (stamp.on(&object).as_deref() == Some(copy)).then_some((object, stamp))
+        (stamp.add_to(&object).as_deref() == Some(copy)).then_some((object, stamp))
     }
 
     /// Returns the bytes of the object from a copy whose mark was altered; none if nothing stands where a mark would.
-    pub fn off_altered(copy: &[u8]) -> Option<Vec<u8>> {
+    pub fn take_altered_from(copy: &[u8]) -> Option<Vec<u8>> {
         cut(copy).map(|(object, _)| object)
     }
 
@@ -192,20 +192,24 @@ mod tests {
     #[test]
     fn a_mark_comes_off_again_and_leaves_the_object() {
         for (name, object) in objects() {
-            let copy = stamp().on(&object).unwrap_or_else(|| panic!("{name}"));
+            let copy = stamp().add_to(&object).unwrap_or_else(|| panic!("{name}"));
             assert!(copy.len() > object.len() + 2 * 64, "{name}");
-            assert_eq!(Stamp::off(&copy), Some((object.clone(), stamp())), "{name}");
-            assert_eq!(Stamp::off(&object), None, "{name}: the object itself has none");
+            assert_eq!(Stamp::take_from(&copy), Some((object.clone(), stamp())), "{name}");
+            assert_eq!(
+                Stamp::take_from(&object),
+                None,
+                "{name}: the object itself has none"
+            );
         }
     }
 
     /// Other programs read the copy as they read the object.
     #[test]
     fn a_copy_is_a_whole_file_of_its_format() {
-        let copy = stamp().on(&png()).unwrap();
+        let copy = stamp().add_to(&png()).unwrap();
         let (one, two) = (image::load_from_memory(&png()), image::load_from_memory(&copy));
         assert_eq!(one.unwrap(), two.unwrap());
-        let copy = stamp().on(b"{\n  \"a\": [1, 2]\n}").unwrap();
+        let copy = stamp().add_to(b"{\n  \"a\": [1, 2]\n}").unwrap();
         let json: serde_json::Value = serde_json::from_slice(&copy).unwrap();
         assert_eq!(json["a"][1], 2);
         assert!(json["marf"].as_str().unwrap().starts_with("object="));
@@ -214,14 +218,14 @@ mod tests {
     #[test]
     fn an_altered_mark_is_none_and_still_comes_off() {
         for (name, object) in objects() {
-            let copy = stamp().on(&object).unwrap();
+            let copy = stamp().add_to(&object).unwrap();
             let at = position(&copy, b"run=").unwrap() + 10;
             let mut altered = copy.clone();
             altered[at] ^= 1;
-            assert_eq!(Stamp::off(&altered), None, "{name}");
-            assert_eq!(Stamp::off_altered(&altered), Some(object), "{name}");
+            assert_eq!(Stamp::take_from(&altered), None, "{name}");
+            assert_eq!(Stamp::take_altered_from(&altered), Some(object), "{name}");
         }
-        assert_eq!(Stamp::off_altered(b"{\"a\":1}"), None);
+        assert_eq!(Stamp::take_altered_from(b"{\"a\":1}"), None);
     }
 
     #[test]
@@ -238,8 +242,8 @@ mod tests {
             b"\0\0\0\x18ftypisom",
         ];
         for bytes in others {
-            assert_eq!(stamp().on(bytes), None, "{bytes:?}");
-            assert_eq!(Stamp::off(bytes), None, "{bytes:?}");
+            assert_eq!(stamp().add_to(bytes), None, "{bytes:?}");
+            assert_eq!(Stamp::take_from(bytes), None, "{bytes:?}");
         }
     }
 
@@ -249,19 +253,19 @@ mod tests {
         fn every_object_with_a_place_is_got_back(body in ".{0,300}", twice: bool) {
             let mut object = format!("{{\"a\":{}}}", serde_json::Value::from(body)).into_bytes();
             if twice {
-                object = stamp().on(&object).unwrap();
+                object = stamp().add_to(&object).unwrap();
             }
-            let copy = stamp().on(&object).unwrap();
-            prop_assert_eq!(Stamp::off(&copy), Some((object, stamp())));
+            let copy = stamp().add_to(&object).unwrap();
+            prop_assert_eq!(Stamp::take_from(&copy), Some((object, stamp())));
         }
 
         #[test]
         fn no_bytes_make_it_stumble(bytes: Vec<u8>, start in 0_usize..5) {
             let starts: [&[u8]; 5] = [b"", PNG_START, b"ply\nformat ", b"{\"", b"<!DOCTYPE html><head>"];
             let bytes = [starts[start], bytes.as_slice()].concat();
-            let _ = Stamp::off(&bytes);
-            if let Some(copy) = stamp().on(&bytes) {
-                prop_assert_eq!(Stamp::off(&copy), Some((bytes, stamp())));
+            let _ = Stamp::take_from(&bytes);
+            if let Some(copy) = stamp().add_to(&bytes) {
+                prop_assert_eq!(Stamp::take_from(&copy), Some((bytes, stamp())));
             }
         }
 
@@ -270,10 +274,10 @@ mod tests {
         fn a_flipped_bit_is_never_the_object(at: prop::sample::Index, bit in 0_u32..8, which in 0_usize..4) {
             let (_, object) = objects().swap_remove(which);
             let of = Stamp { object: Digest::of(&object), run: Digest::of(b"run") };
-            let mut copy = of.on(&object).unwrap();
+            let mut copy = of.add_to(&object).unwrap();
             let at = at.index(copy.len());
             copy[at] ^= 1 << bit;
-            if let Some((bytes, stamp)) = Stamp::off(&copy) {
+            if let Some((bytes, stamp)) = Stamp::take_from(&copy) {
                 prop_assert!(Digest::of(&bytes) != stamp.object);
             }
         }

@@ -4,14 +4,12 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use marf_cache::{Digest, Store, manifest::Leaf};
 use marf_engine::OutputName;
+use marf_model::{
+    Run, RunError,
+    product::{Product, products, set},
+};
 use marf_stage::PHOTOS;
 use serde::Serialize;
-
-use crate::{
-    LineageError,
-    lineage::Lineage,
-    product::{Product, parts, products, set},
-};
 
 /// A run that a product went into.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
@@ -43,16 +41,16 @@ pub struct TaintedNode {
 ///
 /// # Errors
 /// A store that cannot be read, or has lost the list of products.
-pub fn product_of(lineage: &Lineage<'_>, wanted: &str) -> Result<Option<Product>, LineageError> {
-    let store = lineage.store();
+pub fn product_of(run: &Run<'_>, wanted: &str) -> Result<Option<Product>, RunError> {
+    let store = run.store();
     let digest: Option<Digest> = wanted.parse().ok();
     let is_wanted = |product: &Product| {
         let of_file = product.origins.values().any(|origin| origin.file == wanted);
         let of_blob = digest.is_some_and(|digest| product.blobs.values().any(|blob| *blob == digest));
         product.id == wanted || of_file || of_blob
     };
-    for source in lineage.sources() {
-        for part in parts(store, source)? {
+    for source in run.sources() {
+        for part in source.parts(store)? {
             if let Some(product) = products(store, &part)?.into_iter().find(is_wanted) {
                 return Ok(Some(product));
             }
@@ -69,16 +67,16 @@ pub fn product_of(lineage: &Lineage<'_>, wanted: &str) -> Result<Option<Product>
 ///
 /// # Errors
 /// A store that cannot be read, or has lost a set.
-pub fn tainted(lineage: &Lineage<'_>, product: &Product) -> Result<Option<Tainted>, LineageError> {
-    let store = lineage.store();
+pub fn tainted(run: &Run<'_>, product: &Product) -> Result<Option<Tainted>, RunError> {
+    let store = run.store();
     let mut tainted: BTreeSet<OutputName> = BTreeSet::new();
     let mut answer = Tainted {
-        run: lineage.run.number,
-        command: lineage.run.command.clone(),
+        run: run.record.number,
+        command: run.record.command.clone(),
         nodes: Vec::new(),
         rejected_by: Vec::new(),
     };
-    for node in lineage.nodes.iter().filter(|node| node.run.state.is_good()) {
+    for node in run.nodes.iter().filter(|node| node.run.state.is_good()) {
         let of_tainted = node.run.inputs.iter().filter(|(_, input)| {
             input
                 .made_by
@@ -120,7 +118,7 @@ pub fn tainted(lineage: &Lineage<'_>, product: &Product) -> Result<Option<Tainte
 }
 
 /// Tells whether a set holds a product. Only the leaves of its sol are read.
-fn holds(store: &Store, root: &Digest, product: &Product) -> Result<bool, LineageError> {
+fn holds(store: &Store, root: &Digest, product: &Product) -> Result<bool, RunError> {
     for leaf in set(store, root)?
         .leaves
         .into_iter()

@@ -3,14 +3,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use marf_cache::{Digest, FsckOptions, FsckReport, Missing, Role, Sha256, Store};
+use marf_model::{Run, RunError, RunNode, product::origins, unless_lost};
 use serde::Serialize;
-
-use crate::{
-    LineageError,
-    lineage::{Lineage, NodeLineage},
-    product::{origins, parts},
-    unless_lost,
-};
 
 /// What a verification found.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
@@ -54,7 +48,7 @@ pub struct Lost {
 ///
 /// # Errors
 /// A store that cannot be read.
-pub fn check(store: &Store) -> Result<FsckReport, LineageError> {
+pub fn check(store: &Store) -> Result<FsckReport, RunError> {
     Ok(store.fsck(FsckOptions {
         read_data: true,
         repair: false,
@@ -66,20 +60,15 @@ pub fn check(store: &Store) -> Result<FsckReport, LineageError> {
 ///
 /// # Errors
 /// A store that cannot be read. Faults are no errors.
-pub fn verify(
-    lineage: &Lineage<'_>,
-    nodes: &[&NodeLineage],
-    check: &FsckReport,
-) -> Result<Verified, LineageError> {
-    let store = lineage.store();
+pub fn verify(run: &Run<'_>, nodes: &[&RunNode], check: &FsckReport) -> Result<Verified, RunError> {
+    let store = run.store();
     let damaged: BTreeMap<Digest, (String, &str)> = check
         .faults
         .iter()
         .filter_map(|fault| Some((fault.object?, (fault.file.display().to_string(), fault.what))))
         .collect();
     let keys: Vec<Digest> = nodes.iter().filter_map(|node| node.run.key).collect();
-    let (_, documents) = lineage.roots();
-    let closure = store.closure(&keys, &documents)?;
+    let closure = store.closure(&keys, &run.documents())?;
     let mut verified = Verified {
         objects: (closure.keys.len() + closure.blobs.len()) as u64,
         bytes: closure.bytes,
@@ -118,7 +107,7 @@ pub fn verify(
 
 impl Verified {
     /// Returns the faults of whole files of the store: run roots, tables of packs, the index, the format.
-    pub fn of_files(check: &FsckReport) -> Self {
+    pub fn from_files(check: &FsckReport) -> Self {
         let mut verified = Self::default();
         for fault in check.faults.iter().filter(|fault| fault.object.is_none()) {
             verified.fault(None, &fault.file.display().to_string(), fault.what);
@@ -146,7 +135,7 @@ impl Verified {
     }
 }
 
-fn named(nodes: &[&NodeLineage], missing: &Missing) -> Lost {
+fn named(nodes: &[&RunNode], missing: &Missing) -> Lost {
     let node = nodes.iter().find(|node| node.run.key == Some(missing.of));
     Lost {
         digest: missing.digest,
@@ -174,7 +163,7 @@ fn role(role: Role) -> &'static str {
 }
 
 /// Compares what the run root says of a node with its action and its record.
-fn statements(node: &NodeLineage, verified: &mut Verified) {
+fn statements(node: &RunNode, verified: &mut Verified) {
     let (name, key) = (node.run.name.as_str(), node.run.key);
     if let Some(action) = &node.action {
         if Some(action.key()) != key {
@@ -203,19 +192,19 @@ fn statements(node: &NodeLineage, verified: &mut Verified) {
 /// Compares the files that a source read with the digests that others know them by.
 fn files(
     store: &Store,
-    source: &NodeLineage,
+    source: &RunNode,
     damaged: &BTreeMap<Digest, (String, &str)>,
     verified: &mut Verified,
-) -> Result<(), LineageError> {
+) -> Result<(), RunError> {
     let mut seen = BTreeSet::new();
-    for part in unless_lost(parts(store, source))?.into_iter().flatten() {
+    for part in unless_lost(source.parts(store))?.into_iter().flatten() {
         for file in unless_lost(origins(store, &part))?.into_iter().flatten() {
             let is_read = !damaged.contains_key(&file.blake3) && seen.insert(file.blake3);
             let Some(sha256) = file.sha256.filter(|_| is_read) else {
                 continue;
             };
             // A lost file is among what is missing.
-            let Some(bytes) = unless_lost(store.get(&file.blake3).map_err(LineageError::from))? else {
+            let Some(bytes) = unless_lost(store.get(&file.blake3).map_err(RunError::from))? else {
                 continue;
             };
             verified.products += 1;

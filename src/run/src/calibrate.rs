@@ -54,7 +54,7 @@ pub fn calibrate(context: &Context, request: &CalibrateRequest) -> Result<Calibr
         &photos_at,
         request.undistort,
     );
-    let session = Session::implicit(&text, context).map_err(for_this_verb)?;
+    let session = Session::implicit(context, &text, "calibrate", &request.dir).map_err(for_this_verb)?;
     let record = execute(&session, &options(&session))?
         .done()
         .map_err(for_this_verb)?;

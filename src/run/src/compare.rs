@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use marf_cache::Digest;
 use marf_config::scenes::scene_of;
-use marf_engine::{NodeRun, RunRecord};
+use marf_engine::{NodeRun, Purpose, RunRecord};
 use marf_field::Quality;
 use marf_schema::calibrate;
 use marf_schema::changes::{ChangesParams, ChangesReport};
@@ -14,8 +14,9 @@ use marf_stage::{Document, Params};
 use serde::Serialize;
 use serde_json::{Map, Value, json};
 
+use crate::choice::RunChoice;
 use crate::context::Context;
-use crate::derived::{AddedNode, DerivedRun, run_nodes, run_where};
+use crate::derived::{AddedNode, DerivedRun, run_nodes};
 use crate::error::{Diagnostic, Error};
 use crate::export_table::ExportTable;
 use crate::session::{Session, digest, node_named};
@@ -65,13 +66,20 @@ pub fn compare(context: &Context, request: &CompareRequest) -> Result<CompareRes
     let store = context.existing_store()?;
     let scene = request.scene.as_deref();
     let has = |run: &RunRecord| calibrated(run, scene).is_some();
-    let run = run_where(context, &store, request.run, has, |run| without(run, scene))?;
+    let choice = RunChoice::new(context, &store, request.run)?;
+    let run = choice.newest_with(has, |run| without(run, scene))?;
     let calibrated = calibrated(&run, scene).ok_or_else(|| without(&run, scene))?;
     let added = AddedNode {
         name: format!("changes-of-{}", calibrated.name),
         table: table(request, calibrated)?,
     };
-    let DerivedRun { session, record } = run_nodes(context, store, &run, std::slice::from_ref(&added))?;
+    let DerivedRun { session, record } = run_nodes(
+        context,
+        store,
+        &run,
+        Purpose::Comparison,
+        std::slice::from_ref(&added),
+    )?;
     let node = node_named(&record, &added.name)?;
     Ok(CompareResult {
         changes: session.document(node)?,

@@ -19,7 +19,7 @@ pub fn copy<'a>(path: &Path, object: &Digest, bytes: &'a [u8], run: Option<Diges
         MARKED.iter().any(|marked| extension == *marked) && !STRICT.iter().any(|strict| name == *strict);
     let marked = run.filter(|_| has_place).and_then(|run| {
         let object = *object;
-        Stamp { object, run }.on(bytes)
+        Stamp { object, run }.add_to(bytes)
     });
     marked.map_or(Cow::Borrowed(bytes), Cow::Owned)
 }
@@ -29,7 +29,7 @@ pub fn is_copy(path: &Path, object: &Digest) -> bool {
     let Ok(bytes) = std::fs::read(path) else {
         return false;
     };
-    match Stamp::off(&bytes) {
+    match Stamp::take_from(&bytes) {
         Some((bytes, stamp)) => stamp.object == *object && Digest::of(&bytes) == *object,
         None => Digest::of(&bytes) == *object,
     }
@@ -37,7 +37,7 @@ pub fn is_copy(path: &Path, object: &Digest) -> bool {
 
 /// Returns the bytes of the object that a file is a copy of: the file without its mark.
 pub fn object_of(file: Vec<u8>) -> Vec<u8> {
-    match Stamp::off(&file) {
+    match Stamp::take_from(&file) {
         Some((object, _)) => object,
         None => file,
     }

@@ -4,8 +4,8 @@ use std::path::Path;
 
 use marf_cache::Store;
 use marf_config::{GlobalOptions, Loaded, check_tree};
-use marf_engine::{NodeRun, Options, RunRecord};
-use marf_provenance::lineage::Lineage;
+use marf_engine::{NodeRun, Options, Purpose, RunRecord, RunSource};
+use marf_model::Run;
 use marf_provenance::replay::recorded;
 use serde_json::{Value, json};
 
@@ -13,62 +13,7 @@ use crate::context::Context;
 use crate::documents::resolved;
 use crate::error::{Diagnostic, Error};
 use crate::execute::{execute, options};
-use crate::session::{EXPORTS, Session, TRADES, last_of};
-
-/// Returns the last run, or the one of a number, in which a node ended well.
-///
-/// # Errors
-/// No such run: names the nodes of the last one.
-pub fn run_with(
-    context: &Context,
-    store: &Store,
-    number: Option<u64>,
-    node: &str,
-) -> Result<RunRecord, Error> {
-    let has = |run: &RunRecord| run.node(node).is_some_and(|node| node.state.is_good());
-    run_where(context, store, number, has, |run| without(run, node))
-}
-
-/// Returns the last run, or the one of a number, that has something; `without` is the error of a run that has it not. Points of a trade
-/// are only taken by their number: their fields are not what the pipeline asks for.
-///
-/// # Errors
-/// No such run.
-pub fn run_where(
-    context: &Context,
-    store: &Store,
-    number: Option<u64>,
-    has: impl Fn(&RunRecord) -> bool,
-    without: impl Fn(&RunRecord) -> Error,
-) -> Result<RunRecord, Error> {
-    if let Some(number) = number {
-        let run = marf_engine::run_of(store, number)?;
-        return if has(&run) { Ok(run) } else { Err(without(&run)) };
-    }
-    let runs = marf_engine::runs(store, context.warnings())?;
-    let is_asked_for = |run: &&RunRecord| !run.pipeline.ends_with(TRADES) && has(run);
-    let last = runs.iter().rev().find(is_asked_for).cloned();
-    let none = || match last_of(&runs) {
-        Some(run) => without(run),
-        None => Error::Failed(Diagnostic::new("there is no run yet").hint("`marf run` makes one")),
-    };
-    last.ok_or_else(none)
-}
-
-/// Returns the error of a run in which a node did not end well, with the names of those that did.
-pub fn without(run: &RunRecord, node: &str) -> Error {
-    let good = run
-        .nodes
-        .iter()
-        .filter(|node| node.parent.is_none() && node.state.is_good());
-    let known: Vec<&str> = good.map(|node| node.name.as_str()).collect();
-    Error::Usage(
-        Diagnostic::new(format!("run {} has no result of a node `{node}`", run.number)).hint(format!(
-            "its nodes are {}; or name another run with --run",
-            known.join(", ")
-        )),
-    )
-}
+use crate::session::Session;
 
 /// A node that is added to a run.
 #[derive(Debug, Clone)]
@@ -96,6 +41,7 @@ pub fn run_nodes(
     context: &Context,
     store: Store,
     run: &RunRecord,
+    purpose: Purpose,
     nodes: &[AddedNode],
 ) -> Result<DerivedRun, Error> {
     let names: Vec<String> = nodes.iter().map(|node| node.name.clone()).collect();
@@ -104,7 +50,7 @@ pub fn run_nodes(
         ..GlobalOptions::default()
     };
     let tree = {
-        let lineage = Lineage::of(&store, run.clone())?;
+        let lineage = Run::new(&store, run.clone())?;
         let mut tree = resolved(&store, run)?;
         for node in nodes {
             tree["node"][&node.name] = node.table.clone();
@@ -125,9 +71,13 @@ pub fn run_nodes(
         let message = format!("`{names}` on run {}: {}", run.number, error.message);
         Error::Usage(Diagnostic::with_hint(message, error.hint))
     })?;
-    let name = format!("{}{EXPORTS}", run.pipeline.trim_end_matches(EXPORTS));
+    let source = RunSource::Derived {
+        from: run.root,
+        purpose,
+    };
     let text = json!(tree).to_string();
-    let session = Session::derived(context, Loaded { pipeline, text }, name, store)?;
+    let session = Session::derived(context, Loaded { pipeline, text }, run.pipeline.clone(), store)?;
+    let session = Session { source, ..session };
     let options = Options {
         to: names,
         ..options(&session)
@@ -168,7 +118,8 @@ mod tests {
             "seconds": 1.0, "outputs": {"weights.safetensors": {"digest": weights, "bytes": 1}}, "counts": {},
         });
         let run = json!({
-            "pipeline": "p", "command": "", "program": "", "started_unix_s": 0, "seconds": 1.0, "outcome": "done",
+            "format": marf_engine::RUN_FORMAT, "id": "a", "source": {"kind": "pipeline", "file": "p.toml"}, "pipeline": "p",
+            "command": "", "program": "", "started_unix_s": 0, "seconds": 1.0, "outcome": "done",
             "digest": key, "threads": 1, "nodes": [node], "latest": {},
         });
         serde_json::from_value(run).unwrap()

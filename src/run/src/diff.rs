@@ -4,10 +4,9 @@ use std::fmt;
 
 use marf_cache::{Digest, Store};
 use marf_engine::Change;
-use marf_provenance::LineageError;
+use marf_model::{Run, RunError};
 use marf_provenance::diff::{NodeDiff, Presence, diff as nodes};
 use marf_provenance::difference::value_text;
-use marf_provenance::lineage::Lineage;
 use marf_scene::Photo;
 use serde::Serialize;
 
@@ -41,8 +40,8 @@ pub struct RunNames {
 /// A run that cannot be read.
 pub fn diff(context: &Context, first: u64, second: u64) -> Result<RunDiff, Error> {
     let store = context.existing_store()?;
-    let before = Lineage::open(&store, first)?;
-    let after = Lineage::open(&store, second)?;
+    let before = Run::open(&store, first)?;
+    let after = Run::open(&store, second)?;
     Ok(RunDiff {
         runs: (first, second),
         nodes: compare(&before, &after, usize::MAX)?,
@@ -76,10 +75,10 @@ struct Picture {
 /// # Errors
 /// A store that cannot be read.
 pub fn compare(
-    first: &Lineage<'_>,
-    second: &Lineage<'_>,
+    first: &Run<'_>,
+    second: &Run<'_>,
     most_pictures: usize,
-) -> Result<Vec<NodeChanges>, LineageError> {
+) -> Result<Vec<NodeChanges>, RunError> {
     let with_pictures = |diff: NodeDiff| NodeChanges {
         pictures: pictures(second.store(), &diff).take(most_pictures).collect(),
         diff,

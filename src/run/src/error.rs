@@ -5,7 +5,7 @@ use marf_cache::manifest::ManifestError;
 use marf_config::LoadError;
 use marf_engine::{EngineError, GraphError};
 use marf_export::ExportError;
-use marf_provenance::LineageError;
+use marf_model::RunError;
 use marf_remote::RemoteError;
 use marf_view::ViewError;
 use serde::Serialize;
@@ -155,11 +155,11 @@ impl From<EngineError> for Error {
     }
 }
 
-impl From<LineageError> for Error {
-    fn from(error: LineageError) -> Self {
+impl From<RunError> for Error {
+    fn from(error: RunError) -> Self {
         match error {
-            LineageError::Store(error) => error.into(),
-            LineageError::Run(error) => error.into(),
+            RunError::Store(error) => error.into(),
+            RunError::Run(error) => error.into(),
             error => Self::failed(error.to_string()),
         }
     }

@@ -94,6 +94,7 @@ pub fn execute_with(session: &Session, options: &Options, extras: &Extras<'_>) -
     listener.feedback.on_devices(&devices(session));
     let shared = Shared::open(session)?;
     let options = Options {
+        source: session.source.clone(),
         build: program::build(&session.store, context.commit),
         shared: shared.clone().map(|shared| shared as Arc<dyn SharedResults>),
         ..options.clone()
@@ -181,6 +182,7 @@ fn event_file(session: &Session, options: &Options) -> Option<EventFile> {
         event: "began",
         run: &options.id,
         pipeline: &session.name,
+        source: &session.source,
         command: &options.command,
         nodes: &nodes_to_run(session, options),
         upstream: upstream(session),
@@ -239,7 +241,7 @@ fn expected(session: &Session) -> NodeTimes {
         .filter_map(|number| marf_engine::run_of(&session.store, number).ok());
     let own: Vec<RunRecord> = runs
         .take(4 * RUNS_ASKED)
-        .filter(|run| run.pipeline == session.name)
+        .filter(|run| run.pipeline == session.name && run.source.series() == session.source.series())
         .take(RUNS_ASKED)
         .collect();
     NodeTimes::from_runs(own.iter())

@@ -53,7 +53,7 @@ pub struct FilterCalls {
 /// A folder that cannot be read, a place that cannot be written, a run that fails.
 pub fn filter(context: &Context, request: &FilterRequest) -> Result<FilterResult, Error> {
     let chain = chain();
-    let session = Session::implicit(&pipeline(&chain, request), context)?;
+    let session = Session::implicit(context, &pipeline(&chain, request), "filter", &request.dir)?;
     let extras = Extras {
         trace: None,
         documents: &|record| documents(&session, record, &chain),

@@ -118,7 +118,7 @@ pub fn fit(context: &Context, request: &FitRequest) -> Result<BTreeMap<String, F
     let (mut fitted, mut scores) = (BTreeMap::new(), BTreeMap::new());
     for seconds in times.collect::<Result<Vec<_>, _>>()? {
         let name = format!("{seconds}s");
-        let session = Session::implicit(&pipeline(request, seconds), context)?;
+        let session = Session::implicit(context, &pipeline(request, seconds), "fit", &request.dir)?;
         let extras = Extras {
             trace: None,
             documents: &|record| document(&session, record, &name, &fitted),

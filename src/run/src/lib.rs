@@ -7,6 +7,7 @@ mod batch_system;
 pub mod budget;
 pub mod cache;
 pub mod calibrate;
+pub mod choice;
 pub mod compare;
 mod context;
 mod copies;

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use marf_cache::Digest;
 use marf_engine::{RunRecord, sets};
+use marf_model::select;
 use marf_scene::{Photo, PhotoFacts};
 use marf_stage::{PHOTOS, VERDICTS, Verdict};
 use serde::Serialize;
@@ -65,8 +66,14 @@ pub fn photos(context: &Context, request: &PhotosRequest) -> Result<PhotoTable, 
         Some(dir) => of_folder(context, dir)?,
         None => {
             let session = Session::open(context)?;
-            let last = session.last()?;
-            let record = last.ok_or_else(|| Error::failed("no run of this pipeline yet".to_owned()))?;
+            let has_photos = |run: &RunRecord| {
+                let node = run.node(node).filter(|node| node.state.is_good());
+                node.is_some_and(|node| node.outputs.contains_key(PHOTOS))
+            };
+            let warnings = context.warnings();
+            let with_photos = select::newest_with(&session.store, &session.subject(), warnings, has_photos)?;
+            let run = with_photos.map_or_else(|| session.last(), |run| Ok(Some(run)))?;
+            let record = run.ok_or_else(|| Error::failed("no run of this pipeline yet".to_owned()))?;
             (session, record)
         }
     };
@@ -77,7 +84,7 @@ pub fn photos(context: &Context, request: &PhotosRequest) -> Result<PhotoTable, 
 }
 
 fn of_folder(context: &Context, dir: &Path) -> Result<(Session, RunRecord), Error> {
-    let session = Session::implicit(&folder::photos("photos", dir), context)?;
+    let session = Session::implicit(context, &folder::photos("photos", dir), "photos", dir)?;
     let record = execute(&session, &options(&session))?.done()?;
     Ok((session, record))
 }

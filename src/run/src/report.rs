@@ -4,9 +4,9 @@ use std::path::Path;
 use std::sync::Arc;
 
 use marf_cache::{Digest, Store};
-use marf_engine::{NodeState, RunRecord, document};
+use marf_engine::{NodeState, Purpose, RunRecord, document};
 use marf_export::iso_time;
-use marf_provenance::lineage::Lineage;
+use marf_model::{Run, select};
 use marf_report::trade::Trade;
 use marf_report::{ChangedNode, Changes, ChildView, NodeView, ReportInput, SceneView, State};
 use marf_stage::Memos;
@@ -15,7 +15,7 @@ use crate::context::Context;
 use crate::diff::{self, RunNames};
 use crate::documents::{self, Documents};
 use crate::error::Error;
-use crate::session::{Session, TRADES};
+use crate::session::Session;
 use crate::{files, outputs, scenes};
 
 /// Writes the report of the last run: the one that the run kept, or for a run without one a new one.
@@ -150,7 +150,7 @@ fn changes(
     };
     let since = before.number;
     let parents = |run: RunRecord| -> Result<_, Error> {
-        let mut lineage = Lineage::of(&session.store, run)?;
+        let mut lineage = Run::new(&session.store, run)?;
         lineage
             .nodes
             .retain(|node| !node.is_child() && is_shown(&node.run.name));
@@ -176,9 +176,10 @@ fn changes(
 /// # Errors
 /// A store that cannot be read.
 fn trade(session: &Session, record: &RunRecord) -> Result<Option<Trade>, Error> {
-    let name = format!("{}{TRADES}", record.pipeline.trim_end_matches(TRADES));
-    let has_trade = |run: &RunRecord| run.documents.contains_key(document::TRADE);
-    let run = marf_engine::last_run_where(&session.store, &name, session.context.warnings(), has_trade)?;
+    let warnings = session.context.warnings();
+    let run = select::newest_derived(&session.store, record, Purpose::Trade, warnings, |run| {
+        run.documents.contains_key(document::TRADE)
+    })?;
     let kept = run.and_then(|run| run.documents.get(document::TRADE).copied());
     let bytes = kept.map(|kept| session.store.get(&kept.digest)).transpose()?;
     let read = |bytes: Arc<[u8]>| serde_json::from_slice(&bytes);

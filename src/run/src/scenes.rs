@@ -4,14 +4,14 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use marf_cache::Digest;
-use marf_engine::{Options, RunRecord};
+use marf_engine::{Options, Purpose, RunRecord};
 use marf_schema::scenes::{PhotoGroup, Scenes};
 
 use marf_config::scenes::scene_of;
 
 use crate::error::{Diagnostic, Error};
 use crate::execute::{execute, options};
-use crate::session::{SCENES, Session, node_named};
+use crate::session::{Session, node_named};
 
 /// Which nodes a request is about.
 #[derive(Debug, Clone, Default)]
@@ -40,7 +40,7 @@ const MOST_NAMED: usize = 5;
 ///
 /// # Errors
 /// What keeps the photos from being split; a scene asked for where none is.
-pub fn found(session: Session, selection: &Selection) -> Result<Session, Error> {
+pub fn found(mut session: Session, selection: &Selection) -> Result<Session, Error> {
     let Some(by_scene) = &session.by_scene else {
         return match &selection.scene {
             None => Ok(session),
@@ -57,13 +57,16 @@ pub fn found(session: Session, selection: &Selection) -> Result<Session, Error> 
     if selection.scene.is_none() && selection.to.as_ref().is_some_and(is_before) {
         return Ok(session);
     }
+    let split = by_scene.split.clone();
+    let derived = session.derived_source(Purpose::Scenes)?;
+    let source = std::mem::replace(&mut session.source, derived);
     let options = Options {
-        to: vec![by_scene.split.clone()],
-        pipeline: format!("{}{SCENES}", session.name),
+        to: vec![split.clone()],
         ..options(&session)
     };
     let record = execute(&session, &options)?.done()?;
-    let scenes: Scenes = session.document(node_named(&record, &by_scene.split)?)?;
+    session.source = source;
+    let scenes: Scenes = session.document(node_named(&record, &split)?)?;
     left_out(&scenes.skipped)
         .iter()
         .for_each(|line| session.context.feedback.note(line));

@@ -6,7 +6,8 @@ use std::sync::Arc;
 use marf_cache::{Digest, Store};
 use marf_config::scenes::ByScene;
 use marf_config::{self as config, Loaded, SharedStore};
-use marf_engine::{Graph, Listings, NodeDecl, NodeRun, Outcome, RunRecord};
+use marf_engine::{Graph, Listings, NodeDecl, NodeRun, Outcome, Purpose, RunRecord, RunSource};
+use marf_model::select::Subject;
 use marf_schema::bootstrap;
 use marf_schema::scenes::Scenes;
 use marf_stage::{Document, Verdict};
@@ -14,36 +15,12 @@ use marf_stage::{Document, Verdict};
 use crate::context::{Context, open_store};
 use crate::error::{Diagnostic, Error};
 
-/// What the name of a pipeline is followed by in runs of exports: they are no runs of the pipeline.
-pub const EXPORTS: &str = " (export)";
-
-/// What the name of a pipeline is followed by in runs of `marf trade`.
-pub const TRADES: &str = " (trade)";
-
-/// What the name of a pipeline is followed by in runs that only tell which scenes there are.
-pub const SCENES: &str = " (scenes)";
-
-/// Returns whether a run is no run of the pipeline as it is: it made a file for another program, a point of a trade, or told the scenes.
-pub fn is_aside(run: &RunRecord) -> bool {
-    is_aside_name(&run.pipeline)
-}
-
-/// As [`is_aside`], of the name of a run's pipeline.
-pub fn is_aside_name(pipeline: &str) -> bool {
-    [EXPORTS, TRADES, SCENES]
-        .iter()
-        .any(|aside| pipeline.ends_with(aside))
-}
-
-/// Returns the last run of a pipeline among runs, oldest first.
-pub fn last_of(runs: &[RunRecord]) -> Option<&RunRecord> {
-    runs.iter().rev().find(|run| !is_aside(run))
-}
-
 /// A pipeline ready to plan and run.
 pub struct Session {
     /// Name of the pipeline.
     pub name: String,
+    /// What its runs are runs of.
+    pub source: RunSource,
     /// The graph of its nodes.
     pub graph: Graph,
     /// Where results are.
@@ -88,14 +65,17 @@ impl Session {
         let loaded = config::load(&context.file, &context.sets, &context.config)?;
         let name = loaded.pipeline.name.clone();
         let name = name.unwrap_or_else(|| unnamed(&context.file));
-        Self::new(context, loaded, name, context.open_store()?, Listings::default())
+        let store = context.open_store()?;
+        let source = RunSource::from_file(&store, &context.file);
+        let session = Self::new(context, loaded, name, store, Listings::default())?;
+        Ok(Self { source, ..session })
     }
 
     /// Loads the text of a pipeline that a verb has built for one folder.
     ///
     /// # Errors
     /// As [`Session::open`].
-    pub fn implicit(text: &str, context: &Context) -> Result<Self, Error> {
+    pub fn implicit(context: &Context, text: &str, verb: &str, folder: &Path) -> Result<Self, Error> {
         let pipeline =
             config::check(text, &context.sets, &context.config, Path::new("")).map_err(|error| {
                 let message = error.render(Path::new("(built-in pipeline)"), text);
@@ -103,17 +83,19 @@ impl Session {
             })?;
         let store = open_store(&context.store_dir(Path::new("")), &context.cancel)?;
         let name = pipeline.name.clone().unwrap_or_else(|| "built-in".to_owned());
+        let source = RunSource::from_folder(&store, verb, folder);
         let text = text.to_owned();
-        Self::new(
+        let session = Self::new(
             context,
             Loaded { pipeline, text },
             name,
             store,
             Listings::default(),
-        )
+        )?;
+        Ok(Self { source, ..session })
     }
 
-    /// Takes a pipeline that an earlier run had, changed or not, under a name, with the store of that run.
+    /// Takes a pipeline that an earlier run had, with further nodes, in the store of that run. The caller sets its source.
     ///
     /// # Errors
     /// Nodes that form no graph.
@@ -140,6 +122,7 @@ impl Session {
         let graph = graph_of(pipeline.nodes)?.sharing(&listings);
         Ok(Self {
             name,
+            source: RunSource::default(),
             graph,
             store,
             nodes,
@@ -172,6 +155,7 @@ impl Session {
             text: self.written,
         };
         Ok(Self {
+            source: self.source,
             scenes: names,
             by_scene: self.by_scene,
             ..Self::new(context, loaded, self.name, self.store, self.listings)?
@@ -230,6 +214,14 @@ impl Session {
         marf_engine::sets::verdicts(root, |digest| Ok(self.store.get(digest)?))
     }
 
+    /// Returns what the runs of this pipeline are runs of.
+    pub fn subject(&self) -> Subject {
+        Subject::Pipeline {
+            source: self.source.clone(),
+            name: Some(self.name.clone()),
+        }
+    }
+
     /// Returns the last run of this pipeline.
     ///
     /// # Errors
@@ -238,8 +230,18 @@ impl Session {
         Ok(marf_engine::last_run(
             &self.store,
             &self.name,
+            &self.source,
             self.context.warnings(),
         )?)
+    }
+
+    /// Returns the source of runs that are made from the last run of this pipeline.
+    ///
+    /// # Errors
+    /// A store that cannot be read.
+    pub fn derived_source(&self, purpose: Purpose) -> Result<RunSource, Error> {
+        let from = self.last()?.and_then(|run| run.root);
+        Ok(RunSource::Derived { from, purpose })
     }
 
     /// Returns the last run of this pipeline that came before a run, which need not be stored yet, was done and has other keys.
@@ -262,13 +264,10 @@ impl Session {
         wanted: impl Fn(&RunRecord) -> bool,
     ) -> Result<Option<RunRecord>, Error> {
         let is_earlier = |run: &RunRecord| record.number == 0 || run.number < record.number;
-        let wanted = |run: &RunRecord| is_earlier(run) && wanted(run);
-        Ok(marf_engine::last_run_where(
-            &self.store,
-            &self.name,
-            self.context.warnings(),
-            wanted,
-        )?)
+        let is_own = |run: &RunRecord| run.pipeline == self.name && run.source == self.source;
+        let wanted = |run: &RunRecord| is_earlier(run) && is_own(run) && wanted(run);
+        let warnings = self.context.warnings();
+        Ok(marf_engine::last_run_where(&self.store, warnings, wanted)?)
     }
 
     /// Returns whether a run has made every node of this pipeline, or found it made.

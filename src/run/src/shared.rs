@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use marf_cache::{Digest, Record, Store};
-use marf_engine::{NodeState, RunRecord, SharedResults};
+use marf_engine::{NodeState, RunRecord, RunSource, SharedResults};
 use marf_remote::{RemoteError, RemoteRun, Sharing};
 use marf_stage::Access;
 
@@ -92,7 +92,11 @@ pub fn remote_run(store: &Store, run: &RunRecord) -> Result<RemoteRun, Error> {
     keys.sort_unstable();
     keys.dedup();
     Ok(RemoteRun {
-        pipeline: run.pipeline.clone(),
+        pipeline: match &run.source {
+            // Who pulls the newest run of a pipeline gets none that was made from it.
+            RunSource::Derived { purpose, .. } => format!("{} ({purpose})", run.pipeline),
+            _ => run.pipeline.clone(),
+        },
         started_unix_s: run.started_unix_s,
         keys,
         blobs: run.documents.values().map(|document| document.digest).collect(),

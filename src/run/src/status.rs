@@ -3,15 +3,16 @@
 use std::collections::BTreeMap;
 
 use marf_cache::Store;
-use marf_engine::RunRecord;
+use marf_engine::{RunRecord, RunSource};
+use marf_model::select;
 use marf_progress::{RunProgress, duration, event_folder};
 use marf_view::lines_of_running;
 use serde::Deserialize;
 
+use crate::choice::subject;
 use crate::context::Context;
 use crate::error::Error;
 use crate::scenes::parent_of;
-use crate::session::{is_aside_name, last_of};
 
 /// Returns the programs that run a pipeline on a store, the one that began last first.
 pub fn running(store: &Store) -> Vec<RunningProgram> {
@@ -21,17 +22,17 @@ pub fn running(store: &Store) -> Vec<RunningProgram> {
 /// Returns the programs that have left these lines and run a pipeline.
 pub fn programs(lines: &[Vec<String>]) -> Vec<RunningProgram> {
     let all = lines.iter().filter_map(|lines| RunningProgram::read(lines));
-    all.filter(|program| !is_aside_name(&program.pipeline)).collect()
+    all.filter(|program| !program.source.is_derived()).collect()
 }
 
-/// Returns the last run of a store, those aside that are of no pipeline as it is.
+/// Returns the newest run of the pipeline, in any state.
 ///
 /// # Errors
 /// A store that cannot be read, or has no run.
-pub fn last_run(context: &Context, store: &Store) -> Result<RunRecord, Error> {
-    let runs = marf_engine::runs(store, context.warnings())?;
-    let last = last_of(&runs).cloned();
-    last.ok_or_else(|| Error::failed(format!("no run in {}", store.dir().display())))
+pub fn newest_run(context: &Context, store: &Store) -> Result<RunRecord, Error> {
+    let subject = subject(context, store)?;
+    let newest = select::newest(store, &subject, context.warnings())?;
+    newest.ok_or_else(|| Error::failed(format!("no run in {}", store.dir().display())))
 }
 
 /// A line that a running program has left, as far as it is shown.
@@ -40,6 +41,7 @@ pub fn last_run(context: &Context, store: &Store) -> Result<RunRecord, Error> {
 enum Line {
     Began {
         pipeline: String,
+        source: RunSource,
         command: String,
         nodes: Vec<String>,
         upstream: BTreeMap<String, Vec<String>>,
@@ -77,6 +79,8 @@ enum Line {
 pub struct RunningProgram {
     /// Name of its pipeline.
     pub pipeline: String,
+    /// What its run is a run of.
+    pub source: RunSource,
     /// The command as typed.
     pub command: String,
     /// The nodes with their children below them, in the order in which they are shown.
@@ -111,11 +115,13 @@ impl RunningProgram {
         match line {
             Line::Began {
                 pipeline,
+                source,
                 command,
                 nodes,
                 upstream,
             } => {
                 self.pipeline = pipeline;
+                self.source = source;
                 self.command = command;
                 self.order = nodes;
                 self.upstream = upstream;

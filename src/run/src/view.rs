@@ -6,6 +6,7 @@ use std::sync::Arc;
 
 use marf_cache::{Digest, Store};
 use marf_engine::{NodeRun, RunRecord, document, run_of};
+use marf_model::select::{self, Subject};
 use marf_progress::event_folder;
 use marf_report::sentence_page;
 use marf_schema::bootstrap::Metrics;
@@ -14,15 +15,17 @@ use marf_stage::Document;
 use marf_view::{DepthInterval, FieldSource, RunContent, Source};
 use parking_lot::Mutex;
 
-use crate::context::{Context, Feedback};
+use crate::choice::subject;
+use crate::context::Context;
 use crate::error::Error;
 use crate::scenes;
-use crate::session::{bootstraps_of, is_aside};
+use crate::session::bootstraps_of;
 
 /// The store as the page reads it.
 pub struct StoreSource {
     store: Store,
-    feedback: Arc<dyn Feedback>,
+    /// What the runs to show are runs of.
+    subject: Subject,
     /// The run that the user named.
     run: Option<u64>,
     /// The last run of the store when it was last looked for, and the run to show then.
@@ -35,25 +38,23 @@ impl StoreSource {
     /// # Errors
     /// A store that is not there or cannot be opened.
     pub fn open(context: &Context, run: Option<u64>) -> Result<Self, Error> {
+        let store = context.existing_store()?;
         Ok(Self {
-            store: context.existing_store()?,
-            feedback: Arc::clone(&context.feedback),
+            subject: subject(context, &store)?,
+            store,
             run,
             newest: Mutex::default(),
         })
     }
 
-    /// Returns the run to show; none if no run has kept a report or a field.
+    /// Returns the run to show: the one that the user named, or the newest in any state.
     fn record(&self) -> Result<Option<RunRecord>, String> {
-        let read = |number: u64| run_of(&self.store, number).map_err(|error| error.to_string());
         if let Some(number) = self.run {
-            return read(number).map(Some);
+            let run = run_of(&self.store, number).map_err(|error| error.to_string())?;
+            return Ok(Some(run));
         }
-        let numbers = self.store.run_numbers().map_err(|error| error.to_string())?;
         // A run that cannot be read is passed over here: `marf log` names it.
-        let mut runs = numbers.into_iter().rev().filter_map(|number| read(number).ok());
-        let has_much = |run: &RunRecord| self.report(run).is_some() || trained(run).next().is_some();
-        Ok(runs.find(|run| !is_aside(run) && has_much(run)))
+        select::newest(&self.store, &self.subject, |_| {}).map_err(|error| error.to_string())
     }
 
     /// Returns the last run of the same pipeline before a run that has a field.
@@ -61,21 +62,15 @@ impl StoreSource {
         let numbers = self.store.run_numbers().ok()?.into_iter().rev();
         let earlier = numbers.filter(|number| *number < run.number);
         let mut runs = earlier.filter_map(|number| run_of(&self.store, number).ok());
-        runs.find(|before| before.pipeline == run.pipeline && trained(before).next().is_some())
+        runs.find(|before| {
+            before.pipeline == run.pipeline && before.source == run.source && trained(before).next().is_some()
+        })
     }
 
     /// Returns the digest of the report that a run has kept.
     fn report(&self, run: &RunRecord) -> Option<Digest> {
         let digest = run.documents.get(document::REPORT)?.digest;
         self.store.contains(&digest).then_some(digest)
-    }
-
-    /// Returns the numbers of runs after the shown one that have kept no report.
-    fn later_without(&self, shown: u64) -> Vec<u64> {
-        let numbers = self.store.run_numbers().unwrap_or_default();
-        let runs = numbers.into_iter().filter(|number| *number > shown);
-        let own = |number: &u64| run_of(&self.store, *number).is_ok_and(|run| !is_aside(&run));
-        runs.filter(own).collect()
     }
 
     /// Returns a run as it is shown.
@@ -155,15 +150,6 @@ impl Source for StoreSource {
                 fields: Vec::new(),
             });
         };
-        if self.run.is_none() {
-            let later = self.later_without(run.number);
-            if !later.is_empty() {
-                self.feedback.note(&format!(
-                    "run {} is shown: {later:?} after it kept no report",
-                    run.number
-                ));
-            }
-        }
         self.shown(&run)
     }
 

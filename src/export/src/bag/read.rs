@@ -6,9 +6,8 @@ use std::path::{Path, PathBuf};
 
 use marf_cache::Sha256;
 
-use super::{
-    DECLARATION, DECLARATION_TEXT, FileDigest, INFO, MANIFEST, PAYLOAD, TAG_MANIFEST, decode_path, is_safe,
-};
+use super::form::{DECLARATION, DECLARATION_TEXT, FileDigest, INFO, MANIFEST, PAYLOAD, TAG_MANIFEST};
+use super::path::{decode_path, is_safe};
 
 /// A bag as it is found.
 #[derive(Debug)]
@@ -132,7 +131,7 @@ impl Bag {
 
     /// Reads a file and compares it; its digests if it could be read, altered or not.
     fn compare(&mut self, file: &str, listed: &Sha256) -> Option<FileDigest> {
-        let digest = FileDigest::of(&self.read_or_fault(file)?);
+        let digest = FileDigest::new(&self.read_or_fault(file)?);
         if digest.sha256 != *listed {
             self.faults.push(BagFault::Altered {
                 file: file.to_owned(),
@@ -241,7 +240,7 @@ mod tests {
         assert_eq!(read.faults, []);
         let paths: Vec<&str> = read.payload.keys().map(String::as_str).collect();
         assert_eq!(paths, ["a.txt", "sub/100% b\n.txt"]);
-        assert_eq!(read.payload["a.txt"], FileDigest::of(b"one"));
+        assert_eq!(read.payload["a.txt"], FileDigest::new(b"one"));
         assert_eq!(read.get("a.txt").unwrap(), b"one");
         let info = fs::read_to_string(folder.join(INFO)).unwrap();
         assert_eq!(info, "Source-Organization: test\nPayload-Oxum: 6.2\n");

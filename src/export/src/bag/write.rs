@@ -5,9 +5,8 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use super::{
-    DECLARATION, DECLARATION_TEXT, FileDigest, INFO, MANIFEST, PAYLOAD, TAG_MANIFEST, encode_path, is_safe,
-};
+use super::form::{DECLARATION, DECLARATION_TEXT, FileDigest, INFO, MANIFEST, PAYLOAD, TAG_MANIFEST};
+use super::path::{encode_path, is_safe};
 
 /// A bag that is being written. The same files give the same bag to the byte, in whatever order they come.
 #[derive(Debug)]
@@ -101,6 +100,6 @@ impl BagWriter {
             fs::create_dir_all(folder)?;
         }
         fs::write(whole, bytes)?;
-        Ok(FileDigest::of(bytes))
+        Ok(FileDigest::new(bytes))
     }
 }

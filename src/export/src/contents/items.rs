@@ -6,24 +6,13 @@ use marf_cache::Digest;
 use marf_cache::manifest::Row;
 use marf_stage::{PHOTOS, VERDICTS, Verdict};
 
-use super::{Contents, OBJECTS, Purpose, ReadObject, is_plain, rows, verdicts};
-use crate::error::ExportError;
-use crate::run::{Node, Run};
+use marf_model::{Run, RunNode};
 
-/// What a node decided on a chosen photo.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct ItemVerdict {
-    /// Id of the photo.
-    pub id: String,
-    /// Name of the node.
-    pub node: String,
-    /// Path of the file that holds the verdict.
-    pub path: String,
-    /// Objects of the photo by role (`image`, `label`).
-    pub blobs: BTreeMap<String, Digest>,
-    /// Whether the node is the one that brought the photo in.
-    pub is_source: bool,
-}
+use super::entries::{Contents, ItemVerdict};
+use super::file::{OBJECTS, Purpose, is_plain};
+use super::objects::reader;
+use super::sets::{rows, verdicts};
+use crate::error::ExportError;
 
 /// Adds the objects of all photos that sources brought in, or those of chosen ones with all verdicts on them.
 ///
@@ -31,16 +20,17 @@ pub struct ItemVerdict {
 /// A set that cannot be read, or a chosen photo that no source has.
 pub(super) fn add_photos(
     contents: &mut Contents,
-    run: &Run,
-    read: &ReadObject<'_>,
+    run: &Run<'_>,
     chosen: Option<&BTreeSet<&str>>,
 ) -> Result<(), ExportError> {
     let mut found: BTreeMap<String, Row> = BTreeMap::new();
     for node in &run.nodes {
-        let Some(photos) = node.outputs.get(PHOTOS).filter(|_| is_source(contents, node)) else {
+        let photos = node.run.outputs.get(PHOTOS);
+        let Some(photos) = photos.filter(|_| is_source(contents, node)) else {
             continue;
         };
-        for row in rows(&photos.digest, read, &format!("`{PHOTOS}` of `{}`", node.name))? {
+        let what = format!("`{PHOTOS}` of `{}`", node.run.name);
+        for row in rows(&photos.digest, &reader(run), &what)? {
             match chosen {
                 None => row
                     .blobs
@@ -55,19 +45,18 @@ pub(super) fn add_photos(
     if let Some(id) = ids.find(|id| !found.contains_key(**id)) {
         return Err(ExportError::UnknownItem { id: (*id).to_owned() });
     }
-    add_chosen(contents, run, read, &found)
+    add_chosen(contents, run, &found)
 }
 
 /// Tells whether a node brings photos in: it reads none.
-fn is_source(contents: &Contents, node: &Node) -> bool {
-    let action = contents.actions.get(&node.key);
+fn is_source(contents: &Contents, node: &RunNode) -> bool {
+    let action = contents.action(node);
     action.is_some_and(|action| !action.inputs.contains_key(PHOTOS))
 }
 
 fn add_chosen(
     contents: &mut Contents,
-    run: &Run,
-    read: &ReadObject<'_>,
+    run: &Run<'_>,
     chosen: &BTreeMap<String, Row>,
 ) -> Result<(), ExportError> {
     for (id, row) in chosen {
@@ -80,10 +69,11 @@ fn add_chosen(
         return Ok(());
     }
     for node in &run.nodes {
-        let Some(output) = node.outputs.get(VERDICTS) else {
+        let Some(output) = node.run.outputs.get(VERDICTS) else {
             continue;
         };
-        let decided = verdicts(&output.digest, read, &format!("`{VERDICTS}` of `{}`", node.name))?;
+        let what = format!("`{VERDICTS}` of `{}`", node.run.name);
+        let decided = verdicts(&output.digest, &reader(run), &what)?;
         for verdict in decided {
             if let Some(row) = chosen.get(&verdict.id) {
                 add_verdict(contents, node, row, &verdict);
@@ -93,13 +83,14 @@ fn add_chosen(
     Ok(())
 }
 
-fn add_verdict(contents: &mut Contents, node: &Node, row: &Row, verdict: &Verdict) {
+fn add_verdict(contents: &mut Contents, node: &RunNode, row: &Row, verdict: &Verdict) {
     // Names, sentences and finite numbers always serialise.
     let bytes = serde_json::to_vec(verdict).unwrap_or_default();
-    let whole = format!("items/{}/{}.json", row.id, node.name);
-    let mut path = match is_plain(&whole) {
-        true => whole,
-        false => format!("items/{}.json", Digest::of(whole.as_bytes())),
+    let whole = format!("items/{}/{}.json", row.id, node.run.name);
+    let mut path = if is_plain(&whole) {
+        whole
+    } else {
+        format!("items/{}.json", Digest::of(whole.as_bytes()))
     };
     // A product of several files has a verdict on each.
     if contents.files.contains_key(&path) {
@@ -107,12 +98,12 @@ fn add_verdict(contents: &mut Contents, node: &Node, row: &Row, verdict: &Verdic
     }
     contents.add_bytes(
         &path,
-        &format!("verdict of `{}` on `{}`", node.name, row.id),
+        &format!("verdict of `{}` on `{}`", node.run.name, row.id),
         bytes,
     );
     contents.items.push(ItemVerdict {
         id: row.id.clone(),
-        node: node.name.clone(),
+        node: node.run.name.clone(),
         path,
         blobs: row.blobs.clone(),
         is_source: is_source(contents, node),

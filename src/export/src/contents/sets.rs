@@ -9,7 +9,7 @@ use marf_cache::{
 use marf_engine::sets;
 use marf_stage::Verdict;
 
-use super::ReadObject;
+use super::objects::ReadObject;
 use crate::error::ExportError;
 
 /// Why a set cannot be read.

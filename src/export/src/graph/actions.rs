@@ -1,21 +1,21 @@
 //! What ran: the run, each node, and each decision on a chosen photo.
 
+use marf_model::RunNode;
 use serde_json::Value;
 
-use super::Context;
-use super::entity::{Entity, id_of};
-use super::fixed::PROGRAM;
+use super::context::Context;
+use super::entity::{Entity, PROGRAM, id_of};
 use super::tools::{Role, slot_id, tool_id};
 use crate::contents::ItemVerdict;
-use crate::run::Node;
 use crate::time::{end_of, iso_time};
 
 pub(super) fn entities(context: &Context<'_>) -> Vec<Value> {
     let run = context.run();
     let mut entities = vec![run_action(context), organize(context)];
     for node in &run.nodes {
+        let name = &node.run.name;
         entities.push(node_action(context, node));
-        entities.push(control(&action_id(&node.name), &node.name));
+        entities.push(control(&action_id(name), name));
         entities.extend(values(context, node));
     }
     for item in &context.input.contents.items {
@@ -42,11 +42,11 @@ fn file_stem(path: &str) -> &str {
 }
 
 fn run_action(context: &Context<'_>) -> Value {
-    let run = context.run();
-    let inputs = run.nodes.iter().flat_map(|node| foreign_inputs(context, node));
-    let terminal = |node: &&Node| context.terminal.contains(node.name.as_str());
-    let results = run.nodes.iter().filter(terminal);
-    let results = results.flat_map(|node| node.outputs.values());
+    let run = context.record();
+    let nodes = context.run().nodes.iter();
+    let inputs = nodes.clone().flat_map(|node| foreign_inputs(context, node));
+    let results = nodes.filter(|node| context.terminal.contains(node.run.name.as_str()));
+    let results = results.flat_map(|node| node.run.outputs.values());
     let results = results.filter_map(|output| context.ids.get(&output.digest).copied());
     Entity::new("#run", "CreateAction")
         .with("name", format!("run {}", run.id))
@@ -60,23 +60,24 @@ fn run_action(context: &Context<'_>) -> Value {
 }
 
 /// Returns the ids of what a node read and no node of the run made.
-fn foreign_inputs<'a>(context: &Context<'a>, node: &'a Node) -> Vec<&'a str> {
+fn foreign_inputs<'a>(context: &Context<'a>, node: &'a RunNode) -> Vec<&'a str> {
     let made = |digest: &marf_cache::Digest| {
-        let mut outputs = context.run().nodes.iter().flat_map(|node| node.outputs.values());
+        let nodes = context.record().nodes.iter();
+        let mut outputs = nodes.flat_map(|node| node.outputs.values());
         outputs.any(|output| output.digest == *digest)
     };
     let inputs = context
         .action(node)
         .into_iter()
         .flat_map(|action| action.inputs.values());
-    let inputs = inputs.chain(&node.origins).filter(|digest| !made(digest));
+    let inputs = inputs.chain(context.origins(node)).filter(|digest| !made(digest));
     inputs
         .filter_map(|digest| context.ids.get(digest).copied())
         .collect()
 }
 
 fn organize(context: &Context<'_>) -> Value {
-    let run = context.run();
+    let run = context.record();
     let nodes = run.nodes.iter().map(|node| control_id(&action_id(&node.name)));
     let items = context.input.contents.items.iter();
     let items = items.map(|item| control_id(&item_id(item)));
@@ -102,15 +103,17 @@ fn control(action: &str, node: &str) -> Value {
         .into_value()
 }
 
-fn node_action(context: &Context<'_>, node: &Node) -> Value {
+fn node_action(context: &Context<'_>, node: &RunNode) -> Value {
     let action = context.action(node);
     let inputs = inputs(context, node).map(str::to_owned);
-    let results = node.outputs.values();
+    let results = node.run.outputs.values();
     let results = results.filter_map(|output| context.ids.get(&output.digest).copied());
-    let action_file = context.ids.get(&node.key).copied();
-    let entity = Entity::new(action_id(&node.name), "CreateAction")
-        .with("name", node.name.as_str())
-        .with("identifier", format!("blake3:{}", node.key))
+    let key = node.run.key;
+    let action_file = key.and_then(|key| context.ids.get(&key).copied());
+    let name = node.run.name.as_str();
+    let entity = Entity::new(action_id(name), "CreateAction")
+        .with("name", name)
+        .with("identifier", key.map(|key| format!("blake3:{key}")))
         .with_ids("subjectOf", action_file)
         .with_ids("instrument", action.map(tool_id))
         .with_ids("object", inputs.chain(value_ids(context, node)))
@@ -119,16 +122,18 @@ fn node_action(context: &Context<'_>, node: &Node) -> Value {
 }
 
 /// Adds when, where and by which program the result was made, as far as it is known.
-fn with_times(entity: Entity, context: &Context<'_>, node: &Node) -> Entity {
-    let Some(started) = node.started_unix_s else {
+fn with_times(entity: Entity, context: &Context<'_>, node: &RunNode) -> Entity {
+    let Some(started) = node.run.started_unix_s else {
         return entity;
     };
-    let ended = end_of(started, node.seconds);
-    let when = match ended < context.run().started_unix_s {
-        true => "an earlier run, whose result was used again",
-        false => "this run",
+    let ended = end_of(started, node.run.seconds);
+    let when = if ended < context.record().started_unix_s {
+        "an earlier run, whose result was used again"
+    } else {
+        "this run"
     };
-    let by = node.made_by.as_deref().unwrap_or("a program that left no name");
+    let by = node.made_by();
+    let by = by.as_deref().unwrap_or("a program that left no name");
     entity
         .with("description", format!("made by {by} in {when}"))
         .with("startTime", iso_time(started))
@@ -138,25 +143,25 @@ fn with_times(entity: Entity, context: &Context<'_>, node: &Node) -> Entity {
 /// Returns the parameters of a node with the ids of their values.
 fn parameters<'a>(
     context: &Context<'a>,
-    node: &'a Node,
+    node: &'a RunNode,
 ) -> impl Iterator<Item = (String, &'a str, &'a Value)> {
-    let of = id_of("value", &node.name);
+    let values = id_of("value", &node.run.name);
     let action = context.action(node);
     let params = action.and_then(|action| action.params.as_object());
     params
         .into_iter()
         .flatten()
-        .map(move |(name, value)| (slot_id(&of, Role::Parameter, name), name.as_str(), value))
+        .map(move |(name, value)| (slot_id(&values, Role::Parameter, name), name.as_str(), value))
 }
 
-fn value_ids<'a>(context: &Context<'a>, node: &'a Node) -> impl Iterator<Item = String> + use<'a> {
+fn value_ids<'a>(context: &Context<'a>, node: &'a RunNode) -> impl Iterator<Item = String> + use<'a> {
     parameters(context, node)
         .map(|(id, ..)| id)
         .collect::<Vec<_>>()
         .into_iter()
 }
 
-fn values(context: &Context<'_>, node: &Node) -> Vec<Value> {
+fn values(context: &Context<'_>, node: &RunNode) -> Vec<Value> {
     let tool = context.action(node).map(tool_id).unwrap_or_default();
     let value = |(id, name, value): (String, &str, &Value)| {
         Entity::new(id, "PropertyValue")
@@ -177,15 +182,16 @@ pub(crate) fn value_text(value: &Value) -> String {
 }
 
 fn item_action(context: &Context<'_>, item: &ItemVerdict) -> Value {
-    let node = context.run().nodes.iter().find(|node| node.name == item.node);
+    let node = context.run().node(&item.node);
     let verdict = context.by_path.get(item.path.as_str()).copied();
     let blobs = item.blobs.values();
     let blobs: Vec<&str> = blobs
         .filter_map(|digest| context.ids.get(digest).copied())
         .collect();
-    let (read, made) = match item.is_source {
-        true => (Vec::new(), blobs),
-        false => (blobs, Vec::new()),
+    let (read, made) = if item.is_source {
+        (Vec::new(), blobs)
+    } else {
+        (blobs, Vec::new())
     };
     // Decisions may compare a photo with its whole set, which is among the inputs of the node.
     let inputs = node.into_iter().flat_map(|node| inputs(context, node));
@@ -201,12 +207,12 @@ fn item_action(context: &Context<'_>, item: &ItemVerdict) -> Value {
 }
 
 /// Returns the ids of what a node read.
-fn inputs<'a>(context: &Context<'a>, node: &'a Node) -> impl Iterator<Item = &'a str> + use<'a> {
+fn inputs<'a>(context: &Context<'a>, node: &'a RunNode) -> impl Iterator<Item = &'a str> + use<'a> {
     let inputs = context
         .action(node)
         .into_iter()
         .flat_map(|action| action.inputs.values());
-    let inputs = inputs.chain(&node.origins);
+    let inputs = inputs.chain(context.origins(node));
     let ids: Vec<&str> = inputs
         .filter_map(|digest| context.ids.get(digest).copied())
         .collect();

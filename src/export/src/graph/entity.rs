@@ -4,6 +4,13 @@ use serde_json::{Map, Value, json};
 
 use crate::contents::is_plain;
 
+/// What the parameters of tools conform to.
+pub(super) const FORMAL_PARAMETER: &str = "https://bioschemas.org/profiles/FormalParameter/1.0-RELEASE";
+/// The program.
+pub(super) const PROGRAM: &str = "#marf";
+/// The language of pipelines.
+pub(super) const LANGUAGE: &str = "#marf/pipeline";
+
 /// An entity that is being made.
 pub(super) struct Entity(Map<String, Value>);
 
@@ -43,9 +50,10 @@ fn reference(id: impl Into<String>) -> Value {
 
 /// Returns the id of an entity about something with this name: `#kind/name`, with a digest for a name that is no URI.
 pub(super) fn id_of(kind: &str, name: &str) -> String {
-    match is_plain(name) {
-        true => format!("#{kind}/{name}"),
-        false => format!("#{kind}/blake3-{}", marf_cache::Digest::of(name.as_bytes())),
+    if is_plain(name) {
+        format!("#{kind}/{name}")
+    } else {
+        format!("#{kind}/blake3-{}", marf_cache::Digest::of(name.as_bytes()))
     }
 }
 

@@ -3,22 +3,24 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use marf_cache::Digest;
+use marf_model::RunNode;
 use serde_json::Value;
 
-use super::entity::{Entity, id_of};
-use super::fixed::LANGUAGE;
+use super::context::Context;
+use super::entity::{Entity, LANGUAGE, id_of};
+use super::input::Described;
 use super::tools::{ORIGINS, Role, formal_parameter, group, groups, slot_id, tool_id};
-use super::{Context, Described};
 
 pub(super) fn entities(context: &Context<'_>) -> Vec<Value> {
     let examples = examples(context);
     let mut entities: Vec<Value> = Vec::new();
     for described in context.input.files {
-        let of = examples.get(&described.digest.blake3);
-        let entity = file(described, of.into_iter().flatten());
-        entities.push(match described.id == context.pipeline() {
-            true => pipeline(context, entity),
-            false => entity.into_value(),
+        let examples = examples.get(&described.digest.blake3);
+        let entity = file(described, examples.into_iter().flatten());
+        entities.push(if described.id == context.pipeline() {
+            pipeline(context, entity)
+        } else {
+            entity.into_value()
         });
     }
     entities.extend(pipeline_parameters(context));
@@ -49,19 +51,19 @@ fn examples(context: &Context<'_>) -> BTreeMap<Digest, BTreeSet<String>> {
             .inputs
             .iter()
             .map(|(name, digest)| (*digest, slot_id(&tool, Role::Input, name)));
-        let origins = node
-            .origins
-            .iter()
-            .map(|digest| (*digest, slot_id(&tool, Role::Input, ORIGINS)));
+        let origins = context.origins(node).iter();
+        let origins = origins.map(|digest| (*digest, slot_id(&tool, Role::Input, ORIGINS)));
         let outputs = node
+            .run
             .outputs
             .iter()
             .map(|(name, output)| (output.digest, slot_id(&tool, Role::Output, group(name))));
         let ends = node
+            .run
             .outputs
             .iter()
-            .filter(|_| context.terminal.contains(node.name.as_str()));
-        let ends = ends.map(|(name, output)| (output.digest, end_id(&node.name, group(name))));
+            .filter(|_| context.terminal.contains(node.run.name.as_str()));
+        let ends = ends.map(|(name, output)| (output.digest, end_id(&node.run.name, group(name))));
         for (digest, slot) in inputs.chain(origins).chain(outputs).chain(ends) {
             examples.entry(digest).or_default().insert(slot);
         }
@@ -75,7 +77,7 @@ fn end_id(node: &str, group: &str) -> String {
 }
 
 fn ends<'a>(context: &Context<'a>) -> impl Iterator<Item = (&'a str, &'a str)> {
-    let nodes = context.run().nodes.iter();
+    let nodes = context.record().nodes.iter();
     let nodes = nodes.filter(|node| context.terminal.contains(node.name.as_str()));
     nodes.flat_map(|node| {
         let groups = groups(node.outputs.keys());
@@ -86,10 +88,10 @@ fn ends<'a>(context: &Context<'a>) -> impl Iterator<Item = (&'a str, &'a str)> {
 /// Makes the file that tells the pipeline the workflow of the crate.
 fn pipeline(context: &Context<'_>, file: Entity) -> Value {
     let kinds = ["File", "SoftwareSourceCode", "ComputationalWorkflow", "HowTo"];
-    let steps = context.run().nodes.iter();
+    let steps = context.record().nodes.iter();
     let outputs = ends(context).map(|(node, group)| end_id(node, group));
     file.with("@type", kinds.map(Value::from).to_vec())
-        .with("name", format!("pipeline {}", context.run().pipeline))
+        .with("name", format!("pipeline {}", context.record().pipeline))
         .with_ids("programmingLanguage", [LANGUAGE])
         .with_ids("hasPart", context.tools.ids())
         .with_ids("step", steps.map(|node| id_of("step", &node.name)))
@@ -98,20 +100,22 @@ fn pipeline(context: &Context<'_>, file: Entity) -> Value {
 }
 
 fn pipeline_parameters(context: &Context<'_>) -> Vec<Value> {
-    let parameter = |(node, group): (&str, &str)| formal_parameter(end_id(node, group), group, "File");
-    ends(context).map(parameter).collect()
+    ends(context)
+        .map(|(node, group)| formal_parameter(end_id(node, group), group, "File"))
+        .collect()
 }
 
 fn steps(context: &Context<'_>) -> Vec<Value> {
-    let step = |(position, node): (usize, &crate::run::Node)| {
+    let step = |position: usize, node: &RunNode| {
         let tool = context.action(node).map(tool_id);
-        Entity::new(id_of("step", &node.name), "HowToStep")
-            .with("name", node.name.as_str())
+        Entity::new(id_of("step", &node.run.name), "HowToStep")
+            .with("name", node.run.name.as_str())
             .with("position", position.to_string())
             .with_ids("workExample", tool)
             .into_value()
     };
-    (1..).zip(&context.run().nodes).map(step).collect()
+    let nodes = (1..).zip(&context.run().nodes);
+    nodes.map(|(position, node)| step(position, node)).collect()
 }
 
 /// Returns the media type of a file by its ending; sets and listings are lines of JSON.

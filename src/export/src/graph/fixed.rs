@@ -1,10 +1,11 @@
 //! What every graph has: the descriptor, the crate itself, its profiles and its licence, the program.
 
-use marf_cache::Digest;
 use serde_json::{Value, json};
 
-use super::entity::Entity;
-use super::{CRATE_FORMAT, CRATE_PROFILE, Context, METADATA, PREVIEW};
+use super::actions::{action_id, item_id};
+use super::context::Context;
+use super::entity::{Entity, FORMAL_PARAMETER, LANGUAGE, PROGRAM};
+use super::input::{CRATE_FORMAT, CRATE_PROFILE, METADATA, PREVIEW, root_name};
 use crate::contents::OBJECTS;
 use crate::time::{end_of, iso_time};
 
@@ -15,12 +16,6 @@ const RUN_PROFILES: [(&str, &str); 3] = [
     ("https://w3id.org/ro/wfrun/workflow/0.5", "Workflow Run Crate"),
     ("https://w3id.org/ro/wfrun/provenance/0.5", "Provenance Run Crate"),
 ];
-/// What the parameters of tools conform to.
-pub(super) const FORMAL_PARAMETER: &str = "https://bioschemas.org/profiles/FormalParameter/1.0-RELEASE";
-/// The program.
-pub(super) const PROGRAM: &str = "#marf";
-/// The language of pipelines.
-pub(super) const LANGUAGE: &str = "#marf/pipeline";
 const LICENSE: &str = "#license";
 
 pub(super) fn entities(context: &Context<'_>) -> Vec<Value> {
@@ -42,14 +37,14 @@ fn descriptor() -> Value {
 }
 
 fn root(context: &Context<'_>) -> Value {
-    let run = context.run();
+    let run = context.record();
     let own_profile = format!("{CRATE_PROFILE}{CRATE_FORMAT}");
     let profiles = RUN_PROFILES.iter().map(|(id, _)| *id);
     let files = context.input.files.iter().map(|described| described.id.as_str());
     let objects = (!context.input.contents.objects.is_empty()).then_some(OBJECTS);
-    let actions = run.nodes.iter().map(|node| super::actions::action_id(&node.name));
+    let actions = run.nodes.iter().map(|node| action_id(&node.name));
     let items = context.input.contents.items.iter();
-    let items = items.map(super::actions::item_id);
+    let items = items.map(item_id);
     let ended = end_of(run.started_unix_s, run.seconds);
     Entity::new("./", "Dataset")
         .with("name", format!("marf run {} of {}", run.id, run.pipeline))
@@ -62,7 +57,7 @@ fn root(context: &Context<'_>) -> Value {
             ),
         )
         .with("datePublished", iso_time(ended))
-        .with("identifier", format!("blake3:{}", Digest::of(&run.root)))
+        .with("identifier", root_name(run))
         .with_ids("license", [license_id(context.input.license)])
         .with_ids("mainEntity", [context.pipeline()])
         .with_ids(
@@ -142,8 +137,8 @@ fn program(context: &Context<'_>) -> Value {
             "description",
             "Plans and runs the pipeline: raw rover photos to radiance fields.",
         );
-    let program = context.run().program.as_str();
-    match &context.run().build {
+    let program = context.record().program.as_str();
+    match &context.record().build {
         None => entity.with("softwareVersion", program),
         Some(build) => entity
             .with(

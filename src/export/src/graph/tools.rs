@@ -5,9 +5,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use marf_cache::Action;
 use serde_json::Value;
 
-use super::GraphInput;
-use super::entity::Entity;
-use super::fixed::FORMAL_PARAMETER;
+use super::entity::{Entity, FORMAL_PARAMETER, id_of};
+use super::input::GraphInput;
 
 /// What a formal parameter is of.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -42,10 +41,10 @@ struct Tool {
 }
 
 impl Tools {
-    pub(super) fn of(input: &GraphInput<'_>) -> Self {
+    pub(super) fn new(input: &GraphInput<'_>) -> Self {
         let mut tools: BTreeMap<String, Tool> = BTreeMap::new();
         for node in &input.run.nodes {
-            let Some(action) = input.contents.actions.get(&node.key) else {
+            let Some(action) = input.contents.action(node) else {
                 continue;
             };
             let tool = tools.entry(tool_id(action)).or_insert_with(|| Tool {
@@ -55,8 +54,9 @@ impl Tools {
             });
             let inputs = action.inputs.keys();
             let inputs = inputs.map(|name| ((Role::Input, name.clone()), "File"));
-            let origins = (!node.origins.is_empty()).then(|| ((Role::Input, ORIGINS.to_owned()), "File"));
-            let outputs = node.outputs.keys();
+            let has_origins = !input.contents.origins(node).is_empty();
+            let origins = has_origins.then(|| ((Role::Input, ORIGINS.to_owned()), "File"));
+            let outputs = node.run.outputs.keys();
             let outputs = outputs.map(|name| ((Role::Output, group(name).to_owned()), "File"));
             let parameters = action.params.as_object().into_iter().flatten();
             let parameters =
@@ -82,7 +82,7 @@ pub(super) const ORIGINS: &str = "origins";
 
 impl Tool {
     fn entities(&self, id: &str) -> Vec<Value> {
-        let of = |roles: &'static [Role]| {
+        let ids = |roles: &'static [Role]| {
             let slots = self.slots.keys();
             let slots = slots.filter(move |(role, _)| roles.contains(role));
             slots
@@ -92,8 +92,8 @@ impl Tool {
         let tool = Entity::new(id, "SoftwareApplication")
             .with("name", format!("marf stage {}", self.stage))
             .with("softwareVersion", self.version.to_string())
-            .with_ids("input", of(&[Role::Input, Role::Parameter]))
-            .with_ids("output", of(&[Role::Output]))
+            .with_ids("input", ids(&[Role::Input, Role::Parameter]))
+            .with_ids("output", ids(&[Role::Output]))
             .into_value();
         let slots = self.slots.iter();
         let slots = slots.map(|((role, name), kind)| formal_parameter(slot_id(id, *role, name), name, kind));
@@ -103,14 +103,14 @@ impl Tool {
 
 /// Returns the id of the tool that an action is of.
 pub(crate) fn tool_id(action: &Action) -> String {
-    let id = super::entity::id_of("tool", &action.stage);
+    let id = id_of("tool", &action.stage);
     format!("{id}/{}", action.version)
 }
 
 /// Returns the id of a parameter of a tool or of the pipeline.
 pub(super) fn slot_id(of: &str, role: Role, name: &str) -> String {
     let word = role.word();
-    let id = super::entity::id_of(word, name);
+    let id = id_of(word, name);
     format!("{of}/{}", id.trim_start_matches('#'))
 }
 

@@ -3,12 +3,11 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use marf_cache::{Action, Digest};
-use marf_engine::LISTING;
+use marf_engine::{LISTING, NodeRun};
 use serde_json::Value;
 
 use super::open::{OpenCrate, text};
 use crate::graph::{action_id, ids, tool_id};
-use crate::run::Node;
 
 /// Checks the action of every node; returns how many gave their keys.
 pub(super) fn check(opened: &OpenCrate, faults: &mut Vec<String>) -> u64 {
@@ -26,7 +25,7 @@ pub(super) fn check(opened: &OpenCrate, faults: &mut Vec<String>) -> u64 {
     };
     let mut good = 0;
     for node in &opened.run.nodes {
-        match action(opened, node) {
+        match opened.action(node) {
             Ok(action) => {
                 good += 1;
                 context.check_node(node, &action, faults);
@@ -46,12 +45,6 @@ pub(super) fn check(opened: &OpenCrate, faults: &mut Vec<String>) -> u64 {
     good
 }
 
-/// Reads the action of a node; its bytes have the digest that is the key.
-pub(super) fn action(opened: &OpenCrate, node: &Node) -> Result<Action, String> {
-    let bytes = opened.object(&node.key)?;
-    Action::decode(&bytes).map_err(|error| error.to_string())
-}
-
 struct Context<'a> {
     by_id: BTreeMap<&'a str, &'a Value>,
     digests: BTreeMap<&'a str, Digest>,
@@ -66,18 +59,19 @@ fn known(opened: &OpenCrate) -> BTreeSet<Digest> {
         known.extend(node.outputs.values().map(|output| output.digest));
         // An action that cannot be read is told by itself.
         known.extend(
-            action(opened, node)
+            opened
+                .action(node)
                 .into_iter()
                 .flat_map(|action| action.inputs.into_values()),
         );
-        let rows = super::lineage::rows_of(opened, node);
+        let rows = opened.rows(node);
         known.extend(rows.into_iter().flat_map(|row| row.blobs.into_values()));
     }
     known
 }
 
 impl Context<'_> {
-    fn check_node(&self, node: &Node, action: &Action, faults: &mut Vec<String>) {
+    fn check_node(&self, node: &NodeRun, action: &Action, faults: &mut Vec<String>) {
         let id = action_id(&node.name);
         let Some(entity) = self.by_id.get(id.as_str()) else {
             faults.push(format!("the graph has no action of `{}`", node.name));
@@ -89,7 +83,8 @@ impl Context<'_> {
             }
         };
         expect(
-            text(entity, "identifier") == format!("blake3:{}", node.key),
+            node.key
+                .is_some_and(|key| text(entity, "identifier") == format!("blake3:{key}")),
             "the key",
         );
         expect(ids(&entity["instrument"]) == [tool_id(action)], "the instrument");
@@ -97,9 +92,10 @@ impl Context<'_> {
         let read = self.digests_of(&objects);
         let inputs: BTreeSet<Digest> = action.inputs.values().copied().collect();
         // A source also tells which files it read.
-        let is_told = match action.inputs.contains_key(LISTING) {
-            true => inputs.is_subset(&read),
-            false => inputs == read,
+        let is_told = if action.inputs.contains_key(LISTING) {
+            inputs.is_subset(&read)
+        } else {
+            inputs == read
         };
         expect(is_told, "what is read");
         let made: BTreeSet<Digest> = node.outputs.values().map(|output| output.digest).collect();

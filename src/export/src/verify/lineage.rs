@@ -4,14 +4,12 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use marf_cache::manifest::Row;
 use marf_cache::{Action, Digest};
-use marf_engine::LISTING;
+use marf_engine::{LISTING, NodeRun};
 use marf_stage::{COMPANIONS, EARLIER, Origin, PHOTOS, VERDICTS};
 
-use super::actions::action;
 use super::open::{OpenCrate, text};
 use crate::contents::{leaves, rows};
-use crate::graph::{action_id, ids};
-use crate::run::Node;
+use crate::graph::{action_id, ids, root_name};
 
 /// Checks that what is read was made, and that photos come from files; returns how many photos were followed.
 pub(super) fn check(opened: &OpenCrate, faults: &mut Vec<String>) -> u64 {
@@ -20,7 +18,7 @@ pub(super) fn check(opened: &OpenCrate, faults: &mut Vec<String>) -> u64 {
         .run
         .nodes
         .iter()
-        .filter_map(|node| Some((node.name.as_str(), action(opened, node).ok()?)))
+        .filter_map(|node| Some((node.name.as_str(), opened.action(node).ok()?)))
         .collect();
     check_inputs(opened, &actions, faults);
     check_sets(opened, &actions, faults);
@@ -30,7 +28,7 @@ pub(super) fn check(opened: &OpenCrate, faults: &mut Vec<String>) -> u64 {
 
 /// The graph and the bag name the run root by its digest.
 fn check_root(opened: &OpenCrate, faults: &mut Vec<String>) {
-    let name = format!("blake3:{}", Digest::of(&opened.run.root));
+    let name = root_name(&opened.run);
     let root = opened.entities.iter().find(|entity| text(entity, "@id") == "./");
     if root.is_none_or(|root| text(root, "identifier") != name) {
         faults.push("the graph names another run root".to_owned());
@@ -66,8 +64,13 @@ fn check_inputs(opened: &OpenCrate, actions: &BTreeMap<&str, Action>, faults: &m
 /// Photos that a node lets through are among those it read, with the same bytes; all sets are whole.
 fn check_sets(opened: &OpenCrate, actions: &BTreeMap<&str, Action>, faults: &mut Vec<String>) {
     for node in &opened.run.nodes {
-        let Some(out) = photos(opened, node, faults) else {
-            continue;
+        let out = match opened.photos(node) {
+            Ok(Some(photos)) => photos,
+            Ok(None) => continue,
+            Err(error) => {
+                faults.push(error.to_string());
+                continue;
+            }
         };
         let input = actions
             .get(node.name.as_str())
@@ -83,19 +86,6 @@ fn check_sets(opened: &OpenCrate, actions: &BTreeMap<&str, Action>, faults: &mut
                 "`{}` lets `{}` through, which it did not read",
                 node.name, row.id
             ));
-        }
-    }
-}
-
-/// Returns the photos of a node; none if it has none, or they cannot be read, which is a fault.
-fn photos(opened: &OpenCrate, node: &Node, faults: &mut Vec<String>) -> Option<Vec<Row>> {
-    let output = node.outputs.get(PHOTOS)?;
-    let what = format!("`{PHOTOS}` of `{}`", node.name);
-    match rows(&output.digest, &|digest| opened.object(digest), &what) {
-        Ok(rows) => Some(rows),
-        Err(error) => {
-            faults.push(error.to_string());
-            None
         }
     }
 }
@@ -131,7 +121,7 @@ fn check_verdicts(opened: &OpenCrate, faults: &mut Vec<String>) {
 /// Returns the files that a source read, by the digest of their bytes, as the graph lists them.
 pub(super) fn origins(
     opened: &OpenCrate,
-    node: &Node,
+    node: &NodeRun,
     action: &Action,
 ) -> Result<BTreeMap<Digest, Origin>, String> {
     let id = action_id(&node.name);
@@ -171,20 +161,16 @@ fn check_origins(opened: &OpenCrate, actions: &BTreeMap<&str, Action>, faults: &
                 continue;
             }
         };
-        // Runs of an older form do not tell which files they read.
+        // A run that did not note its files tells nothing of them.
         let is_told = !origins.is_empty();
-        for row in rows_of(opened, node).iter().filter(|_| is_told) {
+        for row in opened.rows(node).iter().filter(|_| is_told) {
             let mut files = ["raw", "image"].iter().filter_map(|role| row.blobs.get(*role));
-            match files.any(|digest| origins.contains_key(digest)) {
-                true => followed += 1,
-                false => faults.push(format!("no file of the archive gave `{}`", row.id)),
+            if files.any(|digest| origins.contains_key(digest)) {
+                followed += 1;
+            } else {
+                faults.push(format!("no file of the archive gave `{}`", row.id));
             }
         }
     }
     followed
-}
-
-/// Returns the photos of a node; what cannot be read is told elsewhere.
-pub(super) fn rows_of(opened: &OpenCrate, node: &Node) -> Vec<Row> {
-    photos(opened, node, &mut Vec::new()).unwrap_or_default()
 }

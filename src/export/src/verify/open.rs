@@ -4,14 +4,17 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use marf_cache::Digest;
+use marf_cache::manifest::Row;
+use marf_cache::{Action, Digest};
+use marf_engine::{NodeRun, RunRecord};
+use marf_stage::PHOTOS;
 use serde_json::Value;
 
 use crate::bag::{Bag, FileDigest};
-use crate::contents::RUN_ROOT;
+use crate::contents::{RUN_ROOT, rows};
 use crate::error::ExportError;
 use crate::graph::{CRATE_FORMAT, CRATE_PROFILE, METADATA, ids};
-use crate::run::Run;
+use crate::run::check_finished;
 
 /// An opened crate. What is in it is not trusted.
 pub struct OpenCrate {
@@ -19,8 +22,10 @@ pub struct OpenCrate {
     pub bag: Bag,
     /// The entities of the graph, in its order.
     pub entities: Vec<Value>,
-    /// The run that the root tells.
-    pub run: Run,
+    /// The bytes of the run root.
+    pub root: Vec<u8>,
+    /// The run that they tell.
+    pub run: RunRecord,
     /// Paths of the payload by the digest of their bytes.
     paths: BTreeMap<Digest, String>,
 }
@@ -79,7 +84,9 @@ impl OpenCrate {
         let root = bag
             .get(RUN_ROOT)
             .map_err(|error| no_crate(format!("`{RUN_ROOT}`: {error}")))?;
-        let run = Run::of(root).map_err(|cause| OpenError::BadRun { path: path(), cause })?;
+        let bad = |cause: ExportError| OpenError::BadRun { path: path(), cause };
+        let run = RunRecord::decode(&root).map_err(|cause| bad(cause.into()))?;
+        check_finished(&run).map_err(bad)?;
         let paths = bag
             .payload
             .iter()
@@ -88,6 +95,7 @@ impl OpenCrate {
         Ok(Self {
             bag,
             entities,
+            root,
             run,
             paths,
         })
@@ -101,10 +109,36 @@ impl OpenCrate {
         let path = self.paths.get(digest).ok_or("it is not in the crate")?;
         let bytes = self.bag.get(path).map_err(|error| error.to_string())?;
         // The file may have changed since the bag was read.
-        match Digest::of(&bytes) == *digest {
-            true => Ok(bytes.into()),
-            false => Err("it changed while it was read".to_owned()),
+        if Digest::of(&bytes) != *digest {
+            return Err("it changed while it was read".to_owned());
         }
+        Ok(bytes.into())
+    }
+
+    /// Reads the action of a node: its bytes have the digest that is the key. The error is a sentence.
+    ///
+    /// # Errors
+    /// An action that is not there or cannot be read.
+    pub fn action(&self, node: &NodeRun) -> Result<Action, String> {
+        let key = node.key.ok_or("it has no key")?;
+        Action::decode(&self.object(&key)?).map_err(|error| error.to_string())
+    }
+
+    /// Reads the photos that a node gives; none of a node that gives none.
+    ///
+    /// # Errors
+    /// A set that is not there or cannot be read.
+    pub fn photos(&self, node: &NodeRun) -> Result<Option<Vec<Row>>, ExportError> {
+        let Some(output) = node.outputs.get(PHOTOS) else {
+            return Ok(None);
+        };
+        let what = format!("`{PHOTOS}` of `{}`", node.name);
+        rows(&output.digest, &|digest| self.object(digest), &what).map(Some)
+    }
+
+    /// Returns the photos that a node gives, as far as they can be read.
+    pub fn rows(&self, node: &NodeRun) -> Vec<Row> {
+        self.photos(node).ok().flatten().unwrap_or_default()
     }
 
     /// Tells whether the payload holds the bytes of this digest.

@@ -1,6 +1,5 @@
 //! The signature of a crate.
 
-use super::Signature;
 use super::open::OpenCrate;
 use crate::bag::MANIFEST;
 use crate::contents::RUN_ROOT;
@@ -9,6 +8,21 @@ use crate::dsse::Envelope;
 use crate::statement::subjects_in;
 use marf_cache::Sha256;
 use marf_keys::PublicKey;
+use serde::Serialize;
+
+/// What is known of the signature.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Signature {
+    /// There is none.
+    None,
+    /// There is one, and no key was given to check it.
+    NotChecked,
+    /// It is of the given key, over this payload.
+    Good,
+    /// A fault says what is wrong with it.
+    Bad,
+}
 
 /// Checks the statement beside the payload against a key, and what it says against the crate.
 pub(super) fn check(opened: &OpenCrate, key: Option<&PublicKey>, faults: &mut Vec<String>) -> Signature {
@@ -43,7 +57,7 @@ fn wrong_subjects(opened: &OpenCrate, statement: &[u8]) -> Option<String> {
     let manifest = opened.bag.tag(MANIFEST).unwrap_or_default();
     let expected = [
         (MANIFEST, Sha256::of(&manifest)),
-        (RUN_ROOT, Sha256::of(&opened.run.root)),
+        (RUN_ROOT, Sha256::of(&opened.root)),
     ];
     let expected = expected.map(|(name, digest)| (name.to_owned(), digest));
     let missing = expected.iter().find(|subject| !subjects.contains(subject));

@@ -5,14 +5,13 @@ use std::fmt;
 
 use marf_cache::manifest::Row;
 use marf_cache::{Action, Digest};
+use marf_engine::NodeRun;
 use marf_stage::{Origin, PHOTOS};
 use serde::Serialize;
 
-use super::actions::action;
-use super::lineage::{origins, rows_of};
+use super::lineage::origins;
 use super::open::OpenCrate;
 use crate::contents::rows;
-use crate::run::Node;
 
 /// Where bytes came from.
 #[derive(Debug, Serialize)]
@@ -73,7 +72,7 @@ pub struct Product {
     pub id: String,
     /// Its objects by role.
     pub blobs: BTreeMap<String, Digest>,
-    /// The files of the archive that they are; none in runs of an older form.
+    /// The files of the archive that they are; none of a run that did not note them.
     pub files: Vec<Origin>,
 }
 
@@ -117,7 +116,7 @@ impl OpenCrate {
     pub fn trace(&self, digest: &Digest) -> Result<Option<Trace>, String> {
         let mut actions = BTreeMap::new();
         for node in &self.run.nodes {
-            actions.insert(node.name.as_str(), action(self, node)?);
+            actions.insert(node.name.as_str(), self.action(node)?);
         }
         let is = self.roles(digest);
         if is.is_empty() {
@@ -125,7 +124,7 @@ impl OpenCrate {
         }
         let makers: BTreeSet<&str> = is.iter().filter_map(|role| self.maker(role)).collect();
         let wanted = self.upstream(&actions, makers);
-        let nodes: Vec<&Node> = self
+        let nodes: Vec<&NodeRun> = self
             .run
             .nodes
             .iter()
@@ -157,7 +156,7 @@ impl OpenCrate {
         if !roles.is_empty() {
             return roles;
         }
-        for row in self.run.nodes.iter().flat_map(|node| rows_of(self, node)) {
+        for row in self.run.nodes.iter().flat_map(|node| self.rows(node)) {
             let blobs = row.blobs.iter().filter(|(_, blob)| *blob == digest);
             for (role, _) in blobs {
                 let role = Role::Photo {
@@ -178,7 +177,7 @@ impl OpenCrate {
             Role::Output { node, .. } => Some(node),
             Role::Photo { id, .. } => {
                 let mut nodes = self.run.nodes.iter();
-                let node = nodes.find(|node| rows_of(self, node).iter().any(|row| row.id == *id));
+                let node = nodes.find(|node| self.rows(node).iter().any(|row| row.id == *id));
                 node.map(|node| node.name.as_str())
             }
         }
@@ -219,13 +218,13 @@ impl OpenCrate {
         }
     }
 
-    fn step(&self, actions: &BTreeMap<&str, Action>, node: &Node) -> Option<Step> {
+    fn step(&self, actions: &BTreeMap<&str, Action>, node: &NodeRun) -> Option<Step> {
         let action = actions.get(node.name.as_str())?;
         let inputs = action.inputs.iter();
         let reads = inputs.map(|(name, digest)| (name.clone(), self.made_by(digest).map(str::to_owned)));
         Some(Step {
             node: node.name.clone(),
-            key: node.key,
+            key: node.key?,
             reads: reads.collect(),
             action: action.clone(),
         })
@@ -235,7 +234,7 @@ impl OpenCrate {
     fn products(
         &self,
         actions: &BTreeMap<&str, Action>,
-        nodes: &[&Node],
+        nodes: &[&NodeRun],
         is: &[Role],
     ) -> Result<Vec<Product>, String> {
         let mut files = BTreeMap::new();
@@ -262,7 +261,7 @@ impl OpenCrate {
     fn taken(
         &self,
         actions: &BTreeMap<&str, Action>,
-        nodes: &[&Node],
+        nodes: &[&NodeRun],
         is: &[Role],
     ) -> Result<BTreeMap<String, Row>, String> {
         let mut taken = BTreeMap::new();
@@ -270,13 +269,13 @@ impl OpenCrate {
         for role in is {
             match role {
                 Role::Photo { id, .. } => {
-                    let rows = nodes.iter().flat_map(|node| rows_of(self, node));
+                    let rows = nodes.iter().flat_map(|node| self.rows(node));
                     rows.filter(|row| row.id == *id).take(1).for_each(&mut take);
                 }
                 Role::Output { node, output } if output == PHOTOS => {
                     let node = nodes.iter().find(|known| known.name == *node);
                     node.into_iter()
-                        .flat_map(|node| rows_of(self, node))
+                        .flat_map(|node| self.rows(node))
                         .for_each(&mut take);
                 }
                 Role::Output { .. } => {}

@@ -2,14 +2,14 @@
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
 use marf_cache::manifest::{Leaf, LeafRef, Root, Row};
-use marf_cache::{ACTION_FORMAT, Action, Digest, Sha256};
+use marf_cache::{ACTION_FORMAT, Action, Digest, Output, Record, RunMetadata, Sha256, Store};
 use marf_export::bag::{Bag, BagWriter};
 use marf_export::verify::{Report, verify};
-use marf_export::{CrateOptions, Data, Photos, Run, write_crate};
+use marf_export::{CrateOptions, Data, Photos, write_crate};
 use marf_keys::{PublicKey, SigningKey};
+use marf_model::Run;
 use marf_stage::{Origin, OriginKind, Verdict};
 use serde_json::{Value, json};
 
@@ -113,9 +113,13 @@ impl World {
             ((*name).to_owned(), json!({"digest": digest, "bytes": bytes}))
         });
         let outputs: serde_json::Map<String, Value> = outputs.collect();
+        let read: BTreeMap<&str, Value> = inputs
+            .iter()
+            .map(|(name, digest)| (*name, json!({"digest": digest})))
+            .collect();
         self.nodes.push(json!({
             "name": name, "stage": action.stage, "parent": name.split_once('/').map(|(parent, _)| parent),
-            "edges": edges, "key": key, "state": "finished", "reason": "never ran", "seconds": 2.5,
+            "edges": edges, "inputs": read, "key": key, "state": "finished", "reason": "never ran", "seconds": 2.5,
             "started_unix_s": 1_000_000_001_u64, "outputs": outputs, "counts": {},
         }));
     }
@@ -147,37 +151,78 @@ impl World {
         self.origins.entry(source.to_owned()).or_default().push(list);
     }
 
-    /// Returns the run as it is handed out.
-    pub fn run(&mut self) -> Run {
+    /// Returns a store with the objects and the run that leads to them, which is run 1.
+    pub fn stored(&mut self) -> (tempfile::TempDir, Store) {
         let pipeline = self.put(b"[node.extract]\n");
         let root = json!({
-            "format": 3, "id": "6e10105061dd45eb", "pipeline": "small", "command": "marf run",
+            "format": marf_engine::RUN_FORMAT, "id": "6e10105061dd45eb", "pipeline": "small", "command": "marf run",
             "program": "marf 0.1.0", "started_unix_s": 1_000_000_000_u64, "seconds": 9.0, "outcome": "done",
-            "digest": Digest::of(b"declared"), "threads": 2, "nodes": self.nodes, "latest": {},
+            "source": {"kind": "pipeline", "file": "pipeline.toml"}, "digest": Digest::of(b"declared"), "threads": 2,
+            "nodes": self.nodes, "latest": {},
             "build": {"commit": "abc", "blake3": Digest::of(b"program"), "bytes": 7, "os": "linux", "arch": "x86_64"},
             "documents": {"pipeline.toml": {"digest": pipeline, "bytes": 15}},
         });
-        let mut run = Run::of(serde_json::to_vec_pretty(&root).unwrap()).unwrap();
-        for node in &mut run.nodes {
-            node.origins = self.origins.get(&node.name).cloned().unwrap_or_default();
-            for (name, output) in &mut node.outputs {
-                output.file = name.contains('.').then(|| name.clone());
+        let dir = tempfile::tempdir().unwrap();
+        let store = Store::open(dir.path().join(".marf")).unwrap();
+        for bytes in self.objects.values() {
+            store.put(bytes).unwrap();
+        }
+        for node in &self.nodes {
+            if let Some(lists) = self.origins.get(node["name"].as_str().unwrap()) {
+                record(&store, node, lists);
             }
         }
-        run
+        store.put_run(&serde_json::to_vec_pretty(&root).unwrap()).unwrap();
+        (dir, store)
     }
 
     /// Writes a crate of the run and returns its folder.
     pub fn write(&mut self, dir: &Path, options: &CrateOptions<'_>) -> PathBuf {
-        let run = self.run();
+        let (_dir, store) = self.stored();
         let folder = dir.join("crate");
-        let read = |digest: &Digest| {
-            let bytes = self.objects.get(digest).ok_or("it is not in the store")?;
-            Ok(Arc::from(bytes.as_slice()))
-        };
-        write_crate(&run, &read, options, &folder).unwrap();
+        write_crate(&Run::open(&store, 1).unwrap(), options, &folder).unwrap();
         folder
     }
+}
+
+/// Stores the record of a source, with a part for each list of files that it read.
+fn record(store: &Store, node: &Value, lists: &[Digest]) {
+    let mut parts = Root::default();
+    for (shard, list) in (7..).zip(lists) {
+        let part = Record {
+            key: store
+                .put(format!("part {shard} of {}", node["key"]).as_bytes())
+                .unwrap(),
+            stage: node["stage"].as_str().unwrap().to_owned(),
+            outputs: BTreeMap::new(),
+            needs: None,
+            parts: None,
+            children: BTreeMap::new(),
+            origins: Some(*list),
+            metadata: RunMetadata::default(),
+        };
+        parts.leaves.push(LeafRef {
+            shard,
+            leaf: part.key,
+            rows: 0,
+        });
+        store.put_record(part);
+    }
+    let outputs: BTreeMap<String, Output> = serde_json::from_value(node["outputs"].clone()).unwrap();
+    store.put_record(Record {
+        key: serde_json::from_value(node["key"].clone()).unwrap(),
+        stage: node["stage"].as_str().unwrap().to_owned(),
+        outputs,
+        needs: None,
+        parts: Some(parts.write(|bytes| store.put(bytes)).unwrap()),
+        children: BTreeMap::new(),
+        origins: None,
+        metadata: RunMetadata {
+            program: "marf 0.1.0".to_owned(),
+            device: "cpu".to_owned(),
+            ..RunMetadata::default()
+        },
+    });
 }
 
 /// The bytes of a photo.
@@ -238,6 +283,7 @@ pub fn options() -> CrateOptions<'static> {
     CrateOptions {
         data: Data::Included,
         photos: Photos::All,
+        file_name: |name| name.contains('.').then_some(name),
         license: None,
         key: None,
     }

@@ -2,11 +2,11 @@
 
 use std::collections::BTreeMap;
 use std::path::Path;
-use std::sync::Arc;
 
 use marf_cache::{Digest, Sha256};
 use marf_export::verify::{OpenCrate, Role, Signature, verify};
 use marf_export::{CrateOptions, Data, ExportError, Photos, subjects_in, write_crate};
+use marf_model::Run;
 
 use super::fixture::{KEPT, check, image, options, public_key, signing_key, world};
 
@@ -127,27 +127,25 @@ fn chosen_photos_come_with_every_decision_on_them() {
 #[test]
 fn a_photo_that_is_not_there_is_refused_and_nothing_is_left() {
     let dir = tempfile::tempdir().unwrap();
-    let mut world = world();
-    let run = world.run();
-    let read = |digest: &Digest| Ok::<Arc<[u8]>, String>(world.objects[digest].as_slice().into());
+    let (_store, store) = world().stored();
+    let run = Run::open(&store, 1).unwrap();
     let unknown = CrateOptions {
         photos: Photos::Chosen(vec!["z".to_owned()]),
         ..options()
     };
     let folder = dir.path().join("crate");
-    let error = write_crate(&run, &read, &unknown, &folder).unwrap_err();
+    let error = write_crate(&run, &unknown, &folder).unwrap_err();
     assert!(matches!(error, ExportError::UnknownItem { .. }), "{error}");
-    let lost = |digest: &Digest| match *digest == Digest::of(b"weights") {
-        true => Err("it was collected".to_owned()),
-        false => read(digest),
-    };
-    let error = write_crate(&run, &lost, &options(), &folder)
+    let mut without_weights = world();
+    without_weights.objects.remove(&Digest::of(b"weights"));
+    let (_lost, lost) = without_weights.stored();
+    let error = write_crate(&Run::open(&lost, 1).unwrap(), &options(), &folder)
         .unwrap_err()
         .to_string();
     assert!(error.starts_with("`weights.bin` of `fit` (object "), "{error}");
     assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 0);
-    write_crate(&run, &read, &options(), &folder).unwrap();
-    let error = write_crate(&run, &read, &options(), &folder).unwrap_err();
+    write_crate(&run, &options(), &folder).unwrap();
+    let error = write_crate(&run, &options(), &folder).unwrap_err();
     assert!(matches!(error, ExportError::Exists { .. }), "{error}");
 }
 
@@ -168,13 +166,12 @@ fn a_signed_crate_is_signed_over_its_manifest() {
 
 #[test]
 fn a_statement_names_results_and_everything_they_depend_on() {
-    let mut world = world();
-    let run = world.run();
-    let read = |digest: &Digest| Ok::<Arc<[u8]>, String>(world.objects[digest].as_slice().into());
+    let (_dir, store) = world().stored();
+    let run = Run::open(&store, 1).unwrap();
     let weights = [("fit/weights.bin".to_owned(), Digest::of(b"weights"))];
-    let subjects = marf_export::subjects_of(weights.into_iter(), &read).unwrap();
+    let subjects = marf_export::subjects_of(&run, weights.into_iter()).unwrap();
     let node = run.node("fit").unwrap();
-    let statement = marf_export::statement_on_node(&run, node, &subjects, &read).unwrap();
+    let statement = marf_export::statement_on_node(&run, node, &subjects).unwrap();
     let expected = vec![("fit/weights.bin".to_owned(), Sha256::of(b"weights"))];
     assert_eq!(subjects_in(&statement), Some(expected));
     let json: serde_json::Value = serde_json::from_slice(&statement).unwrap();

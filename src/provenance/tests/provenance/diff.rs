@@ -1,18 +1,12 @@
-use marf_provenance::{
-    diff::{NodeDiff, Presence, diff},
-    lineage::Lineage,
-};
+use marf_model::Run;
+use marf_provenance::diff::{NodeDiff, Presence, diff};
 
 use super::common::{Pipeline, fresh_store};
 
 fn between(one: &Pipeline, two: &Pipeline) -> Vec<NodeDiff> {
     let (_dir, store) = fresh_store();
     let (one, two) = (one.run(&store), two.run(&store));
-    diff(
-        &Lineage::of(&store, one).unwrap(),
-        &Lineage::of(&store, two).unwrap(),
-    )
-    .unwrap()
+    diff(&Run::new(&store, one).unwrap(), &Run::new(&store, two).unwrap()).unwrap()
 }
 
 fn named<'a>(found: &'a [NodeDiff], node: &str) -> &'a NodeDiff {

@@ -16,7 +16,7 @@ fn every_kind_of_content_is_found_with_its_maker() {
     let (_dir, store) = fresh_store();
     let run = Pipeline::default().run(&store);
     let photos = run.node("pick").unwrap().outputs["photos"].digest;
-    let leaf = marf_provenance::product::set(&store, &photos).unwrap().leaves[1].leaf;
+    let leaf = marf_model::product::set(&store, &photos).unwrap().leaves[1].leaf;
     let key = run.node("sum").unwrap().key.unwrap();
     let cases = [
         (run.root.unwrap(), Place::Root),

@@ -5,9 +5,9 @@
     reason = "a test that cannot go on should stop"
 )]
 
+#[path = "../../../model/tests/model/common.rs"]
 mod common;
 mod diff;
 mod find;
-mod lineage;
 mod taint;
 mod verify;

@@ -1,16 +1,14 @@
 use std::path::Path;
 
 use marf_cache::Store;
-use marf_provenance::{
-    lineage::Lineage,
-    verify::{Verified, check, verify},
-};
+use marf_model::Run;
+use marf_provenance::verify::{Verified, check, verify};
 
 use super::common::{Pipeline, fresh_store, picture};
 
 fn verified(store: &Store, run: u64, node: &str) -> Verified {
     let check = check(store).unwrap();
-    let lineage = Lineage::open(store, run).unwrap();
+    let lineage = Run::open(store, run).unwrap();
     verify(&lineage, &lineage.upstream(node), &check).unwrap()
 }
 

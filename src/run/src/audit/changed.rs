@@ -5,9 +5,8 @@ use std::path::{Path, PathBuf};
 
 use marf_cache::Digest;
 use marf_engine::document;
-use marf_provenance::lineage::{Lineage, NodeLineage};
-use marf_provenance::product::{origins, parts};
-use marf_provenance::unless_lost;
+use marf_model::product::origins;
+use marf_model::{Run, RunNode, unless_lost};
 use marf_stage::{LOCK_FILE, Origin};
 use marf_stages::PinnedProduct;
 use serde::Serialize;
@@ -34,11 +33,7 @@ pub struct Changed {
 ///
 /// # Errors
 /// A store or a lock that cannot be read.
-pub fn since(
-    context: &Context,
-    lineage: &Lineage<'_>,
-    nodes: &[&NodeLineage],
-) -> Result<Vec<Changed>, Error> {
+pub fn since(context: &Context, lineage: &Run<'_>, nodes: &[&RunNode]) -> Result<Vec<Changed>, Error> {
     let base = context.folder();
     let pins = marf_stages::pinned_products(&base.join(LOCK_FILE));
     let pins = pins.map_err(|error| Error::failed(error.to_string()))?;
@@ -50,7 +45,7 @@ pub fn since(
     let mut changed = Vec::new();
     for source in nodes.iter().filter(|node| node.is_source()) {
         let folder = folder_of(lineage, &source.run.name).map(|path| base.join(path));
-        for part in unless_lost(parts(lineage.store(), source))?.into_iter().flatten() {
+        for part in unless_lost(source.parts(lineage.store()))?.into_iter().flatten() {
             for file in unless_lost(origins(lineage.store(), &part))?
                 .into_iter()
                 .flatten()
@@ -131,8 +126,8 @@ fn of_folder(folder: &Path, file: &Origin) -> Vec<String> {
 }
 
 /// Returns the folder that a source read, if its archive is one, as the pipeline names it.
-fn folder_of(lineage: &Lineage<'_>, source: &str) -> Option<PathBuf> {
-    let resolved = lineage.run.documents.get(document::RESOLVED)?;
+fn folder_of(lineage: &Run<'_>, source: &str) -> Option<PathBuf> {
+    let resolved = lineage.record.documents.get(document::RESOLVED)?;
     let tree: Value = serde_json::from_slice(&lineage.store().get(&resolved.digest).ok()?).ok()?;
     let archive = tree["node"][source]["archive"].as_str()?;
     let table = &tree["archive"][archive];

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use marf_provenance::lineage::Lineage;
+use marf_model::Run;
 use marf_provenance::verify::{self, Verified};
 use serde::Serialize;
 
@@ -56,13 +56,13 @@ pub fn audit(context: &Context, request: &AuditRequest) -> Result<AuditReport, E
     let runs = marf_engine::runs(&store, context.warnings())?;
     let identity = identify(&store, &runs, &bytes)?;
     let (mut lineage, mut changed) = (Vec::new(), Vec::new());
-    let mut verified = check.as_ref().map(Verified::of_files);
+    let mut verified = check.as_ref().map(Verified::from_files);
     for maker in identity.makers() {
         let number = maker.made_in.or(maker.runs.first().copied());
         let Some(run) = runs.iter().find(|run| Some(run.number) == number) else {
             continue;
         };
-        let whole = Lineage::of(&store, run.clone())?;
+        let whole = Run::new(&store, run.clone())?;
         let nodes = match maker.place.node() {
             Some(node) => whole.upstream(node),
             None => whole.nodes.iter().collect(),

@@ -1,8 +1,7 @@
 //! What a product went into.
 
-use marf_provenance::lineage::Lineage;
+use marf_model::{Run, unless_lost};
 use marf_provenance::taint::{Tainted, product_of, tainted};
-use marf_provenance::unless_lost;
 use serde::Serialize;
 
 use crate::context::Context;
@@ -32,7 +31,7 @@ pub fn uses(context: &Context, product: &str) -> Result<ProductUses, Error> {
     };
     for run in marf_engine::runs(&store, context.warnings())?.into_iter().rev() {
         let number = run.number;
-        let lineage = Lineage::of(&store, run)?;
+        let lineage = Run::new(&store, run)?;
         let answer = || match product_of(&lineage, product)? {
             Some(product) => tainted(&lineage, &product),
             None => Ok(None),

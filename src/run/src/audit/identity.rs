@@ -4,12 +4,11 @@ use std::collections::BTreeMap;
 
 use marf_cache::{Digest, Store};
 use marf_engine::RunRecord;
+use marf_model::{product::set, unless_lost};
 use marf_provenance::{
     find::{Maker, find},
     nearest::{LEAST_SHARE, Outline},
-    product::set,
     stamp::Stamp,
-    unless_lost,
 };
 use marf_stage::VERDICTS;
 use serde::Serialize;
@@ -69,7 +68,7 @@ impl Identity {
 /// # Errors
 /// A store that cannot be read.
 pub fn identify(store: &Store, runs: &[RunRecord], file: &[u8]) -> Result<Identity, Error> {
-    let Some((bytes, stamp)) = Stamp::off(file) else {
+    let Some((bytes, stamp)) = Stamp::take_from(file) else {
         return unmarked(store, runs, file);
     };
     let content = Digest::of(&bytes);
@@ -100,7 +99,7 @@ pub fn identify(store: &Store, runs: &[RunRecord], file: &[u8]) -> Result<Identi
         content,
         closest,
         makers,
-        share: object.map(|object| Outline::of(&bytes).share_with(&object)),
+        share: object.map(|object| Outline::new(&bytes).share_with(&object)),
         because,
     })
 }
@@ -115,7 +114,7 @@ fn unmarked(store: &Store, runs: &[RunRecord], file: &[u8]) -> Result<Identity, 
             makers,
         });
     }
-    if let Some(bytes) = Stamp::off_altered(file) {
+    if let Some(bytes) = Stamp::take_altered_from(file) {
         let closest = Digest::of(&bytes);
         let makers = find(store, runs, &closest)?;
         if !makers.is_empty() {
@@ -128,7 +127,7 @@ fn unmarked(store: &Store, runs: &[RunRecord], file: &[u8]) -> Result<Identity, 
             });
         }
     }
-    let outline = Outline::of(file);
+    let outline = Outline::new(file);
     let mut best: Option<(f64, Digest)> = None;
     for (digest, bytes) in exported(store, runs)? {
         if !outline.may_resemble(bytes) {
@@ -166,8 +165,8 @@ fn exported(store: &Store, runs: &[RunRecord]) -> Result<BTreeMap<Digest, u64>, 
         );
     }
     // Verdicts of many sols change little from run to run; those of the last run are compared.
-    for verdicts in runs
-        .last()
+    let last = runs.iter().rev().find(|run| !run.source.is_derived());
+    for verdicts in last
         .iter()
         .flat_map(|run| &run.nodes)
         .filter_map(|node| node.outputs.get(VERDICTS))

@@ -4,13 +4,12 @@ use std::collections::BTreeMap;
 
 use marf_cache::{Digest, Store, manifest};
 use marf_engine::{Build, OutputName};
-use marf_provenance::{
-    LineageError,
-    find::Maker,
-    lineage::{Lineage, NodeLineage},
-    product::{Product, parts, products},
+use marf_model::{
+    Run, RunError, RunNode,
+    product::{Product, products},
     unless_lost,
 };
+use marf_provenance::find::Maker;
 use marf_stage::PHOTOS;
 use serde::Serialize;
 
@@ -125,12 +124,12 @@ impl Origin {
 /// # Errors
 /// A store that cannot be read.
 pub fn origin_of(
-    lineage: &Lineage<'_>,
+    lineage: &Run<'_>,
     maker: &Maker,
-    nodes: &[&NodeLineage],
+    nodes: &[&RunNode],
     all_products: bool,
-) -> Result<Origin, LineageError> {
-    let run = &lineage.run;
+) -> Result<Origin, RunError> {
+    let run = &lineage.record;
     let most = if all_products { usize::MAX } else { FIRST };
     let sources = nodes.iter().filter(|node| node.is_source());
     Ok(Origin {
@@ -148,7 +147,7 @@ pub fn origin_of(
     })
 }
 
-fn step(store: &Store, node: &NodeLineage) -> Step {
+fn step(store: &Store, node: &RunNode) -> Step {
     let run = &node.run;
     let mut lost = Vec::new();
     if run.state.is_good() {
@@ -189,13 +188,13 @@ fn step(store: &Store, node: &NodeLineage) -> Step {
 }
 
 /// Returns what a source read: of all sols the numbers, and the first products.
-fn read_by(store: &Store, source: &NodeLineage, most: usize) -> Result<Products, LineageError> {
+fn read_by(store: &Store, source: &RunNode, most: usize) -> Result<Products, RunError> {
     let mut read = Products {
         node: source.run.name.clone(),
         photos: source.run.counts.get("photos").copied().unwrap_or(0),
         ..Products::default()
     };
-    let parts = unless_lost(parts(store, source))?.unwrap_or_default();
+    let parts = unless_lost(source.parts(store))?.unwrap_or_default();
     read.sols = parts.len();
     for part in &parts {
         if read.listed.len() >= most {

@@ -8,6 +8,7 @@ use marf_cache::{GcPlan, GcReport, Store};
 use marf_stage::LOCK_FILE;
 use marf_stages::PinnedProduct;
 
+use crate::choice::whole_run;
 use crate::context::Context;
 use crate::error::{Diagnostic, Error};
 use crate::files;
@@ -71,11 +72,11 @@ pub fn gc(context: &Context, store: &Store, request: &GcRequest) -> Result<GcRes
     Ok(GcResult { report, runs })
 }
 
-/// Keeps the results of a run whatever is collected, by default of the last one. Returns its number.
+/// Keeps the results of a run whatever is collected, by default of the newest whole one. Returns its number.
 ///
 /// # Errors
 /// A run that is not there, a name that is no word, a store that cannot be written.
-pub fn pin(store: &Store, name: &str, run: Option<u64>) -> Result<u64, Error> {
+pub fn pin(context: &Context, store: &Store, name: &str, run: Option<u64>) -> Result<u64, Error> {
     let numbers = store.run_numbers()?;
     let number = match run {
         Some(number) if numbers.contains(&number) => number,
@@ -84,9 +85,7 @@ pub fn pin(store: &Store, name: &str, run: Option<u64>) -> Result<u64, Error> {
                 Diagnostic::new(format!("there is no run {number}")).hint("`marf log` lists them"),
             ));
         }
-        None => *numbers
-            .last()
-            .ok_or_else(|| Error::failed("there is no run yet".to_owned()))?,
+        None => whole_run(context, store, None)?.number,
     };
     files::write(&pin_path(store, name)?, format!("{number}\n").as_bytes())?;
     Ok(number)

@@ -4,16 +4,17 @@ use std::sync::Arc;
 
 use marf_cache::{Digest, Store};
 use marf_config as config;
-use marf_engine::{Cancel, RunRecord};
+use marf_engine::Cancel;
 use marf_remote::{
     Checked, Collected, FsckOptions, GcOptions, Observer, Patience, Remote, RemoteError, RemoteRun, Traffic,
     in_words,
 };
 use serde::Serialize;
 
+use crate::choice::whole_run;
 use crate::context::{Context, Feedback};
 use crate::error::{Diagnostic, Error};
-use crate::session::{last_of, unnamed};
+use crate::session::unnamed;
 use crate::shared::remote_run;
 use crate::trust::trust;
 
@@ -88,15 +89,12 @@ impl<'a> SharedStore<'a> {
         self.remote.traffic()
     }
 
-    /// Sends a run of a store, by default the last one.
+    /// Sends a run of a store, by default the newest whole one.
     ///
     /// # Errors
     /// A run that is not there, a store that cannot be read or written.
     pub fn push(&self, store: &Store, number: Option<u64>) -> Result<PushResult, Error> {
-        let run = match number {
-            Some(number) => marf_engine::run_of(store, number)?,
-            None => last_run(self.context, store)?,
-        };
+        let run = whole_run(self.context, store, number)?;
         let sent = remote_run(store, &run)?;
         let pushed = self.remote.push(store, &sent, &self.transfer("push"))?;
         pushed
@@ -166,12 +164,6 @@ impl<'a> SharedStore<'a> {
             cancel: self.context.cancel.clone(),
         }
     }
-}
-
-fn last_run(context: &Context, store: &Store) -> Result<RunRecord, Error> {
-    let runs = marf_engine::runs(store, context.warnings())?;
-    let last = last_of(&runs).cloned();
-    last.ok_or_else(|| Error::Failed(Diagnostic::new("there is no run yet").hint("`marf run` makes one")))
 }
 
 /// Opens the shared store of this address, or else that of the pipeline.

@@ -2,14 +2,16 @@
 
 use std::path::{Path, PathBuf};
 
-use marf_cache::{Digest, Store};
+use marf_cache::Digest;
 use marf_export::dsse::Envelope;
-use marf_export::{Node, Run, statement_on_node, statement_on_run, subjects_of};
+use marf_export::{statement_on_node, statement_on_run, subjects_of};
+use marf_model::{Run, RunNode};
 
-use super::handed;
+use crate::choice::whole_run;
 use crate::context::Context;
 use crate::copies::object_of;
 use crate::error::{Diagnostic, Error};
+use crate::outputs::file_name;
 use crate::trust::signing_key;
 
 /// A result to sign for.
@@ -39,10 +41,10 @@ pub struct Attestation {
 pub fn attest(context: &Context, request: &AttestRequest) -> Result<Attestation, Error> {
     let key = signing_key(&request.key)?;
     let store = context.existing_store()?;
-    let handed = handed::load(&store, request.run)?;
+    let run = Run::new(&store, whole_run(context, &store, request.run)?)?;
     let statement = match &request.subject {
-        None => on_run(&handed, &store)?,
-        Some(subject) => on_result(&handed, &store, subject)?,
+        None => on_run(&run)?,
+        Some(subject) => on_result(&run, subject)?,
     };
     Ok(Attestation {
         envelope: Envelope::sign(&statement, &key).encode(),
@@ -51,40 +53,38 @@ pub fn attest(context: &Context, request: &AttestRequest) -> Result<Attestation,
 }
 
 /// Returns the statement on all results of the nodes that the pipeline names.
-fn on_run(handed: &Run, store: &Store) -> Result<Vec<u8>, Error> {
-    let nodes = handed.nodes.iter().filter(|node| node.parent.is_none());
-    let read = handed::reader(store);
-    let subjects = subjects_of(nodes.flat_map(results), &read)?;
-    Ok(statement_on_run(handed, &subjects, &read)?)
+fn on_run(run: &Run<'_>) -> Result<Vec<u8>, Error> {
+    let nodes = run.nodes.iter().filter(|node| !node.is_child());
+    let subjects = subjects_of(run, nodes.flat_map(results))?;
+    Ok(statement_on_run(run, &subjects)?)
 }
 
 /// Returns the statement on all results of a node, or on the one that a file holds.
-fn on_result(handed: &Run, store: &Store, subject: &str) -> Result<Vec<u8>, Error> {
-    let read = handed::reader(store);
-    if let Ok(node) = handed.node(subject) {
-        let subjects = subjects_of(results(node), &read)?;
-        return Ok(statement_on_node(handed, node, &subjects, &read)?);
+fn on_result(run: &Run<'_>, subject: &str) -> Result<Vec<u8>, Error> {
+    if let Some(node) = run.node(subject) {
+        let subjects = subjects_of(run, results(node))?;
+        return Ok(statement_on_node(run, node, &subjects)?);
     }
     let bytes = std::fs::read(Path::new(subject)).map_err(|error| {
         let message = format!("`{subject}` is no node of the run, and no file that can be read: {error}");
         Error::Usage(Diagnostic::new(message).hint("`marf status` lists the nodes"))
     })?;
     let digest = Digest::of(&object_of(bytes));
-    let made_it = |node: &&Node| node.outputs.values().any(|output| output.digest == digest);
-    let node = handed.nodes.iter().find(made_it).ok_or_else(|| {
-        let message = format!("{subject} holds no result of run {}", handed.id);
+    let made_it = |node: &&RunNode| node.run.outputs.values().any(|output| output.digest == digest);
+    let node = run.nodes.iter().find(made_it).ok_or_else(|| {
+        let message = format!("{subject} holds no result of run {}", run.record.id);
         Error::Failed(Diagnostic::new(message).hint("name another run with --run; `marf log` lists them"))
     })?;
     let wanted = results(node).filter(|(_, found)| *found == digest).take(1);
-    let subjects = subjects_of(wanted, &read)?;
-    Ok(statement_on_node(handed, node, &subjects, &read)?)
+    let subjects = subjects_of(run, wanted)?;
+    Ok(statement_on_node(run, node, &subjects)?)
 }
 
 /// Returns the results of a node by name.
-fn results(node: &Node) -> impl Iterator<Item = (String, Digest)> {
-    let outputs = node.outputs.iter();
+fn results(node: &RunNode) -> impl Iterator<Item = (String, Digest)> {
+    let outputs = node.run.outputs.iter();
     outputs.map(|(name, output)| {
-        let file = output.file.as_ref().unwrap_or(name);
-        (format!("{}/{file}", node.name), output.digest)
+        let file = file_name(name).unwrap_or(name);
+        (format!("{}/{file}", node.run.name), output.digest)
     })
 }

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use marf_cache::Digest;
-use marf_engine::NodeRun;
+use marf_engine::{NodeRun, Purpose};
 use marf_scene::Scene;
 use marf_schema::cameras::CamerasParams;
 use marf_schema::output::{CAMERAS, POINTS, SCENE, SPARSE};
@@ -11,8 +11,9 @@ use marf_stage::Params;
 use serde::Serialize;
 use serde_json::json;
 
+use crate::choice::RunChoice;
 use crate::context::Context;
-use crate::derived::{AddedNode, DerivedRun, run_nodes, run_with};
+use crate::derived::{AddedNode, DerivedRun, run_nodes};
 use crate::error::Error;
 use crate::outputs;
 use crate::session::{digest, node_named};
@@ -54,14 +55,20 @@ pub struct CamerasResult {
 /// A run without the node, a place that cannot be written.
 pub fn export(context: &Context, request: &CamerasRequest) -> Result<CamerasResult, Error> {
     let store = context.existing_store()?;
-    let run = run_with(context, &store, request.run, &request.node)?;
+    let run = RunChoice::new(context, &store, request.run)?.with_result(&request.node)?;
     let scene = Scene::decode(&store.get(&digest(node_named(&run, &request.node)?, SCENE)?)?);
     let scene = scene.map_err(|error| Error::failed(error.to_string()))?;
     let added = AddedNode {
         name: format!("cameras-of-{}", request.node),
         table: json!({"uses": CamerasParams::STAGE, "input": request.node, "undistort": request.undistort}),
     };
-    let DerivedRun { session, record } = run_nodes(context, store, &run, std::slice::from_ref(&added))?;
+    let DerivedRun { session, record } = run_nodes(
+        context,
+        store,
+        &run,
+        Purpose::Export,
+        std::slice::from_ref(&added),
+    )?;
     let all = CameraFiles::from_node(node_named(&record, &added.name)?);
     for (file, digest) in all.models.iter().chain(&all.photos) {
         session.check()?;

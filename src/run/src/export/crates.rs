@@ -3,11 +3,13 @@
 use std::path::PathBuf;
 
 use marf_export::{CrateOptions, Data, Photos, write_crate};
+use marf_model::Run;
 use serde::Serialize;
 
-use super::handed;
+use crate::choice::whole_run;
 use crate::context::Context;
 use crate::error::Error;
+use crate::outputs::file_name;
 use crate::trust::signing_key;
 
 /// A run to export.
@@ -55,18 +57,19 @@ pub struct CrateResult {
 pub fn export(context: &Context, request: &CrateRequest) -> Result<CrateResult, Error> {
     let key = request.key.as_deref().map(signing_key).transpose()?;
     let store = context.existing_store()?;
-    let handed = handed::load(&store, request.run)?;
+    let run = Run::new(&store, whole_run(context, &store, request.run)?)?;
     let options = CrateOptions {
         data: request.data,
         photos: request.photos.clone(),
+        file_name,
         license: request.license.as_deref(),
         key: key.as_ref(),
     };
-    let written = write_crate(&handed, &handed::reader(&store), &options, &request.dir)?;
+    let written = write_crate(&run, &options, &request.dir)?;
     Ok(CrateResult {
         dir: request.dir.clone(),
-        run: handed.id.to_string(),
-        pipeline: handed.pipeline.clone(),
+        run: run.record.id.clone(),
+        pipeline: run.record.pipeline.clone(),
         files: written.files,
         bytes: written.bytes,
         named: written.named,

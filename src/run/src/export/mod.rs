@@ -3,7 +3,6 @@
 mod attest;
 pub mod cameras;
 mod crates;
-mod handed;
 mod surface;
 mod verify;
 

@@ -3,15 +3,17 @@
 use std::path::{Path, PathBuf};
 
 use marf_cache::Store;
-use marf_engine::{NodeRun, RunRecord};
-use marf_schema::output::{DEPTH, MESH_GLB, MESH_PLY, POINTS, SPLAT_VIEWS, SPLATS, SURFACE_MAPS};
+use marf_engine::{NodeRun, Purpose, RunRecord};
+use marf_model::select;
+use marf_schema::output::{DEPTH, MESH_GLB, MESH_PLY, POINTS, SPLAT_VIEWS, SPLATS, SURFACE_MAPS, WEIGHTS};
 use marf_schema::surface::{ColorBy, SurfaceParams, SurfaceReport};
 use marf_stage::Params;
 use serde::Serialize;
 use serde_json::{Map, Value, json};
 
+use crate::choice::{RunChoice, has_result, without};
 use crate::context::Context;
-use crate::derived::{AddedNode, DerivedRun, run_nodes, run_where, run_with, without};
+use crate::derived::{AddedNode, DerivedRun, run_nodes};
 use crate::error::{Diagnostic, Error};
 use crate::field_file::{FieldMaker, made_by};
 use crate::outputs;
@@ -93,7 +95,13 @@ pub fn export(context: &Context, request: &SurfaceRequest) -> Result<SurfaceResu
         name: format!("surface-of-{trained}"),
         table: table(request, &run, &trained),
     };
-    let DerivedRun { session, record } = run_nodes(context, store, &run, std::slice::from_ref(&added))?;
+    let DerivedRun { session, record } = run_nodes(
+        context,
+        store,
+        &run,
+        Purpose::Export,
+        std::slice::from_ref(&added),
+    )?;
     let node = node_named(&record, &added.name)?;
     let surface: SurfaceReport = session.document(node)?;
     has_map(kind, &surface)?;
@@ -134,18 +142,35 @@ fn has_map(kind: SurfaceKind, report: &SurfaceReport) -> Result<(), Error> {
 
 /// Returns the node whose field is exported, and a run that has it.
 fn trained(context: &Context, store: &Store, request: &SurfaceRequest) -> Result<(String, RunRecord), Error> {
-    let Some(file) = &request.field else {
-        let run = run_with(context, store, request.run, &request.node)?;
-        return Ok((request.node.clone(), run));
-    };
-    let FieldMaker { node, runs } = made_by(context, store, file, request.run)?;
-    // A run that has retrained it tells more than one that reused it.
-    let has = |run: &RunRecord| runs.contains(&run.number);
-    let retrained = |run: &RunRecord| has(run) && bootstraps_of(run, &node).any(|node| node.state.is_good());
-    let missing = |run: &RunRecord| without(run, &node);
-    let run = run_where(context, store, request.run, retrained, missing)
-        .or_else(|_| run_where(context, store, request.run, has, missing))?;
-    Ok((node, run))
+    let retrained = |run: &RunRecord, node: &str| bootstraps_of(run, node).any(|node| node.state.is_good());
+    if let Some(file) = &request.field {
+        let FieldMaker { node, runs } = made_by(context, store, file, request.run)?;
+        // A run that has retrained it tells more than one that reused it.
+        let has = |run: &RunRecord| runs.contains(&run.number);
+        let both = |run: &RunRecord| has(run) && retrained(run, &node);
+        let missing = |run: &RunRecord| without(run, &node);
+        let choice = RunChoice::any(context, store, request.run);
+        let run = choice.newest_with(both, missing);
+        let run = run.or_else(|_| choice.newest_with(has, missing))?;
+        return Ok((node, run));
+    }
+    let node = request.node.clone();
+    let choice = RunChoice::new(context, store, request.run)?;
+    let run = choice.with_result(&node)?;
+    if request.run.is_some() || !has_members(request.kind) || retrained(&run, &node) {
+        return Ok((node, run));
+    }
+    // Uncertainty needs a bootstrap. The one of an older field is only taken where uncertainty is asked for.
+    let weights = |run: &RunRecord| Some(run.node(&node)?.outputs.get(WEIGHTS)?.digest);
+    let is_same = |other: &RunRecord| request.color != ColorBy::default() || weights(other) == weights(&run);
+    let both = |run: &RunRecord| has_result(run, &node) && is_same(run) && retrained(run, &node);
+    let with_members = select::newest_with(store, &choice.subject, context.warnings(), both)?;
+    Ok((node, with_members.unwrap_or(run)))
+}
+
+/// Returns whether an export shows how far the retrainings of a bootstrap differ.
+fn has_members(kind: SurfaceKind) -> bool {
+    matches!(kind, SurfaceKind::Mesh | SurfaceKind::Points)
 }
 
 /// Refuses an ending that says something else than what is written.
@@ -191,8 +216,7 @@ fn table(request: &SurfaceRequest, run: &RunRecord, trained: &str) -> Value {
         .least_photos
         .or((kind == SurfaceKind::Splats).then_some(1));
     let count = least_photos.map(|count| ("least_photos", json!(count)));
-    let has_members = matches!(kind, SurfaceKind::Mesh | SurfaceKind::Points);
-    let members = bootstraps_of(run, trained).find(|node| has_members && node.state.is_good());
+    let members = bootstraps_of(run, trained).find(|node| has_members(kind) && node.state.is_good());
     let members = members.map(|node| ("members", json!(node.name)));
     let color = (request.color != ColorBy::default()).then_some(("color", json!(request.color)));
     let depth = (kind == SurfaceKind::Depth).then_some(("depth", json!(true)));

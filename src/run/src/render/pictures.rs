@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use marf_cache::{Digest, Store};
-use marf_engine::{NodeRun, RunRecord};
+use marf_engine::{NodeRun, Purpose, RunRecord};
 use marf_scene::Scene;
 use marf_schema::output::{
     DEPTH, DEPTH_PREVIEW, FRAMES, SCENE, UNCERTAINTY, UNCERTAINTY_PREVIEW, VIDEO, WEIGHTS,
@@ -17,8 +17,9 @@ use serde_json::{Map, Value, json};
 
 use super::path::{self, CameraPath};
 use super::size::SizeRequest;
+use crate::choice::{RunChoice, has_result, without};
 use crate::context::Context;
-use crate::derived::{AddedNode, DerivedRun, run_nodes, run_where, without};
+use crate::derived::{AddedNode, DerivedRun, run_nodes};
 use crate::error::{Diagnostic, Error};
 use crate::export_table::ExportTable;
 use crate::field_file::{self, FieldMaker};
@@ -97,7 +98,11 @@ pub fn render(context: &Context, request: &RenderRequest) -> Result<RenderResult
             runs: Vec::new(),
         },
     };
-    let run = run_of(context, &store, request, &field)?;
+    let choice = match &request.field {
+        Some(_) => RunChoice::any(context, &store, request.run),
+        None => RunChoice::new(context, &store, request.run)?,
+    };
+    let run = run_of(&choice, request, &field)?;
     let trained = &field.node;
     let scene = scene_of(&store, &run, trained)?;
     if let Some(other) = bookmarks.of_other_scene(&digest(node_named(&run, trained)?, SCENE)?) {
@@ -113,7 +118,7 @@ pub fn render(context: &Context, request: &RenderRequest) -> Result<RenderResult
         name: film.clone(),
         table: film_table(request, &pictures),
     }));
-    let DerivedRun { session, record } = run_nodes(context, store, &run, &nodes)?;
+    let DerivedRun { session, record } = run_nodes(context, store, &run, Purpose::Render, &nodes)?;
     let node = node_named(&record, &pictures)?;
     let film = path.has_film().then(|| node_named(&record, &film)).transpose()?;
     let files = write(&session, &record, node, film, &request.out)?;
@@ -131,25 +136,16 @@ pub fn render(context: &Context, request: &RenderRequest) -> Result<RenderResult
 }
 
 /// Returns the run whose field is rendered, one of some if there are any, with a bootstrap of it if its uncertainty is asked for.
-fn run_of(
-    context: &Context,
-    store: &Store,
-    request: &RenderRequest,
-    field: &FieldMaker,
-) -> Result<RunRecord, Error> {
+fn run_of(choice: &RunChoice<'_>, request: &RenderRequest, field: &FieldMaker) -> Result<RunRecord, Error> {
     let (trained, runs) = (field.node.as_str(), &field.runs);
-    let has_field = |run: &RunRecord| {
-        let is_trained = run.node(trained).is_some_and(|node| node.state.is_good());
-        is_trained && (runs.is_empty() || runs.contains(&run.number))
-    };
-    let run = run_where(context, store, request.run, has_field, |run| {
-        without(run, trained)
-    })?;
+    let has_field =
+        |run: &RunRecord| has_result(run, trained) && (runs.is_empty() || runs.contains(&run.number));
+    let run = choice.newest_with(has_field, |run| without(run, trained))?;
     if !request.outputs.contains(&Layer::Uncertainty) {
         return Ok(run);
     }
     let has = |run: &RunRecord| has_field(run) && bootstrap_of(run, trained).is_some();
-    run_where(context, store, request.run, has, |run| {
+    choice.newest_with(has, |run| {
         let message = format!(
             "run {} has no bootstrap of `{trained}`, and the uncertainty is how far its retrainings differ",
             run.number

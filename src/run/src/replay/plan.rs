@@ -4,9 +4,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use marf_cache::{Digest, Store};
-use marf_engine::{Graph, RunRecord};
+use marf_engine::{Graph, RunRecord, RunSource};
 use marf_field::Device;
-use marf_provenance::lineage::{Lineage, NodeLineage};
+use marf_model::{Run, RunNode};
 use marf_provenance::replay::{NotMade, copy_archive, copy_record, copy_result, recorded};
 use marf_schema::train::{Metrics, Setup, TrainParams};
 use marf_stage::{Document, EARLIER, Params};
@@ -31,8 +31,8 @@ pub struct Plan {
 ///
 /// # Errors
 /// What is needed and not in the store any more, a pipeline that this program does not read.
-pub fn plan(lineage: &Lineage<'_>, nodes: &[&NodeLineage], scratch: &Store) -> Result<Plan, Error> {
-    let mut tree = resolved(lineage.store(), &lineage.run)?;
+pub fn plan(lineage: &Run<'_>, nodes: &[&RunNode], scratch: &Store) -> Result<Plan, Error> {
+    let mut tree = resolved(lineage.store(), &lineage.record)?;
     let mut options = GlobalOptions::default();
     for source in nodes
         .iter()
@@ -62,10 +62,10 @@ pub fn plan(lineage: &Lineage<'_>, nodes: &[&NodeLineage], scratch: &Store) -> R
     let pipeline = check_tree(&tree, &options, Path::new("")).map_err(|error| {
         Error::failed(format!(
             "the pipeline of run {}: {}",
-            lineage.run.number, error.message
+            lineage.record.number, error.message
         ))
     })?;
-    let is_made = |node: &&&NodeLineage| {
+    let is_made = |node: &&&RunNode| {
         !node.is_child() && node.run.state.is_good() && !not_made.contains_key(&node.run.name)
     };
     Ok(Plan {
@@ -80,7 +80,7 @@ pub fn plan(lineage: &Lineage<'_>, nodes: &[&NodeLineage], scratch: &Store) -> R
 }
 
 /// Returns the nodes that ran on a GPU that is not here, and those that need them, with the reason.
-fn on_other_devices(nodes: &[&NodeLineage]) -> BTreeMap<String, NotMade> {
+fn on_other_devices(nodes: &[&RunNode]) -> BTreeMap<String, NotMade> {
     let mut not_made = BTreeMap::new();
     let mut here: Option<Option<String>> = None;
     for node in nodes {
@@ -117,7 +117,7 @@ fn on_other_devices(nodes: &[&NodeLineage]) -> BTreeMap<String, NotMade> {
 }
 
 /// Puts the parameters of a training by the clock in its place that repeat it, the schedule that it ran; returns whether it was one.
-fn repeat(tree: &mut Value, store: &Store, node: &NodeLineage) -> Result<bool, Error> {
+fn repeat(tree: &mut Value, store: &Store, node: &RunNode) -> Result<bool, Error> {
     let Some(repeating) = repeating(store, node)? else {
         return Ok(false);
     };
@@ -132,7 +132,7 @@ fn repeat(tree: &mut Value, store: &Store, node: &NodeLineage) -> Result<bool, E
 }
 
 /// Returns the keys that repeat a training by the clock; none for all other nodes.
-fn repeating(store: &Store, node: &NodeLineage) -> Result<Option<Value>, Error> {
+fn repeating(store: &Store, node: &RunNode) -> Result<Option<Value>, Error> {
     let Some(setup) = node.run.outputs.get(Setup::OUTPUT) else {
         return Ok(None);
     };
@@ -161,8 +161,8 @@ fn repeating(store: &Store, node: &NodeLineage) -> Result<Option<Value>, Error> 
 
 /// Takes over the results of nodes that are declared to vary: what follows from them is then made from the same.
 fn take_over(
-    lineage: &Lineage<'_>,
-    nodes: &[&NodeLineage],
+    lineage: &Run<'_>,
+    nodes: &[&RunNode],
     scratch: &Store,
     not_made: &mut BTreeMap<String, NotMade>,
 ) -> Result<(), Error> {
@@ -180,7 +180,7 @@ fn take_over(
 }
 
 /// Returns why the results of a node may differ from run to run, if its stage says so and nothing repeats it.
-fn varies(node: &NodeLineage) -> Option<&'static str> {
+fn varies(node: &RunNode) -> Option<&'static str> {
     let def = marf_stages::stages()
         .iter()
         .find(|def| def.name == node.run.stage)?;
@@ -195,8 +195,8 @@ fn varies(node: &NodeLineage) -> Option<&'static str> {
 /// A node whose parameters are other ones now, as it is `repeated`, goes on from the result of the run before, as any node does
 /// whose parameters changed.
 fn continue_from(
-    lineage: &Lineage<'_>,
-    nodes: &[&NodeLineage],
+    lineage: &Run<'_>,
+    nodes: &[&RunNode],
     repeated: &BTreeSet<&str>,
     scratch: &Store,
 ) -> Result<(), Error> {
@@ -238,7 +238,8 @@ fn continue_from(
         nodes: Vec::new(),
         documents: BTreeMap::new(),
         latest,
-        ..lineage.run.clone()
+        source: RunSource::default(),
+        ..lineage.record.clone()
     };
     known.store(scratch, |_| {})?;
     Ok(())

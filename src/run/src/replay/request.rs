@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use marf_cache::Store;
 use marf_engine::{Options, Outcome};
-use marf_provenance::lineage::Lineage;
+use marf_model::Run;
 use marf_provenance::replay::{NotMade, Replayed, compare};
 use serde::Serialize;
 
@@ -41,7 +41,7 @@ pub struct ReplayReport {
 pub fn replay(context: &Context, request: &ReplayRequest) -> Result<ReplayReport, Error> {
     let store = context.existing_store()?;
     let Target { run, node } = target(context, &store, request.what.as_deref())?;
-    let lineage = Lineage::of(&store, run)?;
+    let lineage = Run::new(&store, run)?;
     let nodes = match &node {
         Some(node) => lineage.upstream(node),
         None => lineage.nodes.iter().collect(),
@@ -58,8 +58,8 @@ pub fn replay(context: &Context, request: &ReplayRequest) -> Result<ReplayReport
     let options = Options {
         threads: context.threads,
         to,
-        pipeline: lineage.run.pipeline.clone(),
-        command: format!("replay of run {}", lineage.run.number),
+        pipeline: lineage.record.pipeline.clone(),
+        command: format!("replay of run {}", lineage.record.number),
         program: program::PROGRAM.to_owned(),
         ..Options::default()
     };
@@ -68,11 +68,12 @@ pub fn replay(context: &Context, request: &ReplayRequest) -> Result<ReplayReport
     if record.outcome == Outcome::Cancelled {
         return Err(Error::Interrupted);
     }
-    let replayed = compare(&lineage, &nodes, (&record, &scratch), &not_made)?;
+    let replay = Run::new(&scratch, record)?;
+    let replayed = compare(&lineage, &nodes, &replay, &not_made)?;
     scratch.take_warnings().into_iter().for_each(context.warnings());
     Ok(ReplayReport {
-        run: lineage.run.number,
-        threads: record.threads,
+        run: lineage.record.number,
+        threads: replay.record.threads,
         nodes: replayed,
     })
 }

@@ -6,9 +6,9 @@ use marf_cache::Store;
 use marf_engine::{RunRecord, run_of};
 
 use crate::audit::identity::identify;
+use crate::choice::whole_run;
 use crate::context::Context;
 use crate::error::{Answer, Diagnostic, Error};
-use crate::session::last_of;
 
 /// A run, and the node that is wanted of it; none for all.
 pub struct Target {
@@ -26,19 +26,13 @@ pub fn target(context: &Context, store: &Store, what: Option<&str>) -> Result<Ta
         let run = run_of(store, number)?;
         return Ok(Target { run, node: None });
     }
-    let runs = marf_engine::runs(store, context.warnings())?;
-    let last = || {
-        last_of(&runs)
-            .cloned()
-            .ok_or_else(|| Error::failed("there is no run yet".to_owned()))
-    };
+    let last = whole_run(context, store, None)?;
     let Some(what) = what else {
         return Ok(Target {
-            run: last()?,
+            run: last,
             node: None,
         });
     };
-    let last = last()?;
     if last.node(what).is_some() {
         let node = Some(what.to_owned());
         return Ok(Target { run: last, node });
@@ -53,6 +47,7 @@ pub fn target(context: &Context, store: &Store, what: Option<&str>) -> Result<Ta
         )));
     }
     let bytes = std::fs::read(path).map_err(|error| Error::failed(format!("cannot read {what}: {error}")))?;
+    let runs = marf_engine::runs(store, context.warnings())?;
     let identity = identify(store, &runs, &bytes)?;
     let Some(maker) = identity.makers().first() else {
         let diagnostic = Diagnostic::new(format!("{what} was not made by a run of this store"));

@@ -3,6 +3,7 @@
 use std::cell::RefCell;
 use std::path::{Path, PathBuf};
 
+use marf_engine::Purpose;
 use marf_report::trade::Point;
 use marf_schema::calibrate::CalibrateParams;
 use marf_schema::train::{Metrics, TrainParams};
@@ -12,7 +13,7 @@ use serde_json::Value;
 use super::truth::Truth;
 use crate::context::Context;
 use crate::error::{Diagnostic, Error};
-use crate::session::{Session, TRADES};
+use crate::session::Session;
 use crate::{folder, scenes};
 
 /// What all points share: the pipeline as it is.
@@ -97,10 +98,10 @@ fn open(context: &Context, dir: Option<&Path>, sets: &[String]) -> Result<Sessio
         ..context.clone()
     };
     let mut session = match dir {
-        Some(dir) => Session::implicit(&folder::training("trade", dir), &context)?,
+        Some(dir) => Session::implicit(&context, &folder::training("trade", dir), "trade", dir)?,
         None => Session::open(&context)?,
     };
-    session.name.push_str(TRADES);
+    session.source = session.derived_source(Purpose::Trade)?;
     Ok(session)
 }
 

@@ -13,7 +13,7 @@ use super::truth::Truth;
 use crate::context::Context;
 use crate::error::Error;
 use crate::execute::{Extras, execute_with, options};
-use crate::session::{Session, TRADES};
+use crate::session::Session;
 use crate::{documents, files, program, report};
 
 /// A trade to measure.
@@ -74,8 +74,7 @@ pub fn trade(context: &Context, request: &TradeRequest) -> Result<Trade, Error> 
             .note(&format!("point {index} of {count}: {}", point.name()));
         measure(&base, point, if index < with_seeds { request.seeds } else { 1 })?;
     }
-    let pipeline = session.name.trim_end_matches(TRADES);
-    let trade = figures(pipeline, &machine(context), program::PROGRAM, points);
+    let trade = figures(&session.name, &machine(context), program::PROGRAM, points);
     write(&session, &base, &trade, &request.out)?;
     Ok(trade)
 }

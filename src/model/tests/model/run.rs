@@ -1,15 +1,15 @@
 use marf_engine::OutputName;
-use marf_provenance::{
-    lineage::Lineage,
-    product::{origins, parts, products},
+use marf_model::{
+    Run,
+    product::{origins, products},
 };
 
 use super::common::{Pipeline, fresh_store, ids, picture};
 
 /// `input of node = output of node`, for all nodes.
-fn inputs(lineage: &Lineage<'_>) -> Vec<String> {
+fn inputs(run: &Run<'_>) -> Vec<String> {
     let mut lines = Vec::new();
-    for node in &lineage.nodes {
+    for node in &run.nodes {
         for (name, input) in &node.run.inputs {
             let maker = |made_by: &OutputName| format!("{} {}", made_by.node, made_by.output);
             let made_by = input.made_by.as_ref().map_or("archive".to_owned(), maker);
@@ -25,7 +25,7 @@ fn a_run_leads_from_every_node_to_the_outputs_it_read() {
     let first = Pipeline::default().run(&store);
     let second = Pipeline::default().run(&store);
     for run in [first, second] {
-        let lineage = Lineage::open(&store, run.number).unwrap();
+        let lineage = Run::open(&store, run.number).unwrap();
         assert_eq!(
             inputs(&lineage),
             [
@@ -63,7 +63,7 @@ fn a_run_leads_from_every_node_to_the_outputs_it_read() {
 fn upstream_are_the_makers_of_inputs_and_their_children() {
     let (_dir, store) = fresh_store();
     let run = Pipeline::default().run(&store);
-    let lineage = Lineage::of(&store, run).unwrap();
+    let lineage = Run::new(&store, run).unwrap();
     let names = |of: &str| -> Vec<String> {
         lineage
             .upstream(of)
@@ -86,8 +86,8 @@ fn upstream_are_the_makers_of_inputs_and_their_children() {
 #[test]
 fn products_name_the_bytes_and_where_they_came_from() {
     let (_dir, store) = fresh_store();
-    let lineage = Lineage::of(&store, Pipeline::default().run(&store)).unwrap();
-    let parts = parts(&store, lineage.node("archive").unwrap()).unwrap();
+    let lineage = Run::new(&store, Pipeline::default().run(&store)).unwrap();
+    let parts = lineage.node("archive").unwrap().parts(&store).unwrap();
     assert_eq!(parts.iter().map(|part| part.shard).collect::<Vec<_>>(), [1, 2]);
     let products = products(&store, &parts[1]).unwrap();
     assert_eq!(
@@ -102,26 +102,4 @@ fn products_name_the_bytes_and_where_they_came_from() {
     assert_eq!(origin.sha256, Some(marf_cache::Sha256::of(&picture("a2"))));
     assert_eq!(*store.get(&products[0].blobs["image"]).unwrap(), *picture("a2"));
     assert_eq!(origins(&store, &parts[0]).unwrap().len(), 3);
-}
-
-/// Runs of the form before hold no inputs; they are found in the actions.
-#[test]
-fn an_older_run_root_is_read_with_its_inputs() {
-    let (dir, store) = fresh_store();
-    let run = Pipeline::default().run(&store);
-    let whole = Lineage::open(&store, run.number).unwrap();
-    let mut json: serde_json::Value = serde_json::from_slice(&store.run(run.number).unwrap()).unwrap();
-    json["format"] = 2.into();
-    let nodes = json["nodes"].as_array_mut().unwrap();
-    for node in nodes {
-        for key in ["inputs", "started_unix_s"] {
-            node.as_object_mut().unwrap().remove(key).unwrap();
-        }
-    }
-    json.as_object_mut().unwrap().remove("documents");
-    let number = store.put_run(json.to_string().as_bytes()).unwrap();
-    let old = Lineage::open(&store, number).unwrap();
-    assert_eq!(inputs(&old), inputs(&whole));
-    assert_eq!(old.run.documents.len(), 0);
-    drop(dir);
 }

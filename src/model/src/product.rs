@@ -8,7 +8,7 @@ use marf_cache::{
 };
 use marf_stage::{Origin, PHOTOS};
 
-use crate::{LineageError, lineage::NodeLineage};
+use crate::error::RunError;
 
 /// The part of a source that read one sol.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -30,28 +30,15 @@ pub struct Product {
     pub blobs: BTreeMap<String, Digest>,
     /// What later stages know of it, as JSON (`marf_scene::PhotoFacts`).
     pub facts: serde_json::Value,
-    /// The files that its blobs are, by role; a blob that was made of another has none. Empty for what an earlier version
-    /// read, which did not note them.
+    /// The files that its blobs are, by role. A blob that was made of another has none.
     pub origins: BTreeMap<String, Origin>,
-}
-
-/// Returns the parts of a source, by sol.
-///
-/// # Errors
-/// A record that is lost, or a store that cannot be read.
-pub fn parts(store: &Store, source: &NodeLineage) -> Result<Vec<SourcePart>, LineageError> {
-    let record = source.record.as_ref().ok_or_else(|| LineageError::NoRecord {
-        of: format!("`{}`", source.run.name),
-        key: source.run.key.unwrap_or_else(|| Digest::of(&[])),
-    })?;
-    parts_of(store, record)
 }
 
 /// Returns the parts of a record, by sol; of a node that is no source they are its own work on each sol.
 ///
 /// # Errors
 /// A list of parts that is lost, or a store that cannot be read.
-pub fn parts_of(store: &Store, record: &Record) -> Result<Vec<SourcePart>, LineageError> {
+pub fn parts_of(store: &Store, record: &Record) -> Result<Vec<SourcePart>, RunError> {
     let Some(parts) = record.parts else {
         return Ok(Vec::new());
     };
@@ -66,18 +53,18 @@ pub fn parts_of(store: &Store, record: &Record) -> Result<Vec<SourcePart>, Linea
 ///
 /// # Errors
 /// A block that is lost, or a store that cannot be read.
-pub fn set(store: &Store, root: &Digest) -> Result<Root, LineageError> {
+pub fn set(store: &Store, root: &Digest) -> Result<Root, RunError> {
     Root::read(root, |digest| Ok(store.get(digest)?))
 }
 
-/// Returns the files that a part of a source met; none for what an earlier version read.
+/// Returns the files that a part of a source met; none of a part that notes none.
 ///
 /// # Errors
 /// A record or list that is lost, or a store that cannot be read.
-pub fn origins(store: &Store, part: &SourcePart) -> Result<Vec<Origin>, LineageError> {
+pub fn origins(store: &Store, part: &SourcePart) -> Result<Vec<Origin>, RunError> {
     match record_of(store, part)?.origins {
         None => Ok(Vec::new()),
-        Some(list) => Origin::decode(&store.get(&list)?).map_err(|error| LineageError::Malformed {
+        Some(list) => Origin::decode(&store.get(&list)?).map_err(|error| RunError::Malformed {
             what: format!("the list of files of sol {}", part.shard),
             message: error.to_string(),
         }),
@@ -88,7 +75,7 @@ pub fn origins(store: &Store, part: &SourcePart) -> Result<Vec<Origin>, LineageE
 ///
 /// # Errors
 /// A record or leaf that is lost, or a store that cannot be read.
-pub fn products(store: &Store, part: &SourcePart) -> Result<Vec<Product>, LineageError> {
+pub fn products(store: &Store, part: &SourcePart) -> Result<Vec<Product>, RunError> {
     let record = record_of(store, part)?;
     let by_digest: BTreeMap<Digest, Origin> = origins(store, part)?
         .into_iter()
@@ -98,11 +85,12 @@ pub fn products(store: &Store, part: &SourcePart) -> Result<Vec<Product>, Lineag
     let mut products = Vec::new();
     for leaf in leaves(store, &record)? {
         for row in Leaf::decode(&store.get(&leaf.leaf)?)?.rows {
-            let of =
-                |(role, digest): (&String, &Digest)| Some((role.clone(), by_digest.get(digest)?.clone()));
+            let blobs = row.blobs.iter();
+            let origins =
+                blobs.filter_map(|(role, digest)| Some((role.clone(), by_digest.get(digest)?.clone())));
             products.push(Product {
                 shard: part.shard,
-                origins: row.blobs.iter().filter_map(of).collect(),
+                origins: origins.collect(),
                 id: row.id,
                 blobs: row.blobs,
                 facts: row.facts,
@@ -113,16 +101,16 @@ pub fn products(store: &Store, part: &SourcePart) -> Result<Vec<Product>, Lineag
 }
 
 /// Returns the leaves of the photos of a part.
-fn leaves(store: &Store, record: &Record) -> Result<Vec<LeafRef>, LineageError> {
+fn leaves(store: &Store, record: &Record) -> Result<Vec<LeafRef>, RunError> {
     match record.outputs.get(PHOTOS) {
         None => Ok(Vec::new()),
         Some(photos) => Ok(Root::decode_leaves(&store.get(&photos.digest)?)?),
     }
 }
 
-fn record_of(store: &Store, part: &SourcePart) -> Result<Record, LineageError> {
-    store.record(&part.key)?.ok_or_else(|| LineageError::NoRecord {
-        of: format!("sol {}", part.shard),
+fn record_of(store: &Store, part: &SourcePart) -> Result<Record, RunError> {
+    store.record(&part.key)?.ok_or_else(|| RunError::NoRecord {
+        what: format!("sol {}", part.shard),
         key: part.key,
     })
 }

@@ -1,0 +1,56 @@
+//! Files of a crate: path, name, bytes and purpose.
+
+use marf_cache::Digest;
+
+/// Folder of the payload for objects under the names of their digests.
+pub const OBJECTS: &str = "objects/";
+/// The run root.
+pub const RUN_ROOT: &str = "run.json";
+/// Folder of the actions, one file a key.
+pub const ACTIONS: &str = "actions/";
+
+/// Of which photos the bytes and every verdict go along.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Photos {
+    /// The bytes of all, and no lineage photo by photo.
+    All,
+    /// These, by id, with their lineage photo by photo.
+    Chosen(Vec<String>),
+}
+
+/// Where the bytes of a file come from.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Content {
+    /// An object of the store.
+    Object(Digest),
+    /// These bytes.
+    Bytes(Vec<u8>),
+}
+
+/// What a file is for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Purpose {
+    /// It tells what happened; it is always there.
+    Record,
+    /// It went in or came out; a crate without data names it only.
+    Data,
+}
+
+/// A file of the payload that the graph describes.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct File {
+    /// Its path in the payload.
+    pub path: String,
+    /// What it is called, for people.
+    pub name: String,
+    /// Its bytes.
+    pub content: Content,
+    /// What it is for.
+    pub purpose: Purpose,
+}
+
+/// Tells whether a text is a path or identifier that is the same in a file system, a manifest and a URI.
+pub(crate) fn is_plain(text: &str) -> bool {
+    let is_plain = |char: char| char.is_ascii_alphanumeric() || matches!(char, '.' | '_' | '-' | '/');
+    crate::bag::is_safe(text) && text.chars().all(is_plain)
+}

@@ -1,0 +1,70 @@
+//! Why a run cannot be read.
+
+use marf_cache::{Digest, StoreError, manifest::ManifestError};
+use marf_engine::EngineError;
+
+/// Why a run, or an object that it leads to, cannot be read.
+#[derive(Debug, thiserror::Error)]
+pub enum RunError {
+    /// The store cannot be read, or has lost an object.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// The run root cannot be read.
+    #[error(transparent)]
+    Run(#[from] EngineError),
+    /// An object is not what it should be.
+    #[error("{what} cannot be read: {message}")]
+    Malformed {
+        /// The object.
+        what: String,
+        /// The error of the reader.
+        message: String,
+    },
+    /// A record is not in the store.
+    #[error("the record of {what} (key {}) is not in the store", key.short())]
+    NoRecord {
+        /// Whose record it is.
+        what: String,
+        /// Its key.
+        key: Digest,
+    },
+    /// A node has no output of this name.
+    #[error("`{node}` has no output `{output}`")]
+    NoOutput {
+        /// The node.
+        node: String,
+        /// The output.
+        output: String,
+    },
+}
+
+impl RunError {
+    /// Tells whether something was collected or lost that the run needs.
+    pub fn is_lost(&self) -> bool {
+        match self {
+            Self::Store(error) => error.lost().is_some(),
+            Self::NoRecord { .. } => true,
+            Self::Run(_) | Self::Malformed { .. } | Self::NoOutput { .. } => false,
+        }
+    }
+}
+
+/// Returns what was read; none if the store has lost an object that it needs.
+///
+/// # Errors
+/// Every other error.
+pub fn unless_lost<T>(read: Result<T, RunError>) -> Result<Option<T>, RunError> {
+    match read {
+        Err(error) if error.is_lost() => Ok(None),
+        read => read.map(Some),
+    }
+}
+
+impl From<ManifestError> for RunError {
+    fn from(error: ManifestError) -> Self {
+        Self::Malformed {
+            what: "a set".to_owned(),
+            message: error.to_string(),
+        }
+    }
+}

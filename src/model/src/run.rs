@@ -1,0 +1,245 @@
+//! A run as the store has it: nodes with their actions and records, inputs with the outputs that they are, documents.
+
+use std::collections::BTreeSet;
+use std::sync::Arc;
+
+use marf_cache::{Action, Digest, Record, Store, read_digest_list};
+use marf_engine::{LISTING, NodeRun, RunRecord, action_at, run_of, sets};
+use marf_stage::{Document, PHOTOS, VERDICTS, Verdict};
+
+use crate::{
+    error::RunError,
+    product::{SourcePart, parts_of},
+};
+
+/// A run and what the store has of its nodes.
+pub struct Run<'s> {
+    store: &'s Store,
+    /// The run root.
+    pub record: RunRecord,
+    /// The nodes in topological order, the children of a node after it.
+    pub nodes: Vec<RunNode>,
+}
+
+/// A node of a run and what the store has of its result.
+#[derive(Debug, Clone)]
+pub struct RunNode {
+    /// What the run root says of it: name, key, edges, inputs, outputs, times.
+    pub run: NodeRun,
+    /// Everything its result depends on; none if the node has no result, or the store has lost the action.
+    pub action: Option<Action>,
+    /// Its record: outputs, needs, parts, children, device and time; none if it is not in the store.
+    pub record: Option<Record>,
+}
+
+impl<'s> Run<'s> {
+    /// Reads a run by its number.
+    ///
+    /// # Errors
+    /// A run that cannot be read, or a store that cannot. What the store has lost of a node is no error.
+    pub fn open(store: &'s Store, number: u64) -> Result<Self, RunError> {
+        Self::new(store, run_of(store, number)?)
+    }
+
+    /// Reads what the store has of a run's nodes.
+    ///
+    /// # Errors
+    /// A store that cannot be read.
+    pub fn new(store: &'s Store, record: RunRecord) -> Result<Self, RunError> {
+        let node = |run: &NodeRun| -> Result<RunNode, RunError> {
+            let action = run.key.map(|key| action_at(store, &key)).transpose()?;
+            let record = run.key.map(|key| store.record(&key)).transpose()?;
+            Ok(RunNode {
+                run: run.clone(),
+                action: action.flatten(),
+                record: record.flatten(),
+            })
+        };
+        let nodes = record.nodes.iter().map(node).collect::<Result<_, _>>()?;
+        Ok(Self { store, record, nodes })
+    }
+
+    /// Returns the store.
+    pub fn store(&self) -> &'s Store {
+        self.store
+    }
+
+    /// Reads the bytes of the run root.
+    ///
+    /// # Errors
+    /// A run that is not stored, or not any more.
+    pub fn root(&self) -> Result<Vec<u8>, RunError> {
+        Ok(self.store.run(self.record.number)?)
+    }
+
+    /// Returns a node by its name.
+    pub fn node(&self, name: &str) -> Option<&RunNode> {
+        self.nodes.iter().find(|node| node.run.name == name)
+    }
+
+    /// Returns the nodes that a node has asked for, in topological order.
+    pub fn children<'r>(&'r self, parent: &'r str) -> impl Iterator<Item = &'r RunNode> {
+        let is_child = move |node: &&RunNode| node.run.parent.as_deref() == Some(parent);
+        self.nodes.iter().filter(is_child)
+    }
+
+    /// Returns a node, the nodes that made its inputs and their children, and so on up to the sources, in topological
+    /// order.
+    pub fn upstream(&self, name: &str) -> Vec<&RunNode> {
+        let mut wanted = BTreeSet::from([name]);
+        // Nodes come after those they read and before their children, so that one way back finds all but the children.
+        loop {
+            let before = wanted.len();
+            for node in &self.nodes {
+                let parent = node.run.parent.as_deref();
+                if parent.is_some_and(|parent| wanted.contains(parent)) {
+                    wanted.insert(&node.run.name);
+                }
+                if wanted.contains(node.run.name.as_str()) {
+                    let inputs = node.run.inputs.values();
+                    let makers = inputs.filter_map(|input| input.made_by.as_ref());
+                    wanted.extend(makers.map(|made_by| made_by.node.as_str()));
+                }
+            }
+            if wanted.len() == before {
+                break;
+            }
+        }
+        let nodes = self.nodes.iter();
+        nodes
+            .filter(|node| wanted.contains(node.run.name.as_str()))
+            .collect()
+    }
+
+    /// Returns the sources: the nodes that read archives.
+    pub fn sources(&self) -> impl Iterator<Item = &RunNode> {
+        self.nodes.iter().filter(|node| node.is_source())
+    }
+
+    /// Returns the keys of all nodes.
+    pub fn keys(&self) -> Vec<Digest> {
+        self.nodes.iter().filter_map(|node| node.run.key).collect()
+    }
+
+    /// Returns the digests of all documents. With [`Run::keys`] they lead to everything that belongs to the run.
+    pub fn documents(&self) -> Vec<Digest> {
+        let documents = self.record.documents.values();
+        documents.map(|document| document.digest).collect()
+    }
+
+    /// Reads a document of the run ([`marf_engine::document`]); none if the run has kept none of this name.
+    ///
+    /// # Errors
+    /// A document that the store has lost.
+    pub fn document_bytes(&self, name: &str) -> Result<Option<Arc<[u8]>>, RunError> {
+        let document = self.record.documents.get(name);
+        Ok(document
+            .map(|document| self.store.get(&document.digest))
+            .transpose()?)
+    }
+
+    /// Reads an output of a node.
+    ///
+    /// # Errors
+    /// An output that the node or the store does not have.
+    pub fn output(&self, node: &RunNode, name: &str) -> Result<Arc<[u8]>, RunError> {
+        Ok(self.store.get(&node.output(name)?)?)
+    }
+
+    /// Reads a document that a node has written.
+    ///
+    /// # Errors
+    /// An output that the node or the store does not have, or that is no such document.
+    pub fn document<D: Document>(&self, node: &RunNode) -> Result<D, RunError> {
+        D::decode(&self.output(node, D::OUTPUT)?).map_err(|error| RunError::Malformed {
+            what: format!("`{}` of `{}`", D::OUTPUT, node.run.name),
+            message: error.to_string(),
+        })
+    }
+
+    /// Reads the verdicts of a node, by sol and id; none of a node that gives no verdicts.
+    ///
+    /// # Errors
+    /// Verdicts that the store has lost, or bytes that are none.
+    pub fn verdicts(&self, node: &RunNode) -> Result<Vec<Verdict>, RunError> {
+        match node.run.outputs.get(VERDICTS) {
+            None => Ok(Vec::new()),
+            Some(root) => sets::verdicts(&root.digest, |digest| Ok(self.store.get(digest)?)),
+        }
+    }
+
+    /// Returns the lists of the files that a source read of its archive, sol by sol; none for other nodes.
+    ///
+    /// # Errors
+    /// A record or a list of parts that is lost, or a store that cannot be read.
+    pub fn origins(&self, node: &RunNode) -> Result<Vec<Digest>, RunError> {
+        if !node.is_source() {
+            return Ok(Vec::new());
+        }
+        let mut origins = Vec::new();
+        for part in node.parts(self.store)? {
+            let record = self.store.record(&part.key)?;
+            origins.extend(record.and_then(|record| record.origins));
+        }
+        Ok(origins)
+    }
+
+    /// Returns what a node that makes no set of photos stored next to its outputs. The rows of a set name their objects themselves.
+    ///
+    /// # Errors
+    /// A list that is lost or damaged.
+    pub fn needs(&self, node: &RunNode) -> Result<Vec<Digest>, RunError> {
+        let record = node.record.as_ref();
+        let list = record.filter(|record| !record.outputs.contains_key(PHOTOS));
+        let Some(list) = list.and_then(|record| record.needs) else {
+            return Ok(Vec::new());
+        };
+        read_digest_list(&self.store.get(&list)?).ok_or_else(|| RunError::Malformed {
+            what: format!("the list of what `{}` needs", node.run.name),
+            message: "it is damaged".to_owned(),
+        })
+    }
+}
+
+impl RunNode {
+    /// Tells whether the node reads an archive.
+    pub fn is_source(&self) -> bool {
+        self.run.inputs.contains_key(LISTING)
+    }
+
+    /// Tells whether the node was asked for by another node.
+    pub fn is_child(&self) -> bool {
+        self.run.parent.is_some()
+    }
+
+    /// Returns the parts of a source, by sol.
+    ///
+    /// # Errors
+    /// A record that is lost, or a store that cannot be read.
+    pub fn parts(&self, store: &Store) -> Result<Vec<SourcePart>, RunError> {
+        let record = self.record.as_ref().ok_or_else(|| RunError::NoRecord {
+            what: format!("`{}`", self.run.name),
+            key: self.run.key.unwrap_or_else(|| Digest::of(&[])),
+        })?;
+        parts_of(store, record)
+    }
+
+    /// Returns the digest of an output.
+    ///
+    /// # Errors
+    /// An output that the node does not have.
+    pub fn output(&self, name: &str) -> Result<Digest, RunError> {
+        let output = self.run.outputs.get(name);
+        let output = output.ok_or_else(|| RunError::NoOutput {
+            node: self.run.name.clone(),
+            output: name.to_owned(),
+        })?;
+        Ok(output.digest)
+    }
+
+    /// Returns program and device that made the result, for people; none if the record is lost.
+    pub fn made_by(&self) -> Option<String> {
+        let made = &self.record.as_ref()?.metadata;
+        Some(format!("{} on {}", made.program, made.device))
+    }
+}

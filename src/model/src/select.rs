@@ -1,0 +1,180 @@
+//! Which run is meant where the user names none.
+//!
+//! A pipeline is its file and its name. Runs of a part of it (`--to`, `--from`, `--scene`) are runs of it. What was made from a run
+//! (exports, renders, trades, comparisons) is attached to that run and never stands for the pipeline.
+
+use marf_cache::Store;
+use marf_engine::{Outcome, Purpose, RunRecord, RunSource, document, last_run_where, run_of};
+use serde_json::Value;
+
+use crate::error::RunError;
+
+/// What the runs that are meant are runs of.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Subject {
+    /// A pipeline: its file, and its name; none for every name that the file has had.
+    Pipeline {
+        /// The file.
+        source: RunSource,
+        /// The name.
+        name: Option<String>,
+    },
+    /// Verbs that build a pipeline for a folder.
+    Folder,
+    /// Anything.
+    Any,
+}
+
+/// The run that a verb takes.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Selected {
+    /// The run.
+    pub run: RunRecord,
+    /// The newest run, if it is another one.
+    pub newer: Option<RunRecord>,
+}
+
+impl Subject {
+    /// Returns the subject of a folder without a pipeline file: its folder verbs, or anything if none of them has run.
+    ///
+    /// # Errors
+    /// A store that cannot be read.
+    pub fn without_file(store: &Store, warn: impl Fn(String)) -> Result<Self, RunError> {
+        let folder = newest(store, &Self::Folder, warn)?;
+        Ok(folder.map_or(Self::Any, |_| Self::Folder))
+    }
+
+    /// Tells whether a run is one of the subject.
+    pub fn has(&self, run: &RunRecord) -> bool {
+        match self {
+            Self::Pipeline { source, name } => {
+                run.source == *source && name.as_ref().is_none_or(|name| run.pipeline == *name)
+            }
+            Self::Folder => matches!(run.source, RunSource::Folder { .. }),
+            Self::Any => !run.source.is_derived(),
+        }
+    }
+}
+
+/// Returns the newest run of a subject in any state.
+///
+/// # Errors
+/// A store that cannot be read. A run that cannot be read is passed over and warned of.
+pub fn newest(
+    store: &Store,
+    subject: &Subject,
+    warn: impl Fn(String),
+) -> Result<Option<RunRecord>, RunError> {
+    newest_with(store, subject, warn, |_| true)
+}
+
+/// Returns the newest run of a subject that has what is wanted.
+///
+/// # Errors
+/// As [`newest`].
+pub fn newest_with(
+    store: &Store,
+    subject: &Subject,
+    warn: impl Fn(String),
+    wanted: impl Fn(&RunRecord) -> bool,
+) -> Result<Option<RunRecord>, RunError> {
+    Ok(last_run_where(store, warn, |run| {
+        subject.has(run) && wanted(run)
+    })?)
+}
+
+/// Returns the newest run of a subject in which every node of its own pipeline has a result. If there is none: the newest that was
+/// done, else the newest with any result.
+///
+/// # Errors
+/// As [`newest`].
+pub fn newest_whole(
+    store: &Store,
+    subject: &Subject,
+    warn: impl Fn(String),
+) -> Result<Option<Selected>, RunError> {
+    let (mut last, mut done, mut some) = (None, None, None);
+    for number in store.run_numbers()?.into_iter().rev() {
+        let run = match run_of(store, number) {
+            Ok(run) if subject.has(&run) => run,
+            Ok(_) => continue,
+            Err(error) => {
+                warn(format!("{error}; it is passed over"));
+                continue;
+            }
+        };
+        let newest = last.get_or_insert_with(|| run.clone());
+        if is_whole(store, &run) {
+            let newer = (newest.number != run.number).then(|| newest.clone());
+            return Ok(Some(Selected { run, newer }));
+        }
+        if run.nodes.iter().any(|node| node.state.is_good()) {
+            if done.is_none() && run.outcome == Outcome::Done {
+                done = Some(run.clone());
+            }
+            some.get_or_insert(run);
+        }
+    }
+    let selected = done.or(some).map(|run| Selected {
+        newer: last.filter(|newest| newest.number != run.number),
+        run,
+    });
+    Ok(selected)
+}
+
+/// Tells whether every node of the pipeline that a run was started with has a result. A pipeline that the store has lost tells nothing.
+fn is_whole(store: &Store, run: &RunRecord) -> bool {
+    let resolved = run.documents.get(document::RESOLVED);
+    let bytes = resolved.and_then(|resolved| store.get(&resolved.digest).ok());
+    let tree: Option<Value> = bytes.and_then(|bytes| serde_json::from_slice(&bytes).ok());
+    let nodes = tree.as_ref().and_then(|tree| tree["node"].as_object());
+    let is_good = |name: &String| run.node(name).is_some_and(|node| node.state.is_good());
+    nodes.is_some_and(|nodes| !nodes.is_empty() && nodes.keys().all(is_good))
+}
+
+/// Returns the runs that were made from a run, oldest first.
+///
+/// # Errors
+/// As [`newest`].
+pub fn attached(store: &Store, run: &RunRecord, warn: impl Fn(String)) -> Result<Vec<RunRecord>, RunError> {
+    let is_attached = |other: &RunRecord| match other.source {
+        RunSource::Derived { from, .. } => from.is_some() && from == run.root,
+        _ => false,
+    };
+    let mut runs = marf_engine::runs(store, warn)?;
+    runs.retain(is_attached);
+    Ok(runs)
+}
+
+/// Returns the newest wanted run for a purpose that was made from a run of the same pipeline. Where the run that it was made from is gone, the
+/// name of the pipeline decides.
+///
+/// # Errors
+/// As [`newest`].
+pub fn newest_derived(
+    store: &Store,
+    run: &RunRecord,
+    purpose: Purpose,
+    warn: impl Fn(String),
+    wanted: impl Fn(&RunRecord) -> bool,
+) -> Result<Option<RunRecord>, RunError> {
+    let runs = marf_engine::runs(store, warn)?;
+    let own = pipeline_source(&runs, run);
+    let is_wanted = |other: &&RunRecord| {
+        let is_for = matches!(other.source, RunSource::Derived { purpose: found, .. } if found == purpose);
+        let source = pipeline_source(&runs, other);
+        let is_other = source.is_some() && own.is_some() && source != own;
+        is_for && other.pipeline == run.pipeline && !is_other && wanted(other)
+    };
+    Ok(runs.iter().rev().find(is_wanted).cloned())
+}
+
+/// Returns the source of the pipeline of a run: of a derived run that of the run that it was made from, if that is there.
+fn pipeline_source<'r>(runs: &'r [RunRecord], run: &'r RunRecord) -> Option<&'r RunSource> {
+    let mut run = run;
+    // A run may be made from a run that was made from another one. A root is never that of a run that it leads to.
+    while let RunSource::Derived { from, .. } = run.source {
+        run = runs.iter().find(|base| from.is_some() && base.root == from)?;
+    }
+    Some(&run.source)
+}
