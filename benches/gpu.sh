@@ -77,8 +77,8 @@ pack() {
     build=$(mktemp -d)
     mkdir "$build/data"
     strip -o "$build/marf" "$(built build --release -p marf --bin marf)"
-    strip -o "$build/bench" "$(built bench --no-run -p marf-field --bench gpu)"
-    strip -o "$build/tests" "$(built test --release --config "$here/../tests/checks.toml" --no-run -p marf-field --lib)"
+    strip -o "$build/bench" "$(built bench --no-run -p marf-field-gpu --bench gpu)"
+    strip -o "$build/tests" "$(built test --release --config "$here/../tests/checks.toml" --no-run -p marf-field-gpu --lib)"
     pack_loader "$build/lib"
     for scene in "$@"; do pack_scene "$scene" "$build/data/$(basename "$scene")"; done
     basename -a "$@" > "$build/scenes"
@@ -211,7 +211,7 @@ keys() {
 
 collect() {
     [ $# -eq 1 ] && [ -d "$1" ] || fail "name the folder of an outcome"
-    cargo bench --quiet --manifest-path "$here/../Cargo.toml" -p marf-field --bench gpu -- collect "$(realpath "$1")"
+    cargo bench --quiet --manifest-path "$here/../Cargo.toml" -p marf-field-gpu --bench gpu -- collect "$(realpath "$1")"
 }
 
 verb=${1:-}

@@ -71,6 +71,21 @@ fn what_the_training_of_a_bootstrap_decides_cannot_be_set_beside_it() {
 }
 
 #[test]
+fn a_film_of_a_bootstrap_is_refused_with_the_render_that_makes_it() {
+    let nodes = "[node.calibrate]\ninput = \"extract\"\n[node.bootstrap]\ninput = \"calibrate\"\n\
+                 [node.video]\ninput = \"bootstrap\"\n";
+    let dir = with_pipeline(&format!("{HEAD}{nodes}"));
+    let ran = marf(dir.path(), &["plan"]).exits(2);
+    let message = "`input` of `node.video` needs `film`; `node.bootstrap` (stage `bootstrap`) gives";
+    assert!(ran.stderr.contains(message), "{}", ran.stderr);
+    assert!(
+        ran.stderr.contains("hint: name a node of `render`") && ran.stderr.contains("members = "),
+        "{}",
+        ran.stderr
+    );
+}
+
+#[test]
 fn a_cycle_is_printed_in_full() {
     let text =
         "[node.size]\ninput = \"blur\"\n[node.shape]\ninput = \"size\"\n[node.blur]\ninput = \"shape\"\n";

@@ -94,6 +94,7 @@ fn only_what_changed_runs_again() {
         "bootstrap/member-03",
         "bootstrap/member-04",
         "uncertainty",
+        "uncertainty-frames",
     ];
     assert_eq!(ran, changed);
 

@@ -47,7 +47,8 @@ frames = 2
 width = 80
 "#;
 
-const MESH: &str = "export mesh --color uncertainty --cell 0.1 --most-spread 5 --least-photos 1 --out mesh.ply";
+const MESH: &str =
+    "export mesh --color uncertainty --cell 0.1 --most-spread 5 --least-photos 1 --out mesh.ply";
 
 /// A verb that is called, and what it does to the answers of others.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -170,14 +171,17 @@ impl Desk {
     fn check(&self) -> Result<(), TestCaseError> {
         let folder = self.dir.path();
         let newest = self.record(&self.newest);
-        let status: serde_json::Value =
-            serde_json::from_str(&call(folder, "status --json", 0)).unwrap();
+        let status: serde_json::Value = serde_json::from_str(&call(folder, "status --json", 0)).unwrap();
         prop_assert_eq!(&status["id"], &newest["id"], "status");
         prop_assert_eq!(shown_by_view(folder), number(&self.newest), "view");
         call(folder, "report --out report.html", 0);
         let report = std::fs::read_to_string(folder.join("report.html")).unwrap();
         let command = newest["command"].as_str().unwrap();
-        prop_assert!(report.contains(&format!("<code>{command}</code>")), "report: no {}", command);
+        prop_assert!(
+            report.contains(&format!("<code>{command}</code>")),
+            "report: no {}",
+            command
+        );
 
         call(folder, MESH, 0);
         let mesh = std::fs::read(folder.join("mesh.ply")).unwrap();
@@ -185,9 +189,11 @@ impl Desk {
         let _ = std::fs::remove_dir_all(folder.join("crate"));
         call(folder, "export crate crate", 0);
         let root = std::fs::read(folder.join("crate/data/run.json")).unwrap();
-        prop_assert!(root == std::fs::read(&self.whole).unwrap(), "export crate: another run");
-        let replay: serde_json::Value =
-            serde_json::from_str(&call(folder, "replay --json", 0)).unwrap();
+        prop_assert!(
+            root == std::fs::read(&self.whole).unwrap(),
+            "export crate: another run"
+        );
+        let replay: serde_json::Value = serde_json::from_str(&call(folder, "replay --json", 0)).unwrap();
         prop_assert_eq!(replay["run"].as_u64().unwrap(), number(&self.whole), "replay");
         let audit: serde_json::Value =
             serde_json::from_str(&call(folder, "audit out/train/weights.safetensors --json", 0)).unwrap();

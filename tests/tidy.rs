@@ -37,7 +37,7 @@ const CRATES: [Crate; 33] = [
     row("stages/numeric", "marf-numeric", &[]),
     row("stages/loopback", "marf-loopback", &[]),
     row("stages/stage", "marf-stage", &["marf-cache"]),
-    row("stages/scene", "marf-scene", &["marf-cache"]),
+    row("stages/scene", "marf-scene", &["marf-cache", "marf-numeric"]),
     Crate {
         tests_use: &["marf-cache"],
         ..row("stages/video", "marf-video", &["marf-scene"])
@@ -48,11 +48,15 @@ const CRATES: [Crate; 33] = [
         "marf-demo",
         &["marf-cache", "marf-numeric", "marf-scene"],
     ),
-    row(
-        "stages/field",
-        "marf-field",
-        &["marf-shaders", "marf-cache", "marf-numeric", "marf-scene"],
-    ),
+    row("stages/field", "marf-field", &["marf-numeric", "marf-scene"]),
+    Crate {
+        tests_use: &["marf-numeric"],
+        ..row(
+            "stages/field-gpu",
+            "marf-field-gpu",
+            &["marf-shaders", "marf-cache", "marf-scene", "marf-field"],
+        )
+    },
     row(
         "stages/schema",
         "marf-schema",
@@ -108,10 +112,12 @@ const CRATES: [Crate; 33] = [
         "marf-train",
         &[
             "marf-cache",
+            "marf-numeric",
             "marf-stage",
             "marf-scene",
             "marf-video",
             "marf-field",
+            "marf-field-gpu",
             "marf-schema",
         ],
     ),
@@ -120,9 +126,11 @@ const CRATES: [Crate; 33] = [
         "marf-surface",
         &[
             "marf-cache",
+            "marf-numeric",
             "marf-stage",
             "marf-scene",
             "marf-field",
+            "marf-field-gpu",
             "marf-schema",
         ],
     ),
@@ -197,7 +205,7 @@ const CRATES: [Crate; 33] = [
     row(
         "src/view",
         "marf-view",
-        &["marf-cache", "marf-scene", "marf-field"],
+        &["marf-cache", "marf-scene", "marf-field", "marf-field-gpu"],
     ),
     row(
         "src/run",
@@ -209,6 +217,7 @@ const CRATES: [Crate; 33] = [
             "marf-stage",
             "marf-scene",
             "marf-field",
+            "marf-field-gpu",
             "marf-calibrate",
             "marf-schema",
             "marf-stages",
@@ -234,6 +243,7 @@ const CRATES: [Crate; 33] = [
                 "marf-stage",
                 "marf-scene",
                 "marf-field",
+                "marf-field-gpu",
                 "marf-loopback",
                 "marf-schema",
                 "marf-stages",
@@ -264,7 +274,7 @@ const RESTRICTED: [(&str, &[&str]); 13] = [
     ("rusqlite", &["marf-cache"]),
     ("rustls", &["marf-extract", "marf-remote"]),
     ("tokio", &["marf-extract", "marf-remote", "marf-view", "marf"]),
-    ("wgpu", &["marf-field"]),
+    ("wgpu", &["marf-field-gpu"]),
 ];
 
 /// Where `unsafe` may stand: detection of instruction sets, and the kernels written for them.

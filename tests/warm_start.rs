@@ -176,7 +176,7 @@ fn a_cold_start_is_warned_of_and_what_cannot_be_is_refused_before_anything_runs(
 /// The first training is a cold one, whose seeds a bootstrap repeats; the next is not, and the bootstrap alone fails.
 #[test]
 fn a_bootstrap_of_it_fails_with_the_way_out() {
-    let bootstrap = "[node.bootstrap]\ninput = \"calibrate\"\nof = \"train\"\nb = 2\nframes = 1\nwidth = 32\nmap_frames = 1\n";
+    let bootstrap = "[node.bootstrap]\ninput = \"calibrate\"\nof = \"train\"\nb = 2\nmap_frames = 1\n";
     let dir = written(&format!("{PIPELINE}{bootstrap}"));
     run(dir.path(), &[]);
     let ran = marf(dir.path(), &[&["run"][..], &WIDER].concat()).exits(1);

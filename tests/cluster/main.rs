@@ -41,8 +41,6 @@ field = { log2_table = 10, density_width = 16, color_width = 16, batch_samples =
 input = "calibrate"
 of = "train"
 b = 3
-frames = 1
-width = 32
 device = "cpu"
 "#;
 

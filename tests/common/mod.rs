@@ -24,8 +24,8 @@ pub const SMALL_DEMO: [&str; 14] = [
     "tune.steps=3",
     "train.steps=12",
     "bootstrap.b=3",
-    "bootstrap.frames=2",
-    "bootstrap.width=80",
+    "uncertainty-frames.frames=2",
+    "uncertainty-frames.width=80",
     "render.frames=2",
     "render.width=80",
 ];

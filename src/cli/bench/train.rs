@@ -203,7 +203,7 @@ impl Bench<'_> {
         let mut effort = Effort::default();
         let mut trainer = effort
             .timed(|| Trainer::new(views, points, config, self.seed))
-            .and_then(|trainer| trainer.on(self.device))
+            .and_then(|trainer| trainer.with_backend(marf_field_gpu::open(self.device)?))
             .map_err(failed)?;
         let is_open = |trainer: &Trainer, effort: &Effort| match budget {
             Budget::Seconds(seconds) => {

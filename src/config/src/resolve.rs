@@ -349,6 +349,6 @@ fn check_graph(nodes: &[Node], tables: &[Entry]) -> Result<(), ConfigError> {
             Some(key) => entry.value.place(key),
             None => entry.at.clone(),
         });
-        ConfigError::at(at, error.to_string())
+        ConfigError::at(at, error.to_string()).hint(error.hint().map(str::to_owned))
     })
 }

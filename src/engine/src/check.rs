@@ -141,6 +141,8 @@ pub enum GraphError {
         output: Box<str>,
         /// The outputs that the upstream node has.
         outputs: &'static [&'static str],
+        /// What to write instead, if the input knows.
+        hint: Option<&'static str>,
     },
     /// Two upstream nodes for one input.
     #[error("`{node}` gets `{input}` twice")]
@@ -169,6 +171,14 @@ impl GraphError {
             | Self::NoSuchOutput { node, .. }
             | Self::Ambiguous { node, .. } => node,
             Self::Cycle { path } => path.first().map_or("", String::as_str),
+        }
+    }
+
+    /// Returns what to write instead, if the input at fault knows.
+    pub fn hint(&self) -> Option<&'static str> {
+        match self {
+            Self::NoSuchOutput { hint, .. } => *hint,
+            _ => None,
         }
     }
 
@@ -323,6 +333,7 @@ fn connected_ports<'a>(
             stage: upstream.stage.name,
             output: wanted(port).into_boxed_str(),
             outputs,
+            hint: port.hint,
         }),
     }
 }

@@ -2,7 +2,7 @@
 
 use super::fixture::HOSTILE;
 use super::trade;
-use marf_field::{Chosen, Config, Facts, Overrides, Sizes};
+use marf_field::{Choice, Config, Facts, Overrides, Sizes};
 use marf_schema::scores::Scores;
 use marf_schema::{bootstrap, calibrate, train, tune};
 
@@ -95,9 +95,9 @@ pub(super) fn training(scores: Scores) -> train::Metrics {
 
 /// Facts of a field with one part that was tried.
 pub(super) fn facts() -> Facts {
-    fn chosen<T>(value: T, reason: &str) -> Chosen<T> {
+    fn chosen<T>(value: T, reason: &str) -> Choice<T> {
         let reason = reason.to_owned();
-        Chosen { value, reason }
+        Choice { value, reason }
     }
     let trial = marf_field::Trial {
         part: "gain".to_owned(),

@@ -17,8 +17,6 @@ use super::page::{Page, has_document};
 use super::quality::{by_distance, of_photo};
 use super::read::Missing;
 
-/// Where nodes keep the single pictures of a film.
-const FRAMES: [&str; 2] = [output::FRAMES, output::FLYTHROUGH];
 /// Most views of one node.
 const MOST_VIEWS: usize = 12;
 /// Most single frames in place of a film.
@@ -190,8 +188,8 @@ fn has_frames(node: &NodeView) -> bool {
 }
 
 /// Returns the name of a single picture of a film.
-fn frame_name(output: &str) -> Option<&str> {
-    FRAMES.iter().find_map(|prefix| picture_name(output, prefix))
+fn frame_name(name: &str) -> Option<&str> {
+    picture_name(name, output::FRAMES)
 }
 
 fn flight(page: &Page<'_>, node: &NodeView) -> Markup {
@@ -201,12 +199,15 @@ fn flight(page: &Page<'_>, node: &NodeView) -> Markup {
         .outputs
         .get(output::VIDEO)
         .map(|digest| page.pictures.film(page.input, digest, &alt));
-    let doubt = frames.outputs.keys().any(|name| name.starts_with(output::MAPS));
+    let has_uncertainty = frames
+        .outputs
+        .keys()
+        .any(|name| name.starts_with(output::UNCERTAINTY));
     html! {
         h3 {
             (node.name)
             @if frames.name != node.name { " of " (frames.name) }
-            @if doubt { ": mean colour, uncertainty and depth of the members" }
+            @if has_uncertainty { ": with the uncertainty of the retrainings" }
         }
         @match film {
             Some(Ok(film)) => (film),

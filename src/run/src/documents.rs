@@ -4,7 +4,6 @@ use std::collections::BTreeMap;
 
 use marf_cache::{Action, Digest, Output, Store, canonical_json};
 use marf_engine::{NodeRun, NodeState, RunRecord, action_at, document};
-use marf_field::Device;
 use serde_json::Value;
 
 use crate::error::Error;
@@ -90,7 +89,7 @@ pub fn params_of(action: &Action) -> Value {
         .values()
         .filter_map(|child| child.backend.as_deref());
     let backend = action.backend.as_deref().or_else(|| children.next());
-    let device = Value::from(Device::of_backend(backend).to_string());
+    let device = Value::from(marf_field_gpu::device_with_id(backend).to_string());
     let mut params = action.params.clone();
     if has_key(&action.stage, DEVICE) {
         params[DEVICE] = device;

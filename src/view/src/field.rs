@@ -110,7 +110,8 @@ impl Field {
     pub fn read(of: &FieldSource, source: &dyn Source, device: &Device) -> Result<Self, String> {
         let object = |digest: &Digest| source.object(digest).ok_or_else(|| lost(&of.node, digest));
         let trained = |digest: &Digest| -> Result<Trained, String> {
-            let field = Trained::decode(&object(digest)?).and_then(|field| field.on(device));
+            let field = Trained::decode(&object(digest)?)
+                .and_then(|field| field.with_backend(marf_field_gpu::open(device)?));
             field.map_err(|error| format!("the field of `{}`: {error}", of.node))
         };
         let scene = Scene::decode(&object(&of.scene)?).map_err(|error| error.to_string())?;

@@ -7,20 +7,18 @@ mod colmap;
 mod json_node;
 mod lens;
 mod photo_names;
-mod ply;
 mod transforms;
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use marf_cache::Digest;
-use marf_scene::Camera;
+use marf_scene::{Camera, ply::read_points};
 use marf_stage::{COMPANIONS, Ctx, Inputs, StageError};
 use rayon::prelude::*;
 
 pub use cameras::{Cameras, ImportError, Role, View};
 pub use colmap::{Model, read_colmap_binary, read_colmap_text, read_tracks};
 pub use lens::{Focal, Lens};
-pub use ply::read_ply;
 pub use transforms::{Transforms, read_transforms};
 
 use crate::calibration::{Calibration, HeldOut, PhotoStatistics, PlacedPhoto, mean_up};
@@ -156,7 +154,10 @@ fn read(ctx: &Ctx<'_>, files: &BTreeMap<String, Digest>, source: &Source) -> Res
                 let cloud = read.points.filter(|cloud| clouds.insert(cloud.clone()));
                 if let Some(cloud) = cloud {
                     let bytes = optional(&cloud)?.ok_or_else(|| no_points(name, &cloud))?;
-                    cameras.points.extend(read_ply(&cloud, &bytes).map_err(refused)?);
+                    let points = read_points(&bytes)
+                        .map_err(|error| ImportError::new(&cloud, error.place, error.problem))
+                        .map_err(refused)?;
+                    cameras.points.extend(points);
                 }
             }
             Ok(cameras)

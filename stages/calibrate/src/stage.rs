@@ -6,10 +6,7 @@ use marf_cache::Digest;
 use marf_scene::{Frame, PosedPhoto, Scene, Unplaced, hold_out_more_places};
 use marf_schema::calibrate::{CalibrateParams, Hold, Method, Metrics, PhotoMetrics, Totals};
 use marf_schema::output::{POINTS, SCENE, SPARSE, SPARSE_IMAGES, SPARSE_POINTS, TRANSFORMS};
-use marf_stage::{
-    COMPANIONS, Ctx, Define, Document, Inputs, Outputs, PHOTOS, ParamError, Params, Port, Set, Stage,
-    StageError, Threads, Work,
-};
+use marf_stage::{COMPANIONS, Ctx, Document, Inputs, Outputs, PHOTOS, Port, Set, StageError, Threads, stage};
 
 use crate::calibration::{Calibration, HeldOut, PlacedPhoto};
 use crate::export::{TrackPoint, Tracks, beside, write_colmap, write_ply, write_transforms};
@@ -30,17 +27,17 @@ use crate::{colmap, import, labels, sfm};
 ///   is refused whole, with the field; too few photos placed stop the node.
 pub struct Calibrate(CalibrateParams);
 
-impl Define for Calibrate {
-    type Params = CalibrateParams;
-    const NAME: &'static str = <CalibrateParams as Params>::STAGE;
-    const ABOUT: &'static str =
-        "photos to a calibrated scene: from what they show, from labels, or from imported cameras";
-    const VERSION: u32 = 10;
-    const PORTS: &'static [Port] = &[
+stage! {
+    Calibrate { 0: CalibrateParams },
+    Set,
+    Threads::All,
+    about: "photos to a calibrated scene: from what they show, from labels, or from imported cameras",
+    version: 10,
+    ports: [
         Port::required("input", PHOTOS),
         Port::optional("cameras", COMPANIONS),
-    ];
-    const OUTPUTS: &'static [&'static str] = &[
+    ],
+    outputs: [
         SCENE,
         Metrics::OUTPUT,
         TRANSFORMS,
@@ -48,35 +45,17 @@ impl Define for Calibrate {
         SPARSE_IMAGES,
         SPARSE_POINTS,
         POINTS,
-    ];
+    ],
+    {
+        fn varies(&self) -> Option<&'static str> {
+            (self.0.method == Method::Colmap)
+                .then_some("COLMAP gives other numbers on another machine, and from run to run")
+        }
 
-    fn new(params: CalibrateParams) -> Result<Self, ParamError> {
-        params.check()?;
-        Ok(Self(params))
-    }
-}
-
-impl Stage for Calibrate {
-    fn params(&self) -> serde_json::Value {
-        marf_stage::key_params(&self.0, &[])
-    }
-
-    fn work(&self) -> Work<'_> {
-        Work::Set(self)
-    }
-
-    fn threads(&self) -> Threads {
-        Threads::All
-    }
-
-    fn varies(&self) -> Option<&'static str> {
-        (self.0.method == Method::Colmap)
-            .then_some("COLMAP gives other numbers on another machine, and from run to run")
-    }
-
-    fn earlier(&self) -> Option<&'static str> {
-        self.0.extend.then_some(SCENE)
-    }
+        fn earlier(&self) -> Option<&'static str> {
+            self.0.extend.then_some(SCENE)
+        }
+    },
 }
 
 impl Set for Calibrate {

@@ -7,7 +7,7 @@ use super::{
     Demo, DemoError, DemoFile, IsCancelled,
     ground::OUTCROP,
     lens::Lens,
-    math::{DEGREE, SrgbEncoder, V3, sin_cos, v3},
+    math::{DEGREE, SrgbEncoder, sin_cos, v3},
     render::Shot,
     truth::pinhole_of,
 };
@@ -60,27 +60,16 @@ impl Demo {
 
     fn descent_shot(&self, index: u32, count: u32) -> Shot<'_> {
         let (width, height) = (self.options.width_px, self.options.height_px);
-        let (eye, forward, right) = self.descent_place(index, count);
-        let lens = Lens {
-            r: [0.0; 3],
-            ..Lens::new(
-                eye,
-                forward,
-                right,
-                (width, height),
-                FOCAL_WIDTHS * f64::from(width),
-            )
-        };
         Shot {
             world: self.world(1),
-            lens,
+            lens: self.descent_lens(index, count),
             width,
             height,
         }
     }
 
-    /// Returns eye, forward and right of a photo in the site frame.
-    fn descent_place(&self, index: u32, count: u32) -> (V3, V3, V3) {
+    /// Returns the camera of a photo in the site frame.
+    fn descent_lens(&self, index: u32, count: u32) -> Lens {
         let share = f64::from(index) / f64::from(count.saturating_sub(1).max(1));
         let above = height_m((1.0 - share) * OCTAVES);
         let (sin, cos) = sin_cos(f64::from(index) * TURN_DEG * DEGREE);
@@ -89,7 +78,12 @@ impl Demo {
         let eye = ground + v3(ASIDE * above * cos, ASIDE * above * sin, -above);
         let forward = (ground - eye).unit();
         let right = forward.cross(v3(-sin, cos, 0.0)).unit();
-        (eye, forward, right)
+        let size_px = (self.options.width_px, self.options.height_px);
+        let focal_px = FOCAL_WIDTHS * f64::from(size_px.0);
+        Lens {
+            r: [0.0; 3],
+            ..Lens::new(eye, forward, right, size_px, focal_px)
+        }
     }
 
     /// Returns the cameras as nerfstudio writes them: camera to world, x right, y up, z back.

@@ -12,7 +12,7 @@ pub const OUTCROP: (f64, f64) = (7.0, 3.0);
 /// Half the side of the finest grid, metres.
 const FINE_M: f64 = 20.48;
 /// The grids: nodes per side, metres between them. The first has ripples and lumps, the others the large forms only.
-const LEVELS: [(usize, f64); 3] = [(1025, 0.04), (513, 0.4), (513, 2.5)];
+const LEVELS: [Lattice; 3] = [lattice(1025, 0.04), lattice(513, 0.4), lattice(513, 2.5)];
 /// Slope that ray marching assumes. Ripples are steeper, but a step is at most about ten times the height above
 /// ground, too short to pass through one; where it ends below ground, the change of sign is detected.
 const STEEPEST: f64 = 0.10;
@@ -36,10 +36,32 @@ pub struct GroundPoint {
     pub tone: f64,
 }
 
+/// A point of a ray and its height above the ground, metres.
+#[derive(Clone, Copy)]
+struct Clearance {
+    range_m: f64,
+    height_m: f64,
+}
+
+/// A square lattice around the outcrop.
+#[derive(Clone, Copy)]
+struct Lattice {
+    /// Nodes per side.
+    side: usize,
+    /// Distance of neighbours, metres.
+    step_m: f64,
+}
+
+/// A node of a lattice while the ground is made.
+struct GroundNode {
+    height_m: f64,
+    /// Visible share of the sky.
+    open: f64,
+}
+
 /// A square grid of nodes.
 struct Grid {
-    side: usize,
-    step_m: f64,
+    lattice: Lattice,
     /// Heights, metres.
     heights: Vec<f32>,
     /// Slope along x and y, openness, sand, dust, tone.
@@ -52,7 +74,7 @@ pub struct Ground {
 
 impl Ground {
     pub fn new(salt: u32, rocks: &[Rock]) -> Self {
-        let grid = |&(side, step_m): &(usize, f64)| Grid::new(side, step_m, salt, rocks);
+        let grid = |lattice: &Lattice| Grid::new(*lattice, salt, rocks);
         Self {
             grids: LEVELS.iter().map(grid).collect(),
         }
@@ -77,17 +99,20 @@ impl Ground {
         } else {
             0.0
         };
-        let mut above = (t, f64::INFINITY);
+        let mut above = Clearance {
+            range_m: t,
+            height_m: f64::INFINITY,
+        };
         for _ in 0..200 {
-            let clearance = self.clearance(ray, t);
-            if clearance < 0.0 && above.1.is_finite() {
-                return Some(self.crossing(ray, above, (t, clearance)));
+            let here = self.clearance(ray, t);
+            if here.height_m < 0.0 && above.height_m.is_finite() {
+                return Some(self.crossing(ray, above, here));
             }
-            if clearance < 0.000_2 * t {
-                return Some(t + clearance * pace);
+            if here.height_m < 0.000_2 * t {
+                return Some(t + here.height_m * pace);
             }
-            above = (t, clearance);
-            t += clearance * pace;
+            above = here;
+            t += here.height_m * pace;
             if t > FAR || (along.z > 0.0 && from.z + along.z * t > CEILING) {
                 return None;
             }
@@ -109,24 +134,29 @@ impl Ground {
         })
     }
 
-    fn clearance(&self, ray: &Ray, t: f64) -> f64 {
-        let p = ray.at(t);
-        p.z - self.height(p.x, p.y)
+    fn clearance(&self, ray: &Ray, range_m: f64) -> Clearance {
+        let p = ray.at(range_m);
+        Clearance {
+            range_m,
+            height_m: p.z - self.height(p.x, p.y),
+        }
     }
 
     /// Finds the crossing between two points above and below ground by four steps of the secant method.
-    fn crossing(&self, ray: &Ray, mut above: (f64, f64), mut below: (f64, f64)) -> f64 {
-        let chord = |a: (f64, f64), b: (f64, f64)| a.0 + (b.0 - a.0) * (a.1 / (a.1 - b.1));
+    fn crossing(&self, ray: &Ray, mut above: Clearance, mut below: Clearance) -> f64 {
+        let chord = |a: Clearance, b: Clearance| {
+            a.range_m + (b.range_m - a.range_m) * (a.height_m / (a.height_m - b.height_m))
+        };
         for _ in 0..4 {
             let t = chord(above, below);
-            let clearance = self.clearance(ray, t);
-            if clearance.abs() < 0.000_05 * t {
+            let here = self.clearance(ray, t);
+            if here.height_m.abs() < 0.000_05 * t {
                 return t;
             }
-            if clearance > 0.0 {
-                above = (t, clearance);
+            if here.height_m > 0.0 {
+                above = here;
             } else {
-                below = (t, clearance);
+                below = here;
             }
         }
         chord(above, below)
@@ -160,76 +190,108 @@ impl Spot {
     }
 }
 
-impl Grid {
-    fn new(side: usize, step_m: f64, salt: u32, rocks: &[Rock]) -> Self {
-        let fine = step_m == LEVELS[0].1;
-        let form = if fine { height_without_rocks } else { plain };
-        let place = |index: usize| {
-            let middle = (side / 2) as f64;
-            (
-                OUTCROP.0 + ((index % side) as f64 - middle) * step_m,
-                OUTCROP.1 + ((index / side) as f64 - middle) * step_m,
-            )
-        };
-        let mut nodes: Vec<(f64, f64)> = (0..side * side)
-            .into_par_iter()
-            .map(|index| (form(place(index).0, place(index).1, salt), 1.0))
-            .collect();
-        if fine {
-            rocks
-                .iter()
-                .for_each(|rock| settle(&mut nodes, side, step_m, rock));
-        }
-        let points = (0..side * side)
-            .into_par_iter()
-            .map(|index| point_at(&nodes, side, step_m, index, place(index), salt))
-            .collect();
-        Self {
-            side,
-            step_m,
-            heights: nodes.iter().map(|node| node.0 as f32).collect(),
-            points,
-        }
+const fn lattice(side: usize, step_m: f64) -> Lattice {
+    Lattice { side, step_m }
+}
+
+impl Lattice {
+    /// Returns the place of a node in the site, metres.
+    fn place(&self, index: usize) -> (f64, f64) {
+        let middle = (self.side / 2) as f64;
+        (
+            OUTCROP.0 + ((index % self.side) as f64 - middle) * self.step_m,
+            OUTCROP.1 + ((index / self.side) as f64 - middle) * self.step_m,
+        )
     }
 
-    fn half_m(&self) -> f64 {
-        (self.side / 2) as f64 * self.step_m
+    /// Returns slope along x and y, openness, sand, dust and tone at a node.
+    fn point(&self, nodes: &[GroundNode], index: usize, salt: u32) -> [f32; 6] {
+        let (side, step_m) = (self.side, self.step_m);
+        let (column, row) = (index % side, index / side);
+        let (left, right) = (column.saturating_sub(1), (column + 1).min(side - 1));
+        let (above, below) = (row.saturating_sub(1), (row + 1).min(side - 1));
+        let at = |column: usize, row: usize| nodes[row * side + column].height_m;
+        let slope_x = (at(right, row) - at(left, row)) / ((right - left) as f64 * step_m);
+        let slope_y = (at(column, below) - at(column, above)) / ((below - above) as f64 * step_m);
+        let (x, y) = self.place(index);
+        let sand = sandiness(x, y, salt);
+        let (dusty, tone) = broad_tint(x, y, sand, salt);
+        [slope_x, slope_y, nodes[index].open, sand, dusty, tone].map(|number| number as f32)
     }
 
-    /// Returns the cell of a point, `x` and `y` from the centre in metres, clamped into the grid.
-    fn spot(&self, x: f64, y: f64) -> Spot {
-        let last = (self.side - 1) as f64 - 1e-6;
-        let (u, v) = (
-            ((x + self.half_m()) / self.step_m).clamp(0.0, last),
-            ((y + self.half_m()) / self.step_m).clamp(0.0, last),
-        );
-        let (i, j) = (u as usize, v as usize);
-        Spot {
-            index: j * self.side + i,
-            side: self.side,
-            u: u - i as f64,
-            v: v - j as f64,
+    /// Piles sand against a rock, and lowers the visible share of the sky next to it.
+    fn settle(&self, nodes: &mut [GroundNode], rock: &Rock) {
+        let (side, step_m) = (self.side, self.step_m);
+        let wide = (rock.half.x + rock.half.y) / 2.0;
+        if wide < 0.03 {
+            return;
+        }
+        let reach = wide * 2.2 + 0.04;
+        let top = rock.half.z.min(wide);
+        let middle = (side / 2) as f64;
+        let index = |offset: f64| (offset / step_m + middle).clamp(0.0, (side - 1) as f64) as usize;
+        let (x, y) = (rock.centre.x - OUTCROP.0, rock.centre.y - OUTCROP.1);
+        for row in index(y - reach)..=index(y + reach) {
+            for column in index(x - reach)..=index(x + reach) {
+                let (dx, dy) = (
+                    (column as f64 - middle) * step_m - x,
+                    (row as f64 - middle) * step_m - y,
+                );
+                let off = rock.local(v3(dx, dy, 0.0));
+                let (u, v) = (off.x / rock.half.x, off.y / rock.half.y);
+                let near = smoothstep(2.2, 0.8, (u * u + v * v).sqrt());
+                let node = &mut nodes[row * side + column];
+                node.height_m += 0.16 * top * near * near;
+                node.open *= 1.0 - 0.42 * near;
+            }
         }
     }
 }
 
-fn point_at(
-    nodes: &[(f64, f64)],
-    side: usize,
-    step_m: f64,
-    index: usize,
-    place: (f64, f64),
-    salt: u32,
-) -> [f32; 6] {
-    let (column, row) = (index % side, index / side);
-    let (left, right) = (column.saturating_sub(1), (column + 1).min(side - 1));
-    let (above, below) = (row.saturating_sub(1), (row + 1).min(side - 1));
-    let at = |column: usize, row: usize| nodes[row * side + column].0;
-    let slope_x = (at(right, row) - at(left, row)) / ((right - left) as f64 * step_m);
-    let slope_y = (at(column, below) - at(column, above)) / ((below - above) as f64 * step_m);
-    let sand = sandiness(place.0, place.1, salt);
-    let (dusty, tone) = broad_tint(place.0, place.1, sand, salt);
-    [slope_x, slope_y, nodes[index].1, sand, dusty, tone].map(|number| number as f32)
+impl Grid {
+    fn new(lattice: Lattice, salt: u32, rocks: &[Rock]) -> Self {
+        let is_fine = lattice.step_m == LEVELS[0].step_m;
+        let form = if is_fine { height_without_rocks } else { plain };
+        let count = lattice.side * lattice.side;
+        let node = |index: usize| {
+            let (x, y) = lattice.place(index);
+            GroundNode {
+                height_m: form(x, y, salt),
+                open: 1.0,
+            }
+        };
+        let mut nodes: Vec<GroundNode> = (0..count).into_par_iter().map(node).collect();
+        if is_fine {
+            rocks.iter().for_each(|rock| lattice.settle(&mut nodes, rock));
+        }
+        let point = |index: usize| lattice.point(&nodes, index, salt);
+        Self {
+            lattice,
+            points: (0..count).into_par_iter().map(point).collect(),
+            heights: nodes.iter().map(|node| node.height_m as f32).collect(),
+        }
+    }
+
+    fn half_m(&self) -> f64 {
+        (self.lattice.side / 2) as f64 * self.lattice.step_m
+    }
+
+    /// Returns the cell of a point, `x` and `y` from the centre in metres, clamped into the grid.
+    fn spot(&self, x: f64, y: f64) -> Spot {
+        let Lattice { side, step_m } = self.lattice;
+        let last = (side - 1) as f64 - 1e-6;
+        let (u, v) = (
+            ((x + self.half_m()) / step_m).clamp(0.0, last),
+            ((y + self.half_m()) / step_m).clamp(0.0, last),
+        );
+        let (i, j) = (u as usize, v as usize);
+        Spot {
+            index: j * side + i,
+            side,
+            u: u - i as f64,
+            v: v - j as f64,
+        }
+    }
 }
 
 /// Returns the height of the large forms: swells of the plain, and the rise below the outcrop.
@@ -269,33 +331,6 @@ fn height_without_rocks(x: f64, y: f64, salt: u32) -> f64 {
     let rough = 0.018 * lumps(0.55, salt ^ 33) + 0.008 * lumps(0.23, salt ^ 34);
     plain(x, y, salt)
         + inside * (ripples * sand + rough * (1.0 - 0.6 * sand) + 0.004 * lumps(0.12, salt ^ 35))
-}
-
-/// Piles sand against a rock, and lowers the visible share of the sky next to it.
-fn settle(nodes: &mut [(f64, f64)], side: usize, step_m: f64, rock: &Rock) {
-    let wide = (rock.half.x + rock.half.y) / 2.0;
-    if wide < 0.03 {
-        return;
-    }
-    let reach = wide * 2.2 + 0.04;
-    let top = rock.half.z.min(wide);
-    let middle = (side / 2) as f64;
-    let index = |offset: f64| (offset / step_m + middle).clamp(0.0, (side - 1) as f64) as usize;
-    let (x, y) = (rock.centre.x - OUTCROP.0, rock.centre.y - OUTCROP.1);
-    for row in index(y - reach)..=index(y + reach) {
-        for column in index(x - reach)..=index(x + reach) {
-            let (dx, dy) = (
-                (column as f64 - middle) * step_m - x,
-                (row as f64 - middle) * step_m - y,
-            );
-            let off = rock.local(v3(dx, dy, 0.0));
-            let (u, v) = (off.x / rock.half.x, off.y / rock.half.y);
-            let near = smoothstep(2.2, 0.8, (u * u + v * v).sqrt());
-            let node = &mut nodes[row * side + column];
-            node.0 += 0.16 * top * near * near;
-            node.1 *= 1.0 - 0.42 * near;
-        }
-    }
 }
 
 /// Returns the upward unit normal of a surface with these slopes.

@@ -111,7 +111,7 @@ fn observation(facts: &Facts<'_>) -> String {
 }
 
 fn geometry(facts: &Facts<'_>) -> String {
-    let (attitude, offset) = facts.stop.labelled;
+    let (attitude, offset) = (facts.stop.labelled.attitude, facts.stop.labelled.place);
     let identifier = counters(facts).map(|count| count.to_string()).join("_");
     format!(
         "      <geom:Geometry>

@@ -142,6 +142,13 @@ pub fn rotate(columns: &[V3; 3], p: V3) -> V3 {
     columns[0] * p.x + columns[1] * p.y + columns[2] * p.z
 }
 
+/// A pose of the rover: its attitude and its place in the site, metres.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RoverPose {
+    pub attitude: Quaternion,
+    pub place: V3,
+}
+
 /// A unit quaternion, scalar first.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Quaternion(pub [f64; 4]);

@@ -5,6 +5,8 @@
 //! + - * / and sqrt are used, and every pixel is a function of its position alone.
 
 mod descent;
+mod encode;
+mod error;
 mod flaws;
 mod ground;
 mod label;
@@ -21,7 +23,6 @@ mod truth;
 mod world;
 
 use std::{
-    io::Cursor,
     ops::RangeInclusive,
     sync::{
         OnceLock,
@@ -29,7 +30,6 @@ use std::{
     },
 };
 
-use image::{ExtendedColorType, ImageEncoder, codecs::jpeg::JpegEncoder, codecs::png::PngEncoder};
 use marf_cache::{ContentHash, Digest, digest_of};
 use marf_scene::{Camera, Image, Pose, Srgb};
 use rayon::prelude::*;
@@ -44,6 +44,7 @@ use render::Shot;
 use tour::{Capture, Stop};
 use world::{Surface, World};
 
+pub use error::DemoError;
 pub use plan::FlawKind;
 pub use truth::{Flaw, RangeMap, TruePhoto, Truth};
 
@@ -82,44 +83,6 @@ pub struct DemoFile {
     pub name: String,
     /// Contents.
     pub bytes: Vec<u8>,
-}
-
-/// A failure to make the demo's files.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum DemoError {
-    /// The caller asked to stop.
-    #[error("stopped")]
-    Cancelled,
-    /// A sol that does not exist.
-    #[error("the demo has no sol {sol}; ask for one of {} to {}", SOLS.start(), SOLS.end())]
-    Sol {
-        /// The sol.
-        sol: u32,
-    },
-    /// A photo too small or too large to draw.
-    #[error("the demo draws photos of 16 to 4096 pixels a side, not {width_px} x {height_px}")]
-    Size {
-        /// Width.
-        width_px: u32,
-        /// Height.
-        height_px: u32,
-    },
-    /// A file that is not a good photo of the sol.
-    #[error("the demo took no good photo `{file}` on sol {sol}")]
-    File {
-        /// The file's name.
-        file: String,
-        /// The sol.
-        sol: u32,
-    },
-    /// An image that could not be encoded.
-    #[error("`{file}` could not be encoded: {message}")]
-    Encode {
-        /// Name of the file.
-        file: String,
-        /// The encoder's error.
-        message: String,
-    },
 }
 
 /// Receives progress as (files done, files in all) of a sol; called from several threads.
@@ -348,9 +311,10 @@ impl Demo {
     /// Returns the landscape on a sol.
     fn world_on(&self, sol: u32) -> &World {
         let site = plan::site(sol);
-        match self.is_changed(sol) {
-            true => self.changed.get_or_init(|| World::new(self.seed(site), true)),
-            false => self.world(site),
+        if self.is_changed(sol) {
+            self.changed.get_or_init(|| World::new(self.seed(site), true))
+        } else {
+            self.world(site)
         }
     }
 
@@ -401,7 +365,7 @@ impl Demo {
         TruePhoto {
             file,
             rover_model: taken.rover.cahvor(),
-            site_from_rover: truth::pose_of(stop.site_from_rover),
+            site_from_rover: truth::pose_of(&stop.site_from_rover),
             site_model: taken.site.cahvor(),
             cam_from_site,
             pinhole,
@@ -423,8 +387,8 @@ impl Demo {
         let mut files = Vec::new();
         for product in &view.products {
             let salt = math::mix32(product.clock_s ^ self.options.seed as u32);
-            let (width, height, bands, bytes) = picture(product, &photo, salt)?;
-            let factor = self.options.width_px / width;
+            let image = encode::picture(product, &photo, salt)?;
+            let factor = self.options.width_px / image.width;
             let facts = Facts {
                 sol: tour.sol,
                 view,
@@ -432,12 +396,14 @@ impl Demo {
                 stop: &tour.stops[view.pointing.stop],
                 taken: &taken,
                 labelled_lens: taken.labelled_rover.reduced(factor),
-                width,
-                height,
-                bands,
+                width: image.width,
+                height: image.height,
+                bands: image.bands,
             };
-            let name = product.file();
-            files.push(DemoFile { name, bytes });
+            files.push(DemoFile {
+                name: product.file(),
+                bytes: image.bytes,
+            });
             files.push(DemoFile {
                 name: format!("{}.xml", product.id),
                 bytes: label::xml(&facts).into_bytes(),
@@ -463,65 +429,4 @@ fn check_size(width_px: u32, height_px: u32) -> Result<(), DemoError> {
     (drawable(width_px) && drawable(height_px))
         .then_some(())
         .ok_or(DemoError::Size { width_px, height_px })
-}
-
-/// Returns width, height, bands and encoded bytes of a product's image.
-fn picture(product: &Product, photo: &Image<Srgb>, salt: u32) -> Result<(u32, u32, u32, Vec<u8>), DemoError> {
-    let (width, height) = (photo.width, photo.height);
-    let image = match product.flaw {
-        None | Some(FlawKind::ExactCopy) => return png(product, photo),
-        Some(FlawKind::MonoCopy | FlawKind::Mono) => return mono_png(product, photo),
-        Some(FlawKind::Reencoded) => return jpeg(product, photo, 75),
-        Some(FlawKind::Truncated) => {
-            let (width, height, bands, mut bytes) = jpeg(product, photo, 92)?;
-            bytes.truncate(bytes.len() / 2);
-            return Ok((width, height, bands, bytes));
-        }
-        Some(FlawKind::Thumbnail) => photo.box_reduced(plan::THUMBNAIL_FACTOR),
-        Some(FlawKind::EqualBands) => flaws::mapped(photo, |pixel| [flaws::luma(pixel); 3]),
-        Some(FlawKind::NarrowBand(filter)) => flaws::narrow_band(photo, filter),
-        Some(FlawKind::Defocus) => flaws::defocused(photo),
-        Some(FlawKind::Motion) => flaws::smeared(photo),
-        Some(FlawKind::Noise) => flaws::noise(width, height, salt),
-        Some(FlawKind::ColourBlocks) => flaws::colour_blocks(width, height, salt),
-        Some(FlawKind::Deck) => flaws::deck(width, height, salt),
-        Some(FlawKind::Dark) => flaws::dark(width, height, salt),
-    };
-    png(product, &image)
-}
-
-type Encoded = Result<(u32, u32, u32, Vec<u8>), DemoError>;
-
-fn png(product: &Product, image: &Image<Srgb>) -> Encoded {
-    let bytes = marf_scene::encode_png(image).map_err(|error| failed(product, &error))?;
-    Ok((image.width, image.height, 3, bytes))
-}
-
-fn mono_png(product: &Product, image: &Image<Srgb>) -> Encoded {
-    let luma: Vec<u8> = image.pixels.iter().map(|&pixel| flaws::luma(pixel)).collect();
-    let mut bytes = Vec::new();
-    PngEncoder::new(&mut bytes)
-        .write_image(&luma, image.width, image.height, ExtendedColorType::L8)
-        .map_err(|error| failed(product, &error))?;
-    Ok((image.width, image.height, 1, bytes))
-}
-
-fn jpeg(product: &Product, image: &Image<Srgb>, quality: u8) -> Encoded {
-    let mut bytes = Cursor::new(Vec::new());
-    JpegEncoder::new_with_quality(&mut bytes, quality)
-        .write_image(
-            image.pixels.as_flattened(),
-            image.width,
-            image.height,
-            ExtendedColorType::Rgb8,
-        )
-        .map_err(|error| failed(product, &error))?;
-    Ok((image.width, image.height, 3, bytes.into_inner()))
-}
-
-fn failed(product: &Product, error: &dyn std::fmt::Display) -> DemoError {
-    DemoError::Encode {
-        file: product.file(),
-        message: error.to_string(),
-    }
 }

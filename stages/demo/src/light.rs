@@ -106,14 +106,12 @@ pub fn ground_material(x: f64, y: f64, point: &GroundPoint, footprint_m: f64, sa
         .into_iter()
         .enumerate()
     {
-        stones(
-            &mut material,
-            (x, y),
-            size,
-            share * (1.0 - 0.93 * sand),
-            footprint_m,
-            salt ^ (90 + layer as u32),
-        );
+        let pebbles = PebbleLayer {
+            size_m: size,
+            share: share * (1.0 - 0.93 * sand),
+            salt: salt ^ (90 + layer as u32),
+        };
+        pebbles.add(&mut material, x, y, footprint_m);
     }
     material
 }
@@ -126,33 +124,45 @@ fn back(mut dx: f64, mut dy: f64, times: u32) -> (f64, f64) {
     (dx, dy)
 }
 
-/// Adds a layer of pebbles, at most one per cell, each a dome with its shadow.
-fn stones(material: &mut Material, at: (f64, f64), size_m: f64, share: f64, footprint_m: f64, salt: u32) {
-    let (u, v) = (at.0 / size_m, at.1 / size_m);
-    let ((i, u), (j, v)) = (split_floor(u), split_floor(v));
-    let bits = cell_bits(i, j, salt);
-    let visible = held(size_m * 0.35, footprint_m);
-    if f64::from(bits & 0xffff) / 65_536.0 > share || visible <= 0.0 {
-        return;
+/// A layer of pebbles, at most one per cell.
+struct PebbleLayer {
+    /// Side of a cell, metres.
+    size_m: f64,
+    /// Share of the cells that hold one.
+    share: f64,
+    salt: u32,
+}
+
+impl PebbleLayer {
+    /// Adds the layer to the ground at a point: each pebble is a dome with its shadow.
+    fn add(&self, material: &mut Material, x: f64, y: f64, footprint_m: f64) {
+        let Self { size_m, share, salt } = *self;
+        let (u, v) = (x / size_m, y / size_m);
+        let ((i, u), (j, v)) = (split_floor(u), split_floor(v));
+        let bits = cell_bits(i, j, salt);
+        let visible = held(size_m * 0.35, footprint_m);
+        if f64::from(bits & 0xffff) / 65_536.0 > share || visible <= 0.0 {
+            return;
+        }
+        let number = |k: u32| f64::from(mix32(bits ^ k) >> 8) / 16_777_216.0;
+        let radius = 0.11 + 0.13 * number(1);
+        let middle = (0.36 + 0.28 * number(2), 0.36 + 0.28 * number(3));
+        let stretch = 0.75 + 0.6 * number(4);
+        let (dx, dy) = (u - middle.0, v - middle.1);
+        let (shear, soft) = (number(5) - 0.5, (footprint_m / size_m / radius).clamp(0.08, 0.6));
+        let outline = |dx: f64, dy: f64| {
+            let (a, b) = ((dx + shear * dy) * stretch / radius, dy / stretch / radius);
+            (a, b, a * a + b * b)
+        };
+        let (_, _, shadow) = outline(dx + TO_SUN.x * radius * 0.8, dy + TO_SUN.y * radius * 0.8);
+        let dark = visible * smoothstep(1.0 + soft, 1.0 - soft, shadow) * 0.55;
+        let (a, b, r2) = outline(dx, dy);
+        let stone = visible * smoothstep(1.0 + soft, 1.0 - soft, r2);
+        let colour = GRIT.mix(DUST, 0.75 * number(6) * number(6)) * (0.75 + 0.6 * number(7));
+        material.albedo = (material.albedo * (1.0 - dark)).mix(colour, stone);
+        let dome = v3(a * 0.75, b * 0.75, 0.55).unit();
+        material.normal = material.normal.mix(dome, stone * 0.85).unit();
     }
-    let number = |k: u32| f64::from(mix32(bits ^ k) >> 8) / 16_777_216.0;
-    let radius = 0.11 + 0.13 * number(1);
-    let middle = (0.36 + 0.28 * number(2), 0.36 + 0.28 * number(3));
-    let stretch = 0.75 + 0.6 * number(4);
-    let (dx, dy) = (u - middle.0, v - middle.1);
-    let (shear, soft) = (number(5) - 0.5, (footprint_m / size_m / radius).clamp(0.08, 0.6));
-    let outline = |dx: f64, dy: f64| {
-        let (a, b) = ((dx + shear * dy) * stretch / radius, dy / stretch / radius);
-        (a, b, a * a + b * b)
-    };
-    let (_, _, shadow) = outline(dx + TO_SUN.x * radius * 0.8, dy + TO_SUN.y * radius * 0.8);
-    let dark = visible * smoothstep(1.0 + soft, 1.0 - soft, shadow) * 0.55;
-    let (a, b, r2) = outline(dx, dy);
-    let stone = visible * smoothstep(1.0 + soft, 1.0 - soft, r2);
-    let colour = GRIT.mix(DUST, 0.75 * number(6) * number(6)) * (0.75 + 0.6 * number(7));
-    material.albedo = (material.albedo * (1.0 - dark)).mix(colour, stone);
-    let dome = v3(a * 0.75, b * 0.75, 0.55).unit();
-    material.normal = material.normal.mix(dome, stone * 0.85).unit();
 }
 
 /// Returns the material of rock: bedding, grain, pits, and dust on upward faces.

@@ -2,7 +2,7 @@
 
 use super::{
     ground::OUTCROP,
-    lens::{Lens, Quaternion, rotate},
+    lens::{Lens, Quaternion, RoverPose, rotate},
     math::{DEGREE, Rng, V3, sin_cos, v3},
     world::World,
 };
@@ -29,8 +29,8 @@ const FIELD_DEG: f64 = 52.0;
 #[derive(Debug, Clone)]
 pub struct Stop {
     pub drive: u32,
-    pub site_from_rover: (Quaternion, V3),
-    pub labelled: (Quaternion, V3),
+    pub site_from_rover: RoverPose,
+    pub labelled: RoverPose,
 }
 
 /// One direction of the mast at a stop, for both eyes.
@@ -83,8 +83,11 @@ fn stop(world: &World, rng: &mut Rng, drive: u32, at: (f64, f64)) -> Stop {
     let labelled = tilted(rng, 0.06).after(attitude);
     Stop {
         drive,
-        site_from_rover: (attitude, place),
-        labelled: (labelled, place + slip),
+        site_from_rover: RoverPose { attitude, place },
+        labelled: RoverPose {
+            attitude: labelled,
+            place: place + slip,
+        },
     }
 }
 
@@ -179,7 +182,7 @@ pub struct Capture {
 
 /// Returns the camera of one eye after the mast has been pointed.
 pub fn take(stop: &Stop, pointing: &Pointing, eye: Eye, size_px: (u32, u32), seed: u64) -> Capture {
-    let (attitude, place) = stop.site_from_rover;
+    let RoverPose { attitude, place } = stop.site_from_rover;
     let columns = attitude.columns();
     // The direction from the mast to the outcrop, in the rover frame.
     let head = rotate(&columns, MAST) + place;

@@ -5,8 +5,7 @@ use nalgebra::{Matrix3, Vector3};
 use serde_json::json;
 
 use super::{
-    lens::{Lens, Quaternion},
-    math::V3,
+    lens::{Lens, RoverPose},
     plan::FlawKind,
 };
 
@@ -58,11 +57,14 @@ pub struct RangeMap {
     pub range_m: Vec<f32>,
 }
 
-pub fn pose_of((turn, place): (Quaternion, V3)) -> Pose {
-    let columns = turn.columns().map(|column| Vector3::from(column.array()));
+pub fn pose_of(rover: &RoverPose) -> Pose {
+    let columns = rover
+        .attitude
+        .columns()
+        .map(|column| Vector3::from(column.array()));
     Pose {
         rotation: Matrix3::from_columns(&columns),
-        translation: Vector3::from(place.array()),
+        translation: Vector3::from(rover.place.array()),
     }
 }
 

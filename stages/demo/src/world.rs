@@ -228,7 +228,10 @@ fn outcrop(rng: &mut Rng, salt: u32) -> Vec<Place> {
         };
         let half = v3(wide, wide * rng.within(0.55, 0.9), wide * flat);
         let tilt = (rng.within(-0.35, 0.35), rng.within(-0.35, 0.35));
-        all.push(place(rng, at, half, tilt, buried_share(index), salt));
+        all.push(Place {
+            tilt,
+            ..place(rng, at, half, buried_share(index), salt)
+        });
     }
     all
 }
@@ -243,17 +246,21 @@ fn stone(rng: &mut Rng, at: (f64, f64), size: f64, salt: u32) -> Option<Place> {
     let tilt = (rng.within(-0.25, 0.25), rng.within(-0.25, 0.25));
     let bury = rng.within(0.1, 0.6);
     let buried_by_sand = rng.within(0.0, 1.0) < ground::sandiness(at.0, at.1, salt) * 0.94 && size < 0.11;
-    let stone = place(rng, at, half, tilt, bury, salt);
+    let stone = Place {
+        tilt,
+        ..place(rng, at, half, bury, salt)
+    };
     (!buried_by_sand).then_some(stone)
 }
 
-fn place(rng: &mut Rng, at: (f64, f64), half: V3, tilt: (f64, f64), bury: f64, salt: u32) -> Place {
+/// Returns an upright rock that is turned at random and buried by a share of its height.
+fn place(rng: &mut Rng, at: (f64, f64), half: V3, bury: f64, salt: u32) -> Place {
     let ground_z = ground::plain(at.0, at.1, salt);
     Place {
         centre: v3(at.0, at.1, ground_z + half.z * (1.0 - 2.0 * bury)),
         half,
         yaw_rad: rng.within(0.0, TURN),
-        tilt,
+        tilt: (0.0, 0.0),
         ground_z,
     }
 }

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use marf_cache::manifest::Row;
+use marf_cache::{Digest, manifest::Row};
 use marf_pds::exif::{self, Lens};
 use marf_pds::{Label, ProductName, raw};
 use marf_scene::{Photo, PhotoFacts, thumbnail};
@@ -12,7 +12,7 @@ use rayon::prelude::*;
 
 use crate::archive::{ArchiveFile, Kind, ReadFile};
 use crate::products::{Product, Sorted, left, sort};
-use crate::survey::Wanted;
+use crate::survey::PhotoMeasures;
 
 /// Smallest image, in bytes, of which a thumbnail is made: a smaller one is shown as it is.
 const MIN_THUMBNAIL_BYTES: usize = 64 << 10;
@@ -26,7 +26,7 @@ pub(crate) fn fetch(
     ctx: &Ctx<'_>,
     files: &[ArchiveFile],
     shard: u32,
-    wanted: &Wanted,
+    wanted: &PhotoMeasures,
 ) -> Result<Fetched, StageError> {
     let Sorted {
         products,
@@ -74,7 +74,12 @@ struct Outcome {
 }
 
 /// Takes the first file of a product that can be decoded; the others get a verdict each.
-fn one_product(ctx: &Ctx<'_>, product: &Product, shard: u32, wanted: &Wanted) -> Result<Outcome, StageError> {
+fn one_product(
+    ctx: &Ctx<'_>,
+    product: &Product,
+    shard: u32,
+    wanted: &PhotoMeasures,
+) -> Result<Outcome, StageError> {
     let mut outcome = Outcome::default();
     for file in &product.files {
         if let Some(row) = &outcome.row {
@@ -94,7 +99,11 @@ fn one_product(ctx: &Ctx<'_>, product: &Product, shard: u32, wanted: &Wanted) ->
                     ..left(&file.name, Verdict::KEEP, String::new())
                 });
                 outcome.measures = measures(ctx, product, &decoded.photo, wanted)?;
-                outcome.row = Some(make_row(ctx, product, file, &bytes, decoded, shard)?);
+                outcome.row = Some(Row {
+                    id: product.id.clone(),
+                    blobs: blobs(ctx, product, file, bytes.len(), &decoded)?,
+                    facts: facts(product, file, bytes.len(), decoded, shard).to_json(),
+                });
             }
             Err(reason) => outcome.verdicts.push(left(&file.name, "decode", reason)),
         }
@@ -107,7 +116,7 @@ fn measures(
     ctx: &Ctx<'_>,
     product: &Product,
     photo: &Photo,
-    wanted: &Wanted,
+    wanted: &PhotoMeasures,
 ) -> Result<Vec<FetchedMeasure>, StageError> {
     let measured = (wanted.measure)(ctx, photo, &wanted.tables)?;
     let named = wanted
@@ -185,14 +194,14 @@ fn decode(product: &Product, file: &ArchiveFile, bytes: &[u8]) -> Result<Decoded
     })
 }
 
-fn make_row(
+/// Stores the picture, its thumbnail and its label, and returns their digests.
+fn blobs(
     ctx: &Ctx<'_>,
     product: &Product,
     file: &ArchiveFile,
-    bytes: &[u8],
-    decoded: Decoded,
-    shard: u32,
-) -> Result<Row, StageError> {
+    size_bytes: usize,
+    decoded: &Decoded,
+) -> Result<BTreeMap<String, Digest>, StageError> {
     let mut blobs = BTreeMap::new();
     let stored = file.digest;
     match &decoded.made {
@@ -204,7 +213,7 @@ fn make_row(
             blobs.insert("image".to_owned(), stored);
         }
     }
-    if decoded.made.as_ref().map_or(bytes.len(), Vec::len) >= MIN_THUMBNAIL_BYTES {
+    if decoded.made.as_ref().map_or(size_bytes, Vec::len) >= MIN_THUMBNAIL_BYTES {
         let small = thumbnail(&decoded.photo.image).map_err(|error| {
             let what = format!("no thumbnail of `{}` can be made", file.name);
             StageError::new(what).cause(error.to_string())
@@ -214,11 +223,7 @@ fn make_row(
     if let Some(label) = &product.label {
         blobs.insert("label".to_owned(), label.digest);
     }
-    Ok(Row {
-        id: product.id.clone(),
-        blobs,
-        facts: facts(product, file, bytes.len(), decoded, shard).to_json(),
-    })
+    Ok(blobs)
 }
 
 fn facts(
@@ -228,7 +233,7 @@ fn facts(
     decoded: Decoded,
     shard: u32,
 ) -> PhotoFacts {
-    let size = (decoded.photo.image.width, decoded.photo.image.height);
+    let (width, height) = (decoded.photo.image.width, decoded.photo.image.height);
     let mut notes = decoded.notes;
     notes.extend(decoded.lens.notes);
     let name = product.name.as_ref();
@@ -241,7 +246,7 @@ fn facts(
         .into_iter()
         .flatten()
         .find(|label| label.prior.is_some());
-    let prior = with_camera.and_then(|label| label.fit_camera(name, size, &mut notes));
+    let prior = with_camera.and_then(|label| label.fit_camera(name, width, height, &mut notes));
     if let Some(label) = with_camera.or(attached).or(detached) {
         notes.extend(label.notes.iter().cloned());
     }
@@ -256,8 +261,8 @@ fn facts(
     PhotoFacts {
         file: file.name.clone(),
         size_bytes: size_bytes as u64,
-        width: size.0,
-        height: size.1,
+        width,
+        height,
         bands: decoded.bands,
         sol,
         instrument: name

@@ -48,10 +48,10 @@ impl Batch {
 
 /// Makes the names in a folder survive a power cut, where the system can.
 pub(crate) fn sync_folder(folder: &Path) -> io::Result<()> {
-    match cfg!(unix) {
-        true => File::open(folder)?.sync_all(),
-        false => Ok(()),
+    if cfg!(unix) {
+        File::open(folder)?.sync_all()?;
     }
+    Ok(())
 }
 
 /// Returns the path with a suffix added to its name.

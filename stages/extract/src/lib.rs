@@ -48,7 +48,7 @@ pub use survey::{MeasurePhoto, NoSurvey, Survey};
 pub struct Extract<S = NoSurvey> {
     archive: Box<dyn archive::ArchiveFiles>,
     reading: Reading,
-    wanted: survey::Wanted,
+    measures: survey::PhotoMeasures,
     survey: PhantomData<fn() -> S>,
 }
 
@@ -86,7 +86,7 @@ impl<S: Survey> Source for Extract<S> {
             ctx.put(&files.encode())?;
         }
         let shard_files = self.archive.files(ctx, shard)?;
-        let fetched = fetch::fetch(ctx, &shard_files.files, shard, &self.wanted)?;
+        let fetched = fetch::fetch(ctx, &shard_files.files, shard, &self.measures)?;
         Ok(Fetched {
             fingerprint: shard_files.fingerprint,
             warnings: shard_files.warnings,
@@ -113,7 +113,7 @@ impl<S: Survey> Define for Extract<S> {
             let path = format!("archive.{}", error.path);
             ParamError::new(path.trim_end_matches('.'), error.message)
         };
-        let wanted = survey::Wanted::of::<S>(&context.measures);
+        let measures = survey::PhotoMeasures::new::<S>(&context.measures);
         let archive: Box<dyn archive::ArchiveFiles> = match context.recorded {
             Some(recorded) => Box::new(recorded::Recorded(recorded)),
             None => params.archive.open(context).map_err(of_archive)?,
@@ -123,7 +123,7 @@ impl<S: Survey> Define for Extract<S> {
             reading: Reading {
                 white_radiance: marf_pds::WHITE_RADIANCE,
             },
-            wanted,
+            measures,
             survey: PhantomData,
         })
     }

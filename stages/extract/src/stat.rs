@@ -27,7 +27,7 @@ pub(crate) struct FileState {
 impl FileState {
     /// Returns the state from the metadata of a file.
     #[cfg(unix)]
-    pub fn of(meta: &Metadata) -> Self {
+    pub fn from_metadata(meta: &Metadata) -> Self {
         use std::os::unix::fs::MetadataExt;
         let ns = |seconds: i64, nanos: i64| seconds.saturating_mul(1_000_000_000).saturating_add(nanos);
         Self {
@@ -41,7 +41,7 @@ impl FileState {
 
     /// Returns the state from the metadata of a file. Without inodes, a file of another creation time is another file.
     #[cfg(not(unix))]
-    pub fn of(meta: &Metadata) -> Self {
+    pub fn from_metadata(meta: &Metadata) -> Self {
         let ns = |time: std::io::Result<SystemTime>| time.map_or(i64::MAX, since_1970_ns);
         Self {
             size: meta.len(),

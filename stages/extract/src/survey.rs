@@ -27,20 +27,20 @@ impl Survey for NoSurvey {
     const MEASURE: MeasurePhoto = |_, _, _| Ok(Vec::new());
 }
 
-/// A survey and the tables of it that are wanted.
+/// What is measured of each photo: some tables of a survey.
 #[derive(Clone)]
-pub(crate) struct Wanted {
+pub(crate) struct PhotoMeasures {
     pub(crate) tables: Vec<Table>,
     pub(crate) measure: MeasurePhoto,
 }
 
-impl Wanted {
+impl PhotoMeasures {
     /// Returns those tables of a survey that are among `tables`.
-    pub(crate) fn of<S: Survey>(tables: &[Table]) -> Self {
-        let mut wanted = S::tables();
-        wanted.retain(|table| tables.contains(table));
+    pub(crate) fn new<S: Survey>(tables: &[Table]) -> Self {
+        let mut chosen = S::tables();
+        chosen.retain(|table| tables.contains(table));
         Self {
-            tables: wanted,
+            tables: chosen,
             measure: S::MEASURE,
         }
     }

@@ -10,7 +10,7 @@ mod common;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use common::{bring, folder, real};
+use common::{bring, folder, real, stage};
 
 #[test]
 fn every_bad_input_gets_a_verdict() {
@@ -122,4 +122,29 @@ fn peak_kb() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find(|line| line.starts_with("VmHWM"))?;
     line.split_whitespace().nth(1)?.parse().ok()
+}
+
+#[test]
+fn archives_with_bad_keys_say_so() {
+    let fail = |archive: serde_json::Value, path: &str, part: &str| {
+        let error = stage(archive).err().unwrap();
+        assert_eq!(error.path, path, "{error}");
+        assert!(error.message.contains(part), "{error}");
+    };
+    for kind in ["pds", "feed"] {
+        let archive =
+            serde_json::json!({"kind": kind, "mission": "mars2020", "instrument": "navcam", "sols": "1..=5"});
+        fail(archive, "archive.mission", "unknown variant `mars2020`");
+    }
+    fail(
+        serde_json::json!({"kind": "folder", "path": "x", "sols": "5..=1"}),
+        "archive.sols",
+        "empty range",
+    );
+    fail(
+        serde_json::json!({"kind": "folder", "path": "x", "sol": 1}),
+        "archive.sol",
+        "unknown field `sol`",
+    );
+    fail(serde_json::json!({"kind": "tape"}), "archive.kind", "tape");
 }

@@ -43,7 +43,7 @@ pub fn fit(views: &[View]) -> Vec<f32> {
 /// Directions in the world and colours of some pixels, spread over the photo by the golden ratio.
 fn looks(view: &View) -> impl Iterator<Item = ([f32; 3], SVector<f64, 3>)> + '_ {
     let world_from_cam = view.cam_from_world.inverse();
-    let kept = view.image.len();
+    let kept = view.image.count();
     let place = move |index: u64| (u128::from(index.wrapping_mul(GOLDEN)) * kept as u128) >> 64;
     (0..PIXELS.min(kept as u64)).filter_map(move |index| {
         let kept = place(index) as usize;

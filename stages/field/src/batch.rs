@@ -3,44 +3,20 @@
 use parking_lot::Mutex;
 use rayon::prelude::*;
 
-use crate::cpu::clearance::Clearance;
 use crate::cpu::composite::{Densities, Runaways};
 use crate::cpu::encode::{Points, warm};
-use crate::cpu::march::{Bits, March, Samples, Steps};
+use crate::cpu::march::{March, Samples};
+use crate::cpu::net::Slopes;
 use crate::cpu::simd::{Block, InstructionSet, LANES, Run, Stripe, flat};
 use crate::draw::Target;
-use crate::exposure::Exposure;
+pub use crate::losses::{ChunkSums, StepContext};
 use crate::losses::{LogitSlopes, Losses, RawSlopes};
 use crate::occupancy::Probe;
-use crate::shade::{Shade, Span, ToPlanes, lookup, planes_mut};
+use crate::planes::{GridLevel, ToPlanes, planes_mut};
+use crate::sh;
+use crate::shade::{Shade, Span};
 use crate::watch::{Part, Watch, timed};
 use crate::weights::Weights;
-use crate::{Config, sh};
-
-/// What all chunks of a step share.
-#[derive(Clone, Copy)]
-pub struct Shared<'a> {
-    /// Instruction set.
-    pub level: InstructionSet,
-    /// Hyper-parameters.
-    pub config: &'a Config,
-    /// The weights.
-    pub weights: &'a Weights,
-    /// Where rays are looked at.
-    pub steps: &'a Steps,
-    /// What is occupied.
-    pub bits: &'a Bits,
-    /// Its empty space.
-    pub clearance: &'a Clearance,
-    /// Rays of the whole batch: gradients are those of the mean.
-    pub rays: usize,
-    /// Samples of a ray that are trained, about; 0: all that show.
-    pub ray_samples: u32,
-    /// Weight of the distortion loss.
-    pub distortion: f32,
-    /// Where the time goes, if someone asks.
-    pub watch: Option<&'a Watch>,
-}
 
 /// Rays that are trained together. Its memory is kept from step to step.
 #[derive(Default)]
@@ -52,48 +28,7 @@ pub struct Chunk {
     spans: Vec<Span>,
     harmonics: Vec<[f32; sh::COUNT]>,
     /// What training found.
-    pub found: Found,
-}
-
-/// What a chunk found beside the gradients of its features.
-#[derive(Clone, Debug, Default)]
-pub struct Found {
-    /// Gradients of the density network's layers.
-    pub density: Vec<Vec<Block>>,
-    /// Gradients of the colour network's layers.
-    pub color: Vec<Vec<Block>>,
-    /// Gradient of the background, `[3, 16]`.
-    pub background: Vec<f32>,
-    /// Gradients of the exposures, photo by photo as the rays come.
-    pub exposures: Vec<(u32, Exposure)>,
-    /// Sum of squared errors over rays and channels.
-    pub loss: f64,
-    /// Samples that rays visited.
-    pub visited: u64,
-    /// Samples that were trained.
-    pub samples: u64,
-    /// First tensor with a number that ran away.
-    pub bad: Option<&'static str>,
-}
-
-impl Found {
-    /// Returns the first gradient, but those of the features, with a number that runs away.
-    fn runaway_gradient(&self, level: InstructionSet) -> Option<&'static str> {
-        let wild = |values: &[f32]| level.run(Runaways(values));
-        let mut layers = self.density.iter().chain(&self.color);
-        match () {
-            () if layers.any(|layer| wild(flat(layer))) => Some("gradient of the networks"),
-            () if wild(&self.background) => Some("gradient of the background"),
-            () if self
-                .exposures
-                .iter()
-                .any(|(_, slope)| wild(&slope.gain) || wild(&slope.offset)) =>
-            {
-                Some("gradient of the exposures")
-            }
-            () => None,
-        }
-    }
+    pub found: ChunkSums,
 }
 
 /// Memory of the workers; a worker takes one and gives it back.
@@ -108,8 +43,7 @@ pub struct Scratch {
     d_tau: Vec<f32>,
     d_rgb: Vec<[f32; 4]>,
     /// Gradients of the colour network's outputs, then of the density network's, then of the features.
-    slope: Vec<Block>,
-    spare: Vec<Block>,
+    slopes: Slopes,
 }
 
 /// Points of a chunk, and of as many chunks as are looked up together: their features then take no more memory than those
@@ -120,7 +54,13 @@ const PROBES: usize = 32 * CHUNK_PROBES;
 /// Trains on a batch, `rays` rays a chunk; fills `chunks`.
 ///
 /// Features are looked up level by level over the whole batch: the cache then holds one table, not all.
-pub fn train(shared: &Shared, targets: &[Target], rays: usize, chunks: &mut Vec<Chunk>, spares: &Spares) {
+pub fn train(
+    shared: &StepContext,
+    targets: &[Target],
+    rays: usize,
+    chunks: &mut Vec<Chunk>,
+    spares: &Spares,
+) {
     chunks.resize_with(targets.len().div_ceil(rays), Chunk::default);
     let pairs = chunks.par_iter_mut().zip(targets.par_chunks(rays));
     pairs.for_each(|(chunk, targets)| timed(shared.watch, Part::March, || chunk.march(shared, targets)));
@@ -154,7 +94,8 @@ fn encode(level: InstructionSet, weights: &Weights, chunks: &mut [Chunk], watch:
             timed(watch, Part::Lookup, || {
                 warm(table);
                 for (points, stripe) in rows {
-                    lookup(level, weights.features, *shape, table, points, stripe);
+                    let grid = GridLevel::new(weights.features, *shape, table);
+                    grid.lookup(level, points, stripe);
                 }
             });
         });
@@ -210,7 +151,7 @@ impl Chunk {
     }
 
     /// Collects the samples of every ray.
-    fn march(&mut self, shared: &Shared, targets: &[Target]) {
+    fn march(&mut self, shared: &StepContext, targets: &[Target]) {
         self.samples.resize(0);
         self.spans.clear();
         self.harmonics.clear();
@@ -242,7 +183,7 @@ impl Chunk {
 
 impl Scratch {
     /// Trains on the rays of a chunk whose features have been looked up.
-    fn train(&mut self, shared: &Shared, targets: &[Target], chunk: &mut Chunk) {
+    fn train(&mut self, shared: &StepContext, targets: &[Target], chunk: &mut Chunk) {
         std::mem::swap(&mut self.shade.samples, &mut chunk.samples);
         chunk.found.bad = self.learn(shared, targets, chunk).err();
         std::mem::swap(&mut self.shade.samples, &mut chunk.samples);
@@ -250,7 +191,12 @@ impl Scratch {
 
     /// # Errors
     /// The first tensor with a number that runs away.
-    fn learn(&mut self, shared: &Shared, targets: &[Target], chunk: &mut Chunk) -> Result<(), &'static str> {
+    fn learn(
+        &mut self,
+        shared: &StepContext,
+        targets: &[Target],
+        chunk: &mut Chunk,
+    ) -> Result<(), &'static str> {
         let (weights, watch) = (shared.weights, shared.watch);
         timed(watch, Part::Density, || {
             self.shade.infer(shared.level, weights, &chunk.features);
@@ -281,7 +227,7 @@ impl Scratch {
     }
 
     /// Turns densities into opacities and decides which samples are trained.
-    fn opacities(&mut self, shared: &Shared, targets: &[Target], chunk: &mut Chunk) {
+    fn opacities(&mut self, shared: &StepContext, targets: &[Target], chunk: &mut Chunk) {
         self.before.resize(targets.len(), 0.0);
         let (shade, before, kept) = (&mut self.shade, &self.before, &mut self.kept);
         shade.opacities(shared.level, &chunk.spans, before);
@@ -295,7 +241,7 @@ impl Scratch {
     }
 
     /// Compares every ray with its pixel and sends the difference back to densities, colours, background, gain.
-    fn losses(&mut self, shared: &Shared, targets: &[Target], chunk: &mut Chunk) {
+    fn losses(&mut self, shared: &StepContext, targets: &[Target], chunk: &mut Chunk) {
         let n = self.shade.raw.len();
         self.d_tau.clear();
         self.d_tau.resize(n, 0.0);
@@ -319,22 +265,21 @@ impl Scratch {
     }
 
     /// Carries the gradients of colours through their network, to the outputs of the density network.
-    fn colour_backward(&mut self, shared: &Shared, found: &mut Found) {
+    fn colour_backward(&mut self, shared: &StepContext, found: &mut ChunkSums) {
         let (shade, weights) = (&self.shade, shared.weights);
-        self.slope.resize(shade.rgb.len(), Block::ZERO);
+        self.slopes.rows.resize(shade.rgb.len(), Block::ZERO);
         shared.level.run(LogitSlopes {
             logits: shade.color.last().map_or(&[][..], Vec::as_slice),
             rgb: &shade.rgb,
             d_rgb: &self.d_rgb,
-            slopes: &mut self.slope,
+            slopes: &mut self.slopes.rows,
         });
         weights.color.shape_gradients(&mut found.color);
         weights.color.backward(
             shared.level,
             &shade.latent,
             &shade.color,
-            &mut self.slope,
-            &mut self.spare,
+            &mut self.slopes,
             &mut found.color,
         );
     }
@@ -343,23 +288,22 @@ impl Scratch {
     ///
     /// # Errors
     /// Those of the features, with a number that runs away.
-    fn density_backward(&mut self, shared: &Shared, chunk: &mut Chunk) -> Result<(), &'static str> {
+    fn density_backward(&mut self, shared: &StepContext, chunk: &mut Chunk) -> Result<(), &'static str> {
         let (shade, weights, found) = (&self.shade, shared.weights, &mut chunk.found);
-        let (slope, spare) = (&mut self.slope, &mut self.spare);
         shared.level.run(RawSlopes {
             shade,
             d_tau: &self.d_tau,
-            slopes: slope,
+            slopes: &mut self.slopes.rows,
         });
         weights.density.shape_gradients(&mut found.density);
         weights.density.backward(
             shared.level,
             &shade.features,
             &shade.density,
-            slope,
-            spare,
+            &mut self.slopes,
             &mut found.density,
         );
+        let slope = &self.slopes.rows;
         if shared.level.run(Runaways(flat(slope))) {
             return Err("gradient of the features");
         }

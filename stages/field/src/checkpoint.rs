@@ -1,14 +1,12 @@
 //! A trainer's state as bytes and back, exact to the bit.
 
-use safetensors::tensor::Dtype;
 use serde::{Deserialize, Serialize};
 
 use crate::cpu::adam::Moments;
 use crate::frame::Frame;
 use crate::occupancy::{Occupancy, Refill};
 use crate::state::State;
-use crate::tensors::{Reader, Writer};
-use crate::weights::Weights;
+use crate::tensors::{Reader, Writer, check_tables};
 use crate::{Config, FieldError, Sizes, Step, Trainer};
 
 #[derive(Serialize, Deserialize)]
@@ -160,18 +158,6 @@ fn samples_per_ray(reader: &Reader, bits: &str) -> Result<f64, FieldError> {
         return Err(reader.malformed(format!("{samples_per_ray} samples per ray")));
     }
     Ok(samples_per_ray)
-}
-
-/// Checks the tables of a file by name and length before memory is taken.
-///
-/// # Errors
-/// [`FieldError::Malformed`] names the tensor.
-pub fn check_tables(reader: &Reader, prefix: &str, config: &Config, sizes: &Sizes) -> Result<(), FieldError> {
-    for (index, shape) in Weights::shapes(config, sizes).iter().enumerate() {
-        let len = shape.entries as usize * config.features as usize;
-        reader.expect(&format!("{prefix}table.{index}"), Dtype::F32, len)?;
-    }
-    Ok(())
 }
 
 fn write_moments<'a>(writer: &mut Writer<'a>, name: &str, moments: &'a Moments) {

@@ -7,7 +7,7 @@ use std::time::Instant;
 use marf_scene::{Camera, Pose};
 
 use crate::backend::{Backend, Renderer, Session, Step};
-use crate::batch::{self, Chunk, Shared, Spares};
+use crate::batch::{self, Chunk, Spares, StepContext};
 use crate::cpu::clearance::Clearance;
 use crate::cpu::composite::runs_away;
 use crate::cpu::simd::InstructionSet;
@@ -141,7 +141,7 @@ impl CpuSession {
     fn step(&mut self, training: &mut Training) -> Result<Step, FieldError> {
         let watch = self.watch.as_ref();
         let targets = timed(watch, Part::Draw, || training.targets());
-        let shared = Shared {
+        let shared = StepContext {
             level: self.level,
             config: &training.config,
             weights: &training.state.weights,
@@ -200,7 +200,7 @@ pub struct Counts {
 
 /// Steps that were timed.
 #[derive(Clone, Debug)]
-pub struct Watched {
+pub struct StepProfile {
     /// What was done.
     pub counts: Counts,
     /// Seconds of every part, summed over threads; those of serial parts once. In the order of [`PARTS`].
@@ -230,12 +230,12 @@ impl WatchedTraining {
     ///
     /// # Errors
     /// As [`crate::Trainer::advance`].
-    pub fn step(&mut self) -> Result<Watched, FieldError> {
+    pub fn step(&mut self) -> Result<StepProfile, FieldError> {
         let begin = Instant::now();
         let step = self.session.step(&mut self.training)?;
         let wall_s = begin.elapsed().as_secs_f64();
         let found = || self.session.chunks.iter().map(|chunk| &chunk.found);
-        Ok(Watched {
+        Ok(StepProfile {
             counts: Counts {
                 rays: step.rays,
                 visited: found().map(|found| found.visited).sum(),

@@ -16,9 +16,9 @@ const SQUARES: f64 = 30.0;
 /// Points farther than the nearest by more than this share of its distance are hidden.
 const HIDDEN: f64 = 0.1;
 /// Matter within so many steps of the point counts as being there.
-pub(crate) const REACH: f32 = 2.5;
+pub const REACH: f32 = 2.5;
 /// Added to the weight near the point: bounds the pull on rays that have next to nothing there.
-pub(crate) const FLOOR: f32 = 0.05;
+pub const FLOOR: f32 = 0.05;
 
 /// A pixel in which a point is seen.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -1,7 +1,8 @@
+use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
-use crate::frame::Frame;
-use crate::{Config, Field, FieldError, Sizes, View};
+use crate::frame::{ENOUGH_POINTS, Frame, box_of};
+use crate::{Config, FieldError, Sizes, View};
 
 /// What a training derived from its scene: the box, and the sizes of the field in it.
 ///
@@ -23,34 +24,54 @@ pub struct Derived {
 }
 
 impl Derived {
-    /// Returns the box after checking that a training on these views can use it.
-    ///
-    /// # Errors
-    /// [`FieldError::OutOfBox`] where the box is no box, or a camera has no place in it; a size out of its range.
-    pub(crate) fn frame(&self, config: &Config, views: &[View]) -> Result<Frame, FieldError> {
-        let frame = Frame {
-            origin: self.origin,
-            half_side: self.half_side,
-            depth: self.depth,
-            reason: self.box_reason.clone(),
-        };
-        frame.check(views)?;
-        self.sizes.check(config)?;
-        Ok(frame)
-    }
-}
-
-impl Field {
-    /// Returns the box and the sizes at the end of the training.
-    pub fn derived(&self) -> Derived {
-        let frame = &self.model.frame;
-        Derived {
+    /// Returns a box and sizes as what was derived.
+    pub(crate) fn new(frame: &Frame, sizes: &Sizes) -> Self {
+        Self {
             origin: frame.origin,
             half_side: frame.half_side,
             depth: frame.depth,
             box_reason: frame.reason.clone(),
-            sizes: self.model.facts.sizes.clone(),
+            sizes: sizes.clone(),
         }
+    }
+
+    /// Returns the box.
+    pub(crate) fn frame(&self) -> Frame {
+        Frame {
+            origin: self.origin,
+            half_side: self.half_side,
+            depth: self.depth,
+            reason: self.box_reason.clone(),
+        }
+    }
+
+    /// Checks that a training on these views can use it.
+    ///
+    /// # Errors
+    /// [`FieldError::OutOfBox`] where the box is no box, or a camera has no place in it; a size out of its range.
+    pub(crate) fn check(&self, config: &Config, views: &[View]) -> Result<(), FieldError> {
+        self.frame().check(views)?;
+        self.sizes.check(config)
+    }
+
+    /// Returns how far a scene reaches from the middle of this box, half sides of it: 1 where its own box would lie in this one.
+    ///
+    /// `points`: its sparse points; of fewer than 32 the cameras tell: those `before`, and all `now`, world units. How far those
+    /// before are then counts as 1, if they are not in the box.
+    pub fn reach(&self, points: &[[f64; 3]], before: &[Vector3<f64>], now: &[Vector3<f64>]) -> f64 {
+        let from_middle = |at: [f64; 3]| {
+            let away = [0, 1, 2].map(|axis| (at[axis] - self.origin[axis]).abs() / self.half_side);
+            away.into_iter().fold(0.0, f64::max)
+        };
+        if points.len() >= ENOUGH_POINTS {
+            let (origin, half_side) = box_of(points);
+            return from_middle(origin) + half_side / self.half_side;
+        }
+        let farthest = |cameras: &[Vector3<f64>]| {
+            let away = cameras.iter().map(|camera| from_middle((*camera).into()));
+            away.fold(1.0, f64::max)
+        };
+        farthest(now) / farthest(before)
     }
 }
 

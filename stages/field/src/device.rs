@@ -51,6 +51,31 @@ impl From<Device> for String {
     }
 }
 
+impl Device {
+    /// Returns what decides the bits of this device's numbers on another machine: one whose GPU has the backend id `gpu`, or one
+    /// without a GPU; `None` for the CPU.
+    ///
+    /// # Errors
+    /// A GPU is wanted that the machine does not have, in words.
+    pub fn backend_id_on(&self, gpu: Option<&str>) -> Result<Option<String>, String> {
+        match (self, gpu) {
+            (Self::Cpu, _) => Ok(None),
+            (Self::Auto, gpu) => Ok(gpu.map(str::to_owned)),
+            (Self::Gpu(None), Some(gpu)) => Ok(Some(gpu.to_owned())),
+            (Self::Gpu(Some(name)), Some(gpu)) if holds(gpu, name) => Ok(Some(gpu.to_owned())),
+            (Self::Gpu(_), Some(gpu)) => {
+                Err(format!("it wants the device `{self}`, and jobs compute on {gpu}"))
+            }
+            (Self::Gpu(_), None) => Err(format!("it wants the device `{self}`, and jobs have no GPU")),
+        }
+    }
+}
+
+/// Tells whether the id of a backend holds a name, in small letters or capitals.
+fn holds(id: &str, name: &str) -> bool {
+    id.to_lowercase().contains(&name.to_lowercase())
+}
+
 impl fmt::Display for Device {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
@@ -75,5 +100,22 @@ mod tests {
         for text in ["", "gpu:", "cuda", "cpu:0"] {
             assert!(text.parse::<Device>().is_err(), "{text}");
         }
+    }
+
+    #[test]
+    fn the_backend_of_another_machine_is_that_of_its_gpu_where_one_is_wanted() {
+        let h200 = "NVIDIA H200, driver 1, wgpu 1, kernels ab";
+        let id = |device: &str, gpu: Option<&str>| device.parse::<Device>().unwrap().backend_id_on(gpu);
+        let is_h200 = Ok(Some(h200.to_owned()));
+        for device in ["auto", "gpu", "gpu:h200"] {
+            assert_eq!(id(device, Some(h200)), is_h200, "{device}");
+        }
+        for (device, gpu) in [("cpu", Some(h200)), ("cpu", None), ("auto", None)] {
+            assert_eq!(id(device, gpu), Ok(None), "{device}");
+        }
+        let other = id("gpu:A100", Some(h200)).unwrap_err();
+        assert!(other.contains("compute on NVIDIA H200"), "{other}");
+        let none = id("gpu", None).unwrap_err();
+        assert!(none.contains("jobs have no GPU"), "{none}");
     }
 }

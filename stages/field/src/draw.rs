@@ -91,7 +91,7 @@ impl Training {
     }
 
     /// Draws the pixel of a ray: of every eighth, while sparse points pull, one that sees a point.
-    pub(crate) fn aim(&self, ray: u64, rng: &mut Rng) -> (u64, Option<Pull>) {
+    pub fn aim(&self, ray: u64, rng: &mut Rng) -> (u64, Option<Pull>) {
         let weight = self.pull_at(self.state.steps, self.ray_count());
         let weight = weight.filter(|_| ray.is_multiple_of(SHARE));
         let Some(weight) = weight else {

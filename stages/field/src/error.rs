@@ -111,7 +111,7 @@ pub enum FieldError {
 
 impl FieldError {
     /// Tells whether a device has too little of something, so that a smaller training would fit.
-    pub(crate) fn is_too_large(&self) -> bool {
+    pub fn is_too_large(&self) -> bool {
         matches!(
             self,
             Self::Gpu(GpuError::Limit { .. } | GpuError::Memory { .. } | GpuError::TooLarge { .. })

@@ -21,7 +21,7 @@ pub struct Exposure {
 
 /// Loss of one ray and its gradients.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Compared {
+pub struct Comparison {
     /// Squared errors of the channels.
     pub squares: [f32; 3],
     /// Slopes in the colour of the field.
@@ -34,7 +34,7 @@ impl Exposure {
     /// Compares the field's colour, as this photo shows it, with a pixel; slopes are those of half of
     /// `scale` times the squared error.
     #[inline(always)]
-    pub fn compare(&self, plain: [f32; 3], pixel: [f32; 3], scale: f32) -> Compared {
+    pub fn compare(&self, plain: [f32; 3], pixel: [f32; 3], scale: f32) -> Comparison {
         let (mut squares, mut colour) = ([0.0; 3], [0.0; 3]);
         let (mut gain, mut offset) = ([0.0; 3], [0.0; 3]);
         for channel in 0..3 {
@@ -45,7 +45,7 @@ impl Exposure {
             offset[channel] = scale * error;
         }
         let exposure = Self { gain, offset };
-        Compared {
+        Comparison {
             squares,
             colour,
             exposure,

@@ -4,10 +4,10 @@
 use marf_scene::{Camera, Image, Pose};
 use nalgebra::Vector3;
 
-use crate::batch::{self, Shared, Spares};
+use crate::batch::{self, Spares, StepContext};
 use crate::cpu::clearance::Clearance;
-use crate::cpu::march::Bits;
 use crate::cpu::simd::InstructionSet;
+use crate::cpu::space::Bits;
 use crate::draw::Target;
 use crate::exposure::Exposure;
 use crate::frame::RayStart;
@@ -109,7 +109,7 @@ fn a_rate_that_is_too_high_stops_by_name_or_leaves_a_state_that_can_be_taken_bac
 /// What a batch says of one ray with these numbers; 8-bit photos and checked cameras give no such ray.
 fn batch_of(target: Target) -> Option<&'static str> {
     let trainer = trained(ball(3, 12), &small(), 2, 5);
-    let shared = Shared {
+    let shared = StepContext {
         level: InstructionSet::best(),
         config: &small(),
         weights: &trainer.training.state.weights,

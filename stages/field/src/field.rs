@@ -8,12 +8,13 @@ use marf_scene::{Camera, Pose};
 use crate::backend::{Backend, Renderer};
 use crate::cpu_backend::Cpu;
 use crate::model::Model;
-use crate::{Device, Facts, FieldError, Render, Trial};
+use crate::{Config, Derived, Facts, FieldError, Learnt, Render, Trial};
 
 /// A trained field: everything needed to render.
 #[derive(Clone, Debug)]
 pub struct Field {
-    pub(crate) model: Model,
+    /// Everything needed to render it.
+    pub model: Model,
     renderer: Arc<dyn Renderer>,
 }
 
@@ -22,17 +23,17 @@ impl Field {
     ///
     /// # Errors
     /// A device that lacks something or has too little memory.
-    pub(crate) fn new(model: Model, backend: Arc<dyn Backend>) -> Result<Self, FieldError> {
+    pub fn new(model: Model, backend: Arc<dyn Backend>) -> Result<Self, FieldError> {
         let renderer = backend.renderer(&model)?;
         Ok(Self { model, renderer })
     }
 
-    /// Moves the rendering to a device.
+    /// Moves the rendering to a backend.
     ///
     /// # Errors
-    /// A GPU that is not there, that lacks something, or that has too little memory.
-    pub fn on(self, device: &Device) -> Result<Self, FieldError> {
-        Self::new(self.model, device.backend()?)
+    /// A device that lacks something or has too little memory.
+    pub fn with_backend(self, backend: Arc<dyn Backend>) -> Result<Self, FieldError> {
+        Self::new(self.model, backend)
     }
 
     /// Returns the field as safetensors; the header's `marf` entry is JSON with box, layout, config and facts.
@@ -82,5 +83,27 @@ impl Field {
     /// Returns what the field was sized by.
     pub fn facts(&self) -> &Facts {
         &self.model.facts
+    }
+
+    /// Returns the box and the sizes at the end of the training.
+    pub fn derived(&self) -> Derived {
+        Derived::new(&self.model.frame, &self.model.facts.sizes)
+    }
+
+    /// Returns the field with what a training that starts from it must know; it then is a part of its bytes.
+    #[must_use]
+    pub fn with_learnt(mut self, learnt: Learnt) -> Self {
+        self.model.learnt = Some(learnt);
+        self
+    }
+
+    /// Returns the photos that it was trained on, where it tells them.
+    pub fn learnt(&self) -> Option<&Learnt> {
+        self.model.learnt.as_ref()
+    }
+
+    /// Returns the hyper-parameters that it was trained with.
+    pub fn config(&self) -> &Config {
+        &self.model.config
     }
 }

@@ -100,6 +100,7 @@ fn median(values: &mut [f64]) -> f64 {
     percentile(values, 0.5)
 }
 
+/// Returns the value of which this share are smaller, the upper one of two; 0 for none.
 pub fn percentile(values: &mut [f64], share: f64) -> f64 {
     values.sort_by(f64::total_cmp);
     let index = ((values.len() as f64 * share) as usize).min(values.len().saturating_sub(1));

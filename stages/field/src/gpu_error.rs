@@ -28,7 +28,7 @@ pub enum GpuError {
     },
     /// A training that is larger than the memory of the device.
     #[error(
-        "`{adapter}` gives {offered} bytes, the training takes {needed}, {share} of them for {of}: lower `{key}`, or take `device = \"cpu\"`"
+        "`{adapter}` gives {offered} bytes, the training takes {needed}, {share} of them for {part}: lower `{key}`, or take `device = \"cpu\"`"
     )]
     TooLarge {
         /// The adapter.
@@ -40,7 +40,7 @@ pub enum GpuError {
         /// Bytes of the largest share of these.
         share: u64,
         /// What that is for.
-        of: &'static str,
+        part: &'static str,
         /// The key that decides it.
         key: &'static str,
     },

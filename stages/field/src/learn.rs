@@ -22,27 +22,25 @@ pub fn learn(
     chunks: &[Chunk],
     watch: Option<&Watch>,
 ) {
-    let steps = training.state.steps;
-    let pace = Pace {
-        rate: training.rate_at(steps),
-        keep: training.kept_at(steps),
-    };
-    learn_tables(level, training, gradients, chunks, pace, watch);
+    learn_tables(level, training, gradients, chunks, watch);
     timed(watch, Part::Networks, || {
-        learn_networks(level, training, chunks, pace);
+        learn_networks(level, training, chunks);
     });
     if training.config.gain != Gain::Off {
-        learn_exposures(level, training, chunks, pace.rate);
+        let rate = training.rate_at(training.state.steps);
+        learn_exposures(level, training, chunks, rate);
     }
 }
 
-/// How far a step moves.
+/// How Adam moves weights.
 #[derive(Clone, Copy)]
-struct Pace {
+struct Rates<'a> {
     /// Step size.
     rate: f32,
-    /// Share of themselves that the averaged weights keep; `None` where they are not due.
-    keep: Option<f32>,
+    /// Pull to zero.
+    decay: f32,
+    /// Corrections of the moments.
+    bias: &'a Bias,
 }
 
 /// Moves the tables: one task owns one level, adds all samples in order, then takes the step.
@@ -51,11 +49,15 @@ fn learn_tables(
     training: &mut Training,
     gradients: &mut [Vec<f32>],
     chunks: &[Chunk],
-    Pace { rate, keep }: Pace,
     watch: Option<&Watch>,
 ) {
-    let bias = &training.bias;
-    let rates = [rate, training.table_decay_at(training.state.steps)];
+    let steps = training.state.steps;
+    let keep = training.kept_at(steps);
+    let rates = Rates {
+        rate: training.rate_at(steps),
+        decay: training.table_decay_at(steps),
+        bias: &training.bias,
+    };
     let State {
         weights,
         average,
@@ -75,24 +77,21 @@ fn learn_tables(
         timed(watch, Part::Scatter, || {
             warm(gradient);
             for chunk in chunks {
-                scatter(level, *shape, gradient, chunk, features, index);
+                scatter(level, *shape, gradient, chunk, index);
             }
         });
         timed(watch, Part::Adam, || match features {
-            2 => adam::<2>(level, table, gradient, moments, rates, bias),
-            _ => adam::<4>(level, table, gradient, moments, rates, bias),
+            2 => adam::<2>(level, table, gradient, moments, rates),
+            _ => adam::<4>(level, table, gradient, moments, rates),
         });
         timed(watch, Part::Average, || blend(average, table, keep));
     });
 }
 
 /// Adds the gradients of the networks and of the background in the order of the chunks, then moves them.
-fn learn_networks(
-    level: InstructionSet,
-    training: &mut Training,
-    chunks: &[Chunk],
-    Pace { rate, keep }: Pace,
-) {
+fn learn_networks(level: InstructionSet, training: &mut Training, chunks: &[Chunk]) {
+    let steps = training.state.steps;
+    let (rate, keep) = (training.rate_at(steps), training.kept_at(steps));
     let bias = &training.bias;
     let State {
         weights,
@@ -118,11 +117,12 @@ fn learn_networks(
     for ((((name, values), (_, average)), moments), mut gradient) in
         tensors.zip(moments.iter_mut().skip(tables)).zip(sums)
     {
-        let rates = match name.as_str() {
-            "background" => [rate * BACKGROUND_RATE, 0.0],
-            _ => [rate, DECAY],
+        let (rate, decay) = match name.as_str() {
+            "background" => (rate * BACKGROUND_RATE, 0.0),
+            _ => (rate, DECAY),
         };
-        adam::<NET_ROW>(level, values, &mut gradient, moments, rates, bias);
+        let rates = Rates { rate, decay, bias };
+        adam::<NET_ROW>(level, values, &mut gradient, moments, rates);
         blend(average, values, keep);
     }
     weights.refresh();
@@ -142,8 +142,12 @@ pub fn learn_exposures(level: InstructionSet, training: &mut Training, chunks: &
         }
     }
     let (numbers, moments) = (&mut state.gains, &mut state.gain_moments);
-    let rates = [rate * RATE, 0.0];
-    adam::<ROW>(level, numbers, &mut gradient, moments, rates, &training.bias);
+    let rates = Rates {
+        rate: rate * RATE,
+        decay: 0.0,
+        bias: &training.bias,
+    };
+    adam::<ROW>(level, numbers, &mut gradient, moments, rates);
     for (numbers, limit) in numbers.chunks_mut(half).zip(LIMITS) {
         centre(numbers, limit);
     }
@@ -156,15 +160,9 @@ fn add(row: &mut [f32], slopes: [f32; 3]) {
     }
 }
 
-/// Adds the gradients of a chunk's features, `features` an entry, to those of the table `index`.
-fn scatter(
-    level: InstructionSet,
-    shape: Shape,
-    gradient: &mut [f32],
-    chunk: &Chunk,
-    features: usize,
-    index: usize,
-) {
+/// Adds the gradients of a chunk's features to those of the table `index`.
+fn scatter(level: InstructionSet, shape: Shape, gradient: &mut [f32], chunk: &Chunk, index: usize) {
+    let features = gradient.len() / shape.entries as usize;
     let (points, first) = (chunk.samples.points(), 0);
     let plane = chunk.samples.len() * features / LANES;
     let rows = &chunk.features[index * plane..][..plane];
@@ -189,23 +187,22 @@ fn scatter(
     }
 }
 
-/// Takes one step of Adam; `rates`: step size and pull to zero.
+/// Takes one step of Adam.
 fn adam<const F: usize>(
     level: InstructionSet,
     weights: &mut [f32],
     gradient: &mut [f32],
     moments: &mut Moments,
-    rates: [f32; 2],
-    bias: &Bias,
+    rates: Rates<'_>,
 ) {
     level.run(Adam::<F> {
         weights,
         gradient,
         moments,
-        rate: rates[0],
+        rate: rates.rate,
         epsilon: EPSILON,
-        decay: rates[1],
-        bias,
+        decay: rates.decay,
+        bias: rates.bias,
     });
 }
 

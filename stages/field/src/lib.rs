@@ -1,73 +1,79 @@
-//! The radiance field: a multiresolution hash grid and two small networks, trained and rendered on the CPU or a GPU.
+//! The radiance field: a multiresolution hash grid and two small networks, trained and rendered on the CPU or another backend.
 //!
 //! It knows scenes (photos, cameras, poses), no stage and no file system. Bytes come in, bytes go out.
 //! Invariant: the same views, points, config and seed give the same weights, bit for bit, for any number of
 //! threads and any instruction set; no result holds a number that is not finite.
 
-mod backend;
+pub mod backend;
 mod background;
 mod bands;
-mod batch;
+pub mod batch;
 mod checkpoint;
 mod config;
-mod cpu;
+pub mod cpu;
 mod cpu_backend;
-mod depth;
+#[cfg(test)]
+mod degenerate_tests;
+pub mod depth;
 mod derived;
 mod device;
 mod distances;
-mod draw;
+pub mod draw;
 mod error;
-mod exposure;
+pub mod exposure;
 #[cfg(test)]
 mod extreme_tests;
 mod facts;
 mod field;
 mod footprint;
-mod frame;
-#[cfg(feature = "gpu")]
-mod gpu;
+pub mod frame;
 mod gpu_error;
-mod learn;
+pub mod learn;
 mod learnt;
 mod losses;
-mod model;
-mod occupancy;
-mod open;
+pub mod model;
+pub mod occupancy;
 mod overrides;
 mod pace;
 mod picture;
-mod pixels;
+pub mod pixels;
+pub mod planes;
 mod quality;
-mod render;
-mod rng;
+mod rates;
+pub mod render;
+pub mod rng;
 #[cfg(test)]
 mod rover_tests;
-mod schedule;
+pub mod schedule;
 mod seen;
-mod sh;
-mod shade;
+pub mod sh;
+pub mod shade;
 mod size;
 #[cfg(test)]
+mod size_keys_tests;
+#[cfg(test)]
 mod size_tests;
-mod state;
+pub mod state;
 mod surface;
 mod tensors;
-#[cfg(test)]
-mod test_scene;
+#[cfg(any(test, feature = "test-scene"))]
+#[allow(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
+pub mod test_scene;
 mod trainer;
-mod training;
+pub mod training;
 #[cfg(test)]
 mod training_properties;
 #[cfg(test)]
 mod training_tests;
 mod views;
-mod watch;
-mod weights;
+mod warm_start;
+pub mod watch;
+pub mod weights;
 
 pub use backend::Step;
 pub use bands::render_in_bands;
 pub use config::{Background, Config, Gain, Occupied, ViewDependence};
+pub use cpu_backend::{Counts, Cpu, StepProfile, WatchedTraining};
 pub use derived::Derived;
 pub use device::{Device, DeviceError};
 pub use error::FieldError;
@@ -77,24 +83,11 @@ pub use footprint::{decoding_bytes, judging_bytes, training_bytes};
 pub use gpu_error::GpuError;
 pub use learnt::{Learnt, LearntPhoto};
 pub use overrides::{OverrideError, Overrides};
-pub use pace::{EXPECTED_STEPS_PER_S, Pace};
+pub use pace::{EXPECTED_STEPS_PER_S, OpenSizes, Pace, Pilot, steps_in};
 pub use picture::Render;
 pub use pixels::Pixels;
 pub use quality::Quality;
-
 pub use schedule::{STEPS_A_HALVING, Schedule, ScheduleError};
-pub use size::{Chosen, Sizes};
+pub use size::{Choice, Sizes};
 pub use trainer::Trainer;
 pub use views::View;
-
-/// The kernels, for `cargo bench` alone: no part of the interface.
-#[doc(hidden)]
-pub mod bench {
-    pub use crate::cpu::{adam, clearance, composite, encode, gemm, march, math, net, simd};
-    pub use crate::cpu_backend::{Counts, Watched, WatchedTraining};
-    #[cfg(feature = "gpu")]
-    pub use crate::gpu::{
-        Ceilings, Cost, Filled, Gpu, KernelTime, Load, Shape, Timed, TimedTraining, ceilings,
-    };
-    pub use crate::watch::{PARTS, Part};
-}

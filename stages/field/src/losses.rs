@@ -1,11 +1,82 @@
-//! The loss of a batch and the first links of its gradients: kernels of [`crate::batch`].
+//! The loss of a batch and the first links of its gradients: kernels of `batch`.
 
-use crate::batch::{Found, Shared};
-use crate::cpu::composite::{Gathered, RAW_LIMIT, Ray, colour, colour_slope};
-use crate::cpu::simd::{Block, Isa, Kernel};
+use crate::cpu::clearance::Clearance;
+use crate::cpu::composite::{Gathered, RAW_LIMIT, Ray, Runaways, colour, colour_slope};
+use crate::cpu::march::Steps;
+use crate::cpu::simd::{Block, InstructionSet, Isa, Kernel, Run, flat};
+use crate::cpu::space::Bits;
 use crate::draw::Target;
+use crate::exposure::Exposure;
 use crate::shade::{Shade, Span};
-use crate::{Background, sh};
+use crate::watch::Watch;
+use crate::weights::Weights;
+use crate::{Background, Config, sh};
+
+/// What all chunks of a step share.
+#[derive(Clone, Copy)]
+pub struct StepContext<'a> {
+    /// Instruction set.
+    pub level: InstructionSet,
+    /// Hyper-parameters.
+    pub config: &'a Config,
+    /// The weights.
+    pub weights: &'a Weights,
+    /// Where rays are looked at.
+    pub steps: &'a Steps,
+    /// What is occupied.
+    pub bits: &'a Bits,
+    /// Its empty space.
+    pub clearance: &'a Clearance,
+    /// Rays of the whole batch: gradients are those of the mean.
+    pub rays: usize,
+    /// Samples of a ray that are trained, about; 0: all that show.
+    pub ray_samples: u32,
+    /// Weight of the distortion loss.
+    pub distortion: f32,
+    /// Where the time goes, if someone asks.
+    pub watch: Option<&'a Watch>,
+}
+
+/// What a chunk found beside the gradients of its features.
+#[derive(Clone, Debug, Default)]
+pub struct ChunkSums {
+    /// Gradients of the density network's layers.
+    pub density: Vec<Vec<Block>>,
+    /// Gradients of the colour network's layers.
+    pub color: Vec<Vec<Block>>,
+    /// Gradient of the background, `[3, 16]`.
+    pub background: Vec<f32>,
+    /// Gradients of the exposures, photo by photo as the rays come.
+    pub exposures: Vec<(u32, Exposure)>,
+    /// Sum of squared errors over rays and channels.
+    pub loss: f64,
+    /// Samples that rays visited.
+    pub visited: u64,
+    /// Samples that were trained.
+    pub samples: u64,
+    /// First tensor with a number that ran away.
+    pub bad: Option<&'static str>,
+}
+
+impl ChunkSums {
+    /// Returns the first gradient, but those of the features, with a number that runs away.
+    pub fn runaway_gradient(&self, level: InstructionSet) -> Option<&'static str> {
+        let wild = |values: &[f32]| level.run(Runaways(values));
+        let mut layers = self.density.iter().chain(&self.color);
+        match () {
+            () if layers.any(|layer| wild(flat(layer))) => Some("gradient of the networks"),
+            () if wild(&self.background) => Some("gradient of the background"),
+            () if self
+                .exposures
+                .iter()
+                .any(|(_, slope)| wild(&slope.gain) || wild(&slope.offset)) =>
+            {
+                Some("gradient of the exposures")
+            }
+            () => None,
+        }
+    }
+}
 
 /// Turns gradients of colours into those of their logits, in the first three columns; the others become 0.
 pub struct LogitSlopes<'a> {
@@ -53,14 +124,14 @@ impl Kernel for RawSlopes<'_> {
 
 /// The loss of every ray and its gradients.
 pub struct Losses<'a> {
-    pub shared: &'a Shared<'a>,
+    pub shared: &'a StepContext<'a>,
     pub targets: &'a [Target],
     pub spans: &'a [Span],
     pub harmonics: &'a [[f32; sh::COUNT]],
     pub shade: &'a Shade,
     pub d_tau: &'a mut [f32],
     pub d_rgb: &'a mut [[f32; 4]],
-    pub found: &'a mut Found,
+    pub found: &'a mut ChunkSums,
 }
 
 impl Kernel for Losses<'_> {

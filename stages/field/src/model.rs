@@ -2,10 +2,10 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::checkpoint::check_tables;
-use crate::cpu::march::{Bits, Steps};
+use crate::cpu::march::Steps;
+use crate::cpu::space::Bits;
 use crate::frame::Frame;
-use crate::tensors::{Reader, Writer};
+use crate::tensors::{Reader, Writer, check_tables};
 use crate::weights::Weights;
 use crate::{Config, Facts, FieldError, Learnt};
 

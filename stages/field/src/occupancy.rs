@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use crate::View;
-use crate::cpu::march::{Bits, contract, expand};
+use crate::cpu::space::{Bits, contract, expand};
 use crate::frame::Frame;
 use crate::rng::{Purpose, Rng};
 use crate::seen::seen_cells;

@@ -1,6 +1,8 @@
 //! Sizes that follow from what a device does in a second: how many samples a step has, and with the steps the table.
 
-use crate::{FieldError, Trainer};
+use std::time::Instant;
+
+use crate::{Config, FieldError, Trainer};
 
 /// Steps that two cores take in a second, to choose the table that a pace is measured with first.
 pub const EXPECTED_STEPS_PER_S: f64 = 90.0;
@@ -25,12 +27,12 @@ pub struct Pace {
 }
 
 impl Pace {
-    /// Changes of a batch by [`Trainer::suit`] after which its pace is measured anew, at most: a larger one is faster by itself,
+    /// Changes of a batch by [`Trainer::suit`] after which its pace is measured again, at most: a larger one is faster by itself,
     /// as a step has costs of its own.
-    pub const MOST_CHANGES: usize = 2;
+    const MOST_CHANGES: usize = 2;
 
-    /// Returns the seconds for which the pace of a training of so many seconds is measured.
-    pub fn measured_s(seconds: f64) -> f64 {
+    /// Returns the seconds for which the pace of a training of `seconds` is measured.
+    fn measured_s(seconds: f64) -> f64 {
         (seconds * MEASURED_SHARE).min(MEASURED_MOST_S)
     }
 
@@ -38,14 +40,15 @@ impl Pace {
     const MOST_TABLES: usize = 2;
     const SETTLED_FROM_S: f64 = 120.0;
 
-    /// Returns this pace of a trainer for so many seconds, or that of one with the table that the time fills: a step takes the longer the larger its table is,
-    /// so it is measured again until the table is the one that it was measured with.
+    /// Returns a trainer with the table that `seconds` fill, and its pace. A larger table makes a step slower, so the pace is measured
+    /// again until the table is the one that it was measured with.
     ///
-    /// `steps_of` a pace are those that there is time for; `measured` makes a trainer for so many steps and measures it. A GPU keeps its first, and so does a short time.
+    /// `steps_of` returns the steps that there is time for at a pace. `measured` makes a trainer for a number of steps and measures it. A
+    /// GPU keeps its first table, and so does a short training.
     ///
     /// # Errors
     /// Those of `measured`.
-    pub fn settled<E>(
+    fn settled<E>(
         mut self,
         mut trainer: Trainer,
         seconds: f64,
@@ -82,6 +85,92 @@ impl Pace {
         let log2 = f64::from(COMMON_BATCH.ilog2()) + octaves;
         // The first is taken where the second is NaN.
         1 << least.max(log2.round()).min(most) as u32
+    }
+}
+
+/// Returns the steps that a time is for, at least one.
+pub fn steps_in(seconds: f64, steps_per_s: f64) -> u64 {
+    ((seconds * steps_per_s) as u64).max(1)
+}
+
+/// Sizes of a training that the pace of its device decides.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum OpenSizes {
+    /// None: another training has decided them.
+    Nothing,
+    /// The table.
+    Table,
+    /// The table and the samples of a step.
+    BatchAndTable,
+}
+
+/// A short training that measures the pace of a device before a training by the clock, and settles the sizes that follow from it.
+pub struct Pilot<'a, E> {
+    /// Seconds of the training by the clock.
+    pub seconds: f64,
+    /// Sizes that it settles.
+    pub open: OpenSizes,
+    /// Returns a trainer at step 0.
+    pub new_trainer: &'a dyn Fn(&Config) -> Result<Trainer, E>,
+    /// Returns the seconds that are left for steps.
+    pub left_s: &'a dyn Fn() -> f64,
+    /// Returns an error if the training is to stop.
+    pub check: &'a dyn Fn() -> Result<(), E>,
+    /// Returns the error of a field as the caller's.
+    pub failed: fn(FieldError) -> E,
+}
+
+impl<E> Pilot<'_, E> {
+    /// Trains `first`, made with `config`, and returns a trainer with settled sizes and its pace.
+    ///
+    /// # Errors
+    /// Those of a training, of `new_trainer` and of `check`.
+    pub fn run(&self, first: Trainer, config: &Config) -> Result<(Trainer, Pace), E> {
+        let half_s = Pace::measured_s(self.seconds) / 2.0;
+        let mut first = first;
+        self.train_for(&mut first, half_s)?;
+        let mut pace = self.train_for(&mut first, half_s)?;
+        if self.open == OpenSizes::BatchAndTable {
+            for _ in 0..Pace::MOST_CHANGES {
+                if !first.suit(&pace).map_err(self.failed)? {
+                    break;
+                }
+                pace = self.train_for(&mut first, half_s)?;
+            }
+        }
+        if self.open == OpenSizes::Nothing {
+            return Ok((first, pace));
+        }
+        let measured = |steps: u64| {
+            let mut trainer = (self.new_trainer)(&Config {
+                steps: Some(steps),
+                ..config.clone()
+            })?;
+            let pace = self.train_for(&mut trainer, half_s)?;
+            Ok::<_, E>((trainer, pace))
+        };
+        let steps_of = |pace: &Pace| steps_in((self.left_s)(), pace.steps);
+        pace.settled(first, self.seconds, steps_of, measured)
+    }
+
+    /// Trains for a time, at least one step, and returns the pace.
+    fn train_for(&self, trainer: &mut Trainer, seconds: f64) -> Result<Pace, E> {
+        let (began, before) = (Instant::now(), trainer.steps());
+        // A slow device may need longer for sixteen steps, which a GPU takes at once, than the time is.
+        let (mut rays, mut samples, mut most) = (0, 0, 1_u64);
+        loop {
+            (self.check)()?;
+            let step = trainer.advance(most).map_err(self.failed)?;
+            (rays, samples, most) = (rays + step.rays, samples + step.samples, most.saturating_mul(2));
+            if began.elapsed().as_secs_f64() >= seconds {
+                let last = trainer.settle().map_err(self.failed)?;
+                (rays, samples) = (rays + last.rays, samples + last.samples);
+                let elapsed_s = began.elapsed().as_secs_f64();
+                let [steps, rays, samples] =
+                    [trainer.steps() - before, rays, samples].map(|count| count as f64 / elapsed_s);
+                return Ok(Pace { steps, rays, samples });
+            }
+        }
     }
 }
 
@@ -132,10 +221,10 @@ impl Trainer {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::size;
     use crate::test_scene::{ball, small};
-    use crate::{Config, size};
 
-    fn of(samples: f64) -> Pace {
+    fn at_rate(samples: f64) -> Pace {
         Pace {
             steps: 1.0,
             rays: 1.0,
@@ -160,7 +249,7 @@ mod tests {
             (1e12, 18),
             (f64::INFINITY, 18),
         ] {
-            assert_eq!(of(samples).batch_samples(), 1 << log2, "{samples} a second");
+            assert_eq!(at_rate(samples).batch_samples(), 1 << log2, "{samples} a second");
         }
     }
 
@@ -168,7 +257,7 @@ mod tests {
     #[test]
     fn a_card_gets_the_tables_of_a_card() {
         let table = |samples: f64, seconds: f64| {
-            let batch_samples = of(samples).batch_samples();
+            let batch_samples = at_rate(samples).batch_samples();
             let config = Config {
                 batch_samples,
                 steps: Some((seconds * samples / f64::from(batch_samples)) as u64),
@@ -206,7 +295,7 @@ mod tests {
         ] {
             let pace = |log2: u32| Pace {
                 steps: steps[log2.clamp(17, 19) as usize - 17] as f64,
-                ..of(1.0)
+                ..at_rate(1.0)
             };
             let measured_for = std::cell::RefCell::new(Vec::new());
             let measured = |steps: u64| {
@@ -229,9 +318,16 @@ mod tests {
     }
 
     #[test]
+    fn a_time_is_for_whole_steps_and_at_least_one() {
+        assert_eq!(steps_in(60.0, 12.34), 740);
+        assert_eq!(steps_in(0.001, 12.0), 1);
+        assert_eq!([steps_in(60.0, f64::NAN), steps_in(-1.0, 9.0)], [1, 1]);
+    }
+
+    #[test]
     fn a_cpu_keeps_its_batch_at_any_pace() {
         let mut trainer = Trainer::new(ball(2, 8), &[], &small(), 1).unwrap();
-        assert_eq!(trainer.suit(&of(1e9)), Ok(false));
+        assert_eq!(trainer.suit(&at_rate(1e9)), Ok(false));
         assert_eq!(trainer.batch_samples(), small().batch_samples);
     }
 }

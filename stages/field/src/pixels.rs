@@ -19,7 +19,7 @@ pub struct Pixels {
     /// Pixels of a run, counted along the rows and on in the next; one of each is kept.
     run: u32,
     /// 8-bit sRGB of the kept pixels.
-    pub(crate) pixels: Vec<[u8; 3]>,
+    pub pixels: Vec<[u8; 3]>,
     /// Place of each kept pixel in its run, or [`HIDDEN`]; empty where all are kept and none is hidden.
     offsets: Vec<u8>,
     /// Opacity of each kept pixel, whose colour is blended over black; empty where the photo is opaque.
@@ -27,7 +27,7 @@ pub struct Pixels {
 }
 
 /// In place of the place in its run: a mask hides the pixel, and nothing is learnt from it.
-pub(crate) const HIDDEN: u8 = u8::MAX;
+pub const HIDDEN: u8 = u8::MAX;
 
 impl Pixels {
     /// Longest run: a place in it is one byte, of which one is taken.
@@ -103,38 +103,38 @@ impl Pixels {
         }
         let all = self.width as usize * self.height as usize;
         assert_eq!(alpha.len(), all, "alpha has the size of its photo");
-        self.alpha = (0..self.len()).map(|kept| alpha[self.place(kept)]).collect();
+        self.alpha = (0..self.count()).map(|kept| alpha[self.place(kept)]).collect();
         self
     }
 
     /// Returns all pixels of the photo, `[height * width]`, masked ones too; `None` where some were left out.
-    pub(crate) fn all(&self) -> Option<&[[u8; 3]]> {
+    pub fn all(&self) -> Option<&[[u8; 3]]> {
         (self.run == 1).then_some(&self.pixels)
     }
 
     /// Returns whether the photo shows what lies behind the scene, black here, in some of its pixels.
-    pub(crate) fn is_transparent(&self) -> bool {
+    pub fn is_transparent(&self) -> bool {
         !self.alpha.is_empty()
     }
 
     /// Returns the opacities of the kept pixels; none of an opaque photo.
-    pub(crate) fn alpha(&self) -> &[u8] {
+    pub fn alpha(&self) -> &[u8] {
         &self.alpha
     }
 
     /// Returns how much a kept pixel shows of what lies behind the scene, in [0, 1]; `None` of an opaque photo.
-    pub(crate) fn share_behind(&self, kept: usize) -> Option<f32> {
+    pub fn share_behind(&self, kept: usize) -> Option<f32> {
         let alpha = self.alpha.get(kept)?;
         Some(f32::from(u8::MAX - alpha) / 255.0)
     }
 
     /// Returns whether a mask hides a kept pixel.
-    pub(crate) fn is_hidden(&self, kept: usize) -> bool {
+    pub fn is_hidden(&self, kept: usize) -> bool {
         self.offsets.get(kept) == Some(&HIDDEN)
     }
 
     /// Returns whether a mask hides all of the photo.
-    pub(crate) fn is_all_hidden(&self) -> bool {
+    pub fn is_all_hidden(&self) -> bool {
         !self.offsets.is_empty() && self.offsets.iter().all(|offset| *offset == HIDDEN)
     }
 
@@ -154,24 +154,23 @@ impl Pixels {
     }
 
     /// Returns how many pixels are kept.
-    pub(crate) fn len(&self) -> usize {
+    pub fn count(&self) -> usize {
         self.pixels.len()
     }
 
     /// Returns the pixels of a run, of which one is kept.
-    #[cfg(feature = "gpu")]
-    pub(crate) fn run(&self) -> u32 {
+    pub fn run(&self) -> u32 {
         self.run
     }
 
     /// Returns whether the pixels fill the photo, and there is one.
-    pub(crate) fn is_whole(&self) -> bool {
+    pub fn is_whole(&self) -> bool {
         let all = self.width as usize * self.height as usize;
         !self.pixels.is_empty() && self.pixels.len() == all.div_ceil(self.run as usize)
     }
 
     /// Returns the centre of a kept pixel in the photo, and its sRGB in [0, 1]; of a hidden one the centre is the first of its run.
-    pub(crate) fn at(&self, kept: usize) -> ([f64; 2], [f32; 3]) {
+    pub fn at(&self, kept: usize) -> ([f64; 2], [f32; 3]) {
         let place = self.place(kept);
         let width = self.width as usize;
         let centre = [(place % width) as f64 + 0.5, (place / width) as f64 + 0.5];
@@ -188,7 +187,7 @@ impl Pixels {
     }
 
     /// Returns which of the kept pixels that of a column and row is, if it is kept and not hidden.
-    pub(crate) fn kept(&self, column: u64, row: u64) -> Option<u64> {
+    pub fn kept(&self, column: u64, row: u64) -> Option<u64> {
         let place = row * u64::from(self.width) + column;
         let (kept, offset) = (place / u64::from(self.run), place % u64::from(self.run));
         let drawn = self.offsets.get(kept as usize).copied().unwrap_or(0);
@@ -196,7 +195,7 @@ impl Pixels {
     }
 
     /// Returns every kept pixel as a number, to recognise the photo.
-    pub(crate) fn words(&self) -> impl Iterator<Item = u64> {
+    pub fn words(&self) -> impl Iterator<Item = u64> {
         self.pixels.iter().enumerate().map(|(kept, [r, g, b])| {
             let offset = self.offsets.get(kept).copied().unwrap_or(0);
             u64::from(u32::from_le_bytes([*r, *g, *b, offset]))
@@ -244,12 +243,12 @@ mod tests {
                 let pixels = Pixels::thinned(numbered(width, height), None, run, 3, 4);
                 let all = (width * height) as usize;
                 assert_eq!(
-                    pixels.len(),
+                    pixels.count(),
                     all.div_ceil(run as usize),
                     "{width} x {height} by {run}"
                 );
                 assert!(pixels.is_whole());
-                for kept in 0..pixels.len() {
+                for kept in 0..pixels.count() {
                     let place = place(&pixels, kept);
                     assert_eq!(place / run as usize, kept, "{width} x {height} by {run}");
                     assert!(place < all);
@@ -295,7 +294,7 @@ mod tests {
             numbered(20, 20).into()
         );
         let most = Pixels::thinned(numbered(20, 20), None, u32::MAX, 1, 1);
-        assert_eq!((most.run, most.len()), (255, 2));
+        assert_eq!((most.run, most.count()), (255, 2));
     }
 
     #[test]
@@ -315,7 +314,7 @@ mod tests {
         for run in [1, 2, 8, 32, 255] {
             let pixels = Pixels::thinned(numbered(20, 16), Some(&mask), run, 3, 4);
             assert!(pixels.is_whole() && !pixels.is_all_hidden());
-            for kept in 0..pixels.len() {
+            for kept in 0..pixels.count() {
                 let of_run = kept * run as usize..((kept + 1) * run as usize).min(mask.len());
                 assert_eq!(
                     pixels.is_hidden(kept),
@@ -344,7 +343,7 @@ mod tests {
         for (hidden, run) in [(None, 1), (None, 8), (Some(&*mask), 1), (Some(&*mask), 8)] {
             let pixels = Pixels::thinned(numbered(20, 16), hidden, run, 3, 4).with_alpha(&alpha);
             assert!(pixels.is_transparent());
-            for kept in (0..pixels.len()).filter(|kept| !pixels.is_hidden(*kept)) {
+            for kept in (0..pixels.count()).filter(|kept| !pixels.is_hidden(*kept)) {
                 let share = pixels.share_behind(kept).unwrap();
                 assert_eq!(share, f32::from(255 - alpha[place(&pixels, kept)]) / 255.0);
             }

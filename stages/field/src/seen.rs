@@ -4,7 +4,7 @@ use nalgebra::{Vector2, Vector3};
 use rayon::prelude::*;
 
 use crate::View;
-use crate::cpu::march::expand;
+use crate::cpu::space::expand;
 use crate::frame::Frame;
 
 /// Cells of a brick a side: seen or not is first decided brick by brick.

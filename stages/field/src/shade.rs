@@ -1,9 +1,9 @@
 //! What training and rendering share: samples to raw densities and opacities, kept samples to colours.
 
 use crate::cpu::composite::{Colours, Depths, ExpNeg, OPAQUE};
-use crate::cpu::encode::{Lookup, Points, Shape};
 use crate::cpu::march::Samples;
-use crate::cpu::simd::{Block, InstructionSet, Isa, Kernel, LANES, Run, Stripe, flat, flat_mut};
+use crate::cpu::simd::{Block, InstructionSet, LANES, Run, Stripe};
+use crate::planes::{GridLevel, ToRows, planes_mut};
 use crate::sh;
 use crate::weights::Weights;
 
@@ -56,7 +56,8 @@ impl Shade {
         let levels = weights.shapes.iter().zip(&weights.tables);
         for ((shape, table), plane) in levels.zip(planes_mut(&mut planes, weights)) {
             let to = Stripe::plane(plane, weights.features);
-            lookup(level, weights.features, *shape, table, self.samples.points(), to);
+            let grid = GridLevel::new(weights.features, *shape, table);
+            grid.lookup(level, self.samples.points(), to);
         }
         self.infer(level, weights, &planes);
         self.planes = planes;
@@ -228,31 +229,6 @@ impl Shade {
     }
 }
 
-/// Looks up one level for all points.
-pub fn lookup(
-    level: InstructionSet,
-    features: usize,
-    shape: Shape,
-    table: &[f32],
-    points: Points,
-    to: Stripe,
-) {
-    match features {
-        2 => level.run(Lookup::<2> {
-            shape,
-            table,
-            points,
-            to,
-        }),
-        _ => level.run(Lookup::<4> {
-            shape,
-            table,
-            points,
-            to,
-        }),
-    }
-}
-
 /// Moves samples of `width` elements each to the front; `kept` tells in rising order where they are.
 fn gather<T: Copy>(elements: &mut [T], width: usize, kept: &[u32]) {
     for (to, from) in kept
@@ -273,73 +249,6 @@ fn draw(t: f32) -> f32 {
     bits = (bits ^ bits >> 16).wrapping_mul(0x7feb_352d);
     bits = (bits ^ bits >> 15).wrapping_mul(0x846c_a68b);
     ((bits ^ bits >> 16) >> 8) as f32 / (1 << 24) as f32
-}
-
-/// Cuts `[levels, n, F]` into its levels.
-pub fn planes_mut<'a>(planes: &'a mut [Block], weights: &Weights) -> impl Iterator<Item = &'a mut [Block]> {
-    let plane = planes.len() / weights.shapes.len().max(1);
-    planes.chunks_mut(plane.max(1))
-}
-
-/// From `[levels, n, F]` to `[n, levels F]`, n a multiple of 16.
-struct ToRows<'a> {
-    planes: &'a [Block],
-    rows: &'a mut [Block],
-    features: usize,
-    levels: usize,
-}
-
-impl Kernel for ToRows<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<I: Isa>(self, _isa: I) {
-        let (planes, rows) = (flat(self.planes), flat_mut(self.rows));
-        match self.features {
-            2 => transpose::<2>(planes.as_chunks().0, rows.as_chunks_mut().0, self.levels),
-            _ => transpose::<4>(planes.as_chunks().0, rows.as_chunks_mut().0, self.levels),
-        }
-    }
-}
-
-/// From `[n, levels F]` to `[levels, n, F]`, n a multiple of 16.
-pub struct ToPlanes<'a> {
-    /// Row by row.
-    pub rows: &'a [Block],
-    /// Level by level.
-    pub planes: &'a mut [Block],
-    /// F.
-    pub features: usize,
-    /// Levels.
-    pub levels: usize,
-}
-
-impl Kernel for ToPlanes<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<I: Isa>(self, _isa: I) {
-        let (rows, planes) = (flat(self.rows), flat_mut(self.planes));
-        let samples = rows.len() / (self.features * self.levels).max(1);
-        match self.features {
-            2 => transpose::<2>(rows.as_chunks().0, planes.as_chunks_mut().0, samples),
-            _ => transpose::<4>(rows.as_chunks().0, planes.as_chunks_mut().0, samples),
-        }
-    }
-}
-
-/// Transposes a matrix of `rows` rows of entries of F numbers, 16 columns at a time: these stay in the first cache.
-#[inline(always)]
-fn transpose<const F: usize>(from: &[[f32; F]], to: &mut [[f32; F]], rows: usize) {
-    let columns = from.len() / rows.max(1);
-    for (block, to) in to.chunks_mut((LANES * rows).max(1)).enumerate() {
-        for row in 0..rows {
-            let from = &from[row * columns + block * LANES..];
-            for (to, from) in to.chunks_exact_mut(rows).zip(from) {
-                to[row] = *from;
-            }
-        }
-    }
 }
 
 #[cfg(test)]

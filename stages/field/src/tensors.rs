@@ -6,7 +6,8 @@ use std::collections::HashMap;
 use safetensors::SafeTensors;
 use safetensors::tensor::{Dtype, View};
 
-use crate::FieldError;
+use crate::weights::Weights;
+use crate::{Config, FieldError, Sizes};
 
 /// The header entry that holds our JSON. One entry only: the crate writes several in no fixed order.
 const ENTRY: &str = "marf";
@@ -171,4 +172,16 @@ impl<'a> Reader<'a> {
         }
         Ok(tensor.data())
     }
+}
+
+/// Checks the tables of a file by name and length before memory is taken.
+///
+/// # Errors
+/// [`FieldError::Malformed`] names the tensor.
+pub fn check_tables(reader: &Reader, prefix: &str, config: &Config, sizes: &Sizes) -> Result<(), FieldError> {
+    for (index, shape) in Weights::shapes(config, sizes).iter().enumerate() {
+        let len = shape.entries as usize * config.features as usize;
+        reader.expect(&format!("{prefix}table.{index}"), Dtype::F32, len)?;
+    }
+    Ok(())
 }

@@ -3,7 +3,11 @@
 use marf_scene::{Camera, Image, Pose};
 use nalgebra::Vector3;
 
-use crate::{Config, Field, Gain, Trainer, View};
+use crate::cpu::clearance::Clearance;
+use crate::cpu::simd::InstructionSet;
+use crate::model::Model;
+use crate::render::{Accuracy, Viewpoint};
+use crate::{Config, Field, Gain, Render, Trainer, View};
 
 /// A ball of radius 1 with a wavy coat before a sky that grows lighter upwards.
 fn shade(origin: Vector3<f64>, direction: Vector3<f64>) -> [u8; 3] {
@@ -22,7 +26,8 @@ fn shade(origin: Vector3<f64>, direction: Vector3<f64>) -> [u8; 3] {
     [160.0 + 60.0 * wave, 110.0 - 40.0 * wave, 80.0 + 20.0 * wave].map(|channel| channel as u8)
 }
 
-pub(crate) fn ball_view(angle: f64, height: f64, width: u32) -> View {
+/// Returns a view of the ball of `width` pixels a side; `angle` around it, rad, and `height`.
+pub fn ball_view(angle: f64, height: f64, width: u32) -> View {
     let eye = Vector3::new(3.0 * angle.cos(), 3.0 * angle.sin(), height);
     let camera = Camera::pinhole(width, width, f64::from(width));
     let cam_from_world = Pose::looking_at(eye, Vector3::zeros(), -Vector3::z());
@@ -41,14 +46,16 @@ pub(crate) fn ball_view(angle: f64, height: f64, width: u32) -> View {
     }
 }
 
-pub(crate) fn ball(count: u32, width: u32) -> Vec<View> {
+/// Returns so many views around the ball.
+pub fn ball(count: u32, width: u32) -> Vec<View> {
     let angle = |index: u32| f64::from(index) / f64::from(count) * std::f64::consts::TAU;
     (0..count)
         .map(|index| ball_view(angle(index), [0.8, -0.6][index as usize % 2], width))
         .collect()
 }
 
-pub(crate) fn small() -> Config {
+/// Returns the settings of a field that is trained within seconds.
+pub fn small() -> Config {
     Config {
         levels: Some(4),
         log2_table: Some(11),
@@ -65,7 +72,11 @@ pub(crate) fn small() -> Config {
     }
 }
 
-pub(crate) fn trained(views: Vec<View>, config: &Config, seed: u64, steps: u32) -> Trainer {
+/// Trains so many steps.
+///
+/// # Panics
+/// If the training is refused.
+pub fn trained(views: Vec<View>, config: &Config, seed: u64, steps: u32) -> Trainer {
     let mut trainer = Trainer::new(views, &[], config, seed).unwrap();
     for _ in 0..steps {
         trainer.advance(1).unwrap();
@@ -73,7 +84,11 @@ pub(crate) fn trained(views: Vec<View>, config: &Config, seed: u64, steps: u32) 
     trainer
 }
 
-pub(crate) fn psnr(field: &Field, view: &View) -> f64 {
+/// Returns the PSNR of a picture of a view, dB.
+///
+/// # Panics
+/// If the picture fails.
+pub fn psnr(field: &Field, view: &View) -> f64 {
     let found = field
         .render(&view.camera, &view.cam_from_world)
         .unwrap()
@@ -88,4 +103,17 @@ pub(crate) fn psnr(field: &Field, view: &View) -> f64 {
         * (sum / (3 * found.pixels.len()) as f64 / 65025.0)
             .max(1e-10)
             .log10()
+}
+
+/// Renders every sample of every ray of a photo, on the CPU.
+pub fn exact(model: &Model, camera: &Camera, cam_from_world: &Pose) -> Render {
+    let viewpoint = Viewpoint {
+        level: InstructionSet::best(),
+        model,
+        clearance: &Clearance::new(&model.bits),
+        camera,
+        world_from_cam: cam_from_world.inverse(),
+        accuracy: Accuracy::EXACT,
+    };
+    viewpoint.rows(0..camera.height)
 }

@@ -5,14 +5,15 @@ use crate::cpu_backend::Cpu;
 use crate::model::Model;
 use crate::surface::surface_points;
 use crate::training::Training;
-use crate::{Config, Derived, Device, Field, FieldError, Schedule, View};
+use crate::{Config, Derived, Field, FieldError, Learnt, LearntPhoto, Schedule, View};
 
 /// Trains a field on a set of views.
 pub struct Trainer {
-    pub(crate) training: Training,
+    /// The training as of the last time that it was brought back from the backend.
+    pub training: Training,
     pub(crate) backend: Arc<dyn Backend>,
     /// The training where the backend has it.
-    pub(crate) session: Box<dyn Session>,
+    pub session: Box<dyn Session>,
     /// What came of steps that no call has told of.
     pub(crate) untold: Step,
 }
@@ -31,7 +32,7 @@ impl Trainer {
         seed: u64,
     ) -> Result<Self, FieldError> {
         let training = Training::new(views, points, config, seed)?;
-        Self::with_backend(training, Arc::new(Cpu::best()))
+        Self::from_training(training, Arc::new(Cpu::best()))
     }
 
     /// As [`Trainer::new`], in the box and with the sizes that another training of the scene derived; the box then stays as it
@@ -47,7 +48,7 @@ impl Trainer {
         derived: &Derived,
     ) -> Result<Self, FieldError> {
         let training = Training::with_derived(views, points, config, seed, derived)?;
-        Self::with_backend(training, Arc::new(Cpu::best()))
+        Self::from_training(training, Arc::new(Cpu::best()))
     }
 
     /// As [`Trainer::with_derived`], in the box and with the sizes of `field`, and from its weights and its occupancy: moments
@@ -64,13 +65,14 @@ impl Trainer {
     ) -> Result<Self, FieldError> {
         let mut training = Training::with_derived(views, points, config, seed, &field.derived())?;
         training.start_from(field)?;
-        Self::with_backend(training, Arc::new(Cpu::best()))
+        Self::from_training(training, Arc::new(Cpu::best()))
     }
 
-    pub(crate) fn with_backend(
-        mut training: Training,
-        backend: Arc<dyn Backend>,
-    ) -> Result<Self, FieldError> {
+    /// Returns a trainer of a training on a backend.
+    ///
+    /// # Errors
+    /// A device that lacks something or has too little memory.
+    pub fn from_training(mut training: Training, backend: Arc<dyn Backend>) -> Result<Self, FieldError> {
         Ok(Self {
             session: backend.clone().begin(&mut training)?,
             training,
@@ -79,16 +81,15 @@ impl Trainer {
         })
     }
 
-    /// Moves the training to a device; what is trained from here on is trained there.
+    /// Moves the training to a backend; all further steps are taken there.
     ///
     /// # Errors
-    /// A GPU that is not there, that lacks something, or that has too little memory.
-    pub fn on(mut self, device: &Device) -> Result<Self, FieldError> {
-        let backend = device.backend()?;
+    /// A device that lacks something or has too little memory.
+    pub fn with_backend(mut self, backend: Arc<dyn Backend>) -> Result<Self, FieldError> {
         self.sync()?;
         Ok(Self {
             untold: self.untold,
-            ..Self::with_backend(self.training, backend)?
+            ..Self::from_training(self.training, backend)?
         })
     }
 
@@ -137,7 +138,7 @@ impl Trainer {
     ///
     /// # Errors
     /// A GPU that failed.
-    pub(crate) fn sync(&mut self) -> Result<(), FieldError> {
+    pub fn sync(&mut self) -> Result<(), FieldError> {
         self.untold = self.settle()?;
         self.session.download(&mut self.training.state)
     }
@@ -190,5 +191,29 @@ impl Trainer {
             training.state.occupancy.bits.clone(),
         );
         Field::new(model, self.backend.clone())
+    }
+
+    /// Returns what a later training must know of this one's photos.
+    ///
+    /// # Errors
+    /// A GPU that failed.
+    pub fn learnt(&mut self, metres_per_unit: Option<f64>) -> Result<Learnt, FieldError> {
+        self.sync()?;
+        let training = &self.training;
+        let photos = training
+            .views
+            .iter()
+            .enumerate()
+            .map(|(view, photo)| LearntPhoto {
+                id: photo.id.clone(),
+                cam_from_world: photo.cam_from_world,
+                exposure: training.exposure(view),
+            });
+        let mut photos: Vec<LearntPhoto> = photos.collect();
+        photos.sort_by(|a, b| a.id.cmp(&b.id));
+        Ok(Learnt {
+            metres_per_unit,
+            photos,
+        })
     }
 }

@@ -68,9 +68,10 @@ impl Training {
         let frame = Frame::derive(&views, points);
         frame.check(&views)?;
         let sizes = size::derive(&views, points, config, &frame);
+        let derived = Derived::new(&frame, &sizes);
         Ok(Self {
             refit_step: refit_step(config, points),
-            ..Self::within(views, points, config, seed, frame, sizes)
+            ..Self::within(views, points, config, seed, &derived)
         })
     }
 
@@ -86,26 +87,13 @@ impl Training {
         derived: &Derived,
     ) -> Result<Self, FieldError> {
         check(&views, points, config)?;
-        let frame = derived.frame(config, &views)?;
-        Ok(Self::within(
-            views,
-            points,
-            config,
-            seed,
-            frame,
-            derived.sizes.clone(),
-        ))
+        derived.check(config, &views)?;
+        Ok(Self::within(views, points, config, seed, derived))
     }
 
     /// Returns a training at step 0 whose box is not fitted to the field.
-    fn within(
-        views: Vec<View>,
-        points: &[[f64; 3]],
-        config: &Config,
-        seed: u64,
-        frame: Frame,
-        sizes: Sizes,
-    ) -> Self {
+    fn within(views: Vec<View>, points: &[[f64; 3]], config: &Config, seed: u64, derived: &Derived) -> Self {
+        let (frame, sizes) = (derived.frame(), derived.sizes.clone());
         let config = &shown_over(config, &views);
         let mut weights = Weights::zeros(config, &sizes);
         weights.randomise(seed);

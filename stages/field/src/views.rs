@@ -18,13 +18,13 @@ pub struct View {
 
 impl View {
     /// Returns the distance of a point of the world from the camera, if the photo shows its place.
-    pub(crate) fn distance_of(&self, point: &Vector3<f64>) -> Option<f64> {
+    pub fn distance_of(&self, point: &Vector3<f64>) -> Option<f64> {
         self.pixel_of(point)?;
         Some(self.cam_from_world.point(point).norm())
     }
 
     /// Returns the pixel that shows the place of a point of the world, as column and row.
-    pub(crate) fn pixel_of(&self, point: &Vector3<f64>) -> Option<[u32; 2]> {
+    pub fn pixel_of(&self, point: &Vector3<f64>) -> Option<[u32; 2]> {
         let pixel = self.camera.project(&self.cam_from_world.point(point))?;
         let (width, height) = (f64::from(self.camera.width), f64::from(self.camera.height));
         let inside = pixel.x >= 0.0 && pixel.y >= 0.0 && pixel.x < width && pixel.y < height;
@@ -36,7 +36,7 @@ impl View {
 pub fn pixel_offsets(views: &[View]) -> Vec<u64> {
     let mut offsets = vec![0];
     for view in views {
-        offsets.push(offsets.last().copied().unwrap_or(0) + view.image.len() as u64);
+        offsets.push(offsets.last().copied().unwrap_or(0) + view.image.count() as u64);
     }
     offsets
 }
@@ -53,7 +53,7 @@ pub fn check_views(views: &[View]) -> Result<(), FieldError> {
                 id: view.id.clone(),
                 width: image.width,
                 height: image.height,
-                pixels: image.len(),
+                pixels: image.count(),
             });
         }
         if image.is_all_hidden() {

@@ -5,14 +5,13 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::by_hand::ByHand;
-use crate::bytes::{put_number, take, take_number};
-use crate::comparison::{AnyPass, Pass};
+use crate::bytes::{Stored, put_number, take, take_number};
 use crate::decision::Decision;
 use crate::decoded::DecodedPhoto;
-use crate::filter::{Filter, MeasuredPhoto, Stored, check_range};
-#[cfg(test)]
-use crate::guard::Guard;
+use crate::filter::{AnyPass, Filter, MeasuredPhoto, Pass, check_range};
 use crate::octave::Octave;
+#[cfg(test)]
+use crate::section::Guard;
 use crate::statistics::{BinCounts, LogBins, Quantile, Steps, put_bins};
 
 /// Rejects photos that are out of focus, smeared by motion, or nothing but noise.
@@ -175,13 +174,13 @@ fn sharpness(decoded: &DecodedPhoto<'_>) -> Sharpness {
     };
     let luma = decoded.luma();
     if luma.width > 2 && luma.height > 2 {
-        sharpness.octaves[0] = Octave::of_luma(luma);
+        sharpness.octaves[0] = Octave::from_luma(luma);
         sharpness.sizes = 1;
         let mut next = luma.halved();
         while let Some(plane) =
             next.filter(|plane| sharpness.sizes < OCTAVES && plane.width > 2 && plane.height > 2)
         {
-            sharpness.octaves[sharpness.sizes] = Octave::of_plane(&plane);
+            sharpness.octaves[sharpness.sizes] = Octave::from_plane(&plane);
             sharpness.sizes += 1;
             next = plane.halved();
         }
@@ -248,10 +247,10 @@ impl Pass<Blur> for RatiosPass {
         let mut bytes = Vec::new();
         put_number(&mut bytes, photos.len() as u64);
         for halvings in 0..OCTAVES {
-            let lowest = octaves(halvings).filter_map(|octave| RATIOS.of(octave.lowest().0));
+            let lowest = octaves(halvings).filter_map(|octave| RATIOS.bin(octave.lowest().0));
             put_bins(&mut bytes, lowest.collect());
         }
-        let finest = octaves(0).filter_map(|octave| RATIOS.of(octave.highest()));
+        let finest = octaves(0).filter_map(|octave| RATIOS.bin(octave.highest()));
         put_bins(&mut bytes, finest.collect());
         bytes
     }
@@ -278,13 +277,13 @@ impl Pass<Blur> for RatiosPass {
 /// Returns the smallest ratio that a photo of this `ratio` needs after so many halvings.
 fn min_ratio(params: &BlurParams, limits: Option<&RatioLimits>, halvings: usize, ratio: f64) -> f64 {
     limits.map_or(params.min_ratio, |limits| {
-        limits.least[halvings].at(RATIOS.of(ratio))
+        limits.least[halvings].at(RATIOS.bin(ratio))
     })
 }
 
 /// Returns the largest ratio at full size that a photo of this `ratio` may have.
 fn max_ratio(params: &BlurParams, limits: Option<&RatioLimits>, ratio: f64) -> f64 {
-    limits.map_or(params.max_ratio, |limits| limits.most.at(RATIOS.of(ratio)))
+    limits.map_or(params.max_ratio, |limits| limits.most.at(RATIOS.bin(ratio)))
 }
 
 /// Decides by the rule [`BlurRule::Reblur`].

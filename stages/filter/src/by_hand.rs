@@ -45,9 +45,10 @@ impl ByHand {
     /// Returns the decision with the lists applied: score and threshold stay, the reason says who decided.
     pub(crate) fn overrule(&self, id: &str, file: &str, decision: Decision) -> Decision {
         if self.keeps(id, file) {
-            let reason = match decision.keep {
-                true => "kept by hand, and by the filter".to_owned(),
-                false => format!("kept by hand, against the filter: {}", decision.reason),
+            let reason = if decision.keep {
+                "kept by hand, and by the filter".to_owned()
+            } else {
+                format!("kept by hand, against the filter: {}", decision.reason)
             };
             return Decision {
                 keep: true,
@@ -56,9 +57,10 @@ impl ByHand {
             };
         }
         if self.reject.contains(id) || self.reject.contains(file) {
-            let reason = match decision.keep {
-                true => "rejected by hand, against the filter".to_owned(),
-                false => format!("rejected by hand, and by the filter: {}", decision.reason),
+            let reason = if decision.keep {
+                "rejected by hand, against the filter".to_owned()
+            } else {
+                format!("rejected by hand, and by the filter: {}", decision.reason)
             };
             return Decision {
                 keep: false,

@@ -64,6 +64,26 @@ pub(crate) fn take_text<'a>(bytes: &mut &'a [u8]) -> Option<Option<&'a str>> {
     }
 }
 
+/// A value that is kept as bytes; it may borrow them.
+pub trait Stored<'a>: Sized {
+    /// Returns the value as bytes, the same on every machine.
+    fn encode(&self) -> Vec<u8>;
+
+    /// Reads what [`Stored::encode`] returned; `None` if the bytes are not that.
+    fn decode(bytes: &'a [u8]) -> Option<Self>;
+}
+
+/// Nothing: no bytes.
+impl Stored<'_> for () {
+    fn encode(&self) -> Vec<u8> {
+        Vec::new()
+    }
+
+    fn decode(bytes: &[u8]) -> Option<Self> {
+        bytes.is_empty().then_some(())
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -3,7 +3,10 @@
 use marf_cache::manifest::Row;
 use marf_stage::Verdict;
 
-use crate::filter::Facts;
+use crate::facts::Facts;
+
+/// Verdict of a photo whose bytes cannot be decoded here.
+pub const DECODE: &str = "decode";
 
 /// Whether a filter keeps a photo, and why.
 #[derive(Debug, Clone, PartialEq)]
@@ -71,4 +74,13 @@ fn file_of(row: &Row, facts: &Facts<'_>) -> String {
         "" => row.id.clone(),
         file => file.to_owned(),
     }
+}
+
+/// Returns the verdict of a photo that could not be decoded.
+pub(crate) fn undecodable(row: &Row, facts: &Facts<'_>, reason: String) -> Verdict {
+    let decision = Decision {
+        keep: false,
+        ..Decision::pass(reason)
+    };
+    decision.verdict(DECODE, row, facts)
 }

@@ -19,7 +19,7 @@ pub struct DecodedPhoto<'a> {
 
 impl<'a> DecodedPhoto<'a> {
     /// Takes a photo of at least one pixel.
-    pub(crate) fn of(photo: &'a Photo) -> Self {
+    pub(crate) fn new(photo: &'a Photo) -> Self {
         Self {
             photo,
             luma: OnceCell::new(),
@@ -29,7 +29,7 @@ impl<'a> DecodedPhoto<'a> {
 
     /// Returns its brightness.
     pub fn luma(&self) -> &Luma {
-        self.luma.get_or_init(|| Luma::of(&self.photo.image))
+        self.luma.get_or_init(|| Luma::from_image(&self.photo.image))
     }
 
     /// Returns its second differences.
@@ -73,10 +73,10 @@ mod tests {
         let photo = |width, height| Photo::from(Image::from_fn(width, height, |x, y| [x as u8, y as u8, 7]));
         let small = photo(31, 7);
         assert!(
-            DecodedPhoto::of(&small)
+            DecodedPhoto::new(&small)
                 .sample()
                 .eq(small.image.pixels.iter().copied())
         );
-        assert_eq!(DecodedPhoto::of(&photo(1600, 1500)).sample().count(), 534 * 500);
+        assert_eq!(DecodedPhoto::new(&photo(1600, 1500)).sample().count(), 534 * 500);
     }
 }

@@ -42,10 +42,10 @@ pub(crate) struct PixelSize {
 
 impl ViewDescriptor {
     /// Computes the descriptor of a photo, and the bytes that [`ViewDescriptor::planes`] names.
-    pub(crate) fn of(decoded: &DecodedPhoto<'_>) -> (Self, Vec<u8>) {
+    pub(crate) fn from_photo(decoded: &DecodedPhoto<'_>) -> (Self, Vec<u8>) {
         let image = &decoded.photo.image;
         let bands = if decoded.photo.bands == 1 { 1 } else { 3 };
-        let means = Grid::of(image);
+        let means = Grid::from_image(image);
         let area = f64::from(image.width) * f64::from(image.height);
         let brightness = means.hash(|cell| luma(cell.map(eight_bits)));
         let by_band = (0..bands).map(|band| means.hash(|cell| eight_bits(cell[band])));
@@ -131,7 +131,7 @@ struct Grid {
 }
 
 impl Grid {
-    fn of(image: &Image<Srgb>) -> Self {
+    fn from_image(image: &Image<Srgb>) -> Self {
         let (width, height) = (image.width as usize, image.height as usize);
         let columns: Vec<_> = (0..CELLS).map(|cell| bounds(cell, CELLS, width)).collect();
         let mut cells = Vec::with_capacity(CELLS * CELLS);
@@ -240,7 +240,7 @@ mod tests {
     use super::*;
 
     fn descriptor(image: Image<Srgb>) -> ViewDescriptor {
-        ViewDescriptor::of(&DecodedPhoto::of(&image.into())).0
+        ViewDescriptor::from_photo(&DecodedPhoto::new(&image.into())).0
     }
 
     fn hills() -> Image<Srgb> {
@@ -294,7 +294,7 @@ mod tests {
     #[test]
     fn cells_are_means_in_sixteenths() {
         let image = Image::from_fn(64, 128, |x, y| [(2 * x + y % 2) as u8, 0, 255]);
-        let cells = Grid::of(&image).cells;
+        let cells = Grid::from_image(&image).cells;
         for (at, cell) in cells.iter().enumerate() {
             assert_eq!(*cell, [32 * (at % 64) as u32 + 8, 0, 4080], "{at}");
         }
@@ -302,7 +302,7 @@ mod tests {
 
     #[test]
     fn cells_of_an_image_smaller_than_the_grid_repeat_its_pixels() {
-        let cells = Grid::of(&Image::from_fn(1, 1, |_, _| [9, 8, 7])).cells;
+        let cells = Grid::from_image(&Image::from_fn(1, 1, |_, _| [9, 8, 7])).cells;
         assert!(cells.iter().all(|cell| *cell == [144, 128, 112]), "{cells:?}");
     }
 

@@ -1,14 +1,21 @@
-//! What a filter is: a measure of one photo, and a decision by thresholds.
+//! What a filter is: a measure of one photo, and a decision by thresholds, which may compare photos with each other.
+//! Invariant: photos of different instruments are not compared.
 
-use marf_cache::manifest::Row;
-use marf_stage::{ParamError, StageError, Verdict};
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use marf_stage::{ParamError, StageError};
 use schemars::JsonSchema;
-use serde::{Deserialize, Serialize, de::DeserializeOwned, de::IgnoredAny};
+use serde::{Serialize, de::DeserializeOwned};
 
 use crate::by_hand::ByHand;
-use crate::comparison::AnyPass;
+use crate::bytes::{Stored, put_part, put_text, take_part, take_text};
 use crate::decision::Decision;
 use crate::decoded::DecodedPhoto;
+use crate::facts::Facts;
+#[cfg(test)]
+use crate::section::Guard;
+use crate::section::damaged;
 
 /// A rule that keeps or rejects photos by thresholds on a measure of each photo.
 pub trait Filter: Send + Sync + Sized + 'static {
@@ -55,7 +62,7 @@ pub trait Filter: Send + Sync + Sized + 'static {
 
     /// Digests of the filter's answers on fixed photos, beside the versions they belong to.
     #[cfg(test)]
-    const GUARD: crate::guard::Guard;
+    const GUARD: Guard;
 
     /// Returns the decision on a photo. `context` is what its instrument is compared with; `None` where it is not.
     fn decide<'a>(
@@ -63,26 +70,6 @@ pub trait Filter: Send + Sync + Sized + 'static {
         context: Option<&Self::Context>,
         photo: &MeasuredPhoto<'a, Self::Measure<'a>>,
     ) -> Decision;
-}
-
-/// A value that is kept as bytes; it may borrow them.
-pub trait Stored<'a>: Sized {
-    /// Returns the value as bytes, the same on every machine.
-    fn encode(&self) -> Vec<u8>;
-
-    /// Reads what [`Stored::encode`] returned; `None` if the bytes are not that.
-    fn decode(bytes: &'a [u8]) -> Option<Self>;
-}
-
-/// Nothing: no bytes.
-impl Stored<'_> for () {
-    fn encode(&self) -> Vec<u8> {
-        Vec::new()
-    }
-
-    fn decode(bytes: &[u8]) -> Option<Self> {
-        bytes.is_empty().then_some(())
-    }
 }
 
 /// A photo with its measure and the facts of its archive.
@@ -93,64 +80,6 @@ pub struct MeasuredPhoto<'a, M> {
     pub facts: Facts<'a>,
     /// What [`Filter::MEASURE`] returned.
     pub measure: M,
-}
-
-/// What filters read of the facts of a photo ([`marf_scene::PhotoFacts`]), borrowed from its row: no text is copied for a
-/// decision.
-#[derive(Debug, Clone, Copy, Default, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct Facts<'a> {
-    /// Name of the file in its archive.
-    pub file: &'a str,
-    /// Bytes of the image as stored in the archive.
-    pub size_bytes: u64,
-    /// Width, pixels.
-    pub width: u32,
-    /// Height, pixels.
-    pub height: u32,
-    /// Bands stored in the file, 1 or 3.
-    pub bands: u8,
-    /// Sol.
-    pub sol: Option<u32>,
-    /// Instrument and eye as the archive names them.
-    pub instrument: Option<&'a str>,
-    /// Colour filter as the archive names it.
-    pub filter: Option<&'a str>,
-    /// Whether the archive calls it a thumbnail.
-    pub thumbnail: bool,
-    /// Camera model and pose, which [`marf_scene::PhotoFacts`] holds.
-    #[serde(rename = "prior")]
-    _prior: IgnoredAny,
-    #[serde(rename = "focal_px")]
-    _focal_px: IgnoredAny,
-    #[serde(rename = "device")]
-    _device: IgnoredAny,
-    #[serde(rename = "notes")]
-    _notes: IgnoredAny,
-}
-
-impl<'a> Facts<'a> {
-    /// Reads the facts of a row.
-    ///
-    /// # Errors
-    /// Facts that are not those of a photo, with the photo's id.
-    pub(crate) fn of(row: &'a Row) -> Result<Self, StageError> {
-        Self::deserialize(&row.facts).map_err(|error| unreadable_facts(row, &error))
-    }
-}
-
-/// Returns the error of facts that are not those of a photo.
-pub(crate) fn unreadable_facts(row: &Row, cause: &serde_json::Error) -> StageError {
-    StageError::new(format!("facts of photo `{}` cannot be read", row.id)).cause(cause.to_string())
-}
-
-/// Returns the verdict of a photo that could not be decoded.
-pub(crate) fn undecodable(row: &Row, facts: &Facts<'_>, reason: String) -> Verdict {
-    let decision = Decision {
-        keep: false,
-        ..Decision::pass(reason)
-    };
-    decision.verdict(crate::DECODE, row, facts)
 }
 
 /// Checks that the value of `key` is in `[low, high]`.
@@ -165,52 +94,143 @@ pub(crate) fn check_range(key: &str, value: f64, low: f64, high: f64) -> Result<
     }
 }
 
-#[cfg(test)]
-mod tests {
-    use marf_scene::PhotoFacts;
-    use serde_json::json;
+/// A pass over all photos of an instrument, which finds what decisions compare a photo with, or a part of that.
+///
+/// Summaries are of sols, and no parameter changes one; what comes of them must not depend on how photos are spread over sols.
+pub trait Pass<F: Filter>: Sync {
+    /// Name of the pass, in the keys of its summaries.
+    const NAME: &'static str;
+    /// All summaries together.
+    type Total: Default;
 
-    use super::*;
+    /// Returns the summary of some photos: bytes, the same for any order of the photos. `before` is what the pass before has
+    /// found; `None` in the first.
+    fn summarise<'a>(before: Option<&F::Context>, photos: &[&MeasuredPhoto<'a, F::Measure<'a>>]) -> Vec<u8>;
 
-    fn row(facts: serde_json::Value) -> Row {
-        Row {
-            id: "a".to_owned(),
-            blobs: Default::default(),
-            facts,
-        }
+    /// Adds a summary to others, in any order; `None` if the bytes are not what `summarise` returned.
+    fn add(total: &mut Self::Total, summary: &[u8]) -> Option<()>;
+
+    /// Returns what the pass has found; `None` where photos are not compared with each other, because they are too few.
+    ///
+    /// It holds only what a later pass or a decision can depend on: where it comes out equal, no photo is decided again.
+    fn conclude(params: &F::Params, before: Option<F::Context>, total: Self::Total) -> Option<F::Context>;
+}
+
+/// A [`Pass`] of any type, on the photos of all instruments and on bytes.
+pub trait AnyPass<F: Filter>: Sync {
+    /// Returns [`Pass::NAME`].
+    fn name(&self) -> &'static str;
+
+    /// Returns the summaries of some photos by instrument. `before` is `None` in the first pass; an instrument that is not in
+    /// it is left out in a later one.
+    fn summarise<'a>(
+        &self,
+        before: Option<&Contexts<F>>,
+        photos: &[MeasuredPhoto<'a, F::Measure<'a>>],
+    ) -> Vec<u8>;
+
+    /// Returns what the pass has found of each instrument.
+    ///
+    /// # Errors
+    /// The first error of `summaries`, and bytes that are no summary.
+    fn conclude(
+        &self,
+        params: &F::Params,
+        before: Option<Contexts<F>>,
+        summaries: &mut dyn Iterator<Item = Result<Arc<[u8]>, StageError>>,
+    ) -> Result<Contexts<F>, StageError>;
+}
+
+impl<F: Filter, P: Pass<F>> AnyPass<F> for P {
+    fn name(&self) -> &'static str {
+        P::NAME
     }
 
-    #[test]
-    fn facts_are_those_of_the_row_and_what_is_no_fact_is_refused() {
-        let whole = PhotoFacts {
-            file: "dir/a.jpg".to_owned(),
-            size_bytes: 7,
-            width: 40,
-            height: 30,
-            bands: 3,
-            sol: Some(9),
-            instrument: Some("ZL".to_owned()),
-            filter: Some("0".to_owned()),
-            thumbnail: true,
-            focal_px: Some(3.0),
-            device: Some("phone".to_owned()),
-            notes: vec!["turned".to_owned()],
-            prior: None,
-        };
-        let row_of_whole = row(whole.to_json());
-        let facts = Facts::of(&row_of_whole).unwrap();
-        assert_eq!(
-            (facts.file, facts.size_bytes, facts.sol),
-            ("dir/a.jpg", 7, Some(9))
-        );
-        assert_eq!((facts.width, facts.height, facts.bands), (40, 30, 3));
-        assert_eq!(
-            (facts.instrument, facts.filter, facts.thumbnail),
-            (Some("ZL"), Some("0"), true)
-        );
-        for odd in [json!({"widht": 3}), json!({"width": -3}), json!(7)] {
-            let error = Facts::of(&row(odd)).unwrap_err().to_string();
-            assert_eq!(error, "facts of photo `a` cannot be read");
+    fn summarise<'a>(
+        &self,
+        before: Option<&Contexts<F>>,
+        photos: &[MeasuredPhoto<'a, F::Measure<'a>>],
+    ) -> Vec<u8> {
+        let mut groups = BTreeMap::<_, Vec<_>>::new();
+        for photo in photos {
+            groups.entry(photo.facts.instrument).or_default().push(photo);
         }
+        let mut bytes = Vec::new();
+        for (instrument, photos) in groups {
+            let own = before.and_then(|before| before.get(instrument));
+            if before.is_none() || own.is_some() {
+                put_text(&mut bytes, instrument);
+                put_part(&mut bytes, &P::summarise(own, &photos));
+            }
+        }
+        bytes
     }
+
+    fn conclude(
+        &self,
+        params: &F::Params,
+        before: Option<Contexts<F>>,
+        summaries: &mut dyn Iterator<Item = Result<Arc<[u8]>, StageError>>,
+    ) -> Result<Contexts<F>, StageError> {
+        let mut totals = BTreeMap::<Option<String>, P::Total>::new();
+        for summary in summaries {
+            let added = each_part(&summary?, |instrument, part| {
+                P::add(totals.entry(instrument).or_default(), part)
+            });
+            added.ok_or_else(|| unreadable::<F>("summary"))?;
+        }
+        let mut before = before.map_or_else(BTreeMap::new, |before| before.0);
+        let concluded = totals.into_iter().filter_map(|(instrument, total)| {
+            let own = before.remove(&instrument);
+            Some((instrument, P::conclude(params, own, total)?))
+        });
+        Ok(Contexts(concluded.collect()))
+    }
+}
+
+/// What the photos of each instrument are compared with; none of an instrument whose photos are not.
+pub struct Contexts<F: Filter>(BTreeMap<Option<String>, F::Context>);
+
+impl<F: Filter> Contexts<F> {
+    /// Returns what the photos of an instrument are compared with.
+    pub(crate) fn get(&self, instrument: Option<&str>) -> Option<&F::Context> {
+        self.0.get(&instrument.map(str::to_owned))
+    }
+
+    /// Returns the bytes, equal for equal contexts; none of no instrument.
+    pub(crate) fn encode(&self) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        for (instrument, context) in &self.0 {
+            put_text(&mut bytes, instrument.as_deref());
+            put_part(&mut bytes, &context.encode());
+        }
+        bytes
+    }
+
+    /// Reads what [`Contexts::encode`] returned.
+    ///
+    /// # Errors
+    /// Other bytes.
+    pub(crate) fn decode(bytes: &[u8]) -> Result<Self, StageError> {
+        let mut contexts = BTreeMap::new();
+        let read = each_part(bytes, |instrument, part| {
+            contexts.insert(instrument, F::Context::decode(part)?);
+            Some(())
+        });
+        read.ok_or_else(|| unreadable::<F>("context"))?;
+        Ok(Self(contexts))
+    }
+}
+
+/// Calls a function with each instrument and the bytes behind it; `None` if they are cut short or the function says so.
+fn each_part(mut bytes: &[u8], mut found: impl FnMut(Option<String>, &[u8]) -> Option<()>) -> Option<()> {
+    while !bytes.is_empty() {
+        let instrument = take_text(&mut bytes)?;
+        found(instrument.map(str::to_owned), take_part(&mut bytes)?)?;
+    }
+    Some(())
+}
+
+fn unreadable<F: Filter>(what: &str) -> StageError {
+    damaged(format!("a {what} of filter `{}` cannot be read", F::NAME))
 }

@@ -5,12 +5,12 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::by_hand::ByHand;
-use crate::bytes::{put_number, take_number};
+use crate::bytes::{Stored, put_number, take_number};
 use crate::decision::Decision;
 use crate::decoded::DecodedPhoto;
-use crate::filter::{Filter, MeasuredPhoto, Stored, check_range};
+use crate::filter::{Filter, MeasuredPhoto, check_range};
 #[cfg(test)]
-use crate::guard::Guard;
+use crate::section::Guard;
 
 /// Rejects photos without colour: one band, or three equal ones within the noise of JPEG.
 pub struct Grayscale;

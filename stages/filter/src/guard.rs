@@ -1,44 +1,11 @@
 //! Guards against answers that change while their version stays.
 
 use marf_cache::Digest;
-use marf_stage::{Define, Stage};
 use serde_json::json;
 
 use crate::common::{Photos, bind, defaults, mixed};
-use crate::survey::{Surveyed, measured};
-
-/// Digests of a filter's answers on the photos of [`mixed`], each behind the version it belongs to.
-///
-/// Where a digest changed and its version did not: raise the version of the filter, then write the new line.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Guard {
-    /// MEASURE_VERSION, and the digest of the measures; empty for a filter without a measure.
-    pub measures: &'static str,
-    /// VERSION, and the digest of the verdicts.
-    pub decisions: &'static str,
-}
-
-/// A row of the table with its guard.
-pub(crate) struct Guarded {
-    name: &'static str,
-    version: u32,
-    measure_version: Option<u32>,
-    guard: Guard,
-}
-
-impl Guarded {
-    pub(crate) const fn of<S: Define + Stage + Surveyed>() -> Self {
-        Self {
-            name: S::NAME,
-            version: S::VERSION,
-            measure_version: match S::SECTION {
-                Some(section) => Some(section.table.version),
-                None => None,
-            },
-            guard: S::GUARD,
-        }
-    }
-}
+use crate::section::{Guarded, measured};
+use crate::survey::GUARDS;
 
 /// Returns the photos of the guards; the length of an encoded PNG belongs to the encoder, not to the filters.
 fn photos() -> Photos {
@@ -66,11 +33,11 @@ fn measures_change_only_with_their_version() {
         });
         (row.name, line.unwrap_or_default())
     };
-    let guards = crate::GUARDS.iter();
+    let guards = GUARDS.iter();
     let expected: Vec<_> = guards
         .map(|row| (row.name, row.guard.measures.to_owned()))
         .collect();
-    assert_eq!(crate::GUARDS.iter().map(found).collect::<Vec<_>>(), expected);
+    assert_eq!(GUARDS.iter().map(found).collect::<Vec<_>>(), expected);
 }
 
 #[test]
@@ -81,9 +48,9 @@ fn decisions_change_only_with_the_version() {
         let digest = Digest::of(&verdicts).short();
         (row.name, format!("{} {digest}", row.version))
     };
-    let guards = crate::GUARDS.iter();
+    let guards = GUARDS.iter();
     let expected: Vec<_> = guards
         .map(|row| (row.name, row.guard.decisions.to_owned()))
         .collect();
-    assert_eq!(crate::GUARDS.iter().map(found).collect::<Vec<_>>(), expected);
+    assert_eq!(GUARDS.iter().map(found).collect::<Vec<_>>(), expected);
 }

@@ -1,86 +1,24 @@
 //! The filter `histogram`.
 
 mod paper;
+mod params;
 mod robust;
+mod usual;
 
 use marf_stage::ParamError;
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
 
 use crate::by_hand::ByHand;
-use crate::comparison::AnyPass;
 use crate::decision::Decision;
 use crate::decoded::DecodedPhoto;
-use crate::filter::{Filter, MeasuredPhoto, Stored, check_range};
+use crate::filter::{AnyPass, Filter, MeasuredPhoto, check_range};
 #[cfg(test)]
-use crate::guard::Guard;
+use crate::section::Guard;
 use crate::tones::{ToneHistograms, tones};
-use paper::{SumsPass, UsualBins};
-use robust::{DistancesPass, SharesPass, UsualTones};
-
-/// Rejects photos whose brightness or colours differ too much from those of the other photos, and photos with lost
-/// areas.
-pub struct Histogram;
-
-/// The rule of [`Histogram`].
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum HistogramRule {
-    /// Distance to the median histograms of brightness and of two colour differences, compared with the distances of
-    /// the other photos; and the shares of the photo that are flat, burnt out or black.
-    Robust,
-    /// The paper's rule: more than half of the bins of brightness are further than one standard deviation from
-    /// the set's mean, the photo itself left out of both.
-    Paper,
-}
-
-/// Parameters of [`Histogram`].
-#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct HistogramParams {
-    /// `robust` (default) or `paper`.
-    pub rule: HistogramRule,
-    /// Largest share of 8 x 8 blocks of one single brightness: areas lost in transmission, blocks, stripes. With
-    /// `min_set` photos and more it is added to the upper quartile of the other photos of the instrument.
-    pub max_flat: f64,
-    /// Largest share of pixels without information: burnt out (a channel at 254 and more) or black (all at 4 and
-    /// less). With `min_set` photos and more it is added to the upper quartile of the other photos of the instrument. Good photos of
-    /// three cameras have 0.054 at most, a Navcam photo of burnt-out ground 0.40.
-    pub max_clipped: f64,
-    /// A distance of brightness to the median histogram up to this never rejects a photo, in 8-bit steps: a
-    /// good Navcam photo in deep shadow is 67 away, an underexposed one of the demo 84, one of an eighth of the light 110.
-    pub min_light: f64,
-    /// The same for the two colour differences: colours of good photos differ by so much.
-    pub min_distance: f64,
-    /// Largest distance: the median of the others' distances plus this multiple of (upper quartile - median).
-    pub spreads: f64,
-    /// Fewest photos of one instrument that are compared with each other; of fewer, only `max_flat` and `max_clipped`
-    /// reject.
-    pub min_set: u32,
-    /// Largest share of bins out of place, for `rule = "paper"`.
-    pub max_bins: f64,
-    /// How many standard deviations a bin may be off, for `rule = "paper"`.
-    pub sigmas: f64,
-    /// Photos kept or rejected by hand; filled from `[keep]` and `[reject]` of the pipeline.
-    pub by_hand: ByHand,
-}
-
-impl Default for HistogramParams {
-    fn default() -> Self {
-        Self {
-            rule: HistogramRule::Robust,
-            max_flat: 0.2,
-            max_clipped: 0.25,
-            min_light: 75.0,
-            min_distance: 24.0,
-            spreads: 8.0,
-            min_set: 5,
-            max_bins: 0.5,
-            sigmas: 1.0,
-            by_hand: ByHand::default(),
-        }
-    }
-}
+use paper::SumsPass;
+pub use params::Histogram;
+use params::{HistogramParams, HistogramRule};
+use robust::{DistancesPass, SharesPass};
+use usual::UsualHistogram;
 
 impl Filter for Histogram {
     const NAME: &'static str = "histogram";
@@ -133,32 +71,6 @@ impl Filter for Histogram {
             (Some(UsualHistogram::Paper(usual)), _) => paper::decide(params, usual, tones),
             (None, HistogramRule::Robust) => robust::decide(params, None, tones),
             (None, HistogramRule::Paper) => Decision::pass("fewer than 3 photos have no mean to be far from"),
-        }
-    }
-}
-
-/// What the photos of an instrument are compared with, by the rule.
-pub enum UsualHistogram {
-    /// [`HistogramRule::Robust`].
-    Robust(UsualTones),
-    /// [`HistogramRule::Paper`].
-    Paper(UsualBins),
-}
-
-/// A byte for the rule, then its own.
-impl Stored<'_> for UsualHistogram {
-    fn encode(&self) -> Vec<u8> {
-        match self {
-            Self::Robust(usual) => [vec![0], usual.encode()].concat(),
-            Self::Paper(usual) => [vec![1], usual.encode()].concat(),
-        }
-    }
-
-    fn decode(bytes: &[u8]) -> Option<Self> {
-        match bytes.split_first()? {
-            (0, usual) => UsualTones::decode(usual).map(Self::Robust),
-            (1, usual) => UsualBins::decode(usual).map(Self::Paper),
-            _ => None,
         }
     }
 }

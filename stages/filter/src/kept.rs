@@ -13,8 +13,8 @@ use crate::bytes::{put_number, put_part, put_text, take, take_number, take_part,
 use crate::candidates::PhotoKeys;
 use crate::descriptor::{PixelSize, put_hashes, take_hashes};
 use crate::relation::{RelationKeys, Relative};
+use crate::section::damaged;
 use crate::similarity::Planes;
-use crate::survey::damaged;
 
 /// What a kept photo is compared by.
 #[derive(Debug, Clone, PartialEq)]

@@ -30,7 +30,7 @@ pub(crate) fn luma([red, green, blue]: [u8; 3]) -> u8 {
 
 impl Luma {
     /// Returns the brightness of an image.
-    pub(crate) fn of(image: &Image<Srgb>) -> Self {
+    pub(crate) fn from_image(image: &Image<Srgb>) -> Self {
         Self {
             width: image.width as usize,
             height: image.height as usize,
@@ -161,7 +161,7 @@ mod tests {
     use super::*;
 
     fn step() -> Luma {
-        Luma::of(&Image::from_fn(
+        Luma::from_image(&Image::from_fn(
             6,
             4,
             |x, _| if x < 3 { [0; 3] } else { [100; 3] },
@@ -184,13 +184,13 @@ mod tests {
     #[test]
     fn detail_is_the_mean_over_the_inside_of_blocks() {
         let image = Image::from_fn(8, 8, |x, y| if (x, y) == (3, 3) { [10; 3] } else { [0; 3] });
-        assert_eq!(Luma::of(&image).laplacian().detail, 2000.0 / 36.0);
+        assert_eq!(Luma::from_image(&image).laplacian().detail, 2000.0 / 36.0);
     }
 
     #[test]
     fn edges_between_blocks_are_no_detail() {
         let blocks = Image::from_fn(64, 64, |x, y| [((x / 8 * 50 + y / 8 * 30) % 256) as u8; 3]);
-        let found = Luma::of(&blocks).laplacian();
+        let found = Luma::from_image(&blocks).laplacian();
         assert_eq!(found.detail, 0.0);
         assert!(found.variance > 100.0, "{found:?}");
     }
@@ -198,7 +198,7 @@ mod tests {
     #[test]
     fn halves_are_means_whatever_the_depth() {
         let image = Image::from_fn(5, 4, |x, y| [(40 * x + y) as u8; 3]);
-        let half = Luma::of(&image).halved().unwrap();
+        let half = Luma::from_image(&image).halved().unwrap();
         assert_eq!((half.width, half.height), (2, 2));
         assert_eq!(
             half.values,
@@ -211,7 +211,7 @@ mod tests {
     #[test]
     fn tiny_planes_have_no_second_differences() {
         for (width, height) in [(1, 1), (2, 2), (1, 9), (9, 2)] {
-            let luma = Luma::of(&Image::from_fn(width, height, |x, y| [(40 * x + 9 * y) as u8; 3]));
+            let luma = Luma::from_image(&Image::from_fn(width, height, |x, y| [(40 * x + 9 * y) as u8; 3]));
             let found = luma.laplacian();
             assert_eq!((found.variance, found.detail), (0.0, 0.0), "{width} x {height}");
         }

@@ -25,13 +25,13 @@ pub(crate) struct Octave {
 
 impl Octave {
     /// Measures a picture at full size.
-    pub(crate) fn of_luma(luma: &Luma) -> Self {
-        Self::of(luma.width, luma.height, &luma.values)
+    pub(crate) fn from_luma(luma: &Luma) -> Self {
+        Self::new(luma.width, luma.height, &luma.values)
     }
 
     /// Measures a picture at reduced size.
-    pub(crate) fn of_plane(plane: &Plane) -> Self {
-        Self::of(plane.width, plane.height, &plane.values)
+    pub(crate) fn from_plane(plane: &Plane) -> Self {
+        Self::new(plane.width, plane.height, &plane.values)
     }
 
     /// Appends the five numbers.
@@ -56,7 +56,7 @@ impl Octave {
     }
 
     /// Measures bands of a picture of `[height * width]` values.
-    fn of<S: Sample>(width: usize, height: usize, values: &[S]) -> Self {
+    fn new<S: Sample>(width: usize, height: usize, values: &[S]) -> Self {
         let mut octave = Self::default();
         for (top, bottom) in bands(width, height) {
             let first = top.saturating_sub(REACH + 1);
@@ -246,13 +246,13 @@ mod tests {
     use marf_scene::Image;
 
     fn luma(width: u32, height: u32, value: impl Fn(u32, u32) -> u8) -> Luma {
-        Luma::of(&Image::from_fn(width, height, |x, y| [value(x, y); 3]))
+        Luma::from_image(&Image::from_fn(width, height, |x, y| [value(x, y); 3]))
     }
 
     /// By hand: two inner rows of 100² + 100² in steps of 1/256; nothing changes along columns.
     #[test]
     fn a_vertical_step_has_second_differences_along_rows_only() {
-        let octave = Octave::of_luma(&luma(6, 4, |x, _| if x < 3 { 0 } else { 100 }));
+        let octave = Octave::from_luma(&luma(6, 4, |x, _| if x < 3 { 0 } else { 100 }));
         assert_eq!(octave.before, [2 * 2 * 10_000 * 65_536, 0]);
         assert_eq!(octave.pixels, 24);
     }
@@ -316,8 +316,8 @@ mod tests {
                 values: luma.values.iter().map(|value| u16::from(*value) << 8).collect(),
             };
             assert_eq!(
-                Octave::of_luma(&luma),
-                Octave::of_plane(&plane),
+                Octave::from_luma(&luma),
+                Octave::from_plane(&plane),
                 "{width} x {height}"
             );
         }
@@ -327,8 +327,8 @@ mod tests {
     #[test]
     fn a_texture_has_the_same_ratio_in_bands_and_as_a_whole() {
         let value = |x: u32, y: u32| ((x * x / 3 + y * y / 5 + x * y / 7) % 251) as u8;
-        let whole = Octave::of_luma(&luma(1024, 500, value));
-        let banded = Octave::of_luma(&luma(1024, 1500, value));
+        let whole = Octave::from_luma(&luma(1024, 500, value));
+        let banded = Octave::from_luma(&luma(1024, 1500, value));
         assert!(banded.pixels < 1024 * 1500 / 2, "{banded:?}");
         for axis in 0..2 {
             let (a, b) = (whole.ratio(axis), banded.ratio(axis));
@@ -339,7 +339,7 @@ mod tests {
     #[test]
     fn flat_and_tiny_pictures_lose_nothing() {
         for (width, height) in [(1, 1), (2, 2), (1, 9), (9, 2), (1, 4000), (64, 64)] {
-            let octave = Octave::of_luma(&luma(width, height, |_, _| 77));
+            let octave = Octave::from_luma(&luma(width, height, |_, _| 77));
             assert_eq!(
                 (octave.ratio(0), octave.ratio(1)),
                 (1.0, 1.0),

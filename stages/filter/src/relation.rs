@@ -4,7 +4,7 @@ use marf_cache::{Digest, manifest::Row};
 use marf_pds::Mars2020Name;
 use marf_scene::{CameraPrior, PhotoFacts};
 
-use crate::filter::Facts;
+use crate::facts::Facts;
 
 /// Most seconds between two photos of one pointing through different filters: a wheel of eight positions takes
 /// about two minutes.
@@ -54,7 +54,7 @@ pub(crate) struct Relative<'a> {
 
 impl<'a> Relative<'a> {
     /// Returns what relates the photo of a row.
-    pub(crate) fn of(row: &'a Row, facts: &Facts<'a>) -> Self {
+    pub(crate) fn from_row(row: &'a Row, facts: &Facts<'a>) -> Self {
         Self {
             id: &row.id,
             instrument: facts.instrument,
@@ -196,8 +196,8 @@ mod tests {
     fn relation_between(a: (&str, &PhotoFacts), b: (&str, &PhotoFacts)) -> Relation {
         let rows = (row(a.0, a.1), row(b.0, b.1));
         let (a, b) = (
-            Relative::of(&rows.0, &Facts::of(&rows.0).unwrap()),
-            Relative::of(&rows.1, &Facts::of(&rows.1).unwrap()),
+            Relative::from_row(&rows.0, &Facts::from_row(&rows.0).unwrap()),
+            Relative::from_row(&rows.1, &Facts::from_row(&rows.1).unwrap()),
         );
         let relation = super::relation_between(&a, &b);
         let (keys, others) = (a.keys(), b.keys());

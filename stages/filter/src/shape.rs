@@ -7,13 +7,13 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::by_hand::ByHand;
-use crate::bytes::{put_number, take_number};
-use crate::comparison::{AnyPass, Pass};
+use crate::bytes::{Stored, put_number, take_number};
 use crate::decision::Decision;
 use crate::decoded::DecodedPhoto;
-use crate::filter::{Facts, Filter, MeasuredPhoto, Stored, check_range};
+use crate::facts::Facts;
+use crate::filter::{AnyPass, Filter, MeasuredPhoto, Pass, check_range};
 #[cfg(test)]
-use crate::guard::Guard;
+use crate::section::Guard;
 
 /// Rejects thumbnails, and photos smaller than asked for or much smaller than others of the same instrument.
 pub struct Shape;

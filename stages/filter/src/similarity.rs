@@ -61,7 +61,7 @@ impl Planes {
     /// Reads planes of `CELLS * CELLS` bytes; `None` if the bytes are no whole number of them, or none.
     pub(crate) fn read(bytes: &[u8]) -> Option<Self> {
         let whole = !bytes.is_empty() && bytes.len().is_multiple_of(CELLS * CELLS);
-        whole.then(|| Self(bytes.chunks_exact(CELLS * CELLS).map(Plane::of).collect()))
+        whole.then(|| Self(bytes.chunks_exact(CELLS * CELLS).map(Plane::new).collect()))
     }
 
     /// Returns the memory they take, in bytes.
@@ -93,8 +93,14 @@ fn row_sums(values: &[u8]) -> [[i64; 2]; SHIFTS] {
     ]
 }
 
+/// Returns the sum of the products of two rows.
+fn dot(a: &[i16; CELLS], b: &[i16; CELLS]) -> i32 {
+    let products = a.iter().zip(b).map(|(a, b)| i32::from(*a) * i32::from(*b));
+    products.sum()
+}
+
 impl Plane {
-    fn of(values: &[u8]) -> Self {
+    fn new(values: &[u8]) -> Self {
         let mut cells = vec![0; PADDED * PADDED];
         let rows = cells.chunks_exact_mut(PADDED).skip(1);
         for (row, values) in rows.zip(values.chunks_exact(CELLS)) {
@@ -142,11 +148,7 @@ impl Plane {
         let rows =
             (0..CELLS).filter_map(|row| self.row(1, row + 1).zip(other.row(2 - right, row + 2 - down)));
         // 64 products of at most 255^2 a row, 64 rows: below 2^29.
-        let dot = |(a, b): (&[i16; CELLS], &[i16; CELLS])| {
-            let products = a.iter().zip(b).map(|(a, b)| i32::from(*a) * i32::from(*b));
-            products.sum::<i32>()
-        };
-        i64::from(rows.map(dot).sum::<i32>())
+        i64::from(rows.map(|(a, b)| dot(a, b)).sum::<i32>())
     }
 
     /// Returns the correlation of the plane, shifted by (`right`, `down`) - 1 cells, with another, where they overlap: in exact
@@ -198,21 +200,21 @@ mod tests {
     }
 
     fn best_shift(a: &[u8], b: &[u8]) -> f64 {
-        Plane::of(a).best_shift(&Plane::of(b))
+        Plane::new(a).best_shift(&Plane::new(b))
     }
 
     #[test]
     fn a_plane_correlates_with_itself_and_against_its_negative() {
         let a = plane(|x, y| (7 * x + 13 * y * y) % 250);
         let negative: Vec<u8> = a.iter().map(|value| 255 - value).collect();
-        let unshifted = |b: &[u8]| Plane::of(&a).shifted_correlation(&Plane::of(b), 1, 1);
+        let unshifted = |b: &[u8]| Plane::new(&a).shifted_correlation(&Plane::new(b), 1, 1);
         assert_eq!((unshifted(&a), unshifted(&negative)), (1.0, -1.0));
     }
 
     /// By hand: a = 0 0 1 1 and b = 0 1 0 1 repeated have no correlation, a and 0 0 0 1 have 1 / sqrt 3.
     #[test]
     fn small_correlations_are_as_worked_by_hand() {
-        let repeated = |values: [usize; 4]| Plane::of(&plane(|x, _| values[x % 4]));
+        let repeated = |values: [usize; 4]| Plane::new(&plane(|x, _| values[x % 4]));
         let with = |b| repeated([0, 0, 1, 1]).shifted_correlation(&repeated(b), 1, 1);
         assert_eq!(with([0, 1, 0, 1]), 0.0);
         assert!((with([0, 0, 0, 1]) - 1.0 / 3.0_f64.sqrt()).abs() < 1e-15);
@@ -241,7 +243,7 @@ mod tests {
             let spreads = (count * aa - sum_a * sum_a, count * bb - sum_b * sum_b);
             let expected =
                 (count * ab - sum_a * sum_b) as f64 / ((spreads.0 as f64).sqrt() * (spreads.1 as f64).sqrt());
-            let found = Plane::of(&a).shifted_correlation(&Plane::of(&b), right, down);
+            let found = Plane::new(&a).shifted_correlation(&Plane::new(&b), right, down);
             assert_eq!(found, expected, "({right}, {down})");
         }
     }

@@ -9,7 +9,7 @@ use crate::decision::Decision;
 use crate::decoded::DecodedPhoto;
 use crate::filter::{Filter, MeasuredPhoto, check_range};
 #[cfg(test)]
-use crate::guard::Guard;
+use crate::section::Guard;
 
 /// Rejects photos stored in too few bytes: broken downloads and pictures compressed beyond use.
 pub struct Size;

@@ -2,15 +2,18 @@
 
 use std::sync::Arc;
 
-use marf_cache::manifest::Row;
 use marf_stage::{
-    Comparison, Ctx, Define, Map, Measure, Measured, PHOTOS, ParamError, Port, Stage, StageError, Table,
-    VERDICTS, Verdict, Work,
+    Comparison, Define, Map, Measured, PHOTOS, ParamError, Port, Stage, StageError, Table, VERDICTS, Verdict,
+    Work,
 };
 
-use crate::comparison::Contexts;
-use crate::filter::{Facts, Filter, MeasuredPhoto, Stored, undecodable};
-use crate::survey::{Section, Surveyed, measure_row, measured, tables, unreadable};
+use crate::bytes::Stored;
+use crate::decision::undecodable;
+use crate::facts::Facts;
+use crate::filter::{Contexts, Filter, MeasuredPhoto};
+#[cfg(test)]
+use crate::section::Guard;
+use crate::section::{Section, Surveyed, measured, unreadable};
 
 /// Inputs of every filter: one set of photos.
 pub(crate) const PORTS: &[Port] = &[Port::required("input", PHOTOS)];
@@ -60,22 +63,7 @@ impl<F: Filter> Surveyed for FilterStage<F> {
         }),
     };
     #[cfg(test)]
-    const GUARD: crate::guard::Guard = F::GUARD;
-}
-
-impl<F: Filter> Measure for FilterStage<F> {
-    fn table(&self) -> Option<Table> {
-        Self::SECTION.map(|section| section.table)
-    }
-
-    /// Returns the tables of all filters that measure pixels: one decode fills all.
-    fn together(&self) -> Vec<Table> {
-        self.table().map_or_else(Vec::new, |_| tables())
-    }
-
-    fn measure(&self, ctx: &Ctx<'_>, row: &Row, wanted: &[Table]) -> Result<Vec<Vec<u8>>, StageError> {
-        measure_row(ctx, row, wanted)
-    }
+    const GUARD: Guard = F::GUARD;
 }
 
 impl<F: Filter> Map for FilterStage<F> {
@@ -90,7 +78,7 @@ impl<F: Filter> Map for FilterStage<F> {
         let decide = |item: &Measured<'_>| match read::<F>(item)? {
             Err(refused) => Ok(refused),
             Ok(photo) => {
-                let context = contexts.of(photo.facts.instrument);
+                let context = contexts.get(photo.facts.instrument);
                 let decision = F::decide(&self.params, context, &photo);
                 let decision = by_hand.overrule(photo.id, photo.facts.file, decision);
                 Ok(decision.verdict(F::NAME, item.row, &photo.facts))
@@ -135,7 +123,7 @@ fn before<F: Filter>(pass: usize, context: &[u8]) -> Result<Option<Contexts<F>>,
 fn read<'a, F: Filter>(
     item: &Measured<'a>,
 ) -> Result<Result<MeasuredPhoto<'a, F::Measure<'a>>, Verdict>, StageError> {
-    let facts = Facts::of(item.row)?;
+    let facts = Facts::from_row(item.row)?;
     Ok(match read_measure::<F>(item)? {
         Ok(measure) => Ok(MeasuredPhoto {
             id: item.row.id.as_str(),

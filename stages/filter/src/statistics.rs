@@ -14,7 +14,7 @@ pub(crate) struct LogBins {
 
 impl LogBins {
     /// Returns the bin of a value; one below 0 counts as 0, one that is infinite as the largest. `None` of what is no number.
-    pub(crate) fn of(self, value: f64) -> Option<u32> {
+    pub(crate) fn bin(self, value: f64) -> Option<u32> {
         let bits = value.clamp(0.0, f64::MAX).to_bits() & !(1 << 63);
         (!value.is_nan()).then_some((bits >> (f64::MANTISSA_DIGITS - 1 - self.bits)) as u32)
     }
@@ -124,9 +124,12 @@ pub(crate) fn quantile_without(
         low + (high - low) * (part as f64 / denominator as f64)
     };
     let without_lower = between(middle, high);
-    let without_low_to_middle = (low + 1, between(low, high));
-    let without_higher = (middle + 1, between(low, middle));
-    Steps::of(without_lower, without_low_to_middle, without_higher)
+    let without_low_to_middle = between(low, high);
+    let without_higher = between(low, middle);
+    Steps::new(
+        [without_lower, without_low_to_middle, without_higher],
+        [low + 1, middle + 1],
+    )
 }
 
 /// Returns the bins of the values at three ascending ranks, counted from 0; each is below the number of values.
@@ -163,18 +166,18 @@ impl Steps {
         }
     }
 
-    /// Returns the number that is `first`, from a bin on that of `second`, and from a bin no lower on that of `third`.
-    fn of(first: f64, second: (u32, f64), third: (u32, f64)) -> Self {
-        let mut steps = Self::constant(first);
-        if second.0 < third.0 {
-            steps.push(second);
+    /// Returns the number that has the second value from the first of two ascending bins on, and the third from the second bin on.
+    fn new(values: [f64; 3], from: [u32; 2]) -> Self {
+        let mut steps = Self::constant(values[0]);
+        if from[0] < from[1] {
+            steps.push(from[0], values[1]);
         }
-        steps.push(third);
+        steps.push(from[1], values[2]);
         steps
     }
 
     /// Adds a step above all others. One that changes nothing is left out, so that equal numbers have equal parts.
-    fn push(&mut self, (from, value): (u32, f64)) {
+    fn push(&mut self, from: u32, value: f64) {
         if value.to_bits() != self.values[2].to_bits() {
             let at = usize::from(self.from[0] != Self::NEVER);
             self.from[at] = from;
@@ -190,8 +193,7 @@ impl Steps {
 
     /// Returns a function of the number.
     pub(crate) fn map(&self, function: impl Fn(f64) -> f64) -> Self {
-        let [first, second, third] = self.values.map(function);
-        Self::of(first, (self.from[0], second), (self.from[1], third))
+        Self::new(self.values.map(function), self.from)
     }
 
     /// Appends the number of steps, the first value, and each step.
@@ -276,11 +278,11 @@ mod tests {
 
         #[test]
         fn bins_are_narrow_ascend_and_hold_their_middle(value in 1e-300_f64..1e300, other in 1e-300_f64..1e300) {
-            let bin = SCALE.of(value).unwrap();
+            let bin = SCALE.bin(value).unwrap();
             let middle = SCALE.middle(bin);
-            prop_assert_eq!(SCALE.of(middle), Some(bin));
+            prop_assert_eq!(SCALE.bin(middle), Some(bin));
             prop_assert!((value / middle - 1.0).abs() <= 1.0 / 128.0, "{value} in {middle}");
-            prop_assert_eq!(value < other && SCALE.of(value) > SCALE.of(other), false);
+            prop_assert_eq!(value < other && SCALE.bin(value) > SCALE.bin(other), false);
         }
 
         #[test]
@@ -288,8 +290,7 @@ mod tests {
             pieces in (0_u8..3, 0_u32..9, 0_u8..3, 0_u32..9, 0_u8..3),
         ) {
             let (first, from, second, later, third) = pieces;
-            let steps = Steps::of(
-                f64::from(first), (from, f64::from(second)), (from + later, f64::from(third)));
+            let steps = Steps::new([first, second, third].map(f64::from), [from, from + later]);
             for bin in 0..20 {
                 let expected = if bin < from { first } else if bin < from + later { second } else { third };
                 prop_assert_eq!(steps.at(Some(bin)), f64::from(expected));
@@ -309,27 +310,27 @@ mod tests {
     /// By hand, from the bits: 1 has exponent 1023 and no mantissa, 1.5 its first bit, 3.99 all bits of the exponent 1024.
     #[test]
     fn bins_are_those_of_the_first_bits() {
-        assert_eq!(SCALE.of(1.0), Some(1023 << 6));
-        assert_eq!(SCALE.of(1.5), Some((1023 << 6) + 32));
-        assert_eq!(SCALE.of(3.99), Some((1024 << 6) + 63));
+        assert_eq!(SCALE.bin(1.0), Some(1023 << 6));
+        assert_eq!(SCALE.bin(1.5), Some((1023 << 6) + 32));
+        assert_eq!(SCALE.bin(3.99), Some((1024 << 6) + 63));
         assert_eq!(SCALE.middle(1023 << 6), 1.0 + 1.0 / 128.0);
     }
 
     #[test]
     fn values_at_the_extremes_have_a_bin_of_a_finite_middle_and_what_is_no_number_has_none() {
         for zero in [0.0, -0.0, -3.0, f64::NEG_INFINITY, f64::from_bits(1)] {
-            assert_eq!(SCALE.of(zero), Some(0), "{zero}");
+            assert_eq!(SCALE.bin(zero), Some(0), "{zero}");
         }
         assert_eq!(SCALE.middle(0), 0.0);
         for large in [f64::MAX, f64::INFINITY] {
-            let bin = SCALE.of(large).unwrap();
+            let bin = SCALE.bin(large).unwrap();
             assert!(
                 SCALE.middle(bin).is_finite() && SCALE.middle(bin) > 1e308,
                 "{bin}"
             );
         }
-        assert_eq!(SCALE.of(f64::NAN), None);
-        assert_eq!(SCALE.of(-f64::NAN), None);
+        assert_eq!(SCALE.bin(f64::NAN), None);
+        assert_eq!(SCALE.bin(-f64::NAN), None);
     }
 
     /// The values 1, 2, 3, 5 and 100: without 100 the median is 2.5, without 1 it is 4, and without 3 the upper quartile is

@@ -1,32 +1,42 @@
-//! The survey of a photo: the measures of the filters that lack theirs, from one decode.
+//! The table of filters, and the survey of a photo: the measures of the filters that lack theirs, from one decode.
 
-use marf_cache::manifest::Row;
+use marf_cache::{Digest, manifest::Row};
 use marf_scene::Photo;
-use marf_stage::{Ctx, StageError, Table};
+use marf_stage::{Ctx, Measure, StageDef, StageError, Table, define};
 
-use crate::SECTIONS;
+use crate::blur::Blur;
 use crate::decoded::DecodedPhoto;
+use crate::descriptor::ViewDescriptor;
+use crate::duplicate::Duplicate;
+use crate::filter::Filter;
+use crate::grayscale::Grayscale;
+use crate::histogram::Histogram;
+#[cfg(test)]
+use crate::section::Guarded;
+use crate::section::{MEASURED, REFUSED, Section, Surveyed};
+use crate::shape::Shape;
+use crate::size::Size;
+use crate::stage::FilterStage;
 
-/// First byte of the measure of a photo that cannot be decoded; the reason follows.
-const REFUSED: u8 = 0;
-/// First byte of the measure of a decoded photo; what the filter measured follows.
-const MEASURED: u8 = 1;
-
-/// The part of a survey that belongs to one filter.
-pub(crate) struct Section {
-    /// Where the measures are kept: the name of the filter and the version of its measure.
-    pub(crate) table: Table,
-    /// Measures a photo; only the filter itself reads the bytes.
-    pub(crate) measure: fn(&Ctx<'_>, &DecodedPhoto<'_>) -> Result<Vec<u8>, StageError>,
+macro_rules! filters {
+    ($($stage:ty),* $(,)?) => {
+        /// The filters in the order in which `marf filter` runs them.
+        pub static STAGES: &[StageDef] = &[$(define::<$stage>()),*];
+        /// What each of them adds to a survey.
+        static SECTIONS: &[Option<Section>] = &[$(<$stage as Surveyed>::SECTION),*];
+        /// Name, version and guard of each of them.
+        #[cfg(test)]
+        pub(crate) const GUARDS: &[Guarded] = &[$(Guarded::new::<$stage>()),*];
+    };
 }
 
-/// A stage of the table of filters.
-pub(crate) trait Surveyed {
-    /// What it adds to a survey; `None` for a filter that needs the facts alone.
-    const SECTION: Option<Section>;
-    /// Digests of its answers on fixed photos.
-    #[cfg(test)]
-    const GUARD: crate::guard::Guard;
+filters! {
+    FilterStage<Size>,
+    FilterStage<Shape>,
+    Duplicate,
+    FilterStage<Grayscale>,
+    FilterStage<Histogram>,
+    FilterStage<Blur>,
 }
 
 /// Returns the tables of all filters that measure pixels.
@@ -43,7 +53,7 @@ pub fn measure_photo(ctx: &Ctx<'_>, photo: &Photo, wanted: &[Table]) -> Result<V
     if photo.image.pixels.is_empty() {
         return Ok(refused("the image has no pixels", wanted));
     }
-    let decoded = DecodedPhoto::of(photo);
+    let decoded = DecodedPhoto::new(photo);
     let measure = |table: &Table| {
         let mut bytes = vec![MEASURED];
         bytes.extend((section_of(table)?.measure)(ctx, &decoded)?);
@@ -84,26 +94,42 @@ fn refused(reason: &str, wanted: &[Table]) -> Vec<Vec<u8>> {
     vec![[&[REFUSED], reason.as_bytes()].concat(); wanted.len()]
 }
 
-/// Returns what a filter measured of a photo, or why the photo could not be decoded.
-///
-/// # Errors
-/// Bytes that are no measure.
-pub(crate) fn measured<'a>(measure: &'a [u8], row: &Row) -> Result<Result<&'a [u8], String>, StageError> {
-    match measure.split_first() {
-        Some((&REFUSED, reason)) => Ok(Err(String::from_utf8_lossy(reason).into_owned())),
-        Some((&MEASURED, part)) => Ok(Ok(part)),
-        _ => Err(unreadable(row, "its first byte is neither 0 nor 1")),
+impl<F: Filter> Measure for FilterStage<F> {
+    fn table(&self) -> Option<Table> {
+        Self::SECTION.map(|section| section.table)
+    }
+
+    /// Returns the tables of all filters that measure pixels: one decode fills all.
+    fn together(&self) -> Vec<Table> {
+        self.table().map_or_else(Vec::new, |_| tables())
+    }
+
+    fn measure(&self, ctx: &Ctx<'_>, row: &Row, wanted: &[Table]) -> Result<Vec<Vec<u8>>, StageError> {
+        measure_row(ctx, row, wanted)
     }
 }
 
-/// Returns the error of a kept measure that is not what was written.
-pub(crate) fn unreadable(row: &Row, cause: impl std::fmt::Display) -> StageError {
-    damaged(format!("measure of `{}` cannot be read", row.id)).cause(cause.to_string())
-}
+impl Measure for Duplicate {
+    fn table(&self) -> Option<Table> {
+        Some(Self::TABLE)
+    }
 
-/// Returns the error of something kept that cannot be read, with what to do about it.
-pub(crate) fn damaged(message: String) -> StageError {
-    StageError::new(message).hint("the store may be damaged: measure again in an empty one, `--store DIR`")
+    fn together(&self) -> Vec<Table> {
+        tables()
+    }
+
+    fn measure(&self, ctx: &Ctx<'_>, row: &Row, wanted: &[Table]) -> Result<Vec<Vec<u8>>, StageError> {
+        measure_row(ctx, row, wanted)
+    }
+
+    /// Returns the gradient planes that a [`ViewDescriptor`] names.
+    fn blobs(&self, measure: &[u8]) -> Vec<Digest> {
+        let descriptor = measure.get(1..).and_then(ViewDescriptor::decode);
+        descriptor
+            .map(|descriptor| descriptor.planes)
+            .into_iter()
+            .collect()
+    }
 }
 
 #[cfg(test)]
@@ -112,23 +138,13 @@ mod tests {
 
     use super::*;
     use crate::common::{ground, png};
+    use crate::section::measured;
 
     fn row() -> Row {
         Row {
             id: "a".to_owned(),
             blobs: Default::default(),
             facts: serde_json::Value::Null,
-        }
-    }
-
-    #[test]
-    fn a_measure_or_the_reason_comes_back_and_damage_is_an_error() {
-        assert_eq!(measured(b"\x01sharp", &row()).unwrap(), Ok(&b"sharp"[..]));
-        assert_eq!(measured(b"\x01", &row()).unwrap(), Ok(&b""[..]));
-        assert_eq!(measured(b"\0cut", &row()).unwrap(), Err("cut".to_owned()));
-        for damaged in [&b""[..], b"{}", b"\x07"] {
-            let error = measured(damaged, &row()).unwrap_err().to_string();
-            assert!(error.contains("`a`"), "{error}");
         }
     }
 

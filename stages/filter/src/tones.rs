@@ -2,9 +2,8 @@
 
 use std::borrow::Cow;
 
-use crate::bytes::{put_number, take_number};
+use crate::bytes::{Stored, put_number, take_number};
 use crate::decoded::DecodedPhoto;
-use crate::filter::Stored;
 use crate::luma::{Luma, luma};
 
 /// Pixels a side of a block.
@@ -194,7 +193,7 @@ mod tests {
         let photo = Photo::from(Image::from_fn(640, 481, |x, y| {
             [(x * y % 256) as u8, (x % 250) as u8, y as u8 / 2]
         }));
-        let found = tones(&DecodedPhoto::of(&photo));
+        let found = tones(&DecodedPhoto::new(&photo));
         let bytes = found.encode();
         assert_eq!(ToneHistograms::decode(&bytes), Some(found.clone()));
         assert_eq!(found.pixels(), 640 * 481);

@@ -14,8 +14,19 @@ pub struct RawModel {
     pub cahv: [[f64; 3]; 4],
     /// O and R.
     pub distortion: Option<[[f64; 3]; 2]>,
-    /// E, the model's type (1, 2 or 3) and its parameter.
-    pub entrance: Option<([f64; 3], i64, f64)>,
+    /// The entrance pupil of a CAHVORE.
+    pub entrance: Option<RawEntrance>,
+}
+
+/// The entrance pupil of a CAHVORE as a label writes it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RawEntrance {
+    /// E.
+    pub terms: [f64; 3],
+    /// The model's type, 1, 2 or 3.
+    pub kind: i64,
+    /// Its parameter.
+    pub parameter: f64,
 }
 
 /// A camera model that cannot be used.
@@ -132,7 +143,9 @@ fn check_finite(raw: &RawModel) -> Result<(), CameraError> {
         _ => {}
     }
     match raw.entrance {
-        Some((e, _, parameter)) if !usable(&e) || !usable(&[parameter; 3]) => Err(CameraError::Number("E")),
+        Some(pupil) if !usable(&pupil.terms) || !usable(&[pupil.parameter; 3]) => {
+            Err(CameraError::Number("E"))
+        }
         _ => Ok(()),
     }
 }
@@ -163,14 +176,17 @@ fn check_axes(a: [f64; 3], h: [f64; 3], v: [f64; 3]) -> Result<(), CameraError> 
     }
 }
 
-fn entrance((terms, kind, parameter): ([f64; 3], i64, f64)) -> Result<EntrancePupil, CameraError> {
-    let linearity = match kind {
+fn entrance(pupil: RawEntrance) -> Result<EntrancePupil, CameraError> {
+    let linearity = match pupil.kind {
         1 => 1.0,
         2 => 0.0,
-        3 => parameter,
+        3 => pupil.parameter,
         other => return Err(CameraError::EntranceType(other)),
     };
-    Ok(EntrancePupil { terms, linearity })
+    Ok(EntrancePupil {
+        terms: pupil.terms,
+        linearity,
+    })
 }
 
 #[cfg(test)]
@@ -220,9 +236,14 @@ mod tests {
         check(&|raw| raw.cahv[2] = [0.0; 3], "focal lengths");
         check(&|raw| raw.cahv[3][2] = 15_900.0, "do not agree");
         check(&|raw| raw.cahv.swap(2, 3), "mirrored");
-        check(&|raw| raw.entrance = Some(([0.0; 3], 4, 0.0)), "type 4");
+        let pupil = |term: f64, kind: i64| RawEntrance {
+            terms: [term; 3],
+            kind,
+            parameter: 0.0,
+        };
+        check(&|raw| raw.entrance = Some(pupil(0.0, 4)), "type 4");
         check(
-            &|raw| raw.entrance = Some(([f64::INFINITY; 3], 2, 0.0)),
+            &|raw| raw.entrance = Some(pupil(f64::INFINITY, 2)),
             "E is missing",
         );
     }
@@ -231,7 +252,11 @@ mod tests {
     fn the_type_of_a_cahvore_decides_its_linearity() {
         for (kind, parameter, linearity) in [(1, 0.3, 1.0), (2, 0.3, 0.0), (3, 0.6, 0.6)] {
             let mut model = raw();
-            model.entrance = Some(([0.0; 3], kind, parameter));
+            model.entrance = Some(RawEntrance {
+                terms: [0.0; 3],
+                kind,
+                parameter,
+            });
             assert_eq!(
                 normalised(&model).unwrap().e.unwrap().linearity,
                 linearity,

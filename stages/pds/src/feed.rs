@@ -2,7 +2,7 @@
 
 use serde_json::Value;
 
-use crate::camera::{CameraError, RawModel};
+use crate::camera::{CameraError, RawEntrance, RawModel};
 use crate::label::{BayerPhase, FramePose, Label, MAX_LABEL_BYTES};
 use crate::values;
 
@@ -159,7 +159,13 @@ fn model(components: &str) -> Result<RawModel, CameraError> {
             let kind = values::integer(parts[7]).ok_or(CameraError::Number("the type of the CAHVORE"))?;
             let parameter =
                 values::number(parts[8]).ok_or(CameraError::Number("the parameter of the CAHVORE"))?;
-            (distorted()?, Some((vector(6, "E")?, kind, parameter)))
+            let terms = vector(6, "E")?;
+            let entrance = RawEntrance {
+                terms,
+                kind,
+                parameter,
+            };
+            (distorted()?, Some(entrance))
         }
         _ => return Err(CameraError::Number("a model of 4, 6 or 9 components")),
     };

@@ -15,7 +15,8 @@ impl Label {
     pub fn fit_camera(
         &self,
         name: Option<&ProductName>,
-        (width, height): (u32, u32),
+        width: u32,
+        height: u32,
         notes: &mut Vec<String>,
     ) -> Option<CameraPrior> {
         let mut prior = self.prior.clone()?;
@@ -109,7 +110,7 @@ mod tests {
     #[test]
     fn a_photo_that_was_turned_has_no_camera() {
         let mut notes = vec!["turned upright from EXIF orientation 6".to_owned()];
-        assert_eq!(label().fit_camera(None, (1648, 1200), &mut notes), None);
+        assert_eq!(label().fit_camera(None, 1648, 1200, &mut notes), None);
         assert!(notes[1].contains("was turned"), "{notes:?}");
     }
 
@@ -123,7 +124,7 @@ mod tests {
                 ..label()
             };
             let mut notes = Vec::new();
-            let prior = label.fit_camera(Some(&name), (1648, 1200), &mut notes).unwrap();
+            let prior = label.fit_camera(Some(&name), 1648, 1200, &mut notes).unwrap();
             (focal_px(&prior.model).0, notes)
         };
         // 34 mm / 7.4 um = 4595 px.
@@ -143,7 +144,7 @@ mod tests {
             ..label()
         };
         let mut notes = Vec::new();
-        assert!(label.fit_camera(None, (10, 10), &mut notes).is_some());
+        assert!(label.fit_camera(None, 10, 10, &mut notes).is_some());
         assert!(notes[0].contains("does not tell the size"), "{notes:?}");
     }
 }

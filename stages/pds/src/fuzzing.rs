@@ -90,7 +90,7 @@ pub fn index(bytes: &[u8]) -> usize {
         .position(|window| window == b"\nEND\n")
         .map_or(bytes.len(), |at| at + 5);
     let (label, table) = bytes.split_at(end);
-    let Ok(index) = index_table::Index::of(label) else {
+    let Ok(index) = index_table::Index::from_label(label) else {
         return 0;
     };
     let places = index.rows(table).map_while(Result::ok).map(|row| row.location());

@@ -75,7 +75,7 @@ impl Index {
     ///
     /// # Errors
     /// What it lacks, or the column that does not fit.
-    pub fn of(label: &[u8]) -> Result<Self, IndexError> {
+    pub fn from_label(label: &[u8]) -> Result<Self, IndexError> {
         if label.len() > MAX_LABEL_BYTES {
             return Err(IndexError::TooLarge(label.len()));
         }
@@ -99,7 +99,7 @@ impl Index {
             .iter()
             .filter(is_column)
             .take(MAX_COLUMNS)
-            .map(|group| Column::of(group, row_bytes))
+            .map(|group| Column::from_group(group, row_bytes))
             .collect();
         Ok(Self {
             file: odl.get(&format!("^{}", table.name)).and_then(file_name),
@@ -130,7 +130,7 @@ impl Index {
 }
 
 impl Column {
-    fn of(group: &Group, row_bytes: usize) -> Result<Self, IndexError> {
+    fn from_group(group: &Group, row_bytes: usize) -> Result<Self, IndexError> {
         let name = group.text("NAME").unwrap_or_default().to_ascii_uppercase();
         let place = size(group, "START_BYTE").zip(size(group, "BYTES"));
         let fits = |(start, bytes): &(usize, usize)| {

@@ -220,11 +220,12 @@ impl Reader<'_> {
             };
         }
         let word = String::from_utf8_lossy(word).to_ascii_uppercase();
-        let pointer = word.starts_with('^');
         let plain = word.rsplit(':').next().unwrap_or_default();
-        Ok(Some(match (pointer, plain.starts_with('^')) {
-            (true, false) => format!("^{plain}"),
-            _ => plain.to_owned(),
+        let lacks_pointer = word.starts_with('^') && !plain.starts_with('^');
+        Ok(Some(if lacks_pointer {
+            format!("^{plain}")
+        } else {
+            plain.to_owned()
         }))
     }
 

@@ -1,6 +1,6 @@
 //! PDS3, ODL and VICAR labels, attached or detached, read as [`Label`].
 
-use crate::camera::{CameraError, RawModel};
+use crate::camera::{CameraError, RawEntrance, RawModel};
 use crate::label::{
     Array, BandStorage, BayerPhase, FramePose, Label, Quantity, Sample, SampleKind, ordered_counter,
     same_place,
@@ -163,16 +163,16 @@ fn model(group: &Group) -> Result<RawModel, CameraError> {
 }
 
 /// Returns terms, type and parameter of a CAHVORE (components 7 to 9).
-fn entrance(group: &Group, terms: [f64; 3]) -> Result<([f64; 3], i64, f64), CameraError> {
+fn entrance(group: &Group, terms: [f64; 3]) -> Result<RawEntrance, CameraError> {
     let kind = group.text("MODEL_COMPONENT_8").and_then(values::integer);
     let kind = kind.ok_or(CameraError::Number("the type of the CAHVORE"))?;
     let parameter = group.text("MODEL_COMPONENT_9").and_then(values::number);
     let parameter = parameter.or((kind != 3).then_some(0.0));
-    Ok((
+    Ok(RawEntrance {
         terms,
         kind,
-        parameter.ok_or(CameraError::Number("the parameter of the CAHVORE"))?,
-    ))
+        parameter: parameter.ok_or(CameraError::Number("the parameter of the CAHVORE"))?,
+    })
 }
 
 /// Returns the rover's counters by name; without names, in the order of all labels: SITE, DRIVE, POSE, …
@@ -324,9 +324,10 @@ fn pointer(odl: &Group) -> Option<(Option<String>, u64)> {
             .filter(|first| *first > 0)?,
     };
     let in_bytes = matches!(place, Some(Value::Unit(_, unit)) if unit.eq_ignore_ascii_case("BYTES"));
-    let unit = match (in_bytes, first) {
-        (true, _) | (_, 1) => 1,
-        _ => u64::from(unsigned(odl, "RECORD_BYTES")?),
+    let unit = if in_bytes || first == 1 {
+        1
+    } else {
+        u64::from(unsigned(odl, "RECORD_BYTES")?)
     };
     Some((file.map(str::to_owned), (first - 1).checked_mul(unit)?))
 }

@@ -3,14 +3,15 @@
 
 mod array;
 mod guard;
+mod node;
 
 use roxmltree::{Document, Node, ParsingOptions};
 
-use crate::camera::{CameraError, RawModel};
+use crate::camera::{CameraError, RawEntrance, RawModel};
 use crate::label::{BayerPhase, FramePose, Label, MAX_LABEL_BYTES, ordered_counter, same_place};
 use crate::values;
+use node::{PDS, at, child, children, number_at, text_at};
 
-const PDS: &str = "http://pds.nasa.gov/pds4/pds/v1";
 const GEOM: &str = "http://pds.nasa.gov/pds4/geom/v1";
 const IMG: &str = "http://pds.nasa.gov/pds4/img/v1";
 const MSN: &str = "http://pds.nasa.gov/pds4/msn/v1";
@@ -94,33 +95,6 @@ fn label(root: Node<'_, '_>) -> Label {
         None => label.notes.push("label has no camera".to_owned()),
     }
     label
-}
-
-fn child<'a, 'd>(node: Node<'a, 'd>, namespace: &str, name: &str) -> Option<Node<'a, 'd>> {
-    node.children()
-        .find(|child| child.has_tag_name((namespace, name)))
-}
-
-fn children<'a, 'd>(
-    node: Node<'a, 'd>,
-    namespace: &'a str,
-    name: &'a str,
-) -> impl Iterator<Item = Node<'a, 'd>> {
-    node.children()
-        .filter(move |child| child.has_tag_name((namespace, name)))
-}
-
-fn at<'a, 'd>(node: Node<'a, 'd>, path: &[(&str, &str)]) -> Option<Node<'a, 'd>> {
-    path.iter()
-        .try_fold(node, |node, (namespace, name)| child(node, namespace, name))
-}
-
-fn text_at(node: Node<'_, '_>, path: &[(&str, &str)]) -> Option<String> {
-    values::known(at(node, path)?.text()?)
-}
-
-fn number_at(node: Node<'_, '_>, path: &[(&str, &str)]) -> Option<f64> {
-    values::number(at(node, path)?.text()?)
 }
 
 fn product(root: Node<'_, '_>) -> Option<String> {
@@ -249,7 +223,11 @@ fn model(parameters: Node<'_, '_>) -> Result<RawModel, CameraError> {
         let parameter = parameter.or((kind != 3).then_some(0.0));
         let parameter = parameter.ok_or(CameraError::Number("cahvore_model_parameter"))?;
         return Ok(RawModel {
-            entrance: Some((vector(node, "Entrance_Terms", "c0 c1 c2", "E")?, kind, parameter)),
+            entrance: Some(RawEntrance {
+                terms: vector(node, "Entrance_Terms", "c0 c1 c2", "E")?,
+                kind,
+                parameter,
+            }),
             distortion: Some(distortion(node)?),
             cahv: cahv(node)?,
         });

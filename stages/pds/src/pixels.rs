@@ -57,8 +57,8 @@ pub fn render(
     table: Option<Table>,
     bytes: &[u8],
 ) -> Result<RenderedArray, PixelError> {
-    let layout = Layout::of(array, bytes.len() as u64)?;
-    let (scale, mut notes) = Scale::of(array, table)?;
+    let layout = Layout::new(array, bytes.len() as u64)?;
+    let (scale, mut notes) = Scale::new(array, table)?;
     let (bands, lines, samples) = layout.shape;
     let mut clipped = 0_u64;
     let mut plane = |band: usize| {
@@ -121,7 +121,7 @@ struct Layout {
 }
 
 impl Layout {
-    fn of(array: &Array, has: u64) -> Result<Self, PixelError> {
+    fn new(array: &Array, has: u64) -> Result<Self, PixelError> {
         let [bands, lines, samples] = array.shape;
         let sides = [lines, samples].iter().all(|side| (1..=MAX_SIDE).contains(side));
         let pixels = u64::from(lines) * u64::from(samples);
@@ -204,7 +204,7 @@ struct Scale<'a> {
 }
 
 impl<'a> Scale<'a> {
-    fn of(array: &'a Array, table: Option<Table>) -> Result<(Self, Vec<String>), PixelError> {
+    fn new(array: &'a Array, table: Option<Table>) -> Result<(Self, Vec<String>), PixelError> {
         let (scaling, sample) = (array.scaling, array.sample);
         let with = |factor: f64, offset: f64, curve, note: String| {
             let scale = Scale {

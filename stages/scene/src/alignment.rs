@@ -23,7 +23,7 @@ impl Alignment {
     ///
     /// S. Umeyama, "Least-squares estimation of transformation parameters between two point patterns", PAMI 13(4), 1991.
     /// None with fewer than three cameras, with centres on one line, or with a pose that is not finite.
-    pub fn of(pairs: &[(Pose, Pose)]) -> Option<Self> {
+    pub fn fit(pairs: &[(Pose, Pose)]) -> Option<Self> {
         let count = pairs.len() as f64;
         let mean =
             |side: fn(&(Pose, Pose)) -> Vector3<f64>| pairs.iter().map(side).sum::<Vector3<f64>>() / count;
@@ -63,7 +63,7 @@ impl Alignment {
     }
 
     /// Returns the distance of a camera from the known one, in the known world's unit, and the angle between them, radians.
-    pub fn difference(&self, (found, known): &(Pose, Pose)) -> (f64, f64) {
+    pub fn difference(&self, found: &Pose, known: &Pose) -> (f64, f64) {
         let centre = self.scale * (self.rotation * found.centre()) + self.translation;
         let left = known.rotation * (found.rotation * self.rotation.transpose()).transpose();
         ((centre - known.centre()).norm(), angle_rad(&left))
@@ -109,11 +109,11 @@ mod tests {
             let pairs: Vec<(Pose, Pose)> = (0..8)
                 .map(|index| (pose(index), moved(&pose(index), scale, &turn, by)))
                 .collect();
-            let alignment = Alignment::of(&pairs).unwrap();
+            let alignment = Alignment::fit(&pairs).unwrap();
             assert!((alignment.scale / scale - 1.0).abs() < 1e-12);
             assert!((alignment.rotation - turn.matrix()).norm() < 1e-12);
             for pair in &pairs {
-                let (distance, angle) = alignment.difference(pair);
+                let (distance, angle) = alignment.difference(&pair.0, &pair.1);
                 assert!(
                     distance < 1e-11 * scale.max(1.0) * 10.0 && angle < 1e-11,
                     "{distance} {angle}"
@@ -128,8 +128,8 @@ mod tests {
         let turn = Rotation3::from_axis_angle(&Vector3::x_axis(), 1_f64.to_radians());
         pairs[3].0.rotation = turn.matrix() * pairs[3].0.rotation;
         pairs[3].0.translation = turn * pairs[3].0.translation;
-        let alignment = Alignment::of(&pairs).unwrap();
-        let (distance, angle) = alignment.difference(&pairs[3]);
+        let alignment = Alignment::fit(&pairs).unwrap();
+        let (distance, angle) = alignment.difference(&pairs[3].0, &pairs[3].1);
         assert!(
             distance < 1e-12 && (angle.to_degrees() - 1.0).abs() < 1e-9,
             "{distance} {angle}"
@@ -139,16 +139,16 @@ mod tests {
     #[test]
     fn what_has_no_one_similarity_has_none() {
         let pairs: Vec<(Pose, Pose)> = (0..8).map(|index| (pose(index), pose(index))).collect();
-        assert_eq!(Alignment::of(&pairs[..2]), None);
-        assert_eq!(Alignment::of(&[]), None);
+        assert_eq!(Alignment::fit(&pairs[..2]), None);
+        assert_eq!(Alignment::fit(&[]), None);
         let on_a_line = |index: usize| {
             let eye = Vector3::new(index as f64, 0.0, 0.0);
             Pose::looking_at(eye, Vector3::new(9.0, 1.0, 3.0), Vector3::new(0.0, 0.1, 1.0))
         };
         let line: Vec<(Pose, Pose)> = (0..8).map(|index| (on_a_line(index), on_a_line(index))).collect();
-        assert_eq!(Alignment::of(&line), None);
+        assert_eq!(Alignment::fit(&line), None);
         let mut broken = pairs;
         broken[0].0.translation.x = f64::NAN;
-        assert_eq!(Alignment::of(&broken), None);
+        assert_eq!(Alignment::fit(&broken), None);
     }
 }

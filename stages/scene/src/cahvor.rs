@@ -4,6 +4,7 @@ use nalgebra::{Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 
 use crate::Pose;
+pub use lens::EntrancePupil;
 use lens::Radial;
 pub use linear::Pinhole;
 
@@ -30,15 +31,6 @@ pub struct Cahvor {
     /// Entrance pupil terms.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub e: Option<EntrancePupil>,
-}
-
-/// The E of CAHVORE: how the entrance pupil moves with the angle, and the kind of lens.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct EntrancePupil {
-    /// e0, e1, e2, metres.
-    pub terms: [f64; 3],
-    /// Linearity L: 1 perspective, 0 fish-eye, other values general.
-    pub linearity: f64,
 }
 
 /// The ray of sight of a pixel.

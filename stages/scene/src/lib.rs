@@ -16,6 +16,7 @@ pub mod path;
 mod photo;
 pub mod picture;
 mod places;
+pub mod ply;
 mod pose;
 mod reach;
 mod scene;

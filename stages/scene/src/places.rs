@@ -47,7 +47,7 @@ impl<'a> PosedPhoto<'a> {
 /// Position and optical axis, such that two photos are near where their distance is at most 1.
 pub(crate) type Place = SVector<f64, 6>;
 
-/// Tells for each photo whether it is held out: whole places, about one photo in `every`, spread over the scene.
+/// Returns for each photo whether it is held out: whole places, about one photo in `every`, spread over the scene.
 ///
 /// A place is a group of photos whose positions lie within 0.15 of the typical distance to what the photos show (`points`: the
 /// sparse points; without them it follows from the cameras) and whose directions lie within 15 degrees, both together:
@@ -73,7 +73,7 @@ pub fn hold_out_more_places(
         return held_out;
     }
     let most = most_in_a_place(photos.len(), every);
-    let (known, new): (Vec<Group>, Vec<Group>) = places(photos, points, most, known)
+    let (known, new): (Vec<_>, Vec<_>) = places(photos, points, most, known)
         .into_iter()
         .partition(|group| group.known.is_some());
     let before = known.iter().filter(|group| group.known == Some(true));
@@ -83,7 +83,10 @@ pub fn hold_out_more_places(
     let (share, new_photos) = (1.0 / f64::from(every), (photos.len() - all) as f64);
     let owed = (all as f64 * share - before.len() as f64).min(new_photos * (0.5 - share).max(0.0));
     let needs_one = before.is_empty() && known.len() + new.len() > 1;
-    let after = chosen(&new, every, (owed, needs_one));
+    let mut after = chosen(&new, every, owed);
+    if needs_one && after.is_empty() {
+        after = nearest_in_size(&new, every);
+    }
     for photo in before.into_iter().chain(after) {
         held_out[photo] = true;
     }
@@ -145,7 +148,7 @@ struct Group {
 }
 
 impl Group {
-    fn of(photo: usize, place: Place, known: Option<bool>) -> Self {
+    fn single(photo: usize, place: Place, known: Option<bool>) -> Self {
         Self {
             photos: vec![photo],
             low: place,
@@ -154,7 +157,7 @@ impl Group {
         }
     }
 
-    /// Tells whether both can be one group: a photo held out before and one trained on cannot.
+    /// Returns whether both can be one group: a photo held out before and one trained on cannot.
     fn may_join(&self, other: &Self) -> bool {
         self.known.is_none() || other.known.is_none() || self.known == other.known
     }
@@ -207,7 +210,7 @@ fn merged(places: &[Place], most: usize, known: &[Option<bool>]) -> Vec<Group> {
     let mut group_of: Vec<usize> = (0..places.len()).collect();
     let singles = places.iter().zip(known).enumerate();
     let mut groups: Vec<Group> = singles
-        .map(|(photo, (place, known))| Group::of(photo, *place, *known))
+        .map(|(photo, (place, known))| Group::single(photo, *place, *known))
         .collect();
     for (one, other) in near_pairs(places) {
         let (one, other) = (group_of[one], group_of[other]);
@@ -255,31 +258,33 @@ fn near_pairs(places: &[Place]) -> Vec<(usize, usize)> {
 /// Returns the photos of the groups that are held out.
 ///
 /// Groups are walked through in an order in which neighbours follow each other. Each adds its share to what is owed, and
-/// one that is taken pays with its photos. `owed`: what is owed before; `needs_one`: one is taken in any case.
-fn chosen(groups: &[Group], every: u32, (mut owed, needs_one): (f64, bool)) -> Vec<usize> {
+/// one that is taken pays with its photos. `owed`: what is owed before.
+fn chosen(groups: &[Group], every: u32, mut owed: f64) -> Vec<usize> {
     let photos: usize = groups.iter().map(|group| group.photos.len()).sum();
     let mut walk: Vec<&Group> = groups.iter().collect();
     walk_through(&mut walk);
     let share = 1.0 / f64::from(every);
     let half_a_group = photos as f64 / groups.len().max(1) as f64 / 2.0;
-    let is_taken = |group: &&&Group| {
+    let is_taken = |group: &&Group| {
         let size = group.photos.len() as f64;
         owed += size * share;
         let is_due = owed >= half_a_group;
         owed -= if is_due { size } else { 0.0 };
         is_due
     };
-    let mut taken: Vec<&Group> = walk.iter().filter(is_taken).copied().collect();
-    if needs_one && taken.is_empty() {
-        let wanted = photos as f64 * share;
-        let off = |group: &&&Group| (group.photos.len() as f64 - wanted).abs();
-        let best = walk.iter().min_by(|a, b| off(a).total_cmp(&off(b)));
-        taken.extend(best);
-    }
-    taken
-        .iter()
-        .flat_map(|group| group.photos.iter().copied())
-        .collect()
+    let taken = walk.into_iter().filter(is_taken);
+    taken.flat_map(|group| group.photos.iter().copied()).collect()
+}
+
+/// Returns the photos of the group that has most nearly one photo in `every`; none without groups.
+fn nearest_in_size(groups: &[Group], every: u32) -> Vec<usize> {
+    let photos: usize = groups.iter().map(|group| group.photos.len()).sum();
+    let mut walk: Vec<&Group> = groups.iter().collect();
+    walk_through(&mut walk);
+    let share = 1.0 / f64::from(every);
+    let off = |group: &&Group| (group.photos.len() as f64 - photos as f64 * share).abs();
+    let best = walk.into_iter().min_by(|a, b| off(a).total_cmp(&off(b)));
+    best.map_or_else(Vec::new, |group| group.photos.clone())
 }
 
 /// Sorts groups so that neighbours follow each other: halves along the widest axis, then each half likewise.

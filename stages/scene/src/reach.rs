@@ -1,3 +1,4 @@
+use marf_numeric::upper_median;
 use nalgebra::Vector3;
 
 use crate::{Camera, Point, Pose};
@@ -14,7 +15,8 @@ const BASELINES: f64 = 16.0;
 pub(crate) type Posed<'a> = (&'a Camera, &'a Pose);
 
 /// Returns whether a photo of the camera shows a point of the world, whatever may lie between.
-pub(crate) fn shows((camera, cam_from_world): Posed<'_>, point: &Vector3<f64>) -> bool {
+pub(crate) fn shows(posed: Posed<'_>, point: &Vector3<f64>) -> bool {
+    let (camera, cam_from_world) = posed;
     let Some(pixel) = camera.project(&cam_from_world.point(point)) else {
         return false;
     };
@@ -56,26 +58,20 @@ fn seen_distance(cameras: &[Posed<'_>], points: &[Point]) -> Option<f64> {
         .collect();
     let of_camera = |posed: &Posed<'_>| {
         let shown = points.iter().filter(|point| shows(*posed, point));
-        median(shown.map(|point| posed.1.point(point).norm()).collect())
+        upper_median(shown.map(|point| posed.1.point(point).norm()))
     };
-    median(cameras.iter().filter_map(of_camera).collect())
+    upper_median(cameras.iter().filter_map(of_camera))
 }
 
 fn from_cameras(cameras: &[Posed<'_>]) -> f64 {
     let centres: Vec<Vector3<f64>> = cameras.iter().map(|(_, pose)| pose.centre()).collect();
-    let axis = |axis: usize| median(centres.iter().map(|centre| centre[axis]).collect()).unwrap_or(0.0);
+    let axis = |axis: usize| upper_median(centres.iter().map(|centre| centre[axis])).unwrap_or(0.0);
     let middle = Vector3::new(axis(0), axis(1), axis(2));
-    let spread = median(centres.iter().map(|centre| (centre - middle).norm()).collect());
+    let spread = upper_median(centres.iter().map(|centre| (centre - middle).norm()));
     let nearest = strided(&centres, MOST_CAMERAS).into_iter().filter_map(|centre| {
         let apart = centres.iter().map(|other| (other - centre).norm());
         apart.filter(|apart| *apart > 0.0).min_by(f64::total_cmp)
     });
-    let baseline = median(nearest.collect()).unwrap_or(0.0);
+    let baseline = upper_median(nearest).unwrap_or(0.0);
     spread.unwrap_or(0.0).max(BASELINES * baseline)
-}
-
-/// Returns the median (the upper one of two); none of no values.
-fn median(mut values: Vec<f64>) -> Option<f64> {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied()
 }

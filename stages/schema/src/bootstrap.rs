@@ -1,4 +1,4 @@
-//! `bootstrap`: B retrainings to uncertainty maps and the pictures of a fly-through.
+//! `bootstrap`: B retrainings to uncertainty maps.
 
 mod metrics;
 
@@ -7,7 +7,7 @@ use marf_stage::{ParamError, Params};
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-use crate::{check_field, train::Fit};
+use crate::{check::check_field, train::Fit};
 
 pub use metrics::{
     Calibration, Coverage, HeldOut, Member, MemberFields, Metrics, OutOfBag, PhotoReport, Round,
@@ -34,7 +34,7 @@ pub enum Viewpoints {
     Heldout,
     /// At the photos trained on: at all of them, as in the paper.
     Train,
-    /// Along the fly-through.
+    /// Along a smooth path through training cameras.
     Flythrough,
     /// Around the point the cameras look at.
     Orbit,
@@ -148,17 +148,6 @@ impl<'de> Deserialize<'de> for Members {
 
 const AUTO: &str = "auto";
 
-/// What the fly-through shows between the mean colour and the depth.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Shown {
-    /// Sample standard deviation of gray.
-    #[default]
-    Std,
-    /// With the term of what no photo saw, which stands out.
-    Total,
-}
-
 /// Parameters of `bootstrap`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
@@ -184,12 +173,6 @@ pub struct BootstrapParams {
     pub viewpoints: ViewpointList,
     /// Number of viewpoints along a path, where they are not photos.
     pub map_frames: u32,
-    /// Pictures of the fly-through, at least 1; each takes `b` renders. `video` makes a film of them.
-    pub frames: u32,
-    /// Width of each of the three panels of the fly-through (mean colour, uncertainty, depth), pixels, at most 1280.
-    pub width: u32,
-    /// What the fly-through shows between the mean colour and the depth.
-    pub show: Shown,
     /// Which processor trains and renders: `auto` (a GPU where there is one, never a software adapter), `cpu`, `gpu`,
     /// or `gpu:NAME` for the adapter whose name holds NAME. Only what was opened is in the key.
     pub device: Device,
@@ -207,9 +190,6 @@ impl Default for BootstrapParams {
             field: Overrides::default(),
             viewpoints: ViewpointList::default(),
             map_frames: 6,
-            frames: 96,
-            width: 480,
-            show: Shown::Std,
             device: Device::default(),
         }
     }
@@ -217,8 +197,7 @@ impl Default for BootstrapParams {
 
 /// Most members; beyond it a number is a slip.
 const MAX_MEMBERS: u32 = 1000;
-/// Widest panel of three in a picture that can be encoded, and longest fly-through.
-const MAX_WIDTH_PX: u32 = marf_video::MAX_LONG_PX / 3;
+/// Most viewpoints along a path.
 const MAX_FRAMES: u32 = 10_000;
 
 impl Params for BootstrapParams {
@@ -250,9 +229,7 @@ impl BootstrapParams {
         if let Members::Count(count) = self.b {
             at_most("b", count, MAX_MEMBERS)?;
         }
-        at_most("frames", self.frames, MAX_FRAMES)?;
         at_most("map_frames", self.map_frames, MAX_FRAMES)?;
-        at_most("width", self.width, MAX_WIDTH_PX)?;
         let ViewpointList(viewpoints) = &self.viewpoints;
         for (index, kind) in viewpoints.iter().enumerate() {
             if viewpoints[..index].contains(kind) {
@@ -265,12 +242,10 @@ impl BootstrapParams {
                 "no kind of viewpoint; at least one",
             ));
         }
-        above_zero("frames", u64::from(self.frames))?;
-        above_zero("width", u64::from(self.width))?;
         above_zero("map_frames", u64::from(self.map_frames))?;
         above_zero("steps", self.steps.unwrap_or(1))?;
         above_zero("scale", u64::from(self.scale.unwrap_or(1)))?;
-        check_field(Fit::Scene, &self.field)
+        check_field(&Fit::Scene.config(), &self.field)
     }
 }
 
@@ -285,9 +260,7 @@ mod tests {
             (json!({"b": 1}), "b"),
             (json!({"b": 0}), "b"),
             (json!({"b": 1001}), "b"),
-            (json!({"frames": 0}), "frames"),
-            (json!({"width": 0}), "width"),
-            (json!({"width": 1281}), "width"),
+            (json!({"map_frames": 0}), "map_frames"),
             (json!({"steps": 0}), "steps"),
             (json!({"scale": 0}), "scale"),
             (json!({"viewpoints": []}), "viewpoints"),

@@ -5,7 +5,7 @@ use marf_stage::{Document, ParamError, Params, Sols};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::check_scale;
+use crate::check::check_scale;
 
 /// Most retrainings of each time.
 const MAX_MEMBERS: u32 = 20;

@@ -5,7 +5,7 @@ use marf_stage::{Document, ParamError, Params};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::{check_scale, scores::Scores};
+use crate::{check::check_scale, scores::Scores};
 
 /// Photos that are compared with their renders.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]

@@ -1,6 +1,6 @@
 //! Outputs with invented numbers, for tests of code that reads outputs.
 
-use marf_field::{Chosen, Config, Facts, Sizes};
+use marf_field::{Choice, Config, Facts, Sizes};
 
 use crate::{
     bootstrap::{self, Mode},
@@ -127,8 +127,8 @@ fn facts(config: &Config) -> Facts {
     }
 }
 
-fn chosen<T>(value: T) -> Chosen<T> {
-    Chosen {
+fn chosen<T>(value: T) -> Choice<T> {
+    Choice {
         value,
         reason: "invented".to_owned(),
     }

@@ -5,7 +5,7 @@ use marf_stage::{Document, ParamError, Params};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::{scores::Scores, train::check_share};
+use crate::{check::check_share, scores::Scores};
 
 /// Parameters of `folds`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]

@@ -15,6 +15,7 @@ mod budget;
 pub mod calibrate;
 pub mod cameras;
 pub mod changes;
+mod check;
 pub mod evaluate;
 pub mod example;
 pub mod folds;
@@ -31,32 +32,3 @@ pub mod ties;
 pub mod train;
 pub mod tune;
 pub mod video;
-
-use marf_field::Overrides;
-use marf_stage::ParamError;
-
-/// Checks a factor by which photos are shrunk.
-///
-/// # Errors
-/// 0.
-pub(crate) fn check_scale(scale: Option<u32>) -> Result<(), ParamError> {
-    match scale {
-        Some(0) => Err(ParamError::new(
-            "scale",
-            "photos cannot be shrunk by 0; 1 keeps them",
-        )),
-        _ => Ok(()),
-    }
-}
-
-/// Checks keys of the field against the configuration they are laid over.
-///
-/// # Errors
-/// Names the key that is unknown, of another type or out of its range.
-pub(crate) fn check_field(fit: train::Fit, field: &Overrides) -> Result<(), ParamError> {
-    let checked = field.over(&fit.config());
-    checked.map(|_| ()).map_err(|error| {
-        let path = format!("field.{}", error.key);
-        ParamError::new(path.trim_end_matches('.'), error.message)
-    })
-}

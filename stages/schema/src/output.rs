@@ -42,8 +42,6 @@ pub const UNCERTAINTY: &str = "uncertainty/";
 pub const UNCERTAINTY_PREVIEW: &str = "uncertainty-preview/";
 /// Maps of `bootstrap`: `maps/<viewpoint>-std.png`.
 pub const MAPS: &str = "maps/";
-/// Pictures of the fly-through of `bootstrap`: `flythrough/0001.png`.
-pub const FLYTHROUGH: &str = "flythrough/";
 /// The surface of a field as PLY, of `surface`.
 pub const MESH_PLY: &str = "mesh.ply";
 /// The surface of a field as GLB, of `surface`.

@@ -31,7 +31,7 @@ fn judged_px() -> u32 {
 
 impl PartialParams {
     /// Returns the first steps of a training.
-    pub fn of(train: TrainParams, until: u64) -> Self {
+    pub fn new(train: TrainParams, until: u64) -> Self {
         Self {
             until,
             judged_px: judged_px(),

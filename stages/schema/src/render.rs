@@ -129,20 +129,20 @@ impl RenderParams {
         if self.outputs.is_empty() {
             return refuse("nothing to make; at least one of `rgb`, `depth`, `uncertainty`");
         }
-        match layers.any(|(index, layer)| self.outputs[..index].contains(layer)) {
-            true => refuse("one of them stands twice in the list"),
-            false => Ok(()),
+        if layers.any(|(index, layer)| self.outputs[..index].contains(layer)) {
+            return refuse("one of them stands twice in the list");
         }
+        Ok(())
     }
 
     fn check_keyframes(&self) -> Result<(), ParamError> {
         let refuse = |message: String| Err(ParamError::new("keyframes", message));
         let path = self.path.name();
         let Some(first) = self.keyframes.first() else {
-            return match self.path.has_keyframes() {
-                true => refuse(format!("the path `{path}` needs one at the least")),
-                false => Ok(()),
-            };
+            if self.path.has_keyframes() {
+                return refuse(format!("the path `{path}` needs one at the least"));
+            }
+            return Ok(());
         };
         if !self.path.has_keyframes() {
             return refuse(format!(

@@ -8,7 +8,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use crate::{check_field, train::Fit};
+use crate::{check::check_field, train::Fit};
 
 /// How trials are compared.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -115,7 +115,7 @@ impl TuneParams {
             let message = format!("{} dB; from 0 to 100", self.least_gain_db);
             return Err(ParamError::new("least_gain_db", message));
         }
-        check_field(Fit::Scene, &self.field)?;
+        check_field(&Fit::Scene.config(), &self.field)?;
         for (key, range) in &self.space {
             let path = format!("space.{key}");
             if let Some(fault) = range.fault() {

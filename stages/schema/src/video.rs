@@ -65,10 +65,10 @@ impl VideoParams {
     pub fn check(&self) -> Result<(), ParamError> {
         let within = |key: &str, value: u32, range: std::ops::RangeInclusive<u32>| {
             let message = || format!("{value} is not in {} to {}", range.start(), range.end());
-            match range.contains(&value) {
-                true => Ok(()),
-                false => Err(ParamError::new(key, message())),
+            if range.contains(&value) {
+                return Ok(());
             }
+            Err(ParamError::new(key, message()))
         };
         within("fps", self.fps, RATES)?;
         within("quantizer", self.quantizer, QUANTIZERS)?;
@@ -90,7 +90,7 @@ impl VideoParams {
     }
 }
 
-/// Output `film` of `render` and `bootstrap`: the pictures of a path in order (PNG), which `video` encodes.
+/// Output `film` of `render`: the pictures of a path in order (PNG), which `video` encodes.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Film(pub Vec<Digest>);

@@ -9,7 +9,7 @@ use marf_cache::Digest;
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-use crate::StageError;
+use crate::error::{BlobError, StageError};
 
 /// What a running stage may use beside its parameters and inputs.
 #[derive(Clone, Copy)]
@@ -106,16 +106,6 @@ pub enum Keep {
     Copy,
     /// As a link to the file: its bytes stay where they are, and a file that is changed or removed is lost to the store.
     Reference,
-}
-
-/// A blob that could not be read or written.
-#[derive(Debug, Clone, thiserror::Error)]
-#[error("{message}")]
-pub struct BlobError {
-    /// Path, numbers and cause in one line.
-    pub message: String,
-    /// The blob that is missing or damaged, so that the node that produced it can run again.
-    pub lost: Option<Digest>,
 }
 
 /// Receives the progress of a run.

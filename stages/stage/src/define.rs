@@ -3,7 +3,7 @@ use std::borrow::Cow;
 use schemars::{JsonSchema, Schema, generate::SchemaSettings};
 use serde::{Serialize, de::DeserializeOwned};
 
-use crate::{ArchiveContext, Stage};
+use crate::{ArchiveContext, Stage, error::ParamError, located::LocatedJson};
 
 /// An input of a stage: the key that names the upstream node, and the output of that node that is read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -18,6 +18,8 @@ pub struct Port {
     pub many: bool,
     /// Keys of the node, parameters or ports, that this input decides: they may not be set beside it.
     pub decides: &'static [&'static str],
+    /// What to write if the named node does not give the output, for people.
+    pub hint: Option<&'static str>,
 }
 
 impl Port {
@@ -29,6 +31,7 @@ impl Port {
             required: true,
             many: false,
             decides: &[],
+            hint: None,
         }
     }
 
@@ -48,14 +51,25 @@ impl Port {
             required: false,
             many: false,
             decides: &[],
+            hint: None,
         }
     }
 
     /// Returns the name under which the stage reads what a node gives: that of the output, and `output/NODE` where several nodes give it.
     pub fn input(&self, upstream: &str) -> Cow<'static, str> {
-        match self.many {
-            false => Cow::Borrowed(self.output),
-            true => Cow::Owned(format!("{}/{upstream}", self.output)),
+        if self.many {
+            Cow::Owned(format!("{}/{upstream}", self.output))
+        } else {
+            Cow::Borrowed(self.output)
+        }
+    }
+
+    /// Returns the input with a hint for people who name a node that does not give the output.
+    #[must_use]
+    pub const fn with_hint(self, hint: &'static str) -> Self {
+        Self {
+            hint: Some(hint),
+            ..self
         }
     }
 
@@ -69,27 +83,7 @@ impl Port {
     }
 }
 
-/// A parameter that cannot be used.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{message}")]
-pub struct ParamError {
-    /// Dotted path of the key inside the node's table; empty if it is the whole table.
-    pub path: String,
-    /// What is wrong, with the number.
-    pub message: String,
-}
-
-impl ParamError {
-    /// Returns the error of one key.
-    pub fn new(path: impl Into<String>, message: impl Into<String>) -> Self {
-        Self {
-            path: path.into(),
-            message: message.into(),
-        }
-    }
-}
-
-/// A stage as a type: its name, version, parameters and ports.
+/// A stage as a type: its name, version, parameters and ports. Most stages are a row of [`stage!`](crate::stage!).
 pub trait Define: Stage + Sized + 'static {
     /// Its section in pipeline.toml; doc comments of its fields become the help text.
     type Params: DeserializeOwned + JsonSchema;
@@ -165,15 +159,24 @@ pub fn schema_of<P: JsonSchema>() -> Schema {
     settings.into_generator().into_root_schema_for::<P>()
 }
 
-/// Returns parameters as JSON for a key, without the keys that change no result (`device`: the backend is told apart).
+/// Returns parameters as JSON for a key, without the keys that change no result (`device`: the backend has its own place in the key).
+/// A key in a nested table has its path (`train.device`).
 ///
 /// Numbers that JSON cannot hold, NaN and infinities, become `null`; stages refuse them before.
 pub fn key_params(params: &impl Serialize, without: &[&str]) -> serde_json::Value {
     let mut json = serde_json::to_value(params).unwrap_or_default();
-    if let Some(table) = json.as_object_mut() {
-        without.iter().for_each(|key| drop(table.remove(*key)));
-    }
+    without.iter().for_each(|path| remove(&mut json, path));
     json
+}
+
+fn remove(json: &mut serde_json::Value, path: &str) {
+    match path.split_once('.') {
+        Some((table, rest)) => json
+            .get_mut(table)
+            .into_iter()
+            .for_each(|table| remove(table, rest)),
+        None => drop(json.as_object_mut().and_then(|table| table.remove(path))),
+    }
 }
 
 /// Reads a table of parameters.
@@ -181,10 +184,70 @@ pub fn key_params(params: &impl Serialize, without: &[&str]) -> serde_json::Valu
 /// # Errors
 /// Names the key whose value cannot be read.
 pub fn from_json<P: DeserializeOwned>(params: serde_json::Value) -> Result<P, ParamError> {
-    serde_path_to_error::deserialize(params).map_err(|error| {
-        ParamError::new(
-            error.path().to_string().trim_start_matches('.'),
-            error.inner().to_string(),
-        )
-    })
+    P::deserialize(LocatedJson(params))
+}
+
+/// Defines a stage that holds its parameters. They implement [`Params`](crate::Params) and have a method `check`.
+///
+/// `stage! { Video { params: VideoParams }, Set, Threads::One, about: …, version: 1, ports: […], outputs: […] }` implements [`Define`]
+/// and [`Stage`] for `struct Video { params: VideoParams }`. `Set` is its variant of [`Work`](crate::Work). Further rows:
+/// - `without: "device"`: a parameter that is in no key.
+/// - `device: device`: the parameter that chooses the backend; it is in no key either.
+/// - `{ … }`: further methods of [`Stage`].
+#[macro_export]
+macro_rules! stage {
+    (
+        $stage:ident { $field:tt: $params:ty },
+        $work:ident,
+        $threads:expr,
+        about: $about:expr,
+        version: $version:expr,
+        ports: $ports:expr,
+        outputs: $outputs:expr
+        $(, without: $without:literal)?
+        $(, device: $device:ident $(. $inner:ident)*)?
+        $(, { $($method:tt)* })?
+        $(,)?
+    ) => {
+        impl $crate::Define for $stage {
+            type Params = $params;
+            const NAME: &'static str = <$params as $crate::Params>::STAGE;
+            const ABOUT: &'static str = $about;
+            const VERSION: u32 = $version;
+            const PORTS: &'static [$crate::Port] = &$ports;
+            const OUTPUTS: &'static [&'static str] = &$outputs;
+
+            fn new(params: $params) -> Result<Self, $crate::ParamError> {
+                params.check()?;
+                Ok(Self { $field: params })
+            }
+        }
+
+        impl $crate::Stage for $stage {
+            fn params(&self) -> ::serde_json::Value {
+                let without: &[&str] = &[$($without)? $(concat!(stringify!($device) $(, ".", stringify!($inner))*))?];
+                $crate::key_params(&self.$field, without)
+            }
+
+            fn work(&self) -> $crate::Work<'_> {
+                $crate::Work::$work(self)
+            }
+
+            fn threads(&self) -> $crate::Threads {
+                $threads
+            }
+
+            $(
+                fn backend_id(&self) -> Option<String> {
+                    ::marf_field_gpu::backend_id(&self.$field.$device$(.$inner)*)
+                }
+
+                fn backend_id_on(&self, gpu: Option<&str>) -> Result<Option<String>, $crate::StageError> {
+                    self.$field.$device$(.$inner)*.backend_id_on(gpu).map_err($crate::StageError::new)
+                }
+            )?
+
+            $($($method)*)?
+        }
+    };
 }

@@ -39,7 +39,7 @@ impl NodeSpec {
     ///
     /// # Errors
     /// Parameters that JSON cannot hold.
-    pub fn of<P: Params>(name: impl Into<String>, params: &P, inputs: &Inputs) -> Result<Self, StageError> {
+    pub fn new<P: Params>(name: impl Into<String>, params: &P, inputs: &Inputs) -> Result<Self, StageError> {
         Ok(Self {
             name: name.into(),
             stage: P::STAGE.to_owned(),
@@ -147,7 +147,7 @@ mod tests {
             steps: None,
             seed: u64::MAX,
         };
-        let node = NodeSpec::of("trial-00", &knobs, &Inputs::default()).unwrap();
+        let node = NodeSpec::new("trial-00", &knobs, &Inputs::default()).unwrap();
         assert_eq!((node.name.as_str(), node.stage.as_str()), ("trial-00", "train"));
         assert_eq!(serde_json::from_value::<Knobs>(node.params).unwrap(), knobs);
     }

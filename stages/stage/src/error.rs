@@ -1,4 +1,4 @@
-use crate::BlobError;
+use marf_cache::Digest;
 
 /// Why a node stopped.
 #[derive(Debug, Clone, thiserror::Error)]
@@ -47,5 +47,35 @@ impl StageError {
             *hint = Some(text.into());
         }
         self
+    }
+}
+
+/// A blob that could not be read or written.
+#[derive(Debug, Clone, thiserror::Error)]
+#[error("{message}")]
+pub struct BlobError {
+    /// Path, numbers and cause in one line.
+    pub message: String,
+    /// The blob that is missing or damaged, so that the node that produced it can run again.
+    pub lost: Option<Digest>,
+}
+
+/// A parameter that cannot be used.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{message}")]
+pub struct ParamError {
+    /// Dotted path of the key inside the node's table; empty if it is the whole table.
+    pub path: String,
+    /// What is wrong, with the number.
+    pub message: String,
+}
+
+impl ParamError {
+    /// Returns the error of one key.
+    pub fn new(path: impl Into<String>, message: impl Into<String>) -> Self {
+        Self {
+            path: path.into(),
+            message: message.into(),
+        }
     }
 }

@@ -10,9 +10,11 @@ mod define;
 mod document;
 mod error;
 pub mod harness;
+mod located;
 mod origin;
 mod set;
 mod sols;
+mod verdict;
 
 use std::{collections::BTreeMap, sync::Arc};
 
@@ -20,13 +22,14 @@ use marf_cache::{ContentHash, Digest, canonical_json, manifest::Row};
 use serde::{Deserialize, Serialize};
 
 pub use archive::{Access, ArchiveContext, LOCK_FILE, RecordedArchive};
-pub use ctx::{BlobError, Blobs, Cancel, Checkpoints, Ctx, Keep, Memos, Progress};
-pub use define::{Define, ParamError, Port, StageDef, define, from_json, key_params, schema_of};
+pub use ctx::{Blobs, Cancel, Checkpoints, Ctx, Keep, Memos, Progress};
+pub use define::{Define, Port, StageDef, define, from_json, key_params, schema_of};
 pub use document::{Document, Params, TypedOutputs};
-pub use error::StageError;
+pub use error::{BlobError, ParamError, StageError};
 pub use origin::{Origin, OriginKind};
 pub use set::rows_of;
 pub use sols::Sols;
+pub use verdict::Verdict;
 
 /// Name of the output that holds a set of items as a Merkle root ([`marf_cache::manifest::Root`]).
 pub const PHOTOS: &str = "photos";
@@ -414,7 +417,7 @@ pub struct ChildStage {
 
 impl ChildStage {
     /// Returns the stage of children with such parameters.
-    pub fn of<P: Params>(params: &P) -> Self {
+    pub fn new<P: Params>(params: &P) -> Self {
         Self {
             stage: P::STAGE,
             params: key_params(params, &[]),
@@ -433,37 +436,4 @@ pub struct NodeSpec {
     pub params: serde_json::Value,
     /// Its inputs.
     pub inputs: Inputs,
-}
-
-/// Whether one item is kept or rejected, and why.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Verdict {
-    /// The item's id; for a file that gave no item, its name.
-    pub id: String,
-    /// The file it came from.
-    pub file: String,
-    /// `keep`, or the name of the filter that rejected it; `decode` if it could not be decoded.
-    pub verdict: String,
-    /// The measure the verdict rests on, in the filter's own unit.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub score: Option<f64>,
-    /// The threshold that the measure was compared with.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub threshold: Option<f64>,
-    /// For duplicates, the item that is kept instead.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub twin: Option<String>,
-    /// One sentence for people; empty for a plain `keep`.
-    #[serde(default, skip_serializing_if = "String::is_empty")]
-    pub reason: String,
-}
-
-impl Verdict {
-    /// The verdict of an item that is kept.
-    pub const KEEP: &'static str = "keep";
-
-    /// Returns whether the item is kept.
-    pub fn keeps(&self) -> bool {
-        self.verdict == Self::KEEP
-    }
 }

@@ -64,9 +64,13 @@ impl Sols {
 /// As [`Sols::parse`] reads it; `all` for all, which only the absence of a choice means.
 impl Display for Sols {
     fn fmt(&self, to: &mut Formatter<'_>) -> Written {
-        let text = |(first, last): &(u32, u32)| match first == last {
-            true => first.to_string(),
-            false => format!("{first}..={last}"),
+        let text = |range: &(u32, u32)| {
+            let (first, last) = range;
+            if first == last {
+                first.to_string()
+            } else {
+                format!("{first}..={last}")
+            }
         };
         match self {
             Self::All => to.write_str("all"),

@@ -79,10 +79,10 @@ pub enum SurfaceError {
 
 /// Returns an error if the user asked to stop.
 pub fn go_on(cancel: &Cancel) -> Result<(), SurfaceError> {
-    match cancel.is_set() {
-        true => Err(SurfaceError::Cancelled),
-        false => Ok(()),
+    if cancel.is_set() {
+        return Err(SurfaceError::Cancelled);
     }
+    Ok(())
 }
 
 impl SurfaceError {

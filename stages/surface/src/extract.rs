@@ -27,7 +27,7 @@ const LEAST_TRIANGLES: usize = 100;
 
 /// How a surface is made.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Wanted {
+pub struct SurfaceLimits {
     /// Distance between samples, world units; none: from the footprints of the pixels.
     pub cell: Option<f64>,
     /// Largest distance from a photo to what is taken from it, world units; none: where a pixel is four cells wide.
@@ -65,11 +65,11 @@ pub struct Surface {
 pub fn extract(
     views: &[SurfaceView],
     observers: &[Observer],
-    wanted: Wanted,
+    limits: SurfaceLimits,
     cancel: &Cancel,
 ) -> Result<Surface, SurfaceError> {
     let no_surface = || SurfaceError::NoSurface { photos: views.len() };
-    let mut cell = match wanted.cell {
+    let mut cell = match limits.cell {
         Some(cell) => cell,
         None => PIXELS * quartile(views).ok_or_else(no_surface)?,
     };
@@ -83,9 +83,9 @@ pub fn extract(
             band: BAND * cell,
             most_blocks: MOST_BLOCKS,
         };
-        let reach = wanted.reach.unwrap_or(COARSEST * cell / angle);
+        let reach = limits.reach.unwrap_or(COARSEST * cell / angle);
         let volume = match Volume::fuse(views, layout, reach, cancel) {
-            Err(SurfaceError::TooFine { .. }) if wanted.cell.is_none() => {
+            Err(SurfaceError::TooFine { .. }) if limits.cell.is_none() => {
                 cell *= COARSER;
                 continue;
             }
@@ -96,10 +96,10 @@ pub fn extract(
             observers,
             band: layout.band,
         };
-        let most_spread = wanted.most_spread.unwrap_or(cell);
+        let most_spread = limits.most_spread.unwrap_or(cell);
         let is_kept = |vertex: &Vertex| {
             let spread = f64::from(vertex.spread);
-            vertex.photos >= wanted.least_photos && (0.0..=most_spread).contains(&spread)
+            vertex.photos >= limits.least_photos && (0.0..=most_spread).contains(&spread)
         };
         let mesh = Mesh::new(march(&volume)?, &witnesses, cancel)?;
         let mut points = cloud(&witnesses, cell, reach, cancel)?;
@@ -134,7 +134,7 @@ mod tests {
     use super::*;
     use crate::{ExportFrame, glb, ply};
 
-    const WANTED: Wanted = Wanted {
+    const WANTED: SurfaceLimits = SurfaceLimits {
         cell: Some(0.05),
         reach: None,
         least_photos: 2,
@@ -161,9 +161,9 @@ mod tests {
         (view, Observer::new(camera, pose, &distance))
     }
 
-    fn surface(of: &[(f64, f64)], wanted: Wanted) -> Result<Surface, SurfaceError> {
+    fn surface(of: &[(f64, f64)], limits: SurfaceLimits) -> Result<Surface, SurfaceError> {
         let (views, observers): (Vec<_>, Vec<_>) = of.iter().map(|(x, error)| above(*x, *error)).unzip();
-        extract(&views, &observers, wanted, &Cancel::default())
+        extract(&views, &observers, limits, &Cancel::default())
     }
 
     /// However often a surface has looked at the wish to stop, it stops at the next look.
@@ -197,7 +197,7 @@ mod tests {
     #[test]
     fn photos_that_differ_more_than_allowed_leave_a_hole_and_tell_by_how_much() {
         let of = [(0.0, 0.04), (0.0, -0.04)];
-        let narrow = Wanted {
+        let narrow = SurfaceLimits {
             most_spread: Some(0.03),
             ..WANTED
         };
@@ -216,7 +216,7 @@ mod tests {
 
     #[test]
     fn nothing_seen_is_refused_and_one_photo_alone_leaves_nothing() {
-        let none = surface(&[], Wanted { cell: None, ..WANTED }).unwrap_err();
+        let none = surface(&[], SurfaceLimits { cell: None, ..WANTED }).unwrap_err();
         assert!(none.to_string().contains("no surface"), "{none}");
         assert_eq!(surface(&[], WANTED).unwrap().mesh, Mesh::default());
         assert_eq!(surface(&[(0.0, 0.0)], WANTED).unwrap().mesh, Mesh::default());
@@ -227,7 +227,7 @@ mod tests {
         for cell in [0.0, -1.0, f64::NAN, f64::INFINITY] {
             let error = surface(
                 &[(0.0, 0.0)],
-                Wanted {
+                SurfaceLimits {
                     cell: Some(cell),
                     ..WANTED
                 },
@@ -237,7 +237,7 @@ mod tests {
         }
         let error = surface(
             &[(0.0, 0.0)],
-            Wanted {
+            SurfaceLimits {
                 cell: Some(1e-3),
                 reach: Some(9.0),
                 ..WANTED
@@ -249,7 +249,7 @@ mod tests {
 
     #[test]
     fn the_same_bytes_for_one_thread_and_three() {
-        let frame = ExportFrame::of(&Scene::default());
+        let frame = ExportFrame::new(&Scene::default());
         let with = |threads: usize| {
             let pool = rayon::ThreadPoolBuilder::new()
                 .num_threads(threads)

@@ -32,7 +32,7 @@ pub struct MapAxes {
 
 impl ExportFrame {
     /// Returns the frame of a scene.
-    pub fn of(scene: &Scene) -> Self {
+    pub fn new(scene: &Scene) -> Self {
         let length = |up: Vector3<f64>| {
             up.try_normalize(1e-9)
                 .filter(|up| up.iter().all(|x| x.is_finite()))
@@ -143,7 +143,7 @@ mod tests {
     use super::*;
 
     fn frame(up: [f64; 3]) -> ExportFrame {
-        ExportFrame::of(&Scene {
+        ExportFrame::new(&Scene {
             up: Some(up),
             metres_per_unit: Some(2.0),
             ..Scene::default()
@@ -177,7 +177,7 @@ mod tests {
 
     #[test]
     fn a_scene_without_scale_or_up_has_no_metric_map_and_says_which() {
-        let bare = ExportFrame::of(&Scene::default());
+        let bare = ExportFrame::new(&Scene::default());
         let why = bare.metric_map("the height map").unwrap_err().to_string();
         assert!(why.contains("no scale"), "{why}");
         let scaled = ExportFrame {

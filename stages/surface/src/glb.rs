@@ -130,9 +130,10 @@ fn bounds(points: impl Iterator<Item = Vector3<f64>>) -> (Vector3<f64>, Vector3<
 /// Returns the linear value of an sRGB channel (IEC 61966-2-1) in 16 bits.
 fn linear(channel: f32) -> u16 {
     let channel = channel.clamp(0.0, 1.0);
-    let linear = match channel <= 0.040_45 {
-        true => channel / 12.92,
-        false => libm::powf((channel + 0.055) / 1.055, 2.4),
+    let linear = if channel <= 0.040_45 {
+        channel / 12.92
+    } else {
+        libm::powf((channel + 0.055) / 1.055, 2.4)
     };
     (linear * f32::from(u16::MAX) + 0.5) as u16
 }
@@ -175,7 +176,7 @@ mod tests {
             vertices: vec![vertex(0.0, 0.0), vertex(0.0, 1.0), vertex(0.001, 0.0)],
             triangles: vec![[0, 1, 2]],
         };
-        let frame = ExportFrame::of(&Scene {
+        let frame = ExportFrame::new(&Scene {
             up: Some([0.0, 0.0, -1.0]),
             metres_per_unit: Some(2.0),
             ..Scene::default()

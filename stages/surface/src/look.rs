@@ -2,18 +2,19 @@
 
 use marf_cache::Digest;
 use marf_field::{Field, render_in_bands};
-use marf_scene::{Camera, Frame, Photo, Pose};
+use marf_scene::{Camera, Frame, Observer, Photo, Pose};
 use marf_stage::{Ctx, StageError};
 use nalgebra::{Vector2, Vector3};
 use rayon::prelude::*;
 
 use crate::SurfaceError;
+use crate::view::SurfaceView;
 
 /// Rays with less opacity end nowhere: haze before a sky has less, ground has more.
 const MIN_OPACITY: f32 = 0.9;
 
 /// A field at the view of a photo.
-pub struct Rendered {
+pub struct RenderedView {
     /// The camera, shrunk.
     pub camera: Camera,
     /// `[height * width]`, along the ray, world units; infinite where the ray ends nowhere, NaN where a mask hides the pixel.
@@ -25,18 +26,26 @@ pub struct Rendered {
 }
 
 /// Renders a field at the view of a photo that is shrunk by a factor.
-pub fn rendered(ctx: &Ctx<'_>, field: &Field, frame: &Frame, factor: u32) -> Result<Rendered, StageError> {
+pub fn rendered(
+    ctx: &Ctx<'_>,
+    field: &Field,
+    frame: &Frame,
+    factor: u32,
+) -> Result<RenderedView, StageError> {
     let camera = frame.camera.box_reduced(factor);
     let render = render_in_bands(field, &camera, &frame.cam_from_world, |_, render| {
         ctx.check()?;
         Ok::<_, StageError>(render().map_err(SurfaceError::from)?)
     })?;
     let pixels = render.depth.iter().zip(&render.opacity);
-    let distance = pixels.map(|(depth, opacity)| match *opacity > MIN_OPACITY {
-        true => *depth,
-        false => f32::INFINITY,
+    let distance = pixels.map(|(depth, opacity)| {
+        if *opacity > MIN_OPACITY {
+            *depth
+        } else {
+            f32::INFINITY
+        }
     });
-    Ok(Rendered {
+    Ok(RenderedView {
         camera,
         distance: distance.collect(),
         opacity: render.opacity,
@@ -44,7 +53,7 @@ pub fn rendered(ctx: &Ctx<'_>, field: &Field, frame: &Frame, factor: u32) -> Res
     })
 }
 
-impl Rendered {
+impl RenderedView {
     /// Returns the opacities, 0 where the field shows no surface and where a mask hides it.
     pub fn shown(&self) -> Vec<f32> {
         let pixels = self.opacity.iter().zip(&self.distance);
@@ -79,6 +88,21 @@ impl Rendered {
     }
 }
 
+/// The field at the views of the photos.
+#[derive(Default)]
+pub struct FieldViews {
+    /// What it shows.
+    pub views: Vec<SurfaceView>,
+    /// How far each photo saw.
+    pub observers: Vec<Observer>,
+    /// The same with far and rough surfaces, where splats are wanted.
+    pub shown: Vec<SurfaceView>,
+    /// Of each view `[height * width]`, 0 where it shows no surface.
+    pub opacities: Vec<Vec<f32>>,
+    /// Of each view `[height * width]` as [`RenderedView::distance`], where splats are wanted.
+    pub distances: Vec<Vec<f32>>,
+}
+
 /// Returns the factor by which a photo is shrunk to at most `side_px` a side and `most` pixels.
 pub fn factor(camera: &Camera, side_px: u32, most: u64) -> u32 {
     let longest = camera.width.max(camera.height);
@@ -91,7 +115,7 @@ pub fn factor(camera: &Camera, side_px: u32, most: u64) -> u32 {
 }
 
 /// Takes away what the mask of a photo hides, if any pixel of a block is.
-pub fn hide(ctx: &Ctx<'_>, frame: &Frame, factor: u32, shown: &mut Rendered) -> Result<(), StageError> {
+pub fn hide(ctx: &Ctx<'_>, frame: &Frame, factor: u32, shown: &mut RenderedView) -> Result<(), StageError> {
     let Some(mask) = &frame.mask else { return Ok(()) };
     let mask = read_mask(ctx, frame, mask)?;
     let width = shown.camera.width;

@@ -9,6 +9,7 @@ use crate::frame::{ExportFrame, MapAxes};
 use crate::geotiff;
 use crate::mesh::Mesh;
 use crate::ply::to_byte;
+use crate::triangle::covered_pixels;
 
 /// Most pixels of a map.
 const MOST_PIXELS: f64 = 64e6;
@@ -72,9 +73,9 @@ impl SurfaceMap {
         let mut cells = vec![None; columns as usize * rows as usize];
         for triangle in &mesh.triangles {
             let corners = triangle.map(|vertex| flat[vertex as usize]);
-            for (column, row, shares) in pixels_of(&corners, pixel_m, &first, columns, rows) {
-                let cell = blend(mesh, triangle, &corners, shares, metres);
-                let place = &mut cells[row as usize * columns as usize + column as usize];
+            for pixel in covered_pixels(&corners, pixel_m, &first, columns, rows) {
+                let cell = blend(mesh, triangle, &corners, pixel.shares, metres);
+                let place = &mut cells[pixel.row as usize * columns as usize + pixel.column as usize];
                 if place.is_none_or(|known: Cell| known.height_m < cell.height_m) {
                     *place = Some(cell);
                 }
@@ -257,41 +258,6 @@ fn on_map(axes: &MapAxes, position: &Vector3<f64>) -> Vector3<f64> {
     )
 }
 
-/// Returns the pixels whose centres a triangle covers, with the shares of its corners there.
-fn pixels_of(
-    corners: &[Vector3<f64>; 3],
-    pixel_m: f64,
-    first: &Vector2<f64>,
-    columns: u32,
-    rows: u32,
-) -> Vec<(u32, u32, [f64; 3])> {
-    let [a, b, c] = corners.map(|corner| corner.xy() / pixel_m - first - Vector2::repeat(0.5));
-    let area = (b - a).perp(&(c - a));
-    if area.abs() < 1e-12 {
-        return Vec::new();
-    }
-    let (low, high) = (a.inf(&b).inf(&c), a.sup(&b).sup(&c));
-    let range = |low: f64, high: f64, most: u32| {
-        low.ceil().max(0.0) as u32..(high.floor() + 1.0).clamp(0.0, f64::from(most)) as u32
-    };
-    let mut found = Vec::new();
-    for up in range(low.y, high.y, rows) {
-        for column in range(low.x, high.x, columns) {
-            let at = Vector2::new(f64::from(column), f64::from(up));
-            let shares = [
-                (c - b).perp(&(at - b)),
-                (a - c).perp(&(at - c)),
-                (b - a).perp(&(at - a)),
-            ]
-            .map(|part| part / area);
-            if shares.iter().all(|share| *share >= -1e-9) {
-                found.push((column, rows - 1 - up, shares));
-            }
-        }
-    }
-    found
-}
-
 fn blend(
     mesh: &Mesh,
     triangle: &[u32; 3],
@@ -306,9 +272,10 @@ fn blend(
     Cell {
         height_m: mean(&|corner| corners[corner].z),
         color: [0, 1, 2].map(|channel| mean(&|corner| f64::from(vertices[corner].color[channel])) as f32),
-        spread_m: match is_known {
-            true => mean(&|corner| f64::from(vertices[corner].spread)) * metres,
-            false => -1.0,
+        spread_m: if is_known {
+            mean(&|corner| f64::from(vertices[corner].spread)) * metres
+        } else {
+            -1.0
         },
     }
 }
@@ -329,7 +296,7 @@ mod tests {
 
     /// A site frame (z down) in units of 2 m.
     fn frame() -> ExportFrame {
-        ExportFrame::of(&Scene {
+        ExportFrame::new(&Scene {
             up: Some([0.0, 0.0, -1.0]),
             metres_per_unit: Some(2.0),
             ..Scene::default()
@@ -437,7 +404,7 @@ mod tests {
         let why = |mesh: &Mesh, frame: &ExportFrame, pixel: f64| {
             SurfaceMap::draw(mesh, frame, pixel).unwrap_err().to_string()
         };
-        assert!(why(&house(), &ExportFrame::of(&Scene::default()), 1.0).contains("no scale"));
+        assert!(why(&house(), &ExportFrame::new(&Scene::default()), 1.0).contains("no scale"));
         assert!(why(&Mesh::default(), &frame(), 1.0).contains("empty"));
         assert!(why(&house(), &frame(), 1e-5).contains("map_cell"));
         assert!(why(&house(), &frame(), 100.0).contains("centre"));

@@ -1,5 +1,6 @@
 //! How far the retrainings of a bootstrap differ at the points of a surface.
 
+use marf_numeric::quantile;
 use marf_scene::picture::Palette;
 use marf_schema::surface::{SpreadOf, UncertaintyReport};
 use rayon::prelude::*;
@@ -51,13 +52,16 @@ impl MemberSpread {
     pub fn give(&self, points: &mut [Vertex]) {
         let least = self.members.div_ceil(2).max(2);
         for (point, sums) in points.iter_mut().zip(&self.sums) {
-            let deviation = |of: [f64; 2]| match sums.count >= least {
-                true => (of[1] / f64::from(sums.count - 1)).sqrt() as f32,
-                false => -1.0,
+            let deviation = |squares: f64| {
+                if sums.count >= least {
+                    (squares / f64::from(sums.count - 1)).sqrt() as f32
+                } else {
+                    -1.0
+                }
             };
             point.retrained = Some(Retrained {
-                depth: deviation(sums.depth),
-                color: deviation(sums.gray),
+                depth: deviation(sums.depth[1]),
+                color: deviation(sums.gray[1]),
             });
         }
     }
@@ -66,10 +70,10 @@ impl MemberSpread {
 impl Sums {
     fn add(&mut self, depth: f64, gray: f64) {
         self.count += 1;
-        for (of, value) in [(&mut self.depth, depth), (&mut self.gray, gray)] {
-            let off = value - of[0];
-            of[0] += off / f64::from(self.count);
-            of[1] += off * (value - of[0]);
+        for (sums, value) in [(&mut self.depth, depth), (&mut self.gray, gray)] {
+            let off = value - sums[0];
+            sums[0] += off / f64::from(self.count);
+            sums[1] += off * (value - sums[0]);
         }
     }
 }
@@ -85,13 +89,8 @@ fn uncertainty(point: &Vertex) -> Option<f64> {
 ///
 /// `scale`: from world units to the unit of exports.
 pub fn report(points: &[Vertex], members: u32, scale: f64) -> UncertaintyReport {
-    let mut known: Vec<f64> = points.iter().filter_map(uncertainty).collect();
-    known.sort_by(f64::total_cmp);
-    let at = |share: f64| {
-        known
-            .get((known.len() as f64 * share) as usize)
-            .map_or(0.0, |value| value * scale)
-    };
+    let known: Vec<f64> = points.iter().filter_map(uncertainty).collect();
+    let at = |share: f64| quantile(known.iter().copied(), share).map_or(0.0, |value| value * scale);
     UncertaintyReport {
         of: if members > 0 {
             SpreadOf::Retrainings

@@ -39,7 +39,7 @@ pub struct Retrained {
 
 /// What views show at a point: means over those with a surface within the band, each by cos² θ / r² as in [`crate::Volume::fuse`].
 #[derive(Debug, Clone, Copy)]
-pub struct Seen {
+pub struct SurfaceSample {
     /// Signed distance from the surface to the point, world units, positive towards the cameras.
     pub signed: f64,
     /// Mean of the squares of the distances.
@@ -72,7 +72,7 @@ pub struct Witnesses<'a> {
 
 impl Witnesses<'_> {
     /// Returns what the views show at a point; none where none shows a surface within the band.
-    pub fn at(&self, position: &Vector3<f64>) -> Option<Seen> {
+    pub fn at(&self, position: &Vector3<f64>) -> Option<SurfaceSample> {
         let (mut color, mut weights, mut sum, mut squares, mut count) = (Vector3::zeros(), 0.0, 0.0, 0.0, 0);
         for view in self.views {
             let Some((signed, patch, rgb)) = view.at(position) else {
@@ -89,7 +89,7 @@ impl Witnesses<'_> {
             weights += weight;
             count += 1;
         }
-        (weights > 0.0).then(|| Seen {
+        (weights > 0.0).then(|| SurfaceSample {
             signed: sum / weights,
             square: squares / weights,
             color: color / weights,
@@ -123,12 +123,13 @@ impl Mesh {
     pub fn new(surface: Triangles, witnesses: &Witnesses<'_>, cancel: &Cancel) -> Result<Self, SurfaceError> {
         let normals = normals(&surface);
         let vertices = surface.positions.par_iter().zip(&normals);
-        let vertex = |(position, normal): (&Vector3<f64>, &Vector3<f64>)| {
-            go_on(cancel)?;
-            Ok(witnesses.vertex(*position, *normal))
-        };
         Ok(Self {
-            vertices: vertices.map(vertex).collect::<Result<_, SurfaceError>>()?,
+            vertices: vertices
+                .map(|(position, normal)| {
+                    go_on(cancel)?;
+                    Ok(witnesses.vertex(*position, *normal))
+                })
+                .collect::<Result<_, SurfaceError>>()?,
             triangles: surface.triangles,
         })
     }

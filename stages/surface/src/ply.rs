@@ -1,5 +1,7 @@
 //! Surfaces and points as PLY.
 
+use marf_scene::ply::{HeaderWriter, push_float};
+
 use crate::frame::ExportFrame;
 use crate::mesh::{Mesh, Vertex};
 
@@ -13,11 +15,10 @@ use crate::mesh::{Mesh, Vertex};
 /// # Extremes
 /// A coordinate beyond 3.4e38 is written as the largest f32 of its sign. An empty mesh is a file with a header alone.
 pub fn mesh(mesh: &Mesh, frame: &ExportFrame, comments: &[String]) -> Vec<u8> {
-    let faces = format!(
-        "element face {}\nproperty list uchar int vertex_indices\n",
-        mesh.triangles.len()
-    );
-    let mut bytes = header(frame, comments, &mesh.vertices, &faces);
+    let header = header(frame, comments, &mesh.vertices)
+        .element("face", mesh.triangles.len())
+        .properties("list uchar int", &["vertex_indices"]);
+    let mut bytes = header.into_bytes();
     write_vertices(&mut bytes, &mesh.vertices, frame.scale());
     for triangle in &mesh.triangles {
         bytes.push(3);
@@ -28,51 +29,39 @@ pub fn mesh(mesh: &Mesh, frame: &ExportFrame, comments: &[String]) -> Vec<u8> {
 
 /// Returns points as PLY, with the properties of the vertices of [`mesh`].
 pub fn points(points: &[Vertex], frame: &ExportFrame, comments: &[String]) -> Vec<u8> {
-    let mut bytes = header(frame, comments, points, "");
+    let mut bytes = header(frame, comments, points).into_bytes();
     write_vertices(&mut bytes, points, frame.scale());
     bytes
 }
 
-fn header(frame: &ExportFrame, comments: &[String], vertices: &[Vertex], faces: &str) -> Vec<u8> {
-    let is_retrained = vertices.iter().any(|vertex| vertex.retrained.is_some());
-    let retrained = match is_retrained {
-        true => "property float depth_std\nproperty float color_std\n",
-        false => "",
-    };
-    let vertices = vertices.len();
-    let comments = comment_lines(frame, comments);
-    let floats = ["x", "y", "z", "nx", "ny", "nz"].map(|name| format!("property float {name}\n"));
-    let bytes = ["red", "green", "blue"].map(|name| format!("property uchar {name}\n"));
-    format!(
-        "ply\nformat binary_little_endian 1.0\n{comments}element vertex {vertices}\n{}{}property ushort photos\nproperty float spread\n\
-         {retrained}{faces}end_header\n",
-        floats.concat(),
-        bytes.concat()
-    )
-    .into_bytes()
+fn header(frame: &ExportFrame, comments: &[String], vertices: &[Vertex]) -> HeaderWriter {
+    let header = HeaderWriter::new(&with_frame(frame, comments))
+        .element("vertex", vertices.len())
+        .properties("float", &["x", "y", "z", "nx", "ny", "nz"])
+        .properties("uchar", &["red", "green", "blue"])
+        .properties("ushort", &["photos"])
+        .properties("float", &["spread"]);
+    if vertices.iter().any(|vertex| vertex.retrained.is_some()) {
+        return header.properties("float", &["depth_std", "color_std"]);
+    }
+    header
 }
 
-/// Returns the comments of a header: unit and axes, and more, a line each.
-pub fn comment_lines(frame: &ExportFrame, more: &[String]) -> String {
-    let own = [
+/// Returns the comments of a header: unit and axes, and more.
+pub fn with_frame(frame: &ExportFrame, more: &[String]) -> Vec<String> {
+    let mut comments = vec![
         format!("unit: {}", frame.unit()),
         format!("axes: those of the scene; {}", frame.up_words()),
     ];
-    let comments = own.iter().chain(more);
+    comments.extend_from_slice(more);
     comments
-        .map(|comment| format!("comment {}\n", comment.replace(['\n', '\r'], " ")))
-        .collect()
 }
 
 fn write_vertices(bytes: &mut Vec<u8>, vertices: &[Vertex], scale: f64) {
     for vertex in vertices {
-        let numbers = (vertex.position * scale)
-            .iter()
-            .chain(&vertex.normal)
-            .copied()
-            .collect::<Vec<f64>>();
-        for number in numbers {
-            bytes.extend((number as f32).clamp(f32::MIN, f32::MAX).to_le_bytes());
+        let position = vertex.position * scale;
+        for number in position.iter().chain(&vertex.normal) {
+            push_float(bytes, *number);
         }
         bytes.extend(vertex.color.map(to_byte));
         bytes.extend((vertex.photos.min(u32::from(u16::MAX)) as u16).to_le_bytes());
@@ -116,7 +105,7 @@ mod tests {
 
     #[test]
     fn another_program_reads_what_was_written() {
-        let frame = ExportFrame::of(&Scene {
+        let frame = ExportFrame::new(&Scene {
             metres_per_unit: Some(2.0),
             ..Scene::default()
         });
@@ -147,7 +136,7 @@ mod tests {
 
     #[test]
     fn retrainings_are_two_properties_more() {
-        let frame = ExportFrame::of(&Scene {
+        let frame = ExportFrame::new(&Scene {
             metres_per_unit: Some(2.0),
             ..Scene::default()
         });
@@ -169,7 +158,7 @@ mod tests {
 
     #[test]
     fn nothing_is_a_header_alone_that_says_that_the_scale_is_not_known() {
-        let frame = ExportFrame::of(&Scene::default());
+        let frame = ExportFrame::new(&Scene::default());
         let bytes = points(&[], &frame, &[]);
         let text = String::from_utf8(bytes.clone()).unwrap();
         assert!(

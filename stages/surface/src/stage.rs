@@ -6,20 +6,17 @@ use marf_scene::{Frame, Observer, Scene, picture::png16, picture_names, seen_at}
 use marf_schema::bootstrap::MemberFields;
 use marf_schema::output::{DEPTH, MESH_GLB, MESH_PLY, POINTS, SCENE, SPLAT_FILES, SURFACE_MAPS, WEIGHTS};
 use marf_schema::surface::{SurfaceParams, SurfaceReport};
-use marf_stage::{
-    Ctx, Define, Document, Inputs, Outputs, ParamError, Params, Port, Set, Stage, StageError, Threads,
-    TypedOutputs, Work, key_params,
-};
+use marf_stage::{Ctx, Document, Inputs, Outputs, Port, Set, StageError, Threads, TypedOutputs, stage};
 
 use crate::SurfaceError;
-use crate::extract::{Surface, Wanted, extract};
+use crate::extract::{Surface, SurfaceLimits, extract};
 use crate::frame::ExportFrame;
-use crate::look::{Rendered, factor, hide, rendered};
+use crate::look::{FieldViews, RenderedView, factor, hide, rendered};
 use crate::members::MemberSpread;
 use crate::mesh::Witnesses;
-use crate::splats::stage::{HeldOut, make_splats};
+use crate::splats::stage::{HeldOutView, SplatSet};
 use crate::view::{PlaneRules, SurfaceView};
-use crate::write::{Made, write};
+use crate::write::{SurfaceResult, write};
 
 /// Most pixels of all views together, 30 bytes each: where the photos are many, each is looked at with fewer.
 const MOST_PIXELS: u64 = 40_000_000;
@@ -30,18 +27,18 @@ pub struct MakeSurface {
     params: SurfaceParams,
 }
 
-impl Define for MakeSurface {
-    type Params = SurfaceParams;
-    const NAME: &'static str = SurfaceParams::STAGE;
-    const ABOUT: &'static str =
-        "makes a mesh (PLY, GLB), points, splats, a height map and an orthophoto of a trained field";
-    const VERSION: u32 = 5;
-    const PORTS: &'static [Port] = &[
+stage! {
+    MakeSurface { params: SurfaceParams },
+    Set,
+    Threads::All,
+    about: "makes a mesh (PLY, GLB), points, splats, a height map and an orthophoto of a trained field",
+    version: 5,
+    ports: [
         Port::required("input", WEIGHTS),
         Port::required("input", SCENE),
         Port::optional("members", MemberFields::OUTPUT),
-    ];
-    const OUTPUTS: &'static [&'static str] = &[
+    ],
+    outputs: [
         SurfaceReport::OUTPUT,
         MESH_PLY,
         MESH_GLB,
@@ -49,66 +46,33 @@ impl Define for MakeSurface {
         SURFACE_MAPS,
         DEPTH,
         SPLAT_FILES,
-    ];
-
-    fn new(params: SurfaceParams) -> Result<Self, ParamError> {
-        params.check()?;
-        Ok(Self { params })
-    }
-}
-
-impl Stage for MakeSurface {
-    fn params(&self) -> serde_json::Value {
-        key_params(&self.params, &["device"])
-    }
-
-    fn work(&self) -> Work<'_> {
-        Work::Set(self)
-    }
-
-    fn threads(&self) -> Threads {
-        Threads::All
-    }
-
-    fn backend_id(&self) -> Option<String> {
-        self.params.device.backend_id()
-    }
-
-    fn backend_id_on(&self, gpu: Option<&str>) -> Result<Option<String>, StageError> {
-        self.params.device.backend_id_on(gpu).map_err(StageError::new)
-    }
+    ],
+    device: device,
 }
 
 impl Set for MakeSurface {
     fn run(&self, ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Outputs, StageError> {
         let scene = Scene::decode(&ctx.get(inputs.required(SCENE)?)?).map_err(SurfaceError::from)?;
         let field = self.field(ctx, inputs.required(WEIGHTS)?)?;
-        let frame = ExportFrame::of(&scene);
+        let frame = ExportFrame::new(&scene);
         let mut outputs = Outputs::new();
         let (views, held_out) = views_of(&scene)?;
+        let limits = self.limits(&frame);
         let seen = self.look(ctx, &scene, &field, &views, &mut outputs)?;
         let photos = seen.views.len();
         ctx.progress.at(photos as u64, photos as u64, "surface");
-        let mut surface = extract(&seen.views, &seen.observers, self.wanted(&frame), ctx.cancel)
-            .map_err(StageError::from)?;
+        let mut surface =
+            extract(&seen.views, &seen.observers, limits, ctx.cancel).map_err(StageError::from)?;
         ctx.check()?;
-        let splats = match self.params.splats {
-            true => {
-                let held_out = self.look_at_held_out(ctx, &field, &held_out, &seen.observers)?;
-                Some(make_splats(
-                    ctx,
-                    &seen,
-                    &held_out,
-                    self.wanted(&frame),
-                    &frame,
-                    &mut outputs,
-                )?)
-            }
-            false => None,
-        };
+        let mut splats = None;
+        if self.params.splats {
+            let held_out = self.look_at_held_out(ctx, &field, &held_out, &seen.observers)?;
+            let set = SplatSet::new(ctx, &seen, &limits)?;
+            splats = Some(set.write(ctx, &seen, &held_out, &frame, &mut outputs)?);
+        }
         drop(seen);
         let members = self.look_with_members(ctx, inputs, &views, &mut surface)?;
-        let made = Made {
+        let made = SurfaceResult {
             surface,
             photos,
             members,
@@ -119,26 +83,11 @@ impl Set for MakeSurface {
     }
 }
 
-/// The field at the views of the photos.
-#[derive(Default)]
-pub struct Seen {
-    /// What it shows.
-    pub views: Vec<SurfaceView>,
-    /// How far each photo saw.
-    pub observers: Vec<Observer>,
-    /// The same with far and rough surfaces, where splats are wanted.
-    pub shown: Vec<SurfaceView>,
-    /// Of each view `[height * width]`, 0 where it shows no surface.
-    pub opacities: Vec<Vec<f32>>,
-    /// Of each view `[height * width]` as [`Rendered::distance`], where splats are wanted.
-    pub distances: Vec<Vec<f32>>,
-}
-
 impl MakeSurface {
-    /// Returns what is asked for, in world units.
-    fn wanted(&self, frame: &ExportFrame) -> Wanted {
+    /// Returns the limits of the parameters, in world units.
+    fn limits(&self, frame: &ExportFrame) -> SurfaceLimits {
         let in_world = |length: f64| length / frame.scale();
-        Wanted {
+        SurfaceLimits {
             cell: self.params.cell.map(in_world),
             reach: self.params.reach.map(in_world),
             least_photos: self.params.least_photos,
@@ -147,7 +96,7 @@ impl MakeSurface {
     }
 
     fn field(&self, ctx: &Ctx<'_>, weights: &Digest) -> Result<Field, StageError> {
-        let field = Field::decode(&ctx.get(weights)?).and_then(|field| field.on(&self.params.device));
+        let field = Field::decode(&ctx.get(weights)?).and_then(|field| field.with_backend(marf_field_gpu::open(&self.params.device)?));
         Ok(field.map_err(SurfaceError::from)?)
     }
 
@@ -159,8 +108,8 @@ impl MakeSurface {
         field: &Field,
         views: &[(&Frame, String)],
         outputs: &mut Outputs,
-    ) -> Result<Seen, StageError> {
-        let mut seen = Seen::default();
+    ) -> Result<FieldViews, StageError> {
+        let mut seen = FieldViews::default();
         for (index, (frame, name)) in views.iter().enumerate() {
             let note = format!("what {name} saw");
             ctx.progress.at(index as u64, views.len() as u64, &note);
@@ -179,7 +128,7 @@ impl MakeSurface {
             hide(ctx, frame, factor, &mut shown)?;
             seen.opacities.push(shown.shown());
             let pose = frame.cam_from_world;
-            let Rendered {
+            let RenderedView {
                 camera,
                 distance,
                 rgb,
@@ -206,14 +155,14 @@ impl MakeSurface {
         field: &Field,
         views: &[(&Frame, String)],
         observers: &[Observer],
-    ) -> Result<Vec<HeldOut>, StageError> {
+    ) -> Result<Vec<HeldOutView>, StageError> {
         let shown = views.iter().enumerate().map(|(index, (frame, name))| {
             let note = format!("what {name} would have seen");
             ctx.progress.at(index as u64, views.len() as u64, &note);
             let factor = factor(&frame.camera, self.params.side_px, MOST_PIXELS);
             let mut shown = rendered(ctx, field, frame, factor)?;
             hide(ctx, frame, factor, &mut shown)?;
-            Ok(HeldOut {
+            Ok(HeldOutView {
                 name: name.clone(),
                 camera: shown.camera,
                 cam_from_world: frame.cam_from_world,
@@ -252,7 +201,7 @@ impl MakeSurface {
                 let factor = factor(&frame.camera, side_px, MOST_PIXELS / views.len() as u64);
                 let mut shown = rendered(ctx, &field, frame, factor)?;
                 hide(ctx, frame, factor, &mut shown)?;
-                let Rendered {
+                let RenderedView {
                     camera,
                     distance,
                     rgb,
@@ -280,9 +229,9 @@ type Named<'a> = Vec<(&'a Frame, String)>;
 /// Returns the photos that a field was trained on, and those that were held out.
 fn views_of(scene: &Scene) -> Result<(Named<'_>, Named<'_>), StageError> {
     let named = scene.frames.iter().zip(picture_names(scene));
-    let (held_out, views): (Named<'_>, Named<'_>) = named.partition(|(frame, _)| frame.held_out);
-    match views.is_empty() {
-        true => Err(SurfaceError::NoPhotos.into()),
-        false => Ok((views, held_out)),
+    let (held_out, views): (Vec<_>, Vec<_>) = named.partition(|(frame, _)| frame.held_out);
+    if views.is_empty() {
+        return Err(SurfaceError::NoPhotos.into());
     }
+    Ok((views, held_out))
 }

@@ -69,7 +69,7 @@ impl Volume {
             Ok(block(views, layout, place))
         });
         let blocks = blocks.collect::<Result<_, SurfaceError>>()?;
-        Ok(Self::of(layout.cell, places, blocks))
+        Ok(Self::from_blocks(layout.cell, places, blocks))
     }
 
     /// Samples a function on all blocks of a box of `blocks` blocks a side, the first at the origin of the grid: NaN where the function
@@ -90,10 +90,10 @@ impl Volume {
             samples
         };
         let blocks = places.iter().map(of_block).collect();
-        Self::of(cell, places, blocks)
+        Self::from_blocks(cell, places, blocks)
     }
 
-    fn of(cell: f64, places: Vec<Place>, blocks: Vec<[f32; SAMPLES]>) -> Self {
+    fn from_blocks(cell: f64, places: Vec<Place>, blocks: Vec<[f32; SAMPLES]>) -> Self {
         let numbered = places.iter().enumerate();
         Self {
             cell,
@@ -140,13 +140,13 @@ impl Volume {
 impl Layout {
     fn check(&self) -> Result<(), SurfaceError> {
         let is_length = |value: f64| value.is_finite() && value > 0.0;
-        match is_length(self.cell) && is_length(self.band) && self.band >= self.cell {
-            true => Ok(()),
-            false => Err(SurfaceError::Layout {
-                cell: self.cell,
-                band: self.band,
-            }),
+        if is_length(self.cell) && is_length(self.band) && self.band >= self.cell {
+            return Ok(());
         }
+        Err(SurfaceError::Layout {
+            cell: self.cell,
+            band: self.band,
+        })
     }
 }
 

@@ -11,8 +11,8 @@ use crate::frame::ExportFrame;
 use crate::map::SurfaceMap;
 use crate::{SurfaceError, glb, members, ply};
 
-/// What is to be written.
-pub struct Made {
+/// What `surface` has made of a field.
+pub struct SurfaceResult {
     /// Mesh and points.
     pub surface: Surface,
     /// Photos whose views were looked at.
@@ -30,7 +30,7 @@ pub struct Made {
 pub fn write(
     ctx: &Ctx<'_>,
     params: &SurfaceParams,
-    mut made: Made,
+    mut made: SurfaceResult,
     frame: &ExportFrame,
     outputs: &mut Outputs,
 ) -> Result<(), StageError> {
@@ -43,7 +43,7 @@ pub fn write(
         members::paint(&mut made.surface.mesh.vertices, uncertainty.scale_end, scale);
         members::paint(&mut made.surface.points, uncertainty.scale_end, scale);
     }
-    put_surface(ctx, params, &made, &uncertainty, frame, outputs)?;
+    made.put_surface(ctx, params, &uncertainty, frame, outputs)?;
     let mut report = report(made, uncertainty, frame);
     match map {
         Ok(map) => {
@@ -61,35 +61,37 @@ pub fn write(
     outputs.put(ctx, &report)
 }
 
-/// Writes mesh and points.
-fn put_surface(
-    ctx: &Ctx<'_>,
-    params: &SurfaceParams,
-    made: &Made,
-    uncertainty: &UncertaintyReport,
-    frame: &ExportFrame,
-    outputs: &mut Outputs,
-) -> Result<(), StageError> {
-    let Made { surface, photos, .. } = made;
-    let scale = frame.scale();
-    let colors = color_words(params.color, uncertainty, frame);
-    let comments = [
-        format!("surface where the mean signed distance of {photos} views of the field is 0 (Curless and Levoy 1996)"),
-        "rays end at their mean depth where the field takes more than 0.9 of their light".to_owned(),
-        format!("distance between samples: {}", surface.cell * scale),
-        format!("least photos: {}; largest spread: {}", params.least_photos, surface.most_spread * scale),
-        colors.clone(),
-        "photos: those that show the vertex; spread: root mean square of the views' distances, -1 of one view".to_owned(),
-    ];
-    outputs.put_bytes(ctx, MESH_PLY, &ply::mesh(&surface.mesh, frame, &comments))?;
-    outputs.put_bytes(ctx, POINTS, &ply::points(&surface.points, frame, &comments))?;
-    let generator = format!("marf {}", env!("CARGO_PKG_VERSION"));
-    let glb = glb::mesh(&surface.mesh, frame, &generator, &colors);
-    outputs.put_bytes(ctx, MESH_GLB, &glb)
+impl SurfaceResult {
+    /// Writes mesh and points.
+    fn put_surface(
+        &self,
+        ctx: &Ctx<'_>,
+        params: &SurfaceParams,
+        uncertainty: &UncertaintyReport,
+        frame: &ExportFrame,
+        outputs: &mut Outputs,
+    ) -> Result<(), StageError> {
+        let Self { surface, photos, .. } = self;
+        let scale = frame.scale();
+        let colors = color_words(params.color, uncertainty, frame);
+        let comments = [
+            format!("surface where the mean signed distance of {photos} views of the field is 0 (Curless and Levoy 1996)"),
+            "rays end at their mean depth where the field takes more than 0.9 of their light".to_owned(),
+            format!("distance between samples: {}", surface.cell * scale),
+            format!("least photos: {}; largest spread: {}", params.least_photos, surface.most_spread * scale),
+            colors.clone(),
+            "photos: those that show the vertex; spread: root mean square of the views' distances, -1 of one view".to_owned(),
+        ];
+        outputs.put_bytes(ctx, MESH_PLY, &ply::mesh(&surface.mesh, frame, &comments))?;
+        outputs.put_bytes(ctx, POINTS, &ply::points(&surface.points, frame, &comments))?;
+        let generator = format!("marf {}", env!("CARGO_PKG_VERSION"));
+        let glb = glb::mesh(&surface.mesh, frame, &generator, &colors);
+        outputs.put_bytes(ctx, MESH_GLB, &glb)
+    }
 }
 
 /// Returns the report, without a map.
-fn report(made: Made, uncertainty: UncertaintyReport, frame: &ExportFrame) -> SurfaceReport {
+fn report(made: SurfaceResult, uncertainty: UncertaintyReport, frame: &ExportFrame) -> SurfaceReport {
     let (surface, scale) = (made.surface, frame.scale());
     SurfaceReport {
         unit: frame.unit().to_owned(),
@@ -110,14 +112,14 @@ fn report(made: Made, uncertainty: UncertaintyReport, frame: &ExportFrame) -> Su
 
 /// Returns what the colours are, in words.
 fn color_words(color: ColorBy, uncertainty: &UncertaintyReport, frame: &ExportFrame) -> String {
-    let of = match uncertainty.of {
+    let spread = match uncertainty.of {
         SpreadOf::Retrainings => format!("standard deviation of {} retrainings", uncertainty.members),
         SpreadOf::Views => "root mean square difference of the views of one field".to_owned(),
     };
     match color {
         ColorBy::Photos => "colours: what the field shows at the views of the photos".to_owned(),
         ColorBy::Uncertainty => format!(
-            "colours: uncertainty along the normal ({of}), inferno from 0 to {} ({}), gray where not known",
+            "colours: uncertainty along the normal ({spread}), inferno from 0 to {} ({}), gray where not known",
             uncertainty.scale_end,
             frame.unit()
         ),

@@ -10,7 +10,16 @@ pub(crate) struct Child<'a> {
     pub outputs: &'a Outputs,
 }
 
-impl Child<'_> {
+impl<'a> Child<'a> {
+    /// Returns finished child nodes in their order, named `kind 00`, `kind 01` and so on.
+    pub fn numbered(kind: &str, outputs: &'a [Outputs]) -> Vec<Self> {
+        let children = outputs.iter().enumerate().map(|(index, outputs)| Self {
+            name: format!("{kind} {index:02}"),
+            outputs,
+        });
+        children.collect()
+    }
+
     /// Returns the digest of an output that must be there.
     pub fn digest(&self, output: &str) -> Result<&Digest, TrainError> {
         self.outputs.get(output).ok_or_else(|| TrainError::MissingOutput {

@@ -4,18 +4,15 @@ use marf_schema::{
     output::{HELDOUT, PHOTO, SCENE, WEIGHTS},
     train,
 };
-use marf_stage::{
-    Ctx, Define, Document, Inputs, Outputs, ParamError, Params, Port, Set, StageError, TypedOutputs,
-};
+use marf_stage::{Ctx, Document, Inputs, Outputs, Port, Set, StageError, Threads, TypedOutputs, stage};
 
 use crate::{
     TrainError,
     checkpoint::identity,
     io::{read_field, read_scene},
     photos::PhotoReader,
-    scoring::{Chosen, Judge},
+    scoring::{Judge, JudgedPhotos},
     split::{NamedFrame, held_out, named_frames, split},
-    stage_on_device,
 };
 
 /// Renders the views of photos and compares them with the photos.
@@ -24,25 +21,20 @@ pub struct Evaluate {
     params: EvaluateParams,
 }
 
-impl Define for Evaluate {
-    type Params = EvaluateParams;
-    const NAME: &'static str = EvaluateParams::STAGE;
-    const ABOUT: &'static str = "compares renders of a trained field with photos";
-    const VERSION: u32 = 5;
-    const PORTS: &'static [Port] = &[
+stage! {
+    Evaluate { params: EvaluateParams },
+    Set,
+    Threads::All,
+    about: "compares renders of a trained field with photos",
+    version: 5,
+    ports: [
         Port::required("input", WEIGHTS),
         Port::required("input", SCENE),
         Port::required("input", train::Metrics::OUTPUT),
-    ];
-    const OUTPUTS: &'static [&'static str] = &[Metrics::OUTPUT, HELDOUT, PHOTO];
-
-    fn new(params: EvaluateParams) -> Result<Self, ParamError> {
-        params.check()?;
-        Ok(Self { params })
-    }
+    ],
+    outputs: [Metrics::OUTPUT, HELDOUT, PHOTO],
+    device: device,
 }
-
-stage_on_device!(Evaluate, Set);
 
 impl Set for Evaluate {
     fn run(&self, ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Outputs, StageError> {
@@ -71,8 +63,12 @@ impl Set for Evaluate {
         let photos = PhotoReader::new(ctx, &scene, scale);
         let of = identity(self, inputs, "");
         let nearest = TrainedPhotos::new(&scene, trained_on(&scene, &trained)?);
-        let scores =
-            Judge::new(ctx, of, &field, &photos).held_out(&frames, Chosen::ALL, &nearest, &mut outputs)?;
+        let scores = Judge::new(ctx, of, &field, &photos).held_out(
+            &frames,
+            JudgedPhotos::ALL,
+            &nearest,
+            &mut outputs,
+        )?;
         outputs.put(ctx, &Metrics { scores, scale })?;
         Ok(outputs)
     }

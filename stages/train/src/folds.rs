@@ -4,8 +4,8 @@ use marf_schema::{
     train::{self, Fold, Setup, TrainParams},
 };
 use marf_stage::{
-    ChildStage, Ctx, Define, Document, Expand, Inputs, NodeSpec, Outputs, ParamError, Params, Port,
-    StageError, TypedOutputs,
+    ChildStage, Ctx, Document, Expand, Inputs, NodeSpec, Outputs, Port, StageError, Threads, TypedOutputs,
+    stage,
 };
 
 use crate::{
@@ -13,7 +13,6 @@ use crate::{
     io::{read_scene, read_setup},
     scoring::means,
     split::fold_of_each,
-    stage_on_device,
 };
 
 /// Judges every photo of a small scene by a field that was trained without its place.
@@ -26,28 +25,23 @@ pub struct Folds {
     params: FoldsParams,
 }
 
-impl Define for Folds {
-    type Params = FoldsParams;
-    const NAME: &'static str = FoldsParams::STAGE;
-    const ABOUT: &'static str = "judges every photo of a small scene by a field trained without it";
-    const VERSION: u32 = 1;
-    const PORTS: &'static [Port] = &[
+stage! {
+    Folds { params: FoldsParams },
+    Expand,
+    Threads::All,
+    about: "judges every photo of a small scene by a field trained without it",
+    version: 1,
+    ports: [
         Port::required("input", SCENE),
         Port::required("of", Setup::OUTPUT),
-    ];
-    const OUTPUTS: &'static [&'static str] = &[Metrics::OUTPUT, HELDOUT, PHOTO];
-
-    fn new(params: FoldsParams) -> Result<Self, ParamError> {
-        params.check()?;
-        Ok(Self { params })
-    }
+    ],
+    outputs: [Metrics::OUTPUT, HELDOUT, PHOTO],
+    device: device,
 }
-
-stage_on_device!(Folds, Expand);
 
 impl Expand for Folds {
     fn children(&self) -> Vec<ChildStage> {
-        vec![ChildStage::of(&fold(&self.params, 0, self.params.folds))]
+        vec![ChildStage::new(&fold(&self.params, 0, self.params.folds))]
     }
 
     fn expand(&self, ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Vec<NodeSpec>, StageError> {
@@ -62,7 +56,7 @@ impl Expand for Folds {
         let folds = if count > 1 { 0..count } else { 0..0 };
         let nodes = folds.map(|index| {
             let train = fold(&self.params, index, count);
-            NodeSpec::of(format!("fold-{index:02}"), &train, inputs)
+            NodeSpec::new(format!("fold-{index:02}"), &train, inputs)
         });
         nodes.collect()
     }
@@ -99,11 +93,9 @@ fn fold(params: &FoldsParams, index: u32, count: u32) -> TrainParams {
 
 /// Puts the scores of all folds together.
 fn judged(ctx: &Ctx<'_>, whole: &Setup, children: &[Outputs]) -> Result<Option<Judged>, StageError> {
-    let read = |(index, outputs): (usize, _)| {
-        let name = format!("fold {index:02}");
-        Child { name, outputs }.read::<train::Metrics>(ctx)
-    };
-    let trained: Vec<train::Metrics> = children.iter().enumerate().map(read).collect::<Result<_, _>>()?;
+    let folds = Child::numbered("fold", children);
+    let trained: Result<Vec<train::Metrics>, _> = folds.iter().map(|fold| fold.read(ctx)).collect();
+    let trained = trained?;
     let Some(first) = trained.first() else {
         return Ok(None);
     };

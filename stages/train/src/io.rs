@@ -37,7 +37,7 @@ pub(crate) fn read_setup(ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Option<Setup>
 pub(crate) fn read_field(ctx: &Ctx<'_>, weights: &Digest, device: &Device) -> Result<Field, StageError> {
     let field = Field::decode(&ctx.get(weights)?);
     Ok(field
-        .and_then(|field| field.on(device))
+        .and_then(|field| field.with_backend(marf_field_gpu::open(device)?))
         .map_err(TrainError::from)?)
 }
 

@@ -33,35 +33,3 @@ pub use render::Render;
 pub use train::{Partial, Train};
 pub use tune::Tune;
 pub use video::Video;
-
-/// Implements [`marf_stage::Stage`] for a stage with `params.device` that uses all threads; `$work` is its variant of
-/// [`marf_stage::Work`].
-macro_rules! stage_on_device {
-    ($stage:ty, $work:ident) => {
-        impl marf_stage::Stage for $stage {
-            fn params(&self) -> serde_json::Value {
-                marf_stage::key_params(&self.params, &["device"])
-            }
-
-            fn work(&self) -> marf_stage::Work<'_> {
-                marf_stage::Work::$work(self)
-            }
-
-            fn threads(&self) -> marf_stage::Threads {
-                marf_stage::Threads::All
-            }
-
-            fn backend_id(&self) -> Option<String> {
-                self.params.device.backend_id()
-            }
-
-            fn backend_id_on(&self, gpu: Option<&str>) -> Result<Option<String>, marf_stage::StageError> {
-                self.params
-                    .device
-                    .backend_id_on(gpu)
-                    .map_err(marf_stage::StageError::new)
-            }
-        }
-    };
-}
-pub(crate) use stage_on_device;

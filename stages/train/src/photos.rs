@@ -83,10 +83,10 @@ impl<'a> PhotoReader<'a> {
 
     /// Returns a reader of the same scene at another working size.
     pub fn at(&self, scene: &Scene, scale: u32) -> Self {
-        match scale == self.scale {
-            true => self.clone(),
-            false => Self::new(self.ctx, scene, scale),
+        if scale == self.scale {
+            return self.clone();
         }
+        Self::new(self.ctx, scene, scale)
     }
 
     /// Reads one photo.
@@ -100,7 +100,7 @@ impl<'a> PhotoReader<'a> {
             .contains(&frame.image)
             .then(|| memo_key(&frame.image, self.scale));
         let known = key.and_then(|key| unpack(&self.ctx.memos.load(&key)?, self.scale));
-        let (size_px, Shrunk { image, alpha }) = match known {
+        let (size_px, ShrunkPhoto { image, alpha }) = match known {
             Some(known) => known,
             None => self.decode(frame, key)?,
         };
@@ -139,7 +139,7 @@ impl<'a> PhotoReader<'a> {
     }
 
     /// Returns the size of the photo before it was shrunk, and its pixels after.
-    fn decode(&self, frame: &Frame, key: Option<Digest>) -> Result<([u32; 2], Shrunk), StageError> {
+    fn decode(&self, frame: &Frame, key: Option<Digest>) -> Result<([u32; 2], ShrunkPhoto), StageError> {
         let decoded = Photo::decode_validated(&self.ctx.get(&frame.image)?);
         let photo = decoded.map_err(|cause| TrainError::Photo {
             id: frame.id.clone(),
@@ -160,7 +160,7 @@ impl<'a> PhotoReader<'a> {
             1 => photo,
             scale => photo.box_reduced(scale),
         };
-        let shrunk = Shrunk { image, alpha };
+        let shrunk = ShrunkPhoto { image, alpha };
         if let Some(key) = key {
             self.ctx.memos.save(&key, &pack([width, height], &shrunk));
         }
@@ -222,7 +222,7 @@ fn kept(scene: &Scene, scale: u32, most_bytes: u64) -> BTreeSet<Digest> {
 }
 
 /// Pixels of a photo at its working size, over black, and their opacities, if not all are opaque.
-struct Shrunk {
+struct ShrunkPhoto {
     image: Image<Srgb>,
     alpha: Vec<u8>,
 }
@@ -233,13 +233,13 @@ fn memo_key(photo: &Digest, scale: u32) -> Digest {
 }
 
 /// Width and height before shrinking as u32 LE, then the pixels after it, 3 bytes each, and their opacities, if any.
-fn pack(size_px: [u32; 2], Shrunk { image, alpha }: &Shrunk) -> Vec<u8> {
+fn pack(size_px: [u32; 2], ShrunkPhoto { image, alpha }: &ShrunkPhoto) -> Vec<u8> {
     let size = size_px.map(u32::to_le_bytes);
     [size.as_flattened(), image.pixels.as_flattened(), alpha].concat()
 }
 
 /// Reads what [`pack`] wrote; none if it is anything else.
-fn unpack(bytes: &[u8], scale: u32) -> Option<([u32; 2], Shrunk)> {
+fn unpack(bytes: &[u8], scale: u32) -> Option<([u32; 2], ShrunkPhoto)> {
     let (width, rest) = bytes.split_first_chunk::<4>()?;
     let (height, rest) = rest.split_first_chunk::<4>()?;
     let size_px = [width, height].map(|side| u32::from_le_bytes(*side));
@@ -253,7 +253,7 @@ fn unpack(bytes: &[u8], scale: u32) -> Option<([u32; 2], Shrunk)> {
     };
     let is_whole = count > 0 && (alpha.is_empty() || alpha.len() == count);
     let alpha = alpha.to_vec();
-    is_whole.then_some((size_px, Shrunk { image, alpha }))
+    is_whole.then_some((size_px, ShrunkPhoto { image, alpha }))
 }
 
 fn check_size(frame: &Frame, [width, height]: [u32; 2]) -> Result<(), TrainError> {

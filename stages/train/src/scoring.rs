@@ -24,14 +24,14 @@ use crate::{
 
 /// Which photos of those held out are judged.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Chosen {
+pub(crate) struct JudgedPhotos {
     /// At most so many; none: all.
     pub most: Option<usize>,
-    /// As many as are judged by then, but [`Chosen::LEAST`] at least.
+    /// As many as are judged by then, but [`JudgedPhotos::LEAST`] at least.
     pub until: Option<Instant>,
 }
 
-impl Chosen {
+impl JudgedPhotos {
     /// All of them.
     pub const ALL: Self = Self {
         most: None,
@@ -52,7 +52,7 @@ impl Chosen {
         }
     }
 
-    /// Tells whether so many are enough, where another may take `longest`.
+    /// Returns whether the photos judged so far are enough, where another may take `longest`.
     fn is_enough(self, judged: usize, longest: Duration) -> bool {
         let is_over = |until| Instant::now() + longest > until;
         judged >= Self::LEAST && self.until.is_some_and(is_over)
@@ -61,7 +61,7 @@ impl Chosen {
 
 /// A photo that was compared, as a journal keeps it.
 #[derive(Serialize, Deserialize)]
-struct Judged {
+struct PhotoJudgement {
     scores: PhotoScores,
     /// Render and photo, by the names of the outputs.
     pictures: BTreeMap<String, Digest>,
@@ -94,14 +94,14 @@ impl<'a> Judge<'a> {
     pub fn held_out(
         &mut self,
         frames: &[NamedFrame<'_>],
-        chosen: Chosen,
+        photos: JudgedPhotos,
         trained: &TrainedPhotos<'_>,
         outputs: &mut Outputs,
     ) -> Result<Scores, StageError> {
         let mut views = BTreeMap::new();
         let mut longest = Duration::ZERO;
-        for index in chosen.order(frames.len()) {
-            if chosen.is_enough(views.len(), longest) {
+        for index in photos.order(frames.len()) {
+            if photos.is_enough(views.len(), longest) {
                 break;
             }
             let (named, began) = (&frames[index], Instant::now());
@@ -124,7 +124,7 @@ impl<'a> Judge<'a> {
         for (index, named) in frames.iter().enumerate() {
             self.at(index, frames.len(), named);
             let judged = self.judged(named, |judge| {
-                Ok(Judged {
+                Ok(PhotoJudgement {
                     scores: compare_view(judge.field, named, &judge.photos.read(named.frame)?)?,
                     pictures: BTreeMap::new(),
                 })
@@ -155,9 +155,9 @@ impl<'a> Judge<'a> {
     fn judged(
         &mut self,
         named: &NamedFrame<'_>,
-        judge: impl FnOnce(&Judging<'_>) -> Result<Judged, StageError>,
-    ) -> Result<Judged, StageError> {
-        let judging = Judging {
+        judge: impl FnOnce(&PhotoJudge<'_>) -> Result<PhotoJudgement, StageError>,
+    ) -> Result<PhotoJudgement, StageError> {
+        let judging = PhotoJudge {
             ctx: self.ctx,
             of: digest_of(&(self.of, &named.name)),
             field: self.field,
@@ -175,23 +175,23 @@ impl<'a> Judge<'a> {
 }
 
 /// Reads a photo that was compared, if its pictures are still stored.
-fn known(ctx: &Ctx<'_>, bytes: &[u8]) -> Option<Judged> {
-    let judged: Judged = serde_json::from_slice(bytes).ok()?;
+fn known(ctx: &Ctx<'_>, bytes: &[u8]) -> Option<PhotoJudgement> {
+    let judged: PhotoJudgement = serde_json::from_slice(bytes).ok()?;
     let stored = judged.pictures.values().all(|digest| ctx.blobs.contains(digest));
     stored.then_some(judged)
 }
 
 /// What a photo is judged with.
-struct Judging<'a> {
+struct PhotoJudge<'a> {
     ctx: &'a Ctx<'a>,
     of: Digest,
     field: &'a Field,
     photos: &'a PhotoReader<'a>,
 }
 
-impl Judging<'_> {
+impl PhotoJudge<'_> {
     /// Compares one photo with the render of its view, and stores both pictures.
-    fn stored(&self, named: &NamedFrame<'_>) -> Result<Judged, StageError> {
+    fn stored(&self, named: &NamedFrame<'_>) -> Result<PhotoJudgement, StageError> {
         let photo = &self.photos.read(named.frame)?;
         let pose = &named.frame.cam_from_world;
         let render = render_view(self.ctx, self.of, self.field, &photo.camera, pose)?.to_image();
@@ -204,7 +204,7 @@ impl Judging<'_> {
             format!("{PHOTO}{name}.png"),
             &photo.image,
         )?;
-        Ok(Judged { scores, pictures })
+        Ok(PhotoJudgement { scores, pictures })
     }
 }
 
@@ -275,7 +275,7 @@ pub(crate) fn means(views: Vec<PhotoScores>) -> Scores {
 fn apart(views: &[PhotoScores]) -> Option<Apart> {
     let extrapolates =
         |view: &&PhotoScores| view.nearest.as_ref().is_some_and(|nearest| nearest.extrapolates);
-    let (far, others): (Vec<&PhotoScores>, Vec<&PhotoScores>) = views.iter().partition(extrapolates);
+    let (far, others): (Vec<_>, Vec<_>) = views.iter().partition(extrapolates);
     let mean = |views: &[&PhotoScores]| {
         let sum: f64 = views.iter().map(|view| view.psnr).sum();
         (!views.is_empty()).then(|| sum / views.len() as f64)
@@ -295,17 +295,20 @@ mod tests {
 
     #[test]
     fn a_time_that_is_over_lets_a_few_photos_be_judged_and_a_number_the_first_of_an_order() {
-        let most = Chosen {
+        let most = JudgedPhotos {
             most: Some(3),
-            ..Chosen::ALL
+            ..JudgedPhotos::ALL
         };
         assert_eq!(most.order(8), [0, 4, 2]);
-        assert_eq!((most.order(2), Chosen::ALL.order(3)), (vec![0, 1], vec![0, 1, 2]));
+        assert_eq!(
+            (most.order(2), JudgedPhotos::ALL.order(3)),
+            (vec![0, 1], vec![0, 1, 2])
+        );
         assert!(!most.is_enough(99, Duration::MAX / 4));
         let hour = Duration::from_secs(3600);
-        let until = Chosen {
+        let until = JudgedPhotos {
             until: Some(Instant::now() + hour),
-            ..Chosen::ALL
+            ..JudgedPhotos::ALL
         };
         assert!(!until.is_enough(4, hour / 2));
         assert!(until.is_enough(4, hour));

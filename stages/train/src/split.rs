@@ -60,12 +60,12 @@ pub(crate) fn hold_out_by_place<'a>(frames: Vec<NamedFrame<'a>>, points: &[Point
     parted(frames, is_held_out)
 }
 
-/// Tells for each frame of a scene whether a fold holds it out, or `calibrate` does.
+/// Returns for each frame of a scene whether a fold holds it out, or `calibrate` does.
 pub(crate) fn held_out(scene: &Scene, fold: Option<Fold>) -> Vec<bool> {
     match fold {
         Some(fold) => fold_of_each(scene, fold.count)
             .into_iter()
-            .map(|of| of == fold.index)
+            .map(|own| own == fold.index)
             .collect(),
         None => scene.frames.iter().map(|frame| frame.held_out).collect(),
     }
@@ -83,9 +83,10 @@ fn parted<'a>(frames: Vec<NamedFrame<'a>>, is_held_out: impl IntoIterator<Item =
         held_out: Vec::new(),
     };
     for (frame, is_held_out) in frames.into_iter().zip(is_held_out) {
-        match is_held_out {
-            true => split.held_out.push(frame),
-            false => split.training.push(frame),
+        if is_held_out {
+            split.held_out.push(frame);
+        } else {
+            split.training.push(frame);
         }
     }
     split

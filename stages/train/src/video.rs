@@ -3,10 +3,7 @@ use marf_schema::{
     output::VIDEO,
     video::{Film, VideoParams},
 };
-use marf_stage::{
-    Ctx, Define, Document, Inputs, Outputs, ParamError, Params, Port, Set, Stage, StageError, Threads,
-    TypedOutputs, Work, key_params,
-};
+use marf_stage::{Ctx, Document, Inputs, Outputs, Port, Set, StageError, Threads, TypedOutputs, stage};
 use marf_video::Encoder;
 
 use crate::TrainError;
@@ -17,32 +14,17 @@ pub struct Video {
     params: VideoParams,
 }
 
-impl Define for Video {
-    type Params = VideoParams;
-    const NAME: &'static str = VideoParams::STAGE;
-    const ABOUT: &'static str = "makes a film (MP4) of the pictures of `render` or `bootstrap`";
-    const VERSION: u32 = 1;
-    const PORTS: &'static [Port] = &[Port::required("input", Film::OUTPUT)];
-    const OUTPUTS: &'static [&'static str] = &[VIDEO];
-
-    fn new(params: VideoParams) -> Result<Self, ParamError> {
-        params.check()?;
-        Ok(Self { params })
-    }
-}
-
-impl Stage for Video {
-    fn params(&self) -> serde_json::Value {
-        key_params(&self.params, &[])
-    }
-
-    fn work(&self) -> Work<'_> {
-        Work::Set(self)
-    }
-
-    fn threads(&self) -> Threads {
-        Threads::One
-    }
+stage! {
+    Video { params: VideoParams },
+    Set,
+    Threads::One,
+    about: "makes a film (MP4) of the pictures of `render`",
+    version: 1,
+    ports: [Port::required("input", Film::OUTPUT).with_hint(
+        "name a node of `render`; for a film with uncertainty, one with `members = \"BOOTSTRAP\"` and \
+         `outputs = [\"rgb\", \"uncertainty\", \"depth\"]`",
+    )],
+    outputs: [VIDEO],
 }
 
 impl Set for Video {

@@ -1,7 +1,8 @@
 //! Views that a field is trained on, and the trainer itself.
 
-use marf_field::{Config, Derived, Device, Field, Pixels, Trainer, View};
+use marf_field::{Config, Derived, Field, Pixels, Trainer, View};
 use marf_scene::Scene;
+use marf_schema::train::TrainParams;
 use marf_stage::StageError;
 
 use crate::{
@@ -56,20 +57,23 @@ pub(crate) enum Begin<'a> {
     From(&'a Field),
 }
 
-/// Returns a trainer at step 0.
+/// Returns a trainer at step 0, with the seed and on the device of `params`.
+///
+/// # Errors
+/// Those of [`Trainer::new`]; a device that is not there.
 pub(crate) fn new_trainer(
     views: Vec<View>,
     scene: &Scene,
     config: &Config,
-    seed: u64,
     begin: Begin<'_>,
-    device: &Device,
+    params: &TrainParams,
 ) -> Result<Trainer, TrainError> {
     let points: Vec<[f64; 3]> = scene.points.iter().map(|point| point.position).collect();
+    let seed = params.seed;
     let trainer = match begin {
         Begin::Anew => Trainer::new(views, &points, config, seed),
         Begin::Sized(derived) => Trainer::with_derived(views, &points, config, seed, derived),
         Begin::From(field) => Trainer::from_field(views, &points, config, seed, field),
     };
-    Ok(trainer?.on(device)?)
+    Ok(trainer?.with_backend(marf_field_gpu::open(&params.device)?)?)
 }

@@ -7,8 +7,8 @@ use rav1e::prelude::{
 
 use crate::{
     KEY_EVERY, Settings,
-    encoder::{Coder, Sample},
     mp4::boxed,
+    sample::{Coder, Sample},
     yuv::Yuv,
 };
 

@@ -3,35 +3,9 @@ use marf_scene::{Image, Srgb};
 use crate::{
     Settings, VideoError, check_size,
     mp4::{self, Track},
+    sample::{Coder, Sample},
     yuv::{Yuv, side},
 };
-
-/// A picture as the file holds it.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub(crate) struct Sample {
-    pub bytes: Vec<u8>,
-    /// Whether decoding can begin here.
-    pub is_key: bool,
-    /// The box of what a decoder has to know before the first picture, where the codec tells it with this one.
-    pub config: Option<Vec<u8>>,
-}
-
-/// A codec: pictures of one size to samples, one for one and in order.
-pub(crate) trait Coder {
-    /// Encodes the next picture; its sample may come with a later one.
-    ///
-    /// # Errors
-    /// What the encoder says.
-    fn encode(&mut self, picture: &Yuv) -> Result<Vec<Sample>, String>;
-
-    /// Returns the samples that have not come yet.
-    ///
-    /// # Errors
-    /// What the encoder says.
-    fn finish(&mut self) -> Result<Vec<Sample>, String> {
-        Ok(Vec::new())
-    }
-}
 
 /// Encodes pictures one after the other; only what they become is kept in memory.
 pub struct Encoder {
@@ -84,7 +58,7 @@ impl Encoder {
         }
         self.pictures += 1;
         let coder = self.coder.as_mut();
-        let samples = coder.map_or(Ok(Vec::new()), |coder| coder.encode(&Yuv::of(picture)));
+        let samples = coder.map_or(Ok(Vec::new()), |coder| coder.encode(&Yuv::from_image(picture)));
         self.add(samples)
     }
 

@@ -11,8 +11,8 @@ use openh264::{
 
 use crate::{
     KEY_EVERY, Settings,
-    encoder::{Coder, Sample},
     nal::Units,
+    sample::{Coder, Sample},
     yuv::Yuv,
 };
 

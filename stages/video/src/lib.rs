@@ -28,111 +28,15 @@ mod h264;
 mod mp4;
 #[cfg(feature = "h264")]
 mod nal;
+mod sample;
+mod settings;
 mod yuv;
 
 pub use encoder::Encoder;
 pub use error::VideoError;
-
-/// Most pixels along the longer side of a picture, and along the shorter one: what OpenH264 takes (rav1e takes more).
-pub const MAX_LONG_PX: u32 = 3840;
-/// See [`MAX_LONG_PX`].
-pub const MAX_SHORT_PX: u32 = 2160;
-/// Least and most pictures a second.
-pub const RATES: std::ops::RangeInclusive<u32> = 1..=240;
-/// Quantisers (QP of H.264) of both codecs, finest first; OpenH264 keeps to no finer one than 12. AV1 takes the nearest of its own.
-pub const QUANTIZERS: std::ops::RangeInclusive<u32> = 12..=51;
-/// Pictures from one from which decoding can begin to the next: two seconds at 24 a second, so that a player can jump.
 #[cfg(any(feature = "h264", feature = "av1"))]
-pub(crate) const KEY_EVERY: u32 = 48;
-
-/// What pictures are encoded as.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Codec {
-    /// H.264, constrained baseline, by OpenH264.
-    H264,
-    /// AV1, main profile, by rav1e.
-    Av1,
-}
-
-impl Codec {
-    /// Every codec, built in or not.
-    pub const ALL: [Self; 2] = [Self::H264, Self::Av1];
-
-    /// Returns the cargo feature that builds it in.
-    pub const fn feature(self) -> &'static str {
-        match self {
-            Self::H264 => "h264",
-            Self::Av1 => "av1",
-        }
-    }
-
-    /// Checks that this build has it.
-    ///
-    /// # Errors
-    /// [`VideoError::NoEncoder`] without its feature.
-    pub fn check(self) -> Result<(), VideoError> {
-        let is_there = match self {
-            Self::H264 => cfg!(feature = "h264"),
-            Self::Av1 => cfg!(feature = "av1"),
-        };
-        match is_there {
-            true => Ok(()),
-            false => Err(VideoError::NoEncoder { codec: self }),
-        }
-    }
-}
-
-impl std::fmt::Display for Codec {
-    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        formatter.write_str(match self {
-            Self::H264 => "H.264",
-            Self::Av1 => "AV1",
-        })
-    }
-}
-
-/// How pictures are encoded.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Settings {
-    /// What they become.
-    pub codec: Codec,
-    /// Pictures a second, in [`RATES`].
-    pub frames_per_second: u32,
-    /// Quantiser of every block, in [`QUANTIZERS`]: 6 more halves the precision.
-    pub quantizer: u32,
-}
-
-impl Settings {
-    /// Checks what can be checked without a picture.
-    ///
-    /// # Errors
-    /// A number out of its range.
-    pub fn check(&self) -> Result<(), VideoError> {
-        if !RATES.contains(&self.frames_per_second) {
-            let rate = self.frames_per_second;
-            return Err(VideoError::Rate { rate });
-        }
-        if !QUANTIZERS.contains(&self.quantizer) {
-            let quantizer = self.quantizer;
-            return Err(VideoError::Quantizer { quantizer });
-        }
-        Ok(())
-    }
-}
-
-/// Checks that pictures of a size in pixels can be encoded.
-///
-/// # Errors
-/// A side of 0, or more than [`MAX_LONG_PX`] x [`MAX_SHORT_PX`] in either orientation.
-pub fn check_size(width: u32, height: u32) -> Result<(), VideoError> {
-    if width == 0 || height == 0 {
-        return Err(VideoError::Empty { width, height });
-    }
-    if width.max(height) > MAX_LONG_PX || width.min(height) > MAX_SHORT_PX {
-        return Err(VideoError::TooLarge { width, height });
-    }
-    Ok(())
-}
+pub(crate) use settings::KEY_EVERY;
+pub use settings::{Codec, MAX_LONG_PX, MAX_SHORT_PX, QUANTIZERS, RATES, Settings, check_size};
 
 #[cfg(test)]
 mod tests {

@@ -12,7 +12,7 @@
 //! `moov` stands before the samples, so that a player starts before it has read all (fast start). All samples are one chunk: its
 //! place is always within the first 4 GiB, so no 64-bit table of places is needed. Times of creation are 0.
 
-use crate::{Codec, VideoError, encoder::Sample};
+use crate::{Codec, VideoError, sample::Sample};
 
 /// Units of time a picture takes; a second has `rate` times as many.
 const TICKS: u32 = 1000;

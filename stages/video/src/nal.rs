@@ -1,6 +1,6 @@
 //! Units of an H.264 byte stream (ITU-T H.264, annex B) as samples of an MP4 file.
 
-use crate::{encoder::Sample, mp4::boxed};
+use crate::{mp4::boxed, sample::Sample};
 
 /// What the units of one picture are.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]

@@ -31,7 +31,7 @@ impl Yuv {
     ///
     /// The chroma of a block is that of the mean of its four pixels: sited at the middle of the block. A side that is odd
     /// or below 16 grows by repeating its last column or row: in 4:2:0 H.264 can crop by pairs only, and OpenH264 takes no less.
-    pub fn of(picture: &Image<Srgb>) -> Self {
+    pub fn from_image(picture: &Image<Srgb>) -> Self {
         let (width, height) = (side(picture.width), side(picture.height));
         let at =
             |column: u32, row: u32| picture.at(column.min(picture.width - 1), row.min(picture.height - 1));
@@ -94,7 +94,7 @@ mod tests {
     use super::*;
 
     fn of_one_color(rgb: [u8; 3]) -> (u8, u8, u8) {
-        let yuv = Yuv::of(&Image::from_fn(2, 2, |_, _| rgb));
+        let yuv = Yuv::from_image(&Image::from_fn(2, 2, |_, _| rgb));
         assert!(yuv.y.iter().all(|luma| *luma == yuv.y[0]), "{rgb:?}");
         (yuv.y[0], yuv.cb[0], yuv.cr[0])
     }
@@ -152,7 +152,7 @@ mod tests {
     fn odd_and_small_sides_repeat_their_last_column_and_row() {
         for (width, height, sides) in [(17, 19, (18, 20)), (3, 1, (16, 16)), (16, 40, (16, 40))] {
             let picture = Image::from_fn(width, height, |column, row| [(column * 9 + row) as u8; 3]);
-            let yuv = Yuv::of(&picture);
+            let yuv = Yuv::from_image(&picture);
             assert_eq!((yuv.width, yuv.height), sides, "{width} x {height}");
             let at = |column: u32, row: u32| yuv.y[row as usize * yuv.width + column as usize];
             assert_eq!(at(sides.0 as u32 - 1, 0), at(width - 1, 0), "{width} x {height}");
@@ -165,7 +165,7 @@ mod tests {
     #[test]
     fn a_block_has_the_chroma_of_its_mean() {
         let half_red = Image::from_fn(2, 2, |column, _| if column == 0 { [255, 0, 0] } else { [0; 3] });
-        let yuv = Yuv::of(&half_red);
+        let yuv = Yuv::from_image(&half_red);
         assert_eq!((yuv.y[0], yuv.y[1]), (63, 16));
         assert_eq!((yuv.cb[0], yuv.cr[0]), (115, 184));
     }

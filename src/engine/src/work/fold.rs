@@ -86,7 +86,7 @@ pub(super) fn execute(run: &StageRun<'_>, fold: &dyn Fold) -> Result<PartedOutpu
     let mut done = 0;
     for window in windows(&shards[first..], |shard| rows_of(&shard.1)) {
         let leaves: Vec<&ShardLeaves> = window.iter().collect();
-        let read = measure(run, fold, &leaves, (done, total))?;
+        let read = measure(run, fold, &leaves, done, total)?;
         measured += read.measured;
         done += read.rows();
         for (leaves, shard) in window.iter().zip(read.shards) {

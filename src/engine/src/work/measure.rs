@@ -67,82 +67,118 @@ impl MeasuredShard {
 }
 
 impl MeasuredShards {
+    /// Returns rows for a stage that has no table.
+    fn without_measures(shards: Vec<ShardRows>) -> Self {
+        let nothing: Arc<[u8]> = Arc::from([]);
+        let unmeasured = |rows: ShardRows| MeasuredShard {
+            values: vec![Arc::clone(&nothing); rows.rows.len()],
+            rows,
+        };
+        Self {
+            shards: shards.into_iter().map(unmeasured).collect(),
+            measured: 0,
+        }
+    }
+
     /// Returns the number of rows.
     pub(super) fn rows(&self) -> u64 {
         self.shards.iter().map(|shard| shard.values.len() as u64).sum()
     }
 }
 
-/// Reads the rows of some shards and measures those that are not in the table of the stage yet. `done` of `total` rows
-/// were ready before, for the progress.
+/// Reads the rows of some shards and measures those that are not in the table of the stage yet.
+///
+/// - `done`, `total`: rows of the node that were ready before, and all of them, for the progress.
 pub(super) fn measure(
     run: &StageRun<'_>,
     stage: &dyn Measure,
     shards: &[&ShardLeaves],
-    (done, total): (u64, u64),
+    done: u64,
+    total: u64,
 ) -> Result<MeasuredShards, StageError> {
     let rows: Vec<ShardRows> = shards
         .par_iter()
         .map(|shard| read_shard(&run.ctx, shard))
         .collect::<Result<_, _>>()?;
     let Some(own) = stage.table() else {
-        let nothing: Arc<[u8]> = Arc::from([]);
-        let unmeasured = |rows: ShardRows| MeasuredShard {
-            values: vec![Arc::clone(&nothing); rows.rows.len()],
-            rows,
-        };
-        return Ok(MeasuredShards {
-            shards: rows.into_iter().map(unmeasured).collect(),
-            measured: 0,
-        });
+        return Ok(MeasuredShards::without_measures(rows));
     };
-    let mut read: Vec<ShardTables> = rows
+    let mut shards: Vec<ShardTables> = rows
         .into_par_iter()
         .map(|rows| ShardTables::load(run, stage, own, rows))
         .collect::<Result<_, _>>()?;
-    let missing: Vec<(usize, usize, Vec<Table>)> = (0..)
-        .zip(&read)
-        .flat_map(|(at, shard)| {
-            let missing = shard.missing.iter();
-            missing.map(move |&row| (at, row, shard.wanted(row, own)))
-        })
-        .collect();
-    let known = read
-        .iter()
-        .map(|shard| (shard.rows.rows.len() - shard.missing.len()) as u64);
-    let done = done + known.sum::<u64>();
-    run.ctx.progress.at(done, total, "");
-    let (views, tables): (Vec<_>, Vec<_>) = read.iter_mut().map(ShardTables::split).unzip();
-    let new = Mutex::new(New {
+    let missing = missing_rows(&shards, own);
+    let rows: u64 = shards.iter().map(|shard| shard.digests.len() as u64).sum();
+    let tables = shards.iter_mut().map(|shard| std::mem::take(&mut shard.tables));
+    let mut writer = TableWriter {
         run,
-        tables,
-        done,
+        tables: tables.collect(),
+        done: done + rows - missing.len() as u64,
         total,
         flushed: Instant::now(),
-    });
+    };
+    run.ctx.progress.at(writer.done, total, "");
+    let outcome = measure_missing(run, stage, &shards, &missing, &mut writer);
+    // New measures are stored also after a failure or a cancellation.
+    writer.flush()?;
+    outcome?;
+    let finished = shards.into_iter().zip(&writer.tables);
+    let shards: Result<Vec<_>, _> = finished
+        .map(|(shard, tables)| shard.finish(tables, own))
+        .collect();
+    Ok(MeasuredShards {
+        shards: shards?,
+        measured: missing.len() as u64,
+    })
+}
+
+/// A row that must be measured.
+struct MissingRow {
+    /// Index of its shard.
+    shard: usize,
+    /// Index in its shard.
+    row: usize,
+    /// The tables that lack it.
+    tables: Vec<Table>,
+}
+
+/// Returns the rows that the stage's own table lacks, shard by shard.
+fn missing_rows(shards: &[ShardTables], own: Table) -> Vec<MissingRow> {
+    let mut rows = Vec::new();
+    for (index, shard) in shards.iter().enumerate() {
+        rows.extend(shard.missing.iter().map(|&row| MissingRow {
+            shard: index,
+            row,
+            tables: shard.lacking(row, own),
+        }));
+    }
+    rows
+}
+
+/// Measures rows and hands their measures to the writer, in any order.
+fn measure_missing(
+    run: &StageRun<'_>,
+    stage: &dyn Measure,
+    shards: &[ShardTables],
+    missing: &[MissingRow],
+    writer: &mut TableWriter<'_>,
+) -> Result<(), StageError> {
+    let writer = Mutex::new(writer);
     // What a measure stores is named by it, and not by the record of this node.
     let blobs = StoreBlobs::new(run.store);
     let ctx = run.with_blobs(&blobs);
-    let outcome = missing.par_iter().try_for_each(|(at, row, wanted)| {
+    missing.par_iter().try_for_each(|missing| {
         ctx.check()?;
-        let (rows, digests) = &views[*at];
-        let values = stage.measure(&ctx, &rows[*row], wanted)?;
-        if values.len() != wanted.len() {
-            let (got, asked) = (values.len(), wanted.len());
+        let shard = &shards[missing.shard];
+        let values = stage.measure(&ctx, &shard.rows.rows[missing.row], &missing.tables)?;
+        if values.len() != missing.tables.len() {
             return Err(contract_violation(format!(
-                "{got} measures came for {asked} tables"
+                "{} measures came for {} tables",
+                values.len(),
+                missing.tables.len()
             )));
         }
-        new.lock().add(*at, digests[*row], wanted, values)
-    });
-    // New measures are stored also after a failure or a cancellation.
-    new.into_inner().flush()?;
-    outcome?;
-    let measured = missing.len() as u64;
-    let shards: Result<Vec<_>, _> = read.into_iter().map(|shard| shard.finish(own)).collect();
-    Ok(MeasuredShards {
-        shards: shards?,
-        measured,
+        writer.lock().add(missing, shard.digests[missing.row], values)
     })
 }
 
@@ -152,7 +188,7 @@ pub(super) fn measure_shard(
     stage: &dyn Measure,
     shard: &ShardLeaves,
 ) -> Result<(MeasuredShard, u64), StageError> {
-    let mut read = measure(run, stage, &[shard], (0, rows_of(&shard.1)))?;
+    let mut read = measure(run, stage, &[shard], 0, rows_of(&shard.1))?;
     let shard = read.shards.pop();
     let shard = shard.ok_or_else(|| contract_violation("a shard was not read".to_owned()))?;
     Ok((shard, read.measured))
@@ -162,21 +198,21 @@ pub(super) fn measure_shard(
 pub(super) struct ShardTables {
     rows: ShardRows,
     digests: Vec<Digest>,
-    tables: Tables,
+    tables: KeptTables,
     /// Indices of the rows that the stage's own table lacks.
     pub(super) missing: Vec<usize>,
 }
 
-/// Rows, each with its digest.
-type RowsWithDigests<'a> = (&'a [Row], &'a [Digest]);
-/// The tables of a shard that take new measures.
-type NewTables<'a> = (u32, &'a mut Tables);
 /// Tables of one shard by their kind.
-type Tables = BTreeMap<Table, KeptTable>;
+#[derive(Default)]
+struct KeptTables {
+    shard: u32,
+    by_kind: BTreeMap<Table, KeptTable>,
+}
 
 /// A table and whether it has values that are not stored.
 #[derive(Default)]
-pub(super) struct KeptTable {
+struct KeptTable {
     measures: MeasureTable,
     is_new: bool,
 }
@@ -204,10 +240,14 @@ impl ShardTables {
             .filter(|(_, digest)| is_missing(digest))
             .map(|(at, _)| at)
             .collect();
-        let mut tables = Tables::from([(own, table)]);
+        let mut tables = KeptTables {
+            shard: rows.shard,
+            by_kind: BTreeMap::from([(own, table)]),
+        };
         if !missing.is_empty() {
             for other in stage.together().into_iter().filter(|other| *other != own) {
-                tables.insert(other, load(run.store, other, rows.shard)?);
+                let table = load(run.store, other, rows.shard)?;
+                tables.by_kind.insert(other, table);
             }
         }
         Ok(Self {
@@ -219,24 +259,16 @@ impl ShardTables {
     }
 
     /// Returns the tables that a missing row is measured for: the stage's own, and those that lack it too.
-    fn wanted(&self, row: usize, own: Table) -> Vec<Table> {
+    fn lacking(&self, row: usize, own: Table) -> Vec<Table> {
         let lacks = |table: &KeptTable| !table.measures.0.contains_key(&self.digests[row]);
-        let wanted = self
-            .tables
-            .iter()
-            .filter(|(kind, table)| **kind == own || lacks(table));
-        wanted.map(|(kind, _)| *kind).collect()
-    }
-
-    /// Returns what is read while rows are measured, and what is written.
-    fn split(&mut self) -> (RowsWithDigests<'_>, NewTables<'_>) {
-        let rows = (self.rows.rows.as_slice(), self.digests.as_slice());
-        (rows, (self.rows.shard, &mut self.tables))
+        let tables = self.tables.by_kind.iter();
+        let lacking = tables.filter(|(kind, table)| **kind == own || lacks(table));
+        lacking.map(|(kind, _)| *kind).collect()
     }
 
     /// Returns the rows with their measures.
-    fn finish(self, own: Table) -> Result<MeasuredShard, StageError> {
-        let table = self.tables.get(&own);
+    fn finish(self, tables: &KeptTables, own: Table) -> Result<MeasuredShard, StageError> {
+        let table = tables.by_kind.get(&own);
         let value = |digest: &Digest| table.and_then(|table| table.measures.0.get(digest).cloned());
         let values: Option<Vec<_>> = self.digests.iter().map(value).collect();
         Ok(MeasuredShard {
@@ -259,44 +291,40 @@ fn load(store: &Store, table: Table, shard: u32) -> Result<KeptTable, StageError
     })
 }
 
-/// The tables of some shards, with what is new in them.
-struct New<'a> {
+/// Adds new measures to the tables of some shards and stores them from time to time.
+struct TableWriter<'a> {
     run: &'a StageRun<'a>,
-    tables: Vec<NewTables<'a>>,
+    tables: Vec<KeptTables>,
+    /// Rows of the node that have a measure, for the progress.
     done: u64,
+    /// All rows of the node.
     total: u64,
     flushed: Instant,
 }
 
-impl New<'_> {
-    /// Adds the measures of a row; stores the tables if that is due.
-    fn add(
-        &mut self,
-        at: usize,
-        digest: Digest,
-        wanted: &[Table],
-        values: Vec<Vec<u8>>,
-    ) -> Result<(), StageError> {
-        for (kind, value) in wanted.iter().zip(values) {
-            if let Some(table) = self.tables[at].1.get_mut(kind) {
+impl TableWriter<'_> {
+    /// Adds the measures of a row, one for each of its tables; stores the tables if that is due.
+    fn add(&mut self, row: &MissingRow, digest: Digest, values: Vec<Vec<u8>>) -> Result<(), StageError> {
+        for (kind, value) in row.tables.iter().zip(values) {
+            if let Some(table) = self.tables[row.shard].by_kind.get_mut(kind) {
                 table.measures.0.insert(digest, Arc::from(value));
                 table.is_new = true;
             }
         }
         self.done += 1;
         self.run.ctx.progress.at(self.done, self.total, "");
-        match self.flushed.elapsed() >= FLUSH_INTERVAL {
-            true => self.flush(),
-            false => Ok(()),
+        if self.flushed.elapsed() >= FLUSH_INTERVAL {
+            self.flush()?;
         }
+        Ok(())
     }
 
     /// Stores the tables that have new measures.
     fn flush(&mut self) -> Result<(), StageError> {
         self.flushed = Instant::now();
-        for (shard, tables) in &mut self.tables {
-            for (kind, table) in tables.iter_mut().filter(|(_, table)| table.is_new) {
-                save(self.run, *kind, *shard, &table.measures)?;
+        for tables in &mut self.tables {
+            for (kind, table) in tables.by_kind.iter_mut().filter(|(_, table)| table.is_new) {
+                save(self.run, *kind, tables.shard, &table.measures)?;
                 table.is_new = false;
             }
         }
@@ -334,7 +362,7 @@ pub(super) fn keep_fetched(
         .iter()
         .map(|row| (row.id.as_str(), row_digest(row)))
         .collect();
-    let mut tables = Tables::new();
+    let mut tables: BTreeMap<Table, KeptTable> = BTreeMap::new();
     let mut measured = BTreeSet::new();
     for fetched in measures {
         let Some(digest) = digests.get(fetched.id.as_str()) else {

@@ -50,7 +50,7 @@ pub(super) fn shard_parts<P: Send>(
     for window in windows(&missing, |&at| rows_of(&shards[at].1)) {
         run.ctx.check()?;
         let leaves: Vec<&ShardLeaves> = window.iter().map(|&at| &shards[at]).collect();
-        let read = measure(run, stage, &leaves, (done, total))?;
+        let read = measure(run, stage, &leaves, done, total)?;
         measured += read.measured;
         done += read.rows();
         let made: Result<Vec<P>, StageError> = window

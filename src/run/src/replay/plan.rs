@@ -93,7 +93,7 @@ fn on_other_devices(nodes: &[&RunNode]) -> BTreeMap<String, NotMade> {
             action.backend.iter().chain(children)
         });
         let foreign = backends.into_iter().find(|backend| {
-            let here = here.get_or_insert_with(|| Device::default().backend_id());
+            let here = here.get_or_insert_with(|| marf_field_gpu::backend_id(&Device::default()));
             here.as_ref() != Some(backend)
         });
         let needed = node

@@ -118,7 +118,7 @@ fn of_training(node: &str, metrics: &Metrics) -> Vec<Knob> {
     };
     let other_device = match gpu {
         Some(_) => Some("cpu"),
-        None => Device::Auto.backend_id().map(|_| "gpu"),
+        None => marf_field_gpu::backend_id(&Device::Auto).map(|_| "gpu"),
     };
     let half_and_twice = |value: u32| vec![json!(value / 2), json!(value * 2)];
     let knob = |key: &str, values: Vec<Value>| Knob {

@@ -9,8 +9,7 @@ use marf_scene::{Camera, Frame, Photo, Scene, encode_png};
 use marf_schema::cameras::CamerasParams;
 use marf_schema::output::{CAMERAS, POINTS, SCENE, SPARSE, SPARSE_IMAGES, SPARSE_POINTS};
 use marf_stage::{
-    Ctx, Define, Inputs, Outputs, PHOTOS, ParamError, Params, Port, Set, Stage, StageError, Threads,
-    TypedOutputs, Work, key_params, rows_of,
+    Ctx, Inputs, Outputs, PHOTOS, Port, Set, StageError, Threads, TypedOutputs, rows_of, stage,
 };
 use nalgebra::Vector2;
 use rayon::prelude::*;
@@ -30,38 +29,19 @@ use undistort::{ideal, undistort};
 #[derive(Debug)]
 pub struct ExportCameras(CamerasParams);
 
-impl Define for ExportCameras {
-    type Params = CamerasParams;
-    const NAME: &'static str = <CamerasParams as Params>::STAGE;
-    const ABOUT: &'static str =
-        "writes cameras and photos as a folder for nerfstudio, instant-ngp and COLMAP, undistorted if asked";
-    const VERSION: u32 = 1;
-    const PORTS: &'static [Port] = &[
+stage! {
+    ExportCameras { 0: CamerasParams },
+    Set,
+    Threads::All,
+    about: "writes cameras and photos as a folder for nerfstudio, instant-ngp and COLMAP, undistorted if asked",
+    version: 1,
+    ports: [
         Port::required("input", SCENE),
         Port::required("input", SPARSE_IMAGES),
         Port::required("input", SPARSE_POINTS),
         Port::optional("photos", PHOTOS),
-    ];
-    const OUTPUTS: &'static [&'static str] = &[CAMERAS];
-
-    fn new(params: CamerasParams) -> Result<Self, ParamError> {
-        params.check()?;
-        Ok(Self(params))
-    }
-}
-
-impl Stage for ExportCameras {
-    fn params(&self) -> serde_json::Value {
-        key_params(&self.0, &[])
-    }
-
-    fn work(&self) -> Work<'_> {
-        Work::Set(self)
-    }
-
-    fn threads(&self) -> Threads {
-        Threads::All
-    }
+    ],
+    outputs: [CAMERAS],
 }
 
 impl Set for ExportCameras {

@@ -1,5 +1,7 @@
 //! Sparse points as PLY, which every viewer of point clouds reads.
 
+use marf_scene::ply::{HeaderWriter, push_float};
+
 use super::tracks::Tracks;
 
 /// Writes the points as binary little-endian PLY: x, y, z as f32, red, green, blue as u8.
@@ -7,19 +9,14 @@ use super::tracks::Tracks;
 /// # Extremes
 /// A coordinate beyond 3.4e38 is written as the largest f32 of its sign.
 pub fn write_ply(tracks: &Tracks) -> Vec<u8> {
-    let axes = ["x", "y", "z"].map(|axis| format!("property float {axis}\n"));
-    let colors = ["red", "green", "blue"].map(|color| format!("property uchar {color}\n"));
-    let header = format!(
-        "ply\nformat binary_little_endian 1.0\nelement vertex {}\n{}{}end_header\n",
-        tracks.points.len(),
-        axes.concat(),
-        colors.concat()
-    );
+    let header = HeaderWriter::new(&[])
+        .element("vertex", tracks.points.len())
+        .properties("float", &["x", "y", "z"])
+        .properties("uchar", &["red", "green", "blue"]);
     let mut bytes = header.into_bytes();
     for point in &tracks.points {
         for coordinate in point.position {
-            let coordinate = (coordinate as f32).clamp(f32::MIN, f32::MAX);
-            bytes.extend(coordinate.to_le_bytes());
+            push_float(&mut bytes, coordinate);
         }
         bytes.extend(point.color);
     }

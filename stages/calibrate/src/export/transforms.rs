@@ -112,7 +112,7 @@ mod tests {
     use nalgebra::Vector3;
 
     use super::*;
-    use crate::import::{read_ply, read_transforms};
+    use crate::import::read_transforms;
     use crate::{Tracks, write_ply};
 
     /// One camera off every axis, and points around what it looks at.
@@ -147,11 +147,8 @@ mod tests {
         let scene = scene();
         let read = read_transforms("transforms.json", write_transforms(&scene, &beside).as_bytes()).unwrap();
         assert_eq!(read.points.as_deref(), Some("points.ply"));
-        let points = read_ply(
-            "points.ply",
-            &write_ply(&Tracks::without_observations(&scene.points)),
-        )
-        .unwrap();
+        let written = write_ply(&Tracks::without_observations(&scene.points));
+        let points = marf_scene::ply::read_points(&written).unwrap();
         let (before, after) = (&scene.frames[0], &read.views[0]);
         let camera = after.lens.camera(640, 480).unwrap();
         for (ours, theirs) in scene.points.iter().zip(&points) {

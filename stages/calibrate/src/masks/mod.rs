@@ -8,10 +8,7 @@ use marf_cache::Digest;
 use marf_scene::{Image, Srgb, encode_png};
 use marf_schema::masks::{CameraReport, MasksParams, Metrics};
 use marf_schema::output::{MASKS, OVERLAY};
-use marf_stage::{
-    COMPANIONS, Ctx, Define, Document, Inputs, Outputs, PHOTOS, ParamError, Params, Port, Set, Stage,
-    StageError, Threads, Work,
-};
+use marf_stage::{COMPANIONS, Ctx, Document, Inputs, Outputs, PHOTOS, Port, Set, StageError, Threads, stage};
 use rayon::prelude::*;
 
 use crate::mask_files::{HIDDEN, OPEN, camera_name, shrunk, undistorted_mask};
@@ -34,35 +31,17 @@ const MARGIN: usize = 1;
 /// - Bad input: a photo that cannot be decoded stops the node.
 pub struct Masks(MasksParams);
 
-impl Define for Masks {
-    type Params = MasksParams;
-    const NAME: &'static str = <MasksParams as Params>::STAGE;
-    const ABOUT: &'static str = "proposes masks for what stands still while the camera moves";
-    const VERSION: u32 = 1;
-    const PORTS: &'static [Port] = &[
+stage! {
+    Masks { 0: MasksParams },
+    Set,
+    Threads::All,
+    about: "proposes masks for what stands still while the camera moves",
+    version: 1,
+    ports: [
         Port::required("input", PHOTOS),
         Port::optional("cameras", COMPANIONS),
-    ];
-    const OUTPUTS: &'static [&'static str] = &[Metrics::OUTPUT, MASKS, OVERLAY];
-
-    fn new(params: MasksParams) -> Result<Self, ParamError> {
-        params.check()?;
-        Ok(Self(params))
-    }
-}
-
-impl Stage for Masks {
-    fn params(&self) -> serde_json::Value {
-        marf_stage::key_params(&self.0, &[])
-    }
-
-    fn work(&self) -> Work<'_> {
-        Work::Set(self)
-    }
-
-    fn threads(&self) -> Threads {
-        Threads::All
-    }
+    ],
+    outputs: [Metrics::OUTPUT, MASKS, OVERLAY],
 }
 
 impl Set for Masks {

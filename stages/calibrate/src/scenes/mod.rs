@@ -12,10 +12,7 @@ use marf_cache::{Digest, manifest::ManifestError};
 use marf_schema::calibrate::CalibrateParams;
 use marf_schema::output::PHOTOS_OF;
 use marf_schema::scenes::{By, Scenes, ScenesParams, Stop};
-use marf_stage::{
-    COMPANIONS, Ctx, Define, Document, Inputs, Outputs, PHOTOS, ParamError, Params, Port, Set, Stage,
-    StageError, Threads, Work,
-};
+use marf_stage::{COMPANIONS, Ctx, Document, Inputs, Outputs, PHOTOS, Port, Set, StageError, Threads, stage};
 
 use self::by_label::{joined, places};
 use self::group::{Group, SplitInput, mean, name_apart};
@@ -34,36 +31,17 @@ use crate::sfm::{Overlap, capture_order, overlaps};
 ///   stops the node.
 pub struct SplitByPlace(ScenesParams);
 
-impl Define for SplitByPlace {
-    type Params = ScenesParams;
-    const NAME: &'static str = <ScenesParams as Params>::STAGE;
-    const ABOUT: &'static str =
-        "splits the photos of a mission by place; what reads it runs once for each scene";
-    const VERSION: u32 = 1;
-    const PORTS: &'static [Port] = &[
+stage! {
+    SplitByPlace { 0: ScenesParams },
+    Set,
+    Threads::All,
+    about: "splits the photos of a mission by place; what reads it runs once for each scene",
+    version: 1,
+    ports: [
         Port::required("input", PHOTOS),
         Port::optional("cameras", COMPANIONS),
-    ];
-    const OUTPUTS: &'static [&'static str] = &[Scenes::OUTPUT, PHOTOS, PHOTOS_OF];
-
-    fn new(params: ScenesParams) -> Result<Self, ParamError> {
-        params.check()?;
-        Ok(Self(params))
-    }
-}
-
-impl Stage for SplitByPlace {
-    fn params(&self) -> serde_json::Value {
-        marf_stage::key_params(&self.0, &[])
-    }
-
-    fn work(&self) -> Work<'_> {
-        Work::Set(self)
-    }
-
-    fn threads(&self) -> Threads {
-        Threads::All
-    }
+    ],
+    outputs: [Scenes::OUTPUT, PHOTOS, PHOTOS_OF],
 }
 
 impl Set for SplitByPlace {

@@ -9,9 +9,7 @@ use marf_numeric::upper_median;
 use marf_schema::output::SCENE;
 use marf_schema::ties::{Apart, LabelGap, SceneTie, Ties, TiesParams};
 use marf_sfm::align::{PointAlignment, Sighting, Similarity, align_points};
-use marf_stage::{
-    Ctx, Define, Document, Inputs, Outputs, ParamError, Params, Port, Set, Stage, StageError, Threads, Work,
-};
+use marf_stage::{Ctx, Document, Inputs, Outputs, Port, Set, StageError, Threads, stage};
 use nalgebra::Vector3;
 
 use self::common_frame::{common_frames, stored};
@@ -35,32 +33,14 @@ const MOST_SCALE: f64 = 1.1;
 /// - Bad input: a scene without points, or places that look alike, are told as apart.
 pub struct TieScenes(TiesParams);
 
-impl Define for TieScenes {
-    type Params = TiesParams;
-    const NAME: &'static str = <TiesParams as Params>::STAGE;
-    const ABOUT: &'static str = "how scenes lie to each other, where photos of both show the same ground";
-    const VERSION: u32 = 1;
-    const PORTS: &'static [Port] = &[Port::many("input", SCENE)];
-    const OUTPUTS: &'static [&'static str] = &[Ties::OUTPUT];
-
-    fn new(params: TiesParams) -> Result<Self, ParamError> {
-        params.check()?;
-        Ok(Self(params))
-    }
-}
-
-impl Stage for TieScenes {
-    fn params(&self) -> serde_json::Value {
-        marf_stage::key_params(&self.0, &[])
-    }
-
-    fn work(&self) -> Work<'_> {
-        Work::Set(self)
-    }
-
-    fn threads(&self) -> Threads {
-        Threads::All
-    }
+stage! {
+    TieScenes { 0: TiesParams },
+    Set,
+    Threads::All,
+    about: "how scenes lie to each other, where photos of both show the same ground",
+    version: 1,
+    ports: [Port::many("input", SCENE)],
+    outputs: [Ties::OUTPUT],
 }
 
 impl Set for TieScenes {

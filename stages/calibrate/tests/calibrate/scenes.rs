@@ -49,7 +49,7 @@ fn taken(files: &[DemoFile], file: &str) -> Taken {
         bands: photo.bands,
         sol: name.sol,
         instrument: Some(name.instrument.clone()),
-        prior: label.fit_camera(Some(&name), size_px, &mut Vec::new()),
+        prior: label.fit_camera(Some(&name), size_px.0, size_px.1, &mut Vec::new()),
         ..PhotoFacts::default()
     };
     (name.id, bytes(file).clone(), facts)

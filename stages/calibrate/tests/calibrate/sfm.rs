@@ -56,7 +56,7 @@ fn labelled(files: &[DemoFile], file: &str) -> Taken {
     let label = pds4::read(bytes(&format!("{stem}.xml"))).unwrap();
     let photo = Photo::decode(bytes(file)).unwrap();
     let mut notes = photo.notes;
-    let prior = label.fit_camera(Some(&name), (photo.image.width, photo.image.height), &mut notes);
+    let prior = label.fit_camera(Some(&name), photo.image.width, photo.image.height, &mut notes);
     notes.extend(label.notes);
     let facts = PhotoFacts {
         file: file.to_owned(),

@@ -67,8 +67,10 @@ fn eye(folder: &Path, product: &str) -> Eye {
     let developed = raw::develop(Some(&name), &with("img").unwrap(), detached.as_ref()).unwrap();
     let label = developed.attached.filter(|label| label.prior.is_some());
     let label = label.or(detached).unwrap();
-    let size = (developed.image.width, developed.image.height);
-    let prior = label.fit_camera(Some(&name), size, &mut Vec::new()).unwrap();
+    let (width, height) = (developed.image.width, developed.image.height);
+    let prior = label
+        .fit_camera(Some(&name), width, height, &mut Vec::new())
+        .unwrap();
     let options = FeatureOptions {
         max_features: 8192,
         ..FeatureOptions::default()

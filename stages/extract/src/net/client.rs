@@ -126,7 +126,7 @@ impl<'a> Batch<'a> {
     fn new(shared: &'a Arc<Shared>, runtime: &'a Runtime, downloads: &'a [Download]) -> Self {
         let mut waiting: BTreeMap<String, VecDeque<usize>> = BTreeMap::new();
         for (index, download) in downloads.iter().enumerate() {
-            let origin = download.urls.first().and_then(Origin::of);
+            let origin = download.urls.first().and_then(Origin::from_url);
             let host = origin.map_or_else(String::new, |origin| origin.authority());
             waiting.entry(host).or_default().push_back(index);
         }

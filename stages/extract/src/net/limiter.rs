@@ -39,7 +39,7 @@ impl HostLimiters {
     }
 
     /// The limiter of an origin's host and port.
-    pub(super) fn of(&self, origin: &Origin) -> Arc<HostLimiter> {
+    pub(super) fn limiter(&self, origin: &Origin) -> Arc<HostLimiter> {
         let name = origin.authority();
         let mut hosts = self.hosts.lock();
         let limiter = hosts.entry(name).or_insert_with_key(|name| self.shared(name));
@@ -162,7 +162,7 @@ mod tests {
     use super::*;
 
     fn limiter(host: &str, delay: Duration) -> Arc<HostLimiter> {
-        HostLimiters::new(2, delay).of(&Origin::parse(&format!("https://{host}")).unwrap())
+        HostLimiters::new(2, delay).limiter(&Origin::parse(&format!("https://{host}")).unwrap())
     }
 
     #[test]

@@ -54,7 +54,7 @@ impl Origin {
         if has_user(&url) {
             return Err(error("it holds a user name or password"));
         }
-        let origin = Self::of(&url).ok_or_else(|| error("it is neither https nor http with a host"))?;
+        let origin = Self::from_url(&url).ok_or_else(|| error("it is neither https nor http with a host"))?;
         if !origin.secure && !origin.is_loopback() {
             return Err(error("http is taken for a loopback host alone; use https"));
         }
@@ -62,7 +62,7 @@ impl Origin {
     }
 
     /// Returns the origin of an address, if it is http or https and has a host.
-    pub(crate) fn of(url: &Url) -> Option<Self> {
+    pub(crate) fn from_url(url: &Url) -> Option<Self> {
         let secure = match url.scheme() {
             "https" => true,
             "http" => false,
@@ -155,7 +155,7 @@ fn private_v6(address: Ipv6Addr) -> bool {
 
 /// Tells whether the first request may go there.
 pub(super) fn may_ask(allowed: &[Origin], url: &Url) -> bool {
-    !has_user(url) && Origin::of(url).is_some_and(|origin| allowed.contains(&origin))
+    !has_user(url) && Origin::from_url(url).is_some_and(|origin| allowed.contains(&origin))
 }
 
 /// Returns where a redirect leads, if it may be followed.
@@ -175,9 +175,9 @@ pub(super) fn redirected(allowed: &[Origin], from: &Url, location: &str) -> Resu
         .join(location)
         .map_err(|_| refused(cut(location), "it is no address"))?;
     let name = shown(&to);
-    let origin =
-        Origin::of(&to).ok_or_else(|| refused(name.clone(), "it is neither https nor http with a host"))?;
-    let start = Origin::of(from);
+    let origin = Origin::from_url(&to)
+        .ok_or_else(|| refused(name.clone(), "it is neither https nor http with a host"))?;
+    let start = Origin::from_url(from);
     if !origin.secure && start.as_ref().is_none_or(|start| start.secure) {
         return Err(refused(name, "from https to http"));
     }

@@ -34,7 +34,8 @@ pub(super) fn differs(kept: &Validators, answer: &Validators) -> bool {
 pub(super) fn rest(value: Option<&str>, from: u64, length: Option<u64>) -> Result<u64, String> {
     let value = value.ok_or("no Content-Range")?;
     let shown = || super::origin::cut(value);
-    let (first, last, total) = numbers(value).ok_or_else(|| format!("Content-Range `{}`", shown()))?;
+    let range = ContentRange::parse(value).ok_or_else(|| format!("Content-Range `{}`", shown()))?;
+    let ContentRange { first, last, total } = range;
     if first != from || last.checked_add(1) != Some(total) || first > last {
         return Err(format!("Content-Range `{}`, asked from {from}", shown()));
     }
@@ -44,16 +45,29 @@ pub(super) fn rest(value: Option<&str>, from: u64, length: Option<u64>) -> Resul
     Ok(total)
 }
 
-fn numbers(value: &str) -> Option<(u64, u64, u64)> {
-    let number = |text: &str| -> Option<u64> {
-        let digits = !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
-        digits.then(|| text.parse().ok()).flatten()
-    };
-    let (unit, rest) = value.trim().split_once(' ')?;
-    let (span, total) = rest.trim().split_once('/')?;
-    let (first, last) = span.split_once('-')?;
-    let bytes = unit.eq_ignore_ascii_case("bytes");
-    bytes.then_some((number(first)?, number(last)?, number(total)?))
+/// The numbers of a header `Content-Range`, in bytes.
+struct ContentRange {
+    first: u64,
+    last: u64,
+    total: u64,
+}
+
+impl ContentRange {
+    fn parse(value: &str) -> Option<Self> {
+        let number = |text: &str| -> Option<u64> {
+            let digits = !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
+            digits.then(|| text.parse().ok()).flatten()
+        };
+        let (unit, rest) = value.trim().split_once(' ')?;
+        let (span, total) = rest.trim().split_once('/')?;
+        let (first, last) = span.split_once('-')?;
+        let range = Self {
+            first: number(first)?,
+            last: number(last)?,
+            total: number(total)?,
+        };
+        unit.eq_ignore_ascii_case("bytes").then_some(range)
+    }
 }
 
 #[cfg(test)]

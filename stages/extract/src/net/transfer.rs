@@ -47,13 +47,13 @@ pub(super) struct Counters {
 
 impl Counters {
     pub(super) fn read(&self) -> Traffic {
-        let of = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
+        let count = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
         Traffic {
-            requests: of(&self.requests),
-            retries: of(&self.retries),
-            resumed: of(&self.resumed),
-            bytes: of(&self.bytes),
-            waited: Duration::from_millis(of(&self.waited_ms)),
+            requests: count(&self.requests),
+            retries: count(&self.retries),
+            resumed: count(&self.resumed),
+            bytes: count(&self.bytes),
+            waited: Duration::from_millis(count(&self.waited_ms)),
         }
     }
 }
@@ -99,7 +99,7 @@ impl Shared {
             let taken = partial
                 .taken()
                 .ok_or_else(|| failed(Some(first), NetErrorKind::Lost));
-            return taken.map(whole);
+            return taken.map(|(head, bytes)| whole(head, bytes));
         }
         self.mirrors(download, &mut partial).await
     }
@@ -155,9 +155,8 @@ impl Shared {
             };
             let kind = settled.err().unwrap_or(failure.kind);
             if !kind.worth_another_try() || tries >= most {
-                if let (true, Some(limiter)) = (kind.worth_another_try(), self.limiter(asked)) {
-                    limiter.failed(&kind);
-                }
+                let limiter = self.limiter(asked).filter(|_| kind.worth_another_try());
+                limiter.iter().for_each(|limiter| limiter.failed(&kind));
                 return Err(NetError {
                     url: shown(asked),
                     retryable: kind.worth_another_run(),
@@ -176,7 +175,7 @@ impl Shared {
     }
 
     fn limiter(&self, url: &Url) -> Option<std::sync::Arc<HostLimiter>> {
-        Origin::of(url).map(|origin| self.limiters.of(&origin))
+        Origin::from_url(url).map(|origin| self.limiters.limiter(&origin))
     }
 
     /// Sends the request, and those that its redirects lead to.
@@ -206,7 +205,7 @@ impl Shared {
                 drop(place);
                 continue;
             }
-            return self.answer(asked, &url, class, response, &limiter, partial).await;
+            return self.answer(asked, &url, class, response, partial).await;
         }
         Err(NetErrorKind::TooManyRedirects(shown(&url)).into())
     }
@@ -219,7 +218,7 @@ impl Shared {
         known: Option<&Validators>,
         partial: &PartialDownload,
     ) -> Result<(RequestBuilder, Asked), NetErrorKind> {
-        let secure = Origin::of(url).is_some_and(|origin| origin.is_secure());
+        let secure = Origin::from_url(url).is_some_and(|origin| origin.is_secure());
         let client = if secure {
             self.secure.as_ref()
         } else {
@@ -258,9 +257,9 @@ impl Shared {
         url: &Url,
         class: StatusClass,
         response: Response,
-        limiter: &HostLimiter,
         partial: &mut PartialDownload,
     ) -> Result<Answer, Failure> {
+        let limiter = self.limiter(url).ok_or(NetErrorKind::NotAllowed)?;
         let status = response.status().as_u16();
         match class {
             StatusClass::Whole | StatusClass::Rest => {
@@ -322,7 +321,7 @@ impl Shared {
                 .map_err(|_| self.stalled(at))?
                 .map_err(broken)?;
             let Some(chunk) = chunk else {
-                return partial.finish().map(whole);
+                return partial.finish().map(|(head, bytes)| whole(head, bytes));
             };
             add(&self.counters.bytes, chunk.len() as u64);
             partial.push(&chunk)?;
@@ -341,7 +340,7 @@ impl Shared {
     }
 }
 
-fn whole((head, bytes): (Head, Vec<u8>)) -> Answer {
+fn whole(head: Head, bytes: Vec<u8>) -> Answer {
     Answer::Whole {
         bytes,
         url: head.url,

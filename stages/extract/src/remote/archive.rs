@@ -10,9 +10,9 @@ use parking_lot::{Mutex, MutexGuard};
 use super::catalog::{CatalogSource, Question, SolFiles, SolListing};
 use super::lock::{self, Lock, OpenLock, SolPins};
 use super::network::Network;
-use super::online::{Online, damaged};
+use super::online::Online;
 use super::pages::Pages;
-use super::summary::Summaries;
+use super::summary::{Summaries, damaged};
 use crate::archive::access::RemoteContext;
 use crate::net::{Client, ClientSettings};
 use marf_stage::Sols;
@@ -103,11 +103,6 @@ impl RemoteArchive {
         &self.lock
     }
 
-    /// Returns the server.
-    pub(super) fn source(&self) -> &dyn CatalogSource {
-        self.source.as_ref()
-    }
-
     /// Returns in words which products of a sol are taken.
     pub(super) fn selection(&self) -> String {
         self.source.selection()
@@ -169,7 +164,7 @@ impl RemoteArchive {
         let mut listing = Listing::default();
         for sol in &chosen {
             ctx.check()?;
-            let fingerprint = match summaries.of(*sol) {
+            let fingerprint = match summaries.get(*sol) {
                 Ok(found) => found.map(|found| found.fingerprint),
                 Err(error) => Some(damaged(&mut listing, *sol, &error)),
             };
@@ -188,7 +183,7 @@ impl RemoteArchive {
         let lock = self.lock.open()?;
         let summaries = self.summaries(ctx, &lock);
         let selection = self.selection();
-        let complete = |sol: u32| summaries.of(sol).ok().flatten().and_then(|found| found.complete);
+        let complete = |sol: u32| summaries.get(sol).ok().flatten().and_then(|found| found.complete);
         let is_pinned = |sol: u32| complete(sol).as_ref() == Some(&selection);
         let mut state = self.state.lock();
         let pages = self.pages(ctx, &mut state);
@@ -201,8 +196,11 @@ impl RemoteArchive {
         let catalog = self.source.catalog(question, pages);
         pages.save();
         let catalog = catalog?;
+        let remembered = |sol: u32| self.remembered(ctx, sol);
         let mut online = Online {
-            archive: self,
+            source: self.source.as_ref(),
+            place: &self.lock,
+            remembered: &remembered,
             ctx,
             pages,
             lock: &lock,
@@ -268,7 +266,7 @@ impl RemoteArchive {
             .or_else(|| self.remembered(ctx, sol))
             .unwrap_or_default();
         let files = match listing {
-            SolListing::Pinned => Some(SolFiles::of_pins(&pins)),
+            SolListing::Pinned => Some(SolFiles::from_pins(&pins)),
             SolListing::Pages(paths) => {
                 let mut state = self.state.lock();
                 let pages = self.pages(ctx, &mut state);

@@ -140,7 +140,7 @@ impl SolFiles {
     }
 
     /// Returns what the lock names of a sol.
-    pub fn of_pins(pins: &SolPins) -> Self {
+    pub fn from_pins(pins: &SolPins) -> Self {
         let file = |pin: &Pin| RemoteFile {
             urls: Url::parse(&pin.url).into_iter().collect(),
             cap_bytes: pin.bytes,

@@ -72,14 +72,14 @@ pub(super) fn sol(
             break;
         }
         // What another process pinned meanwhile is of this sol too, under the addresses that gave it.
-        for (name, file) in SolFiles::of_pins(&work.pins).files {
+        for (name, file) in SolFiles::from_pins(&work.pins).files {
             listed.files.entry(name).or_insert(file);
         }
     }
     archive.remember(ctx, sol, &work.pins);
     Ok(ShardFiles {
         files: work.files(),
-        fingerprint: Some(SolFiles::of_pins(&work.pins).fingerprint(&work.pins)),
+        fingerprint: Some(SolFiles::from_pins(&work.pins).fingerprint(&work.pins)),
         warnings: work.warnings,
     })
 }

@@ -3,18 +3,21 @@
 use marf_cache::{Digest, digest_of};
 use marf_stage::{Ctx, Listing, Shard, StageError};
 
-use super::archive::RemoteArchive;
-use super::catalog::SolListing;
-use super::lock::{Change, OpenLock, SolPins};
+use super::catalog::{CatalogSource, SolListing};
+use super::lock::{Change, Lock, OpenLock, SolPins};
 use super::pages::Pages;
-use super::summary::{Listed, Summaries};
+use super::summary::{Listed, Summaries, damaged, one_line};
 
 /// Sols whose lost pins are written together, so that not all are in memory at once.
 const RESTORED_AT_ONCE: usize = 32;
 
 /// Compares what a server has with what is pinned, sol by sol.
 pub(super) struct Online<'a> {
-    pub archive: &'a RemoteArchive,
+    pub source: &'a dyn CatalogSource,
+    /// Where pins are written.
+    pub place: &'a Lock,
+    /// Returns the pins of a sol that the store has.
+    pub remembered: &'a dyn Fn(u32) -> Option<SolPins>,
     pub ctx: &'a Ctx<'a>,
     pub pages: &'a Pages,
     pub lock: &'a OpenLock,
@@ -28,7 +31,7 @@ pub(super) struct Online<'a> {
 impl Online<'_> {
     /// Adds a sol, if the server has anything of it.
     pub fn add(&mut self, sol: u32, listing: &SolListing) -> Result<(), StageError> {
-        let summary = match self.summaries.of(sol) {
+        let summary = match self.summaries.get(sol) {
             Ok(summary) => summary,
             Err(error) => {
                 let fingerprint = damaged(&mut self.listing, sol, &error);
@@ -53,7 +56,7 @@ impl Online<'_> {
         if summary.is_none() && self.summaries.is_empty(sol, &digest) {
             return Ok(());
         }
-        let Some(files) = self.archive.source().files(self.pages, sol, paths)? else {
+        let Some(files) = self.source.files(self.pages, sol, paths)? else {
             // Its pages are damaged: they are asked for again when it is brought.
             self.push(sol, digest_of(&("lost", digest)), 0);
             return Ok(());
@@ -82,7 +85,7 @@ impl Online<'_> {
 
     /// Returns the pins of a sol that the lock lacks and the store has; they are written again.
     fn remembered(&mut self, sol: u32) -> Result<Option<SolPins>, StageError> {
-        let Some(pins) = self.archive.remembered(self.ctx, sol) else {
+        let Some(pins) = (self.remembered)(sol) else {
             return Ok(None);
         };
         self.restored.push(Change {
@@ -105,11 +108,11 @@ impl Online<'_> {
         if restored.is_empty() {
             return Ok(());
         }
-        match self.archive.lock().write(self.ctx, restored) {
+        match self.place.write(self.ctx, restored) {
             Ok(written) => self.listing.warnings.extend(written.notice),
             Err(StageError::Cancelled) => return Err(StageError::Cancelled),
             Err(error) => {
-                let warning = format!("pins that the store has are not written: {}", told(&error));
+                let warning = format!("pins that the store has are not written: {}", one_line(&error));
                 self.listing.warnings.push(warning);
             }
         }
@@ -122,23 +125,5 @@ impl Online<'_> {
             shard: sol,
             fingerprint,
         });
-    }
-}
-
-/// Tells of pins that cannot be read, and returns a fingerprint that no result has: the sol fails when it is brought.
-pub(super) fn damaged(listing: &mut Listing, sol: u32, error: &StageError) -> Digest {
-    listing.warnings.push(told(error));
-    digest_of(&("damaged", sol))
-}
-
-/// Returns an error in one line, with its cause.
-fn told(error: &StageError) -> String {
-    match error {
-        StageError::Failed {
-            message,
-            cause: Some(cause),
-            ..
-        } => format!("{message}: {cause}"),
-        other => other.to_string(),
     }
 }

@@ -5,8 +5,8 @@ use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use marf_cache::Digest;
-use marf_stage::StageError;
+use marf_cache::{Digest, digest_of};
+use marf_stage::{Listing, StageError};
 use serde::{Deserialize, Serialize};
 
 use super::catalog::SolFiles;
@@ -80,7 +80,7 @@ impl<'a> Summaries<'a> {
     ///
     /// # Errors
     /// A file that cannot be read.
-    pub fn of(&self, sol: u32) -> Result<Option<Summary>, StageError> {
+    pub fn get(&self, sol: u32) -> Result<Option<Summary>, StageError> {
         if let Some(summary) = self.now.borrow().sols.get(&sol) {
             return Ok(Some(summary.clone()));
         }
@@ -146,7 +146,25 @@ fn summary(pins: &SolPins) -> Summary {
     Summary {
         state: None,
         complete: pins.complete.clone(),
-        fingerprint: SolFiles::of_pins(pins).fingerprint(pins),
+        fingerprint: SolFiles::from_pins(pins).fingerprint(pins),
         listed: None,
+    }
+}
+
+/// Tells of pins that cannot be read, and returns a fingerprint that no result has: the sol fails when it is brought.
+pub(super) fn damaged(listing: &mut Listing, sol: u32, error: &StageError) -> Digest {
+    listing.warnings.push(one_line(error));
+    digest_of(&("damaged", sol))
+}
+
+/// Returns an error in one line, with its cause.
+pub(super) fn one_line(error: &StageError) -> String {
+    match error {
+        StageError::Failed {
+            message,
+            cause: Some(cause),
+            ..
+        } => format!("{message}: {cause}"),
+        other => other.to_string(),
     }
 }

@@ -2,7 +2,7 @@
 
 use std::hint::black_box;
 
-use marf_field::bench::simd::{Block, InstructionSet, Isa, Kernel, LANES, Run};
+use marf_field::cpu::simd::{Block, InstructionSet, Isa, Kernel, LANES, Run};
 
 use crate::clock::{Threads, best};
 

@@ -8,11 +8,12 @@
 mod ceilings;
 #[expect(dead_code, reason = "shared with the bench of whole steps")]
 mod clock;
+mod data;
 #[expect(dead_code, reason = "shared with the bench of whole steps")]
 mod work;
 
 use clock::Threads;
-use marf_field::bench::simd::InstructionSet;
+use marf_field::cpu::simd::InstructionSet;
 use work::Field;
 
 fn main() {

@@ -3,21 +3,21 @@
 use std::fmt;
 use std::hint::black_box;
 
-use marf_field::bench::adam::{Adam, Bias, Moments};
-use marf_field::bench::clearance::Clearance;
-use marf_field::bench::composite::{Colours, Depths, ExpNeg, Gather, Ray, Spread};
-use marf_field::bench::encode::{Lookup, Points, Scatter, Shape};
-use marf_field::bench::march::{Bits, March, Samples, Steps};
-use marf_field::bench::net::{Layer, Net};
-use marf_field::bench::simd::{Block, InstructionSet, LANES, Run, Stripe, flat_mut};
+use marf_field::cpu::adam::{Adam, Bias, Moments};
+use marf_field::cpu::clearance::Clearance;
+use marf_field::cpu::composite::{Colours, Depths, ExpNeg, Gather, Ray, Spread};
+use marf_field::cpu::encode::{Lookup, Scatter, Shape};
+use marf_field::cpu::march::{March, Samples, Steps};
+use marf_field::cpu::net::{Layer, Net, Slopes};
+use marf_field::cpu::simd::{InstructionSet, LANES, Run, Stripe};
+use marf_field::cpu::space::Bits;
 
 use marf_field::{Config, Facts};
 
 use crate::ceilings;
 use crate::clock::{Threads, best, once};
+use crate::data::{RAY, blocks, numbers, points, samples, whole};
 
-/// Samples a ray.
-const RAY: usize = 64;
 /// Samples a task of a network.
 const CHUNK: usize = 768;
 
@@ -92,57 +92,44 @@ impl fmt::Display for Limits {
 }
 
 impl Field {
-    pub fn new(
-        name: &'static str,
-        levels: u32,
-        features: usize,
-        log2_table: u32,
-        width: usize,
-        layers: usize,
-    ) -> Self {
-        let growth = (2048_f64 / 16.0).powf(1.0 / f64::from(levels - 1));
-        let side = |level: u32| (16.0 * growth.powi(level as i32)).round() as u32;
-        let mut color = vec![32];
-        color.extend(std::iter::repeat_n(width, layers));
-        color.push(16);
-        Self {
-            name,
-            features,
-            shapes: (0..levels)
-                .map(|level| Shape::new(side(level), log2_table))
-                .collect(),
-            density: vec![levels as usize * features, width, 16],
-            color,
-        }
-    }
-
-    pub fn fixed() -> Self {
-        Self::new("fixed", 16, 2, 19, 64, 2)
-    }
-
-    pub fn default() -> Self {
-        Self::new("default", 8, 4, 15, 32, 1)
-    }
-
-    /// Returns the shape of a field that was trained.
-    pub fn of(facts: &Facts, config: &Config) -> Self {
-        let levels = facts.levels.iter();
+    fn new(name: &'static str, config: &Config, shapes: Vec<Shape>) -> Self {
+        let features = config.features as usize;
         let mut color = vec![32];
         color.extend((0..config.color_layers).map(|_| config.color_width as usize));
         color.push(16);
         Self {
-            name: "trained",
-            features: config.features as usize,
-            shapes: levels
-                .map(|level| Shape::new(level.resolution, facts.sizes.log2_table.value))
-                .collect(),
-            density: vec![
-                facts.levels.len() * config.features as usize,
-                config.density_width as usize,
-                16,
-            ],
+            name,
+            features,
+            density: vec![shapes.len() * features, config.density_width as usize, 16],
+            shapes,
             color,
         }
+    }
+
+    /// Returns a field whose levels have 16 to 2048 cells a side.
+    fn graded(name: &'static str, config: &Config, levels: u32, log2_table: u32) -> Self {
+        let growth = (2048_f64 / 16.0).powf(1.0 / f64::from(levels - 1));
+        let side = |level: u32| (16.0 * growth.powi(level as i32)).round() as u32;
+        let shapes = (0..levels).map(|level| Shape::new(side(level), log2_table));
+        Self::new(name, config, shapes.collect())
+    }
+
+    pub fn fixed() -> Self {
+        Self::graded("fixed", &Config::fixed(), 16, 19)
+    }
+
+    pub fn default() -> Self {
+        Self::graded("default", &Config::default(), 8, 15)
+    }
+
+    /// Returns the shape of a field that was trained.
+    pub fn from_facts(facts: &Facts, config: &Config) -> Self {
+        let log2_table = facts.sizes.log2_table.value;
+        let shapes = facts
+            .levels
+            .iter()
+            .map(|level| Shape::new(level.resolution, log2_table));
+        Self::new("trained", config, shapes.collect())
     }
 
     /// Returns how many numbers the tables hold.
@@ -170,54 +157,6 @@ impl Field {
         let table = |shape: &Shape| numbers(shape.entries as usize * self.features, 3);
         self.shapes.iter().map(table).collect()
     }
-}
-
-/// Samples of a run; plain Rust calls a function for every multiply-add.
-fn samples(level: InstructionSet) -> usize {
-    if matches!(level, InstructionSet::Plain(_)) {
-        1 << 13
-    } else {
-        1 << 16
-    }
-}
-
-/// Uniform in [-1, 1].
-fn numbers(count: usize, seed: u64) -> Vec<f32> {
-    let mut state = seed;
-    let draw = |_| {
-        state = state
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1_442_695_040_888_963_407);
-        (state >> 40) as f32 / 8_388_608.0 - 1.0
-    };
-    (0..count).map(draw).collect()
-}
-
-fn blocks(count: usize, seed: u64) -> Vec<Block> {
-    let mut blocks = vec![Block::default(); count];
-    flat_mut(&mut blocks).copy_from_slice(&numbers(count * LANES, seed));
-    blocks
-}
-
-/// Points along rays through the unit box, a step of sqrt(3) / 1024 apart.
-fn points(count: usize) -> [Vec<f32>; 3] {
-    let random = numbers(count / RAY * 6, 5);
-    let mut axes = [const { Vec::new() }; 3];
-    for ray in random.chunks_exact(6) {
-        let norm = ray[3..].iter().map(|part| part * part).sum::<f32>().sqrt();
-        for step in 0..RAY {
-            let t = step as f32 * 1.732 / 1024.0;
-            for axis in 0..3 {
-                let at = ray[axis] * 0.5 + 0.5 + ray[3 + axis] / norm * t;
-                axes[axis].push(at.clamp(0.0, 1.0));
-            }
-        }
-    }
-    axes
-}
-
-fn whole([x, y, z]: &[Vec<f32>; 3]) -> Points<'_> {
-    Points { x, y, z }
 }
 
 /// Level by level over all points, as long as one level's table is in the cache.
@@ -297,14 +236,26 @@ fn scatter(field: &Field, level: InstructionSet, threads: &Threads, limits: &Lim
     ]
 }
 
+/// A network, and the products that a sample takes.
+struct NetWork {
+    net: Net,
+    forward: usize,
+    backward: usize,
+}
+
 /// One chunk of samples again and again, as many as training takes at once.
 fn network(
-    (net, products): &(Net, [usize; 2]),
+    work: &NetWork,
     level: InstructionSet,
     threads: &Threads,
     peak: f64,
     direction: Direction,
 ) -> [f64; 2] {
+    let NetWork {
+        net,
+        forward,
+        backward,
+    } = work;
     let width = |layer: Option<&Layer>, side: fn(&Layer) -> usize| layer.map_or(0, side);
     let inputs = width(net.layers.first(), |layer| layer.inputs);
     let outputs = width(net.layers.last(), |layer| layer.outputs);
@@ -315,23 +266,15 @@ fn network(
         );
         let (mut activations, mut gradients) = (Vec::new(), Vec::new());
         net.shape_gradients(&mut gradients);
-        let (mut slope, mut spare) = (Vec::new(), Vec::new());
+        let mut back = Slopes::default();
         best(|| {
             net.forward(level, &input, &mut activations);
             if direction == Direction::Both {
-                slope.clone_from(&slopes);
-                net.backward(
-                    level,
-                    &input,
-                    &activations,
-                    &mut slope,
-                    &mut spare,
-                    &mut gradients,
-                );
+                back.rows.clone_from(&slopes);
+                net.backward(level, &input, &activations, &mut back, &mut gradients);
             }
         })
     });
-    let [forward, backward] = products;
     let sums = if direction == Direction::Both {
         forward + backward
     } else {
@@ -342,21 +285,28 @@ fn network(
 
 impl Field {
     /// The density network, and the products a sample forward and backward.
-    fn density_net(&self) -> (Net, [usize; 2]) {
+    fn density_net(&self) -> NetWork {
         let forward: usize = self.density.windows(2).map(|pair| pair[0] * pair[1]).sum();
-        (drawn(Net::new(&self.density)), [forward, 2 * forward])
+        NetWork {
+            net: drawn(Net::new(&self.density)),
+            forward,
+            backward: 2 * forward,
+        }
     }
 
     /// The colour network: gradients of 3 of its outputs, carried back to the first 16 inputs.
-    fn color_net(&self) -> (Net, [usize; 2]) {
+    fn color_net(&self) -> NetWork {
         const USED: usize = 3;
         let widths = &self.color;
         let products: Vec<usize> = widths.windows(2).map(|pair| pair[0] * pair[1]).collect();
         let forward: usize = products.iter().sum();
         let (inputs, last) = (widths[0], widths[widths.len() - 2]);
         let left_out = (inputs - LANES) * widths[1] + (LANES - USED) * last;
-        let net = drawn(Net::new(widths).carrying(USED, 1));
-        (net, [forward, 2 * forward - left_out])
+        NetWork {
+            net: drawn(Net::new(widths).carrying(USED, 1)),
+            forward,
+            backward: 2 * forward - left_out,
+        }
     }
 }
 

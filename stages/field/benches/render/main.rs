@@ -7,7 +7,7 @@
     reason = "criterion's macros write public functions; a bench that cannot go on should stop"
 )]
 
-#[path = "../gpu/scene.rs"]
+#[path = "../step/scene.rs"]
 mod scene;
 
 use std::hint::black_box;

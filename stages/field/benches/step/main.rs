@@ -12,7 +12,8 @@
 mod ceilings;
 #[path = "../kernels/clock.rs"]
 mod clock;
-#[path = "../gpu/scene.rs"]
+#[path = "../kernels/data.rs"]
+mod data;
 mod scene;
 #[path = "../kernels/work.rs"]
 #[expect(dead_code, reason = "shared with the bench of the kernels")]
@@ -20,8 +21,9 @@ mod work;
 
 use clock::Threads;
 use marf_field::Config;
-use marf_field::bench::simd::InstructionSet;
-use marf_field::bench::{Counts, PARTS, Part, Watched, WatchedTraining};
+use marf_field::cpu::simd::InstructionSet;
+use marf_field::watch::{PARTS, Part};
+use marf_field::{Counts, StepProfile, WatchedTraining};
 use work::Field;
 
 /// Name, cells a side of the finest level, binary logarithm of the table.
@@ -74,10 +76,10 @@ fn table(config: &Config, steps: usize, level: InstructionSet, threads: &Threads
         for _ in 0..steps / PERIOD {
             block();
         }
-        let blocks: Vec<Watched> = (0..steps / PERIOD).map(|_| block()).collect();
+        let blocks: Vec<StepProfile> = (0..steps / PERIOD).map(|_| block()).collect();
         (training.facts(), blocks)
     });
-    let median = |number: &dyn Fn(&Watched) -> f64| {
+    let median = |number: &dyn Fn(&StepProfile) -> f64| {
         let mut numbers: Vec<f64> = blocks.iter().map(number).collect();
         numbers.sort_by(f64::total_cmp);
         numbers[numbers.len() / 2]
@@ -88,7 +90,7 @@ fn table(config: &Config, steps: usize, level: InstructionSet, threads: &Threads
         count(|counts| counts.visited),
         count(|counts| counts.samples),
     ];
-    let alone = alone(&Field::of(&facts, config), level, threads, counts);
+    let alone = alone(&Field::from_facts(&facts, config), level, threads, counts);
     println!("| part | ms a step | its kernel alone | of the part |\n|---|---|---|---|");
     let (mut parts_s, mut kernels_s) = (0.0, 0.0);
     for (index, (part, kernel_s)) in PARTS.into_iter().zip(alone).enumerate() {
@@ -120,12 +122,12 @@ fn table(config: &Config, steps: usize, level: InstructionSet, threads: &Threads
 }
 
 /// Returns the mean of some steps.
-fn mean(steps: Vec<Watched>) -> Watched {
+fn mean(steps: Vec<StepProfile>) -> StepProfile {
     let count = steps.len() as f64;
     let sum = |number: fn(&Counts) -> u64| {
         steps.iter().map(|step| number(&step.counts)).sum::<u64>() / count as u64
     };
-    Watched {
+    StepProfile {
         counts: Counts {
             rays: sum(|counts| counts.rays),
             visited: sum(|counts| counts.visited),

@@ -1,7 +1,7 @@
 //! How far empty space reaches around a point of the contracted box.
 
-use super::march::{Bits, contract};
 use super::simd::{Block, Isa, LANES};
+use super::space::{Bits, contract};
 
 /// Occupancy cells of a clearance cell a side: 64^3 bytes for 128^3 cells stay in the second cache.
 const COARSE: usize = 2;
@@ -30,7 +30,7 @@ impl Clearance {
         let mut row = vec![u8::MAX; side + 2];
         for (y, z) in rows() {
             let beside = [(y - 1, z - 1), (y, z - 1), (y + 1, z - 1), (y - 1, z)];
-            clearance.lower(&mut row, (y, z), beside);
+            clearance.lower(&mut row, y, z, beside);
             for x in 1..=side {
                 row[x] = row[x].min(row[x - 1].saturating_add(1));
             }
@@ -38,7 +38,7 @@ impl Clearance {
         }
         for (y, z) in rows().rev() {
             let beside = [(y + 1, z + 1), (y, z + 1), (y - 1, z + 1), (y + 1, z)];
-            clearance.lower(&mut row, (y, z), beside);
+            clearance.lower(&mut row, y, z, beside);
             for x in (1..=side).rev() {
                 row[x] = row[x].min(row[x + 1].saturating_add(1));
             }
@@ -85,12 +85,12 @@ impl Clearance {
     }
 
     /// Copies a row, lowered to one more than the cells beside it in four other rows.
-    fn lower(&self, row: &mut [u8], (y, z): (usize, usize), beside: [(usize, usize); 4]) {
+    fn lower(&self, row: &mut [u8], y: usize, z: usize, beside: [(usize, usize); 4]) {
         let side = self.side + 2;
-        let row_at = |(y, z): (usize, usize)| &self.cells[(z * side + y) * side..][..side];
-        row.copy_from_slice(row_at((y, z)));
-        for beside in beside {
-            let beside = row_at(beside);
+        let row_at = |y: usize, z: usize| &self.cells[(z * side + y) * side..][..side];
+        row.copy_from_slice(row_at(y, z));
+        for (y, z) in beside {
+            let beside = row_at(y, z);
             let (before, after) = (&beside[..self.side], &beside[2..]);
             let beside = before.iter().zip(&beside[1..]).zip(after);
             for (cell, ((before, here), after)) in row[1..].iter_mut().zip(beside) {

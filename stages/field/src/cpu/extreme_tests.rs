@@ -4,8 +4,9 @@
 use super::adam::{Adam, Bias, Moments};
 use super::composite::{Depths, ExpNeg, RAW_LIMIT, RAW_SHIFT, Ray, runs_away};
 use super::encode::{Lookup, Points, Shape};
-use super::march::{Bits, March, Samples, Steps};
+use super::march::{March, Samples, Steps};
 use super::simd::{Block, InstructionSet, LANES, Run, Stripe};
+use super::space::Bits;
 
 const S: usize = 64;
 const SLOPE: [f32; 3] = [0.7, -0.3, 0.9];

@@ -66,11 +66,11 @@ impl Product<'_> {
                 numbers: flat(self.a),
                 row: inner,
                 step: 1,
+                steps,
             },
             b: self.b,
             across: self.across,
             c: self.c,
-            steps,
             columns: self.columns,
             after: self.after,
         };
@@ -105,11 +105,11 @@ impl Kernel for Outer<'_> {
                     numbers: flat(a),
                     row: 1,
                     step: self.inner,
+                    steps: d.len() / self.columns,
                 },
                 b: d,
                 across: self.columns,
                 c: self.g,
-                steps: d.len() / self.columns,
                 columns: self.columns,
                 after: After::Added,
             };
@@ -124,7 +124,6 @@ struct Tiles<'a> {
     b: &'a [Block],
     across: usize,
     c: &'a mut [Block],
-    steps: usize,
     columns: usize,
     after: After<'a>,
 }
@@ -159,7 +158,7 @@ impl Tiles<'_> {
                 }
             }
             let a = self.a.from_row(first);
-            add_products(isa, &mut sums, a, &self.b[column..], self.across, self.steps);
+            add_products(isa, &mut sums, a, &self.b[column..], self.across);
             for row in 0..MR {
                 let at = (first + row) * self.columns + column;
                 let c = &mut self.c[at..][..NV];

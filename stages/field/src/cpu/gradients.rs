@@ -3,7 +3,7 @@
 use super::composite::{LOGIT_LIMIT, RAW_LIMIT, Ray, colour, colour_slope};
 use super::encode::{Lookup, Points, Scatter, Shape};
 use super::math::{exp, one_minus_exp_neg};
-use super::net::Net;
+use super::net::{Net, Slopes};
 use super::simd::{Block, InstructionSet, LANES, Run, Stripe, flat, flat_mut};
 use crate::rng::{Purpose, Rng};
 
@@ -221,19 +221,19 @@ fn a_network_sends_back_the_slopes_of_the_f64_twin() {
         .step_by(7)
         .map(|index| slope(|at| net_loss(&net, rows, flat(&d), at), &at, index))
         .collect();
-    let (mut activations, mut spare, mut gradients) = (vec![], vec![], vec![]);
+    let (mut activations, mut gradients) = (vec![], vec![]);
     net.shape_gradients(&mut gradients);
     net.forward(InstructionSet::best(), &input, &mut activations);
-    let mut back = d.clone();
+    let mut back = Slopes::default();
+    back.rows.clone_from(&d);
     net.backward(
         InstructionSet::best(),
         &input,
         &activations,
         &mut back,
-        &mut spare,
         &mut gradients,
     );
-    let found: Vec<f32> = flat(&back)
+    let found: Vec<f32> = flat(&back.rows)
         .iter()
         .chain(gradients.iter().flat_map(|layer| flat(layer)))
         .copied()

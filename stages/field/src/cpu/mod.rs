@@ -12,10 +12,13 @@ pub mod march;
 pub mod math;
 pub mod net;
 pub mod simd;
+pub mod space;
 
 #[cfg(test)]
 mod extreme_tests;
 #[cfg(test)]
 mod gradients;
+#[cfg(test)]
+mod lookup_tests;
 #[cfg(test)]
 mod twins;

@@ -39,6 +39,15 @@ impl Layer {
     }
 }
 
+/// Gradients on their way back through the layers, row by row.
+#[derive(Default)]
+pub struct Slopes {
+    /// Those of the outputs of one layer.
+    pub rows: Vec<Block>,
+    /// Memory for those of the layer below.
+    spare: Vec<Block>,
+}
+
 /// Layers in order.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Net {
@@ -112,17 +121,17 @@ impl Net {
 
     /// Carries gradients back.
     ///
-    /// `slope` holds the gradient of the output, zero where it is not used, and receives that of the input, as many blocks a
-    /// row as are wanted; `spare` is memory. `gradients` are overwritten.
+    /// `slopes` hold the gradient of the output, zero where it is not used, and receive that of the input, as many blocks a row as
+    /// are wanted. `gradients` are overwritten.
     pub fn backward(
         &self,
         level: InstructionSet,
         input: &[Block],
         activations: &[Vec<Block>],
-        slope: &mut Vec<Block>,
-        spare: &mut Vec<Block>,
+        slopes: &mut Slopes,
         gradients: &mut [Vec<Block>],
     ) {
+        let Slopes { rows: slope, spare } = slopes;
         for (index, layer) in self.layers.iter().enumerate().rev() {
             let below = if index == 0 {
                 input

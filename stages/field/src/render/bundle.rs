@@ -1,10 +1,12 @@
 //! What the rays of neighbouring pixels share: the steps at which one of them may meet matter.
 
-use super::MIDDLE;
 use crate::cpu::clearance::Clearance;
 use crate::cpu::march::Steps;
 use crate::cpu::simd::{Block, Isa, Kernel, LANES};
 use crate::frame::RayStart;
+
+/// Every sample lies in the middle of its step.
+pub const MIDDLE: f32 = 0.5;
 
 /// The middle of some rays that begin at one point, and how far they spread.
 #[derive(Clone, Copy)]

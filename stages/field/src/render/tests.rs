@@ -1,10 +1,16 @@
 //! Pictures against the slow path: every step of every ray, one ray at a time.
 
+use super::bundle::{Bundle, NearMatter};
 use super::lattice::{Lattice, STRIP};
 use super::*;
 use crate::Field;
+use crate::cpu::clearance::Clearance;
 use crate::cpu::composite::{Gather, Ray};
-use crate::cpu::march::{Bits, March, Samples};
+use crate::cpu::march::{March, Samples, Steps};
+use crate::cpu::simd::{InstructionSet, Run};
+use crate::cpu::space::Bits;
+use crate::frame::RayStart;
+use crate::model::Model;
 use crate::rng::{Purpose, Rng};
 use crate::sh;
 use crate::shade::{Shade, Span};

@@ -1,7 +1,8 @@
 //! Rays that are traced together: as one ends, the next one takes its place.
 
+use super::bundle::MIDDLE;
 use super::lattice::TILE;
-use super::{Accuracy, MIDDLE, StripRays, Viewpoint};
+use super::viewpoint::{Accuracy, StripRays, Viewpoint};
 use crate::cpu::march::{March, Steps};
 use crate::cpu::simd::{Isa, Kernel, Run};
 use crate::frame::RayStart;

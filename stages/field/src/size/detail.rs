@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 
-use super::{Chosen, grouped};
+use super::choice::{Choice, grouped};
 use crate::View;
 
 /// Sides of the largest and of the smallest patch, pixels; what a smallest one cannot draw takes a cell a pixel.
@@ -18,8 +18,8 @@ const BLOCKS: usize = 2048;
 const POINTS: usize = 4096;
 
 /// Returns the detail of fields that do not tell theirs: their tables had room for every pixel.
-pub(super) fn detail_before() -> Chosen<f64> {
-    Chosen::new(1.0, "not measured: all pixels count")
+pub(super) fn detail_before() -> Choice<f64> {
+    Choice::new(1.0, "not measured: all pixels count")
 }
 
 /// Returns how many numbers a pixel the surface takes in the photos, in (0, 1]: 1 where every pixel differs from its neighbours, 1/256 of a
@@ -29,7 +29,7 @@ pub(super) fn detail_before() -> Chosen<f64> {
 /// the thing than it has. `points`: those by which the cells of the surface are counted. Blocks with such a point count, not sky or ground without
 /// any; all do if there are no points. Transparent pixels do not count, masked ones do. Where no block is left, or photos are thinned so that
 /// neighbours are gone, it is 1.
-pub(super) fn detail(views: &[View], points: &[[f64; 3]]) -> Chosen<f64> {
+pub(super) fn detail(views: &[View], points: &[[f64; 3]]) -> Choice<f64> {
     let stride = points.len().div_ceil(POINTS).max(1);
     let points: Vec<_> = points.iter().step_by(stride).map(|p| Vector3::from(*p)).collect();
     let blocks: Vec<Block> = views.iter().flat_map(|view| blocks(view, &points)).collect();
@@ -40,7 +40,7 @@ pub(super) fn detail(views: &[View], points: &[[f64; 3]]) -> Chosen<f64> {
         let reason = format!(
             "no {LARGEST} x {LARGEST} neighbouring pixels of a photo show the surface: all pixels count"
         );
-        return Chosen::new(1.0, reason);
+        return Choice::new(1.0, reason);
     };
     let shown = if points.is_empty() {
         ""
@@ -51,7 +51,7 @@ pub(super) fn detail(views: &[View], points: &[[f64; 3]]) -> Chosen<f64> {
         "three quarters of {} blocks of {LARGEST} x {LARGEST} pixels{shown} take at most {share:.3} numbers a pixel: corners of bilinear patches of {SMALLEST} to {LARGEST} pixels a side, and single pixels, that draw them to within {TOLERANCE} gray levels",
         grouped(shares.len() as u64)
     );
-    Chosen::new(*share, reason)
+    Choice::new(*share, reason)
 }
 
 /// Returns the whole blocks of a photo that show a point, or all without points, whose pixels are all kept and not all transparent, in the

@@ -2,9 +2,9 @@
 
 use nalgebra::Vector3;
 
-use super::{Chosen, grouped};
-use crate::cpu::march::contract;
+use super::choice::{Choice, grouped};
 use crate::cpu::math::root;
+use crate::cpu::space::contract;
 use crate::distances::{Depths, SHARP};
 use crate::frame::{Frame, MOST_FINEST, percentile};
 use crate::{Config, View};
@@ -26,11 +26,11 @@ pub(super) fn finest(
     depths: &Result<Depths, String>,
     frame: &Frame,
     views: &[View],
-) -> Chosen<u32> {
+) -> Choice<u32> {
     scaled(finest_asked(config, depths, frame, views), config)
 }
 
-pub(super) fn scaled(asked: Chosen<u32>, config: &Config) -> Chosen<u32> {
+pub(super) fn scaled(asked: Choice<u32>, config: &Config) -> Choice<u32> {
     let factor = config.finest_factor;
     if factor == 1.0 {
         return asked;
@@ -39,7 +39,7 @@ pub(super) fn scaled(asked: Chosen<u32>, config: &Config) -> Chosen<u32> {
     let most = f64::from(asked.value.max(MOST_FINEST).max(config.base_resolution));
     let cells = (factor * f64::from(asked.value)).round().clamp(least, most);
     let reason = format!("`finest_factor` is {factor}; {}", asked.reason);
-    Chosen::new(cells as u32, reason)
+    Choice::new(cells as u32, reason)
 }
 
 /// Returns the cells a side that are as wide as a pixel: of the contracted box, which is 4 half sides wide.
@@ -48,9 +48,9 @@ fn finest_asked(
     depths: &Result<Depths, String>,
     frame: &Frame,
     views: &[View],
-) -> Chosen<u32> {
+) -> Choice<u32> {
     if let Some(finest) = config.finest_resolution {
-        return Chosen::said(finest, "finest_resolution");
+        return Choice::said(finest, "finest_resolution");
     }
     let (footprint, reason) = match depths {
         Ok(Depths {
@@ -75,13 +75,13 @@ fn finest_asked(
         }
     };
     let cells = (4.0 / footprint).ceil().clamp(16.0, f64::from(MOST_FINEST)) as u32;
-    Chosen::new(cells.max(config.base_resolution), reason)
+    Choice::new(cells.max(config.base_resolution), reason)
 }
 
 /// Returns the fewest levels whose growth is at most 2, of those that fill blocks of 16 features.
-pub(super) fn levels(config: &Config, finest: u32) -> Chosen<u32> {
+pub(super) fn levels(config: &Config, finest: u32) -> Choice<u32> {
     if let Some(levels) = config.levels {
-        return Chosen::said(levels, "levels");
+        return Choice::said(levels, "levels");
     }
     let (base, features) = (config.base_resolution, config.features);
     let growth = |levels: u32| root(f64::from(finest) / f64::from(base), levels - 1);
@@ -104,27 +104,27 @@ pub(super) fn levels(config: &Config, finest: u32) -> Chosen<u32> {
             growth(fewer)
         );
     }
-    Chosen::new(levels, reason)
+    Choice::new(levels, reason)
 }
 
 /// Cells of the finest level that hold surface.
 ///
 /// Sparse points are counted by cells as small as they are dense enough for; a surface meets 4 times the cells when
 /// their side is halved.
-pub(super) fn surface_cells(views: &[View], points: &[[f64; 3]], frame: &Frame, finest: u32) -> Chosen<u64> {
+pub(super) fn surface_cells(views: &[View], points: &[[f64; 3]], frame: &Frame, finest: u32) -> Choice<u64> {
     let found = counted(points, frame, finest);
     let surface = found.unwrap_or_else(|| {
         let side = u64::from(finest).div_ceil(2);
         let reason =
             format!("no surface of sparse points: the six faces of the inner box, {side} cells a side");
-        Chosen::new(6 * side * side, reason)
+        Choice::new(6 * side * side, reason)
     });
     let size = |view: &View| u64::from(view.camera.width) * u64::from(view.camera.height);
     let pixels: u64 = views.iter().map(size).sum();
     if surface.value <= pixels {
         return surface;
     }
-    Chosen::new(
+    Choice::new(
         pixels,
         format!(
             "one a pixel of the photos, fewer than {} ({})",
@@ -134,7 +134,7 @@ pub(super) fn surface_cells(views: &[View], points: &[[f64; 3]], frame: &Frame, 
     )
 }
 
-fn counted(points: &[[f64; 3]], frame: &Frame, finest: u32) -> Option<Chosen<u64>> {
+fn counted(points: &[[f64; 3]], frame: &Frame, finest: u32) -> Option<Choice<u64>> {
     let inside = |point: &[f64; 3]| {
         // Far above any scene and below the end of f32.
         let at = frame
@@ -165,24 +165,24 @@ fn counted(points: &[[f64; 3]], frame: &Frame, finest: u32) -> Option<Chosen<u64
         grouped(cells as u64),
         ratio * ratio
     );
-    Some(Chosen::new(value, reason))
+    Some(Choice::new(value, reason))
 }
 
 /// Returns the table, with the shift of a search.
-pub(super) fn log2_table(config: &Config, cells: u64, detail: f64) -> Chosen<u32> {
+pub(super) fn log2_table(config: &Config, cells: u64, detail: f64) -> Choice<u32> {
     let asked = log2_table_asked(config, cells, detail);
     let shift = config.log2_table_shift;
     if shift == 0 {
         return asked;
     }
     let log2 = asked.value.saturating_add_signed(shift).clamp(8, 24);
-    Chosen::new(log2, format!("`log2_table_shift` is {shift}; {}", asked.reason))
+    Choice::new(log2, format!("`log2_table_shift` is {shift}; {}", asked.reason))
 }
 
 /// Returns the table for four cells of the surface that hold detail an entry, but no more entries than the training has samples to fill.
-fn log2_table_asked(config: &Config, cells: u64, detail: f64) -> Chosen<u32> {
+fn log2_table_asked(config: &Config, cells: u64, detail: f64) -> Choice<u32> {
     if let Some(log2) = config.log2_table {
-        return Chosen::said(log2, "log2_table");
+        return Choice::said(log2, "log2_table");
     }
     let [least, most] = TABLES;
     let detailed = (cells as f64 * detail).ceil() as u64;
@@ -197,7 +197,7 @@ fn log2_table_asked(config: &Config, cells: u64, detail: f64) -> Chosen<u32> {
         grouped(cells)
     );
     let Some(steps) = config.steps else {
-        return Chosen::new(
+        return Choice::new(
             wanted,
             format!("{scene}; how long it will be trained is not known"),
         );
@@ -210,9 +210,9 @@ fn log2_table_asked(config: &Config, cells: u64, detail: f64) -> Chosen<u32> {
         grouped(config.batch_samples.into())
     );
     if filled < wanted {
-        return Chosen::new(filled, format!("the budget decides: {budget}; {scene}"));
+        return Choice::new(filled, format!("the budget decides: {budget}; {scene}"));
     }
-    Chosen::new(wanted, format!("the scene decides: {scene}; {budget}"))
+    Choice::new(wanted, format!("the scene decides: {scene}; {budget}"))
 }
 
 /// Returns the binary logarithm of the table that so many samples fill: 2^15 at 2^23.5 samples, 4 times as large at 8

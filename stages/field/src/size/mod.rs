@@ -1,5 +1,6 @@
 //! How large a field need be: near, far, levels and table, each beside the number that decided it.
 
+mod choice;
 mod detail;
 mod grid;
 mod pulls;
@@ -12,6 +13,7 @@ use crate::cpu::march::Steps;
 use crate::distances::Depths;
 use crate::frame::{FAR, Frame, MOST_FINEST};
 use crate::{Config, FieldError, View};
+pub use choice::{Choice, grouped};
 use detail::{detail, detail_before};
 use grid::{finest, levels, log2_table, scaled, surface_cells};
 use pulls::{
@@ -19,47 +21,37 @@ use pulls::{
 };
 use rays::{NEAR, NEARER, far, halvings, near};
 
-/// A number and what decided it.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Chosen<T> {
-    /// The number.
-    pub value: T,
-    /// A sentence with the number that decided it.
-    pub reason: String,
-}
-
 /// What the scene, or a key of the configuration, decides about the size of a field; the box is a [`Frame`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Sizes {
     /// Distance of the first sample from the camera, half sides of the box.
-    pub near: Chosen<f64>,
+    pub near: Choice<f64>,
     /// Distance of the last sample from the camera, half sides.
-    pub far: Chosen<f64>,
+    pub far: Choice<f64>,
     /// Cells a side of the finest level, over the whole contracted box.
-    pub finest: Chosen<u32>,
+    pub finest: Choice<u32>,
     /// Levels of the grid.
-    pub levels: Chosen<u32>,
+    pub levels: Choice<u32>,
     /// Cells of the finest level that the surface passes through.
-    pub surface_cells: Chosen<u64>,
+    pub surface_cells: Choice<u64>,
     /// Share of them that its detail in the photos asks for: 1 where every pixel differs from its neighbours.
     #[serde(default = "detail_before")]
-    pub detail: Chosen<f64>,
+    pub detail: Choice<f64>,
     /// Binary logarithm of the most entries of a level.
-    pub log2_table: Chosen<u32>,
+    pub log2_table: Choice<u32>,
     /// Times that the steps along rays are halved in training, at most.
-    pub halvings: Chosen<u32>,
+    pub halvings: Choice<u32>,
     /// Weight of the distortion loss at the start and at the end of the training; between it goes with the square of the share
     /// that is done.
     #[serde(default = "distortion_before")]
-    pub distortion: Chosen<[f64; 2]>,
+    pub distortion: Choice<[f64; 2]>,
     /// Steps after which sparse points no longer pull.
     #[serde(default = "depth_steps_before")]
-    pub depth_steps: Chosen<u32>,
+    pub depth_steps: Choice<u32>,
     /// Pull of the tables to zero at the start, see [`Config::table_decay`].
     #[serde(default = "table_decay_before")]
-    pub table_decay: Chosen<f64>,
+    pub table_decay: Choice<f64>,
 }
 
 /// Derives all sizes; a key that is set wins over the scene.
@@ -89,27 +81,27 @@ pub fn derive(views: &[View], points: &[[f64; 3]], config: &Config, frame: &Fram
 
 impl Sizes {
     /// Returns the largest sizes that any scene asks for under these keys.
-    pub(crate) fn most(config: &Config) -> Self {
+    pub fn most(config: &Config) -> Self {
         let any = "any scene";
         let finest = config.finest_resolution.unwrap_or(MOST_FINEST);
-        let finest = scaled(Chosen::new(finest, any), config).value;
+        let finest = scaled(Choice::new(finest, any), config).value;
         Self {
-            near: Chosen::new(NEAR, any),
-            far: Chosen::new(FAR, any),
-            finest: Chosen::new(finest.max(config.base_resolution), any),
+            near: Choice::new(NEAR, any),
+            far: Choice::new(FAR, any),
+            finest: Choice::new(finest.max(config.base_resolution), any),
             levels: levels(config, finest),
-            surface_cells: Chosen::new(u64::MAX, any),
-            detail: Chosen::new(1.0, any),
+            surface_cells: Choice::new(u64::MAX, any),
+            detail: Choice::new(1.0, any),
             log2_table: log2_table(config, u64::MAX, 1.0),
-            halvings: Chosen::new(0, any),
-            distortion: Chosen::new([0.0; 2], any),
-            depth_steps: Chosen::new(1, any),
-            table_decay: Chosen::new(0.0, any),
+            halvings: Choice::new(0, any),
+            distortion: Choice::new([0.0; 2], any),
+            depth_steps: Choice::new(1, any),
+            table_decay: Choice::new(0.0, any),
         }
     }
 
     /// Returns the table that the same scene asks for in a training of so many steps.
-    pub(crate) fn log2_table_after(&self, config: &Config, steps: u64) -> u32 {
+    pub fn log2_table_after(&self, config: &Config, steps: u64) -> u32 {
         let config = Config {
             steps: Some(steps),
             ..config.clone()
@@ -121,7 +113,7 @@ impl Sizes {
     ///
     /// The shortest step is `min_step`, or that of `cone` at the nearest matter if that is less: close-ups get steps of as
     /// many pixels as all else.
-    pub(crate) fn steps(&self, config: &Config, halvings: u32) -> Steps {
+    pub fn steps(&self, config: &Config, halvings: u32) -> Steps {
         let share = 0.5_f64.powi(halvings.min(MOST_HALVINGS) as i32);
         let nearest = self.near.value / NEARER;
         let shortest = config.min_step.min(config.cone * nearest) * share;
@@ -130,7 +122,7 @@ impl Sizes {
     }
 
     /// Checks that these sizes, which another program may have written, can be used.
-    pub(crate) fn check(&self, config: &Config) -> Result<(), FieldError> {
+    pub fn check(&self, config: &Config) -> Result<(), FieldError> {
         let finest = self.finest.value;
         if finest < config.base_resolution || finest > 1 << 20 {
             let value = f64::from(finest);
@@ -170,28 +162,4 @@ impl Sizes {
         };
         keys.check()
     }
-}
-
-impl<T> Chosen<T> {
-    fn new(value: T, reason: impl Into<String>) -> Self {
-        let reason = reason.into();
-        Self { value, reason }
-    }
-
-    fn said(value: T, key: &str) -> Self {
-        Self::new(value, format!("`{key}` says so"))
-    }
-}
-
-/// Writes a count in groups of three digits.
-pub fn grouped(count: u64) -> String {
-    let digits = count.to_string();
-    let mut text = String::new();
-    for (index, digit) in digits.chars().enumerate() {
-        if index > 0 && (digits.len() - index).is_multiple_of(3) {
-            text.push(',');
-        }
-        text.push(digit);
-    }
-    text
 }

@@ -1,6 +1,6 @@
 //! What pulls at a field beside its photos, and by how much.
 
-use super::{Chosen, grouped};
+use super::choice::{Choice, grouped};
 use crate::Config;
 
 /// Fewer photos than this are few: matter is to gather on surfaces before one of them alone explains it.
@@ -17,40 +17,41 @@ const FEW_POINTS_A_PHOTO: usize = 50;
 const TABLE_DECAY_OF_FEWEST: f64 = 1e-5;
 
 /// Returns the weights of fields that do not tell theirs: they were trained before it followed the photos.
-pub(super) fn distortion_before() -> Chosen<[f64; 2]> {
-    Chosen::new([1e-3; 2], "the same for all scenes")
+pub(super) fn distortion_before() -> Choice<[f64; 2]> {
+    Choice::new([1e-3; 2], "the same for all scenes")
 }
 
 /// Returns the weights of the distortion loss at the start and at the end.
-pub(super) fn distortion(config: &Config, photos: usize, has_points: bool) -> Chosen<[f64; 2]> {
+pub(super) fn distortion(config: &Config, photos: usize, has_points: bool) -> Choice<[f64; 2]> {
     if let Some(weight) = config.distortion {
-        return Chosen::said([weight; 2], "distortion");
+        return Choice::said([weight; 2], "distortion");
     }
     if photos < FEW_PHOTOS && has_points {
         let reason = format!(
             "{photos} photos to train on are fewer than {FEW_PHOTOS}, and sparse points tell where matter is: the same from the start, before one photo alone explains it"
         );
-        return Chosen::new(DISTORTION_OF_FEW, reason);
+        return Choice::new(DISTORTION_OF_FEW, reason);
     }
-    let why = match photos < FEW_PHOTOS {
-        true => "no sparse points tell where matter is".to_owned(),
-        false => format!("{photos} photos to train on, {FEW_PHOTOS} or more, find where matter is"),
+    let why = if photos < FEW_PHOTOS {
+        "no sparse points tell where matter is".to_owned()
+    } else {
+        format!("{photos} photos to train on, {FEW_PHOTOS} or more, find where matter is")
     };
     let reason = format!("{why}: it grows from 0 with the square of the share of the training that is done");
-    Chosen::new(DISTORTION_OF_MANY, reason)
+    Choice::new(DISTORTION_OF_MANY, reason)
 }
 
 /// Returns the steps of fields that do not tell theirs: they were trained before these followed the training.
-pub(super) fn depth_steps_before() -> Chosen<u32> {
-    Chosen::new(LONGEST_PULL, "the same for all scenes")
+pub(super) fn depth_steps_before() -> Choice<u32> {
+    Choice::new(LONGEST_PULL, "the same for all scenes")
 }
 
 /// Returns the steps after which sparse points no longer pull.
 ///
 /// They tell early where matter is. Until the end they would blur what many photos show; few photos need them longer: `benches/field.md`.
-pub(super) fn depth_steps(config: &Config, photos: usize, points: usize) -> Chosen<u32> {
+pub(super) fn depth_steps(config: &Config, photos: usize, points: usize) -> Choice<u32> {
     if let Some(steps) = config.depth_steps {
-        return Chosen::said(steps, "depth_steps");
+        return Choice::said(steps, "depth_steps");
     }
     let most = grouped(LONGEST_PULL.into());
     let (steps, reason) = match config.steps {
@@ -73,33 +74,33 @@ pub(super) fn depth_steps(config: &Config, photos: usize, points: usize) -> Chos
             ),
         ),
     };
-    Chosen::new(steps, reason)
+    Choice::new(steps, reason)
 }
 
 /// Returns the pull of fields that do not tell theirs: they were trained before there was one.
-pub(super) fn table_decay_before() -> Chosen<f64> {
-    Chosen::new(0.0, "none")
+pub(super) fn table_decay_before() -> Choice<f64> {
+    Choice::new(0.0, "none")
 }
 
 /// Returns the pull of the tables to zero at the start.
 ///
 /// Fields of few photos from far apart show specks where one of them looks: a pull smooths these. It keeps details small, too, hence it
 /// fades, and photos that are more, or overlap, have none: `benches/field.md`.
-pub(super) fn table_decay(config: &Config, photos: usize, points: usize) -> Chosen<f64> {
+pub(super) fn table_decay(config: &Config, photos: usize, points: usize) -> Choice<f64> {
     if let Some(pull) = config.table_decay {
-        return Chosen::said(pull, "table_decay");
+        return Choice::said(pull, "table_decay");
     }
     let why = match (photos <= FEWEST_PHOTOS, points < FEW_POINTS_A_PHOTO * photos) {
         (true, true) => {
             let reason = format!(
                 "{photos} photos to train on, {FEWEST_PHOTOS} or fewer, and {points} sparse points, fewer than {FEW_POINTS_A_PHOTO} a photo: what they tell nothing of is to stay smooth; it falls to 0 with the square of the share of the training that is left"
             );
-            return Chosen::new(TABLE_DECAY_OF_FEWEST, reason);
+            return Choice::new(TABLE_DECAY_OF_FEWEST, reason);
         }
         (true, false) => format!(
             "{points} sparse points of {photos} photos to train on, {FEW_POINTS_A_PHOTO} a photo or more, tell where matter is"
         ),
         (false, _) => format!("{photos} photos to train on, more than {FEWEST_PHOTOS}"),
     };
-    Chosen::new(0.0, format!("{why}: it would keep details small"))
+    Choice::new(0.0, format!("{why}: it would keep details small"))
 }

@@ -1,6 +1,6 @@
 //! Where along a ray a field is looked at: from where, how far, in steps of what length.
 
-use super::Chosen;
+use super::choice::Choice;
 use crate::config::MOST_HALVINGS;
 use crate::distances::Depths;
 use crate::frame::{FAR, percentile};
@@ -15,13 +15,13 @@ const FARTHER: f64 = 8.0;
 /// The last steps are at most so many pixels long at their distance.
 const PIXELS_A_STEP: f64 = 1.0;
 
-pub(super) fn near(config: &Config, depths: &Result<Depths, String>) -> Chosen<f64> {
+pub(super) fn near(config: &Config, depths: &Result<Depths, String>) -> Choice<f64> {
     if let Some(near) = config.near {
-        return Chosen::said(near, "near");
+        return Choice::said(near, "near");
     }
     let near = match depths {
-        Err(why) => Chosen::new(NEAR, format!("{why}: {NEAR} half sides of the box")),
-        Ok(Depths { nearest, .. }) => Chosen::new(
+        Err(why) => Choice::new(NEAR, format!("{why}: {NEAR} half sides of the box")),
+        Ok(Depths { nearest, .. }) => Choice::new(
             (NEARER * nearest).clamp(1e-4, FAR),
             format!(
                 "99 % of the sparse points that cameras see are farther than {nearest:.4} half sides; half of that"
@@ -29,21 +29,21 @@ pub(super) fn near(config: &Config, depths: &Result<Depths, String>) -> Chosen<f
         ),
     };
     match config.far {
-        Some(far) if near.value >= far => Chosen::new(0.5 * far, format!("half of `far`, which is {far}")),
+        Some(far) if near.value >= far => Choice::new(0.5 * far, format!("half of `far`, which is {far}")),
         _ => near,
     }
 }
 
-pub(super) fn far(config: &Config, depths: &Result<Depths, String>) -> Chosen<f64> {
+pub(super) fn far(config: &Config, depths: &Result<Depths, String>) -> Choice<f64> {
     if let Some(far) = config.far {
-        return Chosen::said(far, "far");
+        return Choice::said(far, "far");
     }
     let far = match depths {
-        Err(why) => Chosen::new(
+        Err(why) => Choice::new(
             FAR,
             format!("{why}: {FAR} half sides, beyond which no cell of the finest level is resolved"),
         ),
-        Ok(Depths { farthest, most, .. }) => Chosen::new(
+        Ok(Depths { farthest, most, .. }) => Choice::new(
             (FARTHER * farthest).min(*most),
             format!(
                 "99 % of the sparse points that cameras see are nearer than {farthest:.4} half sides; {FARTHER} times that, at most {most:.0}"
@@ -54,13 +54,13 @@ pub(super) fn far(config: &Config, depths: &Result<Depths, String>) -> Chosen<f6
     if far.value > near {
         return far;
     }
-    Chosen::new(2.0 * near, format!("twice `near`, which is {near}"))
+    Choice::new(2.0 * near, format!("twice `near`, which is {near}"))
 }
 
 /// Returns how often steps must be halved to end at the width of a pixel or less.
-pub(super) fn halvings(config: &Config, views: &[View]) -> Chosen<u32> {
+pub(super) fn halvings(config: &Config, views: &[View]) -> Choice<u32> {
     if let Some(halvings) = config.halvings {
-        return Chosen::said(halvings, "halvings");
+        return Choice::said(halvings, "halvings");
     }
     let mut focals: Vec<f64> = views.iter().map(|view| view.camera.fx_px).collect();
     let focal_px = percentile(&mut focals, 0.5);
@@ -72,5 +72,5 @@ pub(super) fn halvings(config: &Config, views: &[View]) -> Chosen<u32> {
         "a step of `cone` is {pixels:.1} pixels long (focal length {focal_px:.0} px); it ends at {:.2}, the first at most {PIXELS_A_STEP} or the {MOST_HALVINGS}th",
         length(halvings)
     );
-    Chosen::new(halvings, reason)
+    Choice::new(halvings, reason)
 }

@@ -7,7 +7,7 @@ use marf_stage::{Ctx, Define, FoldState, Measured, StageError, Verdict};
 
 use super::nearest::Nearest;
 use super::photo::ComparedPhoto;
-use super::{Duplicate, DuplicateRule};
+use super::rule::{Duplicate, DuplicateRule};
 use crate::candidates::{Candidates, PhotoKeys};
 use crate::decision::Decision;
 use crate::index::Search;

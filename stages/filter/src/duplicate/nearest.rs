@@ -6,7 +6,7 @@ use marf_cache::manifest::Row;
 use marf_stage::{Ctx, StageError};
 
 use super::photo::ComparedPhoto;
-use super::{Duplicate, compared};
+use super::rule::{Duplicate, compared};
 use crate::decision::Decision;
 use crate::kept::{KeptPhoto, Reader};
 use crate::relation::{Relation, Relative, relation_between};

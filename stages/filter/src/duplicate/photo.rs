@@ -7,11 +7,12 @@ use marf_stage::{Measured, StageError, Verdict};
 
 use crate::by_hand::ByHand;
 use crate::candidates::PhotoKeys;
+use crate::decision::undecodable;
 use crate::descriptor::ViewDescriptor;
-use crate::filter::{Facts, undecodable};
+use crate::facts::Facts;
 use crate::kept::KeptPhoto;
 use crate::relation::{Relative, processing_rank};
-use crate::survey::{measured, unreadable};
+use crate::section::{measured, unreadable};
 
 /// A photo of the sol that is decided on.
 #[derive(Debug)]
@@ -34,7 +35,7 @@ const MIN_COLOUR: f64 = 0.014;
 impl<'a> ComparedPhoto<'a> {
     /// Reads a photo with its descriptor; the inner error is the verdict of a photo that could not be decoded.
     pub(super) fn read(item: &Measured<'a>, by_hand: &ByHand) -> Result<Result<Self, Verdict>, StageError> {
-        let facts = Facts::of(item.row)?;
+        let facts = Facts::from_row(item.row)?;
         let descriptor = match measured(item.measure, item.row)? {
             Ok(descriptor) => ViewDescriptor::decode(descriptor),
             Err(reason) => return Ok(Err(undecodable(item.row, &facts, reason))),
@@ -45,7 +46,7 @@ impl<'a> ComparedPhoto<'a> {
             keys: PhotoKeys {
                 size: descriptor.size,
                 hashes: descriptor.hashes,
-                relation: Relative::of(item.row, &facts).keys(),
+                relation: Relative::from_row(item.row, &facts).keys(),
             },
             planes: descriptor.planes,
             sharpness: descriptor.sharpness,
@@ -61,7 +62,7 @@ impl<'a> ComparedPhoto<'a> {
     }
 
     pub(super) fn relative(&self) -> Relative<'a> {
-        Relative::of(self.row, &self.facts)
+        Relative::from_row(self.row, &self.facts)
     }
 
     /// Returns what photos of this sol and of later ones compare it by.

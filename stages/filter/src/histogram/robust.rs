@@ -3,11 +3,11 @@
 //! The first pass finds the medians of the cumulative shares of all bins and the quartiles of lost areas, the second the
 //! medians and quartiles of the distances to the former.
 
-use super::{Histogram, HistogramParams, UsualHistogram};
+use super::params::{Histogram, HistogramParams};
+use super::usual::{LOST_AREAS, UsualHistogram, UsualTones};
 use crate::bytes::{put_number, take_number};
-use crate::comparison::Pass;
 use crate::decision::Decision;
-use crate::filter::{MeasuredPhoto, Stored};
+use crate::filter::{MeasuredPhoto, Pass};
 use crate::statistics::{BinCounts, LogBins, Quantile, Steps, put_bins, quantile_without, take_bins};
 use crate::tones::{BINS, CHANNELS, ToneHistograms};
 
@@ -17,67 +17,6 @@ const SHARE_STEPS: u32 = 1024;
 /// Bins of distances and of lost areas, at most 0.1 % wide: the limit of a distance is the median plus a multiple of
 /// (upper quartile - median), which makes a small error of both a larger one.
 const FINE: LogBins = LogBins { bits: 10 };
-
-/// What the photos of one instrument are compared with, by the bins of the photo that is decided on, which is left out.
-pub struct UsualTones {
-    /// Upper quartile of each of [`LOST_AREAS`].
-    lost: [Steps; LOST_AREAS.len()],
-    /// Median of the cumulative share of each bin of all channels.
-    medians: Vec<Steps>,
-    /// Median and upper quartile of the distances of each channel; found in the second pass.
-    distances: Option<Box<[[Steps; 2]; CHANNELS.len()]>>,
-}
-
-/// The steps, one behind the other; those of distances are absent after the first pass.
-impl Stored<'_> for UsualTones {
-    fn encode(&self) -> Vec<u8> {
-        let mut bytes = Vec::new();
-        let distances = self
-            .distances
-            .iter()
-            .flat_map(|distances| distances.as_flattened());
-        let all = self.lost.iter().chain(&self.medians).chain(distances);
-        all.for_each(|steps| steps.put(&mut bytes));
-        bytes
-    }
-
-    fn decode(mut bytes: &[u8]) -> Option<Self> {
-        let bytes = &mut bytes;
-        let lost = [Steps::take(bytes)?, Steps::take(bytes)?];
-        let medians: Option<Vec<Steps>> = (0..BINS).map(|_| Steps::take(bytes)).collect();
-        let mut usual = Self {
-            lost,
-            medians: medians?,
-            distances: None,
-        };
-        if !bytes.is_empty() {
-            let mut pair = || Some([Steps::take(bytes)?, Steps::take(bytes)?]);
-            usual.distances = Some(Box::new([pair()?, pair()?, pair()?]));
-        }
-        bytes.is_empty().then_some(usual)
-    }
-}
-
-/// A kind of lost area: the share of the photo, its limit, and what a reason says of it.
-type LostArea = (
-    fn(&ToneHistograms<'_>) -> f64,
-    fn(&HistogramParams) -> f64,
-    &'static str,
-);
-
-/// The kinds of lost areas.
-const LOST_AREAS: [LostArea; 2] = [
-    (
-        |tones| tones.flat_share(),
-        |params| params.max_flat,
-        "in blocks of one single brightness",
-    ),
-    (
-        |tones| tones.clipped_share(),
-        |params| params.max_clipped,
-        "burnt out or black",
-    ),
-];
 
 /// The distributions of lost areas and of the cumulative shares of all bins.
 pub(super) struct SharesPass;
@@ -111,8 +50,10 @@ impl Pass<Histogram> for SharesPass {
     ) -> Vec<u8> {
         let mut bytes = Vec::new();
         put_number(&mut bytes, photos.len() as u64);
-        for (share, _, _) in LOST_AREAS {
-            let shares = photos.iter().filter_map(|photo| FINE.of(share(&photo.measure)));
+        for area in LOST_AREAS {
+            let shares = photos
+                .iter()
+                .filter_map(|photo| FINE.bin((area.share)(&photo.measure)));
             put_bins(&mut bytes, shares.collect());
         }
         let mut shares: Vec<_> = photos.iter().map(|photo| cumulative(&photo.measure)).collect();
@@ -179,7 +120,7 @@ impl Pass<Histogram> for DistancesPass {
             for photo in photos {
                 let distances = distances(&photo.measure, &usual.medians);
                 for (found, distance) in found.iter_mut().zip(distances) {
-                    found.extend(FINE.of(distance));
+                    found.extend(FINE.bin(distance));
                 }
             }
         }
@@ -248,10 +189,10 @@ pub(super) fn decide(
     usual: Option<&UsualTones>,
     tones: &ToneHistograms<'_>,
 ) -> Decision {
-    let lost = LOST_AREAS.iter().enumerate().map(|(at, (share, limit, what))| {
-        let share = share(tones);
-        let usual = usual.map_or(0.0, |usual| usual.lost[at].at(FINE.of(share)));
-        decide_lost_area(share, limit(params) + usual, what)
+    let lost = LOST_AREAS.iter().enumerate().map(|(at, area)| {
+        let share = (area.share)(tones);
+        let usual = usual.map_or(0.0, |usual| usual.lost[at].at(FINE.bin(share)));
+        decide_lost_area(share, (area.limit)(params) + usual, area.about)
     });
     let distances = usual.and_then(|usual| decide_distances(params, usual, tones));
     let all = lost.chain(distances.into_iter().flatten());
@@ -282,7 +223,7 @@ fn decide_distances(
     let floors = [params.min_light, params.min_distance, params.min_distance];
     Some(std::array::from_fn(|channel| {
         let distance = found[channel];
-        let [median, quartile] = quantiles[channel].map(|quantile| quantile.at(FINE.of(distance)));
+        let [median, quartile] = quantiles[channel].map(|quantile| quantile.at(FINE.bin(distance)));
         let limit = (median + params.spreads * (quartile - median)).max(floors[channel]);
         decide_distance(CHANNELS[channel].0, distance, median, limit)
     }))

@@ -9,31 +9,11 @@ mod tables;
 #[cfg(test)]
 mod tests;
 
+pub(crate) use tables::Search;
 use tables::{KEYS, MANY, MAX_KEY_BITS, Tables};
 
 /// Hashes up to which comparing all is faster than looking through buckets.
 const FEW: usize = 12_000;
-/// Largest radius with tables: at 18 bits 15 % of all entries of a key are looked at, at 22 bits 40 %.
-const MAX_RADIUS: u32 = 18;
-
-/// What an index is asked for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Search {
-    /// All hashes at most this many bits away.
-    Within(u32),
-    /// The nearest hashes first.
-    Nearest,
-}
-
-impl Search {
-    /// Returns whether tables are faster than comparing many hashes.
-    fn has_tables(self) -> bool {
-        match self {
-            Self::Within(radius) => radius <= MAX_RADIUS,
-            Self::Nearest => true,
-        }
-    }
-}
 
 /// Positions of items by hash. An item may have several hashes.
 pub(crate) struct HashIndex {

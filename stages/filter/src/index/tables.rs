@@ -2,8 +2,6 @@
 
 use std::sync::LazyLock;
 
-use super::Search;
-
 /// Keys of a hash.
 pub(super) const KEYS: usize = 4;
 /// Buckets of a key.
@@ -20,6 +18,28 @@ const BUCKETS_AT_ONCE: usize = 64;
 pub(super) const MAX_KEY_BITS: u32 = 4;
 /// Hashes from which on looking for many at once is faster: fewer are near to few buckets in common.
 pub(super) const MANY: usize = 64;
+
+/// Largest radius with tables: at 18 bits 15 % of all entries of a key are looked at, at 22 bits 40 %.
+pub(super) const MAX_RADIUS: u32 = 18;
+
+/// What an index is asked for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Search {
+    /// All hashes at most this many bits away.
+    Within(u32),
+    /// The nearest hashes first.
+    Nearest,
+}
+
+impl Search {
+    /// Returns whether tables are faster than comparing many hashes.
+    pub(super) fn has_tables(self) -> bool {
+        match self {
+            Self::Within(radius) => radius <= MAX_RADIUS,
+            Self::Nearest => true,
+        }
+    }
+}
 
 /// All keys by their number of bits, fewest first.
 static FLIPS: LazyLock<Vec<u16>> = LazyLock::new(|| {
@@ -51,11 +71,19 @@ pub(super) fn keys_of(hash: u64) -> [u16; KEYS] {
     })
 }
 
+/// The buckets of one key.
+struct KeyTable {
+    key: usize,
+    /// Bits by which keys of hashes within the radius may differ.
+    most_bits: u32,
+    /// The first block of each bucket.
+    heads: Vec<u32>,
+}
+
 /// Tables of the keys of an index.
 pub(super) struct Tables {
-    /// By key, the number of bits by which keys of hashes within the radius may differ, and the first block of each bucket.
-    /// A key that needs no table is left out.
-    heads: Vec<(usize, u32, Vec<u32>)>,
+    /// The tables of the keys; a key that needs none is left out.
+    keys: Vec<KeyTable>,
     /// Blocks, [`SLAB`] at a time, so that growing copies nothing.
     slabs: Vec<Vec<Block>>,
 }
@@ -110,7 +138,7 @@ struct NearBuckets {
 
 impl NearBuckets {
     /// Finds the buckets whose keys differ from that of a hash by at most `most` bits.
-    fn of(hashes: &[(u32, u64)], key: usize, most: u32) -> Self {
+    fn new(hashes: &[(u32, u64)], key: usize, most: u32) -> Self {
         let flips = &FLIPS[..FLIPS.partition_point(|flip| flip.count_ones() <= most)];
         let keys: Vec<u16> = hashes.iter().map(|(_, hash)| keys_of(*hash)[key]).collect();
         let mut ends = vec![0_u32; BUCKETS + 1];
@@ -143,15 +171,20 @@ impl NearBuckets {
 impl Tables {
     pub(super) fn new(search: Search) -> Self {
         // The shares plus 1 sum up to the radius plus 1, so that no hash within it exceeds all of them.
-        let heads = (0..KEYS).filter_map(|key| {
-            let bits = match search {
+        let tables = (0..KEYS).filter_map(|key| {
+            let most_bits = match search {
                 Search::Within(radius) => radius.checked_sub(key as u32)? / KEYS as u32,
                 Search::Nearest => MAX_KEY_BITS,
             };
-            Some((key, bits, vec![NONE; BUCKETS]))
+            let heads = vec![NONE; BUCKETS];
+            Some(KeyTable {
+                key,
+                most_bits,
+                heads,
+            })
         });
         Self {
-            heads: heads.collect(),
+            keys: tables.collect(),
             slabs: Vec::new(),
         }
     }
@@ -162,8 +195,8 @@ impl Tables {
 
     pub(super) fn insert(&mut self, hash: u64, position: u32) {
         let keys = keys_of(hash);
-        for (key, _, heads) in &mut self.heads {
-            let head = &mut heads[usize::from(keys[*key])];
+        for table in &mut self.keys {
+            let head = &mut table.heads[usize::from(keys[table.key])];
             let at = *head as usize;
             let block = self.slabs.get_mut(at / SLAB).map(|slab| &mut slab[at % SLAB]);
             let block = match block.filter(|block| (block.used as usize) < LANES) {
@@ -177,7 +210,7 @@ impl Tables {
                 }
             };
             let lane = block.used as usize;
-            for (others, other) in block.others.iter_mut().zip(others(&keys, *key)) {
+            for (others, other) in block.others.iter_mut().zip(others(&keys, table.key)) {
                 others[lane] = other;
             }
             block.positions[lane] = position;
@@ -187,12 +220,9 @@ impl Tables {
 
     pub(super) fn find_within(&self, hash: u64, radius: u32, mut visit: impl FnMut(u32)) {
         let keys = keys_of(hash);
-        for (key, most, heads) in &self.heads {
-            for bits in 0..=*most {
-                let others = others(&keys, *key);
-                self.scan(heads, keys[*key], bits, &others, radius, |_, position| {
-                    visit(position)
-                });
+        for table in &self.keys {
+            for bits in 0..=table.most_bits {
+                self.scan(table, &keys, bits, radius, |_, position| visit(position));
             }
         }
     }
@@ -204,13 +234,11 @@ impl Tables {
         radius: u32,
         mut visit: impl FnMut(u32, u32) -> bool,
     ) {
-        for (key, most, heads) in &self.heads {
-            let near = NearBuckets::of(hashes, *key, *most);
-            let of_key: Vec<_> = hashes.iter().map(|(_, hash)| keys_of(*hash)).collect();
-            let of_key: Vec<_> = of_key
-                .iter()
-                .map(|keys| (keys[*key], others(keys, *key)))
-                .collect();
+        for table in &self.keys {
+            let (key, heads) = (table.key, &table.heads);
+            let near = NearBuckets::new(hashes, key, table.most_bits);
+            let keys = hashes.iter().map(|(_, hash)| keys_of(*hash));
+            let of_key: Vec<_> = keys.map(|keys| (keys[key], others(&keys, key))).collect();
             for first in (0..BUCKETS).step_by(BUCKETS_AT_ONCE) {
                 let mut blocks: Vec<(usize, u32)> = (first..first + BUCKETS_AT_ONCE)
                     .filter(|bucket| heads[*bucket] != NONE && !near.hashes(*bucket).is_empty())
@@ -242,34 +270,35 @@ impl Tables {
     /// Appends distance and position of every hash of which some key differs by exactly so many bits.
     pub(super) fn find_at(&self, hash: u64, bits: u32, found: &mut Vec<(u32, u32)>) {
         let keys = keys_of(hash);
-        for (key, _, heads) in &self.heads {
-            let others = others(&keys, *key);
-            // Farther ones are only reached by comparing all, which starts anew.
-            let radius = KEYS as u32 * (MAX_KEY_BITS + 1) - 1;
-            self.scan(heads, keys[*key], bits, &others, radius, |distance, position| {
+        // Farther ones are only reached by comparing all, which starts again.
+        let radius = KEYS as u32 * (MAX_KEY_BITS + 1) - 1;
+        for table in &self.keys {
+            self.scan(table, &keys, bits, radius, |distance, position| {
                 found.push((distance, position));
             });
         }
     }
 
-    /// Calls `visit` with distance and position of each entry within the radius of the buckets whose keys differ from `key` by
-    /// so many bits.
+    /// Calls `visit` with distance and position of each entry within the radius. It looks through the buckets of a table whose
+    /// key differs from that of a hash by exactly `bits` bits; `keys` are those of the hash.
     fn scan(
         &self,
-        heads: &[u32],
-        key: u16,
+        table: &KeyTable,
+        keys: &[u16; KEYS],
         bits: u32,
-        others: &[u16; KEYS - 1],
         radius: u32,
         mut visit: impl FnMut(u32, u32),
     ) {
-        let blocks = flips(bits).iter().map(|flip| heads[usize::from(key ^ flip)]);
+        let (own, others) = (keys[table.key], others(keys, table.key));
+        let blocks = flips(bits)
+            .iter()
+            .map(|flip| table.heads[usize::from(own ^ flip)]);
         let mut blocks: Vec<u32> = blocks.filter(|at| *at != NONE).collect();
         let mut next = Vec::new();
         while !blocks.is_empty() {
             self.load(blocks.iter().copied());
             for block in blocks.drain(..).map(|at| self.block(at)) {
-                let near = block.within(bits, others, radius);
+                let near = block.within(bits, &others, radius);
                 near.for_each(|(distance, position)| visit(distance, position));
                 if block.next != NONE {
                     next.push(block.next);
@@ -286,16 +315,16 @@ impl Tables {
     }
 
     pub(super) fn each(&self, mut visit: impl FnMut(u64, u32)) {
-        let Some((key, _, heads)) = self.heads.first() else {
+        let Some(table) = self.keys.first() else {
             return;
         };
-        for (value, head) in heads.iter().enumerate() {
+        for (value, head) in table.heads.iter().enumerate() {
             let mut at = *head;
             while at != NONE {
                 let block = self.block(at);
                 for lane in 0..block.used as usize {
                     let others = [0, 1, 2].map(|other: usize| block.others[other][lane]);
-                    visit(hash_of(*key, value as u16, &others), block.positions[lane]);
+                    visit(hash_of(table.key, value as u16, &others), block.positions[lane]);
                 }
                 at = block.next;
             }

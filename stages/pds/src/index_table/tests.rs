@@ -38,7 +38,7 @@ fn row(volume: &str, path: &str, file: &str, sol: &str) -> String {
 }
 
 fn index() -> Index {
-    Index::of(LABEL.as_bytes()).unwrap()
+    Index::from_label(LABEL.as_bytes()).unwrap()
 }
 
 fn read(index: &Index, table: &str) -> Result<Vec<ProductLocation>, String> {
@@ -158,13 +158,13 @@ fn a_label_that_does_not_describe_its_rows_is_refused() {
         ("COLUMN", "FIELD", "no table with columns"),
         ("END_OBJECT = INDEX_TABLE", "= =", "label line"),
     ] {
-        let error = Index::of(LABEL.replace(from, to).as_bytes())
+        let error = Index::from_label(LABEL.replace(from, to).as_bytes())
             .unwrap_err()
             .to_string();
         assert!(error.contains(part), "{from} -> {to}: {error}");
     }
     assert!(matches!(
-        Index::of(&vec![b' '; MAX_LABEL_BYTES + 1]),
+        Index::from_label(&vec![b' '; MAX_LABEL_BYTES + 1]),
         Err(IndexError::TooLarge(_))
     ));
 }
@@ -174,7 +174,7 @@ fn one_name_for_path_and_file_is_taken_apart() {
     let label = LABEL
         .replace("\"FILE_NAME \"", "FILE_SPECIFICATION_NAME")
         .replace("PATH_NAME", "OTHER");
-    let index = Index::of(label.as_bytes()).unwrap();
+    let index = Index::from_label(label.as_bytes()).unwrap();
     for (whole, path, file) in [
         ("a/b/c", Some("a/b"), Some("c")),
         ("A\\C.D", Some("A"), Some("C.D")),
@@ -197,7 +197,7 @@ fn the_real_index_label_is_read() {
         return;
     };
     let label = std::fs::read(folder.join("edrindex.lbl")).unwrap();
-    let mut index = Index::of(&label).unwrap();
+    let mut index = Index::from_label(&label).unwrap();
     assert_eq!(
         (index.file.as_deref(), index.rows),
         (Some("EDRINDEX.TAB"), Some(203_550))

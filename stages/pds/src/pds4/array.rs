@@ -2,7 +2,7 @@
 
 use roxmltree::Node;
 
-use super::{PDS, child, children, number_at, text_at};
+use super::node::{PDS, child, children, number_at, text_at};
 use crate::label::{Array, BandStorage, Quantity, Sample, SampleKind};
 use crate::values;
 

@@ -1,6 +1,15 @@
 //! The lens of CAHVOR and CAHVORE: radial terms, and an entrance pupil that moves with the angle.
 
-use super::EntrancePupil;
+use serde::{Deserialize, Serialize};
+
+/// The E of CAHVORE: how the entrance pupil moves with the angle, and the kind of lens.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct EntrancePupil {
+    /// e0, e1, e2, metres.
+    pub terms: [f64; 3],
+    /// Linearity L: 1 perspective, 0 fish-eye, other values general.
+    pub linearity: f64,
+}
 
 /// Newton steps of the pupil angle; it converges quadratically from a start within 1e-2.
 const NEWTON_STEPS: usize = 30;

@@ -64,7 +64,7 @@ impl Cahvor {
     /// would be empty or more than four times as wide or high as the photo.
     pub fn linearised(&self, width: u32, height: u32) -> Result<Pinhole, CahvorError> {
         let model = self.normalised()?;
-        let axes = Axes::of(&model);
+        let axes = Axes::new(&model);
         let focal_px = model.intrinsics()?.hs;
         let window = model.window(&axes, width, height)?;
         // Rounded inwards to whole pixels.
@@ -133,7 +133,7 @@ struct Axes {
 
 impl Axes {
     /// Returns the axes for a normalised model: forward is O, or A for a model without lens terms.
-    fn of(model: &Cahvor) -> Self {
+    fn new(model: &Cahvor) -> Self {
         let forward = match model.o {
             Some(o) if !model.is_linear() => vector(o),
             _ => vector(model.a),

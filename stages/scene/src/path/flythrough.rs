@@ -1,8 +1,9 @@
 //! Smooth paths: a fly-through along training cameras, or through any cameras in their order.
 
+use marf_numeric::lower_median;
 use nalgebra::{Quaternion, Rotation3, SVector, UnitQuaternion, Vector3, Vector4};
 
-use super::{Viewpoint, forward, mean, median, numbered, training, typical_camera};
+use super::{Viewpoint, forward, mean, numbered, training, typical_camera};
 use crate::{Camera, Pose, Scene};
 
 /// Most training cameras that the path passes through.
@@ -59,7 +60,7 @@ fn along(keys: &Keys, frames: u32) -> Vec<Pose> {
 /// Returns the median distance of poses from their mean centre; `None` of none.
 fn spread(poses: &[Pose]) -> Option<f64> {
     let middle = mean(poses.iter().map(Pose::centre));
-    median(poses.iter().map(|pose| (pose.centre() - middle).norm()).collect())
+    lower_median(poses.iter().map(|pose| (pose.centre() - middle).norm()))
 }
 
 /// A knot of the path's splines.

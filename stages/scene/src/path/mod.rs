@@ -5,6 +5,7 @@
 mod flythrough;
 mod orbit;
 
+use marf_numeric::lower_median;
 use nalgebra::Vector3;
 
 use crate::{Camera, Frame, Pose, Scene};
@@ -25,12 +26,12 @@ pub struct Viewpoint {
 
 /// Returns the viewpoints of photos with their own distorted cameras, scaled to `width` pixels.
 pub fn viewpoints_at<'a>(frames: impl Iterator<Item = (&'a Frame, String)>, width: u32) -> Vec<Viewpoint> {
-    let viewpoint = |(frame, name): (&Frame, String)| Viewpoint {
+    let viewpoints = frames.map(|(frame, name)| Viewpoint {
         name,
         camera: to_width(&frame.camera, width),
         cam_from_world: frame.cam_from_world,
-    };
-    frames.map(viewpoint).collect()
+    });
+    viewpoints.collect()
 }
 
 /// Returns an ideal pinhole camera with the median focal length and aspect ratio of the scene's cameras.
@@ -39,7 +40,7 @@ pub fn viewpoints_at<'a>(frames: impl Iterator<Item = (&'a Frame, String)>, widt
 pub fn typical_camera(scene: &Scene, width: u32) -> Camera {
     let ratio = |value: fn(&Camera) -> f64| {
         let ratios = scene.frames.iter().map(|frame| value(&frame.camera));
-        median(ratios.collect()).unwrap_or(1.0)
+        lower_median(ratios).unwrap_or(1.0)
     };
     let focal = ratio(|camera| camera.fx_px / f64::from(camera.width));
     let shape = ratio(|camera| f64::from(camera.height) / f64::from(camera.width));
@@ -58,12 +59,6 @@ fn training(scene: &Scene) -> Vec<&Frame> {
     scene.frames.iter().filter(|frame| !frame.held_out).collect()
 }
 
-/// Returns the lower median; `None` of no values.
-fn median(mut values: Vec<f64>) -> Option<f64> {
-    values.sort_unstable_by(f64::total_cmp);
-    values.get(values.len().saturating_sub(1) / 2).copied()
-}
-
 /// Returns the mean of vectors; zero of none.
 fn mean(vectors: impl ExactSizeIterator<Item = Vector3<f64>>) -> Vector3<f64> {
     let count = vectors.len().max(1) as f64;
@@ -77,12 +72,12 @@ fn forward(pose: &Pose) -> Vector3<f64> {
 
 /// Returns viewpoints named `0001`, `0002` and so on.
 fn numbered(camera: Camera, poses: impl Iterator<Item = Pose>) -> Vec<Viewpoint> {
-    let viewpoint = |(index, cam_from_world): (usize, Pose)| Viewpoint {
-        name: format!("{:04}", index + 1),
+    let viewpoints = (1_usize..).zip(poses).map(|(number, cam_from_world)| Viewpoint {
+        name: format!("{number:04}"),
         camera,
         cam_from_world,
-    };
-    poses.enumerate().map(viewpoint).collect()
+    });
+    viewpoints.collect()
 }
 
 #[cfg(test)]

@@ -1,8 +1,9 @@
 //! An orbit around the point that the training cameras look at.
 
+use marf_numeric::lower_median;
 use nalgebra::{Matrix3, Vector3};
 
-use super::{Viewpoint, forward, mean, median, numbered, training, typical_camera};
+use super::{Viewpoint, forward, mean, numbered, training, typical_camera};
 use crate::{Frame, Pose, Scene};
 
 /// Least determinant of the normal matrix (its diagonal is at most 1) at which views count as converging;
@@ -71,16 +72,11 @@ fn point_ahead(scene: &Scene, cameras: &[&Frame]) -> Vector3<f64> {
     let ahead = mean(cameras.iter().map(|camera| forward(&camera.cam_from_world)));
     let ahead = ahead.try_normalize(1e-6).unwrap_or_else(Vector3::x);
     let points = scene.points.iter();
-    let to_points = median(
-        points
-            .map(|point| (Vector3::from(point.position) - centre).norm())
-            .collect(),
-    );
-    let spread = median(
+    let to_points = lower_median(points.map(|point| (Vector3::from(point.position) - centre).norm()));
+    let spread = lower_median(
         cameras
             .iter()
-            .map(|camera| (camera.cam_from_world.centre() - centre).norm())
-            .collect(),
+            .map(|camera| (camera.cam_from_world.centre() - centre).norm()),
     );
     let range = to_points.or(spread.map(|spread| 3.0 * spread)).unwrap_or(0.0);
     centre + ahead * if range > 0.0 { range } else { 1.0 }
@@ -128,8 +124,8 @@ impl Circle {
             .or_else(|| sides.first().copied())
             .unwrap_or_else(|| any_orthogonal(up));
         let widest = sides.iter().map(|side| side.dot(&along)).fold(1.0, f64::min);
-        let height = median(offsets.iter().map(|offset| offset.dot(up)).collect()).unwrap_or(0.0);
-        let radius = median(offsets.iter().map(|offset| flat(offset).norm()).collect()).unwrap_or(1.0);
+        let height = lower_median(offsets.iter().map(|offset| offset.dot(up))).unwrap_or(0.0);
+        let radius = lower_median(offsets.iter().map(|offset| flat(offset).norm())).unwrap_or(1.0);
         Self {
             centre: target + up * height,
             radius,

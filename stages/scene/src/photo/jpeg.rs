@@ -8,8 +8,9 @@ use zune_core::options::DecoderOptions;
 use zune_jpeg::JpegDecoder;
 use zune_jpeg::errors::DecodeErrors;
 
+use super::decoded::{DecodeError, MAX_DECODE_BYTES, MAX_SIDE, Photo, damaged};
 use super::other::upright;
-use super::{DecodeError, MAX_DECODE_BYTES, MAX_SIDE, Photo, damaged, scan};
+use super::scan;
 
 /// Decodes a JPEG strictly and requires its end marker: a file cut in half, or with a damaged scan, must not become
 /// training data. (The `image` crate decodes with the same library, but leniently.)
@@ -39,14 +40,18 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Photo, DecodeError> {
     let pixels = decoder.decode().map_err(fail)?;
     let orientation = decoder.exif().and_then(|exif| Orientation::from_exif_chunk(exif));
     let orientation = orientation.unwrap_or(Orientation::NoTransforms);
+    let turned = |decoded: DynamicImage| {
+        let (decoded, notes) = upright(decoded, orientation);
+        Photo::from_upright(decoded, notes)
+    };
     let photo = if grey {
         let decoded = GrayImage::from_raw(width, height, pixels).map(DynamicImage::from);
-        decoded.map(|decoded| Photo::of_upright(upright(decoded, orientation)))
+        decoded.map(turned)
     } else if orientation == Orientation::NoTransforms {
-        Photo::of_pixels(width, height, pixels)
+        Photo::from_pixels(width, height, pixels)
     } else {
         let decoded = RgbImage::from_raw(width, height, pixels).map(DynamicImage::from);
-        decoded.map(|decoded| Photo::of_upright(upright(decoded, orientation)))
+        decoded.map(turned)
     };
     photo.ok_or_else(|| damaged("JPEG", &"fewer pixels than its header says"))
 }
@@ -76,5 +81,5 @@ pub(super) fn decode_plain(bytes: &[u8]) -> Option<Photo> {
     if !colour || turned || (3 * width * height) as u64 > MAX_DECODE_BYTES {
         return None;
     }
-    Photo::of_pixels(width as u32, height as u32, decoder.decode().ok()?)
+    Photo::from_pixels(width as u32, height as u32, decoder.decode().ok()?)
 }

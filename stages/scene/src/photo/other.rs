@@ -6,7 +6,7 @@ use image::metadata::Orientation;
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
 use tiff::tags::Tag;
 
-use super::{DecodeError, MAX_DECODE_BYTES, MAX_SIDE, Photo, damaged, format_name};
+use super::decoded::{DecodeError, MAX_DECODE_BYTES, MAX_SIDE, Photo, damaged, format_name};
 
 /// Decodes a photo other than a JPEG with the `image` crate, within the limits of size and memory.
 pub(super) fn decode(bytes: &[u8], format: ImageFormat) -> Result<(DynamicImage, Vec<String>), DecodeError> {
@@ -45,7 +45,7 @@ pub(super) fn decode_tiff(bytes: &[u8]) -> Result<Photo, DecodeError> {
     if decoder.more_images() {
         notes.push("the first of several pages".to_owned());
     }
-    Ok(Photo::of_upright((decoded, notes)))
+    Ok(Photo::from_upright(decoded, notes))
 }
 
 /// PlanarConfiguration of a TIFF whose pixels have their channels side by side.

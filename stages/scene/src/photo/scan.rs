@@ -238,7 +238,7 @@ impl Huffman {
                 next += span;
             }
         }
-        let runs = (0..1 << RUN).map(|bits| Run::of(bits, &long)).collect();
+        let runs = (0..1 << RUN).map(|bits| Run::new(bits, &long)).collect();
         Some(Self { short, long, runs })
     }
 
@@ -254,7 +254,7 @@ impl Huffman {
 
 impl Run {
     /// Reads the coefficients that begin and end in [`RUN`] bits.
-    fn of(bits: usize, long: &[Step]) -> Self {
+    fn new(bits: usize, long: &[Step]) -> Self {
         let mut run = Self::default();
         while u32::from(run.bits) < RUN && !run.ends {
             let step = long[(bits << (16 - RUN) << run.bits) & 0xffff];

@@ -1,4 +1,9 @@
+use std::io::Cursor;
+
+use image::ImageFormat;
+
 use super::*;
+use crate::{Image, Srgb};
 
 fn gradient() -> Image<Srgb> {
     Image::from_fn(40, 30, |x, y| [(x * 6) as u8, (y * 8) as u8, 77])

@@ -6,6 +6,8 @@ use crate::{Image, Srgb};
 pub(super) const HEIGHT_PX: u32 = 9;
 /// Distance from one letter to the next at zoom 1: five columns and a gap.
 const ADVANCE_PX: u32 = 6;
+/// Colour of text.
+pub(super) const INK: [u8; 3] = [235, 235, 235];
 
 /// Returns the width of a text, without the gap after its last letter.
 pub fn text_width_px(text: &str, zoom: u32) -> u32 {
@@ -16,23 +18,23 @@ pub fn text_width_px(text: &str, zoom: u32) -> u32 {
 /// Draws a line of text with its upper left corner at (left, top), each dot `zoom` pixels wide and high.
 ///
 /// Letters that the font lacks become `?`; dots outside the picture are left out.
-pub fn draw_text(picture: &mut Image<Srgb>, left: u32, top: u32, zoom: u32, ink: [u8; 3], text: &str) {
+pub fn draw_text(picture: &mut Image<Srgb>, left: u32, top: u32, zoom: u32, text: &str) {
     for (index, letter) in (0_u32..).zip(text.chars()) {
         let rows = glyph(letter);
         for (row, bits) in (0_u32..).zip(rows) {
             for column in (0..5).filter(|column| bits >> (4 - column) & 1 == 1) {
                 let x = left + (index * ADVANCE_PX + column) * zoom;
-                dot(picture, x, top + row * zoom, zoom, ink);
+                dot(picture, x, top + row * zoom, zoom);
             }
         }
     }
 }
 
 /// Draws one dot of a letter.
-fn dot(picture: &mut Image<Srgb>, left: u32, top: u32, zoom: u32, ink: [u8; 3]) {
+fn dot(picture: &mut Image<Srgb>, left: u32, top: u32, zoom: u32) {
     for y in top..(top + zoom).min(picture.height) {
         for x in left..(left + zoom).min(picture.width) {
-            picture.pixels[y as usize * picture.width as usize + x as usize] = ink;
+            picture.pixels[y as usize * picture.width as usize + x as usize] = INK;
         }
     }
 }
@@ -148,7 +150,7 @@ mod tests {
 
     fn drawn(text: &str, zoom: u32) -> Image<Srgb> {
         let mut picture = Image::from_fn(text_width_px(text, zoom), HEIGHT_PX * zoom, |_, _| [0; 3]);
-        draw_text(&mut picture, 0, 0, zoom, INK, text);
+        draw_text(&mut picture, 0, 0, zoom, text);
         picture
     }
 
@@ -179,7 +181,7 @@ mod tests {
     #[test]
     fn text_outside_the_picture_is_cut_and_unknown_letters_are_question_marks() {
         let mut picture = Image::from_fn(4, 4, |_, _| [0; 3]);
-        draw_text(&mut picture, 2, 2, 3, INK, "MMM");
+        draw_text(&mut picture, 2, 2, 3, "MMM");
         assert_eq!(drawn("\u{3c3}", 1), drawn("?", 1));
         assert_eq!(text_width_px("", 3), 0);
     }

@@ -67,8 +67,6 @@ pub const DEPTH_SPREAD_DECADES: i32 = 4;
 
 /// Colour of a pixel without a value.
 const NO_VALUE: [u8; 3] = [96, 96, 104];
-/// Colour of text.
-const INK: [u8; 3] = [235, 235, 235];
 /// Colour of the background.
 const GROUND: [u8; 3] = [24, 24, 28];
 
@@ -77,7 +75,7 @@ const GROUND: [u8; 3] = [24, 24, 28];
 /// `values`: `[height * width]`, row-major from the top; negative ones have no value and are gray.
 /// The picture is at least as wide as its text, the map is centred in it.
 pub fn draw_map(values: &[f32], width: u32, height: u32, scale: &ColorScale) -> Image<Srgb> {
-    let Layout { zoom, gap, line } = Layout::of(width);
+    let Layout { zoom, gap, line } = Layout::new(width);
     let (low, high) = ((scale.low as f32).to_string(), top_label(values, scale));
     // As wide as the longest label: maps on one scale have one size, whatever their values.
     let longest = format!("{ABOVE}{}", scale.high);
@@ -87,28 +85,31 @@ pub fn draw_map(values: &[f32], width: u32, height: u32, scale: &ColorScale) -> 
     let mut picture = titled(&scale.title, width.max(legend), width, height);
     let full = picture.width;
     let left = (full - width) / 2;
-    paste(&mut picture, left, line, width, height, |column, row| {
+    let map = Rectangle {
+        left,
+        top: line,
+        width,
+        height,
+    };
+    paste(&mut picture, map, |column, row| {
         scale.color(values[(row * width + column) as usize])
     });
     let bar_top = line + height + gap;
-    paste(
-        &mut picture,
-        gap,
-        bar_top,
-        full - 2 * gap,
-        2 * gap,
-        |column, _| {
-            scale
-                .palette
-                .color(column as f32 / (full - 2 * gap).max(2) as f32)
-        },
-    );
+    let bar = Rectangle {
+        left: gap,
+        top: bar_top,
+        width: full - 2 * gap,
+        height: 2 * gap,
+    };
+    paste(&mut picture, bar, |column, _| {
+        scale.palette.color(column as f32 / bar.width.max(2) as f32)
+    });
     let text_top = bar_top + 3 * gap;
     let right = full - gap - text_width_px(&high, zoom);
     let middle = full.saturating_sub(text_width_px(&scale.unit, zoom)) / 2;
-    draw_text(&mut picture, gap, text_top, zoom, INK, &low);
-    draw_text(&mut picture, middle, text_top, zoom, INK, &scale.unit);
-    draw_text(&mut picture, right, text_top, zoom, INK, &high);
+    draw_text(&mut picture, gap, text_top, zoom, &low);
+    draw_text(&mut picture, middle, text_top, zoom, &scale.unit);
+    draw_text(&mut picture, right, text_top, zoom, &high);
     picture
 }
 
@@ -123,7 +124,7 @@ struct Layout {
 
 impl Layout {
     /// Returns those of a map of a width.
-    fn of(width: u32) -> Self {
+    fn new(width: u32) -> Self {
         let zoom = (width / 240).max(1);
         let gap = 3 * zoom;
         let line = HEIGHT_PX * zoom + 2 * gap;
@@ -133,10 +134,10 @@ impl Layout {
 
 /// Returns a dark picture with a title, at least `full` wide, with the space for a map of a size and its colour scale.
 fn titled(title: &str, full: u32, width: u32, height: u32) -> Image<Srgb> {
-    let Layout { zoom, gap, line } = Layout::of(width);
+    let Layout { zoom, gap, line } = Layout::new(width);
     let full = full.max(text_width_px(title, zoom) + 2 * gap);
     let mut picture = Image::from_fn(full, height + 2 * line + 3 * gap, |_, _| GROUND);
-    draw_text(&mut picture, gap, gap, zoom, INK, title);
+    draw_text(&mut picture, gap, gap, zoom, title);
     picture
 }
 
@@ -144,11 +145,13 @@ fn titled(title: &str, full: u32, width: u32, height: u32) -> Image<Srgb> {
 pub fn draw_titled(image: &Image<Srgb>, title: &str) -> Image<Srgb> {
     let (width, height) = (image.width, image.height);
     let mut picture = titled(title, width, width, height);
-    let left = (picture.width - width) / 2;
-    let top = Layout::of(width).line;
-    paste(&mut picture, left, top, width, height, |column, row| {
-        image.at(column, row)
-    });
+    let below = Rectangle {
+        left: (picture.width - width) / 2,
+        top: Layout::new(width).line,
+        width,
+        height,
+    };
+    paste(&mut picture, below, |column, row| image.at(column, row));
     picture
 }
 
@@ -159,9 +162,13 @@ pub fn side_by_side(pictures: &[&Image<Srgb>]) -> Image<Srgb> {
     let mut all = Image::from_fn(width, height, |_, _| GROUND);
     let mut left = 0;
     for picture in pictures {
-        paste(&mut all, left, 0, picture.width, picture.height, |column, row| {
-            picture.at(column, row)
-        });
+        let place = Rectangle {
+            left,
+            top: 0,
+            width: picture.width,
+            height: picture.height,
+        };
+        paste(&mut all, place, |column, row| picture.at(column, row));
         left += picture.width;
     }
     all
@@ -200,19 +207,22 @@ fn top_label(values: &[f32], scale: &ColorScale) -> String {
     }
 }
 
-/// Draws a rectangle from a function of its (column, row).
-fn paste(
-    picture: &mut Image<Srgb>,
+/// A part of a picture, pixels.
+#[derive(Clone, Copy)]
+struct Rectangle {
     left: u32,
     top: u32,
     width: u32,
     height: u32,
-    color: impl Fn(u32, u32) -> [u8; 3],
-) {
-    for row in 0..height.min(picture.height.saturating_sub(top)) {
-        for column in 0..width.min(picture.width.saturating_sub(left)) {
-            let place = (top + row) as usize * picture.width as usize + (left + column) as usize;
-            picture.pixels[place] = color(column, row);
+}
+
+/// Draws a rectangle from a function of its (column, row).
+fn paste(picture: &mut Image<Srgb>, place: Rectangle, color: impl Fn(u32, u32) -> [u8; 3]) {
+    let Rectangle { left, top, .. } = place;
+    for row in 0..place.height.min(picture.height.saturating_sub(top)) {
+        for column in 0..place.width.min(picture.width.saturating_sub(left)) {
+            let pixel = (top + row) as usize * picture.width as usize + (left + column) as usize;
+            picture.pixels[pixel] = color(column, row);
         }
     }
 }
@@ -220,6 +230,7 @@ fn paste(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::picture::font::INK;
 
     fn scale() -> ColorScale {
         ColorScale::linear("standard deviation", "of white", 0.05, Palette::Inferno)

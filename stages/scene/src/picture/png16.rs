@@ -24,13 +24,7 @@ pub const MOST: f64 = 65_534.0;
 /// A picture without pixels, or text that is not Latin-1.
 pub fn gray(width: u32, height: u32, values: &[u16], text: &[(&str, String)]) -> Result<Vec<u8>, PngError> {
     let bytes: Vec<u8> = values.iter().flat_map(|value| value.to_be_bytes()).collect();
-    encode(
-        width,
-        height,
-        (ColorType::Grayscale, BitDepth::Sixteen),
-        &bytes,
-        text,
-    )
+    encode(width, height, ColorType::Grayscale, &bytes, text)
 }
 
 /// Writes colours with transparency, 4 bytes a pixel.
@@ -43,26 +37,25 @@ pub fn rgba(
     pixels: &[[u8; 4]],
     text: &[(&str, String)],
 ) -> Result<Vec<u8>, PngError> {
-    encode(
-        width,
-        height,
-        (ColorType::Rgba, BitDepth::Eight),
-        pixels.as_flattened(),
-        text,
-    )
+    encode(width, height, ColorType::Rgba, pixels.as_flattened(), text)
 }
 
+/// Writes pixels: gray has 16 bits a channel, colours have 8.
 fn encode(
     width: u32,
     height: u32,
-    (color, depth): (ColorType, BitDepth),
+    color: ColorType,
     pixels: &[u8],
     text: &[(&str, String)],
 ) -> Result<Vec<u8>, PngError> {
     let mut bytes = Vec::new();
     let mut encoder = Encoder::new(&mut bytes, width, height);
     encoder.set_color(color);
-    encoder.set_depth(depth);
+    encoder.set_depth(if color == ColorType::Grayscale {
+        BitDepth::Sixteen
+    } else {
+        BitDepth::Eight
+    });
     for (keyword, text) in text {
         encoder.add_text_chunk((*keyword).to_owned(), text.clone())?;
     }
@@ -91,7 +84,8 @@ pub struct Quantity<'a> {
 /// # Errors
 /// As [`gray`].
 pub fn quantity(
-    (width, height): (u32, u32),
+    width: u32,
+    height: u32,
     values: &[f32],
     factor: f64,
     quantity: &Quantity<'_>,
@@ -103,9 +97,12 @@ pub fn quantity(
     } else {
         1.0
     };
-    let write = |value: &f32| match is_some(value) {
-        true => (f64::from(*value) * factor / step).round().clamp(1.0, MOST) as u16,
-        false => 0,
+    let write = |value: &f32| {
+        if is_some(value) {
+            (f64::from(*value) * factor / step).round().clamp(1.0, MOST) as u16
+        } else {
+            0
+        }
     };
     let written: Vec<u16> = values.iter().map(write).collect();
     let Quantity { name, unit, kind } = quantity;
@@ -135,7 +132,7 @@ pub fn depth(width: u32, height: u32, depth: &[f32], metres: Option<f64>) -> Res
         },
         kind: "distance along the ray of a pixel; 0: none",
     };
-    quantity((width, height), depth, metres.unwrap_or(1.0), &of_depth)
+    quantity(width, height, depth, metres.unwrap_or(1.0), &of_depth)
 }
 
 /// Reads what [`quantity`] wrote of a name: width, height and values, 0 where there is none. `None` if the bytes are anything else.
@@ -209,7 +206,7 @@ mod tests {
             kind: "standard deviation",
         };
         let values = [0.0, 1e-9, 0.02, 0.5];
-        let png = quantity((2, 2), &values, 1.0, &spread).unwrap();
+        let png = quantity(2, 2, &values, 1.0, &spread).unwrap();
         let (width, height, back) = read_quantity(&png, "uncertainty").unwrap();
         assert_eq!((width, height), (2, 2));
         // Half of .5 / 65,534; what is above 0 stays above it.

@@ -7,8 +7,6 @@ use marf_schema::output::SURFACE_MAPS;
 use marf_schema::surface::SurfaceReport;
 use marf_stage::{Ctx, Outputs, StageError};
 
-use super::noise::around;
-
 /// Least linear light of a channel: below it 8 bits are noise.
 const DARKEST: f64 = 0.002;
 
@@ -91,7 +89,7 @@ impl Grid {
     /// # Errors
     /// A surface without a map, with the reason; maps that are damaged.
     pub fn read(ctx: &Ctx<'_>, outputs: &Outputs) -> Result<Self, StageError> {
-        let report: SurfaceReport = super::rounds::document(ctx, outputs)?;
+        let report: SurfaceReport = super::outputs::document(ctx, outputs)?;
         let Some(map) = report.map else {
             let why = report.refused.get(SURFACE_MAPS).cloned().unwrap_or_default();
             return Err(StageError::new(format!("a surface has no map: {why}")));
@@ -153,6 +151,17 @@ impl Grid {
     }
 }
 
+/// Returns the places of the cells around one, itself among them, up to `reach` cells away along each axis.
+pub(super) fn around(extent: &Extent, place: usize, reach: i64) -> impl Iterator<Item = usize> + use<> {
+    let (columns, rows) = (i64::from(extent.columns), i64::from(extent.rows));
+    let (column, row) = (place as i64 % columns, place as i64 / columns);
+    let down = (row - reach).max(0)..(row + reach + 1).min(rows);
+    down.flat_map(move |row| {
+        let across = (column - reach).max(0)..(column + reach + 1).min(columns);
+        across.map(move |column| (row * columns + column) as usize)
+    })
+}
+
 /// Returns the numbers of a cell with a height (metres) and a colour (sRGB).
 pub(super) fn values(height_m: f64, srgb: [u8; 3]) -> Values {
     let [r, g, b] = srgb.map(linear);
@@ -176,9 +185,10 @@ pub(super) fn colour([_, brightness, red, blue]: Values) -> [f64; 3] {
 /// sRGB to linear light (IEC 61966-2-1).
 fn linear(value: u8) -> f64 {
     let value = f64::from(value) / 255.0;
-    let light = match value <= 0.040_45 {
-        true => value / 12.92,
-        false => libm::pow((value + 0.055) / 1.055, 2.4),
+    let light = if value <= 0.040_45 {
+        value / 12.92
+    } else {
+        libm::pow((value + 0.055) / 1.055, 2.4)
     };
     light.max(DARKEST)
 }

@@ -1,14 +1,15 @@
 //! The ground at two times, compared cell by cell.
 
-use marf_schema::changes::{Change, ChangesParams, ChangesReport, Noise, Registration, Time};
+use marf_numeric::{quantile, upper_median};
+use marf_schema::changes::{Change, ChangesParams, ChangesReport, Noise, Patch, Registration, Time};
 use marf_stage::StageError;
 use nalgebra::{Matrix3, Vector3};
 
 use crate::frame::{ExportFrame, MapAxes};
 
-use super::cells::{Extent, Grid, Values};
-use super::noise::{Ground, NINETY, around, median, quantile};
-use super::patches::{Found, Patches, patches};
+use super::cells::{Extent, Grid, Values, around};
+use super::noise::{Ground, NINETY};
+use super::patches::{CellChange, PatchCells, Patches, patches};
 
 /// Fewest cells that both times show.
 const LEAST_COMMON: usize = 400;
@@ -42,14 +43,14 @@ const BLUE: usize = 3;
 
 /// A cell that both times show.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Compared {
+pub(super) struct CellDifference {
     /// Later less earlier, without what the two times differ by as a whole.
     pub difference: Values,
     /// Standard deviation of that where nothing has changed.
     pub sigma: Values,
 }
 
-impl Compared {
+impl CellDifference {
     fn off(&self, quantity: usize) -> f64 {
         (self.difference[quantity] / self.sigma[quantity]).abs()
     }
@@ -77,7 +78,7 @@ pub(super) struct Comparison {
     pub cell_m: f64,
     pub before: Ground,
     pub after: Ground,
-    pub cells: Vec<Option<Compared>>,
+    pub cells: Vec<Option<CellDifference>>,
     pub patches: Patches,
     registration: Registration,
     noise: [Noise; 3],
@@ -94,8 +95,7 @@ impl Comparison {
             return Err(StageError::new("there is no surface to compare"));
         };
         let cell_m = grid.cell_m;
-        let grounds = |extent: &Extent| (Ground::new(extent, before), Ground::new(extent, after));
-        let common = common(&grounds(&widest));
+        let common = common(&Ground::new(&widest, before), &Ground::new(&widest, after));
         let extent = widest.around(common.iter().copied(), MARGIN);
         let Some(extent) = extent.filter(|_| common.len() >= LEAST_COMMON) else {
             return Err(StageError::new(format!(
@@ -104,14 +104,14 @@ impl Comparison {
             ))
             .hint("compare sols whose photos look at one place, or take longer trainings"));
         };
-        let (earlier, later) = grounds(&extent);
+        let (earlier, later) = (Ground::new(&extent, before), Ground::new(&extent, after));
         let mut cells = differences(&extent, &earlier, &later);
         let registration = register(&extent, cell_m, &mut cells);
         let noise = scale(&mut cells);
         let found = cells.iter().map(|cell| {
             let cell = cell.as_ref()?;
             let [_, _, red, blue] = cell.difference;
-            Some(Found {
+            Some(CellChange {
                 strong: cell.change(params.sigmas),
                 weak: cell.change(WEAK * params.sigmas),
                 colour: (red * red + blue * blue).sqrt(),
@@ -139,9 +139,9 @@ impl Comparison {
             .patches
             .list
             .iter()
-            .map(|patch| patch.told(self))
+            .map(|patch| self.patch(patch))
             .collect::<Vec<_>>();
-        let of = |is: &dyn Fn(Change) -> bool| {
+        let area_where = |is: &dyn Fn(Change) -> bool| {
             let all = patches.iter().filter(|patch| is(patch.change));
             all.map(|patch| patch.area_m2).sum()
         };
@@ -160,13 +160,38 @@ impl Comparison {
             axes: [axes.right, axes.top, axes.up].map(Into::into),
             origin: frame.origin_words(),
             compared_m2: area(self.cells.iter().flatten().count()),
-            changed_m2: of(&|change| change != Change::Undecided),
-            undecided_m2: of(&|change| change == Change::Undecided),
+            changed_m2: area_where(&|change| change != Change::Undecided),
+            undecided_m2: area_where(&|change| change == Change::Undecided),
             registration: self.registration,
             height: self.noise[0],
             brightness: self.noise[1],
             colour: self.noise[2],
             patches,
+        }
+    }
+
+    /// Returns the report of a patch.
+    fn patch(&self, patch: &PatchCells) -> Patch {
+        let cell_m2 = self.cell_m * self.cell_m;
+        let area = |cells: usize| cells as f64 * cell_m2;
+        let count = patch.cells.len() as f64;
+        let mean =
+            |value: &dyn Fn(usize) -> f64| patch.cells.iter().map(|place| value(*place)).sum::<f64>() / count;
+        let difference =
+            |quantity: usize| mean(&|place| self.cells[place].map_or(0.0, |cell| cell.difference[quantity]));
+        let interval_m = mean(&|place| self.cells[place].map_or(0.0, |cell| cell.sigma[0] * NINETY));
+        let height_m = difference(0);
+        Patch {
+            change: patch.change,
+            area_m2: area(patch.cells.len()),
+            area_interval_m2: [area(patch.strong), area(patch.widened)],
+            middle_m: [
+                mean(&|place| self.across_m(place)),
+                mean(&|place| self.up_m(place)),
+            ],
+            height_m: [height_m, interval_m],
+            volume_m3: height_m * area(patch.cells.len()),
+            brightness: libm::exp(difference(1)),
         }
     }
 
@@ -195,7 +220,7 @@ impl Comparison {
 }
 
 /// Returns the places of the cells that both times show.
-fn common((before, after): &(Ground, Ground)) -> Vec<usize> {
+fn common(before: &Ground, after: &Ground) -> Vec<usize> {
     let both = before.cells.iter().zip(&after.cells);
     let shown = both.map(|(before, after)| before.is_some() && after.is_some());
     shown
@@ -205,7 +230,7 @@ fn common((before, after): &(Ground, Ground)) -> Vec<usize> {
 }
 
 /// Returns the differences of the cells that both times show with most around them, with the standard deviations of the trainings.
-fn differences(extent: &Extent, before: &Ground, after: &Ground) -> Vec<Option<Compared>> {
+fn differences(extent: &Extent, before: &Ground, after: &Ground) -> Vec<Option<CellDifference>> {
     let (earlier, later) = (before.variances(extent), after.variances(extent));
     let cells = before
         .cells
@@ -220,7 +245,7 @@ fn differences(extent: &Extent, before: &Ground, after: &Ground) -> Vec<Option<C
             if around(extent, place, EDGE).filter(is_shown).count() < LEAST_AROUND {
                 return None;
             }
-            Some(Compared {
+            Some(CellDifference {
                 difference: [0, 1, 2, 3].map(|quantity| after.mean[quantity] - before.mean[quantity]),
                 sigma: [0, 1, 2, 3].map(|quantity| {
                     let floor = FLOORS[quantity];
@@ -232,7 +257,7 @@ fn differences(extent: &Extent, before: &Ground, after: &Ground) -> Vec<Option<C
 }
 
 /// Takes away what the two times differ by as a whole: a plane of the height, and factors of the light.
-fn register(extent: &Extent, cell_m: f64, cells: &mut [Option<Compared>]) -> Registration {
+fn register(extent: &Extent, cell_m: f64, cells: &mut [Option<CellDifference>]) -> Registration {
     let middle = (f64::from(extent.columns) / 2.0, f64::from(extent.rows) / 2.0);
     let place = |index: usize| {
         let (column, row) = (index % extent.columns as usize, index / extent.columns as usize);
@@ -242,20 +267,16 @@ fn register(extent: &Extent, cell_m: f64, cells: &mut [Option<Compared>]) -> Reg
             (middle.1 - row as f64 - 0.5) * cell_m,
         )
     };
-    let known = |cells: &[Option<Compared>], quantity: usize| -> Vec<f64> {
-        cells
-            .iter()
-            .flatten()
-            .map(|cell| cell.difference[quantity])
-            .collect()
-    };
     let heights: Vec<(Vector3<f64>, f64)> = cells
         .iter()
         .enumerate()
         .filter_map(|(index, cell)| Some((place(index), cell.as_ref()?.difference[HEIGHT])))
         .collect();
     let plane = plane(&heights);
-    let light = [BRIGHTNESS, RED, BLUE].map(|quantity| median(known(cells, quantity)));
+    let light = [BRIGHTNESS, RED, BLUE].map(|quantity| {
+        let known = cells.iter().flatten().map(|cell| cell.difference[quantity]);
+        upper_median(known).unwrap_or(0.0)
+    });
     for (index, cell) in cells.iter_mut().enumerate() {
         let Some(cell) = cell else { continue };
         cell.difference[HEIGHT] -= plane.dot(&place(index));
@@ -272,13 +293,15 @@ fn register(extent: &Extent, cell_m: f64, cells: &mut [Option<Compared>]) -> Reg
 
 /// Fits value = p · place to most of the cells: least squares with Tukey's biweight, from the median on.
 fn plane(cells: &[(Vector3<f64>, f64)]) -> Vector3<f64> {
-    let mut plane = Vector3::new(median(cells.iter().map(|(_, value)| *value).collect()), 0.0, 0.0);
+    let middle = upper_median(cells.iter().map(|(_, value)| *value)).unwrap_or(0.0);
+    let mut plane = Vector3::new(middle, 0.0, 0.0);
     for _ in 0..ROUNDS {
         let off: Vec<f64> = cells
             .iter()
             .map(|(place, value)| (value - plane.dot(place)).abs())
             .collect();
-        let reach = TUKEY * (median(off.clone()) / MEDIAN).max(1e-9);
+        let median = upper_median(off.iter().copied()).unwrap_or(0.0);
+        let reach = TUKEY * (median / MEDIAN).max(1e-9);
         let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
         for ((place, value), off) in cells.iter().zip(&off) {
             let share = (1.0 - (off / reach) * (off / reach)).max(0.0);
@@ -297,24 +320,25 @@ fn plane(cells: &[(Vector3<f64>, f64)]) -> Vector3<f64> {
 
 /// Scales the standard deviations so that they hold what they should of the ground, which is taken for unchanged, and returns the noise of
 /// height, brightness and colour.
-fn scale(cells: &mut [Option<Compared>]) -> [Noise; 3] {
-    let all = |cells: &[Option<Compared>], value: &dyn Fn(&Compared) -> f64| -> Vec<f64> {
-        cells.iter().flatten().map(value).collect()
-    };
+fn scale(cells: &mut [Option<CellDifference>]) -> [Noise; 3] {
     let quantities: [&[usize]; 3] = [&[HEIGHT], &[BRIGHTNESS], &[RED, BLUE]];
     quantities.map(|quantities| {
         let factor = quantities
             .iter()
-            .map(|quantity| quantile(all(cells, &|cell| cell.off(*quantity)), UNCHANGED) / NINETY)
+            .map(|quantity| {
+                let off = cells.iter().flatten().map(|cell| cell.off(*quantity));
+                quantile(off, UNCHANGED).unwrap_or(0.0) / NINETY
+            })
             .fold(LEAST_FACTOR, f64::max);
         for cell in cells.iter_mut().flatten() {
             quantities
                 .iter()
                 .for_each(|quantity| cell.sigma[*quantity] *= factor);
         }
-        let intervals = quantities
-            .iter()
-            .map(|quantity| median(all(cells, &|cell| cell.sigma[*quantity] * NINETY)));
+        let intervals = quantities.iter().map(|quantity| {
+            let sigmas = cells.iter().flatten().map(|cell| cell.sigma[*quantity] * NINETY);
+            upper_median(sigmas).unwrap_or(0.0)
+        });
         Noise {
             interval: intervals.fold(0.0, f64::max),
             factor,

@@ -43,9 +43,10 @@ fn changes(map: &Comparison) -> Result<Vec<u8>, SurfaceError> {
             return [0; 4];
         };
         let gray = srgb(brightness(&cell));
-        let gray = match map.cells[place].is_some() {
-            true => [gray; 3],
-            false => [gray * ALONE; 3],
+        let gray = if map.cells[place].is_some() {
+            [gray; 3]
+        } else {
+            [gray * ALONE; 3]
         };
         let ink = INKS
             .iter()
@@ -80,7 +81,7 @@ fn heights(map: &Comparison, report: &ChangesReport) -> Result<Vec<u8>, SurfaceE
         (low.min(value), high.max(value))
     });
     let step = ((high - low) / (png16::MOST - 1.0)).max(1e-6);
-    let value = |cell: &Option<super::compare::Compared>| {
+    let value = |cell: &Option<super::compare::CellDifference>| {
         cell.map_or(0, |cell| 1 + ((cell.difference[0] - low) / step).round() as u16)
     };
     let values: Vec<u16> = map.cells.iter().map(value).collect();
@@ -108,7 +109,8 @@ fn interval(map: &Comparison) -> Result<Vec<u8>, SurfaceError> {
         kind: "half width of the interval that holds 90 % of the changes of height where nothing changed",
     };
     Ok(png16::quantity(
-        (map.extent.columns, map.extent.rows),
+        map.extent.columns,
+        map.extent.rows,
         &values,
         1.0,
         &quantity,
@@ -130,8 +132,8 @@ fn brightness(cell: &super::noise::Cell) -> f64 {
 
 /// Linear light to sRGB (IEC 61966-2-1).
 fn srgb(light: f64) -> f64 {
-    match light <= 0.003_130_8 {
-        true => 12.92 * light,
-        false => 1.055 * libm::pow(light, 1.0 / 2.4) - 0.055,
+    if light <= 0.003_130_8 {
+        return 12.92 * light;
     }
+    1.055 * libm::pow(light, 1.0 / 2.4) - 0.055
 }

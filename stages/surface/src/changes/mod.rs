@@ -7,6 +7,7 @@ mod cells;
 mod compare;
 mod drawing;
 mod noise;
+mod outputs;
 mod patches;
 mod rounds;
 #[cfg(test)]
@@ -17,26 +18,20 @@ use std::collections::{BTreeMap, BTreeSet};
 use marf_scene::{Frame, PosedPhoto, Scene, hold_out_places};
 use marf_schema::changes::{ChangesParams, ChangesReport, Time};
 use marf_schema::output::{CHANGE_MAPS, SCENE};
-use marf_schema::surface::SurfaceParams;
-use marf_schema::train::{Metrics, TrainParams, TrialsParams};
-use marf_stage::{
-    ChildStage, Ctx, Define, Document, Expand, Inputs, NodeSpec, Outputs, PHOTOS, ParamError, Params, Port,
-    Sols, Stage, StageError, Threads, TypedOutputs, Work, key_params, rows_of,
-};
+use marf_schema::train::Metrics;
+use marf_stage::{ChildStage, Ctx, Document, Expand, Inputs, NodeSpec, Outputs, PHOTOS, Port, Sols, StageError, Threads, TypedOutputs, rows_of, stage};
 
 use crate::SurfaceError;
 use crate::frame::ExportFrame;
 use cells::Grid;
 use compare::Comparison;
-use rounds::{Rounds, Size};
+use outputs::document;
+use rounds::Rounds;
 
 /// Fewest photos of a time: of fewer there is no surface to speak of.
 const LEAST_PHOTOS: usize = 4;
 /// Photos of which about one is held out where the whole scene holds none of a time out: as many as `calibrate` does.
 const HOLD_EVERY: u32 = 8;
-/// Cells that the views of a field may differ by where they still show ground: what is rough is noisy, and no hole.
-const SPREAD: f64 = 3.0;
-
 /// Compares a place at two times.
 ///
 /// - In: a scene of photos of both times; the set of photos, which tells their sols.
@@ -49,47 +44,22 @@ pub struct FindChanges {
     params: ChangesParams,
 }
 
-impl Define for FindChanges {
-    type Params = ChangesParams;
-    const NAME: &'static str = ChangesParams::STAGE;
-    const ABOUT: &'static str = "trains a place at two times apart and maps what changed on the ground";
-    const VERSION: u32 = 2;
-    const PORTS: &'static [Port] = &[Port::required("input", SCENE), Port::required("photos", PHOTOS)];
-    const OUTPUTS: &'static [&'static str] = &[ChangesReport::OUTPUT, CHANGE_MAPS];
-
-    fn new(params: ChangesParams) -> Result<Self, ParamError> {
-        params.check()?;
-        Ok(Self { params })
-    }
-}
-
-impl Stage for FindChanges {
-    fn params(&self) -> serde_json::Value {
-        key_params(&self.params, &["device"])
-    }
-
-    fn work(&self) -> Work<'_> {
-        Work::Expand(self)
-    }
-
-    fn threads(&self) -> Threads {
-        Threads::All
-    }
-
-    fn backend_id(&self) -> Option<String> {
-        self.params.device.backend_id()
-    }
-
-    fn backend_id_on(&self, gpu: Option<&str>) -> Result<Option<String>, StageError> {
-        self.params.device.backend_id_on(gpu).map_err(StageError::new)
-    }
+stage! {
+    FindChanges { params: ChangesParams },
+    Expand,
+    Threads::All,
+    about: "trains a place at two times apart and maps what changed on the ground",
+    version: 2,
+    ports: [Port::required("input", SCENE), Port::required("photos", PHOTOS)],
+    outputs: [ChangesReport::OUTPUT, CHANGE_MAPS],
+    device: device,
 }
 
 impl Expand for FindChanges {
     fn children(&self) -> Vec<ChildStage> {
         vec![
-            ChildStage::of(&self.training(0)),
-            ChildStage::of(&self.surface(None)),
+            ChildStage::new(&rounds::training(&self.params, 0)),
+            ChildStage::new(&rounds::surface(&self.params, None)),
         ]
     }
 
@@ -103,7 +73,7 @@ impl Expand for FindChanges {
 
     fn reduce(&self, ctx: &Ctx<'_>, inputs: &Inputs, children: &[Outputs]) -> Result<Outputs, StageError> {
         let scene = scene(ctx, inputs)?;
-        let frame = ExportFrame::of(&scene);
+        let frame = ExportFrame::new(&scene);
         let (axes, _) = frame.metric_map("the map of changes")?;
         let rounds = self.rounds(ctx, inputs)?;
         let (trained, surfaces) = rounds.results(children)?;
@@ -128,54 +98,26 @@ impl Expand for FindChanges {
 }
 
 impl FindChanges {
-    /// Returns the training of member `index`.
-    fn training(&self, index: u32) -> TrainParams {
-        TrainParams {
-            quality: self.params.quality,
-            steps: self.params.steps,
-            scale: self.params.scale,
-            seed: self.params.seed.wrapping_add(u64::from(index)),
-            // Parts that one time tries and keeps would be a difference of their own.
-            trials: TrialsParams {
-                steps: Some(0),
-                ..TrialsParams::default()
-            },
-            device: self.params.device.clone(),
-            ..TrainParams::default()
-        }
-    }
-
-    /// Returns how the surface of a field is made; `size`: none for one that follows from the photos.
-    fn surface(&self, size: Option<Size>) -> SurfaceParams {
-        let cell_m = size.map(|size| size.cell_m);
-        SurfaceParams {
-            cell: cell_m,
-            reach: size.and_then(|size| size.reach_m),
-            map_cell: cell_m,
-            most_spread: cell_m.map(|cell| SPREAD * cell),
-            side_px: self.params.side_px,
-            device: self.params.device.clone(),
-            ..SurfaceParams::default()
-        }
-    }
-
     fn rounds<'s>(&'s self, ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Rounds<'s>, StageError> {
         let scene = scene(ctx, inputs)?;
-        ExportFrame::of(&scene).metric_map("the map of changes")?;
+        ExportFrame::new(&scene).metric_map("the map of changes")?;
         let sols = sols_of_photos(ctx, inputs)?;
-        let of = |key: &str, wanted: &Sols| -> Result<_, StageError> {
-            let part = part(&scene, &sols, wanted);
+        let scene_of = |key: &str, chosen: &Sols| -> Result<_, StageError> {
+            let part = part(&scene, &sols, chosen);
             if part.frames.len() < LEAST_PHOTOS {
-                return Err(too_few(key, wanted, &part, &scene, &sols));
+                return Err(too_few(key, chosen, &part, &scene, &sols));
             }
             let bytes = part.encode().map_err(SurfaceError::from)?;
             ctx.put(&bytes)
         };
         let scenes = [
-            of("before", &self.params.before)?,
-            of("after", &self.params.after)?,
+            scene_of("before", &self.params.before)?,
+            scene_of("after", &self.params.after)?,
         ];
-        Ok(Rounds { stage: self, scenes })
+        Ok(Rounds {
+            params: &self.params,
+            scenes,
+        })
     }
 
     fn times(
@@ -186,9 +128,9 @@ impl FindChanges {
         trained: [&Outputs; 2],
     ) -> Result<[Time; 2], StageError> {
         let sols = sols_of_photos(ctx, inputs)?;
-        let time = |wanted: &Sols, outputs: &Outputs| -> Result<Time, StageError> {
-            let part = part(scene, &sols, wanted);
-            let metrics: Metrics = rounds::document(ctx, outputs)?;
+        let time = |chosen: &Sols, outputs: &Outputs| -> Result<Time, StageError> {
+            let part = part(scene, &sols, chosen);
+            let metrics: Metrics = document(ctx, outputs)?;
             let found: BTreeSet<u32> = part
                 .frames
                 .iter()
@@ -221,9 +163,9 @@ fn sols_of_photos(ctx: &Ctx<'_>, inputs: &Inputs) -> Result<BTreeMap<String, u32
 
 /// Returns the scene of the photos of some sols, in the same world. Where the places that are held out of the whole are all of the other time,
 /// or all places of this one are, places of its own are held out.
-fn part(scene: &Scene, sols: &BTreeMap<String, u32>, wanted: &Sols) -> Scene {
+fn part(scene: &Scene, sols: &BTreeMap<String, u32>, chosen: &Sols) -> Scene {
     let present: BTreeSet<u32> = sols.values().copied().collect();
-    let chosen = wanted.choose(&present);
+    let chosen = chosen.choose(&present);
     let is_of = |id: &String| sols.get(id).is_some_and(|sol| chosen.contains(sol));
     let frames = scene.frames.iter().filter(|frame| is_of(&frame.id));
     let mut frames: Vec<Frame> = frames.cloned().collect();
@@ -244,7 +186,7 @@ fn part(scene: &Scene, sols: &BTreeMap<String, u32>, wanted: &Sols) -> Scene {
 
 fn too_few(
     key: &str,
-    wanted: &Sols,
+    chosen: &Sols,
     part: &Scene,
     scene: &Scene,
     sols: &BTreeMap<String, u32>,
@@ -256,7 +198,7 @@ fn too_few(
         .collect();
     let placed: Vec<String> = placed.iter().map(u32::to_string).collect();
     StageError::new(format!(
-        "{key} = \"{wanted}\": {} photos of these sols have a camera, a surface needs {LEAST_PHOTOS}",
+        "{key} = \"{chosen}\": {} photos of these sols have a camera, a surface needs {LEAST_PHOTOS}",
         part.frames.len()
     ))
     .hint(format!("sols with placed photos: {}", placed.join(", ")))

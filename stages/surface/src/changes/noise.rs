@@ -1,6 +1,6 @@
 //! What the trainings of one time agree on, cell by cell, and how far they differ.
 
-use super::cells::{Extent, Grid, Values};
+use super::cells::{Extent, Grid, Values, around};
 
 /// Cells to each side over which variances are averaged: of three trainings alone a variance is hardly known.
 const POOLED: i64 = 2;
@@ -90,30 +90,5 @@ impl Ground {
             }))
         };
         places.map(variance).collect()
-    }
-}
-
-/// Returns the places of the cells around one, itself among them, up to `reach` cells away along each axis.
-pub(super) fn around(extent: &Extent, place: usize, reach: i64) -> impl Iterator<Item = usize> + use<> {
-    let (columns, rows) = (i64::from(extent.columns), i64::from(extent.rows));
-    let (column, row) = (place as i64 % columns, place as i64 / columns);
-    let down = (row - reach).max(0)..(row + reach + 1).min(rows);
-    down.flat_map(move |row| {
-        let across = (column - reach).max(0)..(column + reach + 1).min(columns);
-        across.map(move |column| (row * columns + column) as usize)
-    })
-}
-
-/// Returns the median; 0 of nothing.
-pub(super) fn median(values: Vec<f64>) -> f64 {
-    quantile(values, 0.5)
-}
-
-/// Returns the value that a share (below 1) of the values stay below; 0 of nothing.
-pub(super) fn quantile(mut values: Vec<f64>, share: f64) -> f64 {
-    let place = (values.len() as f64 * share) as usize;
-    match values.is_empty() {
-        true => 0.0,
-        false => *values.select_nth_unstable_by(place, f64::total_cmp).1,
     }
 }

@@ -1,10 +1,9 @@
 //! Cells that changed alike, side by side.
 
-use marf_schema::changes::{Change, Patch};
+use marf_numeric::upper_median;
+use marf_schema::changes::Change;
 
-use super::cells::Extent;
-use super::compare::Comparison;
-use super::noise::{NINETY, around, median};
+use super::cells::{Extent, around};
 
 /// Cells of nine that must have changed alike, else one that did is noise.
 const ALIKE: usize = 4;
@@ -17,24 +16,24 @@ const HALF: f64 = 0.5;
 /// The patches of a map.
 pub(super) struct Patches {
     /// The largest first.
-    pub list: Vec<Cells>,
+    pub list: Vec<PatchCells>,
     /// What changed in each cell; none where nothing did or nothing is known.
     pub of_cell: Vec<Option<Change>>,
 }
 
 /// The cells of a patch.
-pub(super) struct Cells {
-    change: Change,
+pub(super) struct PatchCells {
+    pub change: Change,
     /// Places, rising.
-    cells: Vec<usize>,
+    pub cells: Vec<usize>,
     /// How many of them differ by as much as was asked for.
-    strong: usize,
+    pub strong: usize,
     /// How many there are with one more all around.
-    widened: usize,
+    pub widened: usize,
 }
 
 /// What a cell shows.
-pub(super) struct Found {
+pub(super) struct CellChange {
     /// Its change by the limit that was asked for.
     pub strong: Option<Change>,
     /// Its change by the weaker limit.
@@ -45,7 +44,7 @@ pub(super) struct Found {
 
 /// Returns the patches: cells beyond the limit with their neighbours beyond two thirds of it, without single ones; `least`: fewest cells
 /// beyond the limit. `found`: none where nothing is known.
-pub(super) fn patches(extent: &Extent, found: &[Option<Found>], least: usize) -> Patches {
+pub(super) fn patches(extent: &Extent, found: &[Option<CellChange>], least: usize) -> Patches {
     let grown = grown(extent, found);
     let kept: Vec<Option<Change>> = (0..grown.len())
         .map(|place| {
@@ -87,7 +86,7 @@ pub(super) fn patches(extent: &Extent, found: &[Option<Found>], least: usize) ->
         let mut widened: Vec<usize> = cells.iter().flat_map(|place| around(extent, *place, 1)).collect();
         widened.sort_unstable();
         widened.dedup();
-        list.push(Cells {
+        list.push(PatchCells {
             change,
             strong,
             widened: widened
@@ -102,15 +101,15 @@ pub(super) fn patches(extent: &Extent, found: &[Option<Found>], least: usize) ->
 }
 
 /// Returns the cells of a patch that have at least half of its change of colour.
-fn without_rim(cells: &[usize], found: &[Option<Found>]) -> Vec<usize> {
+fn without_rim(cells: &[usize], found: &[Option<CellChange>]) -> Vec<usize> {
     let colour = |place: &usize| found[*place].as_ref().map_or(0.0, |found| found.colour);
-    let least = HALF * median(cells.iter().map(colour).collect());
+    let least = HALF * upper_median(cells.iter().map(colour)).unwrap_or(0.0);
     let is_within = |place: &usize| colour(place) >= least;
     cells.iter().copied().filter(is_within).collect()
 }
 
 /// Returns the cells beyond the limit, and those that hang together with them beyond the lower one.
-fn grown(extent: &Extent, found: &[Option<Found>]) -> Vec<Option<Change>> {
+fn grown(extent: &Extent, found: &[Option<CellChange>]) -> Vec<Option<Change>> {
     let mut grown: Vec<Option<Change>> = found
         .iter()
         .map(|found| found.as_ref().and_then(|found| found.strong))
@@ -126,28 +125,4 @@ fn grown(extent: &Extent, found: &[Option<Found>]) -> Vec<Option<Change>> {
         }
     }
     grown
-}
-
-impl Cells {
-    /// Returns what is told of the patch.
-    pub fn told(&self, map: &Comparison) -> Patch {
-        let cell_m2 = map.cell_m * map.cell_m;
-        let area = |cells: usize| cells as f64 * cell_m2;
-        let count = self.cells.len() as f64;
-        let mean =
-            |value: &dyn Fn(usize) -> f64| self.cells.iter().map(|place| value(*place)).sum::<f64>() / count;
-        let of =
-            |quantity: usize| mean(&|place| map.cells[place].map_or(0.0, |cell| cell.difference[quantity]));
-        let interval_m = mean(&|place| map.cells[place].map_or(0.0, |cell| cell.sigma[0] * NINETY));
-        let height_m = of(0);
-        Patch {
-            change: self.change,
-            area_m2: area(self.cells.len()),
-            area_interval_m2: [area(self.strong), area(self.widened)],
-            middle_m: [mean(&|place| map.across_m(place)), mean(&|place| map.up_m(place))],
-            height_m: [height_m, interval_m],
-            volume_m3: height_m * area(self.cells.len()),
-            brightness: libm::exp(of(1)),
-        }
-    }
 }

@@ -1,16 +1,19 @@
 //! Which nodes are asked for, round by round.
 
 use marf_cache::Digest;
+use marf_schema::changes::ChangesParams;
 use marf_schema::output::{SCENE, WEIGHTS};
-use marf_schema::surface::SurfaceReport;
-use marf_schema::train::Setup;
+use marf_schema::surface::{SurfaceParams, SurfaceReport};
+use marf_schema::train::{Setup, TrainParams, TrialsParams};
 use marf_stage::{Ctx, Document, Inputs, NodeSpec, Outputs, StageError};
 
-use super::FindChanges;
+use super::outputs::{digest, document};
 
 /// The two times, as nodes call them.
 const TIMES: [&str; 2] = ["before", "after"];
 
+/// Cells that the views of a field may differ by where they still show ground: what is rough is noisy, and no hole.
+const SPREAD: f64 = 3.0;
 /// Share of the reach of a surface within which it is compared: where a pixel is two cells wide. Beyond it two times differ by what their
 /// photos resolve.
 const REACH: f64 = 0.5;
@@ -25,7 +28,7 @@ pub(super) struct Size {
 
 /// The nodes below a comparison. Within a round all of the earlier time come first.
 pub(super) struct Rounds<'s> {
-    pub stage: &'s FindChanges,
+    pub params: &'s ChangesParams,
     /// The scene of each time.
     pub scenes: [Digest; 2],
 }
@@ -33,7 +36,7 @@ pub(super) struct Rounds<'s> {
 impl Rounds<'_> {
     /// Returns the nodes of the next round.
     pub fn next(&self, ctx: &Ctx<'_>, done: &[Outputs]) -> Result<Vec<NodeSpec>, StageError> {
-        let params = &self.stage.params;
+        let params = self.params;
         let (begins, trained) = (2, 2 * params.b as usize);
         if done.len() < begins {
             return self.each(&|time| Ok(vec![self.training(time, 0, None)?]));
@@ -70,7 +73,7 @@ impl Rounds<'_> {
         &self,
         done: &'d [Outputs],
     ) -> Result<([&'d Outputs; 2], [&'d [Outputs]; 2]), StageError> {
-        let b = self.stage.params.b as usize;
+        let b = self.params.b as usize;
         let miscounted =
             || StageError::new(format!("{} nodes are not those that were asked for", done.len()));
         let surfaces = done.get(self.before_surfaces()..).ok_or_else(miscounted)?;
@@ -90,7 +93,7 @@ impl Rounds<'_> {
 
     /// Returns how many nodes come before the surfaces that are compared.
     fn before_surfaces(&self) -> usize {
-        let params = &self.stage.params;
+        let params = self.params;
         2 * params.b as usize + if params.cell.is_none() { 2 } else { 0 }
     }
 
@@ -102,13 +105,13 @@ impl Rounds<'_> {
 
     /// Returns the trainings of a time.
     fn trained<'d>(&self, time: usize, done: &'d [Outputs]) -> Vec<&'d Outputs> {
-        let further = self.second(time, done)[..self.stage.params.b as usize - 1].iter();
+        let further = self.second(time, done)[..self.params.b as usize - 1].iter();
         std::iter::once(&done[time]).chain(further).collect()
     }
 
     /// Returns the size of all surfaces: the cell given, or the coarser of those that the surfaces of the two times took.
     fn size(&self, ctx: &Ctx<'_>, done: &[Outputs]) -> Result<Size, StageError> {
-        if let Some(cell_m) = self.stage.params.cell {
+        if let Some(cell_m) = self.params.cell {
             return Ok(Size {
                 cell_m,
                 reach_m: None,
@@ -134,7 +137,7 @@ impl Rounds<'_> {
             .0
             .extend(setup.map(|setup| (Setup::OUTPUT.to_owned(), setup)));
         let name = format!("{}-train-{index:02}", TIMES[time]);
-        NodeSpec::of(name, &self.stage.training(index), &inputs)
+        NodeSpec::new(name, &training(self.params, index), &inputs)
     }
 
     fn surface(
@@ -147,23 +150,41 @@ impl Rounds<'_> {
         let mut inputs = Inputs::default();
         inputs.0.insert(SCENE.to_owned(), self.scenes[time]);
         inputs.0.insert(WEIGHTS.to_owned(), digest(trained, WEIGHTS)?);
-        NodeSpec::of(
+        NodeSpec::new(
             format!("{}-{name}", TIMES[time]),
-            &self.stage.surface(size),
+            &surface(self.params, size),
             &inputs,
         )
     }
 }
 
-/// Returns an output of a finished node.
-fn digest(outputs: &Outputs, name: &str) -> Result<Digest, StageError> {
-    let found = outputs.get(name).copied();
-    found.ok_or_else(|| StageError::new(format!("a node below gave no output `{name}`")))
+/// Returns the training of member `index`.
+pub(super) fn training(params: &ChangesParams, index: u32) -> TrainParams {
+    TrainParams {
+        quality: params.quality,
+        steps: params.steps,
+        scale: params.scale,
+        seed: params.seed.wrapping_add(u64::from(index)),
+        // Parts that one time tries and keeps would be a difference of their own.
+        trials: TrialsParams {
+            steps: Some(0),
+            ..TrialsParams::default()
+        },
+        device: params.device.clone(),
+        ..TrainParams::default()
+    }
 }
 
-/// Reads a document of a finished node.
-pub(super) fn document<D: Document>(ctx: &Ctx<'_>, outputs: &Outputs) -> Result<D, StageError> {
-    let bytes = ctx.get(&digest(outputs, D::OUTPUT)?)?;
-    D::decode(&bytes)
-        .map_err(|error| StageError::new(format!("output `{}` of a node below: {error}", D::OUTPUT)))
+/// Returns how the surface of a field is made; `size`: none for one that follows from the photos.
+pub(super) fn surface(params: &ChangesParams, size: Option<Size>) -> SurfaceParams {
+    let cell_m = size.map(|size| size.cell_m);
+    SurfaceParams {
+        cell: cell_m,
+        reach: size.and_then(|size| size.reach_m),
+        map_cell: cell_m,
+        most_spread: cell_m.map(|cell| SPREAD * cell),
+        side_px: params.side_px,
+        device: params.device.clone(),
+        ..SurfaceParams::default()
+    }
 }

@@ -2,8 +2,8 @@
 
 use marf_scene::{Camera, Pose};
 use marf_schema::changes::{Change, ChangesParams, Time};
+use marf_stage::Sols;
 use marf_stage::harness::Harness;
-use marf_stage::{Define, Sols};
 use nalgebra::Vector3;
 
 use super::cells::{Extent, Grid, Values, values};
@@ -75,7 +75,7 @@ fn told(comparison: &Comparison) -> ChangesReport {
         metres_per_unit: Some(1.0),
         ..Scene::default()
     };
-    let frame = ExportFrame::of(&scene);
+    let frame = ExportFrame::new(&scene);
     let (axes, _) = frame.metric_map("a test").unwrap();
     comparison.report(&frame, &axes, [time(), time()])
 }
@@ -242,13 +242,15 @@ fn equal_maps_have_finite_noise_and_no_change() {
 fn rounds_follow_from_what_is_done() {
     let harness = Harness::default();
     let ctx = harness.ctx();
-    let cell = |cell: Option<f64>| ChangesParams { cell, ..params() };
     let setup = ctx.put(b"setup").unwrap();
     let weights = ctx.put(b"weights").unwrap();
     let trained = Outputs::from([("setup".to_owned(), setup), ("weights".to_owned(), weights)]);
-    let stage = FindChanges::new(cell(Some(0.1))).unwrap();
+    let params = ChangesParams {
+        cell: Some(0.1),
+        ..params()
+    };
     let rounds = Rounds {
-        stage: &stage,
+        params: &params,
         scenes: [ctx.put(b"before").unwrap(), ctx.put(b"after").unwrap()],
     };
     let names = |done: usize| -> Vec<String> {

@@ -1,10 +1,11 @@
 //! Splats as viewers read them.
 
+use marf_scene::ply::{HeaderWriter, push_float};
 use nalgebra::Vector4;
 
 use super::{Splat, THIN};
 use crate::frame::ExportFrame;
-use crate::ply::comment_lines;
+use crate::ply::with_frame;
 
 /// The constant spherical harmonic, 1 / (2 √π): a colour is 0.5 + 0.282… · f_dc.
 const SH_0: f64 = 0.282_094_791_773_878_14;
@@ -21,16 +22,13 @@ pub const PROPERTIES: [&str; 17] = [
 /// there is no f_rest); opacity (logit); scale_0 to 2 (natural logarithm of the standard deviations along the disc's axes, the third along
 /// its normal); rot_0 to 3 (unit quaternion w, x, y, z that turns z into the normal).
 pub fn ply(splats: &[Splat], frame: &ExportFrame, comments: &[String]) -> Vec<u8> {
-    let properties = PROPERTIES.map(|name| format!("property float {name}\n")).concat();
-    let comments = comment_lines(frame, comments);
-    let mut bytes = format!(
-        "ply\nformat binary_little_endian 1.0\n{comments}element vertex {}\n{properties}end_header\n",
-        splats.len()
-    )
-    .into_bytes();
+    let header = HeaderWriter::new(&with_frame(frame, comments))
+        .element("vertex", splats.len())
+        .properties("float", &PROPERTIES);
+    let mut bytes = header.into_bytes();
     for splat in splats {
         for number in numbers(splat, frame.scale()) {
-            bytes.extend((number as f32).clamp(f32::MIN, f32::MAX).to_le_bytes());
+            push_float(&mut bytes, number);
         }
     }
     bytes
@@ -78,7 +76,7 @@ mod tests {
 
     #[test]
     fn a_viewer_finds_what_the_reference_code_writes() {
-        let frame = ExportFrame::of(&Scene {
+        let frame = ExportFrame::new(&Scene {
             metres_per_unit: Some(2.0),
             ..Scene::default()
         });
@@ -138,7 +136,7 @@ mod tests {
 
     #[test]
     fn nothing_is_a_header_alone_that_says_that_the_scale_is_not_known() {
-        let bytes = ply(&[], &ExportFrame::of(&Scene::default()), &[]);
+        let bytes = ply(&[], &ExportFrame::new(&Scene::default()), &[]);
         let text = String::from_utf8(bytes).unwrap();
         assert!(
             text.contains("scale is not known") && text.ends_with("end_header\n"),

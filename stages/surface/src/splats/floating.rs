@@ -106,10 +106,10 @@ fn look(splat: &Splat, picture: &Picture<'_>, distance: &[f32]) -> Look {
     if own + wide < f64::from(nearest) {
         return Look::Through;
     }
-    match own - wide <= f64::from(farthest) {
-        true => Look::Surface(row * width + column),
-        false => Look::Nothing,
+    if own - wide <= f64::from(farthest) {
+        return Look::Surface(row * width + column);
     }
+    Look::Nothing
 }
 
 #[cfg(test)]

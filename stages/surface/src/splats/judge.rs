@@ -9,7 +9,7 @@ use crate::ply::to_byte;
 
 /// Pictures of splats beside those of the field.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Judged {
+pub struct SplatComparison {
     /// PSNR over the pixels where the field shows a surface, before black, dB.
     pub psnr_db: f64,
     /// Share of the pixels that were compared.
@@ -21,7 +21,7 @@ pub struct Judged {
 }
 
 /// Compares a picture of splats with the field's; none where the field shows no surface at all.
-pub fn judge(splats: &[Splat], picture: &Picture<'_>) -> Option<Judged> {
+pub fn judge(splats: &[Splat], picture: &Picture<'_>) -> Option<SplatComparison> {
     let drawn = Raster::new(splats, picture.camera, picture.cam_from_world).picture(splats);
     let hidden: Vec<bool> = picture.opacity.iter().map(|opacity| *opacity <= 0.0).collect();
     let image = |of: &[[f32; 3]]| Image {
@@ -39,7 +39,7 @@ pub fn judge(splats: &[Splat], picture: &Picture<'_>) -> Option<Judged> {
     {
         *pixel = [0; 3];
     }
-    Some(Judged {
+    Some(SplatComparison {
         psnr_db: psnr_db.ok()?,
         share: hidden.iter().filter(|hidden| !**hidden).count() as f64 / hidden.len() as f64,
         splats,

@@ -14,7 +14,7 @@ use nalgebra::Vector3;
 
 pub use colors::adjust_colors;
 pub use floating::without_floating;
-pub use judge::{Judged, judge};
+pub use judge::{SplatComparison, judge};
 pub use place::place;
 pub use raster::{Footprint, Raster};
 

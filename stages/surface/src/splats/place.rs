@@ -7,7 +7,7 @@ use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use super::{SIGMA, Splat};
-use crate::extract::Wanted;
+use crate::extract::SurfaceLimits;
 use crate::view::SurfaceView;
 use crate::volume::Place;
 
@@ -41,13 +41,13 @@ type Cover = BTreeMap<Place, f32>;
 /// what views from afar say of it is left out.
 ///
 /// - `views`: with the opacities of their pixels; `observers`: how far the photo of each saw.
-/// - `wanted`: no cell is narrower than its cell, no pixel farther than its reach, no splat shown by less than its photos.
+/// - `limits`: no cell is narrower than its cell, no pixel farther than its reach, no splat shown by less than its photos.
 ///
 /// In the order of levels and cells: the same for any number of threads.
-pub fn place(views: &[(&SurfaceView, &[f32])], observers: &[Observer], wanted: &Wanted) -> Vec<Splat> {
+pub fn place(views: &[(&SurfaceView, &[f32])], observers: &[Observer], limits: &SurfaceLimits) -> Vec<Splat> {
     let finest = views.iter().filter_map(|(view, _)| finest_width(view));
-    let finest = (PIXELS * finest.fold(f64::INFINITY, f64::min)).max(wanted.cell.unwrap_or(0.0));
-    let reach = wanted.reach.unwrap_or(f64::INFINITY);
+    let finest = (PIXELS * finest.fold(f64::INFINITY, f64::min)).max(limits.cell.unwrap_or(0.0));
+    let reach = limits.reach.unwrap_or(f64::INFINITY);
     let of_views = views
         .par_iter()
         .map(|(view, opacity)| sums(view, opacity, finest, reach));
@@ -73,10 +73,10 @@ pub fn place(views: &[(&SurfaceView, &[f32])], observers: &[Observer], wanted: &
             splats.push(splat(sum, cell));
         }
     }
-    if wanted.least_photos <= 1 {
+    if limits.least_photos <= 1 {
         return splats;
     }
-    let is_seen = |splat: &Splat| seen_at(observers, &splat.position, None).photos >= wanted.least_photos;
+    let is_seen = |splat: &Splat| seen_at(observers, &splat.position, None).photos >= limits.least_photos;
     splats.into_par_iter().filter(is_seen).collect()
 }
 
@@ -183,7 +183,7 @@ mod tests {
 
     use super::*;
 
-    const WANTED: Wanted = Wanted {
+    const WANTED: SurfaceLimits = SurfaceLimits {
         cell: None,
         reach: None,
         least_photos: 1,
@@ -210,7 +210,7 @@ mod tests {
         )
     }
 
-    fn placed(of: &[(SurfaceView, Observer)], wanted: &Wanted) -> Vec<Splat> {
+    fn placed(of: &[(SurfaceView, Observer)], wanted: &SurfaceLimits) -> Vec<Splat> {
         let opacity = vec![0.95_f32; 3600];
         let views: Vec<_> = of.iter().map(|(view, _)| (view, &opacity[..])).collect();
         let observers: Vec<Observer> = of.iter().map(|(_, observer)| observer.clone()).collect();
@@ -259,7 +259,7 @@ mod tests {
         let views = [above(2.0, 0.0, RED)];
         let coarse = placed(
             &views,
-            &Wanted {
+            &SurfaceLimits {
                 cell: Some(0.1),
                 ..WANTED
             },
@@ -269,7 +269,7 @@ mod tests {
         assert_eq!(
             placed(
                 &views,
-                &Wanted {
+                &SurfaceLimits {
                     reach: Some(1.9),
                     ..WANTED
                 }
@@ -279,7 +279,7 @@ mod tests {
         assert_eq!(
             placed(
                 &views,
-                &Wanted {
+                &SurfaceLimits {
                     least_photos: 2,
                     ..WANTED
                 }

@@ -41,7 +41,7 @@ impl Footprint {
     /// SIGGRAPH 2023, eq. 5, and its reference code for 0.3). The distortion of the lens moves the centre; in J it is left out.
     ///
     /// None behind the camera, or too near to it for the approximation.
-    pub fn of(index: u32, splat: &Splat, camera: &Camera, cam_from_world: &Pose) -> Option<Self> {
+    pub fn project(index: u32, splat: &Splat, camera: &Camera, cam_from_world: &Pose) -> Option<Self> {
         let centre = cam_from_world.point(&splat.position);
         if centre.z <= NEAR * splat.sigma {
             return None;
@@ -118,7 +118,7 @@ impl Raster {
     pub fn new(splats: &[Splat], camera: &Camera, cam_from_world: &Pose) -> Self {
         let all = splats.par_iter().enumerate();
         let seen = all.filter_map(|(index, splat)| {
-            let footprint = Footprint::of(index as u32, splat, camera, cam_from_world)?;
+            let footprint = Footprint::project(index as u32, splat, camera, cam_from_world)?;
             footprint.pixels(camera).map(|_| footprint)
         });
         let mut footprints: Vec<Footprint> = seen.collect();
@@ -262,7 +262,7 @@ mod tests {
     #[test]
     fn a_disc_that_faces_the_camera_has_the_variance_of_its_projection() {
         // 100 px * 0.05 / 2 = 2.5 px: 6.25 px².
-        let found = Footprint::of(0, &splat(2.0, 0.05, 1.0, 0.9), &camera(), &Pose::identity()).unwrap();
+        let found = Footprint::project(0, &splat(2.0, 0.05, 1.0, 0.9), &camera(), &Pose::identity()).unwrap();
         for (value, wanted) in found.covariance.into_iter().zip([6.55, 0.0, 6.55]) {
             assert!((value - wanted).abs() < 1e-12, "{:?}", found.covariance);
         }
@@ -273,7 +273,7 @@ mod tests {
     fn a_disc_seen_at_60_degrees_is_half_as_wide() {
         let mut turned = splat(2.0, 0.05, 1.0, 0.9);
         turned.normal = Vector3::new(-(60_f64.to_radians().sin()), 0.0, -0.5);
-        let found = Footprint::of(0, &turned, &camera(), &Pose::identity()).unwrap();
+        let found = Footprint::project(0, &turned, &camera(), &Pose::identity()).unwrap();
         // Half of 2.5 px squared; its thickness of a tenth of σ adds 3/4 of a hundredth of 6.25.
         let wanted = [6.25 * (0.25 + 0.75 * THIN * THIN) + 0.3, 0.0, 6.55];
         for (value, wanted) in found.covariance.into_iter().zip(wanted) {
@@ -288,7 +288,7 @@ mod tests {
             normal: Vector3::x(),
             ..splat(2.0, 0.05, 1.0, 0.9)
         };
-        let found = Footprint::of(0, &aside, &camera(), &Pose::identity()).unwrap();
+        let found = Footprint::project(0, &aside, &camera(), &Pose::identity()).unwrap();
         // Along its disc (y, z) only z moves the column: -f x / z² = -10 px a unit, 0.5 px for σ; its thickness 50 px a unit, 0.25 px.
         assert!(
             (found.covariance[0] - (0.25 + 0.0625 + 0.3)).abs() < 1e-9,

@@ -6,17 +6,17 @@ use marf_schema::output::{SPLAT_VIEWS, SPLATS};
 use marf_schema::surface::{SplatPsnr, SplatReport};
 use marf_stage::{Ctx, Outputs, StageError, TypedOutputs};
 
-use super::{Judged, Picture, adjust_colors, file, judge, place, without_floating};
+use super::{Picture, Splat, SplatComparison, adjust_colors, file, judge, place, without_floating};
 use crate::SurfaceError;
-use crate::extract::Wanted;
+use crate::extract::SurfaceLimits;
 use crate::frame::ExportFrame;
-use crate::stage::Seen;
+use crate::look::FieldViews;
 
 /// Steps of the colours: on the demo the first gains 1.5 dB at held-out views, all that follow together 0.2 dB.
 const COLOR_STEPS: u32 = 4;
 
 /// The field at the view of a photo that it was not trained on.
-pub struct HeldOut {
+pub struct HeldOutView {
     /// Of its pictures.
     pub name: String,
     /// The camera.
@@ -31,74 +31,96 @@ pub struct HeldOut {
     pub seen_opacity: Vec<f32>,
 }
 
-/// Makes the splats of what the views show and writes them, with pictures splats | field at the held-out views.
-///
-/// # Errors
-/// [`SurfaceError::NoSurface`] where the views show none; the wish to stop; a store that cannot be written.
-pub fn make_splats(
-    ctx: &Ctx<'_>,
-    seen: &Seen,
-    held_out: &[HeldOut],
-    wanted: Wanted,
-    frame: &ExportFrame,
-    outputs: &mut Outputs,
-) -> Result<SplatReport, StageError> {
-    let views = seen.shown.iter().zip(&seen.opacities);
-    let shown: Vec<Picture<'_>> = views
-        .clone()
-        .map(|(view, opacity)| Picture {
-            camera: view.camera(),
-            cam_from_world: view.cam_from_world(),
-            rgb: view.colors(),
-            opacity,
-        })
-        .collect();
-    let views: Vec<_> = views.map(|(view, opacity)| (view, &opacity[..])).collect();
-    let placed = place(&views, &seen.observers, &wanted);
-    if placed.is_empty() {
-        return Err(SurfaceError::NoSurface { photos: views.len() }.into());
-    }
-    let (mut splats, floating) = without_floating(&placed, &shown, &seen.distances, || ctx.check())?;
-    drop(placed);
-    let total = u64::from(COLOR_STEPS) * shown.len() as u64;
-    adjust_colors(&mut splats, &shown, COLOR_STEPS, |step, view| {
-        let at = u64::from(step) * shown.len() as u64 + view as u64;
-        ctx.progress.at(at, total, "colours of splats");
-        ctx.check()
-    })?;
-    let mut trained_on = Vec::new();
-    for picture in &shown {
-        ctx.check()?;
-        trained_on.extend(judge(&splats, picture));
-    }
-    let (mut judged, mut judged_seen) = (Vec::new(), Vec::new());
-    for view in held_out {
-        ctx.check()?;
-        let Some(found) = judge(&splats, &view.picture(&view.opacity)) else {
-            continue;
-        };
-        judged_seen.extend(judge(&splats, &view.picture(&view.seen_opacity)));
-        let pair = side_by_side(&[&found.splats, &found.field]);
-        let png = encode_png(&pair).map_err(|error| StageError::new(error.to_string()))?;
-        outputs.put_bytes(ctx, format!("{SPLAT_VIEWS}{}.png", view.name), &png)?;
-        judged.push(found);
-    }
-    let sigmas = splats.iter().map(|splat| splat.sigma * frame.scale());
-    let report = SplatReport {
-        splats: splats.len() as u64,
-        floating,
-        finest: sigmas.clone().fold(f64::INFINITY, f64::min),
-        coarsest: sigmas.fold(0.0, f64::max),
-        color_steps: COLOR_STEPS,
-        trained_on: psnr(&trained_on),
-        held_out: psnr(&judged),
-        held_out_seen: psnr(&judged_seen),
-    };
-    outputs.put_bytes(ctx, SPLATS, &file::ply(&splats, frame, &comments(&report)))?;
-    Ok(report)
+/// The splats of a field.
+pub struct SplatSet {
+    splats: Vec<Splat>,
+    /// Splats that were taken away, since views look through them.
+    floating: u64,
 }
 
-impl HeldOut {
+impl SplatSet {
+    /// Makes the splats of what the views show.
+    ///
+    /// # Errors
+    /// [`SurfaceError::NoSurface`] where the views show none; the wish to stop.
+    pub fn new(ctx: &Ctx<'_>, seen: &FieldViews, limits: &SurfaceLimits) -> Result<Self, StageError> {
+        let views = seen.shown.iter().zip(&seen.opacities);
+        let views: Vec<_> = views.map(|(view, opacity)| (view, &opacity[..])).collect();
+        let placed = place(&views, &seen.observers, limits);
+        if placed.is_empty() {
+            return Err(SurfaceError::NoSurface { photos: views.len() }.into());
+        }
+        let shown = pictures(seen);
+        let (mut splats, floating) = without_floating(&placed, &shown, &seen.distances, || ctx.check())?;
+        drop(placed);
+        let total = u64::from(COLOR_STEPS) * shown.len() as u64;
+        adjust_colors(&mut splats, &shown, COLOR_STEPS, |step, view| {
+            let at = u64::from(step) * shown.len() as u64 + view as u64;
+            ctx.progress.at(at, total, "colours of splats");
+            ctx.check()
+        })?;
+        Ok(Self { splats, floating })
+    }
+
+    /// Compares the splats with the field and writes them, with pictures splats | field at the held-out views.
+    ///
+    /// # Errors
+    /// The wish to stop; a store that cannot be written.
+    pub fn write(
+        self,
+        ctx: &Ctx<'_>,
+        seen: &FieldViews,
+        held_out: &[HeldOutView],
+        frame: &ExportFrame,
+        outputs: &mut Outputs,
+    ) -> Result<SplatReport, StageError> {
+        let Self { splats, floating } = self;
+        let mut trained_on = Vec::new();
+        for picture in &pictures(seen) {
+            ctx.check()?;
+            trained_on.extend(judge(&splats, picture));
+        }
+        let (mut judged, mut judged_seen) = (Vec::new(), Vec::new());
+        for view in held_out {
+            ctx.check()?;
+            let Some(found) = judge(&splats, &view.picture(&view.opacity)) else {
+                continue;
+            };
+            judged_seen.extend(judge(&splats, &view.picture(&view.seen_opacity)));
+            let pair = side_by_side(&[&found.splats, &found.field]);
+            let png = encode_png(&pair).map_err(|error| StageError::new(error.to_string()))?;
+            outputs.put_bytes(ctx, format!("{SPLAT_VIEWS}{}.png", view.name), &png)?;
+            judged.push(found);
+        }
+        let sigmas = splats.iter().map(|splat| splat.sigma * frame.scale());
+        let report = SplatReport {
+            splats: splats.len() as u64,
+            floating,
+            finest: sigmas.clone().fold(f64::INFINITY, f64::min),
+            coarsest: sigmas.fold(0.0, f64::max),
+            color_steps: COLOR_STEPS,
+            trained_on: psnr(&trained_on),
+            held_out: psnr(&judged),
+            held_out_seen: psnr(&judged_seen),
+        };
+        outputs.put_bytes(ctx, SPLATS, &file::ply(&splats, frame, &comments(&report)))?;
+        Ok(report)
+    }
+}
+
+/// Returns what the field shows at the views of the photos.
+fn pictures(seen: &FieldViews) -> Vec<Picture<'_>> {
+    let views = seen.shown.iter().zip(&seen.opacities);
+    let pictures = views.map(|(view, opacity)| Picture {
+        camera: view.camera(),
+        cam_from_world: view.cam_from_world(),
+        rgb: view.colors(),
+        opacity,
+    });
+    pictures.collect()
+}
+
+impl HeldOutView {
     fn picture<'a>(&'a self, opacity: &'a [f32]) -> Picture<'a> {
         Picture {
             camera: &self.camera,
@@ -110,8 +132,9 @@ impl HeldOut {
 }
 
 /// Returns the mean and the least of what was judged; none of nothing.
-fn psnr(judged: &[Judged]) -> Option<SplatPsnr> {
-    let mean = |of: fn(&Judged) -> f64| judged.iter().map(of).sum::<f64>() / judged.len() as f64;
+fn psnr(judged: &[SplatComparison]) -> Option<SplatPsnr> {
+    let mean =
+        |value: fn(&SplatComparison) -> f64| judged.iter().map(value).sum::<f64>() / judged.len() as f64;
     (!judged.is_empty()).then(|| SplatPsnr {
         photos: judged.len() as u64,
         mean_db: mean(|one| one.psnr_db),
@@ -129,16 +152,16 @@ fn comments(report: &SplatReport) -> Vec<String> {
             report.held_out_seen,
         ),
     ];
-    let told = against.into_iter().filter_map(|(of, psnr)| {
+    let scores = against.into_iter().filter_map(|(kind, psnr)| {
         let SplatPsnr { photos, mean_db, .. } = psnr?;
         Some(format!(
-            "against the field's own pictures at the views of {photos} photos {of}, where these show a surface: PSNR {mean_db:.2} dB"
+            "against the field's own pictures at the views of {photos} photos {kind}, where these show a surface: PSNR {mean_db:.2} dB"
         ))
     });
     let mut comments = vec![
         "flat Gaussians where views of the field show a surface; no sky; colours are sRGB and the same from all sides".to_owned(),
         "scale_*: natural logarithm of standard deviations in the unit; opacity: logit; rot_*: w x y z".to_owned(),
     ];
-    comments.extend(told);
+    comments.extend(scores);
     comments
 }

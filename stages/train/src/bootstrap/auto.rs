@@ -64,13 +64,7 @@ pub(super) fn rounds(
     done: &[Outputs],
 ) -> Result<Vec<Round>, StageError> {
     let scene = read_scene(ctx, inputs)?;
-    let members: Vec<Child<'_>> = (0..)
-        .zip(done)
-        .map(|(index, outputs): (u32, _)| Child {
-            name: format!("member {index:02}"),
-            outputs,
-        })
-        .collect();
+    let members = Child::numbered("member", done);
     let views = members
         .first()
         .map(|first| small_views(ctx, &scene, first))
@@ -158,7 +152,7 @@ fn grays(
         let key = digest_of(&(
             "gray render 2",
             (weights, view.digest),
-            (device.backend_id(), SIDE_PX),
+            (marf_field_gpu::backend_id(device), SIDE_PX),
         ));
         let known = ctx.memos.load(&key).and_then(|bytes| floats(&bytes));
         if let Some(known) = known.filter(|known| known.len() == view.gray.len()) {
@@ -169,7 +163,8 @@ fn grays(
             None => {
                 let decoded = Field::decode(&ctx.get(&weights)?);
                 let decoded = decoded.map_err(|error| member.malformed(WEIGHTS, &error))?;
-                field.insert(decoded.on(device).map_err(field_failed)?)
+                let decoded = marf_field_gpu::open(device).and_then(|backend| decoded.with_backend(backend));
+                field.insert(decoded.map_err(field_failed)?)
             }
         };
         let render = field
@@ -194,6 +189,6 @@ fn ause(small: &SmallView, view: usize, grays: &[Vec<Vec<f32>>]) -> f64 {
         let moments = moments(&mut values);
         (moments.sample as f32, (moments.mean - photo).abs() as f32)
     });
-    let (std, error): (Vec<f32>, Vec<f32>) = pixels.unzip();
+    let (std, error): (Vec<_>, Vec<_>) = pixels.unzip();
     sparsify(&std, &error, &hundredths(), Norm::Mae).ause
 }

@@ -59,7 +59,7 @@ pub(crate) struct Errors {
 
 impl Errors {
     /// Keeps some of all pairs, evenly spaced.
-    pub fn of(place: usize, all: Vec<(f32, f32)>, unseen_share: f64) -> Self {
+    pub fn new(place: usize, all: Vec<(f32, f32)>, unseen_share: f64) -> Self {
         let stride = all.len().div_ceil(MOST_ERRORS).max(1);
         Self {
             place,
@@ -97,8 +97,7 @@ pub(crate) fn calibrate(views: &[Errors], floors: &[f64]) -> Option<Calibration>
     }
     let fit = fit(&views.iter().collect::<Vec<_>>(), floors)?;
     let checks = places.iter().filter_map(|place| {
-        let (left_out, others): (Vec<&Errors>, Vec<&Errors>) =
-            views.iter().partition(|view| view.place == *place);
+        let (left_out, others): (Vec<_>, Vec<_>) = views.iter().partition(|view| view.place == *place);
         check(&left_out, &self::fit(&others, floors)?)
     });
     let checks: Vec<Check> = checks.collect();
@@ -266,7 +265,7 @@ mod tests {
         };
         let quantiles = ends.windows(2).flat_map(between);
         let pairs = quantiles.map(|z| (spread, (z * sd) as f32));
-        Errors::of(place, pairs.collect(), 0.25)
+        Errors::new(place, pairs.collect(), 0.25)
     }
 
     #[test]
@@ -318,14 +317,14 @@ mod tests {
     fn one_place_or_few_errors_tell_nothing() {
         let twins = [normal(0, 0.1, 0.1), normal(0, 0.1, 0.1)];
         assert_eq!(calibrate(&twins, &[0.1]), None);
-        let few = |place: usize| Errors::of(place, vec![(0.1, 0.1); 49], 0.0);
+        let few = |place: usize| Errors::new(place, vec![(0.1, 0.1); 49], 0.0);
         assert_eq!(calibrate(&[few(0), few(1)], &[0.1]), None);
         assert_eq!(calibrate(&[], &[0.1]), None);
     }
 
     #[test]
     fn without_any_spread_the_floor_alone_makes_the_interval() {
-        let view = |place: usize| Errors::of(place, vec![(0.0, 0.0); 200], 0.0);
+        let view = |place: usize| Errors::new(place, vec![(0.0, 0.0); 200], 0.0);
         let found = calibrate(&[view(0), view(1)], &GRAY_FLOORS).unwrap();
         assert_eq!((found.t, found.factor90, found.coverage90), (0.0, 0.0, 1.0));
         assert!(found.ece.is_finite());
@@ -360,7 +359,7 @@ mod tests {
 
     #[test]
     fn of_many_errors_some_are_kept() {
-        let many = Errors::of(0, vec![(0.0, 0.0); 3 * MOST_ERRORS], 0.0);
+        let many = Errors::new(0, vec![(0.0, 0.0); 3 * MOST_ERRORS], 0.0);
         assert_eq!(many.pairs.len(), MOST_ERRORS);
     }
 }

@@ -1,4 +1,5 @@
 use marf_field::Render;
+use marf_scene::{Image, Srgb};
 use marf_stage::{Ctx, StageError};
 
 use super::intervals::{locally, widened};
@@ -23,7 +24,7 @@ pub(crate) struct Maps {
     pub std_paper: Vec<f32>,
     /// Sample standard deviation of each channel.
     pub rgb_std: Vec<[f32; 3]>,
-    /// (1 - c)², c the share of the pixel that photos have seen ([`Sight::seen`]): 1 where no photo looked.
+    /// (1 - c)², c the share of the pixel that photos have seen ([`Visibility::seen`]): 1 where no photo looked.
     pub unseen: Vec<f32>,
     /// What all members get wrong alike: the error of gray that one of them has where the photos it was trained on show what the pixel
     /// shows, root mean square over these photos; 0 where none does.
@@ -44,7 +45,7 @@ pub(crate) struct Maps {
 
 /// What photos saw of what one pixel shows.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Sight {
+pub(crate) struct Visibility {
     /// How well the surface at the median depth was seen, in [0, 1].
     pub surface: f64,
     /// How well the sky behind it was seen, in [0, 1].
@@ -59,7 +60,7 @@ pub(crate) struct Sight {
     pub residual: f32,
 }
 
-impl Sight {
+impl Visibility {
     /// Returns the share of a pixel of mean opacity `q` that was seen: q surface + (1 - q) sky.
     ///
     /// Where every surface was seen and no sky it is q, and `1 - q` squared is the opacity term of arXiv 2209.08718.
@@ -106,7 +107,7 @@ pub(crate) struct Surfaces {
     pub opacity: Vec<f32>,
 }
 
-/// Returns the spread of the members' renders of one viewpoint, which have one size; `sights`: what photos saw of each pixel.
+/// Returns the spread of the members' renders of one viewpoint, which have one size; `visibilities`: what photos saw of each pixel.
 ///
 /// Extremes: one member has spread 0 everywhere, which says nothing; the stage refuses B = 1.
 ///
@@ -115,14 +116,14 @@ pub(crate) struct Surfaces {
 pub(crate) fn maps(
     ctx: &Ctx<'_>,
     renders: &[Render],
-    sights: &dyn Fn(&Surfaces) -> Vec<Sight>,
+    visibilities: &dyn Fn(&Surfaces) -> Vec<Visibility>,
 ) -> Result<Maps, StageError> {
     let (width, height) = renders
         .first()
         .map_or((0, 0), |render| (render.width, render.height));
     let count = width as usize * height as usize;
     let mut values = vec![0.0; renders.len()];
-    let mut of = |value: &dyn Fn(&Render) -> f64| {
+    let mut over_members = |value: &dyn Fn(&Render) -> f64| {
         for (slot, render) in values.iter_mut().zip(renders) {
             *slot = value(render);
         }
@@ -135,21 +136,21 @@ pub(crate) fn maps(
     for pixel in 0..count {
         surfaces
             .depth
-            .push(of(&|render| f64::from(render.depth[pixel])).median);
-        let opacity = of(&|render| f64::from(render.opacity[pixel])).mean;
+            .push(over_members(&|render| f64::from(render.depth[pixel])).median);
+        let opacity = over_members(&|render| f64::from(render.opacity[pixel])).mean;
         surfaces.opacity.push(opacity as f32);
     }
     ctx.check()?;
-    let sights = sights(&surfaces);
+    let visibilities = visibilities(&surfaces);
     let mut maps = Maps::with_capacity(width, height, count);
-    for (pixel, sight) in sights.iter().enumerate() {
+    for (pixel, visibility) in visibilities.iter().enumerate() {
         if pixel % width as usize == 0 {
             ctx.check()?;
         }
-        let channels = [0, 1, 2].map(|channel| of(&|render| f64::from(render.rgb[pixel][channel])));
-        let gray = of(&|render| gray(&render.rgb[pixel]));
-        let depth = of(&|render| f64::from(render.depth[pixel]));
-        maps.push(&channels, &gray, surfaces.opacity[pixel], &depth, sight);
+        let channels = [0, 1, 2].map(|channel| over_members(&|render| f64::from(render.rgb[pixel][channel])));
+        let gray = over_members(&|render| gray(&render.rgb[pixel]));
+        let depth = over_members(&|render| f64::from(render.depth[pixel]));
+        maps.push(&channels, &gray, surfaces.opacity[pixel], &depth, visibility);
     }
     Ok(maps)
 }
@@ -173,7 +174,17 @@ impl Maps {
             .collect()
     }
 
-    /// Tells whether photos saw most of what a pixel shows.
+    /// Returns the mean colour, rounded to 8 bits.
+    pub fn mean_picture(&self) -> Image<Srgb> {
+        let round = |value: f32| (value.clamp(0.0, 1.0) * 255.0 + 0.5) as u8;
+        Image {
+            width: self.width,
+            height: self.height,
+            pixels: self.mean.iter().map(|rgb| rgb.map(round)).collect(),
+        }
+    }
+
+    /// Returns whether photos saw most of what a pixel shows.
     pub fn is_seen(&self, pixel: usize) -> bool {
         self.unseen[pixel] < Self::HALF_SEEN
     }
@@ -200,7 +211,7 @@ impl Maps {
     }
 
     /// Reads what [`Maps::pack`] wrote of a viewpoint of that width and height; none if it is anything else.
-    pub fn unpack(bytes: &[u8], (width, height): (u32, u32)) -> Option<Self> {
+    pub fn unpack(bytes: &[u8], width: u32, height: u32) -> Option<Self> {
         let values = floats(bytes)?;
         let count = width as usize * height as usize;
         if values.len() != Self::VALUES * count {
@@ -257,11 +268,11 @@ impl Maps {
         gray: &Moments,
         opacity: f32,
         depth: &Moments,
-        sight: &Sight,
+        visibility: &Visibility,
     ) {
-        let unseen = 1.0 - sight.seen(f64::from(opacity));
+        let unseen = 1.0 - visibility.seen(f64::from(opacity));
         let unseen = unseen * unseen;
-        let residual = f64::from(sight.residual);
+        let residual = f64::from(visibility.residual);
         let total = (gray.population * gray.population + unseen + residual * residual).sqrt();
         self.mean.push(channels.map(|channel| channel.mean as f32));
         self.gray.push(gray.mean as f32);
@@ -269,14 +280,14 @@ impl Maps {
         self.std_paper.push(gray.population as f32);
         self.rgb_std.push(channels.map(|channel| channel.sample as f32));
         self.unseen.push(unseen as f32);
-        self.residual.push(sight.residual);
+        self.residual.push(visibility.residual);
         self.total.push(total as f32);
-        let of_matter = |value: f64| if opacity > MIN_OPACITY { value as f32 } else { -1.0 };
-        self.depth.push(of_matter(depth.mean));
-        self.depth_std.push(of_matter(depth.sample));
-        self.photos.push(sight.photos);
-        self.photo_distance.push(sight.photo_distance);
-        self.incidence_deg.push(sight.incidence_deg);
+        let matter_only = |value: f64| if opacity > MIN_OPACITY { value as f32 } else { -1.0 };
+        self.depth.push(matter_only(depth.mean));
+        self.depth_std.push(matter_only(depth.sample));
+        self.photos.push(visibility.photos);
+        self.photo_distance.push(visibility.photo_distance);
+        self.incidence_deg.push(visibility.incidence_deg);
     }
 }
 
@@ -309,8 +320,8 @@ pub(crate) mod tests {
     }
 
     /// Photos saw all matter and no sky.
-    fn matter_seen(surfaces: &Surfaces) -> Vec<Sight> {
-        let sight = Sight {
+    fn matter_seen(surfaces: &Surfaces) -> Vec<Visibility> {
+        let visibility = Visibility {
             surface: 1.0,
             sky: 0.0,
             photos: 3.0,
@@ -318,7 +329,7 @@ pub(crate) mod tests {
             incidence_deg: 30.0,
             residual: 0.0,
         };
-        vec![sight; surfaces.depth.len()]
+        vec![visibility; surfaces.depth.len()]
     }
 
     pub(crate) fn maps_of(renders: &[Render]) -> Maps {
@@ -332,7 +343,7 @@ pub(crate) mod tests {
 
     #[test]
     fn a_sky_that_photos_saw_is_certain_and_a_surface_that_none_saw_is_not() {
-        let sight = |surface: f64, sky: f64| Sight {
+        let visibility = |surface: f64, sky: f64| Visibility {
             surface,
             sky,
             ..matter_seen(&Surfaces {
@@ -340,7 +351,12 @@ pub(crate) mod tests {
                 opacity: vec![0.0],
             })[0]
         };
-        let rows = [sight(1.0, 0.0), sight(0.0, 1.0), sight(0.0, 0.0), sight(1.0, 1.0)];
+        let rows = [
+            visibility(1.0, 0.0),
+            visibility(0.0, 1.0),
+            visibility(0.0, 0.0),
+            visibility(1.0, 1.0),
+        ];
         let harness = marf_stage::harness::Harness::default();
         let maps = maps(&harness.ctx(), &example(), &|_| rows.to_vec()).unwrap();
         for (pixel, expected) in [0.0, 0.995 * 0.995, 1.0, 0.0].into_iter().enumerate() {
@@ -357,9 +373,9 @@ pub(crate) mod tests {
     fn maps_come_back_to_the_bit_and_those_of_another_size_do_not() {
         let maps = maps_of(&example());
         let bytes = maps.pack();
-        assert_eq!(Maps::unpack(&bytes, (4, 1)), Some(maps));
-        for (bytes, size) in [(&bytes[..], (5, 1)), (&bytes[1..], (4, 1)), (&bytes[..0], (4, 1))] {
-            assert_eq!(Maps::unpack(bytes, size), None, "{size:?}");
+        assert_eq!(Maps::unpack(&bytes, 4, 1), Some(maps));
+        for (bytes, width) in [(&bytes[..], 5), (&bytes[1..], 4), (&bytes[..0], 4)] {
+            assert_eq!(Maps::unpack(bytes, width, 1), None, "{width}");
         }
     }
 

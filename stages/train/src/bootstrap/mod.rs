@@ -1,37 +1,37 @@
-//! `bootstrap`: B retrainings to maps of where they disagree, and a fly-through; every member is a `train` node.
+//! `bootstrap`: B retrainings to maps of where they disagree; every member is a `train` node.
 //!
 //! Members are sorted pixel by pixel before they are summed, so no map depends on their order.
 
 mod auto;
 mod drawing;
 mod intervals;
+mod mapper;
 pub(crate) mod maps;
 mod normality;
 mod npy;
 mod out_of_bag;
 mod reduce;
 mod report;
-mod seen;
+mod retrainings;
 mod sparsification;
 mod study;
 mod viewpoints;
+mod visibility;
 
 use std::ops::Range;
 
 use marf_cache::Digest;
 use marf_schema::{
     bootstrap::{BootstrapParams, MemberFields, Members, Metrics, Mode},
-    output::{FLYTHROUGH, MAPS, SCENE, WEIGHTS},
+    output::{MAPS, SCENE, WEIGHTS},
     train::{Setup, TrainParams, TrialsParams},
     tune::BestParams,
-    video::Film,
 };
 use marf_stage::{
-    ChildStage, Ctx, Define, Document, Expand, Inputs, NodeSpec, Outputs, ParamError, Params, Port,
-    StageError,
+    ChildStage, Ctx, Document, Expand, Inputs, NodeSpec, Outputs, Port, StageError, Threads, stage,
 };
 
-use crate::{checkpoint::identity, io::read_setup, stage_on_device};
+use crate::{checkpoint::identity, io::read_setup};
 use reduce::reduce;
 
 /// Trains B fields that differ in seed or photos, and maps where they disagree.
@@ -43,37 +43,26 @@ pub struct Bootstrap {
     params: BootstrapParams,
 }
 
-impl Define for Bootstrap {
-    type Params = BootstrapParams;
-    const NAME: &'static str = BootstrapParams::STAGE;
-    const ABOUT: &'static str = "retrains B times and maps where the fields disagree";
-    const VERSION: u32 = 12;
-    const PORTS: &'static [Port] = &[
+stage! {
+    Bootstrap { params: BootstrapParams },
+    Expand,
+    Threads::All,
+    about: "retrains B times and maps where the fields disagree",
+    version: 13,
+    ports: [
         Port::required("input", SCENE),
         Port::optional("params", BestParams::OUTPUT),
         Port::optional("of", Setup::OUTPUT).deciding(&["params", "quality", "steps", "scale", "field"]),
-    ];
-    const OUTPUTS: &'static [&'static str] = &[
-        Metrics::OUTPUT,
-        MemberFields::OUTPUT,
-        Film::OUTPUT,
-        MAPS,
-        FLYTHROUGH,
-    ];
-
-    fn new(params: BootstrapParams) -> Result<Self, ParamError> {
-        params.check()?;
-        Ok(Self { params })
-    }
+    ],
+    outputs: [Metrics::OUTPUT, MemberFields::OUTPUT, MAPS],
+    device: device,
 }
-
-stage_on_device!(Bootstrap, Expand);
 
 impl Bootstrap {
     fn members(&self, members: Range<u32>, inputs: &Inputs) -> Result<Vec<NodeSpec>, StageError> {
         let specs = members.map(|index| {
             let train = member(&self.params, index);
-            NodeSpec::of(format!("member-{index:02}"), &train, inputs)
+            NodeSpec::new(format!("member-{index:02}"), &train, inputs)
         });
         specs.collect()
     }
@@ -81,7 +70,7 @@ impl Bootstrap {
 
 impl Expand for Bootstrap {
     fn children(&self) -> Vec<ChildStage> {
-        vec![ChildStage::of(&member(&self.params, 0))]
+        vec![ChildStage::new(&member(&self.params, 0))]
     }
 
     fn expand(&self, ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Vec<NodeSpec>, StageError> {
@@ -105,8 +94,8 @@ impl Expand for Bootstrap {
     fn reduce(&self, ctx: &Ctx<'_>, inputs: &Inputs, children: &[Outputs]) -> Result<Outputs, StageError> {
         let weights = children.iter().filter_map(|outputs| outputs.get(WEIGHTS));
         let weights: Vec<String> = weights.map(Digest::to_string).collect();
-        let of = identity(self, inputs, &weights.join(" "));
-        reduce(ctx, of, &self.params, inputs, children)
+        let identity = identity(self, inputs, &weights.join(" "));
+        reduce(ctx, identity, &self.params, inputs, children)
     }
 }
 

@@ -4,7 +4,7 @@ use marf_cache::{Digest, digest_of};
 use marf_field::Field;
 use marf_scene::{Image, Srgb, metrics::psnr};
 use marf_schema::{bootstrap::OutOfBag, train};
-use marf_stage::{Ctx, StageError};
+use marf_stage::StageError;
 use serde::{Deserialize, Serialize};
 
 use super::{auto::SIDE_PX, normality::mean};
@@ -15,17 +15,16 @@ use crate::{
 
 /// PSNR of one photo, dB.
 #[derive(Serialize, Deserialize)]
-struct Compared {
+struct BagScores {
     out_of_bag: Option<f64>,
     in_bag: Option<f64>,
 }
 
 /// Compares every photo with the mean of the members that did not draw it, and that did; none where members have not drawn photos.
 ///
-/// `of` stands for the node and its fields.
+/// `identity` stands for the node and its fields.
 pub(super) fn out_of_bag(
-    ctx: &Ctx<'_>,
-    of: Digest,
+    identity: Digest,
     members: &[train::Metrics],
     fields: &[Field],
     photos: &PhotoReader<'_>,
@@ -34,25 +33,26 @@ pub(super) fn out_of_bag(
     if members.iter().any(|member| member.drawn.is_none()) {
         return Ok(None);
     }
-    let mut journal = Journal::new(ctx, "out of bag", digest_of(&(of, "out of bag")));
+    let ctx = photos.ctx;
+    let mut journal = Journal::new(ctx, "out of bag", digest_of(&(identity, "out of bag")));
     let mut compared = Vec::with_capacity(training.len());
     for (index, named) in training.iter().enumerate() {
         let note = format!("out of bag: {}", named.name);
         ctx.progress.at(index as u64, training.len() as u64, &note);
         compared.push(journal.piece(
-            |bytes| serde_json::from_slice::<Compared>(bytes).ok(),
+            |bytes| serde_json::from_slice::<BagScores>(bytes).ok(),
             || {
                 let photo = photos.read(named.frame)?.thinned_to(SIDE_PX);
-                let of_those = |drew: bool| {
+                let mean_of = |drew: bool| {
                     let chosen = members
                         .iter()
                         .zip(fields)
                         .filter(|(member, _)| member.has_drawn(&named.frame.id) == drew);
                     mean_psnr(named, &photo, chosen.map(|(_, field)| field))
                 };
-                let compared = Compared {
-                    out_of_bag: of_those(false)?,
-                    in_bag: of_those(true)?,
+                let compared = BagScores {
+                    out_of_bag: mean_of(false)?,
+                    in_bag: mean_of(true)?,
                 };
                 let bytes = serde_json::to_vec(&compared);
                 Ok((
@@ -67,7 +67,7 @@ pub(super) fn out_of_bag(
 }
 
 /// Returns the means over photos that at least one member did not draw; none without any.
-fn summary(compared: &[Compared]) -> Option<OutOfBag> {
+fn summary(compared: &[BagScores]) -> Option<OutOfBag> {
     let out: Vec<f64> = compared.iter().filter_map(|photo| photo.out_of_bag).collect();
     let both: Vec<f64> = compared
         .iter()
@@ -119,7 +119,7 @@ mod tests {
 
     #[test]
     fn only_photos_that_some_member_did_not_draw_count() {
-        let photo = |out_of_bag: Option<f64>, in_bag: Option<f64>| Compared { out_of_bag, in_bag };
+        let photo = |out_of_bag: Option<f64>, in_bag: Option<f64>| BagScores { out_of_bag, in_bag };
         let all = [
             photo(Some(20.0), Some(24.0)),
             photo(None, Some(30.0)),

@@ -1,3 +1,4 @@
+use marf_numeric::lower_median;
 use marf_schema::bootstrap::{
     Coverage, HeldOut, Member, Metrics, Mode, PhotoReport, SparsificationCurves, ViewReport,
 };
@@ -69,11 +70,10 @@ fn held_out(views: &[ViewStudy], members: &[Member]) -> Option<HeldOut> {
     let pixels: Vec<f64> = studies.iter().map(|(_, pixels)| *pixels).collect();
     let over_pixels =
         |value: fn(&HeldOutStudy) -> f64| weighted(studies.iter().map(|(study, _)| value(study)), &pixels);
-    let errors = |of: fn(&HeldOutStudy) -> &Errors| -> Vec<Errors> {
-        studies.iter().map(|(study, _)| of(study).clone()).collect()
+    let errors = |of_study: fn(&HeldOutStudy) -> &Errors| -> Vec<Errors> {
+        studies.iter().map(|(study, _)| of_study(study).clone()).collect()
     };
-    let mut ranks: Vec<f64> = photos.iter().map(|photo| photo.spearman).collect();
-    ranks.sort_unstable_by(f64::total_cmp);
+    let spearman = lower_median(photos.iter().map(|photo| photo.spearman));
     Some(HeldOut {
         mean: PhotoReport {
             psnr: mean_of(|photo| photo.psnr),
@@ -82,7 +82,7 @@ fn held_out(views: &[ViewStudy], members: &[Member]) -> Option<HeldOut> {
             ause_rmse: mean_of(|photo| photo.ause_rmse),
             ause_rmse_random: mean_of(|photo| photo.ause_rmse_random),
             ause_mae_total: mean_of(|photo| photo.ause_mae_total),
-            spearman: ranks[(ranks.len() - 1) / 2],
+            spearman: spearman.unwrap_or(0.0),
         },
         sparsification: mean_curves(&studies),
         psnr_members_mean: mean(members.iter().map(|member| member.psnr)),

@@ -5,7 +5,6 @@ use marf_schema::bootstrap::{Coverage, PhotoReport, SparsificationCurves, ViewRe
 use nalgebra::Vector3;
 
 use super::{
-    drawing::mean_picture,
     intervals::{Errors, locally},
     maps::{Maps, gray},
     normality::{coverage, mean, nll},
@@ -54,7 +53,6 @@ pub(crate) struct Tops {
     pub local_spread: f64,
     pub residual: f64,
     pub total: f64,
-    pub depth: f64,
     pub depth_std: f64,
     pub error: f64,
     pub photos: f64,
@@ -82,9 +80,10 @@ pub(crate) fn study(
         .map(|truth| errors(maps, truth.photo, truth.hidden))
         .unwrap_or_default();
     let orders = truth.map(|_| Orders::new(maps, &error));
-    let held_out = truth.zip(orders.as_ref());
-    let held_out =
-        held_out.map(|(truth, orders)| self::held_out(place, maps, truth.place, (&error, orders), points));
+    let held_out = truth.zip(orders.as_ref()).map(|(truth, orders)| {
+        let depths = depth_errors(place, maps, points);
+        self::held_out(maps, truth.place, &error, orders, depths)
+    });
     let report = ViewReport {
         place: truth.map(|truth| truth.place as u64),
         photo: truth
@@ -105,7 +104,6 @@ pub(crate) fn study(
             local_spread: top(&maps.local_spread()),
             residual: top(&maps.residual),
             total: top(&maps.total),
-            depth: top(&maps.depth),
             depth_std: top(&maps.depth_std),
             error: top(&error),
             photos: top(&maps.photos),
@@ -116,7 +114,8 @@ pub(crate) fn study(
 
 /// Returns |mean gray - gray of the photo| of every pixel, -1 where its mask hides it.
 pub(crate) fn errors(maps: &Maps, photo: &Image<Srgb>, hidden: &[bool]) -> Vec<f32> {
-    let error = |(pixel, (mean, rgb)): (usize, (&f32, &[u8; 3]))| {
+    let pixels = maps.gray.iter().zip(&photo.pixels);
+    let errors = pixels.enumerate().map(|(pixel, (mean, rgb))| {
         let photo = gray(&rgb.map(|channel| f32::from(channel) / 255.0));
         let is_hidden = hidden.get(pixel).copied().unwrap_or(false);
         if is_hidden {
@@ -124,13 +123,8 @@ pub(crate) fn errors(maps: &Maps, photo: &Image<Srgb>, hidden: &[bool]) -> Vec<f
         } else {
             (f64::from(*mean) - photo).abs() as f32
         }
-    };
-    maps.gray
-        .iter()
-        .zip(&photo.pixels)
-        .enumerate()
-        .map(error)
-        .collect()
+    });
+    errors.collect()
 }
 
 /// Returns the values of a map at the pixels that have an error.
@@ -198,10 +192,11 @@ fn photo_report(
     truth: &Truth<'_>,
     orders: &Orders,
 ) -> Result<PhotoReport, TrainError> {
-    let psnr = psnr(&mean_picture(maps), truth.photo, truth.hidden).map_err(|cause| TrainError::Picture {
-        name: place.name.clone(),
-        cause: cause.to_string(),
-    })?;
+    let psnr =
+        psnr(&maps.mean_picture(), truth.photo, truth.hidden).map_err(|cause| TrainError::Picture {
+            name: place.name.clone(),
+            cause: cause.to_string(),
+        })?;
     Ok(PhotoReport {
         psnr,
         ause_mae: orders.std.ause,
@@ -213,12 +208,13 @@ fn photo_report(
     })
 }
 
+/// Returns what a photo taken at the place `number` says: `error` of every pixel, and spread and error of depths.
 fn held_out(
-    place: &Viewpoint,
     maps: &Maps,
     number: usize,
-    (error, orders): (&[f32], &Orders),
-    points: &[Point],
+    error: &[f32],
+    orders: &Orders,
+    depths: Vec<(f32, f32)>,
 ) -> HeldOutStudy {
     let spreads = maps.local_spread();
     let seen = (0..error.len()).filter(|pixel| error[*pixel] >= 0.0 && maps.is_seen(*pixel));
@@ -234,8 +230,8 @@ fn held_out(
             sd3: within(3.0),
         },
         nll: nll(&std, &error, 1.0),
-        gray: Errors::of(number, gray, unseen_share),
-        depth: Errors::of(number, depth_errors(place, maps, points), unseen_share),
+        gray: Errors::new(number, gray, unseen_share),
+        depth: Errors::new(number, depths, unseen_share),
     }
 }
 
@@ -388,7 +384,7 @@ mod tests {
             height: 1,
             pixels: vec![[128; 3], [77; 3], [184; 3], [last; 3]],
         };
-        let of = |photo: &Image<Srgb>, hidden: &[bool]| {
+        let study_of = |photo: &Image<Srgb>, hidden: &[bool]| {
             study(
                 &place(4, 1),
                 &maps,
@@ -402,10 +398,10 @@ mod tests {
             .unwrap()
         };
         let hidden = [false, false, false, true];
-        let (one, other) = (of(&photo(0), &hidden), of(&photo(255), &hidden));
+        let (one, other) = (study_of(&photo(0), &hidden), study_of(&photo(255), &hidden));
         assert_eq!(one.report, other.report);
         assert_eq!(one.held_out.unwrap().gray, other.held_out.unwrap().gray);
-        assert_ne!(of(&photo(0), &[]).report, of(&photo(255), &[]).report);
+        assert_ne!(study_of(&photo(0), &[]).report, study_of(&photo(255), &[]).report);
         assert_eq!(errors(&maps, &photo(0), &hidden)[3], -1.0);
     }
 

@@ -18,7 +18,7 @@ use marf_schema::{
 use marf_stage::{Ctx, Outputs, StageError};
 use serde::{Deserialize, Serialize};
 
-use super::Fields;
+use super::fields::Fields;
 use crate::{
     TrainError,
     bootstrap::maps::{gray, moments},
@@ -33,83 +33,94 @@ const SCALE_SHARE: f64 = 0.95;
 /// What is kept of a rendered viewpoint, layer by layer.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(transparent)]
-pub(super) struct Frame(Vec<Kept>);
+pub(super) struct Frame(Vec<LayerPicture>);
 
 /// A layer of a rendered viewpoint.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-struct Kept {
+struct LayerPicture {
     /// The picture (PNG): colours of 8 bits, or values of 16.
     png: Digest,
     /// The value that [`SCALE_SHARE`] of the pixels do not exceed; 0 of colours.
     top: f32,
 }
 
-/// Returns the layers of a viewpoint, kept as pictures: what is known of the same fields and camera is taken, the rest is rendered.
-pub(super) fn frame(
-    ctx: &Ctx<'_>,
-    scene: &Scene,
-    layers: &[Layer],
-    fields: &Fields,
-    (of, place): (Digest, &Viewpoint),
-) -> Result<Frame, StageError> {
-    let key = |layer: Layer| memo_key(layer, fields, place, scene.metres_per_unit);
-    let kept = layers.iter().map(|layer| {
-        if let Some(kept) = known(ctx, &key(*layer)) {
-            return Ok(kept);
-        }
-        if *layer == Layer::Uncertainty {
-            let kept = uncertainty(ctx, &fields.members(ctx, of, place)?)?;
-            return keep(ctx, &key(*layer), kept);
-        }
-        // One render gives colour and depth; whoever asks for one may ask for the other later.
-        let render = fields.own(ctx, of, place)?;
-        let colour = keep(ctx, &key(Layer::Rgb), colours(ctx, &render)?)?;
-        let depth = keep(ctx, &key(Layer::Depth), depths(ctx, scene, &render)?)?;
-        Ok(if *layer == Layer::Rgb { colour } else { depth })
-    });
-    Ok(Frame(kept.collect::<Result<_, StageError>>()?))
+/// The layers that are made at every viewpoint, and the fields that they show.
+pub(super) struct LayerSource<'a> {
+    pub layers: &'a [Layer],
+    pub fields: &'a Fields,
+    pub metres_per_unit: Option<f64>,
+}
+
+impl LayerSource<'_> {
+    /// Returns the layers of a viewpoint, kept as pictures: what is known of the same fields and camera is taken, the rest is rendered.
+    /// `identity` stands for the fields and the viewpoint.
+    ///
+    /// # Errors
+    /// A field that cannot be rendered, a picture that cannot be stored.
+    pub fn frame(&self, ctx: &Ctx<'_>, identity: Digest, place: &Viewpoint) -> Result<Frame, StageError> {
+        let key = |layer: Layer| memo_key(layer, self.fields, place, self.metres_per_unit);
+        let kept = self.layers.iter().map(|layer| {
+            if let Some(kept) = known(ctx, &key(*layer)) {
+                return Ok(kept);
+            }
+            if *layer == Layer::Uncertainty {
+                let kept = uncertainty(ctx, &self.fields.members(ctx, identity, place)?)?;
+                return keep(ctx, &key(*layer), kept);
+            }
+            // One render gives colour and depth; whoever asks for one may ask for the other later.
+            let render = self.fields.own(ctx, identity, place)?;
+            let colour = keep(ctx, &key(Layer::Rgb), colours(ctx, &render)?)?;
+            let depth = keep(
+                ctx,
+                &key(Layer::Depth),
+                depths(ctx, &render, self.metres_per_unit)?,
+            )?;
+            Ok(if *layer == Layer::Rgb { colour } else { depth })
+        });
+        Ok(Frame(kept.collect::<Result<_, StageError>>()?))
+    }
 }
 
 /// Saves a layer as a memo and returns it.
-fn keep(ctx: &Ctx<'_>, key: &Digest, kept: Kept) -> Result<Kept, StageError> {
+fn keep(ctx: &Ctx<'_>, key: &Digest, kept: LayerPicture) -> Result<LayerPicture, StageError> {
     let bytes = serde_json::to_vec(&kept).map_err(|error| StageError::new(error.to_string()))?;
     ctx.memos.save(key, &bytes);
     Ok(kept)
 }
 
-/// Version of [`Kept`] as this module makes it: raised with what is in its picture.
+/// Version of [`LayerPicture`] as this module makes it: raised with what is in its picture.
 const KEPT_VERSION: u32 = 1;
 
 /// Returns the key of a layer: all that its picture depends on. The name of the viewpoint is not among it.
 fn memo_key(layer: Layer, fields: &Fields, place: &Viewpoint, metres_per_unit: Option<f64>) -> Digest {
     // As JSON numbers have all their bits.
     let numbers = serde_json::json!([place.camera, place.cam_from_world, metres_per_unit]);
-    let of = (name(layer), fields.id(layer), numbers.to_string());
-    digest_of(&("render layer", KEPT_VERSION, of))
+    let shown = (name(layer), fields.id(layer), numbers.to_string());
+    digest_of(&("render layer", KEPT_VERSION, shown))
 }
 
 /// Returns a layer that is known; none if its picture is not stored any more.
-fn known(ctx: &Ctx<'_>, key: &Digest) -> Option<Kept> {
-    let kept: Kept = serde_json::from_slice(&ctx.memos.load(key)?).ok()?;
+fn known(ctx: &Ctx<'_>, key: &Digest) -> Option<LayerPicture> {
+    let kept: LayerPicture = serde_json::from_slice(&ctx.memos.load(key)?).ok()?;
     ctx.blobs.contains(&kept.png).then_some(kept)
 }
 
-fn colours(ctx: &Ctx<'_>, render: &Rendered) -> Result<Kept, StageError> {
+fn colours(ctx: &Ctx<'_>, render: &Rendered) -> Result<LayerPicture, StageError> {
     let png = encode_png(&render.to_image()).map_err(|error| picture_failed(name(Layer::Rgb), &error))?;
     let png = ctx.put(&png)?;
-    Ok(Kept { png, top: 0.0 })
+    Ok(LayerPicture { png, top: 0.0 })
 }
 
-fn depths(ctx: &Ctx<'_>, scene: &Scene, render: &Rendered) -> Result<Kept, StageError> {
-    let (depth, metres) = (depth_of(render), scene.metres_per_unit);
+fn depths(ctx: &Ctx<'_>, render: &Rendered, metres: Option<f64>) -> Result<LayerPicture, StageError> {
+    let depth = depth_of(render);
     let png = png16::depth(render.width, render.height, &depth, metres);
     let png = png.map_err(|error| picture_failed(name(Layer::Depth), &error))?;
     let top = f64::from(quantile(&depth, SCALE_SHARE)) * metres.unwrap_or(1.0);
     let png = ctx.put(&png)?;
-    Ok(Kept { png, top: top as f32 })
+    Ok(LayerPicture { png, top: top as f32 })
 }
 
-fn uncertainty(ctx: &Ctx<'_>, members: &[Rendered]) -> Result<Kept, StageError> {
+fn uncertainty(ctx: &Ctx<'_>, members: &[Rendered]) -> Result<LayerPicture, StageError> {
     let first = members.first().ok_or(TrainError::NoMembers)?;
     let spread = spread(members);
     let kind = format!(
@@ -121,10 +132,10 @@ fn uncertainty(ctx: &Ctx<'_>, members: &[Rendered]) -> Result<Kept, StageError> 
         unit: SPREAD_UNIT,
         kind: &kind,
     };
-    let png = png16::quantity((first.width, first.height), &spread, 1.0, &quantity);
+    let png = png16::quantity(first.width, first.height, &spread, 1.0, &quantity);
     let png = png.map_err(|error| picture_failed(name(Layer::Uncertainty), &error))?;
     let png = ctx.put(&png)?;
-    Ok(Kept {
+    Ok(LayerPicture {
         png,
         top: quantile(&spread, SCALE_SHARE),
     })
@@ -154,13 +165,13 @@ fn depth_of(render: &Rendered) -> Vec<f32> {
 fn spread(members: &[Rendered]) -> Vec<f32> {
     let pixels = members.first().map_or(0, |render| render.rgb.len());
     let mut values = vec![0.0; members.len()];
-    let of_pixel = |pixel: usize| {
+    let spread_at = |pixel: usize| {
         for (value, member) in values.iter_mut().zip(members) {
             *value = gray(&member.rgb[pixel]);
         }
         moments(&mut values).sample as f32
     };
-    (0..pixels).map(of_pixel).collect()
+    (0..pixels).map(spread_at).collect()
 }
 
 /// Returns the size of the pictures of a film, pixels; the least, where texts are wider than pictures.
@@ -182,8 +193,8 @@ pub(super) struct Drawing<'a> {
 
 impl<'a> Drawing<'a> {
     /// Returns the drawing of all pictures of a path.
-    pub fn of(scene: &Scene, layers: &'a [Layer], frames: &[Frame]) -> Self {
-        let scale = |(index, layer): (usize, &Layer)| {
+    pub fn new(scene: &Scene, layers: &'a [Layer], frames: &[Frame]) -> Self {
+        let scales = layers.iter().enumerate().map(|(index, layer)| {
             let tops: Vec<f32> = frames.iter().map(|frame| frame.0[index].top).collect();
             let high = round_upper_limit(&tops, 1.0);
             let length_unit = if scene.metres_per_unit.is_some() {
@@ -199,10 +210,10 @@ impl<'a> Drawing<'a> {
                     ColorScale::linear("std of gray, B-1", SPREAD_UNIT, high, Palette::Inferno)
                 }
             }
-        };
+        });
         Self {
             layers,
-            scales: layers.iter().enumerate().map(scale).collect(),
+            scales: scales.collect(),
         }
     }
 
@@ -213,7 +224,7 @@ impl<'a> Drawing<'a> {
         frame: &Frame,
         place: &Viewpoint,
         number: usize,
-    ) -> Result<Drawn, StageError> {
+    ) -> Result<FramePictures, StageError> {
         let mut outputs = Outputs::new();
         let mut panels = Vec::with_capacity(self.layers.len());
         for ((layer, kept), scale) in self.layers.iter().zip(&frame.0).zip(&self.scales) {
@@ -225,7 +236,7 @@ impl<'a> Drawing<'a> {
             outputs.insert(format!("{values}{number:04}.png"), kept.png);
             if self.layers == [Layer::Rgb] {
                 let film = kept.png;
-                return Ok(Drawn { outputs, film });
+                return Ok(FramePictures { outputs, film });
             }
             let panel = match preview {
                 Some(_) => map(ctx, *layer, kept, &place.camera, scale)?,
@@ -243,26 +254,26 @@ impl<'a> Drawing<'a> {
             place.name.clone(),
             &side_by_side(&panels),
         )?;
-        Ok(Drawn { outputs, film })
+        Ok(FramePictures { outputs, film })
     }
 }
 
 /// The pictures of a viewpoint.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub(super) struct Drawn {
+pub(super) struct FramePictures {
     /// Layers and previews, by name.
     pub outputs: Outputs,
     /// That of the film.
     pub film: Digest,
 }
 
-impl Drawn {
+impl FramePictures {
     /// Returns the bytes of a journal.
     pub fn pack(&self) -> Result<Vec<u8>, StageError> {
         serde_json::to_vec(self).map_err(|error| StageError::new(error.to_string()))
     }
 
-    /// Reads what [`Drawn::pack`] wrote; none if a picture is not stored any more.
+    /// Reads what [`FramePictures::pack`] wrote; none if a picture is not stored any more.
     pub fn unpack(ctx: &Ctx<'_>, bytes: &[u8]) -> Option<Self> {
         let drawn: Self = serde_json::from_slice(bytes).ok()?;
         let is_stored = |picture: &Digest| ctx.blobs.contains(picture);
@@ -272,7 +283,7 @@ impl Drawn {
 }
 
 /// Reads kept colours.
-fn colour(ctx: &Ctx<'_>, kept: &Kept) -> Result<Image<Srgb>, StageError> {
+fn colour(ctx: &Ctx<'_>, kept: &LayerPicture) -> Result<Image<Srgb>, StageError> {
     let read = Photo::decode(&ctx.get(&kept.png)?);
     Ok(read.map_err(|error| unreadable(Layer::Rgb, &error))?.image)
 }
@@ -281,7 +292,7 @@ fn colour(ctx: &Ctx<'_>, kept: &Kept) -> Result<Image<Srgb>, StageError> {
 fn map(
     ctx: &Ctx<'_>,
     layer: Layer,
-    kept: &Kept,
+    kept: &LayerPicture,
     camera: &Camera,
     scale: &ColorScale,
 ) -> Result<Image<Srgb>, StageError> {

@@ -3,16 +3,15 @@ use marf_schema::{
     partial::{PartialParams, Reached},
     tune::BestParams,
 };
-use marf_stage::{
-    Ctx, Define, Document, Inputs, Outputs, ParamError, Params, Port, Set, Stage, StageError, Threads,
-    TypedOutputs, Work,
-};
+use marf_stage::{Ctx, Document, Inputs, Outputs, Port, Set, StageError, Threads, TypedOutputs, stage};
 
 use super::{
-    Begun, Plan, planned,
-    training_loop::{Run, packed_state, save, train_to},
+    log::packed_state,
+    plan::Plan,
+    training::{Training, run_of},
+    training_loop::{save, train_to},
 };
-use crate::{TrainError, photos::PhotoReader, scoring::mean_psnr};
+use crate::{TrainError, io::read_scene, photos::PhotoReader, scoring::mean_psnr};
 
 /// Trains a field a part of the way and keeps the state, from which `train` or a longer `partial` goes on (`from`).
 ///
@@ -22,80 +21,45 @@ pub struct Partial {
     params: PartialParams,
 }
 
-impl Define for Partial {
-    type Params = PartialParams;
-    const NAME: &'static str = PartialParams::STAGE;
-    const ABOUT: &'static str = "trains a part of the steps of a training, which `train` then goes on from";
-    const VERSION: u32 = 11;
-    const PORTS: &'static [Port] = &[
+stage! {
+    Partial { params: PartialParams },
+    Set,
+    Threads::All,
+    about: "trains a part of the steps of a training, which `train` then goes on from",
+    version: 11,
+    ports: [
         Port::required("input", SCENE),
         Port::optional("params", BestParams::OUTPUT),
         Port::optional("from", STATE),
-    ];
-    const OUTPUTS: &'static [&'static str] = &[STATE, Reached::OUTPUT];
-
-    fn new(params: PartialParams) -> Result<Self, ParamError> {
-        params.check()?;
-        Ok(Self { params })
-    }
-}
-
-impl Stage for Partial {
-    /// Without the device of the training, which changes no result.
-    fn params(&self) -> serde_json::Value {
-        let mut params = marf_stage::key_params(&self.params, &["train"]);
-        params["train"] = marf_stage::key_params(&self.params.train, &["device"]);
-        params
-    }
-
-    fn work(&self) -> Work<'_> {
-        Work::Set(self)
-    }
-
-    fn threads(&self) -> Threads {
-        Threads::All
-    }
-
-    fn backend_id(&self) -> Option<String> {
-        self.params.train.device.backend_id()
-    }
-
-    fn backend_id_on(&self, gpu: Option<&str>) -> Result<Option<String>, StageError> {
-        self.params
-            .train
-            .device
-            .backend_id_on(gpu)
-            .map_err(StageError::new)
-    }
+    ],
+    outputs: [STATE, Reached::OUTPUT],
+    device: train.device,
 }
 
 impl Set for Partial {
-    fn run(&self, ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Outputs, StageError> {
-        let train = &self.params.train;
-        planned(ctx, (self, train), inputs, |plan, photos| {
-            self.train(ctx, &plan, photos)
-        })
-    }
-}
-
-impl Partial {
     /// Trains until the step after which it stops, and measures the field as it is then.
-    fn train(&self, ctx: &Ctx<'_>, plan: &Plan<'_>, photos: &PhotoReader<'_>) -> Result<Outputs, StageError> {
+    fn run(&self, ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Outputs, StageError> {
         let PartialParams {
             until,
             judged_px,
             train,
         } = &self.params;
-        let (mut trainer, begun) = Begun::new(ctx, train, plan, photos)?;
-        let run = Run {
-            until: Some(*until),
-            ..plan.run(&begun)
-        };
-        let log = train_to(ctx, &run, &mut trainer)?;
+        let scene = read_scene(ctx, inputs)?;
+        let plan = &Plan::new(ctx, self, train, inputs, &scene)?;
+        let photos = &PhotoReader::new(ctx, &scene, plan.settings.scale);
+        let Training {
+            mut trainer,
+            trials,
+            curve_photos,
+        } = Training::new(ctx, train, plan, photos)?;
+        let mut planner = plan.planner(trials.seconds);
+        planner.until = Some(*until);
+        let mut run = run_of(plan, &curve_photos, planner);
+        let log = train_to(ctx, &mut run, &mut trainer)?;
         // Judging is asked whether to stop, too: nothing is trained twice.
         save(ctx, &run, &log, &mut trainer)?;
         let field = trainer.field().map_err(TrainError::from)?;
-        let held_out = &plan.split.held_out;
+        let held_out = &plan.photos.split.held_out;
         let thinned = photos.map(held_out, plan.memory.at_once, |_, photo| {
             photo.thinned_to(*judged_px)
         })?;

@@ -1,11 +1,12 @@
 //! What decides a training before it begins: its own parameters, or the setup of another training.
 
-use marf_field::{Config, Derived, EXPECTED_STEPS_PER_S, Facts, Field, Overrides, Quality, Schedule};
+use marf_field::{
+    Config, Derived, EXPECTED_STEPS_PER_S, Facts, Field, OpenSizes, Overrides, Quality, Schedule,
+};
 use marf_scene::Scene;
-use marf_schema::train::{Budget, Fit, Fold, Holdout, Memory, Setup, TrainParams};
+use marf_schema::train::{Budget, Fit, Fold, Holdout, Memory, Setup, TrainParams, WarmStart};
 use marf_stage::{Ctx, Inputs, StageError};
 
-use super::{clock::Clocked, warm::Start};
 use crate::{
     TrainError,
     io::read_setup,
@@ -34,13 +35,13 @@ pub(super) struct Settings {
     /// The field before trials change it.
     pub config: Config,
     /// What another training decided.
-    pub given: Option<Given>,
+    pub given: Option<GivenSizes>,
     /// Whether the field is that of an earlier run, which trials cannot change any more.
     follows: bool,
 }
 
 /// What a training takes over that it would otherwise derive or find by trials.
-pub(super) struct Given {
+pub(super) struct GivenSizes {
     kept_every: u32,
     trial_steps: u64,
     pub derived: Derived,
@@ -56,7 +57,7 @@ impl Settings {
         scene: &Scene,
     ) -> Result<Self, StageError> {
         if let Some(setup) = read_setup(ctx, inputs)? {
-            return Ok(Self::of(setup, params.fold));
+            return Ok(Self::from_setup(setup, params.fold));
         }
         let schedule = scheduled(params);
         let keys = field_keys(ctx, inputs, &params.field)?;
@@ -86,9 +87,15 @@ impl Settings {
         self.config.batch_samples = batch_samples;
     }
 
-    /// Tells whether the samples of a step may follow the device: nobody has said them, and no other training decides.
-    pub fn has_open_batch(&self) -> bool {
-        !self.is_decided() && !self.keys.0.contains_key("batch_samples")
+    /// Returns the sizes that may follow the pace of the device: no other training decides, and no key says the samples of a step.
+    pub fn open_sizes(&self) -> OpenSizes {
+        if self.is_decided() {
+            return OpenSizes::Nothing;
+        }
+        if self.keys.0.contains_key("batch_samples") {
+            return OpenSizes::Table;
+        }
+        OpenSizes::BatchAndTable
     }
 
     /// Takes over the hyper-parameters of a field that the training starts from.
@@ -100,13 +107,13 @@ impl Settings {
         };
     }
 
-    /// Tells whether the parts of the field are decided.
+    /// Returns whether the parts of the field are decided.
     pub fn is_decided(&self) -> bool {
         self.follows || self.given.is_some()
     }
 
     /// Takes over a setup; a fold trains its share of the steps, with step size and length of steps along rays to match.
-    fn of(setup: Setup, fold: Option<Fold>) -> Self {
+    fn from_setup(setup: Setup, fold: Option<Fold>) -> Self {
         let schedule = match fold {
             Some(fold) => Schedule::once(fold.steps_of(setup.steps)),
             None => setup.schedule(),
@@ -126,7 +133,7 @@ impl Settings {
                 ..setup.config
             },
             schedule,
-            given: Some(Given {
+            given: Some(GivenSizes {
                 kept_every: setup.kept_every,
                 trial_steps: setup.trial_steps,
                 derived: setup.derived,
@@ -140,12 +147,12 @@ impl Settings {
         format!("{:?} {:?}", self.schedule, self.until)
     }
 
-    /// Returns how long the training of a field was.
-    pub fn ended(&self, facts: &Facts, clocked: Option<&Clocked>) -> Ended {
-        let schedule = clocked.map_or(&self.schedule, |clocked| &clocked.schedule);
+    /// Returns how long the training of a field was, and by which schedule if its time has made one.
+    pub fn length_of(&self, facts: &Facts, by_time: Option<&Schedule>) -> TrainingLength {
+        let schedule = by_time.unwrap_or(&self.schedule);
         let tried = facts.trials.iter().map(|trial| trial.steps).max();
         let is_plain = *schedule == Schedule::once(facts.steps);
-        Ended {
+        TrainingLength {
             steps: facts.steps,
             schedule: (!is_plain).then(|| schedule.clone()),
             trial_steps: self
@@ -170,18 +177,19 @@ impl Settings {
         })
     }
 
-    /// Returns the setup of the training after its end, of this schedule.
+    /// Returns the setup of the training that has led to a field with this configuration, where one pixel of `kept_every` was kept.
     pub fn setup(
         &self,
         kept_every: u32,
-        ended: &Ended,
-        (config, derived): (&Config, Derived),
-        start: &Start,
+        length: &TrainingLength,
+        config: &Config,
+        derived: Derived,
+        warm_start: Option<WarmStart>,
     ) -> Setup {
         Setup {
-            steps: ended.steps,
-            schedule: ended.schedule.clone(),
-            trial_steps: ended.trial_steps,
+            steps: length.steps,
+            schedule: length.schedule.clone(),
+            trial_steps: length.trial_steps,
             watched: self.watched,
             scale: self.scale,
             kept_every,
@@ -189,7 +197,7 @@ impl Settings {
             photos: self.photos,
             holdout: self.holdout,
             fold: self.fold,
-            warm_start: start.told.clone(),
+            warm_start,
             fit: self.fit,
             config: config.clone(),
             derived,
@@ -198,7 +206,7 @@ impl Settings {
 }
 
 /// How long a training was.
-pub(super) struct Ended {
+pub(super) struct TrainingLength {
     pub steps: u64,
     /// None where the end was planned once and came then.
     pub schedule: Option<Schedule>,

@@ -1,14 +1,16 @@
 //! Short trainings that decide which parts of the field are used, by PSNR on training photos held back.
 
-use std::collections::BTreeSet;
+use std::time::Instant;
 
 use marf_cache::digest_of;
-use marf_field::{Background, Config, Gain, Quality, Trial, View};
+use marf_field::{Config, Quality, Schedule, Trial, View};
 use marf_schema::train::{Fit, TrainParams};
 use marf_stage::{Ctx, StageError};
 
 use super::{
-    Plan,
+    parts::{PARTS, Part},
+    plan::Plan,
+    planner::Planner,
     training_loop::{Run, train_to},
 };
 use crate::{
@@ -30,58 +32,14 @@ const SCORED_SIDE_PX: u32 = 128;
 /// Photos are halved once more for trials, unless a side would fall below this, pixels.
 const LEAST_SIDE_PX: u32 = 64;
 
-/// A part of the field, and the configurations with and without it.
-struct Part {
-    name: &'static str,
-    /// Keys that decide in place of a trial where they are set.
-    keys: &'static [&'static str],
-    with: fn(&Config) -> Config,
-    without: fn(&Config) -> Config,
+/// What trials have decided.
+pub(super) struct TrialResults {
+    /// The configuration with the parts that pay.
+    pub config: Config,
+    pub trials: Vec<Trial>,
+    /// Seconds that they took.
+    pub seconds: f64,
 }
-
-/// Whether colours depend on the direction is none of them: a short trial says that they should not where the whole training gains by it
-/// (`benches/time.md`).
-const PARTS: [Part; 3] = [
-    Part {
-        name: "gain",
-        keys: &["gain"],
-        with: |config| Config {
-            gain: Gain::PerPhoto,
-            ..config.clone()
-        },
-        without: |config| Config {
-            gain: Gain::Off,
-            ..config.clone()
-        },
-    },
-    Part {
-        name: "background",
-        keys: &["background"],
-        with: |config| Config {
-            background: Background::Direction,
-            ..config.clone()
-        },
-        without: |config| Config {
-            background: Background::Black,
-            ..config.clone()
-        },
-    },
-    Part {
-        name: "width",
-        keys: &["density_width", "color_width", "color_layers"],
-        with: |config| Config {
-            density_width: 64,
-            color_width: 64,
-            ..config.clone()
-        },
-        without: |config| Config {
-            density_width: 32,
-            color_width: 32,
-            color_layers: 1,
-            ..config.clone()
-        },
-    },
-];
 
 /// Returns the plan's configuration with the parts that gain more than `least_gain_db`, and the reports of all trials.
 ///
@@ -91,7 +49,8 @@ pub(super) fn decide(
     ctx: &Ctx<'_>,
     params: &TrainParams,
     plan: &Plan<'_>,
-) -> Result<(Config, Vec<Trial>), StageError> {
+) -> Result<TrialResults, StageError> {
+    let began = Instant::now();
     let config = plan.settings.config.clone();
     let is_set = |part: &Part| {
         part.keys
@@ -99,18 +58,23 @@ pub(super) fn decide(
             .find(|key| plan.settings.keys.0.contains_key(**key))
     };
     let open = PARTS.iter().filter(|part| is_set(part).is_none()).count() as u64;
-    let steps = match plan.settings.is_decided() {
-        true => 0,
-        false => steps_each(params, plan.settings.schedule.steps(), open),
+    let steps = if plan.settings.is_decided() {
+        0
+    } else {
+        steps_each(params, plan.settings.schedule.steps(), open)
     };
     let setup = match steps {
         0 => None,
         _ => TrialSetup::new(params, plan, steps)?,
     };
     let Some(mut setup) = setup else {
-        return Ok((config, Vec::new()));
+        return Ok(TrialResults {
+            config,
+            trials: Vec::new(),
+            seconds: began.elapsed().as_secs_f64(),
+        });
     };
-    let mut journal = Journal::new(ctx, "trials", plan.of);
+    let mut journal = Journal::new(ctx, "trials", plan.identity);
     let base = setup.outcome(ctx, &mut journal, &config, "as it is")?;
     let (mut decided, mut trials) = (config.clone(), Vec::new());
     for part in &PARTS {
@@ -135,19 +99,11 @@ pub(super) fn decide(
         trials.push(trial);
     }
     journal.end();
-    Ok((decided, trials))
-}
-
-/// Returns the keys of the field that these trials have decided.
-pub(super) fn decided_keys(trials: &[Trial]) -> BTreeSet<&'static str> {
-    let tried = trials.iter().filter(|trial| trial.with_db.is_some());
-    let keys = tried.flat_map(|trial| {
-        PARTS
-            .iter()
-            .filter(|part| part.name == trial.part)
-            .flat_map(|part| part.keys)
-    });
-    keys.copied().collect()
+    Ok(TrialResults {
+        config: decided,
+        trials,
+        seconds: began.elapsed().as_secs_f64(),
+    })
 }
 
 /// Returns the steps left for the training where trials come out of the same budget.
@@ -158,7 +114,7 @@ pub(super) fn steps_after_trials(params: &TrainParams, steps: u64) -> u64 {
     }
 }
 
-/// Tells whether trials run where `trials.steps` is not set.
+/// Returns whether trials run where `trials.steps` is not set.
 fn run_by_default(params: &TrainParams) -> bool {
     params.quality != Quality::Draft && params.fit == Fit::Scene
 }
@@ -264,7 +220,7 @@ struct TrialPhotos<'a> {
 impl<'a> TrialSetup<'a> {
     /// Holds back one training photo in eight, by place; `None` where that leaves none to train on, or none to judge.
     fn new(params: &'a TrainParams, plan: &'a Plan<'a>, steps: u64) -> Result<Option<Self>, StageError> {
-        let split = hold_out_by_place(plan.split.training.clone(), &plan.scene.points);
+        let split = hold_out_by_place(plan.photos.split.training.clone(), &plan.photos.scene.points);
         if split.training.is_empty() || split.held_out.is_empty() {
             return Ok(None);
         }
@@ -283,7 +239,7 @@ impl<'a> TrialSetup<'a> {
     /// Reads the photos.
     fn read(&self, ctx: &Ctx<'_>) -> Result<TrialPhotos<'a>, StageError> {
         let (split, times) = (&self.split, vec![1; self.split.training.len()]);
-        let photos = PhotoReader::new(ctx, self.plan.scene, self.scale);
+        let photos = PhotoReader::new(ctx, self.plan.photos.scene, self.scale);
         let thinned = |_, photo: ScaledPhoto| photo.thinned_to(SCORED_SIDE_PX);
         let scored = photos.map(&split.held_out, self.memory.at_once, thinned)?;
         Ok(TrialPhotos {
@@ -317,21 +273,16 @@ impl<'a> TrialSetup<'a> {
             steps: Some(self.steps),
             ..config.clone()
         };
-        let (params, views) = (self.params, photos.views.clone());
-        let mut trainer = new_trainer(
-            views,
-            self.plan.scene,
-            &config,
-            params.seed,
-            Begin::Anew,
-            &params.device,
-        )?;
+        let scene = self.plan.photos.scene;
+        let views = photos.views.clone();
+        let mut trainer = new_trainer(views, scene, &config, Begin::Anew, self.params)?;
         let note = format!("trying {name}: ");
-        let run = Run {
+        let planner = Planner::new(Schedule::once(self.steps));
+        let mut run = Run {
             note: &note,
-            ..Run::once(self.steps, ("trial", digest_of(&(self.plan.of, name))))
+            ..Run::new(planner, "trial", digest_of(&(self.plan.identity, name)))
         };
-        train_to(ctx, &run, &mut trainer)?;
+        train_to(ctx, &mut run, &mut trainer)?;
         let field = trainer.field().map_err(TrainError::from)?;
         Ok(Outcome {
             psnr: mean_psnr(ctx, &field, &photos.held_out)?,
@@ -342,7 +293,7 @@ impl<'a> TrialSetup<'a> {
 
 /// Returns the factor by which trials shrink photos.
 fn scale(plan: &Plan<'_>) -> u32 {
-    let cameras = plan.split.training.iter().map(|named| &named.frame.camera);
+    let cameras = plan.photos.split.training.iter().map(|named| &named.frame.camera);
     let shortest = cameras.map(|camera| camera.width.min(camera.height)).min();
     let halved = plan.settings.scale.saturating_mul(2);
     if shortest.unwrap_or(0) / halved < LEAST_SIDE_PX {
@@ -401,22 +352,5 @@ mod tests {
             );
         }
         assert_eq!(steps_after_trials(&params(json!({})), 3_000), 3_000);
-    }
-
-    #[test]
-    fn the_sides_of_a_part_differ_and_one_is_the_configuration_as_it_is() {
-        let config = Config::default();
-        for part in &PARTS {
-            let known = serde_json::to_value(&config).unwrap();
-            assert!(
-                part.keys.iter().all(|key| known.get(key).is_some()),
-                "{:?}",
-                part.keys
-            );
-            let (with, without) = ((part.with)(&config), (part.without)(&config));
-            assert_ne!(with, without, "{}", part.name);
-            assert!(config == with || config == without, "{}", part.name);
-            with.check().and(without.check()).unwrap();
-        }
     }
 }

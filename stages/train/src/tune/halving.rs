@@ -14,9 +14,9 @@ use marf_schema::{
 use marf_stage::{Ctx, Inputs, NodeSpec, Outputs, StageError};
 
 use super::{
-    judged::{Judged, Standing, miscounted},
+    judged::{Standing, TrialScore, miscounted},
     sampling::sample_params,
-    scatter, train_of,
+    trainings::{scatter, train_of},
 };
 use crate::child::Child;
 
@@ -34,11 +34,11 @@ struct Rung {
 /// What the nodes so far have given.
 struct Climb {
     /// How each trial was judged last, by its number.
-    judged: BTreeMap<u32, Judged>,
+    judged: BTreeMap<u32, TrialScore>,
     /// The state in which each trial was stopped last.
     states: BTreeMap<u32, Digest>,
     /// The defaults with another seed.
-    again: Option<Judged>,
+    other_seed: Option<TrialScore>,
     /// The rung whose nodes have not been requested yet.
     next: Option<Rung>,
     /// What came behind the last rung.
@@ -77,12 +77,11 @@ pub(super) fn next_rung(
         let mut inputs = inputs.clone();
         let state = climb.states.get(&trial);
         inputs.0.extend(state.map(|state| (STATE.to_owned(), *state)));
-        nodes.push(match rung.is_last {
-            true => NodeSpec::of(format!("trial-{trial:02}"), &train, &inputs)?,
-            false => {
-                let name = format!("rung-{}-trial-{trial:02}", rung.number);
-                NodeSpec::of(name, &PartialParams::of(train, rung.until), &inputs)?
-            }
+        nodes.push(if rung.is_last {
+            NodeSpec::new(format!("trial-{trial:02}"), &train, &inputs)?
+        } else {
+            let name = format!("rung-{}-trial-{trial:02}", rung.number);
+            NodeSpec::new(name, &PartialParams::new(train, rung.until), &inputs)?
         });
     }
     if rung.is_last {
@@ -97,9 +96,9 @@ pub(super) fn next_rung(
 /// Other nodes than were asked for, an output that cannot be read.
 pub(super) fn standing(ctx: &Ctx<'_>, params: &TuneParams, done: &[Outputs]) -> Result<Standing, StageError> {
     let climb = Climb::read(ctx, params, done)?;
-    let again = climb.again.ok_or_else(|| miscounted(params, done.len()))?;
+    let other_seed = climb.other_seed.ok_or_else(|| miscounted(params, done.len()))?;
     let judged = climb.judged.into_values().collect();
-    Standing::new(ctx, params, judged, again, &climb.rest)
+    Standing::new(ctx, params, judged, other_seed, &climb.rest)
 }
 
 impl Climb {
@@ -107,7 +106,7 @@ impl Climb {
         let mut climb = Self {
             judged: BTreeMap::new(),
             states: BTreeMap::new(),
-            again: None,
+            other_seed: None,
             next: None,
             rest: Vec::new(),
         };
@@ -143,18 +142,17 @@ impl Climb {
         for (&trial, outputs) in rung.trials.iter().zip(outputs) {
             let name = format!("trial {trial:02}");
             let child = Child { name, outputs };
-            let judged = match rung.is_last {
-                true => child.read::<Metrics>(ctx)?.into(),
-                false => {
-                    self.states.insert(trial, *child.digest(STATE)?);
-                    child.read::<Reached>(ctx)?.into()
-                }
+            let judged = if rung.is_last {
+                child.read::<Metrics>(ctx)?.into()
+            } else {
+                self.states.insert(trial, *child.digest(STATE)?);
+                child.read::<Reached>(ctx)?.into()
             };
             self.judged.insert(trial, judged);
         }
         if let (true, Some(outputs)) = (rung.is_last, outputs.get(rung.trials.len())) {
             let name = "the scatter".to_owned();
-            self.again = Some(Child { name, outputs }.read::<Metrics>(ctx)?.into());
+            self.other_seed = Some(Child { name, outputs }.read::<Metrics>(ctx)?.into());
         }
         Ok(())
     }
@@ -215,9 +213,10 @@ mod tests {
         /// Asks for the next rung and gives each of its nodes the PSNR of its trial; returns their names.
         fn climb(&mut self, psnr: &dyn Fn(u32) -> f64) -> Vec<NodeSpec> {
             let ctx = self.harness.ctx();
-            let nodes = match self.done.is_empty() {
-                true => self.tune.expand(&ctx, &self.inputs).unwrap(),
-                false => self.tune.further(&ctx, &self.inputs, &self.done).unwrap(),
+            let nodes = if self.done.is_empty() {
+                self.tune.expand(&ctx, &self.inputs).unwrap()
+            } else {
+                self.tune.further(&ctx, &self.inputs, &self.done).unwrap()
             };
             for node in &nodes {
                 let trial = node.name.rsplit('-').next().unwrap().parse().unwrap();
@@ -300,13 +299,16 @@ mod tests {
         let standing = standing(&search.harness.ctx(), &search.tune.params, &search.done).unwrap();
         let Standing {
             judged,
-            again,
-            best_again,
+            other_seed,
+            best_with_other_seed,
         } = standing;
-        assert_eq!(best_again.unwrap().psnr, 19.0);
+        assert_eq!(best_with_other_seed.unwrap().psnr, 19.0);
         let steps: Vec<u64> = judged.iter().map(|judged| judged.steps).collect();
         assert_eq!(steps, [400, 400, 144, 48]);
-        assert_eq!((judged[0].psnr, judged[1].psnr, again.psnr), (5.0, 19.0, 5.0));
+        assert_eq!(
+            (judged[0].psnr, judged[1].psnr, other_seed.psnr),
+            (5.0, 19.0, 5.0)
+        );
         assert_eq!((judged[2].judged_px, judged[1].judged_px), (Some(128), None));
     }
 

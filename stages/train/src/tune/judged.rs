@@ -7,11 +7,11 @@ use crate::child::Child;
 #[derive(Debug, Clone)]
 pub(super) struct Standing {
     /// How each trial was judged last, by number.
-    pub judged: Vec<Judged>,
+    pub judged: Vec<TrialScore>,
     /// The defaults with another seed.
-    pub again: Judged,
+    pub other_seed: TrialScore,
     /// The best trial with another seed, if it was asked for.
-    pub best_again: Option<Judged>,
+    pub best_with_other_seed: Option<TrialScore>,
 }
 
 impl Standing {
@@ -22,11 +22,11 @@ impl Standing {
     pub fn new(
         ctx: &Ctx<'_>,
         params: &TuneParams,
-        judged: Vec<Judged>,
-        again: Judged,
+        judged: Vec<TrialScore>,
+        other_seed: TrialScore,
         rest: &[Outputs],
     ) -> Result<Self, StageError> {
-        let best_again = match rest {
+        let best_with_other_seed = match rest {
             [] => None,
             [outputs] => {
                 let name = "the best trial with another seed".to_owned();
@@ -36,8 +36,8 @@ impl Standing {
         };
         Ok(Self {
             judged,
-            again,
-            best_again,
+            other_seed,
+            best_with_other_seed,
         })
     }
 
@@ -68,7 +68,7 @@ pub(super) fn miscounted(params: &TuneParams, came: usize) -> StageError {
 
 /// How a trial was judged: by whole photos, or by some of their pixels on its way.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Judged {
+pub(super) struct TrialScore {
     /// Optimiser steps that it had taken.
     pub steps: u64,
     /// Mean PSNR, dB.
@@ -83,7 +83,7 @@ pub(super) struct Judged {
     pub judged_px: Option<u32>,
 }
 
-impl From<Metrics> for Judged {
+impl From<Metrics> for TrialScore {
     fn from(metrics: Metrics) -> Self {
         Self {
             steps: metrics.steps,
@@ -96,7 +96,7 @@ impl From<Metrics> for Judged {
     }
 }
 
-impl From<Reached> for Judged {
+impl From<Reached> for TrialScore {
     fn from(reached: Reached) -> Self {
         Self {
             steps: reached.until,

@@ -7,24 +7,25 @@ mod halving;
 mod judged;
 mod reduce;
 mod sampling;
+mod trainings;
 
 use marf_field::{Overrides, Quality};
 use marf_schema::{
     output::SCENE,
     partial::PartialParams,
-    train::{Holdout, Metrics, TrainParams, TrialsParams},
+    train::Metrics,
     tune::{BestParams, Scatter, Search, Trials, TuneParams},
 };
 use marf_stage::{
-    ChildStage, Ctx, Define, Document, Expand, Inputs, NodeSpec, Outputs, ParamError, Params, Port, Stage,
-    StageError, Work,
+    ChildStage, Ctx, Document, Expand, Inputs, NodeSpec, Outputs, Port, StageError, Threads, stage,
 };
 
 use crate::{child::Child, io::read_scene, settings::scale_to};
 use halving::next_rung;
-use judged::{Judged, Standing, miscounted};
+use judged::{Standing, TrialScore, miscounted};
 use reduce::{is_ahead, reduce};
 use sampling::sample_params;
+use trainings::{scatter, train_of};
 
 /// Trains with drawn parameter sets and keeps the best, unless the defaults are as good as far as the scatter tells.
 ///
@@ -34,28 +35,15 @@ pub struct Tune {
     params: TuneParams,
 }
 
-impl Define for Tune {
-    type Params = TuneParams;
-    const NAME: &'static str = TuneParams::STAGE;
-    const ABOUT: &'static str = "tries parameters of the field and keeps the best, or the defaults";
-    const VERSION: u32 = 8;
-    const PORTS: &'static [Port] = &[Port::required("input", SCENE)];
-    const OUTPUTS: &'static [&'static str] = &[BestParams::OUTPUT, Trials::OUTPUT, Scatter::OUTPUT];
-
-    fn new(params: TuneParams) -> Result<Self, ParamError> {
-        params.check()?;
-        Ok(Self { params })
-    }
-}
-
-impl Stage for Tune {
-    fn params(&self) -> serde_json::Value {
-        marf_stage::key_params(&self.params, &["device"])
-    }
-
-    fn work(&self) -> Work<'_> {
-        Work::Expand(self)
-    }
+stage! {
+    Tune { params: TuneParams },
+    Expand,
+    Threads::One,
+    about: "tries parameters of the field and keeps the best, or the defaults",
+    version: 8,
+    ports: [Port::required("input", SCENE)],
+    outputs: [BestParams::OUTPUT, Trials::OUTPUT, Scatter::OUTPUT],
+    without: "device",
 }
 
 impl Expand for Tune {
@@ -63,10 +51,10 @@ impl Expand for Tune {
         let train = train_of(&self.params, self.params.seed, &Overrides::default());
         let until = train.planned_steps();
         match self.params.search {
-            Search::Random => vec![ChildStage::of(&train)],
+            Search::Random => vec![ChildStage::new(&train)],
             Search::Halving => vec![
-                ChildStage::of(&train),
-                ChildStage::of(&PartialParams::of(train, until)),
+                ChildStage::new(&train),
+                ChildStage::new(&PartialParams::new(train, until)),
             ],
         }
     }
@@ -127,17 +115,10 @@ fn all_at_once(params: &TuneParams, inputs: &Inputs) -> Result<Vec<NodeSpec>, St
     for trial in 0..params.trials {
         let set = sample_params(&params.space, params.seed, trial);
         let train = train_of(params, params.seed, &set);
-        nodes.push(NodeSpec::of(format!("trial-{trial:02}"), &train, inputs)?);
+        nodes.push(NodeSpec::new(format!("trial-{trial:02}"), &train, inputs)?);
     }
     nodes.push(scatter(params, 0, inputs)?);
     Ok(nodes)
-}
-
-/// Returns the training of a trial with another seed.
-fn scatter(params: &TuneParams, trial: u32, inputs: &Inputs) -> Result<NodeSpec, StageError> {
-    let set = sample_params(&params.space, params.seed, trial);
-    let again = train_of(params, params.seed.wrapping_add(1), &set);
-    NodeSpec::of(format!("scatter-{trial:02}"), &again, inputs)
 }
 
 /// Returns the training of the best trial with another seed, where it is ahead of the defaults and that was not asked for yet:
@@ -147,10 +128,10 @@ fn confirmation(
     inputs: &Inputs,
     standing: &Standing,
 ) -> Result<Vec<NodeSpec>, StageError> {
-    match standing.best_again.is_none() && is_ahead(params, standing) {
-        true => Ok(vec![scatter(params, standing.best(), inputs)?]),
-        false => Ok(Vec::new()),
+    if standing.best_with_other_seed.is_some() || !is_ahead(params, standing) {
+        return Ok(Vec::new());
     }
+    Ok(vec![scatter(params, standing.best(), inputs)?])
 }
 
 /// Reads how the trials of a random search came out.
@@ -163,38 +144,21 @@ fn standing_at_once(
     let (trained, rest) = children
         .split_at_checked(count)
         .ok_or_else(|| miscounted(params, children.len()))?;
-    let read = |(index, outputs)| {
-        let name = format!("trial {index:02}");
-        Ok(Child { name, outputs }.read::<Metrics>(ctx)?.into())
-    };
-    let judged: Result<Vec<Judged>, StageError> = (0_u32..).zip(trained).map(read).collect();
+    let trials = Child::numbered("trial", trained);
+    let judged: Result<Vec<TrialScore>, StageError> = trials
+        .iter()
+        .map(|trial| Ok(trial.read::<Metrics>(ctx)?.into()))
+        .collect();
     let mut judged = judged?;
     let again = judged.pop().ok_or_else(|| miscounted(params, 0))?;
     Standing::new(ctx, params, judged, again, rest)
-}
-
-/// Returns the training of one parameter set, judged on validation photos.
-fn train_of(params: &TuneParams, seed: u64, set: &Overrides) -> TrainParams {
-    TrainParams {
-        quality: params.quality,
-        steps: Some(params.horizon()),
-        seed,
-        scale: params.scale,
-        holdout: Holdout::Validation,
-        trials: TrialsParams {
-            steps: Some(0),
-            ..TrialsParams::default()
-        },
-        field: params.field.with(set),
-        device: params.device.clone(),
-        ..TrainParams::default()
-    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use marf_scene::{Camera, Frame, Pose, Scene};
+    use marf_schema::train::TrainParams;
     use marf_stage::harness::Harness;
     use serde_json::json;
 

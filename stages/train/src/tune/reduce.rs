@@ -2,7 +2,7 @@ use marf_schema::tune::{BestParams, Scatter, Trial, Trials, TuneParams};
 use marf_stage::{Ctx, Outputs, StageError, TypedOutputs};
 
 use super::{
-    judged::{Judged, Standing, miscounted},
+    judged::{Standing, TrialScore, miscounted},
     sampling::sample_params,
 };
 
@@ -30,47 +30,48 @@ struct Gain {
 }
 
 impl Gain {
-    fn of(standing: &Standing, default: &Judged) -> Self {
-        let (again, best_again) = (&standing.again, standing.best_again);
+    fn new(standing: &Standing, default: &TrialScore) -> Self {
+        let (other, best_other) = (&standing.other_seed, standing.best_with_other_seed);
         let best = standing.judged.get(standing.best() as usize).unwrap_or(default);
-        let (gain_db, changed_db) = (best.psnr - default.psnr, (default.psnr - again.psnr).abs());
-        match best_again {
+        let (gain_db, changed_db) = (best.psnr - default.psnr, (default.psnr - other.psnr).abs());
+        match best_other {
             None => Self {
                 gain_db,
                 difference_db: changed_db,
             },
-            Some(best_again) => Self {
-                gain_db: 0.5 * (gain_db + best_again.psnr - again.psnr),
-                difference_db: changed_db.max((best.psnr - best_again.psnr).abs()),
+            Some(best_other) => Self {
+                gain_db: 0.5 * (gain_db + best_other.psnr - other.psnr),
+                difference_db: changed_db.max((best.psnr - best_other.psnr).abs()),
             },
         }
     }
 }
 
-/// Tells whether the best trial is ahead of the defaults by more than another seed changes.
+/// Returns whether the best trial is ahead of the defaults by more than another seed changes.
 pub(super) fn is_ahead(params: &TuneParams, standing: &Standing) -> bool {
     let sure = |default| {
-        let gain = Gain::of(standing, default);
+        let gain = Gain::new(standing, default);
         gain.gain_db > gain.difference_db.max(params.least_gain_db)
     };
     standing.best() != 0 && standing.judged.first().is_some_and(sure)
 }
 
 /// Decides between the best trial and the defaults, which win unless the gain is more than another seed changes.
-fn decided(params: &TuneParams, standing: &Standing, default: &Judged) -> Scatter {
+fn decided(params: &TuneParams, standing: &Standing, default: &TrialScore) -> Scatter {
     let Gain {
         gain_db,
         difference_db,
-    } = Gain::of(standing, default);
+    } = Gain::new(standing, default);
     let (best, wins) = (standing.best(), is_ahead(params, standing));
-    let limit = match difference_db > params.least_gain_db {
-        true => format!("the {difference_db:.2} dB that another seed changes"),
-        false => format!(
+    let limit = if difference_db > params.least_gain_db {
+        format!("the {difference_db:.2} dB that another seed changes")
+    } else {
+        format!(
             "{} dB, and another seed changes {difference_db:.2} dB",
             params.least_gain_db
-        ),
+        )
     };
-    let seeds = match standing.best_again {
+    let seeds = match standing.best_with_other_seed {
         Some(_) => " in the mean of two seeds",
         None => "",
     };
@@ -84,10 +85,10 @@ fn decided(params: &TuneParams, standing: &Standing, default: &Judged) -> Scatte
         (_, false) => format!("the defaults stay: trial {best:02} has {measured}, not more than {limit}"),
     };
     let best_psnr = standing.judged.get(best as usize).map(|best| best.psnr);
-    let with_again = best_psnr.zip(standing.best_again);
+    let with_other_seed = best_psnr.zip(standing.best_with_other_seed);
     Scatter {
-        psnr: [default.psnr, standing.again.psnr],
-        best_psnr: with_again.map(|(psnr, again)| [psnr, again.psnr]),
+        psnr: [default.psnr, standing.other_seed.psnr],
+        best_psnr: with_other_seed.map(|(psnr, other)| [psnr, other.psnr]),
         difference_db,
         best_minus_default_db: gain_db,
         chosen: if wins { best } else { 0 },

@@ -6,7 +6,6 @@ use marf_scene::{Camera, Frame, Image, Photo, Point, Pose, Scene, Srgb, encode_p
 use marf_schema::{
     bootstrap::{BootstrapParams, Members, Metrics},
     example, train,
-    video::Film,
 };
 use marf_stage::{Define, Document, Expand, Inputs, Outputs, TypedOutputs, harness::Harness};
 use marf_train::Bootstrap;
@@ -148,9 +147,9 @@ impl Fixture {
 }
 
 #[test]
-fn photos_give_maps_figures_and_a_fly_through() {
+fn photos_give_maps_and_figures() {
     let fixture = fixture(3);
-    let (report, outputs) = fixture.reduce(json!({"b": 3, "frames": 3, "width": 40}));
+    let (report, outputs) = fixture.reduce(json!({"b": 3}));
     let held_out = report.heldout.unwrap();
     assert!(
         held_out.mean.psnr > held_out.psnr_members_mean - 8.0,
@@ -208,19 +207,7 @@ fn photos_give_maps_figures_and_a_fly_through() {
             "{kind}"
         );
     }
-    let film = fixture.harness.get(&outputs["film"]).unwrap();
-    let names = ["0001", "0002", "0003"].map(|name| outputs[&format!("flythrough/{name}.png")]);
-    assert_eq!(Film::decode(&film).unwrap().0, names);
-    let sizes = names.map(|digest| {
-        let picture = Photo::decode(&fixture.harness.get(&digest).unwrap())
-            .unwrap()
-            .image;
-        (picture.width, picture.height)
-    });
-    assert!(
-        sizes[0].0 >= 3 * 40 && sizes.iter().all(|size| *size == sizes[0]),
-        "{sizes:?}"
-    );
+    assert!(!outputs.contains_key("film"), "`render` makes films");
     keep(&fixture.harness, &outputs);
 }
 
@@ -238,7 +225,7 @@ fn keep(harness: &Harness, outputs: &Outputs) {
 #[test]
 fn the_order_of_the_members_changes_only_their_own_rows() {
     let mut fixture = fixture(3);
-    let params = json!({"b": 3, "frames": 2, "width": 24});
+    let params = json!({"b": 3});
     let (_, before) = fixture.reduce(params.clone());
     fixture.members.rotate_left(1);
     let (_, after) = fixture.reduce(params);
@@ -300,7 +287,7 @@ fn shadow_and_sky_are_told_apart_from_a_hole() {
         inputs,
         members,
     };
-    let (report, outputs) = fixture.reduce(json!({"b": 3, "frames": 1, "width": 24}));
+    let (report, outputs) = fixture.reduce(json!({"b": 3}));
     keep(&fixture.harness, &outputs);
 
     let total = |view: &str| -> Vec<f32> { fixture.array(&outputs, &format!("{view}-total"), 1).concat() };
@@ -357,7 +344,7 @@ fn what_all_members_get_wrong_alike_is_in_the_total() {
         inputs,
         members,
     };
-    let (report, outputs) = fixture.reduce(json!({"b": 3, "frames": 1, "width": 24}));
+    let (report, outputs) = fixture.reduce(json!({"b": 3}));
     assert!(report.std < 1e-6, "{}", report.std);
     let middle_of = |kind: &str, from: usize| {
         let map = fixture.array(&outputs, &format!("05-{kind}"), 1).concat();
@@ -371,7 +358,7 @@ fn what_all_members_get_wrong_alike_is_in_the_total() {
 }
 
 fn auto() -> Bootstrap {
-    Bootstrap::new(serde_json::from_value(json!({"b": "auto", "frames": 1, "width": 24})).unwrap()).unwrap()
+    Bootstrap::new(serde_json::from_value(json!({"b": "auto"})).unwrap()).unwrap()
 }
 
 #[test]
@@ -417,7 +404,7 @@ fn photos_that_a_member_did_not_draw_test_it() {
         metrics.drawn = Some(drawn.iter().map(|id| (*id).to_owned()).collect());
         member.put(&fixture.harness.ctx(), &metrics).unwrap();
     }
-    let (report, _) = fixture.reduce(json!({"b": 2, "mode": "photos", "frames": 1, "width": 24}));
+    let (report, _) = fixture.reduce(json!({"b": 2, "mode": "photos"}));
     let found = report.out_of_bag.unwrap();
     assert_eq!(found.photos, 3, "04, 06 and 08; all others were drawn by both");
     assert!(
@@ -429,13 +416,11 @@ fn photos_that_a_member_did_not_draw_test_it() {
 #[test]
 fn a_path_has_maps_without_photos() {
     let fixture = fixture(2);
-    let (report, outputs) =
-        fixture.reduce(json!({"b": 2, "frames": 1, "width": 20, "viewpoints": "orbit", "map_frames": 2}));
+    let (report, outputs) = fixture.reduce(json!({"b": 2, "viewpoints": "orbit", "map_frames": 2}));
     assert_eq!((report.heldout, report.views.len()), (None, 2));
     assert!(
         outputs.contains_key("maps/orbit-0002-std.png") && !outputs.contains_key("maps/orbit-0002-photo.png")
     );
-    assert!(outputs.contains_key("film") && outputs.contains_key("flythrough/0001.png"));
 }
 
 #[test]
@@ -461,30 +446,10 @@ fn a_member_without_weights_is_named() {
     );
 }
 
-/// Three panels of 1280 x 3200: wider or higher than any video, which is found before a field is read.
-#[test]
-fn a_fly_through_that_no_video_can_hold_is_refused_before_it_is_rendered() {
-    let mut fixture = fixture(2);
-    let mut scene = scene(&fixture.harness, stripes);
-    for frame in &mut scene.frames {
-        frame.camera = Camera::pinhole(16, 40, 30.0);
-    }
-    let digest = fixture.harness.put(&scene.encode().unwrap());
-    fixture.inputs.0.insert("scene".to_owned(), digest);
-    for member in &mut fixture.members {
-        member.insert("weights".into(), digest); // no field: reading it would fail
-    }
-    let params = json!({"b": 2, "width": 1280, "viewpoints": "orbit"});
-    let stage = Bootstrap::new(serde_json::from_value(params).unwrap()).unwrap();
-    let refused = stage.reduce(&fixture.harness.ctx(), &fixture.inputs, &fixture.members);
-    let error = refused.unwrap_err().to_string();
-    assert!(error.contains("a video has at most 3840 x 2160"), "{error}");
-}
-
 /// If this digest changes and `Bootstrap::VERSION` does not, raise the version.
 #[test]
 fn the_answer_belongs_to_the_version() {
-    let (_, outputs) = fixture(2).reduce(json!({"b": 2, "frames": 2, "width": 24, "device": "cpu"}));
+    let (_, outputs) = fixture(2).reduce(json!({"b": 2, "device": "cpu"}));
     let all = Digest::of(&serde_json::to_vec(&outputs).unwrap());
-    assert_eq!((Bootstrap::VERSION, all.short().as_str()), (12, "32c1d65f23c6"));
+    assert_eq!((Bootstrap::VERSION, all.short().as_str()), (13, ""));
 }

@@ -58,7 +58,7 @@ fn a_training_by_the_clock_on_a_gpu_is_repeated_with_the_batch_of_its_pace() {
     let asked = std::env::var("MARF_TEST_GPU").unwrap_or("llvmpipe".to_owned());
     let device = format!("gpu:{asked}");
     let known: marf_field::Device = device.parse().unwrap();
-    if !known.backend_id().is_some_and(|id| id.contains("wgpu")) {
+    if !marf_field_gpu::backend_id(&known).is_some_and(|id| id.contains("wgpu")) {
         println!("skipped: needs a software adapter (mesa-vulkan-drivers)");
         return;
     }

@@ -298,7 +298,7 @@ impl Feed {
         if !["png", "jpg", "jpeg"].contains(&extension.as_str()) {
             return Err("its record names no PNG or JPEG".to_owned());
         }
-        if !Origin::of(&url).is_some_and(|origin| self.allowed.contains(&origin)) {
+        if !Origin::from_url(&url).is_some_and(|origin| self.allowed.contains(&origin)) {
             let host = url.host_str().unwrap_or_default();
             return Err(format!(
                 "its picture is at `{}`, which `picture_hosts` does not name",

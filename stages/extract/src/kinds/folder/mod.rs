@@ -89,7 +89,7 @@ impl Folder {
     /// Returns the files of the folder, of the sols asked for.
     fn survey(&self, ctx: &Ctx<'_>) -> Result<Arc<Survey>, StageError> {
         self.check_root()?;
-        let mut survey = Survey::of(ctx, &self.root, self.depth, self.reading)?;
+        let mut survey = Survey::new(ctx, &self.root, self.depth, self.reading)?;
         let mut files = survey.shards.values().flatten();
         // A folder of masks alone is for photos of another archive.
         if survey.companions.is_empty() && !files.any(|index| survey.is_photo(*index)) {

@@ -59,11 +59,11 @@ impl Survey {
     ///
     /// # Errors
     /// The wish to stop.
-    pub fn of(ctx: &Ctx<'_>, root: &Path, depth: usize, reading: Reading) -> Result<Self, StageError> {
+    pub fn new(ctx: &Ctx<'_>, root: &Path, depth: usize, reading: Reading) -> Result<Self, StageError> {
         Self::begun_at(now_ns(), ctx, root, depth, reading)
     }
 
-    /// As [`Survey::of`], begun at a time. Files that were written shortly before are read again by the next survey.
+    /// As [`Survey::new`], begun at a time. Files that were written shortly before are read again by the next survey.
     ///
     /// # Errors
     /// The wish to stop.
@@ -80,10 +80,9 @@ impl Survey {
             (Some(table), Reading::Changed) => Reader::open(table),
             _ => Reader::default(),
         };
-        let entry = |(index, file): (usize, &Result<FileState, String>)| {
-            known.find(names.get(index), file.as_ref().ok()?)
-        };
-        let mut entries: Vec<Option<Entry>> = files.iter().enumerate().map(entry).collect();
+        let mut entries: Vec<Option<Entry>> = (files.iter().enumerate())
+            .map(|(index, file)| known.find(names.get(index), file.as_ref().ok()?))
+            .collect();
         let (known, hits) = (known.count(), entries.iter().flatten().count());
         let reasons = read_rest(ctx, root, &names, &files, &mut entries)?;
         let entries: Vec<Entry> = entries.into_iter().flatten().collect();
@@ -233,5 +232,5 @@ fn read_one(root: &Path, name: &str, state: &FileState) -> Result<Entry, String>
         return Err(ReadError::TooLarge.to_string());
     }
     let known = Known::read(name, &root.join(name)).map_err(|error| error.to_string())?;
-    Entry::of(&known).ok_or_else(|| "cannot be read".to_owned())
+    Entry::from_known(&known).ok_or_else(|| "cannot be read".to_owned())
 }

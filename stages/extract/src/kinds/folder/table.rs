@@ -49,7 +49,7 @@ pub(super) enum EntryKind {
 
 impl Entry {
     /// Returns the entry of a file that was read.
-    pub fn of(known: &Known) -> Option<Self> {
+    pub fn from_known(known: &Known) -> Option<Self> {
         let kind = match known.kind {
             Kind::Photo => EntryKind::Photo,
             Kind::Raw => EntryKind::Raw,
@@ -197,7 +197,8 @@ pub(super) fn write(
     let mut bytes = Vec::new();
     let mut before: &[u8] = &[];
     for (index, (state, entry)) in files.iter().zip(entries).enumerate() {
-        let Some((state, tag, name)) = kept(names.get(index), state, entry, began_ns) else {
+        let name = names.get(index).as_bytes();
+        let Some((state, tag)) = kept(name, state, entry, began_ns) else {
             continue;
         };
         let shared = name.iter().zip(before).take_while(|(a, b)| a == b).count();
@@ -218,19 +219,19 @@ pub(super) fn write(
 }
 
 /// Returns what of a file is kept; `None`: it is read again.
-fn kept<'a>(
-    name: &'a str,
+fn kept(
+    name: &[u8],
     state: &Result<FileState, String>,
     entry: &Entry,
     began_ns: i64,
-) -> Option<(FileState, u8, &'a [u8])> {
+) -> Option<(FileState, u8)> {
     let state = state.as_ref().ok().filter(|state| state.rested(began_ns))?;
     let tag = KINDS.iter().position(|kind| *kind == entry.kind)?;
     let short = u16::try_from(name.len()).is_ok() && entry.sol != Some(NO_SOL);
-    short.then_some((*state, tag as u8, name.as_bytes()))
+    short.then_some((*state, tag as u8))
 }
 
 /// Tells whether a table would have an entry of a file.
 pub(super) fn is_kept(state: &Result<FileState, String>, entry: &Entry, began_ns: i64) -> bool {
-    kept("", state, entry, began_ns).is_some()
+    kept(b"", state, entry, began_ns).is_some()
 }

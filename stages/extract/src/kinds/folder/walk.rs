@@ -106,10 +106,10 @@ pub(super) fn walk(ctx: &Ctx<'_>, root: &Path, depth: usize) -> Result<Walk, Sta
 
 fn state_of(path: &Path) -> Result<FileState, String> {
     let meta = std::fs::metadata(path).map_err(|error| format!("cannot be read: {}", error.kind()))?;
-    match meta.is_file() {
-        true => Ok(FileState::of(&meta)),
-        false => Err(NO_FILE.to_owned()),
+    if !meta.is_file() {
+        return Err(NO_FILE.to_owned());
     }
+    Ok(FileState::from_metadata(&meta))
 }
 
 const NO_FILE: &str = "not a plain file";
@@ -120,12 +120,12 @@ fn entry_of(root: &Path, entry: walkdir::Result<DirEntry>) -> Option<(String, Op
         Ok(entry) if entry.file_type().is_dir() => None,
         Ok(entry) => {
             let (name, whole) = relative(root, entry.path());
-            let problem = match (entry.file_type().is_file(), whole) {
-                (false, _) => Some(NO_FILE.to_owned()),
-                (_, false) => Some("its name is not UTF-8".to_owned()),
-                _ => None,
+            let problem = if !entry.file_type().is_file() {
+                Some(NO_FILE)
+            } else {
+                (!whole).then_some("its name is not UTF-8")
             };
-            Some((name, problem))
+            Some((name, problem.map(str::to_owned)))
         }
         Err(error) => {
             let (name, _) = relative(root, error.path()?);

@@ -42,7 +42,7 @@ impl CameraLayout {
     ///
     /// # Errors
     /// A combination that the archive does not have.
-    pub fn of(archive: &PdsParams) -> Result<Self, ParamError> {
+    pub fn new(archive: &PdsParams) -> Result<Self, ParamError> {
         let mut layout = match (archive.mission, archive.instrument) {
             (Mission::Perseverance, Instrument::MastcamZ) => {
                 mars2020(archive, "mars2020_mastcamz_ops", "zcam", &["ZL", "ZR"])?
@@ -84,9 +84,12 @@ impl CameraLayout {
             .types
             .iter()
             .position(|wanted| wanted == kind || wanted == "*");
-        place.ok_or_else(|| match name.is_of_series() {
-            true => format!("{kind} is a frame of a video or a stack; name it in `products` to take it"),
-            false => format!("product type {kind} is not asked for"),
+        place.ok_or_else(|| {
+            if name.is_of_series() {
+                format!("{kind} is a frame of a video or a stack; name it in `products` to take it")
+            } else {
+                format!("product type {kind} is not asked for")
+            }
         })
     }
 }
@@ -239,14 +242,14 @@ mod tests {
             ("curiosity", "navcam", "msl/msl_navcam_raw/DATA"),
         ] {
             let text = format!("mission = '{mission}'\ninstrument = '{instrument}'\nsols = 1");
-            let layout = CameraLayout::of(&archive(&text)).unwrap();
+            let layout = CameraLayout::new(&archive(&text)).unwrap();
             assert_eq!(layout.layouts[0][0].root, root);
         }
     }
 
     #[test]
     fn what_the_archive_does_not_have_is_refused_with_what_it_has() {
-        let refused = |text: &str| CameraLayout::of(&archive(text)).unwrap_err().to_string();
+        let refused = |text: &str| CameraLayout::new(&archive(text)).unwrap_err().to_string();
         let wrong = refused("mission = 'curiosity'\ninstrument = 'helicam'\nsols = 1");
         assert!(
             wrong.contains("curiosity has no helicam") && wrong.contains("mastcam, navcam"),

@@ -50,7 +50,7 @@ impl ArchiveKind for Pds {
     const ABOUT: &'static str = "one camera of one mission in the Planetary Data System";
 
     fn open(params: PdsParams, context: RemoteContext) -> Result<Box<dyn ArchiveFiles>, ParamError> {
-        let layout = CameraLayout::of(&params)?;
+        let layout = CameraLayout::new(&params)?;
         check(params.discover, &layout)?;
         let (mission, instrument, level, pixels) =
             (params.mission, params.instrument, params.level, params.pixels);

@@ -36,8 +36,8 @@ pub(super) fn by_inventory(
 ) -> Result<Catalog, StageError> {
     let collection = products.layout.collection.as_deref().unwrap_or_default();
     let path = format!("{collection}/{INVENTORY}");
-    for (_, table, validators) in changed(crawl, std::slice::from_ref(&path))? {
-        let members = inventory::read(&table).map_err(|error| unreadable(&path, &error.to_string()))?;
+    for table in changed(crawl, std::slice::from_ref(&path))? {
+        let members = inventory::read(&table.bytes).map_err(|error| unreadable(&path, &error.to_string()))?;
         let mut found = BySol::new();
         for member in members.iter().filter(|member| member.primary) {
             let Some(stem) = inventory::file_stems(member).into_iter().next() else {
@@ -53,7 +53,7 @@ pub(super) fn by_inventory(
                     .extend(files_named(tree, sol, &stem));
             }
         }
-        keep(crawl.pages, &path, validators, &found);
+        keep(crawl.pages, &path, table.validators, &found);
     }
     Ok(catalog(crawl.pages, &[path], question))
 }
@@ -100,9 +100,9 @@ pub(super) fn by_index(
         })
         .cloned()
         .collect();
-    for (path, table, validators) in changed(crawl, &open)? {
-        let found = index_of(crawl, &path, &table)?;
-        keep(crawl.pages, &path, validators, &found);
+    for table in changed(crawl, &open)? {
+        let found = index_of(crawl, &table.path, &table.bytes)?;
+        keep(crawl.pages, &table.path, table.validators, &found);
     }
     let newest = tables
         .iter()
@@ -124,9 +124,9 @@ fn index_of(crawl: &mut Crawl<'_>, path: &str, table: &[u8]) -> Result<BySol, St
     let label = format!("{volume}/INDEX/{}", INDEX[0]);
     let label = changed(crawl, &[label])?
         .pop()
-        .map(|(_, label, _)| label)
+        .map(|label| label.bytes)
         .unwrap_or_default();
-    let index = Index::of(&label).map_err(bad)?;
+    let index = Index::from_label(&label).map_err(bad)?;
     let mut found = BySol::new();
     for row in index.rows(table) {
         let location = row.map_err(bad)?.location();
@@ -146,11 +146,15 @@ fn index_of(crawl: &mut Crawl<'_>, path: &str, table: &[u8]) -> Result<BySol, St
     Ok(found)
 }
 
-/// Downloads tables; those that did not change since they were kept are left out.
-fn changed(
-    crawl: &mut Crawl<'_>,
-    paths: &[String],
-) -> Result<Vec<(String, Vec<u8>, Validators)>, StageError> {
+/// A file that was downloaded.
+struct DownloadedFile {
+    path: String,
+    bytes: Vec<u8>,
+    validators: Validators,
+}
+
+/// Downloads tables, sorted by path; those that did not change since they were kept are left out.
+fn changed(crawl: &mut Crawl<'_>, paths: &[String]) -> Result<Vec<DownloadedFile>, StageError> {
     for path in paths {
         if !is_whole(crawl.pages, path) {
             crawl.pages.forget(std::slice::from_ref(path));
@@ -165,7 +169,11 @@ fn changed(
         match answer? {
             Answer::Whole {
                 bytes, validators, ..
-            } => tables.push((paths[index].clone(), bytes, validators)),
+            } => tables.push(DownloadedFile {
+                path: paths[index].clone(),
+                bytes,
+                validators,
+            }),
             Answer::Unchanged => {}
             Answer::Absent { .. } => {
                 return Err(StageError::new(format!("the archive has no `{}`", paths[index]))
@@ -175,7 +183,7 @@ fn changed(
         }
         Ok(())
     })?;
-    tables.sort_by(|a, b| a.0.cmp(&b.0));
+    tables.sort_by(|a, b| a.path.cmp(&b.path));
     Ok(tables)
 }
 

@@ -286,7 +286,7 @@ impl OpenLock {
         match &self.form {
             Form::Folder(folder, sols) if sols.contains(&sol) => fs::metadata(sol_path(folder, sol))
                 .ok()
-                .map(|meta| FileState::of(&meta)),
+                .map(|meta| FileState::from_metadata(&meta)),
             _ => None,
         }
     }

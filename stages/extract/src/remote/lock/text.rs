@@ -157,12 +157,13 @@ pub(super) fn check(text: &str, version: i64) -> Result<(), BadLine> {
     if found.version == version {
         return Ok(());
     }
-    let cause = match found.version > version {
-        true => format!(
+    let cause = if found.version > version {
+        format!(
             "its version is {}: a newer marf wrote it, this one reads {version}",
             found.version
-        ),
-        false => format!("its version is {}, not {version}", found.version),
+        )
+    } else {
+        format!("its version is {}, not {version}", found.version)
     };
     Err(BadLine {
         line: line_starting(text, "version"),

@@ -11,6 +11,8 @@ pub struct Strided<'a> {
     pub row: usize,
     /// Distance of two steps of the sum.
     pub step: usize,
+    /// Steps of the sum.
+    pub steps: usize,
 }
 
 impl Strided<'_> {
@@ -33,8 +35,8 @@ pub fn add_products<I: Isa, const MR: usize, const NV: usize>(
     a: Strided,
     b: &[Block],
     columns: usize,
-    steps: usize,
 ) {
+    let steps = a.steps;
     let reach = |count: usize, stride: usize| count.saturating_sub(1).saturating_mul(stride);
     // Once a tile instead of MR + NV times a step.
     assert!(reach(MR, a.row).saturating_add(reach(steps, a.step)) < a.numbers.len());

@@ -1,0 +1,201 @@
+//! Dispatches in order: recording, submitting and timing them.
+
+use super::Gpu;
+use super::array::Part;
+use super::batch::Batch;
+use super::kernel::{Bound, GROUP, Kernel, fold};
+use marf_field::GpuError;
+
+impl Gpu {
+    /// Records dispatches and submits them at once, in one pass.
+    pub fn submit(&self, record: impl FnOnce(&mut Recorder<'_>)) {
+        let mut encoder = self.device.create_command_encoder(&Default::default());
+        record(&mut Recorder::Pass(
+            encoder.begin_compute_pass(&Default::default()),
+        ));
+        self.queue.submit([encoder.finish()]);
+    }
+
+    /// Records dispatches, submits each in a pass of its own between two timestamps, and waits for the times of all.
+    ///
+    /// # Errors
+    /// [`GpuError::NoTimestamps`], a lost device.
+    pub fn submit_timed(&self, record: impl FnOnce(&mut Recorder<'_>)) -> Result<Vec<Timing>, GpuError> {
+        if !self.features.contains(wgpu::Features::TIMESTAMP_QUERY) {
+            return Err(GpuError::NoTimestamps {
+                adapter: self.name().to_owned(),
+            });
+        }
+        let Work(dispatches) = Work::recorded(record);
+        let times = dispatches.chunks(TIMED_AT_ONCE).map(|some| self.timed(some));
+        Ok(times.collect::<Result<Vec<_>, _>>()?.concat())
+    }
+
+    fn timed(&self, dispatches: &[(Bound, Groups)]) -> Result<Vec<Timing>, GpuError> {
+        let count = 2 * dispatches.len() as u32;
+        let queries = self.device.create_query_set(&wgpu::QuerySetDescriptor {
+            label: Some("timestamps"),
+            ty: wgpu::QueryType::Timestamp,
+            count,
+        });
+        let ticks = self.array::<u64>("timestamps", count as usize, wgpu::BufferUsages::QUERY_RESOLVE)?;
+        let mut encoder = self.device.create_command_encoder(&Default::default());
+        for (begin, (bound, groups)) in (0..).step_by(2).zip(dispatches) {
+            let groups = groups.for_rays(usize::MAX);
+            let pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
+                label: Some(bound.name),
+                timestamp_writes: Some(wgpu::ComputePassTimestampWrites {
+                    query_set: &queries,
+                    beginning_of_pass_write_index: Some(begin),
+                    end_of_pass_write_index: Some(begin + 1),
+                }),
+            });
+            Recorder::Pass(pass).groups(bound, groups);
+        }
+        encoder.resolve_query_set(&queries, 0..count, &ticks.buffer, 0);
+        self.queue.submit([encoder.finish()]);
+        let tick_s = f64::from(self.queue.get_timestamp_period()) * 1e-9;
+        let ticks = self.read(&ticks)?;
+        let pairs = dispatches.iter().zip(ticks.as_chunks::<2>().0);
+        let times = pairs.map(|((bound, _), [begin, end])| {
+            let seconds = end.saturating_sub(*begin) as f64 * tick_s;
+            (bound.name, seconds)
+        });
+        Ok(times.collect())
+    }
+}
+
+/// Name of a kernel, and the seconds of one dispatch.
+pub type Timing = (&'static str, f64);
+
+/// Times and counts of steps that are timed.
+#[derive(Default)]
+pub struct Watch {
+    /// Dispatches of steps.
+    pub steps: Vec<Timing>,
+    /// Dispatches of updates of the occupancy.
+    pub updates: Vec<Timing>,
+    /// Samples that rays visited.
+    pub visited: u64,
+}
+
+/// Dispatches between two timestamps each that one set of queries holds.
+const TIMED_AT_ONCE: usize = wgpu::QUERY_SET_MAX_QUERIES as usize / 2;
+
+/// Takes dispatches in order; each sees what those before it wrote.
+#[expect(clippy::large_enum_variant, reason = "one a submit, on the stack")]
+pub enum Recorder<'a> {
+    /// All go to one pass.
+    Pass(wgpu::ComputePass<'a>),
+    /// They are noted down.
+    List(Work),
+}
+
+impl Recorder<'_> {
+    /// Runs a kernel of [`GROUP`] threads a workgroup with at least `threads` threads.
+    pub fn threads(&mut self, bound: &Bound, threads: usize) {
+        self.groups(bound, fold(threads.div_ceil(GROUP)));
+    }
+
+    /// Runs a kernel with so many workgroups in x, y and z.
+    pub fn groups(&mut self, bound: &Bound, [x, y, z]: [usize; 3]) {
+        match self {
+            Self::Pass(pass) => {
+                pass.set_pipeline(&bound.pipeline);
+                pass.set_bind_group(0, &bound.group, &[]);
+                pass.dispatch_workgroups(x as u32, y as u32, z as u32);
+            }
+            Self::List(work) => work.add(bound.clone(), Groups::All([x, y, z])),
+        }
+    }
+}
+
+/// Workgroups of a dispatch.
+#[derive(Clone, Copy)]
+pub enum Groups {
+    /// So many in x, y and z.
+    All([usize; 3]),
+    /// Those of the rays in use, of which there are so many slots: a card spends 1 to 9 ns on a workgroup that finds no ray.
+    OfRays(usize, fn(usize) -> [usize; 3]),
+}
+
+impl Groups {
+    fn for_rays(self, rays: usize) -> [usize; 3] {
+        match self {
+            Self::All(groups) => groups,
+            Self::OfRays(slots, groups) => groups(rays.min(slots)),
+        }
+    }
+}
+
+/// Dispatches in order.
+#[derive(Default)]
+pub struct Work(Vec<(Bound, Groups)>);
+
+impl Work {
+    /// Adds a kernel and its workgroups.
+    pub fn add(&mut self, bound: Bound, groups: Groups) {
+        self.0.push((bound, groups));
+    }
+
+    /// Returns what is recorded.
+    pub fn recorded(record: impl FnOnce(&mut Recorder<'_>)) -> Self {
+        let mut recorder = Recorder::List(Self::default());
+        record(&mut recorder);
+        match recorder {
+            Recorder::List(work) => work,
+            Recorder::Pass(_) => Self::default(),
+        }
+    }
+
+    /// Returns the number of dispatches.
+    pub fn len(&self) -> usize {
+        self.0.len()
+    }
+
+    /// Returns parts of so many dispatches each, in order.
+    pub fn parts(&self, most: usize) -> impl Iterator<Item = Self> {
+        self.0.chunks(most.max(1)).map(|part| Self(part.to_vec()))
+    }
+
+    /// Adds what another work does, behind.
+    pub fn then(mut self, other: Self) -> Self {
+        self.0.extend(other.0);
+        self
+    }
+
+    /// Returns the kernels with their arrays.
+    pub fn bounds(&self) -> impl Iterator<Item = &Bound> {
+        self.0.iter().map(|(bound, _)| bound)
+    }
+
+    /// Records all dispatches, for every slot of rays.
+    pub fn record(&self, recorder: &mut Recorder<'_>) {
+        self.record_for(recorder, usize::MAX);
+    }
+
+    /// Records all dispatches for so many rays: what belongs to others is not written.
+    pub fn record_for(&self, recorder: &mut Recorder<'_>, rays: usize) {
+        for (bound, groups) in &self.0 {
+            recorder.groups(bound, groups.for_rays(rays));
+        }
+    }
+}
+
+/// Gives a kernel its buffers and workgroups.
+pub fn dispatch(gpu: &Gpu, kernel: &Kernel, parts: &[Part<'_>], groups: [usize; 3]) -> Work {
+    Work(vec![(gpu.bind(kernel, parts), Groups::All(groups))])
+}
+
+/// Gives a kernel its buffers, and the workgroups that rays need.
+pub fn dispatch_rays(
+    batch: Batch<'_>,
+    kernel: &Kernel,
+    parts: &[Part<'_>],
+    groups: fn(usize) -> [usize; 3],
+) -> Work {
+    Work(vec![(
+        batch.gpu.bind(kernel, parts),
+        Groups::OfRays(batch.rays, groups),
+    )])
+}

@@ -1,0 +1,17 @@
+//! The tables on the GPU: where levels lie in one array, and the kernels that look them up and train them.
+
+mod adam;
+#[cfg(test)]
+mod chain_tests;
+mod encode;
+#[cfg(test)]
+mod fixture;
+mod grid;
+mod scales;
+mod scatter;
+
+pub use adam::{AdamArrays, AdamTable, Averages, rates};
+pub use encode::{Encode, EncodeArrays};
+pub use grid::{Grid, ROWS, Slots};
+pub use scales::{Rise, ScaleArrays, Scales, rescaling, start_scales};
+pub use scatter::{EACH, Scatter, ScatterArrays, Sums};

@@ -1,0 +1,39 @@
+//! A number and the sentence that says what decided it.
+
+use serde::{Deserialize, Serialize};
+
+/// A number and what decided it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Choice<T> {
+    /// The number.
+    pub value: T,
+    /// A sentence with the number that decided it.
+    pub reason: String,
+}
+
+impl<T> Choice<T> {
+    /// Returns a number and its reason.
+    pub fn new(value: T, reason: impl Into<String>) -> Self {
+        let reason = reason.into();
+        Self { value, reason }
+    }
+
+    /// Returns a number that a key of the configuration sets.
+    pub fn said(value: T, key: &str) -> Self {
+        Self::new(value, format!("`{key}` says so"))
+    }
+}
+
+/// Writes a count in groups of three digits.
+pub fn grouped(count: u64) -> String {
+    let digits = count.to_string();
+    let mut text = String::new();
+    for (index, digit) in digits.chars().enumerate() {
+        if index > 0 && (digits.len() - index).is_multiple_of(3) {
+            text.push(',');
+        }
+        text.push(digit);
+    }
+    text
+}

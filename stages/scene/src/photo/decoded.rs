@@ -1,0 +1,216 @@
+//! A decoded photo, and its encoding as PNG.
+
+use image::{DynamicImage, ImageFormat};
+
+use crate::image::box_means;
+use crate::{Image, Srgb};
+
+/// Largest width or height that is decoded, in pixels.
+pub const MAX_SIDE: u32 = 20_000;
+/// Most memory one decode may take, in bytes.
+pub const MAX_DECODE_BYTES: u64 = 256 << 20;
+
+/// A decoded photo: upright, three channels over black.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Photo {
+    /// The pixels, blended over black; one band is repeated three times.
+    pub image: Image<Srgb>,
+    /// Opacity of the pixels, `[height * width]`, 255: nothing shows through; empty where nothing shows through any.
+    pub alpha: Vec<u8>,
+    /// Bands stored in the file: 1 or 3 (alpha is blended over black and not counted).
+    pub bands: u8,
+    /// What was changed in decoding (`turned upright from EXIF orientation 6`), for the report.
+    pub notes: Vec<String>,
+}
+
+/// Bytes that cannot be decoded as a photo.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum DecodeError {
+    /// The bytes are no picture of a known format.
+    #[error("not a JPEG, PNG, WebP, GIF, TIFF or PNM (starts with {start})")]
+    Format {
+        /// The first bytes, in hexadecimal.
+        start: String,
+    },
+    /// The file ends too early or is damaged.
+    #[error("{format}: {message}")]
+    Damaged {
+        /// Name of the format.
+        format: &'static str,
+        /// Message of the decoder, in one line.
+        message: String,
+    },
+    /// No bytes at all.
+    #[error("an empty file")]
+    Empty,
+    /// The header asks for more than the limits allow.
+    #[error("{width} x {height} pixels, at most {MAX_SIDE} a side and {} MB are decoded", MAX_DECODE_BYTES >> 20)]
+    TooLarge {
+        /// Width asked for.
+        width: u32,
+        /// Height asked for.
+        height: u32,
+    },
+}
+
+/// An opaque photo of three bands, as a PNG of the pixels decodes.
+impl From<Image<Srgb>> for Photo {
+    fn from(image: Image<Srgb>) -> Self {
+        Self {
+            image,
+            alpha: Vec::new(),
+            bands: 3,
+            notes: Vec::new(),
+        }
+    }
+}
+
+impl Photo {
+    /// Returns the photo of a picture that is upright, with the notes of its decoding so far.
+    pub(super) fn from_upright(decoded: DynamicImage, mut notes: Vec<String>) -> Self {
+        if decoded.color().has_alpha() {
+            notes.push("alpha blended over black".to_owned());
+        }
+        match decoded.color().bytes_per_pixel() / decoded.color().channel_count() {
+            0 | 1 => {}
+            2 => notes.push("16 bits reduced to 8".to_owned()),
+            _ => notes.push("numbers from 0 to 1 reduced to 8 bits".to_owned()),
+        }
+        let bands = if decoded.color().has_color() { 3 } else { 1 };
+        let (image, alpha) = over_black(decoded);
+        Self {
+            image,
+            alpha,
+            bands,
+            notes,
+        }
+    }
+
+    /// Returns the photo of the pixels of a decoder; `None` if they are too few or too many.
+    pub(super) fn from_pixels(width: u32, height: u32, pixels: Vec<u8>) -> Option<Self> {
+        let pixels = bytemuck::allocation::try_cast_vec(pixels);
+        let pixels: Vec<[u8; 3]> = pixels.unwrap_or_else(|(_, bytes)| bytes.as_chunks().0.to_vec());
+        let image = Image {
+            width,
+            height,
+            pixels,
+        };
+        let is_whole = image.pixels.len() as u64 == u64::from(width) * u64::from(height);
+        is_whole.then(|| image.into())
+    }
+
+    /// Returns the photo reduced by an integer factor, as [`Image::box_reduced`].
+    pub fn box_reduced(&self, factor: u32) -> Self {
+        Self {
+            image: self.image.box_reduced(factor),
+            alpha: alpha_reduced(&self.alpha, self.image.width, factor),
+            bands: self.bands,
+            notes: self.notes.clone(),
+        }
+    }
+
+    /// Encodes the photo as PNG, which decodes to the same pixels and opacities; equal photos give equal bytes.
+    ///
+    /// # Errors
+    /// As [`encode_png`].
+    pub fn to_png(&self) -> Result<Vec<u8>, DecodeError> {
+        if self.alpha.is_empty() {
+            return encode_png(&self.image);
+        }
+        // What was blended over black and rounded is at most its opacity, so that the quotient is at most 255.
+        let straight = |channel: u8, alpha: u8| match u32::from(alpha) {
+            0 => 0,
+            alpha => ((u32::from(channel) * 255 + alpha / 2) / alpha).min(255) as u8,
+        };
+        let pixels = self.image.pixels.iter().zip(&self.alpha);
+        let pixels = pixels.map(|([r, g, b], alpha)| {
+            [
+                straight(*r, *alpha),
+                straight(*g, *alpha),
+                straight(*b, *alpha),
+                *alpha,
+            ]
+        });
+        let pixels: Vec<[u8; 4]> = pixels.collect();
+        png_of(
+            pixels.as_flattened(),
+            [self.image.width, self.image.height],
+            image::ExtendedColorType::Rgba8,
+        )
+    }
+}
+
+/// Encodes an image as PNG; equal images give equal bytes.
+///
+/// # Errors
+/// An image of zero pixels.
+pub fn encode_png(image: &Image<Srgb>) -> Result<Vec<u8>, DecodeError> {
+    png_of(
+        image.pixels.as_flattened(),
+        [image.width, image.height],
+        image::ExtendedColorType::Rgb8,
+    )
+}
+
+fn png_of(
+    pixels: &[u8],
+    [width, height]: [u32; 2],
+    color: image::ExtendedColorType,
+) -> Result<Vec<u8>, DecodeError> {
+    let mut bytes = Vec::new();
+    let encoder = image::codecs::png::PngEncoder::new(&mut bytes);
+    image::ImageEncoder::write_image(encoder, pixels, width, height, color)
+        .map_err(|error| damaged("PNG", &error))?;
+    Ok(bytes)
+}
+
+/// Returns the name of a format that is decoded; `None` for all others.
+pub(super) fn format_name(format: ImageFormat) -> Option<&'static str> {
+    match format {
+        ImageFormat::Jpeg => Some("JPEG"),
+        ImageFormat::Png => Some("PNG"),
+        ImageFormat::WebP => Some("WebP"),
+        ImageFormat::Gif => Some("GIF"),
+        ImageFormat::Tiff => Some("TIFF"),
+        ImageFormat::Pnm => Some("PNM"),
+        _ => None,
+    }
+}
+
+/// Returns the error of a decoder, in one line.
+pub(crate) fn damaged(format: &'static str, error: &dyn std::fmt::Display) -> DecodeError {
+    // Messages of decoders have line breaks.
+    let message = error.to_string().split_whitespace().collect::<Vec<_>>().join(" ");
+    DecodeError::Damaged { format, message }
+}
+
+/// Returns the pixels blended over black, and their alpha unless all are opaque; 8-bit colour without alpha is copied once and not
+/// converted.
+fn over_black(decoded: DynamicImage) -> (Image<Srgb>, Vec<u8>) {
+    let (width, height) = (decoded.width(), decoded.height());
+    let (pixels, alpha) = if decoded.color().has_alpha() {
+        let blend = |channel: u8, alpha: u8| ((u16::from(channel) * u16::from(alpha) + 127) / 255) as u8;
+        let pixels = decoded.into_rgba8();
+        let over_black = |rgba: &image::Rgba<u8>| {
+            let [r, g, b, alpha] = rgba.0;
+            ([r, g, b].map(|channel| blend(channel, alpha)), alpha)
+        };
+        pixels.pixels().map(over_black).unzip()
+    } else {
+        (decoded.into_rgb8().into_raw().as_chunks().0.to_vec(), Vec::new())
+    };
+    let is_opaque = alpha.iter().all(|alpha| *alpha == 255);
+    let image = Image {
+        width,
+        height,
+        pixels,
+    };
+    (image, if is_opaque { Vec::new() } else { alpha })
+}
+
+/// Returns opacities, `[height * width]` or none, reduced as [`Image::box_reduced`] reduces colours.
+fn alpha_reduced(alpha: &[u8], width: u32, factor: u32) -> Vec<u8> {
+    box_means(alpha.as_chunks::<1>().0, width, factor)
+        .as_flattened()
+        .to_vec()
+}

@@ -1,0 +1,34 @@
+use serde::{Deserialize, Serialize};
+
+/// Whether one item is kept or rejected, and why.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Verdict {
+    /// The item's id; for a file that gave no item, its name.
+    pub id: String,
+    /// The file it came from.
+    pub file: String,
+    /// `keep`, or the name of the filter that rejected it; `decode` if it could not be decoded.
+    pub verdict: String,
+    /// The measure the verdict rests on, in the filter's own unit.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub score: Option<f64>,
+    /// The threshold that the measure was compared with.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub threshold: Option<f64>,
+    /// For duplicates, the item that is kept instead.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub twin: Option<String>,
+    /// One sentence for people; empty for a plain `keep`.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub reason: String,
+}
+
+impl Verdict {
+    /// The verdict of an item that is kept.
+    pub const KEEP: &'static str = "keep";
+
+    /// Returns whether the item is kept.
+    pub fn keeps(&self) -> bool {
+        self.verdict == Self::KEEP
+    }
+}

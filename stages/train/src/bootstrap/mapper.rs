@@ -1,0 +1,163 @@
+//! Maps of every viewpoint, from the renders of all members.
+//!
+//! Viewpoints are walked through twice, since scales and intervals follow from all of them: the maps of one at a time are in memory,
+//! and those of the first walk are kept among the checkpoints for the second.
+
+use marf_cache::{Digest, digest_of};
+use marf_field::{Field, Render};
+use marf_scene::{Scene, path::Viewpoint};
+use marf_schema::output::MAPS;
+use marf_stage::{Ctx, Outputs, StageError};
+
+use super::{
+    drawing::Scales,
+    maps::{Maps, maps},
+    study::{ViewStudy, study},
+    viewpoints::MapView,
+    visibility::Witnesses,
+};
+use crate::{
+    checkpoint::Journal,
+    view::{self, render_view},
+};
+
+/// Renders the fields of all members and maps where they disagree.
+pub(super) struct Mapper<'a> {
+    ctx: &'a Ctx<'a>,
+    /// Stands for the node and its fields.
+    identity: Digest,
+    pub fields: Vec<Field>,
+    /// What photos saw, by the member with the lowest seed: the delivered field, where it is a member.
+    witnesses: Witnesses,
+    /// Viewpoints that are done.
+    done: u64,
+    total: u64,
+}
+
+impl<'a> Mapper<'a> {
+    /// Returns the mapper of so many viewpoints; `identity` stands for the node and its fields.
+    pub fn new(
+        ctx: &'a Ctx<'a>,
+        identity: Digest,
+        fields: Vec<Field>,
+        witnesses: Witnesses,
+        viewpoints: usize,
+    ) -> Self {
+        Self {
+            ctx,
+            identity,
+            fields,
+            witnesses,
+            done: 0,
+            total: viewpoints as u64,
+        }
+    }
+
+    /// Returns the maps of viewpoint `index` of all.
+    fn maps(&self, index: u64, place: &Viewpoint) -> Result<Maps, StageError> {
+        let renders = self.render(index, place)?;
+        maps(self.ctx, &renders, &|surfaces| {
+            self.witnesses.visibilities(place, surfaces)
+        })
+    }
+
+    /// Returns the render of every member at viewpoint `index`.
+    fn render(&self, index: u64, place: &Viewpoint) -> Result<Vec<Render>, StageError> {
+        let identity = digest_of(&(self.identity, index));
+        let mut journal = Journal::new(self.ctx, "members", identity);
+        let (camera, pose) = (&place.camera, &place.cam_from_world);
+        let members = (0_u64..).zip(&self.fields).map(|(member, field)| {
+            journal.piece(
+                |bytes| view::unpack(bytes, camera.width, camera.height),
+                || {
+                    let member = digest_of(&(identity, member));
+                    let render = render_view(self.ctx, member, field, camera, pose)?;
+                    let bytes = view::pack(&render);
+                    Ok((render, bytes))
+                },
+            )
+        });
+        members.collect()
+    }
+
+    /// Returns the next maps of a journal over the viewpoints.
+    fn next_maps(
+        &self,
+        journal: &mut Journal<'_>,
+        index: u64,
+        place: &Viewpoint,
+    ) -> Result<Maps, StageError> {
+        let (width, height) = (place.camera.width, place.camera.height);
+        journal.piece(
+            |bytes| Maps::unpack(bytes, width, height),
+            || {
+                let maps = self.maps(index, place)?;
+                let bytes = maps.pack();
+                Ok((maps, bytes))
+            },
+        )
+    }
+
+    fn journal(&self) -> Journal<'a> {
+        Journal::new(self.ctx, "maps", self.identity)
+    }
+
+    /// Reports that a viewpoint is done.
+    fn passed(&mut self, place: &Viewpoint) {
+        self.done += 1;
+        let note = format!("render {}", place.name);
+        self.ctx.progress.at(self.done, self.total, &note);
+    }
+
+    /// Makes the maps of every viewpoint and returns their figures.
+    pub fn studies(&mut self, views: &[MapView], scene: &Scene) -> Result<Vec<ViewStudy>, StageError> {
+        let ctx = self.ctx;
+        let mut journal = self.journal();
+        let mut studies = Vec::with_capacity(views.len());
+        for (index, view) in (0..).zip(views) {
+            let maps = self.next_maps(&mut journal, index, &view.place)?;
+            let image = view.image(ctx)?;
+            let truth = view.truth(image.as_ref());
+            studies.push(study(&view.place, &maps, truth.as_ref(), &scene.points)?);
+            self.passed(&view.place);
+        }
+        journal.end();
+        Ok(studies)
+    }
+
+    /// Draws and stores the maps of every viewpoint.
+    pub fn put_views(
+        &self,
+        views: &[MapView],
+        scales: &Scales,
+        outputs: &mut Outputs,
+    ) -> Result<(), StageError> {
+        let ctx = self.ctx;
+        let mut known = self.journal();
+        let mut journal = Journal::new(ctx, "drawings", self.identity);
+        for (index, view) in (0..).zip(views) {
+            let maps = self.next_maps(&mut known, index, &view.place)?;
+            let of_view = journal.piece(
+                |bytes| {
+                    let stored: Outputs = serde_json::from_slice(bytes).ok()?;
+                    let whole = stored.values().all(|digest| ctx.blobs.contains(digest));
+                    whole.then_some(stored)
+                },
+                || {
+                    let mut stored = Outputs::new();
+                    let image = view.image(ctx)?;
+                    let truth = view.truth(image.as_ref());
+                    scales.put_view(ctx, &view.place.name, &maps, truth.as_ref(), &mut stored)?;
+                    if let Some(photo) = &view.photo {
+                        stored.insert(format!("{MAPS}{}-photo.png", view.place.name), photo.digest);
+                    }
+                    let bytes = serde_json::to_vec(&stored);
+                    Ok((stored, bytes.map_err(|error| StageError::new(error.to_string()))?))
+                },
+            )?;
+            outputs.extend(of_view);
+        }
+        journal.end();
+        Ok(())
+    }
+}

@@ -1,0 +1,68 @@
+//! The photos of a training, and what each is used for.
+
+use marf_scene::{PosedPhoto, Scene};
+
+use super::setup::Settings;
+use crate::{
+    TrainError,
+    split::{NamedFrame, Split, draws, hold_out_by_place, some_of, split},
+};
+
+/// The photos of a scene as a training uses them.
+pub(super) struct PhotoSet<'a> {
+    pub scene: &'a Scene,
+    /// Photos to train on and to judge by.
+    pub split: Split<'a>,
+    /// Training photos held back to watch a target by.
+    pub validation: Vec<NamedFrame<'a>>,
+    /// How often each training photo is used.
+    pub times: Vec<usize>,
+}
+
+impl<'a> PhotoSet<'a> {
+    /// Splits the photos of a scene; `resample` is the seed with which training photos are drawn.
+    ///
+    /// # Errors
+    /// No photo to train on, to judge by, or to watch a target by.
+    pub fn new(scene: &'a Scene, settings: &Settings, resample: Option<u64>) -> Result<Self, TrainError> {
+        let mut split = split(scene, settings.holdout, settings.fold)?;
+        if let Some(most) = settings.photos {
+            split.training = some_of(split.training, most as usize);
+        }
+        let mut validation = Vec::new();
+        if settings.watched {
+            let photos = split.training.len();
+            let inner = hold_out_by_place(split.training, &scene.points);
+            if inner.training.is_empty() || inner.held_out.is_empty() {
+                return Err(TrainError::NoValidation { photos });
+            }
+            (split.training, validation) = (inner.training, inner.held_out);
+        }
+        let count = split.training.len();
+        Ok(Self {
+            scene,
+            times: resample.map_or_else(|| vec![1; count], |seed| draws(count, seed)),
+            split,
+            validation,
+        })
+    }
+
+    /// Returns the training photos that are used.
+    pub fn used(&self) -> impl Iterator<Item = &NamedFrame<'a>> {
+        let used = self.split.training.iter().zip(&self.times);
+        used.filter(|(_, times)| **times > 0).map(|(named, _)| named)
+    }
+
+    /// Returns where the training photos that are used were taken.
+    pub fn trained_on(&self) -> Vec<PosedPhoto<'a>> {
+        self.used().map(|named| named.frame.into()).collect()
+    }
+
+    /// Returns the ids of the training photos, each as often as it is used.
+    pub fn drawn(&self) -> Vec<String> {
+        let repeated = self.split.training.iter().zip(&self.times);
+        repeated
+            .flat_map(|(named, times)| std::iter::repeat_n(named.frame.id.clone(), *times))
+            .collect()
+    }
+}

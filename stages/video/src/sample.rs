@@ -1,0 +1,28 @@
+use crate::yuv::Yuv;
+
+/// A picture as the file holds it.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub(crate) struct Sample {
+    pub bytes: Vec<u8>,
+    /// Whether decoding can begin here.
+    pub is_key: bool,
+    /// The box of what a decoder has to know before the first picture, where the codec tells it with this one.
+    pub config: Option<Vec<u8>>,
+}
+
+/// A codec: pictures of one size to samples, one for one and in order.
+pub(crate) trait Coder {
+    /// Encodes the next picture; its sample may come with a later one.
+    ///
+    /// # Errors
+    /// What the encoder says.
+    fn encode(&mut self, picture: &Yuv) -> Result<Vec<Sample>, String>;
+
+    /// Returns the samples that have not come yet.
+    ///
+    /// # Errors
+    /// What the encoder says.
+    fn finish(&mut self) -> Result<Vec<Sample>, String> {
+        Ok(Vec::new())
+    }
+}
