@@ -76,7 +76,7 @@ fn every_file_that_a_run_wrote_is_known_wherever_it_lies_and_altered_ones_are_to
         let told = audit(dir.path(), "mailed", &[], 0);
         assert_eq!(told["answer"], "whole", "{file}: {told}");
         let extension = Path::new(file).extension().unwrap().to_str().unwrap();
-        if Stamp::off(&bytes).is_some() {
+        if Stamp::take_from(&bytes).is_some() {
             marked.insert(extension.to_owned());
         }
         let mut altered = bytes;
@@ -295,7 +295,7 @@ fn the_metrics_of_fit_are_known_and_stay_where_nothing_is_trained() {
     let told = marf(dir.path(), &[&fit[..], &["--json"]].concat()).exits(0);
     assert!(told.stdout.contains("\"samples_per_s\""), "{}", told.stdout);
     let path = dir.path().join("fit/metrics.json");
-    let object = || String::from_utf8(Stamp::off(&std::fs::read(&path).unwrap()).unwrap().0).unwrap();
+    let object = || String::from_utf8(Stamp::take_from(&std::fs::read(&path).unwrap()).unwrap().0).unwrap();
     let first = object();
     let metrics: Value = serde_json::from_str(&first).unwrap();
     let budgets: Vec<&str> = metrics.as_object().unwrap().keys().map(String::as_str).collect();

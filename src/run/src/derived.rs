@@ -76,8 +76,8 @@ pub fn run_nodes(
         purpose,
     };
     let text = json!(tree).to_string();
-    let session = Session::derived(context, Loaded { pipeline, text }, run.pipeline.clone(), store)?;
-    let session = Session { source, ..session };
+    let mut session = Session::derived(context, Loaded { pipeline, text }, run.pipeline.clone(), store)?;
+    session.source = source;
     let options = Options {
         to: names,
         ..options(&session)

@@ -126,8 +126,7 @@ fn backend_of(question: &BackendQuestion) -> Result<Outcome, Error> {
         .backend_of
         .parse()
         .map_err(|error: DeviceError| Error::usage(error.to_string()))?;
-    let backend = marf_field_gpu::opened_id(&device)
-        .map_err(|error| Error::failed(error.to_string()))?;
+    let backend = marf_field_gpu::opened_id(&device).map_err(|error| Error::failed(error.to_string()))?;
     Ok(Outcome {
         backend,
         ..Outcome::default()

@@ -39,7 +39,7 @@ fn a_run_leads_from_every_node_to_the_outputs_it_read() {
             "run {}",
             run.number
         );
-        assert_eq!(lineage.run.root, run.root);
+        assert_eq!(lineage.record.root, run.root);
         for node in &lineage.nodes {
             let action = node.action.as_ref().unwrap();
             assert_eq!(Some(action.key()), node.run.key);

@@ -55,8 +55,10 @@ impl Truth {
             .filter_map(|frame| Some((frame.cam_from_world, known(&frame.file)?)));
         let pairs: Vec<(Pose, Pose)> = pairs.collect();
         let alignment = Alignment::fit(&pairs)?;
-        let (distances, angles): (Vec<f64>, Vec<f64>) =
-            pairs.iter().map(|pair| alignment.difference(&pair.0, &pair.1)).unzip();
+        let (distances, angles): (Vec<f64>, Vec<f64>) = pairs
+            .iter()
+            .map(|pair| alignment.difference(&pair.0, &pair.1))
+            .unzip();
         Some(PoseError {
             position: median(distances),
             angle_deg: median(angles).to_degrees(),
