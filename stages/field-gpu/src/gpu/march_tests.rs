@@ -48,15 +48,11 @@ impl Scene {
         let column = |index: usize| rays.iter().map(|ray| ray[index]).collect::<Vec<_>>();
         gpu.write(&arrays.origins, 0, &column(0));
         gpu.write(&arrays.directions, 0, &column(1));
-        let (told, table) = (
-            gpu.uniform("walk", walk).unwrap(),
-            gpu.filled("steps", &step_table(steps)).unwrap(),
-        );
+        let told = gpu.uniform("walk", walk).unwrap();
+        let table = gpu.filled("steps", &step_table(steps)).unwrap();
         let words = gpu.filled("bits", &bit_words(bits)).unwrap();
-        let (amounts, spans) = (
-            gpu.filled("amounts", &vec![7; slots]).unwrap(),
-            gpu.filled("spans", &vec![7; WALKED * slots]).unwrap(),
-        );
+        let amounts = gpu.filled("amounts", &vec![7; slots]).unwrap();
+        let spans = gpu.filled("spans", &vec![7; WALKED * slots]).unwrap();
         let counts = gpu.filled("counts", &[7; counts::LEN]).unwrap();
         let (progress, samples) = (
             Progress::new(gpu, slots).unwrap(),

@@ -11,7 +11,6 @@ use marf_field::cpu::march::{March, Samples, Steps};
 use marf_field::cpu::net::{Layer, Net, Slopes};
 use marf_field::cpu::simd::{InstructionSet, LANES, Run, Stripe};
 use marf_field::cpu::space::Bits;
-
 use marf_field::{Config, Facts};
 
 use crate::ceilings;

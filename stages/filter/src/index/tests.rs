@@ -2,7 +2,7 @@ use std::convert::Infallible;
 
 use proptest::prelude::*;
 
-use super::tables::{hash_of, keys_of, ones_by_four, others, sum_of_fours};
+use super::tables::{MAX_RADIUS, hash_of, keys_of, ones_by_four, others, sum_of_fours};
 use super::*;
 
 /// Returns hashes, some near those before them.

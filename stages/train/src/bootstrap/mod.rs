@@ -123,6 +123,7 @@ fn member(params: &BootstrapParams, index: u32) -> TrainParams {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use marf_stage::Define;
     use marf_stage::harness::Harness;
     use serde_json::json;
 

@@ -46,7 +46,7 @@ fn the_trainings_of_the_default_pipeline_decode_each_photo_once_a_working_size()
     let trained = run(&train, &ctx, &inputs).unwrap();
     let evaluate: Evaluate = stage(json!({"views": "all"}));
     run(&evaluate, &ctx, &Inputs(trained)).unwrap();
-    let bootstrap: Bootstrap = stage(json!({"steps": 2, "scale": 2, "frames": 1, "width": 16}));
+    let bootstrap: Bootstrap = stage(json!({"steps": 2, "scale": 2}));
     let (_, members) = expand(&ctx, &bootstrap, &inputs);
 
     assert_eq!(trials + 1 + members, 16);

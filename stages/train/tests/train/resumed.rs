@@ -290,7 +290,7 @@ fn a_large_picture_goes_on_from_its_last_band() {
 
 #[test]
 fn a_bootstrap_goes_on_to_the_same_bytes_wherever_it_was_stopped() {
-    same_when_stopped(37, 60, 20, &|harness| {
+    same_when_stopped(37, 40, 20, &|harness| {
         let scene = put_scene(harness, &scene(harness, 12));
         let inputs = inputs(&[("scene", scene)]);
         let member = |seed: u64| -> Outputs {
@@ -298,7 +298,7 @@ fn a_bootstrap_goes_on_to_the_same_bytes_wherever_it_was_stopped() {
             run(&train, &harness.ctx(), &inputs).unwrap()
         };
         let members = [member(0), member(1)];
-        let bootstrap: Bootstrap = stage(json!({"b": 2, "frames": 2, "width": 24}));
+        let bootstrap: Bootstrap = stage(json!({"b": 2}));
         let scene = inputs.clone();
         Box::new(move |ctx| bootstrap.reduce(ctx, &scene, &members))
     });

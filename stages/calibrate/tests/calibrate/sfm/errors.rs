@@ -34,7 +34,9 @@ pub fn errors_of(scene: &Scene, truth: &[(String, Pose)]) -> Errors {
         .iter()
         .flat_map(|a| pairs.iter().map(move |b| (a.1.centre() - b.1.centre()).norm()))
         .fold(0.0, f64::max);
-    let position = pairs.iter().map(|pair| alignment.difference(&pair.0, &pair.1).0 / extent);
+    let position = pairs
+        .iter()
+        .map(|pair| alignment.difference(&pair.0, &pair.1).0 / extent);
     // The remaining rotation in the frame of each camera.
     let left: Vec<Matrix3<f64>> = pairs
         .iter()
