@@ -5,7 +5,7 @@ mod common;
 
 use std::path::{Path, PathBuf};
 
-use common::{copy, marf, photos};
+use common::{marf, photos};
 
 /// Filters and cameras of the built-in Mars, in a second.
 const PIPELINE: &str = concat!(
@@ -203,35 +203,6 @@ fn bad_words_for_cache_verbs_are_refused_with_what_to_write() {
         "{}",
         refused.stderr
     );
-}
-
-#[test]
-fn a_store_of_0_1_0_is_refused_with_the_way_out_and_taken_over_by_one_command() {
-    let dir = pipeline();
-    let old = Path::new(env!("CARGO_MANIFEST_DIR")).join("cache/tests/fixtures/store-0.1.0");
-    copy(&old, &dir.path().join(".marf"));
-    let refused = marf(dir.path(), &["run"]).exits(1);
-    assert!(
-        refused.stderr.contains("marf cache migrate"),
-        "{}",
-        refused.stderr
-    );
-    let told = marf(dir.path(), &["cache", "migrate", "--dry-run"]).exits(0);
-    assert!(
-        told.stdout.contains("nothing is fetched again"),
-        "{}",
-        told.stdout
-    );
-    assert!(
-        told.stdout.contains("makes these results again"),
-        "{}",
-        told.stdout
-    );
-    marf(dir.path(), &["run"]).exits(1);
-    marf(dir.path(), &["cache", "migrate"]).exits(0);
-    marf(dir.path(), &["run"]).exits(0);
-    marf(dir.path(), &["cache", "fsck", "--read-data"]).exits(0);
-    marf(dir.path(), &["log"]).exits(0);
 }
 
 /// Reads the folder of `common::photos`; the photos are too small for the other nodes.

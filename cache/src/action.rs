@@ -95,9 +95,10 @@ impl Action {
             });
         }
         let action: Self = serde_json::from_value(value)?;
-        match action.encode() == bytes {
-            true => Ok(action),
-            false => Err(ActionError::NotCanonical),
+        if action.encode() == bytes {
+            Ok(action)
+        } else {
+            Err(ActionError::NotCanonical)
         }
     }
 }

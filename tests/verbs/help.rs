@@ -42,7 +42,6 @@ help_of! {
     help_cache_pull: "cache", "pull", "--help";
     help_cache_pin: "cache", "pin", "--help";
     help_cache_unpin: "cache", "unpin", "--help";
-    help_cache_migrate: "cache", "migrate", "--help";
     help_filter: "filter", "--help";
     help_photos: "photos", "--help";
     help_calibrate: "calibrate", "--help";

@@ -9,7 +9,7 @@ use object_store::{
     path::Path,
 };
 
-use crate::error::RemoteError;
+use crate::error::{RemoteError, cause_of};
 
 /// How long a program waits for a server that does not answer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -68,9 +68,10 @@ impl Address {
             return refuse("credentials and options come from the environment alone");
         }
         if let Some(folder) = url.strip_prefix("file://") {
-            return match folder.starts_with('/') && folder.len() > 1 {
-                true => Ok(Self::Folder(PathBuf::from(folder))),
-                false => refuse("a folder begins at the root: file:///FOLDER"),
+            return if folder.starts_with('/') && folder.len() > 1 {
+                Ok(Self::Folder(PathBuf::from(folder)))
+            } else {
+                refuse("a folder begins at the root: file:///FOLDER")
             };
         }
         let Some(rest) = url.strip_prefix("s3://") else {
@@ -137,7 +138,7 @@ fn open_bucket(
         .build()
         .map_err(|error| RemoteError::BadUrl {
             url: place.to_owned(),
-            why: crate::bucket::cause_of(&error),
+            why: cause_of(&error),
         })
 }
 

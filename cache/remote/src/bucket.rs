@@ -8,6 +8,7 @@ use std::{
 
 use bytes::Bytes;
 use futures_util::TryStreamExt;
+use marf_cache::Digest;
 use object_store::{
     Error, ObjectMeta, ObjectStore, ObjectStoreExt, PutMode, PutOptions, PutPayload, path::Path,
 };
@@ -15,9 +16,10 @@ use tokio::sync::Mutex;
 
 use crate::{
     address::{Address, Patience},
-    catalogue::Catalogue,
-    error::RemoteError,
+    error::{RemoteError, cause_of},
     kept_indexes::KeptIndexes,
+    names,
+    pack::{Catalogue, Pack},
     trust::Trust,
 };
 
@@ -34,7 +36,7 @@ pub struct Traffic {
 
 /// An object in a listing.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct Listed {
+pub(crate) struct StoredObject {
     pub(crate) name: String,
     pub(crate) bytes: u64,
     /// By the clock of the server.
@@ -121,10 +123,10 @@ impl Bucket {
     }
 
     /// Returns length and time of an object; none if there is none.
-    pub(crate) async fn find(&self, name: &str) -> Result<Option<Listed>, RemoteError> {
+    pub(crate) async fn find(&self, name: &str) -> Result<Option<StoredObject>, RemoteError> {
         self.count(0);
         let found = self.objects.head(&self.path(name)).await;
-        let listed = |meta: ObjectMeta| Listed {
+        let listed = |meta: ObjectMeta| StoredObject {
             name: name.to_owned(),
             bytes: meta.size,
             modified: meta.last_modified.into(),
@@ -156,6 +158,13 @@ impl Bucket {
         }
     }
 
+    /// Writes a pack, then its index, and returns its name.
+    pub(crate) async fn put_pack(&self, pack: Pack) -> Result<Digest, RemoteError> {
+        self.put(&names::pack(&pack.id), pack.bytes).await?;
+        self.put(&names::index(&pack.id), pack.index).await?;
+        Ok(pack.id)
+    }
+
     /// Removes an object; one that is not there is no error.
     pub(crate) async fn remove(&self, name: &str) -> Result<(), RemoteError> {
         self.count(0);
@@ -164,7 +173,7 @@ impl Bucket {
     }
 
     /// Returns the objects in a folder and below it, 1,000 a request.
-    pub(crate) async fn list(&self, folder: &str) -> Result<Vec<Listed>, RemoteError> {
+    pub(crate) async fn list(&self, folder: &str) -> Result<Vec<StoredObject>, RemoteError> {
         let path = self.path(folder);
         let listed: Result<Vec<_>, Error> = self.objects.list(Some(&path)).try_collect().await;
         let listed = self.there("list", folder, listed)?.unwrap_or_default();
@@ -180,7 +189,7 @@ impl Bucket {
                     .skip(depth)
                     .map(|part| part.as_ref().to_owned())
                     .collect();
-                Listed {
+                StoredObject {
                     name: parts.join("/"),
                     bytes: meta.size,
                     modified: meta.last_modified.into(),
@@ -230,52 +239,5 @@ impl Bucket {
             object: name.to_owned(),
             what: what.to_owned(),
         }
-    }
-}
-
-/// What the text of an error has before an answer that is one though its status is not.
-const ERROR_IN_ANSWER: &str = "Server returned error response";
-
-/// Returns the innermost cause of an error in a few words. What a server wrote is left out: it may repeat a key.
-pub(crate) fn cause_of(error: &Error) -> String {
-    let mut cause: &dyn std::error::Error = error;
-    loop {
-        let text = cause.to_string();
-        if let Some(status) = status_in(&text) {
-            return format!("the server answers {status}");
-        }
-        if text.contains(ERROR_IN_ANSWER) {
-            return "the server answers with an error".to_owned();
-        }
-        match cause.source() {
-            Some(source) => cause = source,
-            None => return text,
-        }
-    }
-}
-
-/// Returns the status of an answer in the text of an error.
-fn status_in(text: &str) -> Option<u16> {
-    let (_, rest) = text.split_once("status code: ")?;
-    rest.get(..3)?.parse().ok()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_cause_is_a_status_or_the_innermost_error_and_never_what_a_server_wrote() {
-        let cause = |text: &str| {
-            cause_of(&Error::Generic {
-                store: "S3",
-                source: Box::new(std::io::Error::other(text.to_owned())),
-            })
-        };
-        let answered = "Server returned non-2xx status code: 400 Bad Request: <AWSAccessKeyId>secret</";
-        assert_eq!(cause(answered), "the server answers 400");
-        let answered = "Server returned error response: <Error>secret</";
-        assert_eq!(cause(answered), "the server answers with an error");
-        assert_eq!(cause("connection refused"), "connection refused");
     }
 }

@@ -1,4 +1,4 @@
-//! Where small blobs are: the indexes of all packs as one sorted list, 48 bytes a blob.
+//! Where small blobs are: the indexes of all packs are read when a blob is in none of those known.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -9,19 +9,11 @@ use crate::{
     bucket::Bucket,
     error::RemoteError,
     names,
-    pack::{Entry, decode_index, encode_index},
+    pack::{Catalogue, Entry, decode_index, encode_index},
 };
 
 /// Indexes that are fetched at once.
 const IN_FLIGHT: usize = 16;
-
-/// The small blobs of a shared store, as far as their indexes have been read.
-#[derive(Default)]
-pub(crate) struct Catalogue {
-    packs: Vec<Digest>,
-    /// With the numbers of their packs.
-    places: Vec<(Entry, u32)>,
-}
 
 /// Returns those blobs that are in packs, by pack. New indexes are read if one is not known yet.
 pub(crate) async fn in_packs(
@@ -30,13 +22,11 @@ pub(crate) async fn in_packs(
 ) -> Result<BTreeMap<Digest, Vec<Entry>>, RemoteError> {
     let mut catalogue = bucket.catalogue.lock().await;
     if wanted.clone().any(|digest| catalogue.find(digest).is_none()) {
-        catalogue.refresh(bucket).await?;
+        refresh(bucket, &mut catalogue).await?;
     }
     let mut packs: BTreeMap<Digest, Vec<Entry>> = BTreeMap::new();
     for (entry, pack) in wanted.filter_map(|digest| catalogue.find(digest)) {
-        if let Some(pack) = catalogue.packs.get(pack as usize) {
-            packs.entry(*pack).or_default().push(entry);
-        }
+        packs.entry(pack).or_default().push(entry);
     }
     Ok(packs)
 }
@@ -45,7 +35,7 @@ pub(crate) async fn in_packs(
 pub(crate) async fn known(bucket: &Bucket, digest: &Digest) -> Option<(Digest, Entry)> {
     let catalogue = bucket.catalogue.lock().await;
     let (entry, pack) = catalogue.find(digest)?;
-    Some((*catalogue.packs.get(pack as usize)?, entry))
+    Some((pack, entry))
 }
 
 /// Forgets all indexes: a pack that one names is gone.
@@ -53,43 +43,24 @@ pub(crate) async fn forget(bucket: &Bucket) {
     *bucket.catalogue.lock().await = Catalogue::default();
 }
 
-impl Catalogue {
-    /// Reads the indexes of packs that are new.
-    async fn refresh(&mut self, bucket: &Bucket) -> Result<(), RemoteError> {
-        let known: BTreeSet<Digest> = self.packs.iter().copied().collect();
-        let listed = bucket.list(names::PACKS).await?;
-        let packs = listed
-            .iter()
-            .filter_map(|object| names::pack_of_index(&object.name));
-        let packs: BTreeSet<Digest> = packs.collect();
-        bucket.kept_indexes.iter().for_each(|kept| kept.prune(&packs));
-        let new: Vec<Digest> = packs.difference(&known).copied().collect();
-        let first = self.packs.len() as u32;
-        let indexes: Vec<(u32, Vec<Entry>)> =
-            stream::iter(new.iter().zip(first..))
-                .map(|(pack, number)| async move {
-                    Ok::<_, RemoteError>((number, kept_index(bucket, pack).await?))
-                })
-                .buffer_unordered(IN_FLIGHT)
-                .try_collect()
-                .await?;
-        self.packs.extend(new);
-        for (pack, entries) in indexes {
-            self.places.extend(entries.into_iter().map(|entry| (entry, pack)));
-        }
-        self.places.sort_unstable();
-        self.places.dedup_by_key(|(entry, _)| entry.digest);
-        Ok(())
-    }
-
-    /// Returns where a blob is, and the number of its pack.
-    fn find(&self, digest: &Digest) -> Option<(Entry, u32)> {
-        let at = self
-            .places
-            .binary_search_by(|(entry, _)| entry.digest.cmp(digest))
-            .ok()?;
-        self.places.get(at).copied()
-    }
+/// Reads the indexes of packs that are new.
+async fn refresh(bucket: &Bucket, catalogue: &mut Catalogue) -> Result<(), RemoteError> {
+    let known: BTreeSet<Digest> = catalogue.packs().iter().copied().collect();
+    let listed = bucket.list(names::PACKS).await?;
+    let packs = listed
+        .iter()
+        .filter_map(|object| names::pack_of_index(&object.name));
+    let packs: BTreeSet<Digest> = packs.collect();
+    bucket.kept_indexes.iter().for_each(|kept| kept.prune(&packs));
+    let new = packs.difference(&known).copied();
+    let mut indexes: Vec<(Digest, Vec<Entry>)> = stream::iter(new)
+        .map(|pack| async move { Ok::<_, RemoteError>((pack, kept_index(bucket, &pack).await?)) })
+        .buffer_unordered(IN_FLIGHT)
+        .try_collect()
+        .await?;
+    indexes.sort_unstable();
+    catalogue.add(indexes);
+    Ok(())
 }
 
 /// As [`index`], from where indexes are kept if it is there.

@@ -161,3 +161,50 @@ fn in_place(count: usize, what: &str, place: &str) -> String {
         _ => format!("{count} {what}s of {place} are"),
     }
 }
+
+/// What the text of an error has before an answer that is one though its status is not.
+const ERROR_IN_ANSWER: &str = "Server returned error response";
+
+/// Returns the innermost cause of an error in a few words. What a server wrote is left out: it may repeat a key.
+pub(crate) fn cause_of(error: &object_store::Error) -> String {
+    let mut cause: &dyn std::error::Error = error;
+    loop {
+        let text = cause.to_string();
+        if let Some(status) = status_in(&text) {
+            return format!("the server answers {status}");
+        }
+        if text.contains(ERROR_IN_ANSWER) {
+            return "the server answers with an error".to_owned();
+        }
+        match cause.source() {
+            Some(source) => cause = source,
+            None => return text,
+        }
+    }
+}
+
+/// Returns the status of an answer in the text of an error.
+fn status_in(text: &str) -> Option<u16> {
+    let (_, rest) = text.split_once("status code: ")?;
+    rest.get(..3)?.parse().ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_cause_is_a_status_or_the_innermost_error_and_never_what_a_server_wrote() {
+        let cause = |text: &str| {
+            cause_of(&object_store::Error::Generic {
+                store: "S3",
+                source: Box::new(std::io::Error::other(text.to_owned())),
+            })
+        };
+        let answered = "Server returned non-2xx status code: 400 Bad Request: <AWSAccessKeyId>secret</";
+        assert_eq!(cause(answered), "the server answers 400");
+        let answered = "Server returned error response: <Error>secret</";
+        assert_eq!(cause(answered), "the server answers with an error");
+        assert_eq!(cause("connection refused"), "connection refused");
+    }
+}

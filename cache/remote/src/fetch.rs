@@ -12,7 +12,7 @@ use bytes::Bytes;
 use futures_util::{StreamExt, TryStreamExt, future, stream};
 use marf_cache::{Digest, Store};
 
-use crate::{bucket::Bucket, catalogue, error::RemoteError, names, pack::Entry, presence, push::Meter};
+use crate::{bucket::Bucket, catalogue, error::RemoteError, names, observer::Meter, pack::Entry, presence};
 
 /// Large blobs, or windows of packs, that are fetched at once.
 const IN_FLIGHT: usize = 16;
@@ -71,7 +71,7 @@ impl Plan {
             .map(|(digest, bytes)| async move {
                 let name = names::blob(digest);
                 let blob = bucket.get(&name).await?;
-                Ok(Arrived {
+                Ok(FetchedBlob {
                     name,
                     digest: *digest,
                     bytes: *bytes,
@@ -87,7 +87,7 @@ impl Plan {
 }
 
 /// A blob as it came.
-struct Arrived {
+struct FetchedBlob {
     /// The object that it is from.
     name: String,
     digest: Digest,
@@ -106,13 +106,13 @@ impl Window {
             return Err(bucket.damaged(&name, "its index is there, and it is not"));
         };
         let parts = parts.into_iter().map(Some).chain(iter::repeat(None));
-        let arrived = |(entry, blob): (&Entry, Option<Bytes>)| Arrived {
+        let arrived = |(entry, blob): (&Entry, Option<Bytes>)| FetchedBlob {
             name: name.clone(),
             digest: entry.digest,
             bytes: u64::from(entry.len),
             blob,
         };
-        let blobs: Vec<Arrived> = self.entries.iter().zip(parts).map(arrived).collect();
+        let blobs: Vec<FetchedBlob> = self.entries.iter().zip(parts).map(arrived).collect();
         keep(bucket, store, &blobs, meter)
     }
 }
@@ -151,10 +151,10 @@ async fn packed(bucket: &Bucket, pack: &Digest, entry: &Entry) -> Result<Option<
 /// folder or from a near server.
 ///
 /// The threads are its own: one of rayon's pool could take up another node's work here, which may not wait for a fetch inside of this one.
-fn keep(bucket: &Bucket, store: &Store, blobs: &[Arrived], meter: &Meter<'_>) -> Result<(), RemoteError> {
+fn keep(bucket: &Bucket, store: &Store, blobs: &[FetchedBlob], meter: &Meter<'_>) -> Result<(), RemoteError> {
     let cores = thread::available_parallelism().map_or(1, NonZero::get);
     let share = blobs.len().div_ceil(cores).max(1);
-    let keep_all = |blobs: &[Arrived]| {
+    let keep_all = |blobs: &[FetchedBlob]| {
         blobs
             .iter()
             .try_for_each(|blob| keep_one(bucket, store, blob, meter))
@@ -170,8 +170,13 @@ fn keep(bucket: &Bucket, store: &Store, blobs: &[Arrived], meter: &Meter<'_>) ->
     })
 }
 
-fn keep_one(bucket: &Bucket, store: &Store, arrived: &Arrived, meter: &Meter<'_>) -> Result<(), RemoteError> {
-    let Arrived {
+fn keep_one(
+    bucket: &Bucket,
+    store: &Store,
+    arrived: &FetchedBlob,
+    meter: &Meter<'_>,
+) -> Result<(), RemoteError> {
+    let FetchedBlob {
         name,
         digest,
         bytes,

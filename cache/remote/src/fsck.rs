@@ -7,7 +7,7 @@ use marf_cache::Digest;
 use serde::Serialize;
 
 use crate::{
-    bucket::{Bucket, Listed},
+    bucket::{Bucket, StoredObject},
     catalogue,
     error::RemoteError,
     inventory::{Inventory, PackFiles},
@@ -39,7 +39,7 @@ pub struct RemoteFault {
 
 /// What a check has found.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
-pub struct Checked {
+pub struct RemoteFsckReport {
     /// Runs.
     pub runs: u64,
     /// Records.
@@ -66,7 +66,7 @@ struct Check<'a> {
 }
 
 /// Checks; for a repair the caller holds the exclusive lease.
-pub(crate) async fn check(bucket: &Bucket, options: FsckOptions) -> Result<Checked, RemoteError> {
+pub(crate) async fn check(bucket: &Bucket, options: FsckOptions) -> Result<RemoteFsckReport, RemoteError> {
     let inventory = Inventory::take(bucket).await?;
     let mut check = Check {
         bucket,
@@ -81,7 +81,7 @@ pub(crate) async fn check(bucket: &Bucket, options: FsckOptions) -> Result<Check
     let blobs = check.blobs.len() as u64;
     check.records(&inventory.records).await?;
     check.break_records();
-    let runs: Vec<&Listed> = inventory.runs.values().flatten().collect();
+    let runs: Vec<&StoredObject> = inventory.runs.values().flatten().collect();
     check.runs(&runs).await?;
     if options.repair {
         check.repair().await?;
@@ -90,7 +90,7 @@ pub(crate) async fn check(bucket: &Bucket, options: FsckOptions) -> Result<Check
     let faults: Vec<RemoteFault> = faults
         .map(|(object, what)| RemoteFault { object, what })
         .collect();
-    Ok(Checked {
+    Ok(RemoteFsckReport {
         runs: runs.len() as u64,
         records: inventory.records.len() as u64,
         blobs,
@@ -105,7 +105,7 @@ impl Check<'_> {
         self.faults.entry(object).or_insert_with(|| what.into());
     }
 
-    async fn large(&mut self, listed: &BTreeMap<Digest, Listed>) -> Result<(), RemoteError> {
+    async fn large(&mut self, listed: &BTreeMap<Digest, StoredObject>) -> Result<(), RemoteError> {
         self.blobs.extend(listed.keys());
         if !self.options.read_data {
             return Ok(());
@@ -171,7 +171,7 @@ impl Check<'_> {
         Ok(Ok(()))
     }
 
-    async fn records(&mut self, listed: &BTreeMap<Digest, Listed>) -> Result<(), RemoteError> {
+    async fn records(&mut self, listed: &BTreeMap<Digest, StoredObject>) -> Result<(), RemoteError> {
         let bucket = self.bucket;
         let mut read = stream::iter(listed.keys())
             .map(|key| async move { (key, survey::record(bucket, key).await) })
@@ -211,7 +211,7 @@ impl Check<'_> {
         key.or_else(|| blob.map(|blob| format!("it names the blob {blob}, which is not there or damaged")))
     }
 
-    async fn runs(&mut self, listed: &[&Listed]) -> Result<(), RemoteError> {
+    async fn runs(&mut self, listed: &[&StoredObject]) -> Result<(), RemoteError> {
         for object in listed {
             let what = match pull::run_named(self.bucket, &object.name).await {
                 Ok(run) => self.lacking(&run.value.keys, &run.value.blobs),

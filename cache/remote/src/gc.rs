@@ -10,7 +10,7 @@ use marf_cache::Digest;
 use serde::Serialize;
 
 use crate::{
-    bucket::{Bucket, Listed},
+    bucket::{Bucket, StoredObject},
     catalogue,
     error::RemoteError,
     inventory::{Inventory, PackFiles},
@@ -18,7 +18,7 @@ use crate::{
     names,
     pack::{Entry, PACK_BYTES, PackWriter},
     pull,
-    sealed::Opened,
+    sealed::SealedValue,
     survey,
 };
 
@@ -40,7 +40,7 @@ pub struct GcOptions {
 
 /// What a collection has removed, or would.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
-pub struct Collected {
+pub struct RemoteGcReport {
     /// Runs.
     pub runs: u64,
     /// Records.
@@ -61,7 +61,7 @@ pub struct Collected {
 
 /// What must stay.
 #[derive(Default)]
-struct Live {
+struct LiveObjects {
     keys: HashSet<Digest>,
     blobs: HashSet<Digest>,
     missing: u64,
@@ -79,7 +79,7 @@ struct Collection<'a> {
     bucket: &'a Bucket,
     options: GcOptions,
     now: SystemTime,
-    done: Collected,
+    done: RemoteGcReport,
 }
 
 /// Collects; the caller holds the exclusive lease, unless it is a dry run.
@@ -87,21 +87,21 @@ pub(crate) async fn collect(
     bucket: &Bucket,
     lease: &Lease,
     options: GcOptions,
-) -> Result<Collected, RemoteError> {
+) -> Result<RemoteGcReport, RemoteError> {
     let now = lease.now(bucket).await?;
     let inventory = Inventory::take(bucket).await?;
     let mut collection = Collection {
         bucket,
         options,
         now,
-        done: Collected::default(),
+        done: RemoteGcReport::default(),
     };
     let (kept, given_up) = collection.runs(&inventory);
     let live = collection.mark(&inventory, &kept).await?;
     collection.done.missing = live.missing;
     // Who names goes before what is named.
     collection.done.runs = collection.remove(given_up.into_iter()).await?;
-    let dead = |(digest, object): (&Digest, &'_ Listed), live: &HashSet<Digest>| {
+    let dead = |(digest, object): (&Digest, &'_ StoredObject), live: &HashSet<Digest>| {
         (!live.contains(digest)).then(|| object.clone())
     };
     let records = inventory.records.iter().filter_map(|one| dead(one, &live.keys));
@@ -121,18 +121,19 @@ pub(crate) async fn collect(
 }
 
 impl Collection<'_> {
-    fn is_old(&self, object: &Listed) -> bool {
+    fn is_old(&self, object: &StoredObject) -> bool {
         age(self.now, object.modified) >= self.options.grace
     }
 
     /// Returns the runs that are kept and those that are given up.
-    fn runs(&self, inventory: &Inventory) -> (Vec<Listed>, Vec<Listed>) {
+    fn runs(&self, inventory: &Inventory) -> (Vec<StoredObject>, Vec<StoredObject>) {
         let (mut kept, mut given_up) = (Vec::new(), Vec::new());
         for runs in inventory.runs.values() {
             for (at, run) in runs.iter().enumerate() {
-                match at >= self.options.keep_last.max(1) && self.is_old(run) {
-                    true => given_up.push(run.clone()),
-                    false => kept.push(run.clone()),
+                if at >= self.options.keep_last.max(1) && self.is_old(run) {
+                    given_up.push(run.clone())
+                } else {
+                    kept.push(run.clone())
                 }
             }
         }
@@ -140,8 +141,8 @@ impl Collection<'_> {
     }
 
     /// Follows what kept runs and young records name.
-    async fn mark(&self, inventory: &Inventory, kept: &[Listed]) -> Result<Live, RemoteError> {
-        let mut live = Live::default();
+    async fn mark(&self, inventory: &Inventory, kept: &[StoredObject]) -> Result<LiveObjects, RemoteError> {
+        let mut live = LiveObjects::default();
         let young = inventory
             .records
             .iter()
@@ -158,7 +159,7 @@ impl Collection<'_> {
             for (_, record) in survey::records(self.bucket, level.into_iter()).await? {
                 match record {
                     None => live.missing += 1,
-                    Some(Opened { value: record, .. }) => {
+                    Some(SealedValue { value: record, .. }) => {
                         live.blobs.extend(record.blobs);
                         below.extend(record.keys);
                     }
@@ -171,8 +172,8 @@ impl Collection<'_> {
     }
 
     /// Removes those objects that are old, and returns their number.
-    async fn remove(&mut self, objects: impl Iterator<Item = Listed>) -> Result<u64, RemoteError> {
-        let old: Vec<Listed> = objects.filter(|object| self.is_old(object)).collect();
+    async fn remove(&mut self, objects: impl Iterator<Item = StoredObject>) -> Result<u64, RemoteError> {
+        let old: Vec<StoredObject> = objects.filter(|object| self.is_old(object)).collect();
         self.done.removed_bytes += old.iter().map(|object| object.bytes).sum::<u64>();
         if !self.options.dry_run {
             let bucket = self.bucket;
@@ -236,11 +237,11 @@ impl Collection<'_> {
             for pack in &packs {
                 pack.move_to(self.bucket, &mut left, &mut writer).await?;
                 if writer.len() >= PACK_BYTES {
-                    new.insert(std::mem::take(&mut writer).finish().put(self.bucket).await?);
+                    new.insert(self.bucket.put_pack(std::mem::take(&mut writer).finish()).await?);
                 }
             }
             if writer.len() > 0 {
-                new.insert(writer.finish().put(self.bucket).await?);
+                new.insert(self.bucket.put_pack(writer.finish()).await?);
             }
         }
         self.done.new_packs = new.len() as u64;
@@ -253,7 +254,7 @@ impl Collection<'_> {
 }
 
 impl IndexedPack {
-    fn objects(&self) -> impl Iterator<Item = &Listed> {
+    fn objects(&self) -> impl Iterator<Item = &StoredObject> {
         self.files.pack.iter().chain(&self.files.index)
     }
 
@@ -292,7 +293,9 @@ impl IndexedPack {
             if !left.remove(&entry.digest) {
                 continue;
             }
-            let blob = entry.of(&bytes).filter(|blob| Digest::of(blob) == entry.digest);
+            let blob = entry
+                .bytes_in(&bytes)
+                .filter(|blob| Digest::of(blob) == entry.digest);
             let what = format!("it does not hold the blob {}", entry.digest.short());
             to.add(entry.digest, blob.ok_or_else(|| bucket.damaged(&name, &what))?);
         }

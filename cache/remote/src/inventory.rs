@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use marf_cache::Digest;
 
 use crate::{
-    bucket::{Bucket, Listed},
+    bucket::{Bucket, StoredObject},
     error::RemoteError,
     names,
 };
@@ -13,24 +13,24 @@ use crate::{
 /// All objects of a shared store.
 pub(crate) struct Inventory {
     /// With their starts, by pipeline; the newest first.
-    pub(crate) runs: BTreeMap<String, Vec<Listed>>,
-    pub(crate) records: BTreeMap<Digest, Listed>,
+    pub(crate) runs: BTreeMap<String, Vec<StoredObject>>,
+    pub(crate) records: BTreeMap<Digest, StoredObject>,
     /// Large blobs.
-    pub(crate) blobs: BTreeMap<Digest, Listed>,
+    pub(crate) blobs: BTreeMap<Digest, StoredObject>,
     pub(crate) packs: BTreeMap<Digest, PackFiles>,
 }
 
 /// The objects of a pack; one without an index holds nothing that anybody finds.
 #[derive(Default)]
 pub(crate) struct PackFiles {
-    pub(crate) pack: Option<Listed>,
-    pub(crate) index: Option<Listed>,
+    pub(crate) pack: Option<StoredObject>,
+    pub(crate) index: Option<StoredObject>,
 }
 
 impl Inventory {
     /// Lists all objects.
     pub(crate) async fn take(bucket: &Bucket) -> Result<Self, RemoteError> {
-        let by_digest = |listed: Vec<Listed>| {
+        let by_digest = |listed: Vec<StoredObject>| {
             let named = listed.into_iter();
             named
                 .filter_map(|object| Some((names::digest_in(&object.name)?, object)))
@@ -46,8 +46,8 @@ impl Inventory {
     }
 }
 
-fn runs(listed: Vec<Listed>) -> BTreeMap<String, Vec<Listed>> {
-    let mut runs: BTreeMap<String, Vec<Listed>> = BTreeMap::new();
+fn runs(listed: Vec<StoredObject>) -> BTreeMap<String, Vec<StoredObject>> {
+    let mut runs: BTreeMap<String, Vec<StoredObject>> = BTreeMap::new();
     for object in listed
         .into_iter()
         .filter(|object| names::run_in(&object.name).is_some())
@@ -61,7 +61,7 @@ fn runs(listed: Vec<Listed>) -> BTreeMap<String, Vec<Listed>> {
     runs
 }
 
-fn packs(listed: Vec<Listed>) -> BTreeMap<Digest, PackFiles> {
+fn packs(listed: Vec<StoredObject>) -> BTreeMap<Digest, PackFiles> {
     let mut packs: BTreeMap<Digest, PackFiles> = BTreeMap::new();
     for object in listed {
         if let Some(id) = names::pack_of_index(&object.name) {

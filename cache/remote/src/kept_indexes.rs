@@ -16,7 +16,7 @@ pub(crate) struct KeptIndexes(PathBuf);
 
 impl KeptIndexes {
     /// Returns the indexes of the shared store of this address, in a folder for those of all.
-    pub(crate) fn of(folder: &Path, url: &str) -> Self {
+    pub(crate) fn new(folder: &Path, url: &str) -> Self {
         Self(folder.join(&Digest::of(url.as_bytes()).to_string()[..16]))
     }
 
@@ -60,8 +60,8 @@ mod tests {
     fn indexes_are_kept_by_store_until_their_packs_are_gone() {
         let dir = tempfile::tempdir().unwrap();
         let (kept, other) = (
-            KeptIndexes::of(dir.path(), "s3://a"),
-            KeptIndexes::of(dir.path(), "s3://b"),
+            KeptIndexes::new(dir.path(), "s3://a"),
+            KeptIndexes::new(dir.path(), "s3://b"),
         );
         let (first, second) = (Digest::of(b"1"), Digest::of(b"2"));
         assert_eq!(kept.read(&first), None);

@@ -12,7 +12,7 @@ use std::{
 use bytes::Bytes;
 use marf_cache::Digest;
 
-use crate::{bucket::Bucket, bucket::Listed, error::RemoteError, names};
+use crate::{bucket::Bucket, bucket::StoredObject, error::RemoteError, names};
 
 /// Leases of this process so far.
 static OPENED: AtomicU64 = AtomicU64::new(0);
@@ -95,7 +95,7 @@ impl Lease {
     }
 
     /// Returns the leases that have not ended.
-    async fn leases(&self, bucket: &Bucket) -> Result<Vec<Listed>, RemoteError> {
+    async fn leases(&self, bucket: &Bucket) -> Result<Vec<StoredObject>, RemoteError> {
         let now = self.now(bucket).await?;
         let mut leases = bucket.list(names::LEASES).await?;
         leases.retain(|lease| !lease.name.contains(CLOCK) && age(now, lease.modified) < ENDS_AFTER);
@@ -144,9 +144,10 @@ impl Lease {
     }
 
     async fn renew_once(&self, bucket: &Bucket) -> Result<(), RemoteError> {
-        match self.is_own(bucket).await? {
-            true => bucket.put(&self.name, self.bytes()).await,
-            false => Err(self.busy(bucket, &self.name).await?),
+        if self.is_own(bucket).await? {
+            bucket.put(&self.name, self.bytes()).await
+        } else {
+            Err(self.busy(bucket, &self.name).await?)
         }
     }
 
@@ -159,9 +160,10 @@ impl Lease {
     /// Ends the lease, whether it was taken or only asked for.
     pub(crate) async fn release(&self, bucket: &Bucket) -> Result<(), RemoteError> {
         bucket.remove(&self.clock).await?;
-        match self.is_own(bucket).await? {
-            true => bucket.remove(&self.name).await,
-            false => Ok(()),
+        if self.is_own(bucket).await? {
+            bucket.remove(&self.name).await
+        } else {
+            Ok(())
         }
     }
 }

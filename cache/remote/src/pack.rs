@@ -8,8 +8,6 @@
 use bytes::Bytes;
 use marf_cache::Digest;
 
-use crate::{bucket::Bucket, error::RemoteError, names};
-
 /// A pack is closed when it holds this many bytes.
 pub(crate) const PACK_BYTES: u64 = 32 << 20;
 
@@ -32,6 +30,14 @@ pub(crate) struct Pack {
     pub(crate) index: Bytes,
 }
 
+/// The entries of all packs as one sorted list, 48 bytes a blob.
+#[derive(Default)]
+pub(crate) struct Catalogue {
+    packs: Vec<Digest>,
+    /// With the numbers of their packs.
+    places: Vec<(Entry, u32)>,
+}
+
 /// A pack that is being filled.
 #[derive(Default)]
 pub(crate) struct PackWriter {
@@ -41,18 +47,38 @@ pub(crate) struct PackWriter {
 
 impl Entry {
     /// Returns the bytes of the blob in those of its pack; none if the pack is cut.
-    pub(crate) fn of<'a>(&self, pack: &'a [u8]) -> Option<&'a [u8]> {
+    pub(crate) fn bytes_in<'a>(&self, pack: &'a [u8]) -> Option<&'a [u8]> {
         let begin = usize::try_from(self.offset).ok()?;
         pack.get(begin..begin.checked_add(self.len as usize)?)
     }
 }
 
-impl Pack {
-    /// Writes the pack, then its index, and returns its name.
-    pub(crate) async fn put(self, bucket: &Bucket) -> Result<Digest, RemoteError> {
-        bucket.put(&names::pack(&self.id), self.bytes).await?;
-        bucket.put(&names::index(&self.id), self.index).await?;
-        Ok(self.id)
+impl Catalogue {
+    /// Returns the packs.
+    pub(crate) fn packs(&self) -> &[Digest] {
+        &self.packs
+    }
+
+    /// Adds packs with their entries.
+    pub(crate) fn add(&mut self, packs: Vec<(Digest, Vec<Entry>)>) {
+        for (pack, entries) in packs {
+            let number = self.packs.len() as u32;
+            self.packs.push(pack);
+            self.places
+                .extend(entries.into_iter().map(|entry| (entry, number)));
+        }
+        self.places.sort_unstable();
+        self.places.dedup_by_key(|(entry, _)| entry.digest);
+    }
+
+    /// Returns where a blob is, and its pack.
+    pub(crate) fn find(&self, digest: &Digest) -> Option<(Entry, Digest)> {
+        let at = self
+            .places
+            .binary_search_by(|(entry, _)| entry.digest.cmp(digest))
+            .ok()?;
+        let (entry, pack) = *self.places.get(at)?;
+        Some((entry, *self.packs.get(pack as usize)?))
     }
 }
 

@@ -42,6 +42,6 @@ async fn sizes_in(
             listed.extend(bucket.find(&names::blob(&digest)).await?);
         }
     }
-    let sized = |object: crate::bucket::Listed| Some((names::digest_in(&object.name)?, object.bytes));
+    let sized = |object: crate::bucket::StoredObject| Some((names::digest_in(&object.name)?, object.bytes));
     Ok(listed.into_iter().filter_map(sized).collect())
 }

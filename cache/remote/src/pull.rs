@@ -10,9 +10,8 @@ use crate::{
     error::RemoteError,
     fetch::Plan,
     names,
-    push::Meter,
-    remote::Observer,
-    sealed::{self, Opened, RemoteRun},
+    observer::{Meter, Observer},
+    sealed::{self, RemoteRun, SealedValue},
     survey,
 };
 
@@ -21,7 +20,7 @@ const RESULT: &str = "result";
 
 /// What a pull has done.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Pulled {
+pub struct PullReport {
     /// Results that were fetched.
     pub records: u64,
     /// Results that were in the own store.
@@ -34,7 +33,7 @@ pub struct Pulled {
 
 /// What of some results the own store lacks.
 #[derive(Default)]
-struct Lacking {
+struct MissingResults {
     records: Vec<Record>,
     blobs: BTreeSet<Digest>,
     known: u64,
@@ -51,17 +50,18 @@ pub(crate) async fn read_run(bucket: &Bucket, root: &Digest) -> Result<RemoteRun
     };
     let found = listed.iter().find(|object| is_it(&object.name));
     let run = run_named(bucket, &found.ok_or_else(missing)?.name).await?;
-    match run.is_believed {
-        true => Ok(run.value),
-        false => Err(untrusted(bucket, 1, "run", root)),
+    if run.is_believed {
+        Ok(run.value)
+    } else {
+        Err(untrusted(bucket, 1, "run", root))
     }
 }
 
 /// Reads the run of this name, whoever wrote it.
-pub(crate) async fn run_named(bucket: &Bucket, name: &str) -> Result<Opened<RemoteRun>, RemoteError> {
+pub(crate) async fn run_named(bucket: &Bucket, name: &str) -> Result<SealedValue<RemoteRun>, RemoteError> {
     let bytes = bucket.get(name).await?.unwrap_or_default();
     let root = names::run_in(name).map(|(_, root)| root);
-    let run: Option<Opened<RemoteRun>> = sealed::open(&bytes, &bucket.trust);
+    let run: Option<SealedValue<RemoteRun>> = sealed::open(&bytes, &bucket.trust);
     let run = run.filter(|run| Some(Digest::of(run.value.root.as_bytes())) == root);
     run.ok_or_else(|| bucket.damaged(name, "its checksum is another"))
 }
@@ -72,7 +72,7 @@ pub(crate) async fn run(
     store: &Store,
     run: &RemoteRun,
     observer: &dyn Observer,
-) -> Result<Pulled, RemoteError> {
+) -> Result<PullReport, RemoteError> {
     results(bucket, store, &run.keys, &run.blobs, observer).await
 }
 
@@ -83,8 +83,8 @@ pub(crate) async fn results(
     keys: &[Digest],
     blobs: &[Digest],
     observer: &dyn Observer,
-) -> Result<Pulled, RemoteError> {
-    let mut lacking = Lacking::find(bucket, store, keys).await?;
+) -> Result<PullReport, RemoteError> {
+    let mut lacking = MissingResults::find(bucket, store, keys).await?;
     lacking.blobs.extend(blobs);
     lacking.blobs.retain(|blob| !store.contains(blob));
     let blob_bytes = match fetch(bucket, store, &lacking.blobs, observer).await {
@@ -94,7 +94,7 @@ pub(crate) async fn results(
         }
         fetched => fetched?,
     };
-    let pulled = Pulled {
+    let pulled = PullReport {
         records: lacking.records.len() as u64,
         known_records: lacking.known,
         blobs: lacking.blobs.len() as u64,
@@ -187,7 +187,7 @@ async fn fetch(
     Ok(meter.total_bytes)
 }
 
-impl Lacking {
+impl MissingResults {
     /// Reads the records of keys that the own store does not have whole, level by level.
     async fn find(bucket: &Bucket, store: &Store, keys: &[Digest]) -> Result<Self, RemoteError> {
         let mut lacking = Self::default();

@@ -1,9 +1,6 @@
 //! A push: blobs, packs, records, the run.
 
-use std::{
-    collections::{BTreeMap, BTreeSet},
-    sync::atomic::{AtomicU64, Ordering},
-};
+use std::collections::{BTreeMap, BTreeSet};
 
 use bytes::Bytes;
 use futures_util::{StreamExt, TryStreamExt, stream};
@@ -14,9 +11,9 @@ use crate::{
     catalogue, conflict,
     error::RemoteError,
     names,
+    observer::{Meter, Observer},
     pack::{PACK_BYTES, PackWriter},
     presence,
-    remote::{Observer, Progress},
     sealed::{self, RemoteRecord, RemoteRun},
     survey::{self, Survey},
 };
@@ -30,7 +27,7 @@ const PACKS_IN_FLIGHT: usize = 2;
 
 /// What a push has done.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Pushed {
+pub struct PushReport {
     /// Results that were sent.
     pub records: u64,
     /// Results that were there.
@@ -47,7 +44,7 @@ pub struct Pushed {
 
 /// Blobs that a shared store lacks, with their lengths.
 #[derive(Default)]
-struct Absent {
+struct AbsentBlobs {
     large: BTreeMap<Digest, u64>,
     small: BTreeMap<Digest, u64>,
 }
@@ -58,7 +55,7 @@ pub(crate) async fn run(
     store: &Store,
     run: &RemoteRun,
     observer: &dyn Observer,
-) -> Result<Pushed, RemoteError> {
+) -> Result<PushReport, RemoteError> {
     let pushed = results(bucket, store, &run.keys, &run.blobs, observer).await?;
     let root = Digest::of(run.root.as_bytes());
     let name = names::run(&run.pipeline, run.started_unix_s, &root);
@@ -73,7 +70,7 @@ pub(crate) async fn results(
     keys: &[Digest],
     blobs: &[Digest],
     observer: &dyn Observer,
-) -> Result<Pushed, RemoteError> {
+) -> Result<PushReport, RemoteError> {
     store.commit()?;
     let survey = Survey::take(bucket, store, keys).await?;
     let wanted: BTreeSet<Digest> = survey
@@ -83,7 +80,7 @@ pub(crate) async fn results(
         .chain(blobs)
         .copied()
         .collect();
-    let absent = Absent::find(bucket, store, &wanted).await?;
+    let absent = AbsentBlobs::find(bucket, store, &wanted).await?;
     let meter = Meter::new(observer, absent.large.values().chain(absent.small.values()).sum());
     let packs = absent.packs();
     send_large(bucket, store, &absent.large, &meter).await?;
@@ -92,7 +89,7 @@ pub(crate) async fn results(
     for group in survey.in_order() {
         conflicts.extend(send_records(bucket, &group).await?);
     }
-    Ok(Pushed {
+    Ok(PushReport {
         records: survey.new.len() as u64,
         known_records: survey.known,
         blobs: (absent.large.len() + absent.small.len()) as u64,
@@ -102,16 +99,17 @@ pub(crate) async fn results(
     })
 }
 
-impl Absent {
+impl AbsentBlobs {
     async fn find(bucket: &Bucket, store: &Store, wanted: &BTreeSet<Digest>) -> Result<Self, RemoteError> {
         let mut absent = Self::default();
         for digest in wanted {
             let bytes = store
                 .size_of(digest)
                 .ok_or(StoreError::Missing { digest: *digest })?;
-            match bytes < LARGE_BYTES {
-                true => absent.small.insert(*digest, bytes),
-                false => absent.large.insert(*digest, bytes),
+            if bytes < LARGE_BYTES {
+                absent.small.insert(*digest, bytes)
+            } else {
+                absent.large.insert(*digest, bytes)
             };
         }
         let packed = catalogue::in_packs(bucket, absent.small.keys()).await?;
@@ -141,32 +139,6 @@ impl Absent {
             }
         }
         packs
-    }
-}
-
-/// Adds up bytes for an observer.
-pub(crate) struct Meter<'a> {
-    observer: &'a dyn Observer,
-    done_bytes: AtomicU64,
-    pub(crate) total_bytes: u64,
-}
-
-impl<'a> Meter<'a> {
-    pub(crate) fn new(observer: &'a dyn Observer, total_bytes: u64) -> Self {
-        Self {
-            observer,
-            done_bytes: AtomicU64::new(0),
-            total_bytes,
-        }
-    }
-
-    pub(crate) fn add(&self, bytes: u64) {
-        let done_bytes = self.done_bytes.fetch_add(bytes, Ordering::Relaxed) + bytes;
-        let total_bytes = self.total_bytes;
-        self.observer.on_progress(Progress {
-            done_bytes,
-            total_bytes,
-        });
     }
 }
 
@@ -202,7 +174,7 @@ async fn send_packs(
             }
             let pack = writer.finish();
             let bytes = pack.bytes.len() as u64;
-            pack.put(bucket).await?;
+            bucket.put_pack(pack).await?;
             meter.add(bytes);
             Ok(())
         })

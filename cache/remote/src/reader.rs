@@ -4,10 +4,7 @@ use std::sync::Arc;
 
 use marf_cache::{Digest, Upstream};
 
-use crate::{
-    fetch,
-    remote::{Observer, Remote},
-};
+use crate::{fetch, observer::Observer, remote::Remote};
 
 /// The blobs of a shared store.
 pub struct Reader<O> {

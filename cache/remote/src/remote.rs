@@ -17,13 +17,14 @@ use crate::{
     address::Patience,
     bucket::{Bucket, Traffic},
     error::RemoteError,
-    fsck::{self, Checked, FsckOptions},
-    gc::{self, Collected, GcOptions},
+    fsck::{self, FsckOptions, RemoteFsckReport},
+    gc::{self, GcOptions, RemoteGcReport},
     kept_indexes::KeptIndexes,
     lease::{Kind, Lease},
     names,
-    pull::{self, Pulled},
-    push::{self, Pushed},
+    observer::Observer,
+    pull::{self, PullReport},
+    push::{self, PushReport},
     sealed::RemoteRun,
     trust::Trust,
 };
@@ -38,23 +39,6 @@ const FOLDER_THREADS: usize = 4;
 
 /// Longest wait for the end of a lease: the user may have asked to stop.
 const RELEASE_PATIENCE: Duration = Duration::from_secs(1);
-
-/// How far a push or a pull is.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Progress {
-    /// Bytes moved.
-    pub done_bytes: u64,
-    /// Bytes to move, those moved among them; 0 while it is not known.
-    pub total_bytes: u64,
-}
-
-/// Receives progress, and tells when the work should end.
-pub trait Observer: Sync {
-    /// Receives how far the work is.
-    fn on_progress(&self, progress: Progress);
-    /// Tells whether the user wants to stop.
-    fn is_stopped(&self) -> bool;
-}
 
 /// A shared store.
 pub struct Remote {
@@ -87,7 +71,7 @@ impl Remote {
     /// Returns it with a folder of this machine in which indexes of packs are kept for the next program that opens it.
     #[must_use]
     pub fn keeping_indexes(mut self, folder: &Path) -> Self {
-        self.bucket.kept_indexes = Some(KeptIndexes::of(folder, &self.bucket.place));
+        self.bucket.kept_indexes = Some(KeptIndexes::new(folder, &self.bucket.place));
         self
     }
 
@@ -112,7 +96,7 @@ impl Remote {
         store: &Store,
         run: &RemoteRun,
         observer: &dyn Observer,
-    ) -> Result<Pushed, RemoteError> {
+    ) -> Result<PushReport, RemoteError> {
         let work = async {
             self.make().await?;
             push::run(&self.bucket, store, run, observer).await
@@ -160,7 +144,7 @@ impl Remote {
         store: &Store,
         run: &RemoteRun,
         observer: &dyn Observer,
-    ) -> Result<Pulled, RemoteError> {
+    ) -> Result<PullReport, RemoteError> {
         self.waiting(observer, pull::run(&self.bucket, store, run, observer))
     }
 
@@ -189,15 +173,16 @@ impl Remote {
     ///
     /// # Errors
     /// A shared store that is absent, damaged where it matters, or in use ([`RemoteError::Busy`]).
-    pub fn gc(&self, options: GcOptions, observer: &dyn Observer) -> Result<Collected, RemoteError> {
+    pub fn gc(&self, options: GcOptions, observer: &dyn Observer) -> Result<RemoteGcReport, RemoteError> {
         let lease = Lease::new(Kind::Exclusive);
         let work = async {
             self.check().await?;
             gc::collect(&self.bucket, &lease, options).await
         };
-        match options.dry_run {
-            true => self.waiting(observer, work),
-            false => self.holding(&lease, observer, work),
+        if options.dry_run {
+            self.waiting(observer, work)
+        } else {
+            self.holding(&lease, observer, work)
         }
     }
 
@@ -205,14 +190,19 @@ impl Remote {
     ///
     /// # Errors
     /// A shared store that is absent or cannot be read, or for a repair is in use ([`RemoteError::Busy`]).
-    pub fn fsck(&self, options: FsckOptions, observer: &dyn Observer) -> Result<Checked, RemoteError> {
+    pub fn fsck(
+        &self,
+        options: FsckOptions,
+        observer: &dyn Observer,
+    ) -> Result<RemoteFsckReport, RemoteError> {
         let work = async {
             self.check().await?;
             fsck::check(&self.bucket, options).await
         };
-        match options.repair {
-            true => self.holding(&Lease::new(Kind::Exclusive), observer, work),
-            false => self.waiting(observer, work),
+        if options.repair {
+            self.holding(&Lease::new(Kind::Exclusive), observer, work)
+        } else {
+            self.waiting(observer, work)
         }
     }
 

@@ -5,9 +5,10 @@ use marf_cache::{Digest, Record, Store};
 use crate::{
     error::RemoteError,
     lease::{Kind, Lease},
-    pull::{self, Pulled},
-    push::{self, Pushed},
-    remote::{Observer, Remote},
+    observer::Observer,
+    pull::{self, PullReport},
+    push::{self, PushReport},
+    remote::Remote,
     survey,
 };
 
@@ -25,7 +26,7 @@ impl Remote {
         keys: &[Digest],
         blobs: &[Digest],
         observer: &dyn Observer,
-    ) -> Result<Pushed, RemoteError> {
+    ) -> Result<PushReport, RemoteError> {
         let work = async {
             self.make().await?;
             push::results(&self.bucket, store, keys, blobs, observer).await
@@ -59,7 +60,7 @@ impl Remote {
         store: &Store,
         keys: &[Digest],
         observer: &dyn Observer,
-    ) -> Result<Pulled, RemoteError> {
+    ) -> Result<PullReport, RemoteError> {
         self.waiting(observer, async {
             self.check().await?;
             pull::results(&self.bucket, store, keys, &[], observer).await

@@ -33,7 +33,7 @@ pub struct RemoteRun {
 
 /// A value that was read, and whether it is believed.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct Opened<T> {
+pub(crate) struct SealedValue<T> {
     pub(crate) value: T,
     /// A writer that is trusted has signed it, or everybody is.
     pub(crate) is_believed: bool,
@@ -41,7 +41,7 @@ pub(crate) struct Opened<T> {
     pub(crate) is_signed: bool,
 }
 
-impl<T> Opened<T> {
+impl<T> SealedValue<T> {
     /// Tells whether it gains by being written again: it is not signed, or by nobody who is trusted, and now would be.
     pub(crate) fn should_be_signed(&self, trust: &Trust) -> bool {
         trust.key.is_some() && !(self.is_signed && self.is_believed)
@@ -63,7 +63,7 @@ pub(crate) fn seal(value: &impl Serialize, trust: &Trust) -> Bytes {
 }
 
 /// Reads what [`seal`] wrote; none if it is not whole.
-pub(crate) fn open<T: DeserializeOwned>(bytes: &[u8], trust: &Trust) -> Option<Opened<T>> {
+pub(crate) fn open<T: DeserializeOwned>(bytes: &[u8], trust: &Trust) -> Option<SealedValue<T>> {
     let end = bytes.iter().position(|byte| *byte == b'\n')?;
     let (line, json) = (bytes.get(..end)?, bytes.get(end + 1..)?);
     let line = std::str::from_utf8(line).ok()?;
@@ -75,7 +75,7 @@ pub(crate) fn open<T: DeserializeOwned>(bytes: &[u8], trust: &Trust) -> Option<O
     if Digest::of(json) != digest {
         return None;
     }
-    Some(Opened {
+    Some(SealedValue {
         value: serde_json::from_slice(json).ok()?,
         is_believed: trust.believes(&digest, signature.as_deref()),
         is_signed: signature.is_some(),

@@ -15,12 +15,11 @@ use std::{
 use marf_cache::{Digest, Record, Store};
 
 use crate::{
-    address::Patience,
     conflict::in_words,
     error::RemoteError,
-    remote::{Observer, Progress, Remote},
+    observer::{Observer, Progress},
+    remote::Remote,
     sealed::RemoteRun,
-    trust::Trust,
 };
 
 /// A result that would take longer to fetch than it took to make is made, but so long is waited for each.
@@ -94,20 +93,20 @@ enum Job {
 }
 
 impl Sharing {
-    /// Opens the shared store beside a run whose own store is in this folder. A share of the results that are there, 0 to 1, is not
+    /// Puts a shared store beside a run whose own store is in this folder. A share of the results that are there, 0 to 1, is not
     /// fetched: the run makes them, and when it sends them, one that differs is told as a conflict.
     ///
     /// # Errors
-    /// A bad address, an environment without credentials, or an own store that cannot be opened.
+    /// An own store that cannot be opened.
     pub fn start(
-        url: &str,
-        (trust, verify_share): (Trust, f64),
+        remote: Remote,
+        verify_share: f64,
         store: &Path,
         warn: impl Fn(String) + Send + Sync + 'static,
         is_stopped: impl Fn() -> bool + Send + Sync + 'static,
     ) -> Result<Self, RemoteError> {
         let link = Arc::new(Link {
-            remote: Remote::open(url, Patience::Impatient, trust)?,
+            remote,
             store: Store::open(PathBuf::from(store))?,
             warn: Arc::new(warn),
             recheck: Recheck::new(verify_share),

@@ -10,7 +10,7 @@ use crate::{
     conflict,
     error::RemoteError,
     names,
-    sealed::{self, Opened, RemoteRecord},
+    sealed::{self, RemoteRecord, SealedValue},
 };
 
 /// Records that are asked for at once.
@@ -36,7 +36,7 @@ impl Survey {
             seen.append(&mut level);
             for (key, there) in found {
                 let own = store.record(&key)?.ok_or(RemoteError::NotInStore { key })?;
-                let may_stay = |there: &Opened<RemoteRecord>| !there.should_be_signed(&bucket.trust);
+                let may_stay = |there: &SealedValue<RemoteRecord>| !there.should_be_signed(&bucket.trust);
                 match there.filter(may_stay) {
                     Some(there) => survey.note_known(there.value.record, own),
                     None => {
@@ -94,7 +94,7 @@ impl Survey {
 pub(crate) async fn records(
     bucket: &Bucket,
     keys: impl Iterator<Item = Digest>,
-) -> Result<Vec<(Digest, Option<Opened<RemoteRecord>>)>, RemoteError> {
+) -> Result<Vec<(Digest, Option<SealedValue<RemoteRecord>>)>, RemoteError> {
     stream::iter(keys)
         .map(|key| async move { Ok((key, record(bucket, &key).await?)) })
         .buffer_unordered(IN_FLIGHT)
@@ -106,15 +106,16 @@ pub(crate) async fn records(
 pub(crate) async fn record(
     bucket: &Bucket,
     key: &Digest,
-) -> Result<Option<Opened<RemoteRecord>>, RemoteError> {
+) -> Result<Option<SealedValue<RemoteRecord>>, RemoteError> {
     let name = names::record(key);
     let Some(bytes) = bucket.get(&name).await? else {
         return Ok(None);
     };
-    let found: Opened<RemoteRecord> = sealed::open(&bytes, &bucket.trust)
+    let found: SealedValue<RemoteRecord> = sealed::open(&bytes, &bucket.trust)
         .ok_or_else(|| bucket.damaged(&name, "its checksum is another"))?;
-    match found.value.record.key == *key {
-        true => Ok(Some(found)),
-        false => Err(bucket.damaged(&name, "it is the result of another key")),
+    if found.value.record.key == *key {
+        Ok(Some(found))
+    } else {
+        Err(bucket.damaged(&name, "it is the result of another key"))
     }
 }

@@ -88,9 +88,10 @@ fn an_object_that_is_cut_or_altered_is_named_and_nothing_of_it_is_stored() {
             world.remote().push(&here, &run, &Quiet::default()).unwrap();
             let path = world.files(folder, ending)[0].clone();
             let mut bytes = std::fs::read(&path).unwrap();
-            match cut {
-                true => bytes.truncate(bytes.len() / 2),
-                false => bytes[5] ^= 1,
+            if cut {
+                bytes.truncate(bytes.len() / 2)
+            } else {
+                bytes[5] ^= 1
             }
             std::fs::write(&path, bytes).unwrap();
             let there = world.store("there");

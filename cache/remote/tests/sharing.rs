@@ -11,7 +11,7 @@ use std::{
 use common::{Quiet, World, result, run_in};
 use marf_cache::{Digest, Store, Upstream};
 use marf_keys::{PublicKey, SigningKey};
-use marf_remote::{GcOptions, Reader, RemoteError, Sharing, Trust};
+use marf_remote::{GcOptions, Patience, Reader, Remote, RemoteError, Sharing, Trust};
 
 /// A run on an own store, with what it was told.
 struct Machine {
@@ -35,7 +35,8 @@ impl Machine {
         let told: Arc<Mutex<Vec<String>>> = Arc::default();
         let sink = Arc::clone(&told);
         let warn = move |message| sink.lock().unwrap().push(message);
-        let sharing = Sharing::start(&world.url(), (trust, share), store.dir(), warn, || false).unwrap();
+        let remote = Remote::open(&world.url(), Patience::Impatient, trust).unwrap();
+        let sharing = Sharing::start(remote, share, store.dir(), warn, || false).unwrap();
         Self { store, sharing, told }
     }
 

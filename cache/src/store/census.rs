@@ -25,7 +25,7 @@ pub(super) fn prefix(id: &Digest) -> [u8; PREFIX] {
 }
 
 impl Item {
-    fn of(kind: Kind, id: &Digest, bytes: u64) -> Self {
+    fn new(kind: Kind, id: &Digest, bytes: u64) -> Self {
         Self {
             id: prefix(id),
             kind_and_bytes: u64::from(kind.code()) << KIND_SHIFT | bytes,
@@ -47,8 +47,8 @@ impl Census {
         let mut items = Vec::new();
         objects
             .index
-            .for_each(|row| items.push(Item::of(row.kind, &row.id, u64::from(row.len))))?;
-        objects.for_each_loose(|digest, meta| items.push(Item::of(Kind::Blob, &digest, meta.bytes)))?;
+            .for_each(|row| items.push(Item::new(row.kind, &row.id, u64::from(row.len))))?;
+        objects.for_each_loose(|digest, meta| items.push(Item::new(Kind::Blob, &digest, meta.bytes)))?;
         items.sort_unstable();
         items.dedup_by_key(|item| (item.id, item.kind_code()));
         Ok(Self(items))

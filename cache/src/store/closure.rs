@@ -1,49 +1,7 @@
 //! What a result consists of and was made from.
 
-use super::{Store, StoreError, census::Census, mark::Marker, pack::Kind};
+use super::{Store, StoreError, census::Census, mark::Marker, missing::MissingObject, pack::Kind};
 use crate::Digest;
-
-/// As what an object is named.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum Role {
-    /// The record of a key that was asked for.
-    Record,
-    /// The action of a key.
-    Action,
-    /// What an action reads; a digest that stands for something outside the store is none of its objects.
-    Input,
-    /// An output of a record.
-    Output,
-    /// The list of what a record needs.
-    Needs,
-    /// A blob in this list.
-    Need,
-    /// The set of the parts of a record.
-    Parts,
-    /// The record of a part.
-    Part,
-    /// The record of a child.
-    Child,
-    /// The root of a set, or a blob that was asked for.
-    Root,
-    /// A block of a set.
-    Block,
-    /// A leaf of a set.
-    Leaf,
-    /// A blob that a row of a leaf names.
-    Row,
-}
-
-/// An object that is named and not in the store.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Missing {
-    /// The blob, or the key of the record.
-    pub digest: Digest,
-    /// As what it is named.
-    pub role: Role,
-    /// The key or the set that names it.
-    pub of: Digest,
-}
 
 /// All objects that some keys and blobs consist of and were made from.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
@@ -55,7 +13,7 @@ pub struct Closure {
     /// Bytes of all of them.
     pub bytes: u64,
     /// What is named and not in the store, sorted by digest.
-    pub missing: Vec<Missing>,
+    pub missing: Vec<MissingObject>,
 }
 
 impl Store {

@@ -40,7 +40,7 @@ pub(super) fn write(objects: &Objects, batch: &WriteBatch) -> Result<Vec<Conflic
                 .map(Use::Key),
         )
         .collect();
-    let select = || Selection::of(objects, batch);
+    let select = || Selection::new(objects, batch);
     let selection = objects
         .lease
         .protect(&uses, &objects.locks, &objects.notices, select)?;
@@ -51,7 +51,7 @@ pub(super) fn write(objects: &Objects, batch: &WriteBatch) -> Result<Vec<Conflic
 }
 
 impl Selection {
-    fn of(objects: &Objects, batch: &WriteBatch) -> Result<Self, StoreError> {
+    fn new(objects: &Objects, batch: &WriteBatch) -> Result<Self, StoreError> {
         let mut selection = Self::default();
         for record in batch.records.values() {
             selection.add_record(objects, batch, record)?;

@@ -79,12 +79,6 @@ pub enum StoreError {
         /// The format of this program.
         known: u32,
     },
-    /// marf 0.1.0 wrote the store.
-    #[error("the store `{}` was written by marf 0.1.0", path.display())]
-    Older {
-        /// The folder of the store.
-        path: PathBuf,
-    },
 }
 
 impl StoreError {
@@ -122,11 +116,9 @@ impl StoreError {
                 Some("choose a store that can be written with `--store`".to_owned())
             }
             Self::Locked { .. } => Some("wait for the other program, or stop it".to_owned()),
-            Self::Newer { .. } => Some("use the program that wrote it, or another folder with `--store`".to_owned()),
-            Self::Older { .. } => Some(
-                "run `marf cache migrate`: what was fetched and computed stays, and it tells what is made again"
-                    .to_owned(),
-            ),
+            Self::Newer { .. } => {
+                Some("use the program that wrote it, or another folder with `--store`".to_owned())
+            }
             _ => None,
         }
     }

@@ -10,12 +10,19 @@ use std::{
 
 use super::error::StoreError;
 
+/// Whether a store can be written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Access {
+    ReadWrite,
+    ReadOnly,
+}
+
 /// Most threads that sync at once: the file system's journal then combines their syncs.
 const SYNC_THREADS: usize = 8;
 
 /// Whether a final name was free.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Published {
+pub(super) enum PublishResult {
     /// It was free, and is the file's now.
     New,
     /// Another file has it.
@@ -60,7 +67,7 @@ pub(super) trait Operations: Send + Sync {
     /// Flushes the entries of a folder to the disk.
     fn sync_dir(&self, path: &Path) -> io::Result<()>;
     /// Gives a file a second name, unless another file has that name.
-    fn link(&self, from: &Path, to: &Path) -> io::Result<Published>;
+    fn link(&self, from: &Path, to: &Path) -> io::Result<PublishResult>;
     /// Moves a file; one that has the name is replaced.
     fn rename(&self, from: &Path, to: &Path) -> io::Result<()>;
     /// Removes a file.
@@ -124,26 +131,28 @@ impl Operations for Disk {
 
     fn sync_file(&self, path: &Path) -> io::Result<()> {
         // Of a link only its name is ours.
-        match path.is_symlink() {
-            true => Ok(()),
-            false => File::open(path)?.sync_data(),
+        if path.is_symlink() {
+            Ok(())
+        } else {
+            File::open(path)?.sync_data()
         }
     }
 
     fn sync_dir(&self, path: &Path) -> io::Result<()> {
-        match cfg!(unix) {
-            true => File::open(path)?.sync_all(),
-            false => Ok(()),
+        if cfg!(unix) {
+            File::open(path)?.sync_all()
+        } else {
+            Ok(())
         }
     }
 
-    fn link(&self, from: &Path, to: &Path) -> io::Result<Published> {
+    fn link(&self, from: &Path, to: &Path) -> io::Result<PublishResult> {
         match fs::hard_link(from, to) {
-            Ok(()) => Ok(Published::New),
-            Err(_) if to.exists() => Ok(Published::Present),
+            Ok(()) => Ok(PublishResult::New),
+            Err(_) if to.exists() => Ok(PublishResult::Present),
             Err(error) if error.kind() == io::ErrorKind::NotFound => Err(error),
             // A file system without hard links.
-            Err(_) => fs::rename(from, to).map(|()| Published::New),
+            Err(_) => fs::rename(from, to).map(|()| PublishResult::New),
         }
     }
 
@@ -186,17 +195,18 @@ impl Operations for Disk {
     fn meta(&self, path: &Path) -> io::Result<Meta> {
         let own = fs::symlink_metadata(path)?;
         let modified = own.modified().unwrap_or(SystemTime::UNIX_EPOCH);
-        Ok(match own.is_symlink() {
-            false => Meta {
-                bytes: own.len(),
-                modified,
-                place: Place::Here,
-            },
-            true => Meta {
+        Ok(if own.is_symlink() {
+            Meta {
                 bytes: fs::metadata(path)?.len(),
                 modified,
                 place: Place::Outside,
-            },
+            }
+        } else {
+            Meta {
+                bytes: own.len(),
+                modified,
+                place: Place::Here,
+            }
         })
     }
 
@@ -216,7 +226,7 @@ impl Files {
     }
 
     #[cfg(test)]
-    pub(super) fn of(operations: Arc<dyn Operations>) -> Self {
+    pub(super) fn with_operations(operations: Arc<dyn Operations>) -> Self {
         Self(operations)
     }
 
@@ -299,7 +309,7 @@ impl Files {
 
     /// Moves a finished temporary file to its final name. A file that has the name already stays, and the temporary
     /// file is removed.
-    pub(super) fn publish(&self, from: &Path, to: &Path) -> Result<Published, StoreError> {
+    pub(super) fn publish(&self, from: &Path, to: &Path) -> Result<PublishResult, StoreError> {
         let outcome = self.0.link(from, to).map_err(StoreError::io("name", to))?;
         let _ = self.0.remove_file(from);
         Ok(outcome)

@@ -11,13 +11,11 @@ pub(super) const FORMAT: u32 = 2;
 
 /// What a folder holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Found {
+pub(super) enum StoreForm {
     /// No store.
     Nothing,
     /// A store of this form.
     Current,
-    /// A store of 0.1.0.
-    Old,
     /// A store whose file `format` is damaged.
     Unclear,
     /// A store of a later form.
@@ -32,23 +30,19 @@ pub(super) fn text() -> String {
 }
 
 /// Tells what a folder holds.
-pub(super) fn find(files: &Files, root: &Path) -> Result<Found, StoreError> {
+pub(super) fn find(files: &Files, root: &Path) -> Result<StoreForm, StoreError> {
     if let Some(bytes) = files.read(&root.join("format"))? {
         return Ok(parse(&bytes));
     }
-    let names = files.names(root)?;
-    let has = |name: &str| names.iter().any(|found| found == name);
-    // 0.1.0 made its index at the first commit of a record, so blobs may lie there without one.
-    let packs = files.names(&root.join("packs"))?;
-    Ok(match packs.iter().any(|name| name.ends_with(".idx")) {
-        _ if has("index.redb") => Found::Old,
-        _ if has("index.sqlite") => Found::Unclear,
-        true => Found::Old,
-        false => Found::Nothing,
+    let has_index = files.meta(&root.join("index.sqlite")).is_some();
+    Ok(if has_index {
+        StoreForm::Unclear
+    } else {
+        StoreForm::Nothing
     })
 }
 
-fn parse(bytes: &[u8]) -> Found {
+fn parse(bytes: &[u8]) -> StoreForm {
     let parsed = std::str::from_utf8(bytes).ok().and_then(|text| {
         let (line, rest) = text.split_at_checked(text.find('\n')? + 1)?;
         let number: u32 = line.trim_end().strip_prefix("marf store ")?.parse().ok()?;
@@ -56,22 +50,20 @@ fn parse(bytes: &[u8]) -> Found {
         Some((number, is_sealed))
     });
     match parsed {
-        Some((FORMAT, _)) => Found::Current,
-        Some((newer, true)) if newer > FORMAT => Found::Newer(newer),
-        _ => Found::Unclear,
+        Some((FORMAT, _)) => StoreForm::Current,
+        Some((newer, true)) if newer > FORMAT => StoreForm::Newer(newer),
+        _ => StoreForm::Unclear,
     }
 }
 
 /// Refuses a folder whose store this program does not read.
-pub(super) fn check(root: &Path, found: Found) -> Result<(), StoreError> {
-    let path = root.to_owned();
+pub(super) fn check(root: &Path, found: StoreForm) -> Result<(), StoreError> {
     match found {
-        Found::Old => Err(StoreError::Older { path }),
-        Found::Newer(found) => Err(StoreError::Newer {
-            path,
+        StoreForm::Newer(found) => Err(StoreError::Newer {
+            path: root.to_owned(),
             found,
             known: FORMAT,
         }),
-        Found::Nothing | Found::Current | Found::Unclear => Ok(()),
+        StoreForm::Nothing | StoreForm::Current | StoreForm::Unclear => Ok(()),
     }
 }

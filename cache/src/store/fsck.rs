@@ -8,7 +8,9 @@ use std::{
 use serde::Serialize;
 
 use super::{
-    Access, Store, StoreError, format,
+    Store, StoreError,
+    files::Access,
+    format,
     locks::{Lock, Share},
     pack::{self, Contents, Entry, Kind, Window},
     record::Record,
@@ -130,7 +132,7 @@ impl Check<'_> {
 
     fn format(&mut self) -> Result<(), StoreError> {
         let files = &self.store.objects.files;
-        if format::find(files, &self.store.dir)? != format::Found::Current {
+        if format::find(files, &self.store.dir)? != format::StoreForm::Current {
             self.fault("format", None, "the file is damaged");
         }
         Ok(())
@@ -186,8 +188,7 @@ impl Check<'_> {
             }
             let payload = window.payload(entry)?;
             self.report.verified_bytes += payload.len() as u64;
-            let is_whole = pack::open(entry.kind, &entry.id, payload).is_some()
-                && window.has_head(contents.form, entry)?;
+            let is_whole = pack::open(entry.kind, &entry.id, payload).is_some() && window.has_head(entry)?;
             if !is_whole {
                 bad.push(*entry);
             }

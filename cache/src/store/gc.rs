@@ -16,14 +16,14 @@ use serde::Serialize;
 use super::{
     Store, StoreError,
     census::Census,
-    closure::Missing,
     commit,
     files::Place,
-    index::Compacted,
+    index::PackRewrite,
     lease,
     locks::{Lock, Share},
     mark::Marker,
-    objects::{Checked, Objects},
+    missing::MissingObject,
+    objects::{Objects, PackCheck},
     pack::{self, Kind},
     staging,
 };
@@ -87,12 +87,12 @@ pub struct GcReport {
     pub scratch: u64,
     /// Objects that the roots need and the store lacks.
     #[serde(skip)]
-    pub missing: Vec<Missing>,
+    pub missing: Vec<MissingObject>,
 }
 
 /// Objects that lose their file or their row.
 #[derive(Default)]
-struct Dead {
+struct Garbage {
     loose: Vec<Digest>,
     packed: Vec<(Kind, Digest)>,
 }
@@ -187,7 +187,7 @@ impl Store {
             .into_iter()
             .partition(|(_, live)| live.objects.is_empty());
         // The packs that need no room go first: the disk may be full.
-        let empty = empty.into_iter().map(|(from, _)| Compacted {
+        let empty = empty.into_iter().map(|(from, _)| PackRewrite {
             from,
             into: String::new(),
             entries: Vec::new(),
@@ -239,7 +239,7 @@ fn mark_leases(
     Ok(used)
 }
 
-fn is_stale(lease: &lease::Found, grace: Duration) -> bool {
+fn is_stale(lease: &lease::LeaseFile, grace: Duration) -> bool {
     !lease.is_alive && lease.age.is_some_and(|age| age >= grace)
 }
 
@@ -267,8 +267,8 @@ fn find_dead(
     marker: &Marker<'_>,
     grace: Duration,
     report: &mut GcReport,
-) -> Result<Dead, StoreError> {
-    let mut dead = Dead::default();
+) -> Result<Garbage, StoreError> {
+    let mut dead = Garbage::default();
     objects.for_each_loose(|digest, meta| {
         let is_dead = marker.is_marked(Kind::Blob, &digest) == Some(false);
         if is_dead && !is_young(objects, &objects.loose_path(&digest), grace) {
@@ -302,7 +302,7 @@ fn find_dead(
     Ok(dead)
 }
 
-fn remove(objects: &Objects, dead: &Dead) -> Result<(), StoreError> {
+fn remove(objects: &Objects, dead: &Garbage) -> Result<(), StoreError> {
     // Rows first: a record must not outlive its outputs for longer than a crash makes it.
     if !dead.packed.is_empty() && !objects.index.remove(&dead.packed)? {
         return Err(StoreError::Locked {
@@ -317,28 +317,29 @@ fn remove(objects: &Objects, dead: &Dead) -> Result<(), StoreError> {
 }
 
 fn remove_any(objects: &Objects, path: &std::path::Path) -> Result<(), StoreError> {
-    match path.is_dir() {
-        true => objects.files.remove_dir_all(path),
-        false => objects.files.remove_file(path),
+    if path.is_dir() {
+        objects.files.remove_dir_all(path)
+    } else {
+        objects.files.remove_file(path)
     }
 }
 
 /// Living objects of a pack, sorted, and their bytes.
 #[derive(Default)]
-struct Live {
+struct LiveEntries {
     objects: Vec<(Digest, Kind)>,
     bytes: u64,
 }
 
 /// Returns the living objects of each registered pack of which enough is dead.
-fn live_by_pack(objects: &Objects) -> Result<BTreeMap<String, Live>, StoreError> {
+fn live_by_pack(objects: &Objects) -> Result<BTreeMap<String, LiveEntries>, StoreError> {
     let files: BTreeMap<i64, String> = objects
         .index
         .segments()?
         .into_iter()
         .map(|(segment, file, _)| (segment, file))
         .collect();
-    let mut packs: BTreeMap<String, Live> = BTreeMap::new();
+    let mut packs: BTreeMap<String, LiveEntries> = BTreeMap::new();
     for file in files.values() {
         packs.entry(file.clone()).or_default();
     }
@@ -364,14 +365,14 @@ fn live_by_pack(objects: &Objects) -> Result<BTreeMap<String, Live>, StoreError>
 
 /// Writes the living objects of a pack to a new one; none if the pack is damaged, which is the matter of who reads the
 /// damaged object, or of a check.
-fn rewrite(objects: &Objects, file: &str, live: &Live) -> Result<Option<Compacted>, StoreError> {
+fn rewrite(objects: &Objects, file: &str, live: &LiveEntries) -> Result<Option<PackRewrite>, StoreError> {
     let (contents, checked) = objects.check_pack(file)?;
-    let (Some(contents), Checked::Whole) = (contents, checked) else {
+    let (Some(contents), PackCheck::Whole) = (contents, checked) else {
         return Ok(None);
     };
     let lives = |entry: &&pack::Entry| live.objects.binary_search(&(entry.id, entry.kind)).is_ok();
     let written = objects.rewrite_entries(file, contents.entries.iter().filter(lives))?;
-    Ok(written.map(|(into, entries)| Compacted {
+    Ok(written.map(|(into, entries)| PackRewrite {
         from: file.to_owned(),
         into,
         entries,
@@ -379,7 +380,7 @@ fn rewrite(objects: &Objects, file: &str, live: &Live) -> Result<Option<Compacte
 }
 
 /// Tells the index of new packs and removes those they replace; where it does not take them they are removed.
-fn replace(objects: &Objects, packs: &[Compacted], report: &mut GcReport) -> Result<(), StoreError> {
+fn replace(objects: &Objects, packs: &[PackRewrite], report: &mut GcReport) -> Result<(), StoreError> {
     if packs.is_empty() {
         return Ok(());
     }
@@ -398,14 +399,13 @@ fn replace(objects: &Objects, packs: &[Compacted], report: &mut GcReport) -> Res
             continue;
         }
         report.packs += 1;
-        let after = match pack.into.is_empty() {
-            true => 0,
-            false => bytes(&pack.into),
+        let after = if pack.into.is_empty() {
+            0
+        } else {
+            bytes(&pack.into)
         };
         report.pack_bytes += bytes(&pack.from).saturating_sub(after);
-        let path = objects.pack_path(&pack.from);
-        objects.files.remove_file(&path)?;
-        objects.files.remove_file(&path.with_extension("idx"))?;
+        objects.files.remove_file(&objects.pack_path(&pack.from))?;
     }
     Ok(())
 }

@@ -15,9 +15,8 @@ use std::{
 use parking_lot::Mutex;
 
 use super::{
-    Access,
     error::StoreError,
-    files::Files,
+    files::{Access, Files},
     locks::{Lock, Locks, Share},
     notices::Notices,
     staging,
@@ -53,7 +52,7 @@ struct OpenLease {
 }
 
 /// A lease that a collection found.
-pub(super) struct Found {
+pub(super) struct LeaseFile {
     pub(super) path: PathBuf,
     pub(super) is_alive: bool,
     /// Time since its last entry; none where the clock was set back.
@@ -147,7 +146,7 @@ impl Lease {
 }
 
 /// Returns the leases of a store.
-pub(super) fn list(root: &Path, files: &Files) -> Result<Vec<Found>, StoreError> {
+pub(super) fn list(root: &Path, files: &Files) -> Result<Vec<LeaseFile>, StoreError> {
     let dir = root.join("leases");
     let names = files.names(&dir)?;
     let found = names.into_iter().map(|name| {
@@ -155,7 +154,7 @@ pub(super) fn list(root: &Path, files: &Files) -> Result<Vec<Found>, StoreError>
         // A file that vanished is no lease any more; its process took it along.
         let is_alive = File::open(&path).is_ok_and(|file| file.try_lock().is_err());
         let meta = files.meta(&path);
-        Found {
+        LeaseFile {
             is_alive,
             age: meta.and_then(|meta| meta.modified.elapsed().ok()),
             path,

@@ -49,7 +49,7 @@ pub(super) struct Guard(
 
 impl Locks {
     /// Returns the locks of the store in a folder; opens nothing.
-    pub(super) fn of(root: &Path) -> Self {
+    pub(super) fn new(root: &Path) -> Self {
         Self {
             dir: root.join("locks"),
         }

@@ -4,9 +4,9 @@ use std::collections::HashSet;
 
 use super::{
     census::{Census, PREFIX, prefix},
-    closure::{Missing, Role},
     commit,
     error::StoreError,
+    missing::{MissingObject, Role},
     objects::Objects,
     pack::Kind,
     read_digest_list,
@@ -32,8 +32,8 @@ enum Walk {
 }
 
 enum Task {
-    Key { key: Digest, of: Digest, role: Role },
-    Set { root: Digest, of: Digest, walk: Walk },
+    Key { key: Digest, owner: Digest, role: Role },
+    Set { root: Digest, owner: Digest, walk: Walk },
 }
 
 /// A step that can be taken back.
@@ -61,7 +61,7 @@ pub(super) struct Marker<'a> {
     memos: Vec<MemoRow>,
     tasks: Vec<Task>,
     steps: Option<Vec<Step>>,
-    missing: Vec<Missing>,
+    missing: Vec<MissingObject>,
     listed: HashSet<(Digest, Role)>,
     bytes: u64,
 }
@@ -114,7 +114,7 @@ impl<'a> Marker<'a> {
     }
 
     /// Returns what is named and not in the store.
-    pub(super) fn into_missing(self) -> Vec<Missing> {
+    pub(super) fn into_missing(self) -> Vec<MissingObject> {
         self.missing
     }
 
@@ -194,20 +194,20 @@ impl<'a> Marker<'a> {
     }
 
     /// Marks a blob, and lists it where it is missing. Returns whether it is new.
-    fn blob(&mut self, digest: &Digest, role: Role, of: &Digest) -> Result<bool, StoreError> {
+    fn blob(&mut self, digest: &Digest, role: Role, owner: &Digest) -> Result<bool, StoreError> {
         let visited = self.visit(Kind::Blob, digest)?;
         if visited.is_none() {
-            self.miss(digest, role, of);
+            self.miss(digest, role, owner);
         }
         Ok(visited == Some(true))
     }
 
-    fn miss(&mut self, digest: &Digest, role: Role, of: &Digest) {
+    fn miss(&mut self, digest: &Digest, role: Role, owner: &Digest) {
         if self.listed.insert((*digest, role)) {
-            self.missing.push(Missing {
+            self.missing.push(MissingObject {
                 digest: *digest,
                 role,
-                of: *of,
+                named_by: *owner,
             });
         }
     }
@@ -217,12 +217,12 @@ impl<'a> Marker<'a> {
         &mut self,
         digest: &Digest,
         role: Role,
-        of: &Digest,
+        owner: &Digest,
     ) -> Result<Option<std::sync::Arc<[u8]>>, StoreError> {
         match self.objects.get(digest) {
             Ok(bytes) => Ok(Some(bytes)),
             Err(error) if error.lost().is_some() => {
-                self.miss(digest, role, of);
+                self.miss(digest, role, owner);
                 Ok(None)
             }
             Err(error) => Err(error),
@@ -233,7 +233,7 @@ impl<'a> Marker<'a> {
     pub(super) fn key(&mut self, key: &Digest) -> Result<(), StoreError> {
         self.tasks.push(Task::Key {
             key: *key,
-            of: *key,
+            owner: *key,
             role: Role::Record,
         });
         self.run()
@@ -258,7 +258,7 @@ impl<'a> Marker<'a> {
         self.blob(digest, Role::Root, digest)?;
         self.tasks.push(Task::Set {
             root: *digest,
-            of: *digest,
+            owner: *digest,
             walk: Walk::Output,
         });
         self.run()
@@ -271,7 +271,7 @@ impl<'a> Marker<'a> {
         }
         self.tasks.push(Task::Set {
             root: *digest,
-            of: *digest,
+            owner: *digest,
             walk: Walk::Input,
         });
         self.run()
@@ -280,14 +280,14 @@ impl<'a> Marker<'a> {
     fn run(&mut self) -> Result<(), StoreError> {
         while let Some(task) = self.tasks.pop() {
             match task {
-                Task::Key { key, of, role } => self.follow_key(&key, &of, role)?,
-                Task::Set { root, of, walk } => self.follow_set(&root, &of, walk)?,
+                Task::Key { key, owner, role } => self.follow_key(&key, &owner, role)?,
+                Task::Set { root, owner, walk } => self.follow_set(&root, &owner, walk)?,
             }
         }
         Ok(())
     }
 
-    fn follow_key(&mut self, key: &Digest, of: &Digest, role: Role) -> Result<(), StoreError> {
+    fn follow_key(&mut self, key: &Digest, owner: &Digest, role: Role) -> Result<(), StoreError> {
         let visited = self.visit(Kind::Record, key)?;
         if visited == Some(false) {
             return Ok(());
@@ -297,7 +297,7 @@ impl<'a> Marker<'a> {
             None => None,
         };
         let Some(record) = record else {
-            self.miss(key, role, of);
+            self.miss(key, role, owner);
             return Ok(());
         };
         self.mark_memos(key);
@@ -328,7 +328,7 @@ impl<'a> Marker<'a> {
             self.blob(input, Role::Input, key)?;
             self.tasks.push(Task::Set {
                 root: *input,
-                of: *key,
+                owner: *key,
                 walk: Walk::Input,
             });
         }
@@ -341,7 +341,7 @@ impl<'a> Marker<'a> {
             self.blob(&output.digest, Role::Output, key)?;
             self.tasks.push(Task::Set {
                 root: output.digest,
-                of: *key,
+                owner: *key,
                 walk: Walk::Output,
             });
         }
@@ -357,25 +357,25 @@ impl<'a> Marker<'a> {
             self.blob(&parts, Role::Parts, key)?;
             self.tasks.push(Task::Set {
                 root: parts,
-                of: *key,
+                owner: *key,
                 walk: Walk::Parts,
             });
         }
         self.tasks.extend(record.children.values().map(|child| Task::Key {
             key: *child,
-            of: *key,
+            owner: *key,
             role: Role::Child,
         }));
         Ok(())
     }
 
     /// Marks what a set consists of; does nothing for a blob that is none.
-    fn follow_set(&mut self, root: &Digest, of: &Digest, walk: Walk) -> Result<(), StoreError> {
+    fn follow_set(&mut self, root: &Digest, owner: &Digest, walk: Walk) -> Result<(), StoreError> {
         if !self.objects.is_set(root)? || !self.walked.insert((*root, walk)) {
             return Ok(());
         }
         self.note(Step::Walked(*root, walk));
-        let Some(bytes) = self.read(root, Role::Root, of)? else {
+        let Some(bytes) = self.read(root, Role::Root, owner)? else {
             return Ok(());
         };
         // Bytes that begin as a set and are none name nothing.
@@ -385,7 +385,7 @@ impl<'a> Marker<'a> {
                 continue;
             };
             for leaf in Root::decode_leaves(&bytes).unwrap_or_default() {
-                self.follow_leaf(&leaf, root, of, walk)?;
+                self.follow_leaf(&leaf, root, owner, walk)?;
             }
         }
         Ok(())
@@ -395,7 +395,7 @@ impl<'a> Marker<'a> {
         &mut self,
         leaf: &LeafRef,
         root: &Digest,
-        of: &Digest,
+        owner: &Digest,
         walk: Walk,
     ) -> Result<(), StoreError> {
         let digest = &leaf.leaf;
@@ -403,7 +403,7 @@ impl<'a> Marker<'a> {
             Walk::Parts => {
                 self.tasks.push(Task::Key {
                     key: *digest,
-                    of: *of,
+                    owner: *owner,
                     role: Role::Part,
                 });
                 return Ok(());

@@ -8,11 +8,11 @@
 //! reader that finds a pack gone asks the index again.
 
 use super::{
-    Access,
     error::StoreError,
+    files::Access,
     locks::{Guard, Lock, Share},
     objects::Objects,
-    pack::{self, Contents, Form, Joined},
+    pack::{self, Contents, PackJoiner},
 };
 
 /// Packs of a tier that are joined.
@@ -57,10 +57,6 @@ fn candidates(objects: &Objects) -> Result<Option<Vec<String>>, StoreError> {
     let mut tiers: Vec<Vec<String>> = Vec::new();
     for file in objects.index.listed()? {
         let path = objects.pack_path(&file);
-        // Packs of 0.1.0 have another form and are never added to.
-        if objects.files.meta(&path.with_extension("idx")).is_some() {
-            continue;
-        }
         let bytes = objects.files.meta(&path).map(|meta| meta.bytes);
         let Some(tier) = bytes.and_then(tier) else {
             continue;
@@ -78,7 +74,7 @@ fn join(objects: &Objects, _rewriting: &Guard, files: &[String]) -> Result<bool,
     let staging = objects.staging()?;
     let name = format!("{}.pack", staging.next_name());
     let temporary = staging.path(&name);
-    let mut joined = Joined::new(&objects.files, &temporary);
+    let mut joined = PackJoiner::new(&objects.files, &temporary);
     let mut moved = Vec::new();
     let mut newest = None;
     for file in files {
@@ -111,10 +107,10 @@ fn join(objects: &Objects, _rewriting: &Guard, files: &[String]) -> Result<bool,
     Ok(true)
 }
 
-/// Returns the entries of a pack that can be joined: of the current form, with its table.
+/// Returns the entries of a pack that can be joined: it has its table.
 fn whole(objects: &Objects, file: &str) -> Result<Option<Contents>, StoreError> {
     let contents = pack::contents(&objects.files, &objects.pack_path(file))?;
-    Ok(contents.filter(|contents| contents.form == Form::Current && contents.has_table))
+    Ok(contents.filter(|contents| contents.has_table))
 }
 
 #[cfg(test)]

@@ -57,7 +57,7 @@ mod lease;
 mod locks;
 mod mark;
 mod merge;
-mod migrate;
+mod missing;
 mod notices;
 mod objects;
 mod open;
@@ -81,7 +81,7 @@ use std::{
 use parking_lot::{Mutex, MutexGuard};
 
 use self::{
-    files::Files,
+    files::{Access, Files},
     lease::Use,
     notices::Notices,
     objects::Objects,
@@ -91,25 +91,15 @@ use self::{
 use crate::Digest;
 
 pub use belongings::Belongings;
-pub use closure::{Closure, Missing, Role};
+pub use closure::Closure;
 pub use error::StoreError;
 pub use fsck::{Fault, FsckOptions, FsckReport, LostDocument};
 pub use gc::{GcPlan, GcReport, Roots};
-pub use migrate::{MigratedNode, Migration};
+pub use missing::{MissingObject, Role};
 pub use record::{Conflict, Output, Record, RunMetadata, StoreStat, digest_list, read_digest_list};
 pub use sets::SetError;
 pub use stat::StageStat;
 pub use upstream::Upstream;
-
-/// Blobs from this length on are files of their own.
-const LARGE_BYTES: usize = 64 << 10;
-
-/// Whether a store can be written.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Access {
-    ReadWrite,
-    ReadOnly,
-}
 
 /// A store that several threads and processes share.
 ///
@@ -118,7 +108,7 @@ enum Access {
 pub struct Store {
     dir: PathBuf,
     objects: Objects,
-    pending: Mutex<Pending>,
+    pending: Mutex<PendingWrites>,
     commit_lock: Mutex<()>,
     conflicts: Mutex<Vec<Conflict>>,
     /// Set when the file system turned out to have no copies that share blocks.
@@ -129,14 +119,14 @@ pub struct Store {
 
 /// What is not committed yet.
 #[derive(Default)]
-struct Pending {
+struct PendingWrites {
     /// The batch that takes new writes.
     open: WriteBatch,
     /// The batch that is being written; readable until it is committed.
     committing: Option<Arc<WriteBatch>>,
 }
 
-impl Pending {
+impl PendingWrites {
     /// Returns what `get` finds in the open batch, or else in the one that is being written.
     fn find<T>(&self, get: impl Fn(&WriteBatch) -> Option<T>) -> Option<T> {
         get(&self.open).or_else(|| self.committing.as_deref().and_then(get))
@@ -150,8 +140,7 @@ impl Store {
     /// A store without permission to write is opened and read without any write.
     ///
     /// # Errors
-    /// A folder that cannot be made or read, and a store of another form ([`StoreError::Older`],
-    /// [`StoreError::Newer`]).
+    /// A folder that cannot be made or read, and a store of a later form ([`StoreError::Newer`]).
     pub fn open(dir: impl Into<PathBuf>) -> Result<Self, StoreError> {
         Self::open_on(dir.into(), Files::of_disk(), Notices::default())
     }

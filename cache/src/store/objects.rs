@@ -9,9 +9,8 @@ use std::{
 use parking_lot::Mutex;
 
 use super::{
-    Access,
     error::StoreError,
-    files::{Files, Meta},
+    files::{Access, Files, Meta},
     index::{Index, Location},
     lease::Lease,
     locks::{Lock, Locks, Share},
@@ -44,7 +43,7 @@ pub(super) struct Objects {
 }
 
 /// What a look at a pack found.
-pub(super) enum Checked {
+pub(super) enum PackCheck {
     /// The file is gone: another process has rewritten it.
     Gone,
     /// Every entry is whole.
@@ -61,7 +60,7 @@ impl Objects {
         files: Files,
         notices: Arc<Notices>,
     ) -> Result<Self, StoreError> {
-        let locks = Arc::new(Locks::of(root));
+        let locks = Arc::new(Locks::new(root));
         let index = Index::open(
             root,
             access,
@@ -146,9 +145,7 @@ impl Objects {
             };
             let path = self.pack_path(&location.file);
             // The index is no proof of a length, the head of the entry is.
-            let has_head = [pack::Form::Current, pack::Form::Old]
-                .map(|form| pack::has_head(&self.files, &path, form, &entry));
-            if has_head.iter().any(|found| matches!(found, Ok(true))) {
+            if matches!(pack::has_head(&self.files, &path, &entry), Ok(true)) {
                 return Some(u64::from(location.len));
             }
             match self.files.meta(&path) {
@@ -168,9 +165,10 @@ impl Objects {
         }
         let path = self.loose_path(digest);
         if let Some(bytes) = self.files.read(&path)? {
-            return match Digest::of(&bytes) == *digest {
-                true => Ok(Arc::from(bytes)),
-                false => Err(self.quarantine_loose(digest, &path)),
+            return if Digest::of(&bytes) == *digest {
+                Ok(Arc::from(bytes))
+            } else {
+                Err(self.quarantine_loose(digest, &path))
             };
         }
         let packed = self.payload(Kind::Blob, digest)?;
@@ -268,10 +266,10 @@ impl Objects {
         }
         let (contents, checked) = self.check_pack(&location.file)?;
         match (contents, checked) {
-            (Some(contents), Checked::Damaged(bad)) => self
+            (Some(contents), PackCheck::Damaged(bad)) => self
                 .replace_pack(&guard, &location.file, &contents, &bad)
                 .map(Some),
-            (_, Checked::Gone) => self.index.refresh(REFRESH_PATIENCE).map(|_| None),
+            (_, PackCheck::Gone) => self.index.refresh(REFRESH_PATIENCE).map(|_| None),
             _ => self
                 .index
                 .rebuild("it gives a wrong place for an object")
@@ -280,23 +278,24 @@ impl Objects {
     }
 
     /// Verifies every entry of a pack.
-    pub(super) fn check_pack(&self, file: &str) -> Result<(Option<Contents>, Checked), StoreError> {
+    pub(super) fn check_pack(&self, file: &str) -> Result<(Option<Contents>, PackCheck), StoreError> {
         let path = self.pack_path(file);
         let Some(contents) = pack::contents(&self.files, &path)? else {
-            return Ok((None, Checked::Gone));
+            return Ok((None, PackCheck::Gone));
         };
         let mut window = Window::new(&self.files, &path);
         let mut bad = Vec::new();
         for entry in &contents.entries {
             let is_whole = pack::open(entry.kind, &entry.id, window.payload(entry)?).is_some()
-                && window.has_head(contents.form, entry)?;
+                && window.has_head(entry)?;
             if !is_whole {
                 bad.push(*entry);
             }
         }
-        let checked = match bad.is_empty() && contents.has_table {
-            true => Checked::Whole,
-            false => Checked::Damaged(bad),
+        let checked = if bad.is_empty() && contents.has_table {
+            PackCheck::Whole
+        } else {
+            PackCheck::Damaged(bad)
         };
         Ok((Some(contents), checked))
     }
@@ -313,14 +312,12 @@ impl Objects {
         let whole = |entry: &Entry| !damaged.contains(&entry.offset);
         let entries = self.rewrite_entries(file, contents.entries.iter().filter(|entry| whole(entry)))?;
         let (name, entries) = entries.unwrap_or_default();
-        let is_known = match name.is_empty() {
-            true => self.index.forget(&[file.to_owned()].into())?,
-            false => self.index.rewrite(file, &name, &entries)?,
+        let is_known = if name.is_empty() {
+            self.index.forget(&[file.to_owned()].into())?
+        } else {
+            self.index.rewrite(file, &name, &entries)?
         };
         let to = self.files.quarantine(&self.root, &self.pack_path(file), file)?;
-        let _ = self
-            .files
-            .remove_file(&self.pack_path(file).with_extension("idx"));
         if !is_known {
             self.index.refresh(REFRESH_PATIENCE)?;
         }

@@ -3,8 +3,8 @@
 use std::path::Path;
 
 use super::{
-    Access, StoreError,
-    files::Files,
+    StoreError,
+    files::{Access, Files},
     format, lease,
     locks::{Lock, Locks, Share},
     notices::Notices,
@@ -19,7 +19,7 @@ pub(super) fn access_of(dir: &Path) -> Access {
     if meta.permissions().readonly() {
         return Access::ReadOnly;
     }
-    match Locks::of(dir).try_take(Lock::Index, Share::Shared) {
+    match Locks::new(dir).try_take(Lock::Index, Share::Shared) {
         Err(StoreError::Io { source, .. })
             if matches!(
                 source.kind(),
@@ -36,7 +36,7 @@ pub(super) fn access_of(dir: &Path) -> Access {
 pub(super) fn prepare(
     dir: &Path,
     files: &Files,
-    found: format::Found,
+    found: format::StoreForm,
     notices: &Notices,
 ) -> Result<(), StoreError> {
     for part in ["cas", "packs", "runs", "tmp"] {
@@ -45,7 +45,7 @@ pub(super) fn prepare(
             files.create_dir(&path)?;
         }
     }
-    if found != format::Found::Current {
+    if found != format::StoreForm::Current {
         write_format(dir, files, notices)?;
     }
     staging::sweep(files, &dir.join("tmp"));
@@ -55,8 +55,8 @@ pub(super) fn prepare(
 
 /// Writes the file `format`; a damaged one is quarantined. One that another program has written meanwhile stays.
 pub(super) fn write_format(dir: &Path, files: &Files, notices: &Notices) -> Result<(), StoreError> {
-    let _alone = Locks::of(dir).take(Lock::Format, Share::Exclusive, notices)?;
-    if format::find(files, dir)? == format::Found::Current {
+    let _alone = Locks::new(dir).take(Lock::Format, Share::Exclusive, notices)?;
+    if format::find(files, dir)? == format::StoreForm::Current {
         return Ok(());
     }
     let path = dir.join("format");

@@ -5,8 +5,11 @@ use std::{
     sync::{Arc, atomic::Ordering},
 };
 
-use super::{LARGE_BYTES, Store, StoreError, lease::Use, write_batch::LargeBlob};
+use super::{Store, StoreError, lease::Use, write_batch::LargeBlob};
 use crate::Digest;
+
+/// Blobs from this length on are files of their own.
+const LARGE_BYTES: usize = 64 << 10;
 
 /// A file that is to be stored, and the most bytes it may have.
 #[derive(Clone, Copy)]
@@ -21,13 +24,14 @@ impl Limit<'_> {
     }
 
     fn check(self, bytes: u64) -> Result<(), StoreError> {
-        match bytes > self.max_bytes {
-            true => Err(StoreError::TooLarge {
+        if bytes > self.max_bytes {
+            Err(StoreError::TooLarge {
                 path: self.path.to_owned(),
                 bytes,
                 max_bytes: self.max_bytes,
-            }),
-            false => Ok(()),
+            })
+        } else {
+            Ok(())
         }
     }
 }

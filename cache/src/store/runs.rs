@@ -8,9 +8,9 @@ use std::{
 use serde::Deserialize;
 
 use super::{
-    Access, Store,
+    Store,
     error::StoreError,
-    files::Files,
+    files::{Access, Files},
     locks::{Lock, Share},
     record::Output,
 };
@@ -20,35 +20,24 @@ use crate::Digest;
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct RunFile {
     pub(super) number: u64,
-    /// Digest of the bytes; none in roots of 0.1.0.
-    digest: Option<Digest>,
+    /// Digest of the bytes.
+    digest: Digest,
     name: String,
 }
 
 impl RunFile {
     fn parse(name: &str) -> Option<Self> {
         let stem = name.strip_suffix(".json")?;
-        let (number, digest) = match stem.split_once('-') {
-            Some((number, digest)) => (number, Some(digest.parse().ok()?)),
-            None => (stem, None),
-        };
+        let (number, digest) = stem.split_once('-')?;
         Some(Self {
             number: number.parse().ok()?,
-            digest,
+            digest: digest.parse().ok()?,
             name: name.to_owned(),
         })
     }
 
     pub(super) fn path(&self, dir: &Path) -> PathBuf {
         dir.join(&self.name)
-    }
-
-    /// Tells whether these are the bytes of the root.
-    fn is_whole(&self, bytes: &[u8]) -> bool {
-        match self.digest {
-            Some(digest) => Digest::of(bytes) == digest,
-            None => serde_json::from_slice::<serde::de::IgnoredAny>(bytes).is_ok(),
-        }
     }
 }
 
@@ -80,9 +69,10 @@ pub(super) fn read(files: &Files, dir: &Path, run: &RunFile) -> Result<Result<Ve
     let bytes = files
         .read(&path)?
         .ok_or(StoreError::NoRun { number: run.number })?;
-    Ok(match run.is_whole(&bytes) {
-        true => Ok(bytes),
-        false => Err(path),
+    Ok(if Digest::of(&bytes) == run.digest {
+        Ok(bytes)
+    } else {
+        Err(path)
     })
 }
 

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use marf_cache::manifest::Row;
 use marf_cache::{Digest, Store};
-use marf_engine::{Cancel, Edge, Graph, NodeDecl, Options, Outcome, Silent};
+use marf_engine::{Cancel, Edge, Graph, NodeDecl, Options, Outcome, SilentListener};
 use marf_scene::PhotoFacts;
 use marf_stage::{
     Ctx, Define, Fetched, Listing, PHOTOS, ParamError, Port, Shard, Source, Stage, StageDef, StageError,
@@ -154,7 +154,7 @@ fn one_run(global: &Global, args: &ItemsArgs, phase: ItemsPhase, cancel: &Cancel
         pipeline: "bench items".to_owned(),
         ..Options::default()
     };
-    let record = marf_engine::run(&graph, &store, &options, &Silent, cancel)?;
+    let record = marf_engine::run(&graph, &store, &options, &SilentListener, cancel)?;
     for node in &record.nodes {
         let line =
             json!({"node": node.name, "state": node.state, "counts": node.counts, "seconds": node.seconds});

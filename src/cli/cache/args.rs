@@ -30,12 +30,6 @@ pub enum CacheVerb {
         /// Name of the pin
         name: String,
     },
-    /// Make a store of marf 0.1.0 one of this version; nothing is fetched again
-    Migrate {
-        /// Only tell what would be kept and what must be made again
-        #[arg(long)]
-        dry_run: bool,
-    },
 }
 
 /// Arguments of `cache gc`.

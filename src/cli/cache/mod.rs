@@ -21,7 +21,6 @@ pub use args::CacheVerb;
 /// Runs a verb of `cache`.
 pub fn cache(global: &Global, verb: CacheVerb, context: &Context) -> Result<(), Error> {
     let store = match &verb {
-        CacheVerb::Migrate { dry_run } => return migrate(context, *dry_run),
         CacheVerb::Gc(args) if args.remote.is_some() => {
             return remote::gc(global, args, args.grace()?, context);
         }
@@ -37,7 +36,6 @@ pub fn cache(global: &Global, verb: CacheVerb, context: &Context) -> Result<(), 
         CacheVerb::Pin { name, run } => pin(&store, &name, run, context),
         CacheVerb::Unpin { name } => cache::unpin(&store, &name),
         CacheVerb::Pull(args) => remote::pull(global, &store, &args, context),
-        CacheVerb::Migrate { .. } => Ok(()),
     };
     store.take_warnings().into_iter().for_each(context.warnings());
     done
@@ -168,38 +166,6 @@ fn fsck(global: &Global, store: &Store, args: &FsckArgs) -> Result<(), Error> {
         Diagnostic::new(format!("the store has {} faults", report.faults.len()))
             .hint("`marf cache fsck --repair` sets the damaged files aside; a run makes their results again"),
     ))
-}
-
-/// `marf cache migrate`: makes a store of 0.1.0 one of this form.
-fn migrate(context: &Context, dry_run: bool) -> Result<(), Error> {
-    let dir = context.store_dir(context.folder());
-    let migration = if dry_run {
-        Store::plan_migration(&dir)?
-    } else {
-        Store::migrate(&dir)?
-    };
-    if migration.blobs == 0 && migration.runs == 0 {
-        print_line(&format!("{} needs no migration", dir.display()));
-        return Ok(());
-    }
-    let verb = if dry_run { "would keep" } else { "kept" };
-    print_line(&format!(
-        "{verb} {} blobs ({}) and {} runs; nothing is fetched again",
-        migration.blobs,
-        megabytes(migration.bytes),
-        migration.runs
-    ));
-    if !migration.nodes.is_empty() {
-        print_line("keys are computed in another way, so the next run makes these results again:");
-        for node in &migration.nodes {
-            print_line(&format!(
-                "  {:<22} {:>12} last time",
-                node.name,
-                duration(node.seconds)
-            ));
-        }
-    }
-    Ok(())
 }
 
 #[cfg(test)]

@@ -8,7 +8,7 @@ use std::{
 use marf_cache::Digest;
 use serde::{Deserialize, Serialize};
 
-use crate::cluster::ATTEMPTS;
+use crate::queue::ATTEMPTS;
 
 /// What was submitted for a node, as its file tells.
 #[derive(Debug, Default, Serialize, Deserialize)]
@@ -30,8 +30,10 @@ pub(crate) struct PlannedArray {
 pub(crate) struct Task {
     pub(crate) key: Digest,
     pub(crate) parts: Vec<Digest>,
-    /// The array in which it was last submitted, and its number there.
-    pub(crate) place: (usize, usize),
+    /// Number of the array in which it was last submitted.
+    pub(crate) array: usize,
+    /// Its number there.
+    pub(crate) index: usize,
     pub(crate) attempts_left: u32,
     /// An earlier run has submitted it, and the batch system was not seen to have it.
     pub(crate) is_adopted: bool,
@@ -53,7 +55,8 @@ impl Task {
         Self {
             key,
             parts,
-            place: (0, 0),
+            array: 0,
+            index: 0,
             attempts_left: ATTEMPTS,
             is_adopted: false,
             absent_since: None,
@@ -63,9 +66,9 @@ impl Task {
 }
 
 /// Returns the script of an array, and the list of its tasks.
-pub(crate) fn array_files(folder: &Path, name: &str) -> (PathBuf, PathBuf) {
-    (
+pub(crate) fn array_files(folder: &Path, name: &str) -> [PathBuf; 2] {
+    [
         folder.join(format!("{name}.sh")),
         folder.join(format!("{name}.tasks")),
-    )
+    ]
 }

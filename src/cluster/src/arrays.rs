@@ -14,12 +14,12 @@ use marf_stage::{StageError, Threads};
 
 use crate::{
     array_plan::{Array, Plan, PlannedArray, Task, array_files},
-    cluster::{ATTEMPTS, Cluster, KEYS_AT_ONCE, remote_failed},
+    cluster::{Cluster, KEYS_AT_ONCE},
     commands::{count, tasks_of},
-    job::failed,
+    errors::{failed, remote_failed},
     job_files::JobFiles,
     job_result::{JobResult, write_whole},
-    queue::{PREFIX, Sight},
+    queue::{ATTEMPTS, JobState, PREFIX},
     script::{Filling, filled, shell_quoted},
     words::{counted, in_short},
 };
@@ -100,7 +100,7 @@ impl<'a> Arrays<'a> {
             });
         }
         let mut taken = BTreeSet::new();
-        for (key, place) in places {
+        for (key, (array, index)) in places {
             let Ok(actions) = fs::read(self.files(&key).action) else {
                 continue;
             };
@@ -109,7 +109,8 @@ impl<'a> Arrays<'a> {
                 taken.extend(&parts);
                 self.tasks.push(Task {
                     is_adopted: true,
-                    place,
+                    array,
+                    index,
                     ..Task::new(key, parts)
                 });
             } else if self.files(&key).result.exists() {
@@ -161,7 +162,8 @@ impl<'a> Arrays<'a> {
                 tasks: keys,
             };
             for (index, &task) in chunk.iter().enumerate() {
-                self.tasks[task].place = (self.arrays.len(), index);
+                self.tasks[task].array = self.arrays.len();
+                self.tasks[task].index = index;
             }
             self.arrays.push(Array {
                 planned,
@@ -182,7 +184,7 @@ impl<'a> Arrays<'a> {
         let script = || self.write(&array.planned);
         let job = self
             .cluster
-            .job((self.order.node, self.order.cancel), &array.planned.name, &script)?;
+            .job(self.order.node, self.order.cancel, &array.planned.name, &script)?;
         if let Some(array) = self.arrays.last_mut() {
             let (id, _) = tasks_of(&job.id);
             (array.id, array.since) = (Some(id.to_owned()), job.since);
@@ -193,7 +195,7 @@ impl<'a> Arrays<'a> {
     /// Writes the script of an array and the list of its tasks.
     fn write(&self, array: &PlannedArray) -> io::Result<PathBuf> {
         let (site, folder) = (&self.cluster.site, &self.cluster.site.folder);
-        let (script, list) = array_files(folder, &array.name);
+        let [script, list] = array_files(folder, &array.name);
         let stem = |key: &Digest| self.files(key).scratch.display().to_string() + "\n";
         fs::write(&list, array.tasks.iter().map(stem).collect::<String>())?;
         let index = &site.array_index;
@@ -256,7 +258,7 @@ impl<'a> Arrays<'a> {
                 continue;
             }
             if let Some(result) = JobResult::read(&result, &task.key) {
-                self.cluster.told(order.progress, result)?;
+                self.cluster.outcome(order.progress, result)?;
                 ended.push(at);
             }
         }
@@ -278,30 +280,31 @@ impl<'a> Arrays<'a> {
             if !self
                 .tasks
                 .iter()
-                .any(|task| !task.is_done && task.place.0 == number)
+                .any(|task| !task.is_done && task.array == number)
             {
                 continue;
             }
             let array = &mut self.arrays[number];
-            let sight = cluster
+            let state = cluster
                 .queue
                 .look(&cluster.site.commands, &array.planned.name, array.since);
-            let live = match sight {
-                Sight::Unknown(fault) => {
+            let live = match state {
+                JobState::Unknown(fault) => {
                     said = fault;
                     continue;
                 }
-                Sight::Absent => Vec::new(),
-                Sight::There(listed, _) => listed,
+                JobState::Absent => Vec::new(),
+                JobState::Listed(listed, _) => listed,
             };
             let mut ranges = Vec::new();
             for job in &live {
                 let (id, numbers) = tasks_of(&job.id);
                 array.id.get_or_insert_with(|| id.to_owned());
                 let count = count(&numbers);
-                match job.is_running() {
-                    true => running += count,
-                    false => (waiting, said) = (waiting + count, job.reason.clone()),
+                if job.is_running() {
+                    running += count
+                } else {
+                    (waiting, said) = (waiting + count, job.reason.clone())
                 }
                 ranges.extend(numbers);
             }
@@ -316,10 +319,10 @@ impl<'a> Arrays<'a> {
         let patience = self.cluster.patience();
         let mut lost = Vec::new();
         for (at, task) in self.tasks.iter_mut().enumerate() {
-            if task.is_done || task.place.0 != number {
+            if task.is_done || task.array != number {
                 continue;
             }
-            if is_live(task.place.1) {
+            if is_live(task.index) {
                 (task.is_adopted, task.absent_since) = (false, None);
             } else if task.is_adopted
                 || task.absent_since.get_or_insert_with(Instant::now).elapsed() >= patience
@@ -345,15 +348,18 @@ impl<'a> Arrays<'a> {
     fn submit_again(&mut self, lost: Vec<usize>) -> Result<(), StageError> {
         let mut by_memory: BTreeMap<u64, Vec<usize>> = BTreeMap::new();
         for at in lost {
-            let (number, index) = self.tasks[at].place;
+            let Task {
+                array: number, index, ..
+            } = self.tasks[at];
             let array = &self.arrays[number];
             let said = array.id.as_ref().map_or_else(String::new, |id| {
                 self.cluster.site.commands.explain(&format!("{id}_{index}"))
             });
             let had = array.planned.memory_mb;
-            let memory_mb = match said.contains("OUT_OF_MEMORY") {
-                true => had.saturating_mul(2),
-                false => had,
+            let memory_mb = if said.contains("OUT_OF_MEMORY") {
+                had.saturating_mul(2)
+            } else {
+                had
             };
             let task = &mut self.tasks[at];
             task.attempts_left -= 1;
@@ -413,7 +419,7 @@ impl<'a> Arrays<'a> {
             self.files(&task.key).remove();
         }
         for array in &self.arrays {
-            let (script, list) = array_files(&self.cluster.site.folder, &array.planned.name);
+            let [script, list] = array_files(&self.cluster.site.folder, &array.planned.name);
             let log = script.with_extension("log");
             for file in [script, list, log] {
                 let _ = fs::remove_file(file);
@@ -435,7 +441,7 @@ impl<'a> Arrays<'a> {
     }
 
     fn files(&self, key: &Digest) -> JobFiles {
-        JobFiles::of(&self.cluster.site.folder, key)
+        JobFiles::new(&self.cluster.site.folder, key)
     }
 
     fn unwritten(&self, error: &io::Error) -> StageError {

@@ -9,7 +9,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::{
     cluster::Cluster,
-    job::{Wanted, failed},
+    errors::failed,
+    job::JobOrder,
     job_files::JobFiles,
     job_result::{JobResult, write_whole},
     site::CPU,
@@ -61,7 +62,7 @@ impl Cluster {
             options: site.options.iter().chain(&site.gpu_options).cloned().collect(),
         };
         let actions = question.encode();
-        let wanted = Wanted {
+        let order = JobOrder {
             node: "the backend of jobs",
             key: Digest::of(&actions),
             actions,
@@ -74,14 +75,14 @@ impl Cluster {
             progress,
             cancel,
         };
-        let files = JobFiles::of(&self.site.folder, &wanted.key);
+        let files = JobFiles::new(&self.site.folder, &order.key);
         self.asked = Some(files.backend.clone());
-        let answer = match JobResult::read(&files.backend, &wanted.key) {
+        let answer = match JobResult::read(&files.backend, &order.key) {
             Some(kept) => kept,
             None => {
-                let told = self.run(&wanted)?;
+                let told = self.run(&order)?;
                 let kept = write_whole(&files.backend, &told);
-                kept.map_err(|error| failed(wanted.node, "the answer cannot be kept", &error))?;
+                kept.map_err(|error| failed(order.node, "the answer cannot be kept", &error))?;
                 files.remove();
                 told
             }

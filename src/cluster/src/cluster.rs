@@ -1,4 +1,4 @@
-//! The executor: each action that it takes is a job, from its submission to its result.
+//! A batch system with its shared store: what jobs read is sent there, and what they make is fetched from there.
 
 use std::{
     collections::BTreeSet,
@@ -9,23 +9,17 @@ use std::{
     time::{Duration, Instant},
 };
 
-use marf_cache::{Action, Digest, Store, StoreError};
-use marf_engine::{Executor, Machine, Needs, Order, PartOrder};
+use marf_cache::{Digest, Store, StoreError};
+use marf_engine::{Needs, Order};
 use marf_remote::{Observer, Progress, Remote, RemoteError};
 use marf_stage::{Cancel, StageError};
 use parking_lot::Mutex;
 
 use crate::{
-    arrays::Arrays,
-    job::{Wanted, failed},
-    job_files::JobFiles,
+    errors::{failed, remote_failed},
     queue::Queue,
-    script::TASK,
     site::{Site, SiteError},
 };
-
-/// How often a job may be lost.
-pub(crate) const ATTEMPTS: u32 = 3;
 
 /// Longest time until a wish to stop is heard.
 const LOOK_INTERVAL: Duration = Duration::from_millis(200);
@@ -70,41 +64,6 @@ impl fmt::Debug for Cluster {
     }
 }
 
-impl Executor for Cluster {
-    fn machine_of(&self, stage: &str) -> Option<Machine<'_>> {
-        let gpu = self.gpu.as_deref();
-        self.site.stages.contains(stage).then_some(Machine { gpu })
-    }
-
-    fn takes(&self, action: &Action) -> bool {
-        self.site.stages.contains(&action.stage)
-    }
-
-    fn slots(&self) -> usize {
-        self.site.max_jobs
-    }
-
-    fn execute(&self, order: &Order<'_>) -> Result<(), StageError> {
-        if !self.fetch(order)? {
-            self.share(order)?;
-            self.run(&Wanted::of(order))?;
-            self.bring_told(order, &[order.key])?;
-            self.note_shared(order)?;
-        }
-        JobFiles::of(&self.site.folder, &order.key).remove();
-        Ok(())
-    }
-
-    fn takes_parts(&self, action: &Action, photos: u64) -> bool {
-        // Another script may be of a batch system without arrays.
-        self.takes(action) && photos >= self.site.photos_per_task && self.script.contains(TASK)
-    }
-
-    fn execute_parts(&self, order: &Order<'_>, parts: &[PartOrder]) -> Result<(), StageError> {
-        Arrays::new(self, order).run(parts)
-    }
-}
-
 impl Cluster {
     /// Returns the batch system of a site, whose shared store is open. Where jobs are on a GPU, its backend is to be asked for
     /// ([`Cluster::ask_backend`]).
@@ -144,9 +103,10 @@ impl Cluster {
         if new.is_empty() && foreign.is_empty() {
             return Ok(());
         }
-        let blobs = match foreign.is_empty() {
-            true => Vec::new(),
-            false => order.store.closure(&[], &foreign).map_err(unread)?.blobs,
+        let blobs = if foreign.is_empty() {
+            Vec::new()
+        } else {
+            order.store.closure(&[], &foreign).map_err(unread)?.blobs
         };
         order.progress.at(0, 0, "inputs go to the shared store");
         let pushed = self
@@ -178,7 +138,7 @@ impl Cluster {
     }
 
     /// Brings the result of an action from the shared store; tells whether it is there.
-    fn fetch(&self, order: &Order<'_>) -> Result<bool, StageError> {
+    pub(crate) fn fetch(&self, order: &Order<'_>) -> Result<bool, StageError> {
         let fetched = self
             .remote
             .bring(order.store, &[order.key], &Watcher(order.cancel));
@@ -190,7 +150,7 @@ impl Cluster {
     }
 
     /// Notes that the result of an action is in the shared store.
-    fn note_shared(&self, order: &Order<'_>) -> Result<(), StageError> {
+    pub(crate) fn note_shared(&self, order: &Order<'_>) -> Result<(), StageError> {
         let outputs = outputs_of(order.store, &[order.key])
             .map_err(|error| failed(order.node, "its result cannot be read", &error))?;
         let mut shared = self.shared.lock();
@@ -260,13 +220,6 @@ fn outputs_of(store: &Store, keys: &[Digest]) -> Result<BTreeSet<Digest>, StoreE
         outputs.extend(of_record.map(|output| output.digest));
     }
     Ok(outputs)
-}
-
-pub(crate) fn remote_failed(node: &str, what: &str, error: RemoteError) -> StageError {
-    match error {
-        RemoteError::Stopped => StageError::Cancelled,
-        error => failed(node, what, &error),
-    }
 }
 
 /// Stops the work on a shared store when the user wants to stop.

@@ -48,7 +48,7 @@ impl Default for Commands {
 
 /// A job that the batch system has.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct Listed {
+pub(crate) struct ListedJob {
     pub id: String,
     /// Its state in the words of the batch system, in small letters.
     pub state: String,
@@ -56,7 +56,7 @@ pub(crate) struct Listed {
     pub reason: String,
 }
 
-impl Listed {
+impl ListedJob {
     pub(crate) fn is_running(&self) -> bool {
         matches!(self.state.as_str(), "running" | "completing")
     }
@@ -79,19 +79,20 @@ impl Commands {
 
     /// Submits a job, and returns its id.
     pub(crate) fn submit(&self, script: &str) -> Result<String, String> {
-        let printed = run(&self.submit, ("{script}", script))?;
+        let printed = run(&self.submit, "{script}", script)?;
         // Slurm adds `;cluster` on sites with several.
         let id = printed.split([';', '\n']).next().unwrap_or_default().trim();
-        match id.is_empty() {
-            true => Err(format!("`{}` printed no id", self.submit[0])),
-            false => Ok(id.to_owned()),
+        if id.is_empty() {
+            Err(format!("`{}` printed no id", self.submit[0]))
+        } else {
+            Ok(id.to_owned())
         }
     }
 
     /// Returns the jobs of the user by name; those of an array have the same.
-    pub(crate) fn list(&self) -> Result<BTreeMap<String, Vec<Listed>>, String> {
-        let printed = run(&self.list, ("", ""))?;
-        let mut jobs: BTreeMap<String, Vec<Listed>> = BTreeMap::new();
+    pub(crate) fn list(&self) -> Result<BTreeMap<String, Vec<ListedJob>>, String> {
+        let printed = run(&self.list, "", "")?;
+        let mut jobs: BTreeMap<String, Vec<ListedJob>> = BTreeMap::new();
         for (name, job) in printed.lines().filter_map(listed) {
             jobs.entry(name).or_default().push(job);
         }
@@ -100,22 +101,22 @@ impl Commands {
 
     /// Takes a job out of the queue.
     pub(crate) fn cancel(&self, id: &str) -> Result<(), String> {
-        run(&self.cancel, ("{id}", id)).map(drop)
+        run(&self.cancel, "{id}", id).map(drop)
     }
 
     /// Returns what the batch system says of a job that is gone; empty if it has forgotten.
     pub(crate) fn explain(&self, id: &str) -> String {
-        run(&self.explain, ("{id}", id)).unwrap_or_default()
+        run(&self.explain, "{id}", id).unwrap_or_default()
     }
 }
 
 /// Reads a line `id|name|state|reason`.
-fn listed(line: &str) -> Option<(String, Listed)> {
+fn listed(line: &str) -> Option<(String, ListedJob)> {
     let mut parts = line.trim().splitn(4, '|');
     let mut next = || parts.next().map(|part| part.trim().to_owned());
     let (id, name, state) = (next()?, next()?, next()?);
     let reason = next().unwrap_or_default();
-    let listed = Listed {
+    let listed = ListedJob {
         id,
         state: state.to_lowercase(),
         reason: match reason.as_str() {
@@ -144,29 +145,32 @@ pub(crate) fn tasks_of(id: &str) -> (&str, Vec<RangeInclusive<usize>>) {
 
 /// Returns how many tasks these are; one if they are not told one by one.
 pub(crate) fn count(tasks: &[RangeInclusive<usize>]) -> usize {
-    match tasks == ALL {
-        true => 1,
-        false => tasks.iter().map(|range| range.clone().count()).sum(),
+    if tasks == ALL {
+        1
+    } else {
+        tasks.iter().map(|range| range.clone().count()).sum()
     }
 }
 
 /// Runs a command, and returns what it printed.
-fn run(command: &[String], (placeholder, value): (&str, &str)) -> Result<String, String> {
-    let filled = |word: &String| match placeholder.is_empty() {
-        true => word.clone(),
-        false => word.replace(placeholder, value),
+fn run(command: &[String], placeholder: &str, value: &str) -> Result<String, String> {
+    let filled = |word: &String| {
+        if placeholder.is_empty() {
+            word.clone()
+        } else {
+            word.replace(placeholder, value)
+        }
     };
     let words: Vec<String> = command.iter().map(filled).collect();
     let output = output(&words).map_err(|error| match error.kind() {
         io::ErrorKind::NotFound => format!("there is no program `{}`", words[0]),
         _ => format!("`{}`: {error}", words[0]),
     })?;
-    match output.status.success() {
-        true => Ok(String::from_utf8_lossy(&output.stdout).into_owned()),
-        false => {
-            let said = String::from_utf8_lossy(&output.stderr);
-            Err(format!("`{}` says: {}", words[0], said.trim()))
-        }
+    if output.status.success() {
+        Ok(String::from_utf8_lossy(&output.stdout).into_owned())
+    } else {
+        let said = String::from_utf8_lossy(&output.stderr);
+        Err(format!("`{}` says: {}", words[0], said.trim()))
     }
 }
 

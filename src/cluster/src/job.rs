@@ -1,17 +1,18 @@
 //! One job: submitted, followed, submitted again where it is lost, until its file tells how it ended.
 
-use std::{fmt, fs, io, path::PathBuf, time::Instant};
+use std::{fs, io, path::PathBuf, time::Instant};
 
 use marf_cache::Digest;
 use marf_engine::{Needs, Order};
 use marf_stage::{Cancel, Progress, StageError, Threads};
 
 use crate::{
-    cluster::{ATTEMPTS, Cluster},
-    commands::Listed,
+    cluster::Cluster,
+    commands::ListedJob,
+    errors::failed,
     job_files::JobFiles,
     job_result::{Fault, JobProgress, JobResult},
-    queue::{Census, PREFIX, Sight},
+    queue::{ATTEMPTS, Census, JobState, PREFIX},
     script::{Filling, filled, quoted_path},
     words::{in_short, note},
 };
@@ -30,7 +31,7 @@ pub(crate) struct Job {
 }
 
 /// What a job is to compute, and who follows it.
-pub(crate) struct Wanted<'a> {
+pub(crate) struct JobOrder<'a> {
     /// What people call it: the name of a node.
     pub(crate) node: &'a str,
     /// The digest of its actions.
@@ -42,8 +43,8 @@ pub(crate) struct Wanted<'a> {
     pub(crate) cancel: &'a Cancel,
 }
 
-impl<'a> Wanted<'a> {
-    pub(crate) fn of(order: &Order<'a>) -> Self {
+impl<'a> JobOrder<'a> {
+    pub(crate) fn new(order: &Order<'a>) -> Self {
         Self {
             node: order.node,
             key: order.key,
@@ -56,8 +57,8 @@ impl<'a> Wanted<'a> {
 }
 
 /// How the wait for a job ended.
-enum Ended {
-    Told(JobResult),
+enum JobEnd {
+    Result(JobResult),
     /// It is in neither the queue nor the folder; with what the batch system says of it.
     Lost(String),
 }
@@ -67,16 +68,16 @@ impl Cluster {
     ///
     /// # Errors
     /// What the batch system says against it, what the job tells why it has no result; too many jobs that were lost.
-    pub(crate) fn run(&self, wanted: &Wanted<'_>) -> Result<JobResult, StageError> {
-        let files = &JobFiles::of(&self.site.folder, &wanted.key);
-        let mut memory_mb = self.memory_mb(&wanted.needs);
+    pub(crate) fn run(&self, order: &JobOrder<'_>) -> Result<JobResult, StageError> {
+        let files = &JobFiles::new(&self.site.folder, &order.key);
+        let mut memory_mb = self.memory_mb(&order.needs);
         let mut attempts_left = ATTEMPTS;
         loop {
-            let script = || self.write(wanted, files, memory_mb);
-            let job = self.job((wanted.node, wanted.cancel), &job_name(&wanted.key), &script)?;
-            let said = match self.wait(wanted, files, &job)? {
-                Ended::Told(result) => return self.told(wanted.progress, result),
-                Ended::Lost(said) => said,
+            let script = || self.write(order, files, memory_mb);
+            let job = self.job(order.node, order.cancel, &job_name(&order.key), &script)?;
+            let said = match self.wait(order, files, &job)? {
+                JobEnd::Result(result) => return self.outcome(order.progress, result),
+                JobEnd::Lost(said) => said,
             };
             let was_too_large = said.contains("OUT_OF_MEMORY");
             if was_too_large {
@@ -84,13 +85,14 @@ impl Cluster {
             }
             attempts_left -= 1;
             if attempts_left == 0 {
-                return Err(lost(wanted, files, &job, &said));
+                return Err(lost(order, files, &job, &said));
             }
-            let again = match was_too_large {
-                true => format!("with {memory_mb} MB"),
-                false => "again".to_owned(),
+            let again = if was_too_large {
+                format!("with {memory_mb} MB")
+            } else {
+                "again".to_owned()
             };
-            wanted.progress.warn(&format!(
+            order.progress.warn(&format!(
                 "job {} ended without a result ({}); it is submitted {again}",
                 job.id,
                 in_short(&said),
@@ -101,7 +103,8 @@ impl Cluster {
     /// Returns the job of this name that is in the queue, or else submits one with the script that `write` writes.
     pub(crate) fn job(
         &self,
-        (node, cancel): (&str, &Cancel),
+        node: &str,
+        cancel: &Cancel,
         name: &str,
         write: &dyn Fn() -> io::Result<PathBuf>,
     ) -> Result<Job, StageError> {
@@ -112,13 +115,13 @@ impl Cluster {
                 return Err(StageError::Cancelled);
             }
             match self.queue.look(&self.site.commands, name, self.began) {
-                Sight::There(listed, _) if !listed.is_empty() => {
+                JobState::Listed(listed, _) if !listed.is_empty() => {
                     let since = self.began;
                     let id = listed[0].id.clone();
                     return Ok(Job { id, since });
                 }
-                Sight::Unknown(fault) => busy = fault,
-                Sight::Absent | Sight::There(..) => match self.submit(node, write)? {
+                JobState::Unknown(fault) => busy = fault,
+                JobState::Absent | JobState::Listed(..) => match self.submit(node, write)? {
                     Ok(job) => return Ok(job),
                     Err(said) => busy = said,
                 },
@@ -152,15 +155,15 @@ impl Cluster {
     }
 
     /// Writes the action and the script of a job, and removes a result that is none; returns where the script is.
-    fn write(&self, wanted: &Wanted<'_>, files: &JobFiles, memory_mb: u64) -> io::Result<PathBuf> {
+    fn write(&self, order: &JobOrder<'_>, files: &JobFiles, memory_mb: u64) -> io::Result<PathBuf> {
         match fs::remove_file(&files.result) {
             Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
-            _ => fs::write(&files.action, &wanted.actions)?,
+            _ => fs::write(&files.action, &order.actions)?,
         }
-        let gpu = self.site.gpu_options.iter().filter(|_| wanted.needs.gpu);
+        let gpu = self.site.gpu_options.iter().filter(|_| order.needs.gpu);
         let options: Vec<String> = self.site.options.iter().chain(gpu).cloned().collect();
         let filling = Filling {
-            name: &job_name(&wanted.key),
+            name: &job_name(&order.key),
             task: "",
             action: quoted_path(&files.action),
             store: &self.site.store,
@@ -168,7 +171,7 @@ impl Cluster {
             log: &files.log,
             result: quoted_path(&files.result),
             scratch: quoted_path(&files.scratch),
-            cores: match wanted.needs.cores {
+            cores: match order.needs.cores {
                 Threads::One => 1,
                 Threads::All => self.site.cores,
             },
@@ -181,50 +184,54 @@ impl Cluster {
     }
 
     /// Waits until a job has told how it ended, or is lost.
-    fn wait(&self, wanted: &Wanted<'_>, files: &JobFiles, job: &Job) -> Result<Ended, StageError> {
-        let name = job_name(&wanted.key);
+    fn wait(&self, order: &JobOrder<'_>, files: &JobFiles, job: &Job) -> Result<JobEnd, StageError> {
+        let name = job_name(&order.key);
         let mut absent_since: Option<Instant> = None;
         loop {
-            if let Some(result) = JobResult::read(&files.result, &wanted.key) {
-                return Ok(Ended::Told(result));
+            if let Some(result) = JobResult::read(&files.result, &order.key) {
+                return Ok(JobEnd::Result(result));
             }
-            if wanted.cancel.is_set() {
+            if order.cancel.is_set() {
                 if let Err(said) = self.site.commands.cancel(&job.id) {
-                    wanted
+                    order
                         .progress
                         .warn(&format!("job {} cannot be stopped: {said}", job.id));
                 }
                 return Err(StageError::Cancelled);
             }
             match self.queue.look(&self.site.commands, &name, job.since) {
-                Sight::There(listed, census) => {
+                JobState::Listed(listed, census) => {
                     absent_since = None;
                     if let [listed, ..] = listed.as_slice() {
-                        show(wanted, files, listed, census);
+                        show(order, files, listed, census);
                     }
                 }
-                Sight::Unknown(fault) => {
+                JobState::Unknown(fault) => {
                     absent_since = None;
                     let state = if fault.is_empty() {
                         "submitted"
                     } else {
                         "the queue cannot be seen"
                     };
-                    wanted.progress.at(0, 0, &note(&job.id, state, &fault));
+                    order.progress.at(0, 0, &note(&job.id, state, &fault));
                 }
-                Sight::Absent => {
+                JobState::Absent => {
                     let since = *absent_since.get_or_insert_with(Instant::now);
                     if since.elapsed() >= self.patience() {
-                        return Ok(Ended::Lost(self.site.commands.explain(&job.id)));
+                        return Ok(JobEnd::Lost(self.site.commands.explain(&job.id)));
                     }
                 }
             }
-            self.rest(wanted.cancel);
+            self.rest(order.cancel);
         }
     }
 
-    /// Tells the warnings of a job; returns its result, or why it has none.
-    pub(crate) fn told(&self, progress: &dyn Progress, result: JobResult) -> Result<JobResult, StageError> {
+    /// Shows the warnings of a job; returns its result, or why it has none.
+    pub(crate) fn outcome(
+        &self,
+        progress: &dyn Progress,
+        result: JobResult,
+    ) -> Result<JobResult, StageError> {
         result.warnings.iter().for_each(|warning| progress.warn(warning));
         match result.fault {
             None => Ok(result),
@@ -243,10 +250,10 @@ impl Cluster {
     }
 }
 
-fn lost(wanted: &Wanted<'_>, files: &JobFiles, job: &Job, said: &str) -> StageError {
+fn lost(order: &JobOrder<'_>, files: &JobFiles, job: &Job, said: &str) -> StageError {
     let error = StageError::new(format!(
         "`{}`: {ATTEMPTS} jobs ended without a result, the last was {} ({})",
-        wanted.node,
+        order.node,
         job.id,
         in_short(said)
     ));
@@ -265,21 +272,16 @@ fn job_name(key: &Digest) -> String {
 }
 
 /// Shows what the batch system and the job itself say of it.
-fn show(wanted: &Wanted<'_>, files: &JobFiles, listed: &Listed, census: Census) {
+fn show(order: &JobOrder<'_>, files: &JobFiles, listed: &ListedJob, census: Census) {
     let Census { running, waiting } = census;
     let mut note = note(&listed.id, &listed.state, &listed.reason);
     if running + waiting > 1 {
         note.push_str(&format!("; of {} jobs {running} run", running + waiting));
     }
     match JobProgress::read(&files.progress) {
-        Some(job) => wanted
+        Some(job) => order
             .progress
             .at(job.done, job.total, &format!("{note}; {}", job.note)),
-        None => wanted.progress.at(0, 0, &note),
+        None => order.progress.at(0, 0, &note),
     }
-}
-
-/// Returns the error of a node for which something cannot be done.
-pub(crate) fn failed(node: &str, what: &str, error: &dyn fmt::Display) -> StageError {
-    StageError::new(format!("`{node}`: {what}")).cause(error.to_string())
 }

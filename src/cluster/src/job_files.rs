@@ -25,7 +25,7 @@ pub(crate) struct JobFiles {
 }
 
 impl JobFiles {
-    pub(crate) fn of(folder: &Path, key: &Digest) -> Self {
+    pub(crate) fn new(folder: &Path, key: &Digest) -> Self {
         let file = |extension: &str| folder.join(format!("{key}{extension}"));
         Self {
             action: file(".action"),

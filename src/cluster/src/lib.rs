@@ -21,6 +21,8 @@ mod arrays;
 mod backend;
 mod cluster;
 mod commands;
+mod errors;
+mod executor;
 mod job;
 mod job_files;
 mod job_result;

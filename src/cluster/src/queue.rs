@@ -7,33 +7,36 @@ use std::{
 
 use parking_lot::Mutex;
 
-use crate::commands::{Commands, Listed, count, tasks_of};
+use crate::commands::{Commands, ListedJob, count, tasks_of};
 
 /// What names of jobs of marf begin with.
 pub(crate) const PREFIX: &str = "marf-";
 
-/// The queue as it was last seen.
+/// How often a job may be lost.
+pub(crate) const ATTEMPTS: u32 = 3;
+
+/// The queue as it was last last.
 #[derive(Debug)]
 pub(crate) struct Queue {
     interval: Duration,
-    seen: Mutex<Seen>,
+    last: Mutex<LastAnswer>,
 }
 
 #[derive(Debug, Default)]
-struct Seen {
+struct LastAnswer {
     /// When the batch system was last asked; absent if never.
     asked: Option<Instant>,
     /// Its jobs by name, from its last answer, and when that came.
-    answer: Option<(Instant, BTreeMap<String, Vec<Listed>>)>,
+    answer: Option<(Instant, BTreeMap<String, Vec<ListedJob>>)>,
     /// Why the last question has no answer.
     fault: Option<String>,
 }
 
 /// What is known of a job.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) enum Sight {
+pub(crate) enum JobState {
     /// It waits or runs, the tasks of an array as several jobs; with how many jobs of marf run and wait.
-    There(Vec<Listed>, Census),
+    Listed(Vec<ListedJob>, Census),
     /// It is not in an answer that came after it was asked for.
     Absent,
     /// The batch system does not answer, for this reason.
@@ -48,14 +51,15 @@ pub(crate) struct Census {
 }
 
 impl Census {
-    fn of(jobs: &BTreeMap<String, Vec<Listed>>) -> Self {
+    fn from_jobs(jobs: &BTreeMap<String, Vec<ListedJob>>) -> Self {
         let mut census = Self::default();
         let own = jobs.iter().filter(|(name, _)| name.starts_with(PREFIX));
         for job in own.flat_map(|(_, jobs)| jobs) {
             let (_, tasks) = tasks_of(&job.id);
-            match job.is_running() {
-                true => census.running += count(&tasks),
-                false => census.waiting += count(&tasks),
+            if job.is_running() {
+                census.running += count(&tasks)
+            } else {
+                census.waiting += count(&tasks)
             }
         }
         census
@@ -66,30 +70,30 @@ impl Queue {
     pub(crate) fn new(interval: Duration) -> Self {
         Self {
             interval,
-            seen: Mutex::default(),
+            last: Mutex::default(),
         }
     }
 
     /// Returns what is known of a job now; what was seen within the interval is not asked for again.
     ///
     /// `since` is when the job was submitted: an answer from before it tells nothing of it.
-    pub(crate) fn look(&self, commands: &Commands, name: &str, since: Instant) -> Sight {
-        let mut seen = self.seen.lock();
-        if seen.asked.is_none_or(|asked| asked.elapsed() >= self.interval) {
+    pub(crate) fn look(&self, commands: &Commands, name: &str, since: Instant) -> JobState {
+        let mut last = self.last.lock();
+        if last.asked.is_none_or(|asked| asked.elapsed() >= self.interval) {
             let asked = Instant::now();
-            seen.asked = Some(asked);
+            last.asked = Some(asked);
             match commands.list() {
-                Ok(jobs) => (seen.answer, seen.fault) = (Some((asked, jobs)), None),
-                Err(fault) => seen.fault = Some(fault),
+                Ok(jobs) => (last.answer, last.fault) = (Some((asked, jobs)), None),
+                Err(fault) => last.fault = Some(fault),
             }
         }
-        let fresh = seen.answer.as_ref().filter(|(asked, _)| *asked >= since);
-        match (&seen.fault, fresh) {
-            (Some(fault), _) => Sight::Unknown(fault.clone()),
-            (None, None) => Sight::Unknown(String::new()),
+        let fresh = last.answer.as_ref().filter(|(asked, _)| *asked >= since);
+        match (&last.fault, fresh) {
+            (Some(fault), _) => JobState::Unknown(fault.clone()),
+            (None, None) => JobState::Unknown(String::new()),
             (None, Some((_, jobs))) => match jobs.get(name) {
-                Some(job) => Sight::There(job.clone(), Census::of(jobs)),
-                None => Sight::Absent,
+                Some(job) => JobState::Listed(job.clone(), Census::from_jobs(jobs)),
+                None => JobState::Absent,
             },
         }
     }
@@ -117,12 +121,14 @@ mod tests {
         let queue = Queue::new(Duration::from_secs(3600));
         let before = Instant::now();
         for _ in 0..50 {
-            assert!(matches!(queue.look(&commands, "a", before), Sight::There(jobs, _) if jobs[0].id == "1"));
+            assert!(
+                matches!(queue.look(&commands, "a", before), JobState::Listed(jobs, _) if jobs[0].id == "1")
+            );
         }
-        assert_eq!(queue.look(&commands, "b", before), Sight::Absent);
+        assert_eq!(queue.look(&commands, "b", before), JobState::Absent);
         assert_eq!(
             queue.look(&commands, "b", Instant::now()),
-            Sight::Unknown(String::new())
+            JobState::Unknown(String::new())
         );
         assert_eq!(std::fs::read_to_string(count).unwrap().lines().count(), 1);
     }
@@ -143,9 +149,9 @@ mod tests {
             running: 2,
             waiting: 5,
         };
-        let sight = queue.look(&commands, "marf-b", Instant::now());
+        let state = queue.look(&commands, "marf-b", Instant::now());
         assert!(
-            matches!(sight, Sight::There(jobs, found) if jobs[0].reason == "Priority" && found == census)
+            matches!(state, JobState::Listed(jobs, found) if jobs[0].reason == "Priority" && found == census)
         );
     }
 
@@ -153,9 +159,9 @@ mod tests {
     fn a_queue_that_does_not_answer_says_nothing_of_a_job() {
         let queue = Queue::new(Duration::ZERO);
         let now = Instant::now();
-        assert_eq!(queue.look(&list("true"), "a", now), Sight::Absent);
-        let sight = queue.look(&list("echo down >&2; exit 1"), "a", now);
-        assert!(matches!(sight, Sight::Unknown(why) if why.contains("down")));
-        assert_eq!(queue.look(&list("true"), "a", now), Sight::Absent);
+        assert_eq!(queue.look(&list("true"), "a", now), JobState::Absent);
+        let state = queue.look(&list("echo down >&2; exit 1"), "a", now);
+        assert!(matches!(state, JobState::Unknown(why) if why.contains("down")));
+        assert_eq!(queue.look(&list("true"), "a", now), JobState::Absent);
     }
 }

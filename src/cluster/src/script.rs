@@ -84,13 +84,14 @@ pub(crate) fn filled(template: &str, filling: &Filling<'_>) -> String {
     };
     let lines = template.lines().flat_map(|line| {
         let line = with_values(line);
-        match line.contains(OPTIONS) {
-            true => filling
+        if line.contains(OPTIONS) {
+            filling
                 .options
                 .iter()
                 .map(|option| line.replace(OPTIONS, option))
-                .collect(),
-            false => vec![line],
+                .collect()
+        } else {
+            vec![line]
         }
     });
     lines
@@ -107,9 +108,10 @@ pub(crate) fn quoted_path(path: &Path) -> String {
 /// Returns a word of a shell command that stands for this text.
 pub(crate) fn shell_quoted(text: &str) -> String {
     let is_plain = |c: char| c.is_ascii_alphanumeric() || "/._-:=@".contains(c);
-    match !text.is_empty() && text.chars().all(is_plain) {
-        true => text.to_owned(),
-        false => format!("'{}'", text.replace('\'', r"'\''")),
+    if !text.is_empty() && text.chars().all(is_plain) {
+        text.to_owned()
+    } else {
+        format!("'{}'", text.replace('\'', r"'\''"))
     }
 }
 

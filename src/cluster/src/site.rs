@@ -218,9 +218,12 @@ impl Site {
     }
 
     fn check(&self) -> Result<(), (&'static str, String)> {
-        let positive = |key: &'static str, is_positive: bool| match is_positive {
-            true => Ok(()),
-            false => Err((key, "a number above 0 is needed".to_owned())),
+        let positive = |key: &'static str, is_positive: bool| {
+            if is_positive {
+                Ok(())
+            } else {
+                Err((key, "a number above 0 is needed".to_owned()))
+            }
         };
         positive("max_jobs", self.max_jobs > 0)?;
         positive("cores", self.cores > 0)?;

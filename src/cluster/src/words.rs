@@ -10,9 +10,10 @@ pub(crate) fn counted(number: usize, noun: &str) -> String {
 
 /// Returns what is seen of a job: `job 12 pending (Resources)`.
 pub(crate) fn note(id: &str, state: &str, reason: &str) -> String {
-    match reason.is_empty() {
-        true => format!("job {id} {state}"),
-        false => format!("job {id} {state} ({reason})"),
+    if reason.is_empty() {
+        format!("job {id} {state}")
+    } else {
+        format!("job {id} {state} ({reason})")
     }
 }
 
@@ -24,11 +25,11 @@ pub(crate) fn in_short(said: &str) -> String {
             .any(|key| word.starts_with(key))
     };
     let words: Vec<&str> = said.split_whitespace().filter(is_wanted).collect();
-    match words.is_empty() {
-        false => words.join(" "),
-        true if said.trim().is_empty() => "the batch system knows it no more".to_owned(),
-        true => said.trim().lines().next().unwrap_or_default().to_owned(),
+    if !words.is_empty() {
+        return words.join(" ");
     }
+    let first = said.trim().lines().next();
+    first.unwrap_or("the batch system knows it no more").to_owned()
 }
 
 #[cfg(test)]

@@ -3,13 +3,13 @@
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 
-use marf_cache::ContentHash;
+use marf_cache::{ContentHash, ContentHasher};
 use marf_stage::{Port, StageDef};
 use petgraph::{Direction, algo::tarjan_scc, graph::DiGraph, graph::NodeIndex};
 use serde::{Deserialize, Serialize};
 
 /// An edge of the graph: a key of a node, and the upstream node that it names.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ContentHash)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Edge {
     /// The key in the node's table (`input`).
     pub key: String,
@@ -18,6 +18,17 @@ pub struct Edge {
     /// The part of its output that is read, of an output of several parts (`photos/a` for the output `photos`); none: all.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub part: Option<String>,
+}
+
+impl ContentHash for Edge {
+    fn hash_content(&self, hasher: &mut ContentHasher) {
+        let fields: [(&str, &dyn ContentHash); 3] = [
+            ("key", &self.key),
+            ("upstream", &self.upstream),
+            ("part", &self.part),
+        ];
+        hasher.record("Edge", &fields);
+    }
 }
 
 impl Edge {
@@ -320,9 +331,10 @@ fn connected_ports<'a>(
     };
     let (found, absent): (Vec<&Port>, Vec<&Port>) =
         ports.partition(|port| outputs.contains(&wanted(port).as_str()));
-    let fault = match found.is_empty() {
-        true => absent.first(),
-        false => absent.iter().find(|port| port.required),
+    let fault = if found.is_empty() {
+        absent.first()
+    } else {
+        absent.iter().find(|port| port.required)
     };
     match fault {
         None => Ok(found),

@@ -5,13 +5,15 @@ use marf_stage::{EARLIER, Inputs, Stage, StageDef, StageError};
 
 use crate::{
     errors::store_error,
-    key::{Key, Tables, action_at, node_key},
+    executor::Executor,
+    key::{Key, StageTable, action_at, node_key},
     record::RunRecord,
 };
 
 /// A node that needs a key.
 pub(crate) struct KeyRequest<'a> {
-    pub(crate) tables: Tables<'a>,
+    pub(crate) table: &'a StageTable,
+    pub(crate) executor: Option<&'a dyn Executor>,
     pub(crate) name: &'a str,
     pub(crate) def: &'a StageDef,
     pub(crate) stage: &'a dyn Stage,
@@ -31,7 +33,7 @@ impl KeyRequest<'_> {
     }
 
     fn node_key(&self, inputs: &Inputs) -> Result<Key, StageError> {
-        node_key(self.tables, self.def, self.stage, inputs)
+        node_key(self.table, self.executor, self.def, self.stage, inputs)
     }
 
     /// Adds the output of the node's last finished run as the input [`EARLIER`], if the stage asks for it and the store

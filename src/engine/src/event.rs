@@ -102,9 +102,9 @@ pub trait Listener: Sync {
 
 /// Ignores all events.
 #[derive(Debug, Clone, Copy, Default)]
-pub struct Silent;
+pub struct SilentListener;
 
-impl Listener for Silent {
+impl Listener for SilentListener {
     fn on_event(&self, _event: &Event) {}
 }
 

@@ -74,7 +74,7 @@ pub struct PartOrder {
 }
 
 /// Other machines that compute a node or parts of it.
-pub(crate) struct Elsewhere<'a> {
+pub(crate) struct OtherMachines<'a> {
     pub(crate) executor: &'a dyn Executor,
     pub(crate) needs: Needs,
     /// Keys of the results of the run so far, sorted.

@@ -5,11 +5,11 @@ use std::{
     sync::Arc,
 };
 
-use marf_cache::{ContentHash, Digest, digest_of};
+use marf_cache::{Bytes, ContentHash, ContentHasher, Digest, canonical_json, digest_of};
 use marf_stage::{Stage, StageDef, StageError};
 
 use crate::check::{Connection, Edge, GraphError, NodeShape, Topology, topology};
-use crate::listing::{Listed, Listings};
+use crate::listing::{Listings, SourceListing};
 
 /// A node as declared: a stage with its parameters, and the upstream nodes of its inputs.
 pub struct NodeDecl {
@@ -116,16 +116,16 @@ impl Graph {
     pub(crate) fn listed(
         &self,
         node: &str,
-        ask: impl FnOnce() -> Result<Option<Listed>, StageError>,
-    ) -> Result<Option<Listed>, StageError> {
+        ask: impl FnOnce() -> Result<Option<SourceListing>, StageError>,
+    ) -> Result<Option<SourceListing>, StageError> {
         match &self.listings {
-            Some(listings) => listings.of(node, ask),
+            Some(listings) => listings.get_or_ask(node, ask),
             None => ask(),
         }
     }
 
     /// Keeps what a fetch has found out of a source.
-    pub(crate) fn keep_listed(&self, node: &str, listed: &Listed) {
+    pub(crate) fn keep_listed(&self, node: &str, listed: &SourceListing) {
         if let Some(listings) = &self.listings {
             listings.keep(node, listed);
         }
@@ -165,8 +165,8 @@ impl Graph {
     }
 
     /// Returns the nodes themselves and all they depend on.
-    pub(crate) fn with_ancestors(&self, of: &BTreeSet<usize>) -> BTreeSet<usize> {
-        let mut found = of.clone();
+    pub(crate) fn with_ancestors(&self, nodes: &BTreeSet<usize>) -> BTreeSet<usize> {
+        let mut found = nodes.clone();
         for index in (0..self.nodes.len()).rev() {
             if found.contains(&index) {
                 found.extend(
@@ -181,8 +181,8 @@ impl Graph {
     }
 
     /// Returns the nodes themselves and all that depend on them.
-    pub(crate) fn with_descendants(&self, of: &BTreeSet<usize>) -> BTreeSet<usize> {
-        let mut found = of.clone();
+    pub(crate) fn with_descendants(&self, nodes: &BTreeSet<usize>) -> BTreeSet<usize> {
+        let mut found = nodes.clone();
         for (index, node) in self.nodes.iter().enumerate() {
             if node
                 .connections
@@ -197,18 +197,15 @@ impl Graph {
 }
 
 impl ContentHash for Node {
-    fn walk(&self, visitor: &mut dyn marf_cache::Visitor) {
-        visitor.open("node", 5);
-        visitor.field("name");
-        self.name.walk(visitor);
-        visitor.field("stage");
-        self.def.name.walk(visitor);
-        visitor.field("version");
-        self.def.version.walk(visitor);
-        visitor.field("params");
-        visitor.bytes(&marf_cache::canonical_json(&self.bound.params()));
-        visitor.field("edges");
-        self.edges.walk(visitor);
-        visitor.close();
+    fn hash_content(&self, hasher: &mut ContentHasher) {
+        let params = canonical_json(&self.bound.params());
+        let fields: [(&str, &dyn ContentHash); 5] = [
+            ("name", &self.name),
+            ("stage", &self.def.name),
+            ("version", &self.def.version),
+            ("params", &Bytes(&params)),
+            ("edges", &self.edges),
+        ];
+        hasher.record("node", &fields);
     }
 }

@@ -1,6 +1,6 @@
 //! Sets of items: reads and writes roots, leaves and verdicts.
 
-use std::sync::Arc;
+use std::{collections::BTreeMap, sync::Arc};
 
 use marf_cache::{
     Digest,
@@ -18,7 +18,28 @@ pub(crate) struct ShardRows {
 }
 
 /// A shard of a set: its leaves.
-pub(crate) type ShardLeaves = (u32, Vec<LeafRef>);
+pub(crate) struct ShardLeaves {
+    pub(crate) shard: u32,
+    pub(crate) leaves: Vec<LeafRef>,
+}
+
+impl ShardLeaves {
+    /// Returns the number of its rows.
+    pub(crate) fn rows(&self) -> u64 {
+        rows_of(&self.leaves)
+    }
+
+    /// Returns the inputs of a part that reads the leaves.
+    pub(crate) fn inputs(&self) -> BTreeMap<String, Digest> {
+        let named = |(index, leaf): (usize, &LeafRef)| (leaf_name(index), leaf.leaf);
+        self.leaves.iter().enumerate().map(named).collect()
+    }
+}
+
+/// Returns the name of the input that is a leaf of a shard.
+pub(crate) fn leaf_name(index: usize) -> String {
+    format!("rows.{index}")
+}
 
 /// Reads a set.
 pub(crate) fn read_set(ctx: &Ctx<'_>, root: &Digest) -> Result<Root, StageError> {
@@ -46,7 +67,11 @@ pub(crate) fn write_set(ctx: &Ctx<'_>, leaves: Vec<LeafRef>) -> Result<Digest, S
 /// Returns the leaves of each shard, in order.
 pub(crate) fn by_shard(root: &Root) -> Vec<ShardLeaves> {
     let runs = root.leaves.chunk_by(|a, b| a.shard == b.shard);
-    runs.map(|run| (run[0].shard, run.to_vec())).collect()
+    let shard = |run: &[LeafRef]| ShardLeaves {
+        shard: run[0].shard,
+        leaves: run.to_vec(),
+    };
+    runs.map(shard).collect()
 }
 
 /// Returns the number of rows of a shard.
@@ -55,14 +80,17 @@ pub(crate) fn rows_of(leaves: &[LeafRef]) -> u64 {
 }
 
 /// Reads the rows of a shard's leaves, in order.
-pub(crate) fn read_shard(ctx: &Ctx<'_>, (shard, leaves): &ShardLeaves) -> Result<ShardRows, StageError> {
+pub(crate) fn read_shard(ctx: &Ctx<'_>, shard: &ShardLeaves) -> Result<ShardRows, StageError> {
     let mut rows = Vec::new();
-    for leaf in leaves {
+    for leaf in &shard.leaves {
         let read =
             Leaf::decode(&ctx.get(&leaf.leaf)?).map_err(|error| unreadable("leaf", &leaf.leaf, &error))?;
         rows.extend(read.rows);
     }
-    Ok(ShardRows { shard: *shard, rows })
+    Ok(ShardRows {
+        shard: shard.shard,
+        rows,
+    })
 }
 
 /// Stores the rows of a shard as leaves; none if there are no rows.

@@ -10,14 +10,10 @@ use serde_json::Value;
 use crate::{
     errors::contract_violation,
     executor::{Executor, backend_of},
-    listing::LISTING,
 };
 
 /// Stages by name.
 pub(crate) type StageTable = BTreeMap<&'static str, StageDef>;
-
-/// Stages by name, and what computes some of them on other machines.
-pub(crate) type Tables<'a> = (&'a StageTable, Option<&'a dyn Executor>);
 
 /// An action with its key.
 #[derive(Debug, Clone)]
@@ -27,7 +23,7 @@ pub(crate) struct Key {
 }
 
 impl Key {
-    pub(crate) fn of(action: Action) -> Self {
+    pub(crate) fn new(action: Action) -> Self {
         Self {
             digest: action.key(),
             action,
@@ -40,14 +36,15 @@ impl Key {
 /// # Errors
 /// A child of a stage that is not in the table or refuses its parameters; a device that is not where it is computed.
 pub(crate) fn node_key(
-    (table, executor): Tables<'_>,
+    table: &StageTable,
+    executor: Option<&dyn Executor>,
     def: &StageDef,
     stage: &dyn Stage,
     inputs: &Inputs,
 ) -> Result<Key, StageError> {
     let mut children = BTreeMap::new();
-    add_children((table, executor), stage, &mut children)?;
-    Ok(Key::of(Action {
+    add_children(table, executor, stage, &mut children)?;
+    Ok(Key::new(Action {
         action: ACTION_FORMAT,
         stage: def.name.to_owned(),
         version: def.version,
@@ -62,7 +59,8 @@ pub(crate) fn node_key(
 
 /// Adds the stages that the children of a node are of, and those of their own children.
 fn add_children(
-    (table, executor): Tables<'_>,
+    table: &StageTable,
+    executor: Option<&dyn Executor>,
     stage: &dyn Stage,
     children: &mut BTreeMap<String, ChildVersion>,
 ) -> Result<(), StageError> {
@@ -83,7 +81,7 @@ fn add_children(
             backend: backend_of(executor, child.stage, bound.as_ref())?,
         };
         children.insert(child.stage.to_owned(), version);
-        add_children((table, executor), bound.as_ref(), children)?;
+        add_children(table, executor, bound.as_ref(), children)?;
     }
     Ok(())
 }
@@ -109,6 +107,9 @@ pub struct Change {
     /// The new value; none if there is none.
     pub new: Option<String>,
 }
+
+/// Name of the input of a source that holds the fingerprints of its shards.
+pub const LISTING: &str = "listing";
 
 const SHARDS: &str = "listing.";
 const FILES: &str = "files.";
@@ -164,9 +165,12 @@ fn leaves(json: &Value) -> BTreeMap<String, String> {
 }
 
 fn add_leaves(path: String, value: &Value, leaves: &mut BTreeMap<String, String>) {
-    let below = |name: &str| match path.is_empty() {
-        true => name.to_owned(),
-        false => format!("{path}.{name}"),
+    let below = |name: &str| {
+        if path.is_empty() {
+            name.to_owned()
+        } else {
+            format!("{path}.{name}")
+        }
     };
     match value {
         Value::Object(table) => table

@@ -27,11 +27,11 @@ mod stage_io;
 mod work;
 
 pub use check::{Edge, GraphError, NodeShape, check};
-pub use event::{Event, Listener, Silent};
+pub use event::{Event, Listener, SilentListener};
 pub use executor::{Executor, Machine, Order, PartOrder};
 pub use graph::{Graph, NodeDecl, NodeView};
-pub use key::{Change, action_at, changes, differences};
-pub use listing::{LISTING, Listings};
+pub use key::{Change, LISTING, action_at, changes, differences};
+pub use listing::Listings;
 pub use marf_stage::Cancel;
 pub use needs::Needs;
 pub use photo_changes::photo_changes;
@@ -41,7 +41,7 @@ pub use record::{
     RunRecord, document, last_run, last_run_where, run_of, runs,
 };
 pub use roots::{KeptRuns, kept_runs};
-pub use run::{ActionError, Options, run, run_action, run_nodes};
+pub use run::{ActionError, ActionJob, Options, run, run_nodes};
 pub use shared::SharedResults;
 pub use source::{Purpose, RunSource};
 pub use work::Extent;

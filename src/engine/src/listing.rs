@@ -21,16 +21,13 @@ use parking_lot::Mutex;
 
 use crate::{
     errors::{contract_violation, panicked},
-    key::{Change, changes_between, file_path, shard_path},
+    key::{Change, LISTING, changes_between, file_path, shard_path},
     stage_io::{StoreBlobs, load_memo},
 };
 
-/// Name of the input of a source that holds the fingerprints of its shards.
-pub const LISTING: &str = "listing";
-
 /// A listing, and the inputs that stand for it in the key of its source.
 #[derive(Clone)]
-pub(crate) struct Listed {
+pub(crate) struct SourceListing {
     pub(crate) listing: Listing,
     pub(crate) inputs: Inputs,
 }
@@ -38,15 +35,15 @@ pub(crate) struct Listed {
 /// What sources have told, by the names of their nodes. Graphs of one pipeline that share this ask each source once, however often
 /// they are planned and run: an archive that changes meanwhile is seen by the next program.
 #[derive(Clone, Default)]
-pub struct Listings(Arc<Mutex<BTreeMap<String, Listed>>>);
+pub struct Listings(Arc<Mutex<BTreeMap<String, SourceListing>>>);
 
 impl Listings {
     /// Returns what a node has told; else asks it.
-    pub(crate) fn of(
+    pub(crate) fn get_or_ask(
         &self,
         node: &str,
-        ask: impl FnOnce() -> Result<Option<Listed>, StageError>,
-    ) -> Result<Option<Listed>, StageError> {
+        ask: impl FnOnce() -> Result<Option<SourceListing>, StageError>,
+    ) -> Result<Option<SourceListing>, StageError> {
         if let Some(known) = self.0.lock().get(node) {
             return Ok(Some(known.clone()));
         }
@@ -58,7 +55,7 @@ impl Listings {
     }
 
     /// Keeps what a node tells now: of some archives a fetch alone tells what they hold.
-    pub(crate) fn keep(&self, node: &str, listed: &Listed) {
+    pub(crate) fn keep(&self, node: &str, listed: &SourceListing) {
         self.0.lock().insert(node.to_owned(), listed.clone());
     }
 }
@@ -70,7 +67,7 @@ pub(crate) fn list(
     cancel: &Cancel,
     progress: &dyn Progress,
     pool: &rayon::ThreadPool,
-) -> Result<Option<Listed>, StageError> {
+) -> Result<Option<SourceListing>, StageError> {
     let Work::Source(source) = stage.work() else {
         return Ok(None);
     };
@@ -85,7 +82,7 @@ pub(crate) fn list(
             "shard {shard} is listed twice or out of order"
         )));
     }
-    Ok(Some(Listed::new(listing)))
+    Ok(Some(SourceListing::new(listing)))
 }
 
 /// Asks a source, on the threads of `pool`; it may read the store.
@@ -119,7 +116,8 @@ pub(crate) fn file_changes(
     stage: &dyn Stage,
     store: &Store,
     pool: &rayon::ThreadPool,
-    (listed, earlier): (&Listed, &Action),
+    listed: &SourceListing,
+    earlier: &Action,
 ) -> Result<Vec<Change>, StageError> {
     let Work::Source(source) = stage.work() else {
         return Ok(Vec::new());
@@ -169,7 +167,7 @@ pub(crate) fn companions(listing: &Listing) -> Vec<u8> {
     canonical_json(&serde_json::to_value(&listing.companions).unwrap_or_default())
 }
 
-impl Listed {
+impl SourceListing {
     /// Returns a listing with the inputs that stand for it; stores nothing.
     pub(crate) fn new(listing: Listing) -> Self {
         let Ok(inputs) = inputs(&listing, |bytes| Ok::<_, Infallible>(Digest::of(bytes)));

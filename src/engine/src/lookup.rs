@@ -6,8 +6,8 @@ use marf_cache::{Digest, Record, Store, StoreError};
 use marf_stage::Outputs;
 
 use crate::{
-    key::{Change, Key, action_at, differences},
-    listing::{LISTING, Listed},
+    key::{Change, Key, LISTING, action_at, differences},
+    listing::SourceListing,
     record::{NodeState, RunRecord},
 };
 
@@ -61,17 +61,19 @@ pub(crate) struct RunReason {
     pub(crate) changes: Vec<Change>,
 }
 
+/// Returns the reason of a node whose record names an output that is not in the store.
+pub(crate) fn lost_output(output: &str) -> RunReason {
+    because(format!("its stored output `{output}` is missing"))
+}
+
 /// Explains a miss by the differences from the last key of the same node.
 pub(crate) fn why_missed(
     store: &Store,
     last: Option<&RunRecord>,
     node: &str,
-    (key, listed): (&Key, Option<&Listed>),
-    lookup: &Lookup,
+    key: &Key,
+    listed: Option<&SourceListing>,
 ) -> Result<RunReason, StoreError> {
-    if let Lookup::MissingOutput(output) = lookup {
-        return Ok(because(format!("its stored output `{output}` is missing")));
-    }
     let Some(old) = last.and_then(|run| run.latest.get(node)) else {
         return Ok(because(never_finished(last, node)));
     };

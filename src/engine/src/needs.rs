@@ -22,7 +22,7 @@ pub struct Needs {
 
 impl Needs {
     /// Returns the needs of a stage with its parameters. `gpu` tells whether it computes on one, `last` of the node's last run.
-    pub(crate) fn of(stage: &dyn Stage, gpu: bool, last: Option<&RunMetadata>) -> Self {
+    pub(crate) fn new(stage: &dyn Stage, gpu: bool, last: Option<&RunMetadata>) -> Self {
         Self {
             cores: cores_of(stage),
             gpu,

@@ -10,7 +10,7 @@ use crate::{
     key::{Change, action_at, changes_between, photo_path},
     listing::file_changes,
     measure_table::row_digest,
-    plan::{Known, plan_all},
+    plan::{NodePreview, plan_all},
     record::{EngineError, RunRecord},
     run,
 };
@@ -42,7 +42,7 @@ pub fn photo_changes(
             (Some(listed), Some(earlier)) => {
                 let pool = run::pool(run::threads(threads))?;
                 let stage = graph.nodes[index].bound.as_ref();
-                file_changes(stage, store, &pool, (listed, earlier))
+                file_changes(stage, store, &pool, listed, earlier)
                     .map_err(|error| EngineError::BadSet(error.to_string()))
             }
             _ => Ok(Vec::new()),
@@ -59,7 +59,7 @@ pub fn photo_changes(
 }
 
 /// Returns the nearest node from `index` on upstream of which it is known what it reads.
-fn nearest_known(graph: &Graph, known: &[Known], mut index: usize) -> usize {
+fn nearest_known(graph: &Graph, known: &[NodePreview], mut index: usize) -> usize {
     while known[index].inputs.is_none()
         && let Some(connection) = graph.nodes[index].connections.first()
     {
@@ -69,7 +69,7 @@ fn nearest_known(graph: &Graph, known: &[Known], mut index: usize) -> usize {
 }
 
 /// Returns the set that a node would read now, or of a source the one it gives.
-fn set_now(known: &Known) -> Option<Digest> {
+fn set_now(known: &NodePreview) -> Option<Digest> {
     let read = known.inputs.as_ref()?.optional(PHOTOS);
     read.or_else(|| known.outputs.as_ref()?.get(PHOTOS)).copied()
 }

@@ -10,8 +10,8 @@ use crate::{
     earlier::KeyRequest,
     graph::{Graph, Node},
     key::{Change, Key, action_at, node_key},
-    listing::{Listed, NoProgress, list},
-    lookup::{Lookup, RunReason, because, look_up, outputs_of, why_missed},
+    listing::{NoProgress, SourceListing, list},
+    lookup::{Lookup, RunReason, because, look_up, lost_output, outputs_of, why_missed},
     needs::Needs,
     record::{EngineError, RunRecord},
     run,
@@ -108,7 +108,7 @@ pub(crate) fn plan_all(
     last: Option<&RunRecord>,
     threads: Option<NonZero<usize>>,
     shared: Option<&dyn SharedResults>,
-) -> Result<Vec<Known>, EngineError> {
+) -> Result<Vec<NodePreview>, EngineError> {
     let planner = Planner {
         shared,
         graph,
@@ -116,7 +116,7 @@ pub(crate) fn plan_all(
         last,
         pool: run::pool(run::threads(threads))?,
     };
-    let mut known: Vec<Known> = Vec::new();
+    let mut known: Vec<NodePreview> = Vec::new();
     for index in 0..graph.nodes.len() {
         let node = planner.node(index, &known)?;
         known.push(node);
@@ -125,10 +125,10 @@ pub(crate) fn plan_all(
 }
 
 /// A planned node, its inputs as far as they are known, of a source what it lists, and its outputs if they are in the store.
-pub(crate) struct Known {
+pub(crate) struct NodePreview {
     pub(crate) node: PlannedNode,
     pub(crate) inputs: Option<Inputs>,
-    pub(crate) listed: Option<Listed>,
+    pub(crate) listed: Option<SourceListing>,
     pub(crate) outputs: Option<Outputs>,
 }
 
@@ -142,7 +142,7 @@ struct Planner<'a> {
 }
 
 impl Planner<'_> {
-    fn node(&self, index: usize, known: &[Known]) -> Result<Known, EngineError> {
+    fn node(&self, index: usize, known: &[NodePreview]) -> Result<NodePreview, EngineError> {
         let node = &self.graph.nodes[index];
         let mut inputs = match inputs_of(node, known) {
             Ok(inputs) => inputs,
@@ -161,7 +161,8 @@ impl Planner<'_> {
             .0
             .extend(listed.iter().flat_map(|listed| listed.inputs.0.clone()));
         let request = KeyRequest {
-            tables: (&self.graph.table, None),
+            table: &self.graph.table,
+            executor: None,
             name: &node.name,
             def: &node.def,
             stage: node.bound.as_ref(),
@@ -180,13 +181,15 @@ impl Planner<'_> {
                 .map_or(lacking, |record| Lookup::Hit(Box::new(record))),
         };
         let Lookup::Hit(record) = lookup else {
-            let of = (&key, listed.as_ref());
-            let mut why = why_missed(self.store, self.last, &node.name, of, &lookup)?;
+            let mut why = match lookup {
+                Lookup::MissingOutput(output) => lost_output(&output),
+                _ => why_missed(self.store, self.last, &node.name, &key, listed.as_ref())?,
+            };
             if let Some(listed) = &listed {
                 why.reason = listed.listing.noted(&why.reason);
             }
             let extent = extent(self.store, node.bound.as_ref(), &key, &inputs, listed.as_ref())?;
-            return Ok(Known {
+            return Ok(NodePreview {
                 inputs: Some(inputs),
                 listed,
                 ..self.will_run(node, why, Some(&key), extent)
@@ -200,7 +203,7 @@ impl Planner<'_> {
             (true, true) => (PlanState::Fresh, "nothing changed"),
             (true, false) => (PlanState::Cached, "its result is in the store"),
         };
-        Ok(Known {
+        Ok(NodePreview {
             node: PlannedNode {
                 state,
                 ..self
@@ -214,7 +217,7 @@ impl Planner<'_> {
     }
 
     /// Returns the plan of a node behind one that will or may run: it looks at what that one looks at, or at less.
-    fn behind(&self, node: &Node, upstream: &PlannedNode) -> Known {
+    fn behind(&self, node: &Node, upstream: &PlannedNode) -> NodePreview {
         let why = because(format!("upstream {} {}", upstream.node, upstream.state.word()));
         let mut known = self.will_run(node, why, None, upstream.extent);
         if self.is_itself(node) {
@@ -229,13 +232,19 @@ impl Planner<'_> {
         let action = key.and_then(|key| action_at(self.store, key).ok().flatten());
         action.is_some_and(|action| {
             let inputs = Inputs(action.inputs.clone());
-            let now = node_key((&self.graph.table, None), &node.def, node.bound.as_ref(), &inputs);
+            let now = node_key(&self.graph.table, None, &node.def, node.bound.as_ref(), &inputs);
             now.is_ok_and(|now| Some(&now.digest) == key)
         })
     }
 
-    fn will_run(&self, node: &Node, why: RunReason, key: Option<&Key>, extent: Option<Extent>) -> Known {
-        Known {
+    fn will_run(
+        &self,
+        node: &Node,
+        why: RunReason,
+        key: Option<&Key>,
+        extent: Option<Extent>,
+    ) -> NodePreview {
+        NodePreview {
             node: PlannedNode {
                 node: node.name.clone(),
                 stage: node.def.name.to_owned(),
@@ -244,7 +253,7 @@ impl Planner<'_> {
                 key: key.map(|key| key.digest),
                 changes: why.changes,
                 extent,
-                needs: Needs::of(
+                needs: Needs::new(
                     node.bound.as_ref(),
                     node.bound.backend_id().is_some(),
                     self.last_metadata(&node.name).as_ref(),
@@ -280,7 +289,7 @@ pub fn why(
 }
 
 /// Returns the inputs of a node, or an upstream node whose outputs are not known.
-fn inputs_of(node: &Node, known: &[Known]) -> Result<Inputs, usize> {
+fn inputs_of(node: &Node, known: &[NodePreview]) -> Result<Inputs, usize> {
     let mut inputs = Inputs::default();
     for connection in &node.connections {
         let outputs = known[connection.upstream]

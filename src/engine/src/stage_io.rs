@@ -228,14 +228,14 @@ mod tests {
     use std::sync::atomic::{AtomicBool, Ordering};
 
     use super::*;
-    use crate::Silent;
+    use crate::SilentListener;
 
     #[test]
     fn a_checkpoint_comes_back_whole_or_not_at_all() {
         let dir = tempfile::tempdir().unwrap();
         let store = Store::open(dir.path()).unwrap();
         let key = Digest::of(b"key");
-        let checkpoints = FileCheckpoints::new(&store, &key, "train", &Silent);
+        let checkpoints = FileCheckpoints::new(&store, &key, "train", &SilentListener);
         assert_eq!(checkpoints.load("training"), None);
         for state in [b"step 1".as_slice(), b"step 2, longer", b""] {
             checkpoints.save("training", state);
@@ -260,7 +260,7 @@ mod tests {
         let table = vec![7_u8; 70_000];
         {
             let store = Store::open(dir.path()).unwrap();
-            let memos = StoreMemos::new(&store, Digest::of(b"maker"), "calibrate", &Silent);
+            let memos = StoreMemos::new(&store, Digest::of(b"maker"), "calibrate", &SilentListener);
             assert_eq!(memos.load(&key), None);
             memos.save(&key, b"old");
             memos.save(&key, &table);
@@ -269,7 +269,7 @@ mod tests {
             store.commit().unwrap();
         }
         let store = Store::open(dir.path()).unwrap();
-        let memos = StoreMemos::new(&store, Digest::of(b"maker"), "calibrate", &Silent);
+        let memos = StoreMemos::new(&store, Digest::of(b"maker"), "calibrate", &SilentListener);
         assert_eq!(memos.load(&key).as_deref(), Some(table.as_slice()));
         let hex = Digest::of(&table).to_string();
         fs::write(dir.path().join("cas").join(&hex[..2]).join(&hex[2..]), b"damaged").unwrap();

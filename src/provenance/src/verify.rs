@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use marf_cache::{Digest, FsckOptions, FsckReport, Missing, Role, Sha256, Store};
+use marf_cache::{Digest, FsckOptions, FsckReport, MissingObject, Role, Sha256, Store};
 use marf_model::{Run, RunError, RunNode, product::origins, unless_lost};
 use serde::Serialize;
 
@@ -82,7 +82,8 @@ pub fn verify(run: &Run<'_>, nodes: &[&RunNode], check: &FsckReport) -> Result<V
         verified.fault(Some(*object), file, *what);
     }
     // Inputs of parts stand for what archives hold; those of nodes are looked for below.
-    let is_lost = |missing: &&Missing| missing.role != Role::Input && !damaged.contains_key(&missing.digest);
+    let is_lost =
+        |missing: &&MissingObject| missing.role != Role::Input && !damaged.contains_key(&missing.digest);
     verified.missing = closure
         .missing
         .iter()
@@ -135,12 +136,12 @@ impl Verified {
     }
 }
 
-fn named(nodes: &[&RunNode], missing: &Missing) -> Lost {
-    let node = nodes.iter().find(|node| node.run.key == Some(missing.of));
+fn named(nodes: &[&RunNode], missing: &MissingObject) -> Lost {
+    let node = nodes.iter().find(|node| node.run.key == Some(missing.named_by));
     Lost {
         digest: missing.digest,
         role: role(missing.role),
-        of: node.map_or_else(|| missing.of.short(), |node| node.run.name.clone()),
+        of: node.map_or_else(|| missing.named_by.short(), |node| node.run.name.clone()),
     }
 }
 

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use marf_cache::{Digest, Record, Store};
 use marf_engine::{NodeState, RunRecord, RunSource, SharedResults};
-use marf_remote::{RemoteError, RemoteRun, Sharing};
+use marf_remote::{Patience, Remote, RemoteError, RemoteRun, Sharing};
 use marf_stage::Access;
 
 use crate::error::Error;
@@ -48,13 +48,12 @@ impl Shared {
             return Ok(None);
         }
         let (stop, feedback) = (context.cancel.clone(), Arc::clone(&context.feedback));
-        let opened = Sharing::start(
-            &shared.url,
-            (trust(&shared.trust)?, shared.verify_share),
-            session.store.dir(),
-            move |message| feedback.warn(&message),
-            move || stop.is_set(),
-        );
+        let remote = Remote::open(&shared.url, Patience::Impatient, trust(&shared.trust)?);
+        let opened = remote.and_then(|remote| {
+            let (share, store) = (shared.verify_share, session.store.dir());
+            let warn = move |message| feedback.warn(&message);
+            Sharing::start(remote, share, store, warn, move || stop.is_set())
+        });
         let refuse = |error: &RemoteError| {
             let hint = error.hint().map(|hint| format!(" ({hint})")).unwrap_or_default();
             context.warn(format!("{error}{hint}; the run goes on without the shared store"));

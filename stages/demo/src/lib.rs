@@ -30,7 +30,7 @@ use std::{
     },
 };
 
-use marf_cache::{ContentHash, Digest, digest_of};
+use marf_cache::{ContentHash, ContentHasher, Digest, digest_of};
 use marf_scene::{Camera, Image, Pose, Srgb};
 use rayon::prelude::*;
 use schemars::JsonSchema;
@@ -55,7 +55,7 @@ pub const DEMO_VERSION: u32 = 1;
 pub const SOLS: RangeInclusive<u32> = plan::SOLS;
 
 /// Options of the demo.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ContentHash, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct DemoOptions {
     /// Width of the photos in pixels, from 16 to 4096.
@@ -64,6 +64,17 @@ pub struct DemoOptions {
     pub height_px: u32,
     /// Seed of the landscape, of the tour and of the errors in the labels.
     pub seed: u64,
+}
+
+impl ContentHash for DemoOptions {
+    fn hash_content(&self, hasher: &mut ContentHasher) {
+        let fields: [(&str, &dyn ContentHash); 3] = [
+            ("width_px", &self.width_px),
+            ("height_px", &self.height_px),
+            ("seed", &self.seed),
+        ];
+        hasher.record("DemoOptions", &fields);
+    }
 }
 
 impl Default for DemoOptions {

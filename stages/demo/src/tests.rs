@@ -108,6 +108,18 @@ fn the_version_is_raised_when_the_demo_draws_otherwise() {
 }
 
 #[test]
+fn the_fingerprints_stay_what_they_were() {
+    let changed = small().with_change(2).unwrap();
+    let fingerprints = [
+        small().fingerprint(1),
+        small().fingerprint(101),
+        changed.fingerprint(2),
+    ];
+    let short = fingerprints.map(|fingerprint| fingerprint.unwrap().short());
+    assert_eq!(short, ["ee7a3639e17b", "a2736e0d6c86", "acc46f514ecb"]);
+}
+
+#[test]
 fn the_fingerprint_knows_sol_and_every_option() {
     let base = DemoOptions::default();
     let others = [

@@ -5,7 +5,7 @@ use marf_cache::Digest;
 
 use crate::{Shard, Table};
 
-/// Name of the folder that pins what archives on servers gave; it lies beside pipeline.toml. In 0.1.0 it was a file.
+/// Name of the folder that pins what archives on servers gave; it lies beside pipeline.toml.
 pub const LOCK_FILE: &str = "marf.lock";
 
 /// What an archive may ask of the network.

@@ -18,7 +18,7 @@ mod verdict;
 
 use std::{collections::BTreeMap, sync::Arc};
 
-use marf_cache::{ContentHash, Digest, canonical_json, manifest::Row};
+use marf_cache::{Digest, canonical_json, manifest::Row};
 use serde::{Deserialize, Serialize};
 
 pub use archive::{Access, ArchiveContext, LOCK_FILE, RecordedArchive};
@@ -132,7 +132,7 @@ impl Inputs {
 }
 
 /// One part of a source, in order: a sol.
-#[derive(Debug, Clone, PartialEq, Eq, ContentHash)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Shard {
     /// The sol; 0 where there is none.
     pub shard: u32,
@@ -159,17 +159,15 @@ impl Files {
 }
 
 /// What an archive offers now.
-#[derive(Debug, Clone, Default, PartialEq, Eq, ContentHash)]
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Listing {
     /// Sorted by shard.
     pub shards: Vec<Shard>,
     /// Companion files of the photos (cameras of another program), by relative name; their bytes are in the store.
     pub companions: BTreeMap<String, Digest>,
     /// How much there is to fetch, for people (`90 files to fetch`); not part of the key.
-    #[content_hash(skip)]
     pub note: Option<String>,
     /// What people should know of the listing (a pin that cannot be read), one sentence each; not part of the key.
-    #[content_hash(skip)]
     pub warnings: Vec<String>,
 }
 
@@ -238,7 +236,7 @@ pub trait Source: Send + Sync {
 }
 
 /// A table of measures: one value an item, a pure function of the item. It is kept by shard under this name and version.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, ContentHash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Table {
     /// Its name, unique among all tables.
     pub name: &'static str,

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use rusqlite::{Connection, TransactionBehavior};
 
-use super::{Compacted, Index, connection::Trouble, tables};
+use super::{Index, PackRewrite, connection::Trouble, tables};
 use crate::{
     Digest,
     store::{
@@ -30,7 +30,7 @@ impl Index {
     }
 
     /// Tells where the objects of some packs lie now, and drops these packs; returns whether the index took it.
-    pub(in crate::store) fn compact(&self, packs: &[Compacted]) -> Result<bool, StoreError> {
+    pub(in crate::store) fn compact(&self, packs: &[PackRewrite]) -> Result<bool, StoreError> {
         self.change(|connection| tables::compact(connection, packs))
     }
 

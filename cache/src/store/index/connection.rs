@@ -46,7 +46,7 @@ pub(super) struct FileId(u64, u64);
 impl FileId {
     /// Returns the identity of the file of this name; none if there is none.
     #[cfg(unix)]
-    pub(super) fn of(path: &Path) -> Option<Self> {
+    pub(super) fn from_path(path: &Path) -> Option<Self> {
         use std::os::unix::fs::MetadataExt;
         let meta = std::fs::metadata(path).ok()?;
         Some(Self(meta.dev(), meta.ino()))
@@ -54,7 +54,7 @@ impl FileId {
 
     /// A file that is open is never replaced on this system.
     #[cfg(not(unix))]
-    pub(super) fn of(path: &Path) -> Option<Self> {
+    pub(super) fn from_path(path: &Path) -> Option<Self> {
         path.exists().then_some(Self(0, 0))
     }
 }
@@ -103,7 +103,7 @@ fn check(connection: Connection, path: &Path) -> Result<Handle, Trouble> {
     if version != tables::VERSION {
         return Err(Trouble::Broken(format!("its tables are of version {version}")));
     }
-    match FileId::of(path) {
+    match FileId::from_path(path) {
         Some(file) => Ok(Handle { connection, file }),
         None => Err(Trouble::Broken("it has been removed".to_owned())),
     }

@@ -25,16 +25,15 @@ use rusqlite::{Connection, TransactionBehavior};
 
 use self::connection::{FileId, Handle, Trouble};
 use super::{
-    Access,
     error::StoreError,
-    files::Files,
+    files::{Access, Files},
     locks::{Lock, Locks, Share},
     notices::Notices,
     pack::{self, Entry, Kind},
 };
 use crate::Digest;
 
-pub(super) use tables::{Compacted, Location, ObjectRow};
+pub(super) use tables::{Location, ObjectRow, PackRewrite};
 
 /// Longest wait of a reader; readers wait only for a program that has taken the whole file for itself.
 const READ_PATIENCE: Duration = Duration::from_secs(60);
@@ -153,7 +152,7 @@ impl Index {
             }
             let mut broken = None;
             let answer = self.notices.retry(READ_PATIENCE, || {
-                match self.on(&self.reader, |connection| query(connection)) {
+                match self.with_connection(&self.reader, |connection| query(connection)) {
                     Ok(value) => Ok(Some(Some(value))),
                     Err(Trouble::Busy) => Ok(None),
                     Err(trouble) => {
@@ -187,13 +186,13 @@ impl Index {
     }
 
     /// Runs a query on a connection to the file that has the name now.
-    fn on<T>(
+    fn with_connection<T>(
         &self,
         slot: &Mutex<Option<Handle>>,
         query: impl FnOnce(&mut Connection) -> rusqlite::Result<T>,
     ) -> Result<T, Trouble> {
         let mut slot = slot.lock();
-        let current = FileId::of(&self.path);
+        let current = FileId::from_path(&self.path);
         slot.take_if(|handle| Some(handle.file) != current);
         let handle = match slot.as_mut() {
             Some(handle) => handle,
@@ -205,9 +204,10 @@ impl Index {
     /// Opens the file; creates it where it is absent and the store can be written.
     fn connect(&self) -> Result<Handle, Trouble> {
         if self.access == Access::ReadOnly {
-            return match self.path.exists() {
-                true => Handle::open_immutable(&self.path),
-                false => Err(Trouble::Unusable("it is absent".to_owned())),
+            return if self.path.exists() {
+                Handle::open_immutable(&self.path)
+            } else {
+                Err(Trouble::Unusable("it is absent".to_owned()))
             };
         }
         let bytes = || self.files.meta(&self.path).map(|meta| meta.bytes);
@@ -351,7 +351,7 @@ impl Index {
             }
             let mut trouble = None;
             let made = self.notices.retry(patience, || {
-                let attempt = self.on(&self.writer, |connection| Ok(change(connection)));
+                let attempt = self.with_connection(&self.writer, |connection| Ok(change(connection)));
                 match attempt.and_then(|made| made) {
                     Ok(()) => Ok(Some(true)),
                     Err(Trouble::Busy) => Ok(None),

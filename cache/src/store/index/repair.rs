@@ -4,8 +4,8 @@ use std::sync::atomic::Ordering;
 
 use super::{
     super::{
-        Access,
         error::StoreError,
+        files::Access,
         locks::{Lock, Share},
     },
     Index,
@@ -18,7 +18,7 @@ impl Index {
         if self.access == Access::ReadOnly {
             return None;
         }
-        let verdict = self.on(&self.reader, |connection| {
+        let verdict = self.with_connection(&self.reader, |connection| {
             connection.query_row("PRAGMA integrity_check(1)", [], |row| row.get::<_, String>(0))
         });
         match verdict {
@@ -33,12 +33,12 @@ impl Index {
         if self.access == Access::ReadOnly {
             return self.disable(why);
         }
-        let used = FileId::of(&self.path);
+        let used = FileId::from_path(&self.path);
         // Closed before the file moves: the last connection to a file removes its log.
         let broken = [self.reader.lock().take(), self.writer.lock().take()];
         let guard = self.locks.take(Lock::Index, Share::Exclusive, &self.notices)?;
         drop(broken);
-        if FileId::of(&self.path) != used {
+        if FileId::from_path(&self.path) != used {
             return Ok(());
         }
         self.notices.warn(format!(

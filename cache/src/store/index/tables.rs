@@ -164,7 +164,7 @@ pub(super) fn rewrite(connection: &Connection, from: &str, into: &str, entries: 
 }
 
 /// A pack whose living objects were written to another: the names of both, and their places there.
-pub(in super::super) struct Compacted {
+pub(in super::super) struct PackRewrite {
     pub(in super::super) from: String,
     /// Empty if nothing lived.
     pub(in super::super) into: String,
@@ -173,7 +173,7 @@ pub(in super::super) struct Compacted {
 
 /// Tells where the objects of some packs lie now, and drops these packs. If other objects than these have rows there
 /// nothing is changed and it is an error.
-pub(super) fn compact(connection: &Connection, packs: &[Compacted]) -> Result<()> {
+pub(super) fn compact(connection: &Connection, packs: &[PackRewrite]) -> Result<()> {
     let mut all = Vec::new();
     for pack in packs {
         let mut statement = connection.prepare_cached("SELECT id FROM segment WHERE file = ?1")?;
@@ -230,7 +230,7 @@ pub(super) fn for_each(connection: &Connection, each: &mut dyn FnMut(ObjectRow))
     let mut rows = statement.query([])?;
     while let Some(row) = rows.next()? {
         let id: [u8; 32] = row.get(0)?;
-        let Some(kind) = Kind::of(row.get(1)?) else {
+        let Some(kind) = Kind::from_code(row.get(1)?) else {
             continue;
         };
         each(ObjectRow {

@@ -2,48 +2,23 @@
 
 use std::path::Path;
 
-use super::{
-    BODY, CHUNK, Contents, DIGEST, END, Entry, Form, HEAD, Kind, MAGIC, OLD_HEAD, OLD_INDEX, OLD_MAGIC,
-    OLD_ROW, ROW, TAIL, generation_of, open,
+use super::format::{
+    BODY, CHUNK, Contents, DIGEST, END, Entry, HEAD, Kind, MAGIC, ROW, TAIL, digest_at, generation_of, open,
+    u32_at, u64_at,
 };
 use crate::{
     Digest,
     store::{error::StoreError, files::Files},
 };
 
-fn array_at<const N: usize>(bytes: &[u8], at: usize) -> Option<[u8; N]> {
-    bytes.get(at..at.checked_add(N)?)?.try_into().ok()
-}
-
-fn digest_at(bytes: &[u8], at: usize) -> Option<Digest> {
-    array_at(bytes, at).map(Digest::from_bytes)
-}
-
-pub(super) fn u32_at(bytes: &[u8], at: usize) -> Option<u32> {
-    array_at(bytes, at).map(u32::from_le_bytes)
-}
-
-fn u64_at(bytes: &[u8], at: usize) -> Option<u64> {
-    array_at(bytes, at).map(u64::from_le_bytes)
-}
-
 /// Returns the entries of a pack, from its table or, without a valid one, by a scan that verifies each; none if the
 /// file is absent. A file that is no pack has no entries.
 pub(in crate::store) fn contents(files: &Files, path: &Path) -> Result<Option<Contents>, StoreError> {
-    let Some(magic) = files.read_at(path, 0, MAGIC.len())? else {
+    if files.read_at(path, 0, MAGIC.len())?.is_none() {
         return Ok(None);
-    };
-    let form = match magic == OLD_MAGIC {
-        true => Form::Old,
-        false => Form::Current,
-    };
-    let table = match form {
-        Form::Old => old_table(files, path)?,
-        Form::Current => table(files, path)?,
-    };
-    if let Some(entries) = table {
+    }
+    if let Some(entries) = table(files, path)? {
         return Ok(Some(Contents {
-            form,
             entries,
             has_table: true,
         }));
@@ -51,7 +26,7 @@ pub(in crate::store) fn contents(files: &Files, path: &Path) -> Result<Option<Co
     let mut window = Window::new(files, path);
     let mut entries = Vec::new();
     let mut at = BODY;
-    while let Some((entry, payload)) = window.entry_at(form, at)? {
+    while let Some((entry, payload)) = window.entry_at(at)? {
         if open(entry.kind, &entry.id, payload).is_some() {
             entries.push(entry);
         }
@@ -59,7 +34,6 @@ pub(in crate::store) fn contents(files: &Files, path: &Path) -> Result<Option<Co
     }
     // A pack that was removed while it was read is gone, not damaged: another program has merged it. No pack gets its name.
     let contents = Contents {
-        form,
         entries,
         has_table: false,
     };
@@ -83,7 +57,7 @@ fn table(files: &Files, path: &Path) -> Result<Option<Vec<Entry>>, StoreError> {
     }
     let rows = rows.chunks_exact(ROW).map(|row| {
         Some(Entry {
-            kind: Kind::of(*row.first()?)?,
+            kind: Kind::from_code(*row.first()?)?,
             id: digest_at(row, 1)?,
             offset: u64_at(row, 33)?,
             len: u32_at(row, 41)?,
@@ -91,29 +65,6 @@ fn table(files: &Files, path: &Path) -> Result<Option<Vec<Entry>>, StoreError> {
         })
     });
     Ok(rows.collect())
-}
-
-fn old_table(files: &Files, path: &Path) -> Result<Option<Vec<Entry>>, StoreError> {
-    let bytes = files.read(&path.with_extension("idx"))?.unwrap_or_default();
-    Ok(decode_old_table(&bytes))
-}
-
-fn decode_old_table(bytes: &[u8]) -> Option<Vec<Entry>> {
-    let (body, checksum) = bytes.split_at_checked(bytes.len().checked_sub(DIGEST)?)?;
-    if Digest::of(body).as_bytes() != checksum {
-        return None;
-    }
-    let rows = body.strip_prefix(OLD_INDEX.as_slice())?.chunks_exact(OLD_ROW);
-    rows.map(|row| {
-        Some(Entry {
-            kind: Kind::Blob,
-            id: digest_at(row, 0)?,
-            offset: u64_at(row, DIGEST)?,
-            len: u32_at(row, DIGEST + 8)?,
-            generation: 0,
-        })
-    })
-    .collect()
 }
 
 /// A part of a pack in memory, so that entries are read in order without a call for each.
@@ -148,22 +99,13 @@ impl<'a> Window<'a> {
     }
 
     /// Returns the entry whose head is at this offset; none at the end of the body or where the head is damaged.
-    fn entry_at(&mut self, form: Form, at: u64) -> Result<Option<(Entry, &[u8])>, StoreError> {
-        let head_len = match form {
-            Form::Current => HEAD,
-            Form::Old => OLD_HEAD,
-        };
-        let head = self.bytes(at, head_len)?;
-        let start = head_len - OLD_HEAD;
-        let kind = match form {
-            Form::Current => head.first().copied().and_then(Kind::of),
-            Form::Old => Some(Kind::Blob),
-        };
-        let (Some(kind), Some(id), Some(len)) = (kind, digest_at(head, start), u32_at(head, start + DIGEST))
-        else {
+    fn entry_at(&mut self, at: u64) -> Result<Option<(Entry, &[u8])>, StoreError> {
+        let head = self.bytes(at, HEAD)?;
+        let kind = head.first().copied().and_then(Kind::from_code);
+        let (Some(kind), Some(id), Some(len)) = (kind, digest_at(head, 1), u32_at(head, 1 + DIGEST)) else {
             return Ok(None);
         };
-        let offset = at + head_len as u64;
+        let offset = at + HEAD as u64;
         // A damaged length must not make the reader ask for gigabytes.
         let room = self
             .files
@@ -189,8 +131,8 @@ impl<'a> Window<'a> {
     }
 
     /// Tells whether the head before a payload says the same as its entry.
-    pub(in crate::store) fn has_head(&mut self, form: Form, entry: &Entry) -> Result<bool, StoreError> {
-        let expected = head_of(form, entry);
+    pub(in crate::store) fn has_head(&mut self, entry: &Entry) -> Result<bool, StoreError> {
+        let expected = head_of(entry);
         let Some(at) = entry.offset.checked_sub(expected.len() as u64) else {
             return Ok(false);
         };
@@ -198,24 +140,16 @@ impl<'a> Window<'a> {
     }
 }
 
-fn head_of(form: Form, entry: &Entry) -> Vec<u8> {
-    let mut head = match form {
-        Form::Current => vec![entry.kind.code()],
-        Form::Old => Vec::new(),
-    };
+fn head_of(entry: &Entry) -> Vec<u8> {
+    let mut head = vec![entry.kind.code()];
     head.extend_from_slice(entry.id.as_bytes());
     head.extend_from_slice(&entry.len.to_le_bytes());
     head
 }
 
 /// Tells whether the head before a payload in a pack says the same as its entry.
-pub(in crate::store) fn has_head(
-    files: &Files,
-    path: &Path,
-    form: Form,
-    entry: &Entry,
-) -> Result<bool, StoreError> {
-    let expected = head_of(form, entry);
+pub(in crate::store) fn has_head(files: &Files, path: &Path, entry: &Entry) -> Result<bool, StoreError> {
+    let expected = head_of(entry);
     let Some(at) = entry.offset.checked_sub(expected.len() as u64) else {
         return Ok(false);
     };

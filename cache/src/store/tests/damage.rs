@@ -22,11 +22,11 @@ proptest! {
             prop_assert!(matches!(error, StoreError::Damaged { .. }), "{}", error);
             prop_assert_eq!(error.lost(), Some(digest));
             prop_assert!(!store.contains(&digest), "still claimed");
-            prop_assert!(!again(&dir).contains(&digest), "claimed after reopening");
+            prop_assert!(!reopen(&dir).contains(&digest), "claimed after reopening");
             prop_assert_eq!(store.stat().unwrap().quarantined, 1);
             prop_assert_eq!(store.put(&blob).unwrap(), digest);
             store.commit().unwrap();
-            prop_assert_eq!(&*again(&dir).get(&digest).unwrap(), blob.as_slice());
+            prop_assert_eq!(&*reopen(&dir).get(&digest).unwrap(), blob.as_slice());
         }
     }
 }
@@ -43,9 +43,10 @@ fn a_damaged_record_or_memo_is_a_miss_and_its_neighbours_stay() {
         store.commit().unwrap();
         let pack = packs(&store).pop().unwrap();
         let mut bytes = fs::read(&pack).unwrap();
-        let wanted = match at_end {
-            false => b"\"stage\":\"blur\"".to_vec(),
-            true => [blob.as_bytes().as_slice(), record.key.as_bytes()].concat(),
+        let wanted = if at_end {
+            [blob.as_bytes().as_slice(), record.key.as_bytes()].concat()
+        } else {
+            b"\"stage\":\"blur\"".to_vec()
         };
         let at = bytes
             .windows(wanted.len())
@@ -61,7 +62,7 @@ fn a_damaged_record_or_memo_is_a_miss_and_its_neighbours_stay() {
         assert!(store.get(&blob).is_ok(), "{kind}");
         let warnings = store.take_warnings();
         assert!(warnings.iter().any(|text| text.contains(kind)), "{warnings:?}");
-        assert_eq!(again(&dir).take_warnings(), Vec::<String>::new());
+        assert_eq!(reopen(&dir).take_warnings(), Vec::<String>::new());
     }
 }
 
@@ -188,7 +189,7 @@ fn a_check_finds_each_damage_names_what_it_breaks_and_repairs_it() {
         ..options
     };
     assert!(store.fsck(repair).unwrap().is_repaired);
-    let after = again(&dir).fsck(options).unwrap();
+    let after = reopen(&dir).fsck(options).unwrap();
     assert!(
         after
             .faults

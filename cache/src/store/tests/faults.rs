@@ -11,7 +11,7 @@ use super::{
 /// Runs the session on files with a mishap; returns the steps whose commits returned, and the number of calls.
 fn run_with(root: &Path, faulty: &Arc<Faulty>) -> Vec<u8> {
     let mut done = Vec::new();
-    let files = Files::of(Arc::clone(faulty) as Arc<dyn files::Operations>);
+    let files = Files::with_operations(Arc::clone(faulty) as Arc<dyn files::Operations>);
     if let Ok(store) = Store::open_on(root.join(".marf"), files, Notices::default()) {
         store.objects.index.set_patience(Duration::ZERO);
         let _ = session::run(&store, &mut done);

@@ -128,7 +128,7 @@ fn a_collection_keeps_the_closure_of_its_roots_and_removes_the_rest() {
     });
     store.commit().unwrap();
     drop(store);
-    let store = again(&dir);
+    let store = reopen(&dir);
     let mut plan = plan(&[kept.key, Digest::of(b"under way")]);
     plan.dry_run = true;
     let promised = store.gc(&plan).unwrap();
@@ -147,7 +147,7 @@ fn a_collection_keeps_the_closure_of_its_roots_and_removes_the_rest() {
         report
     );
     assert_eq!(scratch.map(|path| path.exists()), [true, false, false]);
-    for store in [&store, &again(&dir)] {
+    for store in [&store, &reopen(&dir)] {
         let closure = store.closure(&[kept.key], &[]).unwrap();
         assert_eq!((&closure.keys, &closure.blobs), (&keys, &blobs));
         assert_eq!(closure.missing.len(), 1);
@@ -159,7 +159,7 @@ fn a_collection_keeps_the_closure_of_its_roots_and_removes_the_rest() {
     // This store has looked at what it just checked, so it holds a lease on it.
     assert_eq!(report.memos, 0);
     drop(store);
-    let store = again(&dir);
+    let store = reopen(&dir);
     store.gc(&GcPlan::default()).unwrap();
     let stat = store.stat().unwrap();
     assert_eq!((stat.packs, stat.loose_blobs, stat.records), (0, 0, 0));
@@ -179,7 +179,7 @@ fn runs_are_kept_from_the_newest_on_as_long_as_they_fit() {
     }
     store.commit().unwrap();
     drop(store);
-    let store = again(&dir);
+    let store = reopen(&dir);
     let plan = GcPlan {
         runs: runs.clone(),
         max_bytes: Some(25_000),
@@ -200,7 +200,7 @@ fn what_is_younger_than_the_grace_stays() {
     store.put_record(record("k", &store, &large(3)));
     store.commit().unwrap();
     drop(store);
-    let store = again(&dir);
+    let store = reopen(&dir);
     let plan = GcPlan {
         grace: Duration::from_secs(3600),
         ..GcPlan::default()
@@ -228,7 +228,7 @@ fn what_comes_from_the_future_stays_for_the_grace() {
         grace: Duration::from_secs(1),
         ..GcPlan::default()
     };
-    let report = again(&dir).gc(&plan).unwrap();
+    let report = reopen(&dir).gc(&plan).unwrap();
     assert_eq!((report.records, report.loose_blobs), (0, 0));
 }
 
@@ -242,11 +242,11 @@ fn what_a_process_found_stays_until_it_ends() {
     store.put_memo(Digest::of(b"m"), memo_blob, Digest::of(b"nobody"));
     store.commit().unwrap();
     drop(store);
-    let user = again(&dir);
+    let user = reopen(&dir);
     assert!(user.hit(&found.key).unwrap().is_some());
     user.put(&large(5)).unwrap();
     assert!(user.memo(&Digest::of(b"m")).unwrap().is_some());
-    let collector = again(&dir);
+    let collector = reopen(&dir);
     collector.gc(&GcPlan::default()).unwrap();
     assert!(user.hit(&found.key).unwrap().is_some());
     assert_eq!(
@@ -273,7 +273,7 @@ fn collections_beside_writers_lose_no_committed_result() {
     std::thread::scope(|scope| {
         let writers: Vec<_> = (0..4_usize)
             .map(|writer| {
-                let store = again(&dir);
+                let store = reopen(&dir);
                 scope.spawn(move || {
                     let mut records = Vec::new();
                     for round in 0..rounds {
@@ -304,14 +304,14 @@ fn collections_beside_writers_lose_no_committed_result() {
         scope.spawn(move || {
             let mut round = 0;
             while !is_done.load(Ordering::Relaxed) {
-                let store = again(dir);
+                let store = reopen(dir);
                 store.put_record(record(&format!("passing {round}"), &store, &shared(round, 1)));
                 store.commit().unwrap();
                 round += 1;
             }
         });
         let collector = scope.spawn(move || {
-            let store = again(dir);
+            let store = reopen(dir);
             let mut removed = 0;
             while !is_done.load(Ordering::Relaxed) {
                 removed += store.gc(&GcPlan::default()).unwrap().records;
@@ -322,7 +322,7 @@ fn collections_beside_writers_lose_no_committed_result() {
         is_done.store(true, Ordering::Relaxed);
         let removed = collector.join().unwrap();
         assert!(removed > 0, "nothing was collected");
-        let last = again(dir);
+        let last = reopen(dir);
         for (_store, records) in results.iter().flatten() {
             for record in records {
                 assert_eq!(last.hit(&record.key).unwrap().as_ref(), Some(record));

@@ -31,7 +31,7 @@ fn a_locked_index_delays_the_rows_of_a_result_and_never_drops_it() {
     assert_eq!(warnings.len(), 1, "{warnings:?}");
     assert!(warnings[0].contains("keeps the index"), "{warnings:?}");
     drop(holder);
-    let other = again(&dir);
+    let other = reopen(&dir);
     for record in &records {
         assert_eq!(other.hit(&record.key).unwrap().as_ref(), Some(record));
     }
@@ -59,7 +59,7 @@ fn a_wait_for_the_index_ends_when_the_caller_wants_it() {
 #[test]
 fn a_pack_without_rows_is_found_by_a_store_that_is_open_and_by_one_that_opens() {
     let (dir, store) = fresh();
-    let reader = again(&dir);
+    let reader = reopen(&dir);
     let holder = Connection::open(index(&store)).unwrap();
     holder.execute_batch("BEGIN IMMEDIATE").unwrap();
     store.objects.index.set_patience(Duration::ZERO);
@@ -69,7 +69,7 @@ fn a_pack_without_rows_is_found_by_a_store_that_is_open_and_by_one_that_opens() 
     drop(store);
     drop(holder);
     assert_eq!(reader.hit(&record.key).unwrap().as_ref(), Some(&record));
-    assert_eq!(again(&dir).hit(&record.key).unwrap(), Some(record));
+    assert_eq!(reopen(&dir).hit(&record.key).unwrap(), Some(record));
 }
 
 #[test]
@@ -83,7 +83,7 @@ fn readers_do_not_wait_for_a_writer() {
         .execute_batch("BEGIN IMMEDIATE; DELETE FROM object; DELETE FROM segment")
         .unwrap();
     assert_eq!(store.hit(&record.key).unwrap().as_ref(), Some(&record));
-    assert_eq!(again(&dir).hit(&record.key).unwrap(), Some(record));
+    assert_eq!(reopen(&dir).hit(&record.key).unwrap(), Some(record));
 }
 
 #[test]
@@ -99,7 +99,7 @@ fn an_index_that_is_damaged_at_open_is_moved_away_and_made_from_the_packs() {
     let garbage = vec![0x5A; 5000];
     for (round, bytes) in [&[], half, &good[..100], &garbage].into_iter().enumerate() {
         fs::write(&path, bytes).unwrap();
-        let store = again(&dir);
+        let store = reopen(&dir);
         assert_eq!(
             store.hit(&kept.key).unwrap().as_ref(),
             Some(&kept),
@@ -114,7 +114,7 @@ fn an_index_that_is_damaged_at_open_is_moved_away_and_made_from_the_packs() {
 #[test]
 fn an_index_that_is_damaged_or_removed_in_the_middle_of_a_run_is_made_anew() {
     let (dir, store) = fresh();
-    let reader = again(&dir);
+    let reader = reopen(&dir);
     let mut records = Vec::new();
     for round in 0..4 {
         let record = record(&round.to_string(), &store, &[round; 50]);
@@ -137,7 +137,7 @@ fn an_index_that_is_damaged_or_removed_in_the_middle_of_a_run_is_made_anew() {
             }
         }
     }
-    assert_eq!(again(&dir).records().unwrap().len(), 4);
+    assert_eq!(reopen(&dir).records().unwrap().len(), 4);
 }
 
 #[test]
@@ -149,14 +149,14 @@ fn a_pack_that_is_gone_takes_its_rows_along_and_nothing_else() {
     let second = store.put(b"second").unwrap();
     store.commit().unwrap();
     fs::remove_file(&gone[0]).unwrap();
-    for store in [&store, &again(&dir)] {
+    for store in [&store, &reopen(&dir)] {
         assert!(matches!(store.get(&first), Err(StoreError::Missing { .. })));
         assert!(!store.contains(&first));
         assert!(store.get(&second).is_ok());
     }
     assert_eq!(store.put(b"first").unwrap(), first);
     store.commit().unwrap();
-    assert!(again(&dir).get(&first).is_ok());
+    assert!(reopen(&dir).get(&first).is_ok());
 }
 
 /// A bit of the index that makes a place false is noticed at the place.
@@ -207,7 +207,7 @@ fn a_read_only_store_is_read_without_a_write_and_refuses_a_commit() {
         .into_iter()
         .map(|path| (fs::read(&path).unwrap(), path))
         .collect();
-    let store = again(&dir);
+    let store = reopen(&dir);
     assert!(store.is_read_only());
     assert_eq!(store.hit(&record.key).unwrap(), Some(record));
     assert_eq!(&*store.get(&late).unwrap(), b"late");
@@ -238,7 +238,7 @@ fn a_row_without_its_segment_is_found_and_the_index_made_anew() {
         .execute("UPDATE object SET segment = segment + 64", [])
         .unwrap();
     drop((connection, store));
-    let store = again(&dir);
+    let store = reopen(&dir);
     assert!(!store.contains(&blob));
     let repair = FsckOptions {
         repair: true,

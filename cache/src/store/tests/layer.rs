@@ -8,7 +8,7 @@ use std::{
 };
 
 use super::{
-    super::files::{Disk, Meta, Operations, Published},
+    super::files::{Disk, Meta, Operations, PublishResult},
     *,
 };
 
@@ -198,10 +198,10 @@ impl Operations for Faulty {
         Ok(())
     }
 
-    fn link(&self, from: &Path, to: &Path) -> io::Result<Published> {
+    fn link(&self, from: &Path, to: &Path) -> io::Result<PublishResult> {
         self.call()?;
         let published = Disk.link(from, to)?;
-        if published == Published::New {
+        if published == PublishResult::New {
             self.named(from, to);
             self.changed(Change::Created(to.to_owned()));
         }

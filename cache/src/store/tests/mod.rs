@@ -3,7 +3,6 @@ mod faults;
 mod gc;
 mod index;
 mod layer;
-mod migration;
 mod pack;
 mod processes;
 mod session;
@@ -21,14 +20,19 @@ fn fresh() -> (tempfile::TempDir, Store) {
     (dir, store)
 }
 
-fn again(dir: &tempfile::TempDir) -> Store {
+fn reopen(dir: &tempfile::TempDir) -> Store {
     Store::open(dir.path().join(".marf")).unwrap()
 }
 
 /// As [`again`], without waits for the disk, which are most of the time of a test of many rounds.
 fn again_unsynced(dir: &tempfile::TempDir) -> Store {
     let layer = layer::Faulty::new(usize::MAX, layer::Mishap::Crash, &dir.path().join("kept"));
-    Store::open_on(dir.path().join(".marf"), Files::of(layer), Notices::default()).unwrap()
+    Store::open_on(
+        dir.path().join(".marf"),
+        Files::with_operations(layer),
+        Notices::default(),
+    )
+    .unwrap()
 }
 
 /// An action of a stage with these inputs.
@@ -83,9 +87,10 @@ fn files_below(dir: &Path) -> Vec<PathBuf> {
     let mut found = Vec::new();
     for entry in fs::read_dir(dir).into_iter().flatten() {
         let path = entry.unwrap().path();
-        match path.is_dir() {
-            true => found.extend(files_below(&path)),
-            false => found.push(path),
+        if path.is_dir() {
+            found.extend(files_below(&path))
+        } else {
+            found.push(path)
         }
     }
     found.sort();

@@ -3,7 +3,7 @@
 use super::{
     super::{
         files::Files,
-        pack::{Entry, Joined, Kind, Window, Writer, contents, open, seal},
+        pack::{Entry, Kind, PackJoiner, Window, Writer, contents, open, seal},
     },
     *,
 };
@@ -81,7 +81,7 @@ fn joined_packs_hold_the_entries_of_both_moved_by_what_is_told() {
         dir.path().join("c.pack"),
     );
     let (first, second) = (write(&a, 3), write(&b, 5));
-    let mut joined = Joined::new(&files, &c);
+    let mut joined = PackJoiner::new(&files, &c);
     let mut moved = Vec::new();
     for path in [&a, &b] {
         let contents = contents(&files, path).unwrap().unwrap();

@@ -21,7 +21,7 @@ proptest! {
             prop_assert_eq!(&*store.get(digest).unwrap(), blob.as_slice());
         }
         store.commit().unwrap();
-        let other = again(&dir);
+        let other = reopen(&dir);
         for (digest, blob) in digests.iter().zip(&blobs) {
             prop_assert_eq!(&*store.get(digest).unwrap(), blob.as_slice());
             prop_assert_eq!(&*other.get(digest).unwrap(), blob.as_slice());
@@ -33,14 +33,14 @@ proptest! {
 #[test]
 fn a_record_is_seen_at_once_here_and_after_a_commit_elsewhere() {
     let (dir, store) = fresh();
-    let other = again(&dir);
+    let other = reopen(&dir);
     let record = record("k", &store, b"out");
     store.put_record(record.clone());
     assert_eq!(store.hit(&record.key).unwrap().as_ref(), Some(&record));
     assert_eq!(other.hit(&record.key).unwrap(), None);
     store.commit().unwrap();
     assert_eq!(other.hit(&record.key).unwrap().as_ref(), Some(&record));
-    assert_eq!(again(&dir).records().unwrap(), vec![record]);
+    assert_eq!(reopen(&dir).records().unwrap(), vec![record]);
 }
 
 #[test]
@@ -78,7 +78,7 @@ fn a_record_whose_output_is_gone_is_a_miss_and_its_different_successor_a_conflic
     let second = record("k", &store, &large(5));
     store.put_record(second.clone());
     store.commit().unwrap();
-    assert_eq!(again(&dir).hit(&first.key).unwrap().as_ref(), Some(&second));
+    assert_eq!(reopen(&dir).hit(&first.key).unwrap().as_ref(), Some(&second));
     let expected = Conflict {
         key: first.key,
         stage: "blur".into(),
@@ -108,7 +108,7 @@ fn the_same_result_made_again_for_a_lost_output_is_no_conflict() {
 #[test]
 fn two_processes_that_finish_one_key_differently_keep_one_and_tell_it() {
     let (dir, store) = fresh();
-    let other = again(&dir);
+    let other = reopen(&dir);
     let (first, second) = (record("k", &store, b"one"), record("k", &other, b"two"));
     store.put_record(first.clone());
     other.put_record(second.clone());
@@ -127,7 +127,7 @@ fn a_memo_may_be_replaced_and_without_its_blob_is_none() {
         store.put_memo(key, blob, maker);
         assert_eq!(store.memo(&key).unwrap(), Some(blob));
         store.commit().unwrap();
-        assert_eq!(again(&dir).memo(&key).unwrap(), Some(blob));
+        assert_eq!(reopen(&dir).memo(&key).unwrap(), Some(blob));
         store.objects.index.rebuild("a test").unwrap();
         assert_eq!(store.memo(&key).unwrap(), Some(blob));
     }
@@ -143,7 +143,7 @@ fn leftovers_of_the_dead_are_swept_and_those_of_the_living_stay() {
     fs::create_dir(&dead).unwrap();
     fs::write(dead.join("alive"), b"").unwrap();
     fs::write(dead.join("half"), b"half a blob").unwrap();
-    let other = again(&dir);
+    let other = reopen(&dir);
     assert!(!dead.exists());
     assert_eq!(store.get(&digest).unwrap().len(), 200_000);
     store.commit().unwrap();
@@ -160,7 +160,7 @@ fn a_file_is_stored_as_its_bytes_were_and_not_linked() {
         assert_eq!((digest, &*read), (Digest::of(&bytes), bytes.as_slice()));
         fs::write(&path, b"edited in place").unwrap();
         store.commit().unwrap();
-        assert_eq!(&*again(&dir).get(&digest).unwrap(), bytes.as_slice());
+        assert_eq!(&*reopen(&dir).get(&digest).unwrap(), bytes.as_slice());
     }
 }
 
@@ -174,7 +174,7 @@ fn a_reference_is_read_where_it_lies_and_is_damaged_when_it_is_edited() {
         store.commit().unwrap();
         assert_eq!((digest, &*read), (Digest::of(&bytes), bytes.as_slice()));
         assert_eq!(store.reference(&digest), Some(fs::canonicalize(&path).unwrap()));
-        assert_eq!(&*again(&dir).get(&digest).unwrap(), bytes.as_slice());
+        assert_eq!(&*reopen(&dir).get(&digest).unwrap(), bytes.as_slice());
         let stat = store.stat().unwrap();
         let outside = (stat.references, stat.referenced_bytes);
         assert_eq!((outside, stat.loose_blobs), ((1, bytes.len() as u64), 0));
@@ -200,7 +200,7 @@ fn a_reference_to_a_file_that_is_gone_is_lost_and_can_be_stored_again() {
     assert!(matches!(store.get(&digest), Err(StoreError::Missing { .. })));
     assert_eq!(store.put(&large(3)).unwrap(), digest);
     store.commit().unwrap();
-    assert_eq!(&*again(&dir).get(&digest).unwrap(), large(3).as_slice());
+    assert_eq!(&*reopen(&dir).get(&digest).unwrap(), large(3).as_slice());
     assert!(store.put_reference(&path, 1 << 20).is_err());
 }
 
@@ -230,7 +230,7 @@ fn eight_writers_on_one_folder_lose_nothing() {
     let (dir, _store) = fresh();
     std::thread::scope(|scope| {
         for writer in 0..8_u8 {
-            let store = again(&dir);
+            let store = reopen(&dir);
             scope.spawn(move || {
                 for round in 0..12_u8 {
                     let blob = [writer, round].repeat(40_000 * usize::from(round % 2) + 10);
@@ -240,7 +240,7 @@ fn eight_writers_on_one_folder_lose_nothing() {
             });
         }
     });
-    let store = again(&dir);
+    let store = reopen(&dir);
     let records = store.records().unwrap();
     assert_eq!(records.len(), 96);
     for record in records {
@@ -254,16 +254,16 @@ fn a_store_that_another_program_has_just_created_keeps_its_form() {
     let (dir, store) = fresh();
     let files = Files::of_disk();
     let notices = Notices::default();
-    open::prepare(store.dir(), &files, format::Found::Nothing, &notices).unwrap();
+    open::prepare(store.dir(), &files, format::StoreForm::Nothing, &notices).unwrap();
     assert!(!store.dir().join("bad").exists());
-    assert_eq!(again(&dir).take_warnings(), [""; 0]);
+    assert_eq!(reopen(&dir).take_warnings(), [""; 0]);
 }
 
 /// Every commit makes a pack; at rest no tier has eight, and nothing is lost by the merges.
 #[test]
 fn many_small_packs_are_merged_and_keep_every_object() {
     let (dir, store) = fresh();
-    let reader = again(&dir);
+    let reader = reopen(&dir);
     let mut digests = Vec::new();
     for round in 0..100_u32 {
         digests.push(store.put(&round.to_le_bytes()).unwrap());
@@ -272,7 +272,7 @@ fn many_small_packs_are_merged_and_keep_every_object() {
         // A reader that knows the places in packs that are gone finds the new ones.
         assert!(reader.get(&digests[0]).is_ok());
     }
-    for store in [&store, &reader, &again(&dir)] {
+    for store in [&store, &reader, &reopen(&dir)] {
         for (round, digest) in (0_u32..).zip(&digests) {
             assert_eq!(&*store.get(digest).unwrap(), &round.to_le_bytes());
         }
@@ -307,7 +307,7 @@ fn a_pack_that_is_removed_while_it_is_read_is_gone_and_never_damaged() {
 #[test]
 fn runs_are_numbered_in_order_also_by_two_stores() {
     let (dir, store) = fresh();
-    let other = again(&dir);
+    let other = reopen(&dir);
     assert_eq!(store.put_run(b"1").unwrap(), 1);
     assert_eq!(other.put_run(b"2").unwrap(), 2);
     assert_eq!(store.put_run(b"3").unwrap(), 3);
@@ -407,7 +407,7 @@ fn a_later_form_is_refused_and_a_damaged_form_is_not_taken_for_one() {
         "{error}"
     );
     replace(&path, text.replace('2', "3").as_bytes());
-    let store = again(&dir);
+    let store = reopen(&dir);
     assert!(store.get(&digest).is_ok());
     assert_eq!(store.take_warnings().len(), 1);
     assert_eq!(fs::read_to_string(&path).unwrap(), text);

@@ -10,19 +10,19 @@ use std::{
 use marf_cache::{Digest, Output, Record, RunMetadata, StoreError};
 use marf_stage::{Checkpoints, Ctx, NodeSpec, Outputs, Stage, StageDef, StageError, Work};
 
-use super::{context::RunContext, task::Prepared};
+use super::{context::RunContext, task::RunInputs};
 use crate::{
     errors::{contract_violation, panicked},
     event::{Event, NodeProgress},
-    executor::{Elsewhere, Order},
+    executor::{Order, OtherMachines},
     key::{Key, node_key},
-    listing::Listed,
+    listing::SourceListing,
     lookup::{Lookup, look_up},
     shared::fetch_lacking,
     stage_io::{FileCheckpoints, Lease, StoreBlobs, StoreMemos},
     work::{
-        BlobCheck, PartedOutputs, Produced, StageRun, after_round, execute, put_action, put_needs, put_parts,
-        with_lengths,
+        BlobCheck, PartedOutputs, StageOutcome, StageRun, after_round, execute, put_action, put_needs,
+        put_parts, with_lengths,
     },
 };
 
@@ -35,13 +35,13 @@ pub(super) struct Job<'a> {
     pub(super) node: String,
     pub(super) def: StageDef,
     pub(super) bound: Arc<dyn Stage>,
-    pub(super) prepared: Prepared,
+    pub(super) prepared: RunInputs,
     pub(super) step: Step,
     pub(super) check: BlobCheck,
     pub(super) threads: usize,
     pub(super) began: Instant,
     /// Where else it, or parts of it, may be computed; all here if absent.
-    pub(super) elsewhere: Option<Elsewhere<'a>>,
+    pub(super) elsewhere: Option<OtherMachines<'a>>,
 }
 
 /// Which step of a node's work.
@@ -107,7 +107,7 @@ impl Job<'_> {
     }
 
     /// Has the work done by another machine.
-    fn run_elsewhere(&self, elsewhere: &Elsewhere<'_>) -> Result<JobOutput, JobError> {
+    fn run_elsewhere(&self, elsewhere: &OtherMachines<'_>) -> Result<JobOutput, JobError> {
         let (store, key) = (self.context.store, &self.prepared.key);
         put_action(store, key)?;
         store.commit()?;
@@ -173,8 +173,8 @@ impl Job<'_> {
         let progress = NodeProgress::new(&self.node, self.context.listener);
         let produced = self.produce(&blobs, &checkpoints, &metadata, &progress);
         match produced.map_err(|error| self.attribute(error))? {
-            Produced::Children(specs) => Ok(JobOutput::Expanded(specs)),
-            Produced::Outputs(outputs, listed) => {
+            StageOutcome::Children(specs) => Ok(JobOutput::Expanded(specs)),
+            StageOutcome::Outputs(outputs, listed) => {
                 let key = self.final_key(listed)?;
                 let metadata = RunMetadata {
                     parts_s: progress.parts_s(),
@@ -208,7 +208,7 @@ impl Job<'_> {
         checkpoints: &dyn Checkpoints,
         metadata: &RunMetadata,
         progress: &NodeProgress<'_>,
-    ) -> Result<Produced, StageError> {
+    ) -> Result<StageOutcome, StageError> {
         let key = &self.prepared.key;
         let memos = StoreMemos::new(self.context.store, key.digest, &self.node, self.context.listener);
         let stage: &dyn Stage = self.bound.as_ref();
@@ -246,15 +246,15 @@ impl Job<'_> {
     }
 
     /// Returns the key of the result: of a source that of the listing it has found true.
-    fn final_key(&self, listed: Option<Listed>) -> Result<Key, StageError> {
+    fn final_key(&self, listed: Option<SourceListing>) -> Result<Key, StageError> {
         let Some(listed) = listed else {
             return Ok(self.prepared.key.clone());
         };
         self.context.graph.keep_listed(&self.node, &listed);
         let mut inputs = self.prepared.inputs.clone();
         inputs.0.extend(listed.inputs.0);
-        let tables = (&self.context.graph.table, self.context.executor);
-        node_key(tables, &self.def, self.bound.as_ref(), &inputs)
+        let (graph, executor) = (self.context.graph, self.context.executor);
+        node_key(&graph.table, executor, &self.def, self.bound.as_ref(), &inputs)
     }
 
     /// Checks and stores the outputs, and returns the record that the store keeps for the key.
@@ -267,9 +267,10 @@ impl Job<'_> {
     ) -> Result<Box<Record>, JobError> {
         self.check_names(&parted.outputs)?;
         let store = self.context.store;
-        let parts = match parted.parts.is_empty() {
-            true => None,
-            false => Some(put_parts(store, &parted.parts)?),
+        let parts = if parted.parts.is_empty() {
+            None
+        } else {
+            Some(put_parts(store, &parted.parts)?)
         };
         put_action(store, key)?;
         let record = Record {
@@ -361,8 +362,8 @@ impl Job<'_> {
 /// Runs `work` in a pool of that many threads; a panic becomes an error.
 fn on_threads(
     threads: usize,
-    work: impl Fn() -> Result<Produced, StageError> + Send,
-) -> Result<Produced, StageError> {
+    work: impl Fn() -> Result<StageOutcome, StageError> + Send,
+) -> Result<StageOutcome, StageError> {
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(threads)
         .stack_size(STACK_BYTES)

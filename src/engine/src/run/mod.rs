@@ -2,6 +2,7 @@
 
 mod action;
 mod context;
+mod error;
 mod job;
 mod part;
 mod prepare;
@@ -17,7 +18,7 @@ use std::{collections::BTreeMap, num::NonZero, sync::Arc, thread, time::Instant}
 use marf_cache::Store;
 use marf_stage::Cancel;
 
-pub use self::action::{ActionError, run_action};
+pub use self::{action::ActionJob, error::ActionError};
 use self::{
     context::RunContext,
     job::{STACK_BYTES, unix_seconds},

@@ -5,13 +5,13 @@ use std::{collections::BTreeMap, time::Instant};
 use marf_cache::{Action, Record, RunMetadata, Store, manifest::LeafRef};
 use marf_stage::{Cancel, Ctx, Inputs, Stage, StageError, Work};
 
-use super::{action::ActionError, job::unix_seconds, task::Task};
+use super::{error::ActionError, job::unix_seconds, task::Task};
 use crate::{
     event::{Event, Listener, NodeProgress},
-    items::ShardLeaves,
+    items::{ShardLeaves, leaf_name},
     key::Key,
     stage_io::{FileCheckpoints, StoreBlobs, StoreMemos},
-    work::{BlobCheck, PASS, PartKind, StageRun, leaf_name, make_part},
+    work::{BlobCheck, PASS, PartKind, StageRun, make_part},
 };
 
 /// Returns the name of the pass that an action summarises its shard for; none of other actions.
@@ -39,7 +39,8 @@ pub(super) fn part_of(action: &Action, stage: &dyn Stage) -> Option<(PartKind, S
     let shard = action.shard?;
     let leaf = |number: usize| action.inputs.get(&leaf_name(number)).copied();
     let leaves = (0..).map_while(leaf).map(|leaf| LeafRef { shard, leaf, rows: 0 });
-    Some((kind, (shard, leaves.collect())))
+    let leaves = leaves.collect();
+    Some((kind, ShardLeaves { shard, leaves }))
 }
 
 /// A part of a node as an action of its own.

@@ -5,14 +5,14 @@ use marf_stage::Inputs;
 
 use super::{
     state::RunState,
-    task::{InputSource, Phase, Prepared, Reuse, Role},
+    task::{InputSource, Phase, Reuse, Role, RunInputs},
 };
 use crate::{
     earlier::KeyRequest,
     event::{Event, NodeProgress},
     key::Key,
-    listing::{Listed, list},
-    lookup::{Lookup, look_up, why_missed},
+    listing::{SourceListing, list},
+    lookup::{Lookup, look_up, lost_output, why_missed},
 };
 
 /// Prepares every node whose upstream nodes have settled, until none is left.
@@ -68,7 +68,8 @@ fn prepare(state: &mut RunState<'_>, index: usize) -> Result<(), StoreError> {
             .0
             .extend(listed.iter().flat_map(|listed| listed.inputs.0.clone()));
         let request = KeyRequest {
-            tables: (&context.graph.table, context.executor),
+            table: &context.graph.table,
+            executor: context.executor,
             name: &task.name,
             def: &task.def,
             stage: task.bound.as_ref(),
@@ -91,7 +92,7 @@ fn look_up_node(
     index: usize,
     key: Key,
     inputs: Inputs,
-    listed: Option<Listed>,
+    listed: Option<SourceListing>,
 ) -> Result<(), StoreError> {
     let context = state.context;
     state.tasks[index].outcome.key = Some(key.digest);
@@ -110,8 +111,11 @@ fn look_up_node(
     }
     let reason = match task.reuse {
         Reuse::Allowed => {
-            let of = (&key, listed.as_ref());
-            why_missed(context.store, context.last, &task.name, of, &lookup)?.reason
+            let why = match lookup {
+                Lookup::MissingOutput(output) => lost_output(&output),
+                _ => why_missed(context.store, context.last, &task.name, &key, listed.as_ref())?,
+            };
+            why.reason
         }
         Reuse::Forbidden => "a blob was missing or damaged".to_owned(),
     };
@@ -121,7 +125,7 @@ fn look_up_node(
     };
     let task = &mut state.tasks[index];
     task.outcome.reason.clone_from(&reason);
-    task.prepared = Some(Prepared {
+    task.prepared = Some(RunInputs {
         key,
         inputs,
         listed,

@@ -33,9 +33,10 @@ pub(super) fn recover(state: &mut RunState<'_>, index: usize, lost: &Digest) {
         .iter()
         .map(|&producer| format!("`{}`", state.tasks[producer].name))
         .collect();
-    let again = match names.is_empty() {
-        true => "it is tried again".to_owned(),
-        false => format!("{} will run again", names.join(", ")),
+    let again = if names.is_empty() {
+        "it is tried again".to_owned()
+    } else {
+        format!("{} will run again", names.join(", "))
     };
     state.context.listener.on_event(&Event::Warning {
         node: Some(state.tasks[index].name.clone()),

@@ -20,9 +20,10 @@ pub(super) fn outcome(state: &RunState<'_>) -> Outcome {
     if any(|phase| phase == Phase::Stopped || !phase.is_settled()) {
         return Outcome::Cancelled;
     }
-    match any(|phase| matches!(phase, Phase::Failed | Phase::Skipped)) {
-        true => Outcome::Failed,
-        false => Outcome::Done,
+    if any(|phase| matches!(phase, Phase::Failed | Phase::Skipped)) {
+        Outcome::Failed
+    } else {
+        Outcome::Done
     }
 }
 

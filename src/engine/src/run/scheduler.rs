@@ -19,11 +19,11 @@ use super::{
     prepare::prepare_all,
     recover,
     state::RunState,
-    task::{Phase, Prepared, Reuse, Task},
+    task::{Phase, Reuse, RunInputs, Task},
 };
 use crate::{
     errors::contract_violation,
-    executor::Elsewhere,
+    executor::OtherMachines,
     needs::{Needs, cores_of},
     work::BlobCheck,
 };
@@ -123,7 +123,7 @@ impl<'a> Scheduler<'a> {
         let Some(executor) = self.state.context.executor else {
             return false;
         };
-        let takes = |prepared: &Prepared| {
+        let takes = |prepared: &RunInputs| {
             let action = &prepared.key.action;
             // What was lost is made again where it can be looked at, if it can be made there.
             let may = task.reuse == Reuse::Allowed || action.backend != task.bound.backend_id();
@@ -143,7 +143,7 @@ impl<'a> Scheduler<'a> {
             .as_ref()
             .and_then(|prepared| prepared.key.action.backend.as_ref());
         let last = record.map(|record| record.metadata);
-        Needs::of(task.bound.as_ref(), backend.is_some(), last.as_ref())
+        Needs::new(task.bound.as_ref(), backend.is_some(), last.as_ref())
     }
 
     /// Returns the first node that may start here, and its number of permits.
@@ -173,12 +173,12 @@ impl<'a> Scheduler<'a> {
     }
 
     /// Returns what a job needs to run on another machine.
-    fn elsewhere(&self, index: usize) -> Option<Elsewhere<'a>> {
+    fn elsewhere(&self, index: usize) -> Option<OtherMachines<'a>> {
         let state = &self.state;
         let settled = state.tasks.iter().filter(|task| task.phase.is_good());
         let mut results: Vec<Digest> = settled.filter_map(|task| task.outcome.key).collect();
         results.sort_unstable();
-        Some(Elsewhere {
+        Some(OtherMachines {
             executor: state.context.executor?,
             needs: self.needs(&state.tasks[index]),
             results,
@@ -198,9 +198,10 @@ impl<'a> Scheduler<'a> {
         }
         let work = self.state.tasks[index].bound.work();
         let has_parts = matches!(work, Work::Map(_) | Work::Fold(_));
-        let elsewhere = match has_parts || matches!(place, Place::Elsewhere) {
-            true => self.elsewhere(index),
-            false => None,
+        let elsewhere = if has_parts || matches!(place, Place::Elsewhere) {
+            self.elsewhere(index)
+        } else {
+            None
         };
         let step = match self.state.tasks[index].phase {
             Phase::Reducible => self.after_round(index),

@@ -35,9 +35,10 @@ impl<'a> RunState<'a> {
             .context
             .last
             .is_some_and(|run| run.latest.get(&self.tasks[index].name) == Some(&record.key));
-        let reason = match is_last {
-            true => "nothing changed",
-            false => "its result is in the store",
+        let reason = if is_last {
+            "nothing changed"
+        } else {
+            "its result is in the store"
         };
         let counts = lasting_counts(&record);
         let task = &mut self.tasks[index];
@@ -138,9 +139,10 @@ impl<'a> RunState<'a> {
         }
         let first = self.tasks.len();
         self.tasks[index].children.extend(first..first + children.len());
-        self.tasks[index].phase = match children.is_empty() {
-            true => Phase::Reducible,
-            false => Phase::Expanding,
+        self.tasks[index].phase = if children.is_empty() {
+            Phase::Reducible
+        } else {
+            Phase::Expanding
         };
         self.tasks.extend(children);
     }
@@ -155,9 +157,10 @@ impl<'a> RunState<'a> {
             )));
         };
         let bound = (def.bind)(spec.params).map_err(|error| {
-            let path = match error.path.is_empty() {
-                true => name.clone(),
-                false => format!("{name}.{}", error.path),
+            let path = if error.path.is_empty() {
+                name.clone()
+            } else {
+                format!("{name}.{}", error.path)
             };
             StageError::new(format!("`{path}`: {error}"))
         })?;

@@ -13,7 +13,7 @@ use crate::{
     check::{Connection, Edge},
     graph::Node,
     key::Key,
-    listing::Listed,
+    listing::SourceListing,
     work::Counts,
 };
 
@@ -34,7 +34,7 @@ pub(super) struct Task {
     pub(super) reuse: Reuse,
     /// Blobs that were lost when it ran, with how often.
     pub(super) lost: BTreeMap<Digest, u32>,
-    pub(super) prepared: Option<Prepared>,
+    pub(super) prepared: Option<RunInputs>,
     pub(super) began: Option<Instant>,
     pub(super) outcome: NodeOutcome,
 }
@@ -96,10 +96,10 @@ pub(super) enum Phase {
 
 /// What a node needs to run.
 #[derive(Clone)]
-pub(super) struct Prepared {
+pub(super) struct RunInputs {
     pub(super) key: Key,
     pub(super) inputs: Inputs,
-    pub(super) listed: Option<Listed>,
+    pub(super) listed: Option<SourceListing>,
     pub(super) reason: String,
 }
 

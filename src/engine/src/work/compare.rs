@@ -11,11 +11,11 @@ use std::{
 
 use marf_cache::{Digest, Record};
 use marf_stage::{Comparison, Map, Outputs, StageError};
+use rayon::prelude::*;
 
 use super::{
-    map::leaf_inputs,
     measure::{MeasuredShard, measure_shard},
-    shards::shard_parts,
+    shards::{PartRequest, shard_parts},
     stage_run::{PartKind, StageRun},
 };
 use crate::{
@@ -38,7 +38,7 @@ pub(super) struct Context {
 
 impl Context {
     /// Returns the context of these bytes.
-    pub(super) fn of(bytes: Vec<u8>) -> Self {
+    pub(super) fn new(bytes: Vec<u8>) -> Self {
         Self {
             digest: Some(Digest::of(&bytes)),
             bytes,
@@ -48,7 +48,7 @@ impl Context {
 
 /// What the decisions of a map look at beside their rows.
 #[derive(Debug, Default)]
-pub(super) struct Compared {
+pub(super) struct ComparisonResult {
     pub(super) context: Context,
     /// Keys of the summaries by shard, pass after pass.
     pub(super) keys: Vec<(u32, Digest)>,
@@ -61,7 +61,7 @@ pub(super) struct Compared {
 /// Returns the inputs of the part that looks at a shard and a context: its summary, or its decision.
 pub(super) fn part_inputs(shard: &ShardLeaves, context: &Context) -> BTreeMap<String, Digest> {
     let context = context.digest.map(|digest| (CONTEXT.to_owned(), digest));
-    leaf_inputs(shard).into_iter().chain(context).collect()
+    shard.inputs().into_iter().chain(context).collect()
 }
 
 /// Returns the summary that a record holds.
@@ -73,7 +73,7 @@ pub(super) fn summary_of(record: &Record) -> Option<Digest> {
 pub(super) fn context_of(run: &StageRun<'_>) -> Result<Context, StageError> {
     match run.inputs.optional(CONTEXT) {
         None => Ok(Context::default()),
-        Some(digest) => Ok(Context::of(run.ctx.get(digest)?.to_vec())),
+        Some(digest) => Ok(Context::new(run.ctx.get(digest)?.to_vec())),
     }
 }
 
@@ -110,8 +110,8 @@ pub(super) fn compare(
     map: &dyn Map,
     comparison: &dyn Comparison,
     shards: &[ShardLeaves],
-) -> Result<Compared, StageError> {
-    let mut compared = Compared::default();
+) -> Result<ComparisonResult, StageError> {
+    let mut compared = ComparisonResult::default();
     for (index, name) in comparison.passes().into_iter().enumerate() {
         let pass = Pass {
             run,
@@ -122,31 +122,26 @@ pub(super) fn compare(
             made: AtomicU64::new(0),
             measured: AtomicU64::new(0),
         };
+        let kind = PartKind::Summarise(name);
+        let key = |shard: &ShardLeaves| run.part_key(kind, shard.shard, part_inputs(shard, pass.before));
+        let requests: Vec<PartRequest<'_>> = shards
+            .par_iter()
+            .map(|shard| PartRequest::new(shard, key(shard)))
+            .collect();
         let found = shard_parts(
             run,
             map,
-            shards,
-            |shard| {
-                run.part_key(
-                    PartKind::Summarise(name),
-                    shard.0,
-                    part_inputs(shard, pass.before),
-                )
-            },
+            &requests,
             |key| Ok(run.part_record(key)?.as_ref().and_then(summary_of)),
             |key, shard| pass.summarise(key, &shard),
         )?;
-        let mut summaries = shards
+        let mut summaries = requests
             .iter()
-            .zip(&found.keys)
             .zip(&found.parts)
-            .map(|((shard, key), summary)| pass.read(shard, key, summary));
-        let context = Context::of(comparison.context(index, &pass.before.bytes, &mut summaries)?);
+            .map(|(request, summary)| pass.read(request, summary));
+        let context = Context::new(comparison.context(index, &pass.before.bytes, &mut summaries)?);
         run.ctx.put(&context.bytes)?;
-        let keys = shards.iter().zip(&found.keys);
-        compared
-            .keys
-            .extend(keys.map(|(shard, key)| (shard.0, key.digest)));
+        compared.keys.extend(requests.iter().map(PartRequest::shard_key));
         compared.summarised += pass.made.into_inner();
         compared.measured += found.measured + pass.measured.into_inner();
         compared.context = context;
@@ -181,13 +176,13 @@ impl Pass<'_> {
     }
 
     /// Reads the summary of a shard; one that is lost is made again.
-    fn read(&self, shard: &ShardLeaves, key: &Key, summary: &Digest) -> Result<Arc<[u8]>, StageError> {
+    fn read(&self, request: &PartRequest<'_>, summary: &Digest) -> Result<Arc<[u8]>, StageError> {
         self.run.ctx.check()?;
         match self.run.ctx.get(summary) {
             Err(StageError::Blob(error)) if error.lost.is_some() => {
-                let (shard, measured) = measure_shard(self.run, self.map, shard)?;
+                let (shard, measured) = measure_shard(self.run, self.map, request.shard)?;
                 self.measured.fetch_add(measured, Ordering::Relaxed);
-                self.run.ctx.get(&self.summarise(key, &shard)?)
+                self.run.ctx.get(&self.summarise(&request.key, &shard)?)
             }
             summary => summary,
         }

@@ -14,14 +14,13 @@ use marf_stage::{Measure, Outputs, StageError, Table};
 use rayon::prelude::*;
 
 use super::{
-    map::leaf_inputs,
     measure::{ShardTables, add_to_table, windows},
     stage_run::{PartKind, StageRun},
 };
 use crate::{
     errors::{contract_violation, store_error},
-    executor::{Elsewhere, Order, PartOrder},
-    items::{ShardLeaves, read_shard, rows_of},
+    executor::{Order, OtherMachines, PartOrder},
+    items::{ShardLeaves, read_shard},
     measure_table::{MeasureTable, row_digest},
     stage_io::StoreBlobs,
 };
@@ -66,7 +65,7 @@ fn lacking(
     shards: &[&ShardLeaves],
 ) -> Result<Vec<(u32, PartOrder)>, StageError> {
     let mut parts = Vec::new();
-    for window in windows(shards, |shard| rows_of(&shard.1)) {
+    for window in windows(shards, |shard| shard.rows()) {
         run.ctx.check()?;
         let found = window.par_iter().map(|shard| {
             let rows = read_shard(&run.ctx, shard)?;
@@ -81,17 +80,17 @@ fn lacking(
 }
 
 fn part(run: &StageRun<'_>, shard: &ShardLeaves, photos: u64) -> (u32, PartOrder) {
-    let key = run.part_key(PartKind::Measure, shard.0, leaf_inputs(shard));
+    let key = run.part_key(PartKind::Measure, shard.shard, shard.inputs());
     let action = key.action.encode();
     let order = PartOrder {
         key: key.digest,
         action,
         photos,
     };
-    (shard.0, order)
+    (shard.shard, order)
 }
 
-fn order(run: &StageRun<'_>, elsewhere: &Elsewhere<'_>, parts: &[PartOrder]) -> Result<(), StageError> {
+fn order(run: &StageRun<'_>, elsewhere: &OtherMachines<'_>, parts: &[PartOrder]) -> Result<(), StageError> {
     run.store.commit().map_err(store_error)?;
     let order = Order {
         node: run.node,
@@ -150,13 +149,14 @@ pub(super) fn measure_part(
         let values = stage.measure(&ctx, row, &tables)?;
         ctx.progress
             .at(done.fetch_add(1, Ordering::Relaxed) + 1, total, "");
-        match values.len() == tables.len() {
-            true => Ok(values),
-            false => Err(contract_violation(format!(
+        if values.len() == tables.len() {
+            Ok(values)
+        } else {
+            Err(contract_violation(format!(
                 "{} measures came for {} tables",
                 values.len(),
                 tables.len()
-            ))),
+            )))
         }
     });
     let measured: Vec<Vec<Vec<u8>>> = measured.collect::<Result<_, StageError>>()?;

@@ -12,9 +12,9 @@ use super::{
 };
 use crate::{
     errors::store_error,
-    items::{ShardLeaves, by_shard, rows_of},
+    items::{ShardLeaves, by_shard},
     key::Key,
-    listing::Listed,
+    listing::SourceListing,
 };
 
 /// How much a node would look at.
@@ -33,7 +33,7 @@ pub(crate) fn extent(
     stage: &dyn Stage,
     key: &Key,
     inputs: &Inputs,
-    listed: Option<&Listed>,
+    listed: Option<&SourceListing>,
 ) -> Result<Option<Extent>, StoreError> {
     if let Some(listed) = listed {
         return of_source(store, key, listed).map(Some);
@@ -49,11 +49,11 @@ pub(crate) fn extent(
     };
     Ok(Some(Extent {
         shards: missing.len() as u64,
-        photos: Some(missing.iter().map(|shard| rows_of(&shard.1)).sum()),
+        photos: Some(missing.iter().map(|shard| shard.rows()).sum()),
     }))
 }
 
-fn of_source(store: &Store, key: &Key, listed: &Listed) -> Result<Extent, StoreError> {
+fn of_source(store: &Store, key: &Key, listed: &SourceListing) -> Result<Extent, StoreError> {
     let mut missing = 0;
     for shard in &listed.listing.shards {
         let part = part_key(&key.action, PartKind::Fetch, shard.shard, fetch_inputs(shard));
@@ -88,7 +88,7 @@ fn missing_parts<'a>(
             let summaries = summaries.iter().flatten();
             let mut summaries = summaries.map(|summary| store.get(summary).map_err(store_error));
             match comparison.context(index, &context.bytes, &mut summaries) {
-                Ok(bytes) => context = Context::of(bytes),
+                Ok(bytes) => context = Context::new(bytes),
                 // The run makes again what cannot be read, and then all may be decided again.
                 Err(_) => return Ok(shards.iter().collect()),
             }
@@ -107,7 +107,7 @@ fn find(
     context: &Context,
 ) -> Result<Vec<Option<Record>>, StoreError> {
     let find = |shard: &ShardLeaves| {
-        let part = part_key(&key.action, part, shard.0, part_inputs(shard, context));
+        let part = part_key(&key.action, part, shard.shard, part_inputs(shard, context));
         store.hit(&part.digest)
     };
     shards.iter().map(find).collect()
@@ -131,7 +131,7 @@ fn missing_steps<'a>(
     let mut before = fold::start();
     for (index, shard) in shards.iter().enumerate() {
         let inputs = fold::step_inputs(shard, before);
-        let part = part_key(&key.action, PartKind::Fold, shard.0, inputs);
+        let part = part_key(&key.action, PartKind::Fold, shard.shard, inputs);
         let record = store.hit(&part.digest)?;
         match record.and_then(|record| Some(record.outputs.get(ADDED)?.digest)) {
             Some(added) => before = fold::after(&before, &added),

@@ -8,13 +8,13 @@ use marf_stage::{Ctx, Fold, FoldState, PHOTOS, StageError};
 
 use super::{
     elsewhere::measure_elsewhere,
-    map::{leaf_inputs, store_decided},
-    measure::{MeasuredShard, measure, measure_shard, windows},
+    map::store_decided,
+    measure::{MeasuredShard, RowProgress, measure, measure_shard, windows},
     stage_run::{Counts, Part, PartKind, PartedOutputs, StageRun},
 };
 use crate::{
     errors::contract_violation,
-    items::{ShardLeaves, by_shard, read_set, rows_of},
+    items::{ShardLeaves, by_shard, read_set},
     key::Key,
     stage_io::StoreBlobs,
 };
@@ -59,7 +59,7 @@ fn added_by(run: &StageRun<'_>, mut chain: Digest) -> Result<Vec<Digest>, StageE
 /// Returns the inputs of the step that folds a shard into the state after a chain of steps.
 pub(super) fn step_inputs(shard: &ShardLeaves, before: Digest) -> BTreeMap<String, Digest> {
     let before = (BEFORE.to_owned(), before);
-    leaf_inputs(shard).into_iter().chain([before]).collect()
+    shard.inputs().into_iter().chain([before]).collect()
 }
 
 /// Runs a fold over all shards, from the first whose step has no record.
@@ -80,15 +80,14 @@ pub(super) fn execute(run: &StageRun<'_>, fold: &dyn Fold) -> Result<PartedOutpu
             steps.parts.iter().filter_map(|part| part.added),
         )?;
     }
-    let total: u64 = shards[first..].iter().map(|shard| rows_of(&shard.1)).sum();
+    let total: u64 = shards[first..].iter().map(|shard| shard.rows()).sum();
     let lacking: Vec<&ShardLeaves> = shards[first..].iter().collect();
     let mut measured = measure_elsewhere(run, fold, &lacking)?;
-    let mut done = 0;
-    for window in windows(&shards[first..], |shard| rows_of(&shard.1)) {
+    let mut progress = RowProgress::new(run, total);
+    for window in windows(&shards[first..], |shard| shard.rows()) {
         let leaves: Vec<&ShardLeaves> = window.iter().collect();
-        let read = measure(run, fold, &leaves, done, total)?;
+        let read = measure(run, fold, &leaves, &mut progress)?;
         measured += read.measured;
-        done += read.rows();
         for (leaves, shard) in window.iter().zip(read.shards) {
             run.ctx.check()?;
             steps.fold(fold, state.as_mut(), leaves, shard)?;
@@ -98,7 +97,10 @@ pub(super) fn execute(run: &StageRun<'_>, fold: &dyn Fold) -> Result<PartedOutpu
         ("measured".to_owned(), measured),
         ("decided".to_owned(), (shards.len() - first) as u64),
     ]);
-    let keys = shards.iter().zip(&steps.keys).map(|(shard, key)| (shard.0, *key));
+    let keys = shards
+        .iter()
+        .zip(&steps.keys)
+        .map(|(shard, key)| (shard.shard, *key));
     run.join(keys.collect(), steps.parts.into_iter().collect(), counts)
 }
 
@@ -142,7 +144,7 @@ struct Steps<'a> {
 impl Steps<'_> {
     fn key(&self, shard: &ShardLeaves) -> Key {
         self.run
-            .part_key(PartKind::Fold, shard.0, step_inputs(shard, self.before))
+            .part_key(PartKind::Fold, shard.shard, step_inputs(shard, self.before))
     }
 
     /// Takes the steps that have a record, up to the first without; returns their number.

@@ -1,15 +1,13 @@
 //! Maps: a measure for each row, then a decision on the rows of each shard, which looks at them and at what all shards were
 //! summarised to.
 
-use std::collections::BTreeMap;
-
-use marf_cache::{Digest, manifest::LeafRef};
 use marf_stage::{Ctx, Map, PHOTOS, StageError, Verdict};
+use rayon::prelude::*;
 
 use super::{
-    compare::{Compared, compare, context_of, part_inputs},
+    compare::{ComparisonResult, compare, context_of, part_inputs},
     measure::{MeasuredShard, measure_shard},
-    shards::shard_parts,
+    shards::{PartRequest, shard_parts},
     stage_run::{Counts, Part, PartKind, PartedOutputs, StageRun},
 };
 use crate::{
@@ -24,14 +22,18 @@ pub(super) fn execute(run: &StageRun<'_>, map: &dyn Map) -> Result<PartedOutputs
     let shards = by_shard(&read_set(&run.ctx, run.inputs.required(PHOTOS)?)?);
     let compared = match map.comparison() {
         Some(comparison) => compare(run, map, comparison, &shards)?,
-        None => Compared::default(),
+        None => ComparisonResult::default(),
     };
     let context = &compared.context;
+    let key = |shard: &ShardLeaves| run.part_key(PartKind::Decide, shard.shard, part_inputs(shard, context));
+    let requests: Vec<PartRequest<'_>> = shards
+        .par_iter()
+        .map(|shard| PartRequest::new(shard, key(shard)))
+        .collect();
     let decisions = shard_parts(
         run,
         map,
-        &shards,
-        |shard| run.part_key(PartKind::Decide, shard.0, part_inputs(shard, context)),
+        &requests,
         |key| run.part_hit(key),
         |key, shard| {
             let verdicts = map.decide(&context.bytes, &shard.items())?;
@@ -46,8 +48,7 @@ pub(super) fn execute(run: &StageRun<'_>, map: &dyn Map) -> Result<PartedOutputs
         counts.insert("summarised".to_owned(), compared.summarised);
     }
     let mut keys = compared.keys;
-    let own = shards.iter().zip(&decisions.keys);
-    keys.extend(own.map(|(shard, key)| (shard.0, key.digest)));
+    keys.extend(requests.iter().map(PartRequest::shard_key));
     keys.sort_by_key(|(shard, _)| *shard);
     run.join(keys, decisions.parts.into_iter().collect(), counts)
 }
@@ -59,17 +60,6 @@ pub(super) fn decide(run: &StageRun<'_>, map: &dyn Map, shard: &ShardLeaves) -> 
     let verdicts = map.decide(&context.bytes, &shard.items())?;
     store_part(run, run.key, shard, verdicts)?;
     Ok(())
-}
-
-/// Returns the inputs of a part that reads the leaves of a shard.
-pub(super) fn leaf_inputs((_, leaves): &ShardLeaves) -> BTreeMap<String, Digest> {
-    let named = |(index, leaf): (usize, &LeafRef)| (leaf_name(index), leaf.leaf);
-    leaves.iter().enumerate().map(named).collect()
-}
-
-/// Returns the name of the input that is a leaf of a shard.
-pub(crate) fn leaf_name(index: usize) -> String {
-    format!("rows.{index}")
 }
 
 /// Stores the verdicts on a shard and the rows they keep, as a part.

@@ -7,14 +7,14 @@ use std::{
 };
 
 use marf_cache::{Digest, Store, manifest::Row};
-use marf_stage::{Measure, Measured, StageError, Table};
+use marf_stage::{Measure, Measured, Progress, StageError, Table};
 use parking_lot::Mutex;
 use rayon::prelude::*;
 
 use super::stage_run::StageRun;
 use crate::{
     errors::{contract_violation, store_error},
-    items::{ShardLeaves, ShardRows, read_shard, rows_of},
+    items::{ShardLeaves, ShardRows, read_shard},
     measure_table::{MeasureTable, row_digest, table_key},
     stage_io::StoreBlobs,
 };
@@ -52,6 +52,33 @@ pub(super) struct MeasuredShards {
     pub(super) measured: u64,
 }
 
+/// How many of the rows of a node are ready.
+pub(super) struct RowProgress<'a> {
+    progress: &'a dyn Progress,
+    done: u64,
+    total: u64,
+}
+
+impl<'a> RowProgress<'a> {
+    pub(super) fn new(run: &StageRun<'a>, total: u64) -> Self {
+        Self {
+            progress: run.ctx.progress,
+            done: 0,
+            total,
+        }
+    }
+
+    /// Tells whether all rows are ready.
+    pub(super) fn is_complete(&self) -> bool {
+        self.done >= self.total
+    }
+
+    fn add(&mut self, rows: u64) {
+        self.done += rows;
+        self.progress.at(self.done, self.total, "");
+    }
+}
+
 impl MeasuredShard {
     /// Returns the rows with their measures.
     pub(super) fn items(&self) -> Vec<Measured<'_>> {
@@ -67,119 +94,108 @@ impl MeasuredShard {
 }
 
 impl MeasuredShards {
-    /// Returns rows for a stage that has no table.
-    fn without_measures(shards: Vec<ShardRows>) -> Self {
-        let nothing: Arc<[u8]> = Arc::from([]);
-        let unmeasured = |rows: ShardRows| MeasuredShard {
-            values: vec![Arc::clone(&nothing); rows.rows.len()],
-            rows,
-        };
-        Self {
-            shards: shards.into_iter().map(unmeasured).collect(),
-            measured: 0,
-        }
-    }
-
     /// Returns the number of rows.
-    pub(super) fn rows(&self) -> u64 {
+    fn rows(&self) -> u64 {
         self.shards.iter().map(|shard| shard.values.len() as u64).sum()
     }
 }
 
 /// Reads the rows of some shards and measures those that are not in the table of the stage yet.
-///
-/// - `done`, `total`: rows of the node that were ready before, and all of them, for the progress.
 pub(super) fn measure(
     run: &StageRun<'_>,
     stage: &dyn Measure,
     shards: &[&ShardLeaves],
-    done: u64,
-    total: u64,
+    progress: &mut RowProgress<'_>,
 ) -> Result<MeasuredShards, StageError> {
     let rows: Vec<ShardRows> = shards
         .par_iter()
         .map(|shard| read_shard(&run.ctx, shard))
         .collect::<Result<_, _>>()?;
     let Some(own) = stage.table() else {
-        return Ok(MeasuredShards::without_measures(rows));
+        let unmeasured = without_measures(rows);
+        progress.done += unmeasured.rows();
+        return Ok(unmeasured);
     };
-    let mut shards: Vec<ShardTables> = rows
+    let mut read: Vec<ShardTables> = rows
         .into_par_iter()
         .map(|rows| ShardTables::load(run, stage, own, rows))
         .collect::<Result<_, _>>()?;
-    let missing = missing_rows(&shards, own);
-    let rows: u64 = shards.iter().map(|shard| shard.digests.len() as u64).sum();
-    let tables = shards.iter_mut().map(|shard| std::mem::take(&mut shard.tables));
-    let mut writer = TableWriter {
-        run,
-        tables: tables.collect(),
-        done: done + rows - missing.len() as u64,
-        total,
-        flushed: Instant::now(),
-    };
-    run.ctx.progress.at(writer.done, total, "");
-    let outcome = measure_missing(run, stage, &shards, &missing, &mut writer);
-    // New measures are stored also after a failure or a cancellation.
-    writer.flush()?;
-    outcome?;
-    let finished = shards.into_iter().zip(&writer.tables);
-    let shards: Result<Vec<_>, _> = finished
-        .map(|(shard, tables)| shard.finish(tables, own))
+    let missing: Vec<MissingRow> = (0..)
+        .zip(&read)
+        .flat_map(|(shard, tables)| {
+            tables.missing.iter().map(move |&row| MissingRow {
+                shard,
+                row,
+                tables: tables.wanted(row, own),
+            })
+        })
         .collect();
+    let known = read
+        .iter()
+        .map(|shard| (shard.rows.rows.len() - shard.missing.len()) as u64);
+    progress.add(known.sum());
+    measure_missing(run, stage, &mut read, &missing, progress)?;
+    let measured = missing.len() as u64;
+    let shards: Result<Vec<_>, _> = read.into_iter().map(|shard| shard.finish(own)).collect();
     Ok(MeasuredShards {
         shards: shards?,
-        measured: missing.len() as u64,
+        measured,
     })
 }
 
-/// A row that must be measured.
+/// Returns the rows of shards for a stage that needs no measure.
+fn without_measures(rows: Vec<ShardRows>) -> MeasuredShards {
+    let nothing: Arc<[u8]> = Arc::from([]);
+    let unmeasured = |rows: ShardRows| MeasuredShard {
+        values: vec![Arc::clone(&nothing); rows.rows.len()],
+        rows,
+    };
+    MeasuredShards {
+        shards: rows.into_iter().map(unmeasured).collect(),
+        measured: 0,
+    }
+}
+
+/// A row without a measure: the place of its shard, its index there, and the tables that lack it.
 struct MissingRow {
-    /// Index of its shard.
     shard: usize,
-    /// Index in its shard.
     row: usize,
-    /// The tables that lack it.
     tables: Vec<Table>,
 }
 
-/// Returns the rows that the stage's own table lacks, shard by shard.
-fn missing_rows(shards: &[ShardTables], own: Table) -> Vec<MissingRow> {
-    let mut rows = Vec::new();
-    for (index, shard) in shards.iter().enumerate() {
-        rows.extend(shard.missing.iter().map(|&row| MissingRow {
-            shard: index,
-            row,
-            tables: shard.lacking(row, own),
-        }));
-    }
-    rows
-}
-
-/// Measures rows and hands their measures to the writer, in any order.
+/// Measures rows and adds what comes to the tables of their shards.
 fn measure_missing(
     run: &StageRun<'_>,
     stage: &dyn Measure,
-    shards: &[ShardTables],
+    read: &mut [ShardTables],
     missing: &[MissingRow],
-    writer: &mut TableWriter<'_>,
+    progress: &mut RowProgress<'_>,
 ) -> Result<(), StageError> {
-    let writer = Mutex::new(writer);
+    let (views, shards): (Vec<_>, Vec<_>) = read.iter_mut().map(ShardTables::split).unzip();
+    let new = Mutex::new(NewMeasures {
+        run,
+        shards,
+        progress,
+        flushed: Instant::now(),
+    });
     // What a measure stores is named by it, and not by the record of this node.
     let blobs = StoreBlobs::new(run.store);
     let ctx = run.with_blobs(&blobs);
-    missing.par_iter().try_for_each(|missing| {
+    let outcome = missing.par_iter().try_for_each(|missing| {
         ctx.check()?;
-        let shard = &shards[missing.shard];
-        let values = stage.measure(&ctx, &shard.rows.rows[missing.row], &missing.tables)?;
+        let view = &views[missing.shard];
+        let values = stage.measure(&ctx, &view.rows[missing.row], &missing.tables)?;
         if values.len() != missing.tables.len() {
+            let (got, asked) = (values.len(), missing.tables.len());
             return Err(contract_violation(format!(
-                "{} measures came for {} tables",
-                values.len(),
-                missing.tables.len()
+                "{got} measures came for {asked} tables"
             )));
         }
-        writer.lock().add(missing, shard.digests[missing.row], values)
-    })
+        new.lock().add(missing, view.digests[missing.row], values)
+    });
+    // New measures are stored also after a failure or a cancellation.
+    new.into_inner().flush()?;
+    outcome
 }
 
 /// Reads the rows of one shard and measures those that lack it. Returns the number of these too.
@@ -188,7 +204,7 @@ pub(super) fn measure_shard(
     stage: &dyn Measure,
     shard: &ShardLeaves,
 ) -> Result<(MeasuredShard, u64), StageError> {
-    let mut read = measure(run, stage, &[shard], 0, rows_of(&shard.1))?;
+    let mut read = measure(run, stage, &[shard], &mut RowProgress::new(run, shard.rows()))?;
     let shard = read.shards.pop();
     let shard = shard.ok_or_else(|| contract_violation("a shard was not read".to_owned()))?;
     Ok((shard, read.measured))
@@ -198,21 +214,29 @@ pub(super) fn measure_shard(
 pub(super) struct ShardTables {
     rows: ShardRows,
     digests: Vec<Digest>,
-    tables: KeptTables,
+    tables: Tables,
     /// Indices of the rows that the stage's own table lacks.
     pub(super) missing: Vec<usize>,
 }
 
-/// Tables of one shard by their kind.
-#[derive(Default)]
-struct KeptTables {
-    shard: u32,
-    by_kind: BTreeMap<Table, KeptTable>,
+/// Rows, each with its digest.
+struct RowsView<'a> {
+    rows: &'a [Row],
+    digests: &'a [Digest],
 }
+
+/// The tables of a shard that take new measures.
+struct OpenTables<'a> {
+    shard: u32,
+    tables: &'a mut Tables,
+}
+
+/// Tables of one shard by their kind.
+type Tables = BTreeMap<Table, KeptTable>;
 
 /// A table and whether it has values that are not stored.
 #[derive(Default)]
-struct KeptTable {
+pub(super) struct KeptTable {
     measures: MeasureTable,
     is_new: bool,
 }
@@ -240,14 +264,10 @@ impl ShardTables {
             .filter(|(_, digest)| is_missing(digest))
             .map(|(at, _)| at)
             .collect();
-        let mut tables = KeptTables {
-            shard: rows.shard,
-            by_kind: BTreeMap::from([(own, table)]),
-        };
+        let mut tables = Tables::from([(own, table)]);
         if !missing.is_empty() {
             for other in stage.together().into_iter().filter(|other| *other != own) {
-                let table = load(run.store, other, rows.shard)?;
-                tables.by_kind.insert(other, table);
+                tables.insert(other, load(run.store, other, rows.shard)?);
             }
         }
         Ok(Self {
@@ -259,16 +279,31 @@ impl ShardTables {
     }
 
     /// Returns the tables that a missing row is measured for: the stage's own, and those that lack it too.
-    fn lacking(&self, row: usize, own: Table) -> Vec<Table> {
+    fn wanted(&self, row: usize, own: Table) -> Vec<Table> {
         let lacks = |table: &KeptTable| !table.measures.0.contains_key(&self.digests[row]);
-        let tables = self.tables.by_kind.iter();
-        let lacking = tables.filter(|(kind, table)| **kind == own || lacks(table));
-        lacking.map(|(kind, _)| *kind).collect()
+        let wanted = self
+            .tables
+            .iter()
+            .filter(|(kind, table)| **kind == own || lacks(table));
+        wanted.map(|(kind, _)| *kind).collect()
+    }
+
+    /// Returns what is read while rows are measured, and what is written.
+    fn split(&mut self) -> (RowsView<'_>, OpenTables<'_>) {
+        let view = RowsView {
+            rows: &self.rows.rows,
+            digests: &self.digests,
+        };
+        let tables = OpenTables {
+            shard: self.rows.shard,
+            tables: &mut self.tables,
+        };
+        (view, tables)
     }
 
     /// Returns the rows with their measures.
-    fn finish(self, tables: &KeptTables, own: Table) -> Result<MeasuredShard, StageError> {
-        let table = tables.by_kind.get(&own);
+    fn finish(self, own: Table) -> Result<MeasuredShard, StageError> {
+        let table = self.tables.get(&own);
         let value = |digest: &Digest| table.and_then(|table| table.measures.0.get(digest).cloned());
         let values: Option<Vec<_>> = self.digests.iter().map(value).collect();
         Ok(MeasuredShard {
@@ -291,40 +326,37 @@ fn load(store: &Store, table: Table, shard: u32) -> Result<KeptTable, StageError
     })
 }
 
-/// Adds new measures to the tables of some shards and stores them from time to time.
-struct TableWriter<'a> {
+/// The tables of some shards, with what is new in them.
+struct NewMeasures<'a, 'p> {
     run: &'a StageRun<'a>,
-    tables: Vec<KeptTables>,
-    /// Rows of the node that have a measure, for the progress.
-    done: u64,
-    /// All rows of the node.
-    total: u64,
+    shards: Vec<OpenTables<'a>>,
+    progress: &'a mut RowProgress<'p>,
     flushed: Instant,
 }
 
-impl TableWriter<'_> {
-    /// Adds the measures of a row, one for each of its tables; stores the tables if that is due.
-    fn add(&mut self, row: &MissingRow, digest: Digest, values: Vec<Vec<u8>>) -> Result<(), StageError> {
-        for (kind, value) in row.tables.iter().zip(values) {
-            if let Some(table) = self.tables[row.shard].by_kind.get_mut(kind) {
+impl NewMeasures<'_, '_> {
+    /// Adds the measures of a row; stores the tables if that is due.
+    fn add(&mut self, missing: &MissingRow, digest: Digest, values: Vec<Vec<u8>>) -> Result<(), StageError> {
+        for (kind, value) in missing.tables.iter().zip(values) {
+            if let Some(table) = self.shards[missing.shard].tables.get_mut(kind) {
                 table.measures.0.insert(digest, Arc::from(value));
                 table.is_new = true;
             }
         }
-        self.done += 1;
-        self.run.ctx.progress.at(self.done, self.total, "");
+        self.progress.add(1);
         if self.flushed.elapsed() >= FLUSH_INTERVAL {
-            self.flush()?;
+            self.flush()
+        } else {
+            Ok(())
         }
-        Ok(())
     }
 
     /// Stores the tables that have new measures.
     fn flush(&mut self) -> Result<(), StageError> {
         self.flushed = Instant::now();
-        for tables in &mut self.tables {
-            for (kind, table) in tables.by_kind.iter_mut().filter(|(_, table)| table.is_new) {
-                save(self.run, *kind, tables.shard, &table.measures)?;
+        for OpenTables { shard, tables } in &mut self.shards {
+            for (kind, table) in tables.iter_mut().filter(|(_, table)| table.is_new) {
+                save(self.run, *kind, *shard, &table.measures)?;
                 table.is_new = false;
             }
         }
@@ -362,7 +394,7 @@ pub(super) fn keep_fetched(
         .iter()
         .map(|row| (row.id.as_str(), row_digest(row)))
         .collect();
-    let mut tables: BTreeMap<Table, KeptTable> = BTreeMap::new();
+    let mut tables = Tables::new();
     let mut measured = BTreeSet::new();
     for fetched in measures {
         let Some(digest) = digests.get(fetched.id.as_str()) else {

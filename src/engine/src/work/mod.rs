@@ -12,13 +12,12 @@ mod shards;
 mod source;
 mod stage_run;
 
-use crate::listing::Listed;
+use crate::listing::SourceListing;
 use marf_stage::{NodeSpec, Outputs, StageError, Work};
 
 pub(crate) use expand::after_round;
 pub use extent::Extent;
 pub(crate) use extent::extent;
-pub(crate) use map::leaf_name;
 pub(crate) use part::make_part;
 pub(crate) use stage_run::{
     BlobCheck, Counts, PASS, PartKind, PartedOutputs, StageRun, needs_of, part_key, put_action, put_needs,
@@ -26,28 +25,28 @@ pub(crate) use stage_run::{
 };
 
 /// What a stage gave.
-pub(crate) enum Produced {
+pub(crate) enum StageOutcome {
     /// Its outputs, and of a source the listing that they are of.
-    Outputs(PartedOutputs, Option<Listed>),
+    Outputs(PartedOutputs, Option<SourceListing>),
     /// Child nodes that must run first.
     Children(Vec<NodeSpec>),
 }
 
 /// Runs a stage.
-pub(crate) fn execute(run: &StageRun<'_>) -> Result<Produced, StageError> {
+pub(crate) fn execute(run: &StageRun<'_>) -> Result<StageOutcome, StageError> {
     match run.stage.work() {
         Work::Source(source) => {
-            source::execute(run, source).map(|(outputs, listed)| Produced::Outputs(outputs, listed))
+            source::execute(run, source).map(|(outputs, listed)| StageOutcome::Outputs(outputs, listed))
         }
         Work::Map(map) => map::execute(run, map).map(alone),
         Work::Fold(fold) => fold::execute(run, fold).map(alone),
         Work::Set(set) => Ok(alone(set.run(&run.ctx, run.inputs)?.into())),
-        Work::Expand(expand) => Ok(Produced::Children(expand.expand(&run.ctx, run.inputs)?)),
+        Work::Expand(expand) => Ok(StageOutcome::Children(expand.expand(&run.ctx, run.inputs)?)),
     }
 }
 
-fn alone(outputs: PartedOutputs) -> Produced {
-    Produced::Outputs(outputs, None)
+fn alone(outputs: PartedOutputs) -> StageOutcome {
+    StageOutcome::Outputs(outputs, None)
 }
 
 /// Outputs of a node without parts and figures.

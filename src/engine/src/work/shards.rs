@@ -6,18 +6,30 @@ use rayon::prelude::*;
 
 use super::{
     elsewhere::measure_elsewhere,
-    measure::{MeasuredShard, measure, windows},
+    measure::{MeasuredShard, RowProgress, measure, windows},
     stage_run::StageRun,
 };
-use crate::{
-    errors::store_error,
-    items::{ShardLeaves, rows_of},
-    key::Key,
-};
+use crate::{errors::store_error, items::ShardLeaves, key::Key};
 
-/// One part of each shard, in the order of the shards.
+/// A part of a node that is about one shard, by its key.
+pub(super) struct PartRequest<'a> {
+    pub(super) shard: &'a ShardLeaves,
+    pub(super) key: Key,
+}
+
+impl<'a> PartRequest<'a> {
+    pub(super) fn new(shard: &'a ShardLeaves, key: Key) -> Self {
+        Self { shard, key }
+    }
+
+    /// Returns the number of the shard with the key.
+    pub(super) fn shard_key(&self) -> (u32, Digest) {
+        (self.shard.shard, self.key.digest)
+    }
+}
+
+/// The parts that were requested, in the order of the requests.
 pub(super) struct ShardParts<P> {
-    pub(super) keys: Vec<Key>,
     pub(super) parts: Vec<P>,
     /// How many of them had no record.
     pub(super) made: u64,
@@ -25,49 +37,45 @@ pub(super) struct ShardParts<P> {
     pub(super) measured: u64,
 }
 
-/// Returns a part of each shard: what `find` returns for its key, else what `make` makes of its rows and measures. The rows of
-/// one window of shards are in memory at once.
+/// Returns the requested parts: what `find` returns for a key, else what `make` makes of the rows and measures of the shard. The
+/// rows of one window of shards are in memory at once.
 pub(super) fn shard_parts<P: Send>(
     run: &StageRun<'_>,
     stage: &dyn Measure,
-    shards: &[ShardLeaves],
-    key: impl Fn(&ShardLeaves) -> Key + Sync,
+    requests: &[PartRequest<'_>],
     find: impl Fn(&Digest) -> Result<Option<P>, StageError>,
     make: impl Fn(&Key, MeasuredShard) -> Result<P, StageError> + Sync,
 ) -> Result<ShardParts<P>, StageError> {
-    let keys: Vec<Key> = shards.par_iter().map(&key).collect();
-    run.fetch_parts(keys.iter().map(|key| key.digest))?;
-    let mut parts: Vec<Option<P>> = Vec::with_capacity(shards.len());
-    for key in &keys {
+    run.fetch_parts(requests.iter().map(|request| request.key.digest))?;
+    let mut parts: Vec<Option<P>> = Vec::with_capacity(requests.len());
+    for request in requests {
         run.ctx.check()?;
-        parts.push(find(&key.digest)?);
+        parts.push(find(&request.key.digest)?);
     }
-    let missing: Vec<usize> = (0..shards.len()).filter(|&at| parts[at].is_none()).collect();
-    let lacking: Vec<&ShardLeaves> = missing.iter().map(|&at| &shards[at]).collect();
+    let missing: Vec<usize> = (0..requests.len()).filter(|&at| parts[at].is_none()).collect();
+    let lacking: Vec<&ShardLeaves> = missing.iter().map(|&at| requests[at].shard).collect();
     let mut measured = measure_elsewhere(run, stage, &lacking)?;
-    let total: u64 = missing.iter().map(|&at| rows_of(&shards[at].1)).sum();
-    let mut done = 0;
-    for window in windows(&missing, |&at| rows_of(&shards[at].1)) {
+    let total: u64 = lacking.iter().map(|shard| shard.rows()).sum();
+    let mut progress = RowProgress::new(run, total);
+    for window in windows(&missing, |&at| requests[at].shard.rows()) {
         run.ctx.check()?;
-        let leaves: Vec<&ShardLeaves> = window.iter().map(|&at| &shards[at]).collect();
-        let read = measure(run, stage, &leaves, done, total)?;
+        let leaves: Vec<&ShardLeaves> = window.iter().map(|&at| requests[at].shard).collect();
+        let read = measure(run, stage, &leaves, &mut progress)?;
         measured += read.measured;
-        done += read.rows();
         let made: Result<Vec<P>, StageError> = window
             .par_iter()
             .zip(read.shards)
-            .map(|(&at, shard)| make(&keys[at], shard))
+            .map(|(&at, shard)| make(&requests[at].key, shard))
             .collect();
         for (&at, part) in window.iter().zip(made?) {
             parts[at] = Some(part);
         }
-        if done < total {
+        if !progress.is_complete() {
             // What is stored is in memory until then.
             run.store.commit().map_err(store_error)?;
         }
     }
     Ok(ShardParts {
-        keys,
         parts: parts.into_iter().flatten().collect(),
         made: missing.len() as u64,
         measured,

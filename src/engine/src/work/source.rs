@@ -13,7 +13,7 @@ use crate::{
     errors::contract_violation,
     items::{ShardRows, write_shard, write_verdicts},
     key::Key,
-    listing::{Listed, companions},
+    listing::{SourceListing, companions},
     stage_io::StoreBlobs,
 };
 
@@ -26,7 +26,7 @@ const FINGERPRINT: &str = "fingerprint";
 pub(super) fn execute(
     run: &StageRun<'_>,
     source: &dyn Source,
-) -> Result<(PartedOutputs, Option<Listed>), StageError> {
+) -> Result<(PartedOutputs, Option<SourceListing>), StageError> {
     let Some(listed) = run.listed else {
         return Err(contract_violation("a source runs without its listing".to_owned()));
     };
@@ -58,7 +58,7 @@ pub(super) fn execute(
         ("measured".to_owned(), measured),
         ("shards".to_owned(), total),
     ]);
-    let listed = Listed::new(listing);
+    let listed = SourceListing::new(listing);
     listed.store(&run.ctx)?;
     let mut joined = run.join(keys, parts.into_iter().collect(), counts)?;
     if run.def.outputs.contains(&COMPANIONS) {
@@ -97,9 +97,10 @@ fn fetch(run: &StageRun<'_>, source: &dyn Source, shard: &mut Shard) -> Result<(
         verdicts: write_verdicts(&ctx, shard.shard, fetched.verdicts)?,
         added: None,
     };
-    let origins = match fetched.origins.is_empty() {
-        true => None,
-        false => Some(ctx.put(&Origin::encode(&fetched.origins))?),
+    let origins = if fetched.origins.is_empty() {
+        None
+    } else {
+        Some(ctx.put(&Origin::encode(&fetched.origins))?)
     };
     let key = run.part_key(PartKind::Fetch, shard.shard, fetch_inputs(shard));
     run.put_source_part(&key, &part, &blobs, origins)?;

@@ -12,10 +12,10 @@ use serde_json::json;
 
 use crate::{
     errors::{contract_violation, store_error},
-    executor::Elsewhere,
+    executor::OtherMachines,
     items::{read_refs, rows_of, write_refs, write_set},
     key::Key,
-    listing::Listed,
+    listing::SourceListing,
     shared::{SharedResults, fetch_lacking},
     stage_io::StoreBlobs,
 };
@@ -47,12 +47,12 @@ pub(crate) struct StageRun<'a> {
     /// The key of the node.
     pub(crate) key: &'a Key,
     pub(crate) inputs: &'a Inputs,
-    pub(crate) listed: Option<&'a Listed>,
+    pub(crate) listed: Option<&'a SourceListing>,
     pub(crate) check: BlobCheck,
     /// Where results are shared with other machines.
     pub(crate) shared: Option<&'a dyn SharedResults>,
     /// Other machines that may measure; none if all is measured here.
-    pub(crate) elsewhere: Option<&'a Elsewhere<'a>>,
+    pub(crate) elsewhere: Option<&'a OtherMachines<'a>>,
     pub(crate) metadata: &'a RunMetadata,
     /// Tells people of something.
     pub(crate) warn: &'a (dyn Fn(&str) + Sync),
@@ -95,7 +95,7 @@ pub(crate) fn part_key(node: &Action, part: PartKind, shard: u32, inputs: BTreeM
         PartKind::Summarise(pass) => json!({ PASS: pass }),
         _ => node.params.clone(),
     };
-    Key::of(Action {
+    Key::new(Action {
         action: ACTION_FORMAT,
         stage: node.stage.clone(),
         version: node.version,
@@ -283,9 +283,10 @@ pub(crate) fn put_needs(
     outputs: &Outputs,
 ) -> Result<Option<Digest>, StageError> {
     stored.retain(|digest| !outputs.values().any(|output| output == digest));
-    match stored.is_empty() {
-        true => Ok(None),
-        false => store.put(&digest_list(&stored)).map(Some).map_err(store_error),
+    if stored.is_empty() {
+        Ok(None)
+    } else {
+        store.put(&digest_list(&stored)).map(Some).map_err(store_error)
     }
 }
 

@@ -6,7 +6,8 @@ use std::time::Duration;
 
 use marf_cache::{Action, Store};
 use marf_engine::{
-    Cancel, Executor, Graph, Machine, NodeDecl, Options, Order, Outcome, PartOrder, Silent, action_at, run,
+    Cancel, Executor, Graph, Machine, NodeDecl, Options, Order, Outcome, PartOrder, SilentListener,
+    action_at, run,
 };
 use marf_stage::{
     Ctx, Define, Inputs, Outputs, ParamError, Port, Set, Stage, StageError, Work, define, key_params,
@@ -98,7 +99,7 @@ fn one_node_at_a_time_is_on_the_gpu_and_the_others_run_beside_it() {
         pipeline: "devices".to_owned(),
         ..Options::default()
     };
-    let record = run(&graph, &store, &options, &Silent, &Cancel::default()).unwrap();
+    let record = run(&graph, &store, &options, &SilentListener, &Cancel::default()).unwrap();
     assert_eq!(record.outcome, Outcome::Done);
     assert_eq!(MAX_RUNNING.load(Ordering::SeqCst), 1);
     let made = store.record(&record.nodes[0].key.unwrap()).unwrap().unwrap();
@@ -152,7 +153,7 @@ fn keys_hold_the_backend_of_the_machine_that_computes_the_node() {
             executor: Some(Arc::new(Idle { gpu, takes })),
             ..Options::default()
         };
-        let record = run(&graph, &store, &options, &Silent, &Cancel::default()).unwrap();
+        let record = run(&graph, &store, &options, &SilentListener, &Cancel::default()).unwrap();
         record.nodes[0].clone()
     };
     let ordered = node(Some("another card"), true);

@@ -12,8 +12,8 @@ use std::{
 
 use marf_cache::{Action, Digest, Record, Store, Upstream};
 use marf_engine::{
-    ActionError, Cancel, Executor, Graph, NodeState, Options, Order, Outcome, PartOrder, Silent, action_at,
-    run_action,
+    ActionError, ActionJob, Cancel, Executor, Graph, NodeState, Options, Order, Outcome, PartOrder,
+    SilentListener, action_at,
 };
 use marf_stage::StageError;
 use parking_lot::Mutex;
@@ -73,13 +73,16 @@ impl Machine {
     fn compute(&self, action: &Action, order: &Order<'_>) -> Result<Record, ActionError> {
         let upstream = Blobs(Store::open(&self.of_run).unwrap());
         let store = Store::open(&self.own).unwrap().with_upstream(Arc::new(upstream));
-        let wanted = (action, params_of(action, self.fixture));
-        let record = run_action(wanted, TABLE, &store, &options(1), &Silent, order.cancel)?;
+        let record = run_action(action, params_of(action, self.fixture), &store, order.cancel)?;
         for blob in store.belongings(&record).unwrap().blobs {
             order.store.put(&store.get(&blob).unwrap()).unwrap();
         }
         Ok(record)
     }
+}
+
+fn run_action(action: &Action, params: Value, store: &Store, cancel: &Cancel) -> Result<Record, ActionError> {
+    ActionJob::new(action, params, TABLE)?.run(store, &options(1), &SilentListener, cancel)
 }
 
 impl Machine {
@@ -129,9 +132,10 @@ impl Executor for Machine {
         let busy = self.busy.fetch_add(1, Ordering::SeqCst) + 1;
         self.most_busy.fetch_max(busy, Ordering::SeqCst);
         std::thread::sleep(Duration::from_millis(20));
-        let made = match self.fails {
-            true => Err(StageError::new("the machine is on fire").hint("put it out")),
-            false => self.bring(order.action, order),
+        let made = if self.fails {
+            Err(StageError::new("the machine is on fire").hint("put it out"))
+        } else {
+            self.bring(order.action, order)
         };
         self.busy.fetch_sub(1, Ordering::SeqCst);
         made?;
@@ -229,14 +233,7 @@ fn each_part_of_a_node_is_computed_again_from_its_inputs_alone() {
         let blobs = Blobs(Store::open(folder.path().join(".marf")).unwrap());
         let empty = tempfile::tempdir().unwrap();
         let alone = Store::open(empty.path()).unwrap().with_upstream(Arc::new(blobs));
-        let made = run_action(
-            (&action, params),
-            TABLE,
-            &alone,
-            &options(1),
-            &Silent,
-            &Cancel::default(),
-        );
+        let made = run_action(&action, params, &alone, &Cancel::default());
         if action.stage == "archive" {
             assert!(matches!(made, Err(ActionError::Source { .. })), "{made:?}");
             continue;
@@ -325,8 +322,8 @@ fn an_action_that_this_program_would_make_otherwise_is_refused() {
     let refused = |change: &Edit| {
         let mut action = action.clone();
         change(&mut action);
-        let wanted = (&action, params_of(&action, number));
-        run_action(wanted, TABLE, &store, &options(1), &Silent, &Cancel::default())
+        let params = params_of(&action, number);
+        run_action(&action, params, &store, &Cancel::default())
             .unwrap_err()
             .to_string()
     };
@@ -362,24 +359,25 @@ fn an_action_that_this_program_would_make_otherwise_is_refused() {
         params: json!({}),
         ..action.clone()
     };
-    let wanted = (&archive, params_of(&archive, number));
-    let error = run_action(wanted, TABLE, &store, &options(1), &Silent, &Cancel::default()).unwrap_err();
+    let params = params_of(&archive, number);
+    let error = run_action(&archive, params, &store, &Cancel::default()).unwrap_err();
     assert!(matches!(error, ActionError::Source { .. }), "{error}");
 }
 
 #[test]
 fn an_action_with_a_result_is_not_computed_again_and_a_wish_to_stop_is_heard() {
     let (_dir, store, number, action) = summed();
-    let wanted = || (&action, params_of(&action, number));
-    let known = run_action(wanted(), TABLE, &store, &options(1), &Silent, &Cancel::default()).unwrap();
+    let compute =
+        |store: &Store, cancel: &Cancel| run_action(&action, params_of(&action, number), store, cancel);
+    let known = compute(&store, &Cancel::default()).unwrap();
     assert_eq!(known, store.record(&action.key()).unwrap().unwrap());
     let empty = tempfile::tempdir().unwrap();
     let bare = Store::open(empty.path()).unwrap();
     let cancel = Cancel::default();
     cancel.set();
-    let stopped = run_action(wanted(), TABLE, &bare, &options(1), &Silent, &cancel).unwrap_err();
+    let stopped = compute(&bare, &cancel).unwrap_err();
     assert!(matches!(stopped, ActionError::Stopped), "{stopped}");
     // Without inputs, and without what would make them.
-    let failed = run_action(wanted(), TABLE, &bare, &options(1), &Silent, &Cancel::default()).unwrap_err();
+    let failed = compute(&bare, &Cancel::default()).unwrap_err();
     assert!(matches!(failed, ActionError::Failed(_)), "{failed}");
 }

@@ -136,3 +136,11 @@ fn the_digest_of_a_graph_changes_with_every_part_of_it() {
         assert_ne!(base, other);
     }
 }
+
+/// Runs and listings name a pipeline by it.
+#[test]
+fn the_digest_of_a_graph_stays_what_it_was() {
+    let nodes = vec![archive(), at_most("a", "archive"), at_most("b", "a")];
+    let digest = Graph::new(nodes, TABLE).map(|graph| graph.digest().short());
+    assert_eq!(digest.unwrap(), "95d952e0b400");
+}

@@ -11,5 +11,6 @@ mod elsewhere;
 mod faults;
 mod graph;
 mod rounds;
+mod runs;
 mod shared;
 mod what_ran;

@@ -6,7 +6,7 @@ use marf_cache::{
     Sha256, Store, digest_of,
     manifest::{Leaf, LeafRef, ManifestError, Root, Row},
 };
-use marf_engine::{Cancel, Edge, Graph, NodeDecl, Options, RunRecord, Silent};
+use marf_engine::{Cancel, Edge, Graph, NodeDecl, Options, RunRecord, SilentListener};
 use marf_stage::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -235,7 +235,14 @@ impl Pipeline {
             command: "marf run".to_owned(),
             ..Options::default()
         };
-        marf_engine::run(&self.graph(), store, &options, &Silent, &Cancel::default()).unwrap()
+        marf_engine::run(
+            &self.graph(),
+            store,
+            &options,
+            &SilentListener,
+            &Cancel::default(),
+        )
+        .unwrap()
     }
 }
 

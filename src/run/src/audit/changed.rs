@@ -105,7 +105,7 @@ fn differences(pin: &PinnedProduct, file: &Origin) -> Vec<String> {
     compare(
         "sha256",
         file.sha256.map(|sha256| sha256.to_string()),
-        pin.sha256.map(|sha256| sha256.to_string()),
+        Some(pin.sha256.to_string()),
     );
     compare("url", file.url.clone(), pin.url.clone());
     compare("fetched", file.fetched.clone(), Some(pin.fetched.clone()));

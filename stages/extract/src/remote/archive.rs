@@ -156,9 +156,9 @@ impl RemoteArchive {
             return Err(self.of_other(other));
         }
         let present = lock.sols();
-        let chosen = self.sols.choose(&present);
+        let chosen = self.sols.choose(present);
         if chosen.is_empty() {
-            return Err(self.nothing(&present, &format!("`{}` has", self.lock.path.display())));
+            return Err(self.nothing(present, &format!("`{}` has", self.lock.path.display())));
         }
         let summaries = self.summaries(ctx, &lock);
         let mut listing = Listing::default();

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use marf_cache::{ContentHash, Digest, digest_of};
+use marf_cache::{ContentHash, ContentHasher, Digest, digest_of};
 use marf_stage::{Ctx, StageError};
 
 use super::lock::{Pin, SolPins};
@@ -84,9 +84,7 @@ pub(crate) trait CatalogSource: Send + Sync {
     fn files(&self, pages: &Pages, sol: u32, listing: &[String]) -> Result<Option<SolFiles>, StageError>;
 }
 
-/// What of a file decides whether its sol is brought again: its bytes, as far as they are known. Names of the struct and of
-/// its fields are content of fingerprints.
-#[derive(ContentHash)]
+/// What of a file decides whether its sol is brought again: its bytes, as far as they are known.
 struct Seen<'a> {
     name: &'a str,
     /// Digest of the bytes that are used: those that come with the listing, else those that are pinned.
@@ -97,6 +95,19 @@ struct Seen<'a> {
     changed: Option<&'a str>,
     /// The server answered this status in place of the file.
     gone: Option<u64>,
+}
+
+impl ContentHash for Seen<'_> {
+    fn hash_content(&self, hasher: &mut ContentHasher) {
+        let fields: [(&str, &dyn ContentHash); 5] = [
+            ("name", &self.name),
+            ("blake3", &self.blake3),
+            ("others", &self.others),
+            ("changed", &self.changed),
+            ("gone", &self.gone),
+        ];
+        hasher.record("Seen", &fields);
+    }
 }
 
 impl SolListing {

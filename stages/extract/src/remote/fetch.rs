@@ -150,7 +150,7 @@ impl Sol<'_> {
             let pin = Pin {
                 bytes: bytes.len() as u64,
                 blake3,
-                sha256: Some(Sha256::of(bytes)),
+                sha256: Sha256::of(bytes),
                 url: lock::WITH_LISTING.to_owned(),
                 fetched: now(),
                 validators: Validators::default(),
@@ -257,7 +257,7 @@ impl Sol<'_> {
                 let fresh = Pin {
                     bytes: bytes.len() as u64,
                     blake3,
-                    sha256: Some(Sha256::of(&bytes)),
+                    sha256: Sha256::of(&bytes),
                     url,
                     fetched: now(),
                     validators,
@@ -320,8 +320,7 @@ impl Sol<'_> {
                 pins: self.pins.clone(),
             };
             let written = self.archive.lock().write(self.ctx, vec![change])?;
-            self.warnings.extend(written.notice);
-            if let Some(pins) = written.pins.into_iter().next() {
+            if let Some(pins) = written.into_iter().next() {
                 merged = pins != self.pins;
                 (self.written, self.pins) = (pins.clone(), pins);
             }

@@ -109,7 +109,7 @@ impl Online<'_> {
             return Ok(());
         }
         match self.place.write(self.ctx, restored) {
-            Ok(written) => self.listing.warnings.extend(written.notice),
+            Ok(_) => {}
             Err(StageError::Cancelled) => return Err(StageError::Cancelled),
             Err(error) => {
                 let warning = format!("pins that the store has are not written: {}", one_line(&error));

@@ -188,51 +188,6 @@ fn pipelines_that_run_at_once_in_one_folder_keep_each_others_pins() {
     assert_eq!(files, expected);
 }
 
-/// Writes the lock of a place as 0.1.0 did.
-fn as_first_release(lock: &BTreeMap<String, String>) -> String {
-    let mut text =
-        "version = 1\n\n[archive.jezero]\nasked = \"pds perseverance mastcamz edr browse\"\nproducts = [\n"
-            .to_owned();
-    for (path, file) in lock.iter().filter(|(path, _)| path.contains("sol-")) {
-        let sol: u32 = path[path.len() - 10..path.len() - 5].parse().unwrap();
-        for line in file.lines().filter(|line| line.starts_with("  {")) {
-            text.push_str(&line.replacen("{ name", &format!("{{ sol = {sol}, name"), 1));
-            text.push('\n');
-        }
-    }
-    text + "]\n"
-}
-
-#[test]
-fn the_lock_of_the_first_release_pins_the_same_and_becomes_a_folder_once() {
-    let server = Server::start().unwrap();
-    mount(&server, 1..=2);
-    let place = Place::new();
-    let archive = place.archive(&server, "1..=2");
-    let brought = place.bring(&archive).unwrap();
-    let lock = place.lock();
-    let path = place.dir.path().join("marf.lock");
-    std::fs::remove_dir_all(&path).unwrap();
-    let old = as_first_release(&lock);
-    std::fs::write(&path, &old).unwrap();
-    for kind in [Access::Locked, Access::Offline, Access::Online] {
-        let listed = place.list(&access(&archive, kind)).unwrap();
-        assert_eq!(fingerprints(&listed), fingerprints(&brought.listing));
-        assert_eq!(
-            std::fs::read_to_string(&path).unwrap(),
-            old,
-            "a listing replaces nothing"
-        );
-    }
-    server.clear();
-    let again = place.bring(&archive).unwrap();
-    assert_eq!(again.rows, brought.rows);
-    assert_eq!(again.warnings.len(), 1, "told once: {:?}", again.warnings);
-    assert_eq!(pictures(&server), 0, "no product is fetched again");
-    assert_eq!(place.lock(), lock);
-    assert!(place.bring(&archive).unwrap().warnings.is_empty());
-}
-
 /// A store of which nothing becomes durable.
 struct Forgetful<'a>(&'a Harness);
 

@@ -12,27 +12,30 @@ fn an_archive_on_a_server_opens_no_connection_offline() {
     listener.set_nonblocking(true).unwrap();
     let address = format!("http://{}", listener.local_addr().unwrap());
     let place = Place::new();
-    let line = format!(
-        "{{ sol = 1, name = \"A.png\", bytes = 7, blake3 = \"{}\", url = \"{address}/A.png\", fetched = \"now\" }}",
-        "0".repeat(64)
-    );
-    let archive = |name: &str, asked: &str| {
-        format!("[archive.{name}]\nasked = \"{asked}\"\nproducts = [\n  {line},\n]\n")
-    };
-    let lock = format!(
-        "version = 1\n{}{}",
-        archive("jezero", "pds perseverance mastcamz edr browse"),
-        archive("raws", "feed perseverance navcam")
+    let zeros = "0".repeat(64);
+    let sol = format!(
+        "version = 2\nsol = 1\nproducts = [\n  {{ name = \"A.png\", bytes = 7, blake3 = \"{zeros}\", sha256 = \"{zeros}\", \
+         url = \"{address}/A.png\", fetched = \"now\" }},\n]\n"
     );
     let server = Server::start().unwrap();
     let base = json!([address]);
-    for archive in [place.archive(&server, "1"), place.feed(&server, "1")] {
+    let archives = [
+        (
+            place.archive(&server, "1"),
+            "pds perseverance mastcamz edr browse",
+        ),
+        (place.feed(&server, "1"), "feed perseverance navcam"),
+    ];
+    for (archive, asked) in archives {
         let archive = with(archive, "/base", base.clone());
         let archive = access(&with(archive, "/network/tries", json!(1)), Access::Offline);
-        std::fs::write(place.dir.path().join("marf.lock"), "version = 1\n").unwrap();
         let nothing = place.list(&archive).unwrap_err().to_string();
         assert!(nothing.contains("no product"), "{nothing}");
-        std::fs::write(place.dir.path().join("marf.lock"), &lock).unwrap();
+        let folder = place.dir.path().join("marf.lock").join(&archive.context.name);
+        std::fs::create_dir_all(&folder).unwrap();
+        let head = format!("version = 2\nasked = \"{asked}\"\n");
+        std::fs::write(folder.join("archive.toml"), head).unwrap();
+        std::fs::write(folder.join("sol-00001.toml"), &sol).unwrap();
         assert_eq!(place.list(&archive).unwrap().shards.len(), 1);
         let lacking = place.bring(&archive).err().unwrap().to_string();
         assert!(lacking.contains("not in the store"), "{lacking}");

@@ -158,11 +158,8 @@ fn standing_at_once(
 mod tests {
     use super::*;
     use marf_scene::{Camera, Frame, Pose, Scene};
-<<<<<<< ours
     use marf_schema::train::TrainParams;
-=======
     use marf_stage::Define;
->>>>>>> theirs
     use marf_stage::harness::Harness;
     use serde_json::json;
 

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use marf_cache::{Digest, Sha256};
 
-use super::{Pin, SolPins, WITH_LISTING, old, text};
+use super::{Pin, SolPins, WITH_LISTING, text};
 
 /// A lock that cannot be read.
 #[derive(Debug, thiserror::Error)]
@@ -28,8 +28,8 @@ pub struct PinnedProduct {
     pub bytes: u64,
     /// Digest of the bytes.
     pub blake3: Digest,
-    /// The digest by which others know them; none in pins of an earlier version.
-    pub sha256: Option<Sha256>,
+    /// The digest by which others know them.
+    pub sha256: Sha256,
     /// The address that gave it; none where it came with the listing.
     pub url: Option<String>,
     /// The time, as `YYYY-MM-DDTHH:MM:SSZ`.
@@ -45,19 +45,12 @@ impl PinnedProduct {
     }
 }
 
-/// Returns all products that the lock at a path pins, in either form; none if there is no lock.
+/// Returns all products that the lock at a path pins; none if there is no lock.
 ///
 /// # Errors
 /// The first file, with its line, that cannot be read.
 pub fn pinned_products(lock: &Path) -> Result<Vec<PinnedProduct>, UnreadableLock> {
     let mut products = Vec::new();
-    if lock.is_file() {
-        let archives = old::read(&read(lock)?).map_err(|bad| unreadable(lock, Some(bad.line), bad.cause))?;
-        for (sol, pins) in archives.into_values().flat_map(|archive| archive.sols) {
-            add(sol, pins, &mut products);
-        }
-        return Ok(products);
-    }
     for folder in entries(lock)?.into_iter().filter(|path| path.is_dir()) {
         for file in entries(&folder)? {
             let Some(sol) = sol_of(&file) else { continue };
@@ -135,7 +128,7 @@ mod tests {
         Pin {
             bytes: 7,
             blake3,
-            sha256: None,
+            sha256: Sha256::of(b"bytes"),
             url: "https://host/a".to_owned(),
             fetched: "2026-11-22T08:00:00Z".to_owned(),
             validators: Validators::default(),

@@ -1,6 +1,6 @@
 //! Finding, reading and writing the files of marf.lock.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, ErrorKind, Write};
 use std::path::{Path, PathBuf};
@@ -10,17 +10,14 @@ use marf_cache::Digest;
 use marf_stage::{Ctx, LOCK_FILE, StageError};
 use serde::Deserialize;
 
-use super::old::{self, OldArchive};
 use super::{BadLine, SolPins, merge, text};
-use crate::files::{self, Batch, beside};
+use crate::files::{self, Batch};
 use crate::stat::FileState;
 
-/// Largest file that is read: a sol of half a million products, or two million products of the file of 0.1.0.
+/// Largest file that is read: a sol of two million products.
 const MAX_BYTES: u64 = 1 << 30;
 /// Pause between two attempts to hold the lock.
 const RETRY: Duration = Duration::from_millis(10);
-/// What is added to the name of the file of 0.1.0 while the folder takes its place.
-const ASIDE: &str = ".0.1.0";
 /// The file that writers hold a lock on.
 const README: &str = "README";
 const README_TEXT: &str = "\
@@ -46,17 +43,12 @@ pub(crate) struct Lock {
 /// The pins of an archive as they are found.
 #[derive(Debug)]
 pub(crate) struct OpenLock {
-    form: Form,
+    /// The folder of the archive.
+    folder: PathBuf,
+    /// The sols that have a file.
+    sols: BTreeSet<u32>,
     /// What other things the pins of this archive were written for, where there are none for what is asked.
     pub other: Option<String>,
-}
-
-#[derive(Debug)]
-enum Form {
-    /// The folder of the archive, and the sols that have a file.
-    Folder(PathBuf, BTreeSet<u32>),
-    /// The file of 0.1.0.
-    Old(BTreeMap<u32, SolPins>),
 }
 
 /// A sol whose pins changed.
@@ -68,15 +60,6 @@ pub(crate) struct Change {
     pub base: SolPins,
     /// The pins that are to be written.
     pub pins: SolPins,
-}
-
-/// What was written.
-#[derive(Debug)]
-pub(crate) struct Written {
-    /// The pins of the changed sols, with what other processes had written.
-    pub pins: Vec<SolPins>,
-    /// Told where the file of 0.1.0 was replaced.
-    pub notice: Option<String>,
 }
 
 #[derive(Deserialize)]
@@ -91,32 +74,21 @@ impl Lock {
     /// Finds the pins of the archive. Those of a sol are read when they are asked for.
     ///
     /// # Errors
-    /// An `archive.toml`, or a file of 0.1.0, that cannot be read.
+    /// An `archive.toml` that cannot be read.
     pub fn open(&self) -> Result<OpenLock, StageError> {
-        if let Some(path) = self.old_file() {
-            let archive = self.read_old(&path)?.remove(&self.archive).unwrap_or_default();
-            let mine = archive.asked == self.asked;
-            return Ok(OpenLock {
-                other: (!mine && !archive.sols.is_empty()).then_some(archive.asked),
-                form: Form::Old(if mine { archive.sols } else { BTreeMap::new() }),
-            });
-        }
         let (folder, other) = self.folder()?;
         let sols = sols_in(&folder).map_err(|error| unreadable(&folder, &error))?;
         let other = other.filter(|_| sols.is_empty());
-        Ok(OpenLock {
-            form: Form::Folder(folder, sols),
-            other,
-        })
+        Ok(OpenLock { folder, sols, other })
     }
 
-    /// Writes changed sols, each into its own file, and leaves those alone that are there already. A file of 0.1.0 is
-    /// replaced by the folder first.
+    /// Writes changed sols, each into its own file, and leaves those alone that are there already. Returns the pins of these
+    /// sols, with what other processes had written.
     ///
     /// # Errors
     /// A file that cannot be written, or was damaged since it was read; the wish to stop.
-    pub fn write(&self, ctx: &Ctx<'_>, changes: Vec<Change>) -> Result<Written, StageError> {
-        let (held, notice) = self.hold(ctx)?;
+    pub fn write(&self, ctx: &Ctx<'_>, changes: Vec<Change>) -> Result<Vec<SolPins>, StageError> {
+        let held = self.hold(ctx)?;
         let (folder, _) = self.folder()?;
         let fail = |error: io::Error| unwritable(&folder, &error);
         fs::create_dir_all(&folder)
@@ -143,10 +115,7 @@ impl Lock {
         }
         batch.finish().map_err(fail)?;
         drop(held);
-        Ok(Written {
-            pins: written,
-            notice,
-        })
+        Ok(written)
     }
 
     /// Returns the file of a sol.
@@ -163,8 +132,8 @@ impl Lock {
         let Some(text) = read_text(&folder.join("archive.toml"))? else {
             return Ok((folder, None));
         };
-        let found: Result<ArchiveFile, BadLine> = text::check(&text, text::VERSION)
-            .and_then(|()| toml::from_str(&text).map_err(|error| text::bad(&text, &error)));
+        let found: Result<ArchiveFile, BadLine> =
+            text::check(&text).and_then(|()| toml::from_str(&text).map_err(|error| text::bad(&text, &error)));
         let asked = found
             .map_err(|bad| damaged(&folder.join("archive.toml"), &bad, WHOLE))?
             .asked;
@@ -185,146 +154,43 @@ impl Lock {
         )
     }
 
-    /// Returns the file of 0.1.0 where there is no folder yet: at its place, or set aside by a process that died before the
-    /// folder took its place.
-    fn old_file(&self) -> Option<PathBuf> {
-        match fs::metadata(&self.path) {
-            Ok(meta) => meta.is_file().then(|| self.path.clone()),
-            Err(_) => Some(beside(&self.path, ASIDE)).filter(|path| path.is_file()),
-        }
-    }
-
-    fn read_old(&self, path: &Path) -> Result<BTreeMap<String, OldArchive>, StageError> {
-        let text = read_text(path)?.unwrap_or_default();
-        old::read(&text).map_err(|bad| damaged(path, &bad, WHOLE))
-    }
-
     /// Waits until no other process writes; afterwards the folder is there.
-    fn hold(&self, ctx: &Ctx<'_>) -> Result<(File, Option<String>), StageError> {
+    fn hold(&self, ctx: &Ctx<'_>) -> Result<File, StageError> {
         let fail = |error: io::Error| unwritable(&self.path, &error);
-        let mut notice = None;
-        loop {
-            if let Some(path) = self.old_file() {
-                let file = OpenOptions::new()
-                    .read(true)
-                    .append(true)
-                    .open(&path)
-                    .map_err(fail)?;
-                wait(ctx, &file, &path)?;
-                // Another process may have replaced it meanwhile.
-                if self.old_file().as_ref() == Some(&path) {
-                    notice = Some(self.replace_old(&path)?);
-                }
-                continue;
-            }
-            match fs::create_dir(&self.path) {
-                Err(error) if error.kind() != ErrorKind::AlreadyExists => return Err(fail(error)),
-                _ => {}
-            }
-            let path = self.path.join(README);
-            let mut file = OpenOptions::new()
-                .create(true)
-                .append(true)
-                .open(&path)
-                .map_err(fail)?;
-            wait(ctx, &file, &path)?;
-            if file.metadata().map_err(fail)?.len() == 0 {
-                file.write_all(README_TEXT.as_bytes()).map_err(fail)?;
-            }
-            // Left by a process that died when the folder was in place.
-            match fs::remove_file(beside(&self.path, ASIDE)) {
-                Err(error) if error.kind() != ErrorKind::NotFound => return Err(fail(error)),
-                _ => return Ok((file, notice)),
-            }
+        fs::create_dir_all(&self.path).map_err(fail)?;
+        let path = self.path.join(README);
+        let mut file = OpenOptions::new()
+            .create(true)
+            .append(true)
+            .open(&path)
+            .map_err(fail)?;
+        wait(ctx, &file, &path)?;
+        if file.metadata().map_err(fail)?.len() == 0 {
+            file.write_all(README_TEXT.as_bytes()).map_err(fail)?;
         }
-    }
-
-    /// Replaces the file of 0.1.0 by the folder. Whenever it is stopped, one of both is there whole.
-    fn replace_old(&self, path: &Path) -> Result<String, StageError> {
-        let archives = self.read_old(path)?;
-        let fail = |error: io::Error| unwritable(&self.path, &error);
-        let new = files::unfinished_path(&self.path);
-        fs::create_dir(&new).map_err(fail)?;
-        let outcome = write_archives(&new, archives).and_then(|products| {
-            let aside = beside(&self.path, ASIDE);
-            if path != aside {
-                fs::rename(path, &aside)?;
-            }
-            fs::rename(&new, &self.path)?;
-            fs::remove_file(aside)?;
-            self.path
-                .parent()
-                .filter(|folder| !folder.as_os_str().is_empty())
-                .map_or(Ok(()), files::sync_folder)?;
-            Ok(products)
-        });
-        match outcome {
-            Ok(products) => Ok(format!(
-                "`{}` was a file of marf 0.1.0 and is a folder now, with a file a sol: {products} products, none changed; \
-                 commit the folder in place of the file",
-                self.path.display()
-            )),
-            Err(error) => {
-                drop(fs::remove_dir_all(&new));
-                Err(fail(error))
-            }
-        }
+        Ok(file)
     }
 }
 
 impl OpenLock {
     /// Returns the sols that have pins.
-    pub fn sols(&self) -> BTreeSet<u32> {
-        match &self.form {
-            Form::Folder(_, sols) => sols.clone(),
-            Form::Old(sols) => sols.keys().copied().collect(),
-        }
+    pub fn sols(&self) -> &BTreeSet<u32> {
+        &self.sols
     }
 
     /// Returns the state of the file of a sol, if it has one.
     pub fn state(&self, sol: u32) -> Option<FileState> {
-        match &self.form {
-            Form::Folder(folder, sols) if sols.contains(&sol) => fs::metadata(sol_path(folder, sol))
-                .ok()
-                .map(|meta| FileState::from_metadata(&meta)),
-            _ => None,
-        }
+        let path = self.sols.contains(&sol).then(|| sol_path(&self.folder, sol))?;
+        fs::metadata(path).ok().map(|meta| FileState::from_metadata(&meta))
     }
 
-    /// Reads the pins of a sol, if it has any.
+    /// Reads the pins of a sol, if it has any; also those that were written since.
     ///
     /// # Errors
     /// A file that cannot be read, with the line.
     pub fn pins(&self, sol: u32) -> Result<Option<SolPins>, StageError> {
-        match &self.form {
-            // Also one that was written since.
-            Form::Folder(folder, _) => read_sol(&sol_path(folder, sol), sol),
-            Form::Old(sols) => Ok(sols.get(&sol).cloned()),
-        }
+        read_sol(&sol_path(&self.folder, sol), sol)
     }
-}
-
-fn write_archives(folder: &Path, archives: BTreeMap<String, OldArchive>) -> io::Result<usize> {
-    let mut batch = Batch::default();
-    batch.add(&folder.join(README), README_TEXT.as_bytes())?;
-    let mut products = 0;
-    for (name, archive) in archives {
-        let lock = Lock {
-            path: folder.to_owned(),
-            archive: name,
-            asked: archive.asked,
-        };
-        let folder = folder.join(folder_name(&lock.archive));
-        fs::create_dir(&folder)?;
-        batch.add(&folder.join("archive.toml"), lock.archive_text().as_bytes())?;
-        for (sol, pins) in archive.sols {
-            products += pins.files.len() + pins.left_out.len() + pins.gone.len();
-            let text = text::write(&lock.archive, sol, &pins);
-            batch.add(&sol_path(&folder, sol), text.as_bytes())?;
-        }
-    }
-    batch.finish()?;
-    Ok(products)
 }
 
 /// Waits for the lock on a file; it ends with the file.

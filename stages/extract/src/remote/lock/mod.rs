@@ -7,20 +7,17 @@
 //! ```
 //! Users keep it under version control. A sol writes its own file and nothing else, by an atomic replacement; what another
 //! process wrote of the same sol meanwhile is merged product by product. Two pipelines of one folder that ask an archive of
-//! one name for different things have a folder each. In 0.1.0 `marf.lock` was one file: it is read, and replaced by the
-//! folder when something is first written.
+//! one name for different things have a folder each.
 //!
 //! ```text
 //! folder.rs   finding, reading and writing the files
 //! text.rs     a sol as text
-//! old.rs      the file of 0.1.0
 //! merge.rs    two changes of one sol
 //! ```
 
 mod all;
 mod folder;
 mod merge;
-mod old;
 mod text;
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -55,8 +52,8 @@ pub(crate) struct Pin {
     pub bytes: u64,
     /// Digest of the bytes.
     pub blake3: Digest,
-    /// The digest by which others know the bytes; none in pins of an earlier version.
-    pub sha256: Option<Sha256>,
+    /// The digest by which others know the bytes.
+    pub sha256: Sha256,
     /// The address that gave it.
     pub url: String,
     /// The time, as `YYYY-MM-DDTHH:MM:SSZ`.

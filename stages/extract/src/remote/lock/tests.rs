@@ -4,14 +4,14 @@ use std::path::Path;
 use marf_stage::harness::Harness;
 use marf_stage::{LOCK_FILE, StageError};
 
-use super::folder::Written;
 use super::*;
+use crate::remote::catalog::SolFiles;
 
 fn pin(byte: u8) -> Pin {
     Pin {
         bytes: 7,
         blake3: Digest::of(&[byte]),
-        sha256: Some(Sha256::of(&[byte])),
+        sha256: Sha256::of(&[byte]),
         url: "https://a.example/x \"y\".png".to_owned(),
         fetched: "2026-11-21T21:55:22Z".to_owned(),
         validators: Validators {
@@ -40,7 +40,7 @@ fn lock(folder: &Path, archive: &str) -> Lock {
     }
 }
 
-fn write(lock: &Lock, sol: u32, base: &SolPins, pins: &SolPins) -> Result<Written, StageError> {
+fn write(lock: &Lock, sol: u32, base: &SolPins, pins: &SolPins) -> Result<Vec<SolPins>, StageError> {
     let change = Change {
         sol,
         base: base.clone(),
@@ -67,6 +67,21 @@ fn all_of(error: &StageError) -> String {
     format!("{error:?}")
 }
 
+/// Results are found by it.
+#[test]
+fn the_fingerprint_of_a_sol_stays_what_it_was() {
+    let mut files = SolFiles::of_pins(&pins());
+    assert_eq!(files.fingerprint(&pins()).short(), "e09f83a1e3cf");
+    if let Some(file) = files.files.get_mut("A.png") {
+        file.listed = Some("2023-01-01T00:00".to_owned());
+    }
+    assert_eq!(
+        files.fingerprint(&pins()).short(),
+        "fddb0b34b4e3",
+        "listed as changed"
+    );
+}
+
 #[test]
 fn what_is_written_is_read_by_sol() {
     let dir = tempfile::tempdir().unwrap();
@@ -78,7 +93,7 @@ fn what_is_written_is_read_by_sol() {
             assert_eq!(read(&lock, sol).unwrap(), Some(pins()), "{name}");
         }
         assert_eq!(
-            lock.open().unwrap().sols(),
+            *lock.open().unwrap().sols(),
             BTreeSet::from([1, 12, 100_000, u32::MAX])
         );
     }
@@ -157,7 +172,7 @@ fn many_writers_of_one_sol_lose_nothing() {
                     let mut mine = base.clone();
                     mine.files
                         .insert(format!("{writer}-{number}.png"), pin(writer * 8 + number));
-                    base = write(lock, 5, &base, &mine).unwrap().pins.remove(0);
+                    base = write(lock, 5, &base, &mine).unwrap().remove(0);
                 }
                 write(lock, u32::from(writer), &SolPins::default(), &pins()).unwrap();
             });
@@ -185,7 +200,7 @@ fn two_changes_of_a_sol_are_merged_product_by_product() {
     ours.files.insert("G.png".to_owned(), pin(6));
     ours.gone.clear();
     write(&lock, 1, &base, &theirs).unwrap();
-    let merged = write(&lock, 1, &base, &ours).unwrap().pins.remove(0);
+    let merged = write(&lock, 1, &base, &ours).unwrap().remove(0);
     assert_eq!(read(&lock, 1).unwrap(), Some(merged.clone()));
     let known: Vec<&str> = merged.files.keys().map(String::as_str).collect();
     assert_eq!(known, ["A.png", "C.png", "D.png", "G.png"]);
@@ -289,136 +304,4 @@ fn what_waits_for_another_writer_can_be_stopped() {
     ));
     drop(held);
     assert_eq!(read(&lock, 2).unwrap(), None);
-}
-
-/// A file as 0.1.0 wrote it.
-fn old_file() -> String {
-    let line = |sol: u32, name: &str, byte: u8| {
-        format!(
-            "  {{ sol = {sol}, name = \"{name}\", bytes = 7, blake3 = \"{}\", url = \"https://a.example/x \\\"y\\\".png\", \
-             fetched = \"2026-11-21T21:55:22Z\", etag = \"\\\"1-2\\\"\", listed = \"2022-03-01T10:20\", others = [\"{}\"] }},\n",
-            Digest::of(&[byte]),
-            Digest::of(b"other")
-        )
-    };
-    let rest = "  { sol = 1, name = \"T.png\", left_out = \"thumbnail\" },\n  { sol = 1, name = \"G.png\", status = 404 },\n";
-    format!(
-        "# Written by `marf run`\nversion = 1\n\n[archive.a]\nasked = \"pds mars \\\"x\\\"\"\nproducts = [\n{}{}{rest}{}]\n\n\
-         [archive.\"b c\"]\nasked = \"feed\"\nproducts = [\n{}]\n",
-        line(1, "A.png", 1),
-        line(1, "B.xml", 2),
-        line(12, "A.png", 1),
-        line(3, "Z.png", 9),
-    )
-}
-
-/// The pins of sol 1 of the old file: that it was complete is not known.
-fn old_pins() -> SolPins {
-    let pins = pins();
-    let files = pins.files.into_iter().map(|(name, pin)| (name, old_pin(pin)));
-    SolPins {
-        complete: None,
-        files: files.collect(),
-        ..pins
-    }
-}
-
-/// A pin as 0.1.0 wrote it: without SHA-256.
-fn old_pin(pin: Pin) -> Pin {
-    Pin { sha256: None, ..pin }
-}
-
-#[test]
-fn the_file_of_the_first_release_is_read_and_replaced_at_the_first_write() {
-    let dir = tempfile::tempdir().unwrap();
-    let (a, b) = (lock(dir.path(), "a"), lock(dir.path(), "b c"));
-    let b = Lock {
-        asked: "feed".to_owned(),
-        ..b
-    };
-    fs::write(&a.path, old_file()).unwrap();
-    let before = a.open().unwrap();
-    assert_eq!(before.sols(), BTreeSet::from([1, 12]));
-    assert_eq!(before.pins(1).unwrap(), Some(old_pins()));
-    assert_eq!(
-        fs::read_to_string(&a.path).unwrap(),
-        old_file(),
-        "reading changes nothing"
-    );
-
-    let written = write(&a, 2, &SolPins::default(), &pins()).unwrap();
-    let notice = written.notice.unwrap();
-    assert!(
-        notice.contains("6 products") && notice.contains("marf.lock"),
-        "{notice}"
-    );
-    assert_eq!(names(dir.path()), [LOCK_FILE]);
-    assert_eq!(a.open().unwrap().sols(), BTreeSet::from([1, 2, 12]));
-    assert_eq!(read(&a, 1).unwrap(), Some(old_pins()));
-    assert_eq!(read(&b, 3).unwrap().unwrap().files["Z.png"], old_pin(pin(9)));
-    assert_eq!(write(&a, 2, &pins(), &pins()).unwrap().notice, None, "told once");
-}
-
-#[test]
-fn a_replacement_that_was_stopped_anywhere_is_finished_by_the_next() {
-    let dir = tempfile::tempdir().unwrap();
-    let lock = lock(dir.path(), "a");
-    let aside = dir.path().join("marf.lock.0.1.0");
-    // Before the folder took its place, the file was set aside.
-    fs::write(&aside, old_file()).unwrap();
-    assert_eq!(read(&lock, 1).unwrap(), Some(old_pins()));
-    assert!(
-        write(&lock, 2, &SolPins::default(), &pins())
-            .unwrap()
-            .notice
-            .is_some()
-    );
-    assert_eq!(read(&lock, 1).unwrap(), Some(old_pins()));
-    // After it took its place, the file was not removed yet.
-    fs::write(&aside, "anything").unwrap();
-    assert_eq!(read(&lock, 2).unwrap(), Some(pins()));
-    assert_eq!(
-        write(&lock, 3, &SolPins::default(), &pins()).unwrap().notice,
-        None
-    );
-    assert_eq!(names(dir.path()), [LOCK_FILE]);
-}
-
-#[test]
-fn a_damaged_file_of_the_first_release_is_named_with_its_line_and_stays() {
-    let dir = tempfile::tempdir().unwrap();
-    let lock = lock(dir.path(), "a");
-    let damaged = old_file().replace("sol = 12, ", "");
-    fs::write(&lock.path, &damaged).unwrap();
-    for error in [
-        lock.open().unwrap_err(),
-        write(&lock, 2, &SolPins::default(), &pins()).unwrap_err(),
-    ] {
-        let error = all_of(&error);
-        assert!(
-            error.contains("line 11,") && error.contains("names no sol"),
-            "{error}"
-        );
-    }
-    assert_eq!(fs::read_to_string(&lock.path).unwrap(), damaged);
-    assert_eq!(names(dir.path()), [LOCK_FILE]);
-}
-
-#[test]
-fn eight_processes_that_meet_the_file_of_the_first_release_replace_it_once() {
-    let dir = tempfile::tempdir().unwrap();
-    let lock = &lock(dir.path(), "a");
-    fs::write(&lock.path, old_file()).unwrap();
-    let notices: usize = std::thread::scope(|scope| {
-        let writers: Vec<_> = (20..28)
-            .map(|sol| scope.spawn(move || write(lock, sol, &SolPins::default(), &pins()).unwrap().notice))
-            .collect();
-        writers
-            .into_iter()
-            .filter_map(|writer| writer.join().unwrap())
-            .count()
-    });
-    assert_eq!(notices, 1);
-    assert_eq!(lock.open().unwrap().sols().len(), 2 + 8);
-    assert_eq!(names(dir.path()), [LOCK_FILE]);
 }

@@ -10,17 +10,14 @@ use toml::Spanned;
 use super::{BadLine, Pin, SolPins, line_of};
 use crate::net::Validators;
 
-/// Version of the form. 1 was the single file of 0.1.0.
+/// Version of the form.
 pub(super) const VERSION: i64 = 2;
 
 /// What of a product is in its line.
 #[derive(Debug, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct Line {
-    /// The sol; in the file of 0.1.0 only.
-    #[serde(default)]
-    pub sol: Option<u32>,
-    pub name: String,
+struct Line {
+    name: String,
     #[serde(default)]
     bytes: Option<u64>,
     #[serde(default)]
@@ -62,7 +59,7 @@ struct SolFile {
 /// # Errors
 /// The first line that cannot be read, and why.
 pub(crate) fn read(text: &str, sol: u32) -> Result<SolPins, BadLine> {
-    check(text, VERSION)?;
+    check(text)?;
     let file: SolFile = toml::from_str(text).map_err(|error| bad(text, &error))?;
     if file.sol != sol {
         return Err(BadLine {
@@ -84,9 +81,6 @@ pub(crate) fn read(text: &str, sol: u32) -> Result<SolPins, BadLine> {
         };
         if !names.insert(line.name.clone()) {
             return Err(refuse(format!("`{}` is there twice", line.name)));
-        }
-        if line.sol.is_some() {
-            return Err(refuse(format!("the line of `{}` names a sol", line.name)));
         }
         line.add_to(&mut pins).map_err(refuse)?;
     }
@@ -136,34 +130,15 @@ pub(super) fn quoted(text: &str) -> String {
 ///
 /// # Errors
 /// The line and what it is.
-pub(super) fn check(text: &str, version: i64) -> Result<(), BadLine> {
+pub(super) fn check(text: &str) -> Result<(), BadLine> {
     let mark = |line: &str| {
-        ["<<<<<<< ", ">>>>>>> ", "||||||| "]
-            .iter()
-            .any(|mark| line.starts_with(mark))
-    };
-    if let Some(index) = text.lines().position(mark) {
-        return Err(BadLine {
-            line: index + 1,
-            cause: "two versions of the file were merged and the conflict is not resolved".to_owned(),
-        });
-    }
-    // Only the version is read at first: a newer form may have keys that this program does not know.
-    #[derive(Deserialize)]
-    struct Version {
-        version: i64,
-    }
-    let found: Version = toml::from_str(text).map_err(|error| bad(text, &error))?;
-    if found.version == version {
-        return Ok(());
-    }
-    let cause = if found.version > version {
+        ["    let cause = if found.version > VERSION {
         format!(
-            "its version is {}: a newer marf wrote it, this one reads {version}",
+            "its version is {}: a newer marf wrote it, this one reads {VERSION}",
             found.version
         )
     } else {
-        format!("its version is {}, not {version}", found.version)
+        format!("its version is {}, not {VERSION}", found.version)
     };
     Err(BadLine {
         line: line_starting(text, "version"),
@@ -188,7 +163,7 @@ impl Line {
     ///
     /// # Errors
     /// What of it is missing or no digest.
-    pub(super) fn add_to(self, pins: &mut SolPins) -> Result<(), String> {
+    fn add_to(self, pins: &mut SolPins) -> Result<(), String> {
         if let Some(why) = self.left_out {
             pins.left_out.insert(self.name, why);
         } else if let Some(status) = self.status {
@@ -208,7 +183,7 @@ impl Line {
         Some(Pin {
             bytes: self.bytes?,
             blake3: self.blake3?.parse().ok()?,
-            sha256: self.sha256,
+            sha256: self.sha256?,
             url: self.url?,
             fetched: self.fetched?,
             validators: Validators {
@@ -226,9 +201,10 @@ impl Pin {
         let mut fields = vec![
             ("bytes", self.bytes.to_string()),
             ("blake3", quoted(&self.blake3.to_string())),
+            ("sha256", quoted(&self.sha256.to_string())),
+            ("url", quoted(&self.url)),
+            ("fetched", quoted(&self.fetched)),
         ];
-        fields.extend(self.sha256.map(|sha256| ("sha256", quoted(&sha256.to_string()))));
-        fields.extend([("url", quoted(&self.url)), ("fetched", quoted(&self.fetched))]);
         let optional = [
             ("etag", &self.validators.etag),
             ("modified", &self.validators.modified),

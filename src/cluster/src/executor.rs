@@ -1,0 +1,42 @@
+//! The executor: each action that it takes is a job, from its submission to its result.
+
+use marf_cache::Action;
+use marf_engine::{Executor, Machine, Order, PartOrder};
+use marf_stage::StageError;
+
+use crate::{arrays::Arrays, cluster::Cluster, job::JobOrder, job_files::JobFiles, script::TASK};
+
+impl Executor for Cluster {
+    fn machine_of(&self, stage: &str) -> Option<Machine<'_>> {
+        let gpu = self.gpu.as_deref();
+        self.site.stages.contains(stage).then_some(Machine { gpu })
+    }
+
+    fn takes(&self, action: &Action) -> bool {
+        self.site.stages.contains(&action.stage)
+    }
+
+    fn slots(&self) -> usize {
+        self.site.max_jobs
+    }
+
+    fn execute(&self, order: &Order<'_>) -> Result<(), StageError> {
+        if !self.fetch(order)? {
+            self.share(order)?;
+            self.run(&JobOrder::new(order))?;
+            self.bring_told(order, &[order.key])?;
+            self.note_shared(order)?;
+        }
+        JobFiles::new(&self.site.folder, &order.key).remove();
+        Ok(())
+    }
+
+    fn takes_parts(&self, action: &Action, photos: u64) -> bool {
+        // Another script may be of a batch system without arrays.
+        self.takes(action) && photos >= self.site.photos_per_task && self.script.contains(TASK)
+    }
+
+    fn execute_parts(&self, order: &Order<'_>, parts: &[PartOrder]) -> Result<(), StageError> {
+        Arrays::new(self, order).run(parts)
+    }
+}
