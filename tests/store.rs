@@ -61,7 +61,7 @@ fn place_in_pack(pack: &[u8], digest: &str) -> Option<usize> {
             .get(at - 4..at)
             .and_then(|len| Some(u32::from_le_bytes(len.try_into().ok()?)));
         let blob = bytes.and_then(|len| pack.get(at..at + len as usize));
-        blob.is_some_and(|blob| marf_cache::Digest::of(blob) == wanted)
+        blob.is_some_and(|blob| marf_cache::Digest::from_content(blob) == wanted)
     })
 }
 
@@ -83,7 +83,7 @@ fn a_lost_leaf_of_verdicts_is_made_again_by_the_run_that_writes_them_out() {
     let dir = common::ran("store", PIPELINE);
     let file = dir.path().join("out/blur/verdicts/sol-00001.jsonl");
     let verdicts = std::fs::read(&file).unwrap();
-    let leaf = marf_cache::Digest::of(&verdicts).to_string();
+    let leaf = marf_cache::Digest::from_content(&verdicts).to_string();
     assert_ne!(
         leaf,
         output(dir.path(), "blur", "verdicts"),

@@ -71,7 +71,7 @@ fn earlier(folder: &Path) -> Value {
 
 fn weights(folder: &Path) -> String {
     let bytes = std::fs::read(folder.join("out/train/weights.safetensors")).unwrap();
-    marf_cache::Digest::of(&bytes).to_string()
+    marf_cache::Digest::from_content(&bytes).to_string()
 }
 
 fn grown(pipeline: &str) -> (tempfile::TempDir, String) {

@@ -79,7 +79,7 @@ impl Action {
 
     /// Returns the key of its result: the digest of its bytes.
     pub fn key(&self) -> Digest {
-        Digest::of(&self.encode())
+        Digest::from_content(&self.encode())
     }
 
     /// Reads what [`Action::encode`] wrote.
@@ -117,7 +117,7 @@ mod tests {
             part: None,
             shard: None,
             params: json!({"min_share": 0.5, "by_hand": {"keep": [], "reject": []}, "tau": 30.0}),
-            inputs: BTreeMap::from([("photos".to_owned(), Digest::of(b"photos"))]),
+            inputs: BTreeMap::from([("photos".to_owned(), Digest::from_content(b"photos"))]),
             backend: None,
             children: BTreeMap::new(),
         }
@@ -126,12 +126,12 @@ mod tests {
     /// These bytes are what strangers recompute keys from; they change only with the form.
     #[test]
     fn the_bytes_of_an_action_are_sorted_json_without_white_space() {
-        let photos = Digest::of(b"photos");
+        let photos = Digest::from_content(b"photos");
         let expected = format!(
             r#"{{"action":2,"inputs":{{"photos":"{photos}"}},"params":{{"by_hand":{{"keep":[],"reject":[]}},"min_share":0.5,"tau":30}},"stage":"blur","version":3}}"#
         );
         assert_eq!(String::from_utf8(action().encode()).unwrap(), expected);
-        assert_eq!(action().key(), Digest::of(expected.as_bytes()));
+        assert_eq!(action().key(), Digest::from_content(expected.as_bytes()));
     }
 
     #[test]

@@ -175,7 +175,7 @@ mod tests {
     /// Keys of memos, fingerprints and seeds are made of these: no digest may change.
     #[test]
     fn the_digests_of_all_forms_of_values_stay_what_they_were() {
-        let (a, b) = (Digest::of(b"a"), Digest::of(b"b"));
+        let (a, b) = (Digest::from_content(b"a"), Digest::from_content(b"b"));
         let named = BTreeMap::from([("x".to_owned(), a), ("y".to_owned(), b)]);
         let digests = [
             ("unsigned", digest_of(&7_u8), "9dc616b7032b"),

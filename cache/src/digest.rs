@@ -19,7 +19,7 @@ pub struct ParseDigestError(String);
 
 impl Digest {
     /// Returns the digest of a byte string.
-    pub fn of(bytes: &[u8]) -> Self {
+    pub fn from_content(bytes: &[u8]) -> Self {
         Self(*blake3::hash(bytes).as_bytes())
     }
 
@@ -27,7 +27,7 @@ impl Digest {
     ///
     /// # Errors
     /// What the reader cannot read.
-    pub fn of_reader(reader: impl io::Read) -> io::Result<(Self, u64)> {
+    pub fn from_reader(reader: impl io::Read) -> io::Result<(Self, u64)> {
         let mut hasher = blake3::Hasher::new();
         hasher.update_reader(reader)?;
         Ok((Self(*hasher.finalize().as_bytes()), hasher.count()))
@@ -51,7 +51,7 @@ impl Digest {
 
 impl Sha256 {
     /// Returns the digest of a byte string.
-    pub fn of(bytes: &[u8]) -> Self {
+    pub fn from_content(bytes: &[u8]) -> Self {
         let digest = ring::digest::digest(&ring::digest::SHA256, bytes);
         let mut whole = [0; 32];
         whole.copy_from_slice(digest.as_ref());
@@ -116,7 +116,7 @@ mod tests {
 
     #[test]
     fn a_digest_survives_its_text() {
-        let digest = Digest::of(b"mars");
+        let digest = Digest::from_content(b"mars");
         assert_eq!(digest.to_string().parse::<Digest>(), Ok(digest));
         assert_eq!(digest.to_string().len(), 64);
     }
@@ -124,8 +124,8 @@ mod tests {
     #[test]
     fn a_reader_gives_the_digest_of_its_bytes() {
         for bytes in [vec![], vec![7; 1], vec![3; 200_000]] {
-            let (digest, length) = Digest::of_reader(bytes.as_slice()).unwrap();
-            assert_eq!((digest, length), (Digest::of(&bytes), bytes.len() as u64));
+            let (digest, length) = Digest::from_reader(bytes.as_slice()).unwrap();
+            assert_eq!((digest, length), (Digest::from_content(&bytes), bytes.len() as u64));
         }
     }
 
@@ -133,8 +133,8 @@ mod tests {
     #[test]
     fn sha256_is_that_of_the_standard() {
         let abc = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
-        assert_eq!(Sha256::of(b"abc").to_string(), abc);
-        assert_eq!(abc.parse(), Ok(Sha256::of(b"abc")));
+        assert_eq!(Sha256::from_content(b"abc").to_string(), abc);
+        assert_eq!(abc.parse(), Ok(Sha256::from_content(b"abc")));
     }
 
     #[test]

@@ -217,7 +217,7 @@ mod tests {
     use super::*;
 
     fn row(id: &str) -> Row {
-        let blobs = BTreeMap::from([("image".to_owned(), Digest::of(id.as_bytes()))]);
+        let blobs = BTreeMap::from([("image".to_owned(), Digest::from_content(id.as_bytes()))]);
         Row {
             id: id.to_owned(),
             blobs,
@@ -245,7 +245,7 @@ mod tests {
 
     impl Blobs {
         fn put(&mut self, bytes: &[u8]) -> Result<Digest, ManifestError> {
-            let digest = Digest::of(bytes);
+            let digest = Digest::from_content(bytes);
             self.0.insert(digest, Arc::from(bytes));
             Ok(digest)
         }
@@ -258,7 +258,7 @@ mod tests {
     fn root(shards: impl IntoIterator<Item = u32>) -> Root {
         let leaf = |shard: u32| LeafRef {
             shard,
-            leaf: Digest::of(&shard.to_le_bytes()),
+            leaf: Digest::from_content(&shard.to_le_bytes()),
             rows: 3,
         };
         Root {

@@ -117,7 +117,7 @@ impl PublicKey {
     pub fn id(&self) -> Sha256 {
         let public: String = self.0.iter().map(|byte| format!("{byte:02x}")).collect();
         let key = json!({"keytype": "ed25519", "scheme": "ed25519", "keyval": {"public": public}});
-        Sha256::of(&canonical_json(&key))
+        Sha256::from_content(&canonical_json(&key))
     }
 }
 

@@ -120,7 +120,7 @@ impl Check<'_> {
         while let Some((digest, bytes)) = read.try_next().await? {
             let bytes = bytes.unwrap_or_default();
             self.read_bytes += bytes.len() as u64;
-            if Digest::of(&bytes) != *digest {
+            if Digest::from_content(&bytes) != *digest {
                 self.blobs.remove(digest);
                 self.fault(names::blob(digest), "its bytes have another digest");
             }
@@ -163,7 +163,7 @@ impl Check<'_> {
         if self.options.read_data {
             let bytes = self.bucket.get(&pack.name).await?.unwrap_or_default();
             self.read_bytes += bytes.len() as u64;
-            if Digest::of(&bytes) != *id {
+            if Digest::from_content(&bytes) != *id {
                 return Ok(Err("the bytes of the pack have another digest"));
             }
         }

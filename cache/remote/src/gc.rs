@@ -295,7 +295,7 @@ impl IndexedPack {
             }
             let blob = entry
                 .bytes_in(&bytes)
-                .filter(|blob| Digest::of(blob) == entry.digest);
+                .filter(|blob| Digest::from_content(blob) == entry.digest);
             let what = format!("it does not hold the blob {}", entry.digest.short());
             to.add(entry.digest, blob.ok_or_else(|| bucket.damaged(&name, &what))?);
         }

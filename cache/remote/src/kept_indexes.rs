@@ -17,7 +17,7 @@ pub(crate) struct KeptIndexes(PathBuf);
 impl KeptIndexes {
     /// Returns the indexes of the shared store of this address, in a folder for those of all.
     pub(crate) fn new(folder: &Path, url: &str) -> Self {
-        Self(folder.join(&Digest::of(url.as_bytes()).to_string()[..16]))
+        Self(folder.join(&Digest::from_content(url.as_bytes()).to_string()[..16]))
     }
 
     /// Returns the bytes of an index, whole or not; none if it is not there.
@@ -63,7 +63,7 @@ mod tests {
             KeptIndexes::new(dir.path(), "s3://a"),
             KeptIndexes::new(dir.path(), "s3://b"),
         );
-        let (first, second) = (Digest::of(b"1"), Digest::of(b"2"));
+        let (first, second) = (Digest::from_content(b"1"), Digest::from_content(b"2"));
         assert_eq!(kept.read(&first), None);
         kept.prune(&BTreeSet::new());
         kept.keep(&first, b"one");

@@ -49,7 +49,7 @@ impl Lease {
     /// Returns a lease that is not taken yet.
     pub(crate) fn new(kind: Kind) -> Self {
         let holder = holder();
-        let id = Digest::of(holder.as_bytes()).short();
+        let id = Digest::from_content(holder.as_bytes()).short();
         let name = match kind {
             Kind::Exclusive => EXCLUSIVE.to_owned(),
             Kind::Shared => format!("{SHARED}{id}"),

@@ -73,7 +73,7 @@ fn in_packs(name: &str, ending: &str) -> Option<Digest> {
 
 /// Returns the folder of the runs of a pipeline: its name may have any letters.
 pub(crate) fn runs_of(pipeline: &str) -> String {
-    let digest = Digest::of(pipeline.as_bytes()).to_string();
+    let digest = Digest::from_content(pipeline.as_bytes()).to_string();
     format!("{RUNS}/{}", digest.get(..16).unwrap_or_default())
 }
 

@@ -101,7 +101,7 @@ impl PackWriter {
     pub(crate) fn finish(mut self) -> Pack {
         self.entries.sort_unstable();
         Pack {
-            id: Digest::of(&self.bytes),
+            id: Digest::from_content(&self.bytes),
             index: Bytes::from(encode_index(&self.entries)),
             bytes: Bytes::from(self.bytes),
         }
@@ -115,7 +115,7 @@ pub(crate) fn encode_index(entries: &[Entry]) -> Vec<u8> {
         bytes.extend_from_slice(&entry.offset.to_le_bytes());
         bytes.extend_from_slice(&entry.len.to_le_bytes());
     }
-    let checksum = Digest::of(&bytes);
+    let checksum = Digest::from_content(&bytes);
     bytes.extend_from_slice(checksum.as_bytes());
     bytes
 }
@@ -123,7 +123,7 @@ pub(crate) fn encode_index(entries: &[Entry]) -> Vec<u8> {
 /// Reads an index; none if it is not whole.
 pub(crate) fn decode_index(bytes: &[u8]) -> Option<Vec<Entry>> {
     let (body, checksum) = bytes.split_at_checked(bytes.len().checked_sub(CHECKSUM)?)?;
-    if Digest::of(body).as_bytes() != checksum {
+    if Digest::from_content(body).as_bytes() != checksum {
         return None;
     }
     let (entries, rest) = body.strip_prefix(MAGIC)?.as_chunks::<ENTRY>();
@@ -151,7 +151,7 @@ mod tests {
 
     fn pack(blobs: &[&[u8]]) -> Pack {
         let mut writer = PackWriter::default();
-        blobs.iter().for_each(|blob| writer.add(Digest::of(blob), blob));
+        blobs.iter().for_each(|blob| writer.add(Digest::from_content(blob), blob));
         writer.finish()
     }
 
@@ -159,13 +159,13 @@ mod tests {
     fn an_index_tells_where_each_blob_is_sorted_by_digest() {
         let blobs: [&[u8]; 4] = [b"one", b"", b"three", b"four"];
         let pack = pack(&blobs);
-        assert_eq!(pack.id, Digest::of(b"onethreefour"));
+        assert_eq!(pack.id, Digest::from_content(b"onethreefour"));
         let entries = decode_index(&pack.index).unwrap();
         assert_eq!(entries.len(), 4);
         assert!(entries.is_sorted_by(|a, b| a.digest < b.digest));
         for entry in entries {
             let at = entry.offset as usize..entry.offset as usize + entry.len as usize;
-            assert_eq!(Digest::of(&pack.bytes[at]), entry.digest);
+            assert_eq!(Digest::from_content(&pack.bytes[at]), entry.digest);
         }
     }
 
@@ -186,7 +186,7 @@ mod tests {
     #[test]
     fn an_entry_beyond_all_places_makes_the_index_none() {
         let entry = |offset, len| Entry {
-            digest: Digest::of(b"far"),
+            digest: Digest::from_content(b"far"),
             offset,
             len,
         };

@@ -62,7 +62,7 @@ pub(crate) async fn run_named(bucket: &Bucket, name: &str) -> Result<SealedValue
     let bytes = bucket.get(name).await?.unwrap_or_default();
     let root = names::run_in(name).map(|(_, root)| root);
     let run: Option<SealedValue<RemoteRun>> = sealed::open(&bytes, &bucket.trust);
-    let run = run.filter(|run| Some(Digest::of(run.value.root.as_bytes())) == root);
+    let run = run.filter(|run| Some(Digest::from_content(run.value.root.as_bytes())) == root);
     run.ok_or_else(|| bucket.damaged(name, "its checksum is another"))
 }
 

@@ -57,7 +57,7 @@ pub(crate) async fn run(
     observer: &dyn Observer,
 ) -> Result<PushReport, RemoteError> {
     let pushed = results(bucket, store, &run.keys, &run.blobs, observer).await?;
-    let root = Digest::of(run.root.as_bytes());
+    let root = Digest::from_content(run.root.as_bytes());
     let name = names::run(&run.pipeline, run.started_unix_s, &root);
     bucket.put(&name, sealed::seal(run, &bucket.trust)).await?;
     Ok(pushed)

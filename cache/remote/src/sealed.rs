@@ -52,7 +52,7 @@ impl<T> SealedValue<T> {
 pub(crate) fn seal(value: &impl Serialize, trust: &Trust) -> Bytes {
     // Strings, numbers and sorted maps always serialise.
     let json = serde_json::to_vec(value).unwrap_or_default();
-    let digest = Digest::of(&json);
+    let digest = Digest::from_content(&json);
     let mut line = digest.to_string();
     if let Some(signature) = trust.sign(&digest) {
         line.push(' ');
@@ -72,7 +72,7 @@ pub(crate) fn open<T: DeserializeOwned>(bytes: &[u8], trust: &Trust) -> Option<S
         None => (line, None),
     };
     let digest: Digest = digest.parse().ok()?;
-    if Digest::of(json) != digest {
+    if Digest::from_content(json) != digest {
         return None;
     }
     Some(SealedValue {
@@ -101,7 +101,7 @@ mod tests {
         let run = RemoteRun {
             pipeline: "mars\n".to_owned(),
             started_unix_s: 7,
-            keys: vec![Digest::of(b"key")],
+            keys: vec![Digest::from_content(b"key")],
             blobs: Vec::new(),
             root: "{}".to_owned(),
         };

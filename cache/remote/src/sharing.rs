@@ -70,12 +70,12 @@ impl Recheck {
         let seed = format!("{} {}", since.as_nanos(), std::process::id());
         Self {
             share,
-            salt: *Digest::of(seed.as_bytes()).as_bytes(),
+            salt: *Digest::from_content(seed.as_bytes()).as_bytes(),
         }
     }
 
     fn has(&self, key: &Digest) -> bool {
-        let drawn = Digest::of(&[self.salt.as_slice(), key.as_bytes()].concat());
+        let drawn = Digest::from_content(&[self.salt.as_slice(), key.as_bytes()].concat());
         let number = drawn
             .as_bytes()
             .iter()

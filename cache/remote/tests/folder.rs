@@ -24,7 +24,7 @@ fn what_was_pushed_comes_back_with_all_it_consists_of() {
 
     let remote = world.remote();
     let runs = remote.runs(Some("mars"), &Quiet::default()).unwrap();
-    let root = Digest::of(run.root.as_bytes());
+    let root = Digest::from_content(run.root.as_bytes());
     assert_eq!(runs, vec![(1_700_000_000, root)]);
     assert_eq!(remote.runs(Some("venus"), &Quiet::default()).unwrap(), vec![]);
     let found = remote.run(&root, &Quiet::default()).unwrap();
@@ -141,11 +141,11 @@ fn a_second_different_result_is_a_conflict_and_the_first_stays() {
     let [conflict] = pushed.conflicts.as_slice() else {
         panic!("{:?}", pushed.conflicts);
     };
-    assert_eq!(conflict.kept["out"].digest, Digest::of(b"one result"));
-    assert_eq!(conflict.refused["out"].digest, Digest::of(b"another result"));
+    assert_eq!(conflict.kept["out"].digest, Digest::from_content(b"one result"));
+    assert_eq!(conflict.refused["out"].digest, Digest::from_content(b"another result"));
     world.remote().pull(&third, &run, &Quiet::default()).unwrap();
     let kept = third.record(&run.keys[0]).unwrap().unwrap();
-    assert_eq!(kept.outputs["out"].digest, Digest::of(b"one result"));
+    assert_eq!(kept.outputs["out"].digest, Digest::from_content(b"one result"));
 }
 
 #[test]

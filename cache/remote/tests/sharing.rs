@@ -57,7 +57,7 @@ fn what_one_run_offers_another_fetches() {
     let run = run_in(&here.store);
     run.keys.iter().for_each(|key| here.sharing.offer(key));
     here.finish();
-    there.sharing.fetch(&[run.keys[0], Digest::of(b"never made")]);
+    there.sharing.fetch(&[run.keys[0], Digest::from_content(b"never made")]);
     let closure = |store: &Store| store.closure(&run.keys[..1], &[]).unwrap();
     assert_eq!(closure(&here.store), closure(&there.store));
     assert_eq!(
@@ -65,7 +65,7 @@ fn what_one_run_offers_another_fetches() {
         None,
         "nobody asked for it"
     );
-    assert_eq!(there.store.record(&Digest::of(b"never made")).unwrap(), None);
+    assert_eq!(there.store.record(&Digest::from_content(b"never made")).unwrap(), None);
     there.finish();
     assert_eq!((here.told(), there.told()), (vec![], vec![]));
 }
@@ -74,7 +74,7 @@ fn what_one_run_offers_another_fetches() {
 fn nothing_is_found_where_no_shared_store_is_yet() {
     let world = World::new();
     let here = Machine::new(&world, "here");
-    here.sharing.fetch(&[Digest::of(b"key")]);
+    here.sharing.fetch(&[Digest::from_content(b"key")]);
     here.finish();
     assert_eq!(here.told(), Vec::<String>::new());
 }
@@ -92,7 +92,7 @@ fn a_conflict_is_told_with_both_digests() {
     }
     assert_eq!(here.told(), Vec::<String>::new());
     let told = there.told();
-    let digests = [b"one result".as_slice(), b"another result"].map(|bytes| Digest::of(bytes).to_string());
+    let digests = [b"one result".as_slice(), b"another result"].map(|bytes| Digest::from_content(bytes).to_string());
     assert!(
         told.len() == 1 && digests.iter().all(|digest| told[0].contains(digest)),
         "{told:?}"
@@ -284,7 +284,7 @@ fn a_reader_finds_blobs_one_by_one_also_those_that_have_come_or_moved_since() {
     let reader = Reader::new(Arc::new(world.remote()), Quiet::default());
     let first = run_in(&here);
     world.remote().push(&here, &first, &Quiet::default()).unwrap();
-    let read = |bytes: &[u8]| reader.blob(&Digest::of(bytes)).unwrap();
+    let read = |bytes: &[u8]| reader.blob(&Digest::from_content(bytes)).unwrap();
     assert_eq!(read(b"need of map").as_deref(), Some(b"need of map".as_slice()));
     let large = "map".repeat(70_000).into_bytes();
     assert_eq!(read(&large), Some(large));

@@ -150,7 +150,7 @@ impl Check<'_> {
             let path = objects.loose_path(&digest);
             let bytes = objects.files.read(&path)?.unwrap_or_default();
             self.report.verified_bytes += bytes.len() as u64;
-            if Digest::of(&bytes) != digest {
+            if Digest::from_content(&bytes) != digest {
                 self.fault(
                     self.below(&path),
                     Some(digest),

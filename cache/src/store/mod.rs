@@ -239,7 +239,7 @@ impl Store {
         // A temporary file that is gone has just got its final name.
         let read = large.and_then(|large| self.objects.files.read(&large.path).ok().flatten());
         match read {
-            Some(bytes) if Digest::of(&bytes) == *digest => Ok(Arc::from(bytes)),
+            Some(bytes) if Digest::from_content(&bytes) == *digest => Ok(Arc::from(bytes)),
             _ => self.objects.get(digest),
         }
     }

@@ -165,7 +165,7 @@ impl Objects {
         }
         let path = self.loose_path(digest);
         if let Some(bytes) = self.files.read(&path)? {
-            return if Digest::of(&bytes) == *digest {
+            return if Digest::from_content(&bytes) == *digest {
                 Ok(Arc::from(bytes))
             } else {
                 Err(self.quarantine_loose(digest, &path))

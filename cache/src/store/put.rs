@@ -42,7 +42,7 @@ impl Store {
     /// # Errors
     /// A store that cannot be written; nothing of the blob becomes visible.
     pub fn put(&self, bytes: &[u8]) -> Result<Digest, StoreError> {
-        let digest = Digest::of(bytes);
+        let digest = Digest::from_content(bytes);
         if self.is_stored(&digest)? {
             return Ok(digest);
         }
@@ -83,7 +83,7 @@ impl Store {
     /// As of [`Store::put_file`], and a file system without symbolic links.
     pub fn put_reference(&self, path: &Path, max_bytes: u64) -> Result<(Digest, Arc<[u8]>), StoreError> {
         let read = self.read_within(Limit { path, max_bytes })?;
-        let digest = Digest::of(&read);
+        let digest = Digest::from_content(&read);
         if !self.is_stored(&digest)? {
             let link = self.objects.staging()?.next_path();
             self.objects.files.reference(path, &link)?;
@@ -123,7 +123,7 @@ impl Store {
     fn put_copy(&self, copy: PathBuf, limit: Limit<'_>) -> Result<(Digest, Arc<[u8]>), StoreError> {
         let files = &self.objects.files;
         let bytes: Arc<[u8]> = Arc::from(files.read(&copy)?.unwrap_or_default());
-        let digest = Digest::of(&bytes);
+        let digest = Digest::from_content(&bytes);
         let checked = limit
             .check(bytes.len() as u64)
             .and_then(|()| self.is_stored(&digest));

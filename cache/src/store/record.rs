@@ -145,7 +145,7 @@ mod tests {
 
     #[test]
     fn a_list_of_digests_is_sorted_and_holds_each_once() {
-        let mut digests: Vec<Digest> = (0..9_u8).map(|value| Digest::of(&[value])).collect();
+        let mut digests: Vec<Digest> = (0..9_u8).map(|value| Digest::from_content(&[value])).collect();
         digests.push(digests[3]);
         let bytes = digest_list(&digests);
         assert_eq!(bytes.len(), 9 * 32);
@@ -157,7 +157,7 @@ mod tests {
 
     #[test]
     fn bytes_that_are_no_sorted_list_are_refused() {
-        let bytes = digest_list(&[Digest::of(b"a"), Digest::of(b"b")]);
+        let bytes = digest_list(&[Digest::from_content(b"a"), Digest::from_content(b"b")]);
         assert_eq!(read_digest_list(&bytes[1..]), None);
         let (first, second) = bytes.split_at(32);
         assert_eq!(read_digest_list(&[second, first].concat()), None);

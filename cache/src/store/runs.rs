@@ -49,7 +49,7 @@ pub(super) fn publish(files: &Files, dir: &Path, file: &Path, bytes: &[u8]) -> R
     let quarantined = quarantined.iter().filter_map(|name| RunFile::parse(name));
     let taken = list(files, dir)?.into_iter().chain(quarantined);
     let number = taken.map(|run| run.number).max().unwrap_or(0) + 1;
-    let name = format!("{number:06}-{}.json", Digest::of(bytes));
+    let name = format!("{number:06}-{}.json", Digest::from_content(bytes));
     files.publish(file, &dir.join(name))?;
     files.sync_dirs(&[dir.to_owned()])?;
     Ok(number)
@@ -69,7 +69,7 @@ pub(super) fn read(files: &Files, dir: &Path, run: &RunFile) -> Result<Result<Ve
     let bytes = files
         .read(&path)?
         .ok_or(StoreError::NoRun { number: run.number })?;
-    Ok(if Digest::of(&bytes) == run.digest {
+    Ok(if Digest::from_content(&bytes) == run.digest {
         Ok(bytes)
     } else {
         Err(path)

@@ -64,7 +64,7 @@ mod tests {
         let root = set.write(|bytes| store.put(bytes)).unwrap();
         assert_eq!(store.set(&root).unwrap(), set);
         assert_eq!(store.leaf(&set.leaves[0].leaf).unwrap(), leaf);
-        let absent = Digest::of(b"nowhere");
+        let absent = Digest::from_content(b"nowhere");
         assert!(matches!(store.set(&absent), Err(SetError::Store(error)) if error.lost() == Some(absent)));
         let other = store.put(b"no set").unwrap();
         assert!(matches!(store.set(&other), Err(SetError::Manifest(_))));

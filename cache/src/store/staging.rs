@@ -120,5 +120,5 @@ pub(super) fn unique_name() -> String {
     let nanos = since.map_or(0, |since| since.as_nanos());
     let opened = OPENED.fetch_add(1, Ordering::Relaxed);
     let seed = format!("{} {nanos} {opened}", std::process::id());
-    Digest::of(seed.as_bytes()).to_string()[..16].to_owned()
+    Digest::from_content(seed.as_bytes()).to_string()[..16].to_owned()
 }

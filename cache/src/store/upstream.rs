@@ -36,7 +36,7 @@ impl Store {
         let Some(bytes) = upstream.blob(digest).map_err(unfetched)? else {
             return Ok(None);
         };
-        if Digest::of(&bytes) != *digest {
+        if Digest::from_content(&bytes) != *digest {
             return Err(unfetched(format!("{} bytes of another digest came", bytes.len())));
         }
         self.put(&bytes)?;

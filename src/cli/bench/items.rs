@@ -62,7 +62,7 @@ impl Source for SyntheticItems {
     fn list(&self, _ctx: &Ctx<'_>) -> Result<Listing, StageError> {
         let shard = |shard: u32| Shard {
             shard,
-            fingerprint: Digest::of(&shard.to_le_bytes()),
+            fingerprint: Digest::from_content(&shard.to_le_bytes()),
         };
         Ok(Listing {
             shards: (0..self.0.sols).map(shard).collect(),
@@ -74,7 +74,7 @@ impl Source for SyntheticItems {
         let id = |at: u64| format!("NLF_{shard:04}_{at:010}_000ECM_N0000000NCAM00000_00_0LLJ");
         let row = |at: u64| Row {
             id: id(at),
-            blobs: [("image".to_owned(), Digest::of(id(at).as_bytes()))].into(),
+            blobs: [("image".to_owned(), Digest::from_content(id(at).as_bytes()))].into(),
             facts: PhotoFacts {
                 file: format!("{}.jpg", id(at)),
                 size_bytes: 20_000 + at * 7_919 % 80_000,

@@ -130,7 +130,7 @@ mod tests {
             steps: 123,
             batch_samples: 1 << 15,
             log2_table: 15,
-            checkpoint: Digest::of(b"state"),
+            checkpoint: Digest::from_content(b"state"),
             rays_per_s: 1e5,
             samples_per_s: 3.21e6,
             rss_mb: 100,

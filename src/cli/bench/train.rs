@@ -276,7 +276,7 @@ impl Bench<'_> {
             steps: trainer.steps(),
             batch_samples: field.config().batch_samples,
             log2_table: field.facts().sizes.log2_table.value,
-            checkpoint: Digest::of(&trainer.save().map_err(failed)?),
+            checkpoint: Digest::from_content(&trainer.save().map_err(failed)?),
             rays_per_s: effort.rays as f64 / clock,
             samples_per_s: effort.samples as f64 / clock,
             rss_mb: peak_mb(),

@@ -104,8 +104,8 @@ impl<'a> Arrays<'a> {
             let Ok(actions) = fs::read(self.files(&key).action) else {
                 continue;
             };
-            let parts: Vec<Digest> = actions.split(|byte| *byte == b'\n').map(Digest::of).collect();
-            if Digest::of(&actions) == key && parts.iter().any(|part| wanted.contains(part)) {
+            let parts: Vec<Digest> = actions.split(|byte| *byte == b'\n').map(Digest::from_content).collect();
+            if Digest::from_content(&actions) == key && parts.iter().any(|part| wanted.contains(part)) {
                 taken.extend(&parts);
                 self.tasks.push(Task {
                     is_adopted: true,
@@ -139,7 +139,7 @@ impl<'a> Arrays<'a> {
     fn add_task(&mut self, parts: &[&PartOrder]) -> io::Result<()> {
         let lines: Vec<&[u8]> = parts.iter().map(|part| part.action.as_slice()).collect();
         let actions = lines.join(&b'\n');
-        let key = Digest::of(&actions);
+        let key = Digest::from_content(&actions);
         let files = self.files(&key);
         match fs::remove_file(&files.result) {
             Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
@@ -155,7 +155,7 @@ impl<'a> Arrays<'a> {
         for chunk in tasks.chunks(self.cluster.site.max_array) {
             let keys: Vec<Digest> = chunk.iter().map(|&task| self.tasks[task].key).collect();
             let joined: Vec<String> = keys.iter().map(Digest::to_string).collect();
-            let digest = Digest::of(joined.join("\n").as_bytes()).to_string();
+            let digest = Digest::from_content(joined.join("\n").as_bytes()).to_string();
             let planned = PlannedArray {
                 name: format!("{PREFIX}{}", &digest[..NAME_DIGITS]),
                 memory_mb,

@@ -64,7 +64,7 @@ impl Cluster {
         let actions = question.encode();
         let order = JobOrder {
             node: "the backend of jobs",
-            key: Digest::of(&actions),
+            key: Digest::from_content(&actions),
             actions,
             needs: Needs {
                 cores: Threads::One,

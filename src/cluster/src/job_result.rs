@@ -131,7 +131,7 @@ mod tests {
     fn a_result_is_read_whole_and_for_its_own_key_alone() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("new/folder/result.json");
-        let key = Digest::of(b"key");
+        let key = Digest::from_content(b"key");
         let result = JobResult {
             key,
             program: "marf 1".to_owned(),
@@ -147,7 +147,7 @@ mod tests {
         assert_eq!(JobResult::read(&path, &key), None);
         result.write(&path).unwrap();
         assert_eq!(JobResult::read(&path, &key).as_ref(), Some(&result));
-        assert_eq!(JobResult::read(&path, &Digest::of(b"other")), None);
+        assert_eq!(JobResult::read(&path, &Digest::from_content(b"other")), None);
         let whole = fs::read(&path).unwrap();
         for cut in [0, 1, whole.len() / 2, whole.len() - 3] {
             fs::write(&path, &whole[..cut]).unwrap();

@@ -83,7 +83,7 @@ impl Graph {
             nodes: Vec::new(),
             table: table.iter().map(|def| (def.name, *def)).collect(),
             listings: None,
-            digest: Digest::of(&[]),
+            digest: Digest::from_content(&[]),
         };
         for index in order {
             let Some(decl) = decls[index].take() else { continue };

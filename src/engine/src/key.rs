@@ -252,7 +252,7 @@ mod tests {
             part: None,
             shard: None,
             params: json!({"threshold": 0.2}),
-            inputs: BTreeMap::from([("photos".to_owned(), Digest::of(b"a"))]),
+            inputs: BTreeMap::from([("photos".to_owned(), Digest::from_content(b"a"))]),
             backend: None,
             children: BTreeMap::from([(
                 "train".to_owned(),
@@ -274,11 +274,11 @@ mod tests {
             ),
             (|action| action.version = 2, "stage version 1 -> 2"),
             (
-                |action| action.inputs.extend([("photos".to_owned(), Digest::of(b"b"))]),
+                |action| action.inputs.extend([("photos".to_owned(), Digest::from_content(b"b"))]),
                 "input photos changed",
             ),
             (
-                |action| action.inputs.extend([(LISTING.to_owned(), Digest::of(b"b"))]),
+                |action| action.inputs.extend([(LISTING.to_owned(), Digest::from_content(b"b"))]),
                 "what the archive lists is new",
             ),
             (

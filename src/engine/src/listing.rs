@@ -170,7 +170,7 @@ pub(crate) fn companions(listing: &Listing) -> Vec<u8> {
 impl SourceListing {
     /// Returns a listing with the inputs that stand for it; stores nothing.
     pub(crate) fn new(listing: Listing) -> Self {
-        let Ok(inputs) = inputs(&listing, |bytes| Ok::<_, Infallible>(Digest::of(bytes)));
+        let Ok(inputs) = inputs(&listing, |bytes| Ok::<_, Infallible>(Digest::from_content(bytes)));
         Self { listing, inputs }
     }
 

@@ -19,13 +19,13 @@ pub(crate) struct MeasureTable(pub(crate) BTreeMap<Digest, Arc<[u8]>>);
 /// A stage is given the id and may use it, so a renamed photo is measured again.
 pub(crate) fn row_digest(row: &Row) -> Digest {
     // Strings, digests and sorted maps always serialise.
-    Digest::of(&serde_json::to_vec(row).unwrap_or_default())
+    Digest::from_content(&serde_json::to_vec(row).unwrap_or_default())
 }
 
 /// Returns the key under which the table of one shard is kept.
 pub(crate) fn table_key(table: Table, shard: u32) -> Digest {
     let of = json!({"measure": table.name, "version": table.version, "shard": shard});
-    Digest::of(&canonical_json(&of))
+    Digest::from_content(&canonical_json(&of))
 }
 
 impl MeasureTable {
@@ -80,7 +80,7 @@ mod tests {
     fn every_part_of_a_row_is_in_its_digest() {
         let row = |id: &str, blob: &[u8], fact: u32| Row {
             id: id.to_owned(),
-            blobs: BTreeMap::from([("image".to_owned(), Digest::of(blob))]),
+            blobs: BTreeMap::from([("image".to_owned(), Digest::from_content(blob))]),
             facts: serde_json::json!({ "sol": fact }),
         };
         let base = row_digest(&row("a", b"a", 1));

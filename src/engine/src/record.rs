@@ -262,7 +262,7 @@ impl RunRecord {
             return Err(RecordError::Form { found });
         }
         Ok(Self {
-            root: Some(Digest::of(root)),
+            root: Some(Digest::from_content(root)),
             ..serde_json::from_slice(root)?
         })
     }
@@ -280,7 +280,7 @@ impl RunRecord {
         match store.put_run(&json) {
             Ok(number) => Ok(Self {
                 number,
-                root: Some(Digest::of(&json)),
+                root: Some(Digest::from_content(&json)),
                 ..self
             }),
             Err(error) if error.is_read_only() && !self.has_run() => {

@@ -107,7 +107,7 @@ fn from_store(store: &Store, path: &Path) -> String {
     let (path, store) = (absolute(path), absolute(store.dir()));
     let below = store.parent().and_then(|folder| path.strip_prefix(folder).ok());
     match below {
-        None => Digest::of(path.as_os_str().as_encoded_bytes()).to_string()[..16].to_owned(),
+        None => Digest::from_content(path.as_os_str().as_encoded_bytes()).to_string()[..16].to_owned(),
         Some(below) if below.as_os_str().is_empty() => ".".to_owned(),
         Some(below) => {
             let parts: Vec<_> = below.iter().map(|part| part.to_string_lossy()).collect();

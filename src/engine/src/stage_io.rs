@@ -105,7 +105,7 @@ impl<'a> FileCheckpoints<'a> {
     fn write(&self, part: &str, state: &[u8]) -> std::io::Result<()> {
         fs::create_dir_all(&self.dir)?;
         let mut file = tempfile::Builder::new().suffix(".tmp").tempfile_in(&self.dir)?;
-        file.write_all(Digest::of(state).as_bytes())?;
+        file.write_all(Digest::from_content(state).as_bytes())?;
         file.write_all(state)?;
         file.as_file().sync_data()?;
         file.persist(self.path(part))?;
@@ -117,7 +117,7 @@ impl Checkpoints for FileCheckpoints<'_> {
     fn load(&self, part: &str) -> Option<Vec<u8>> {
         let bytes = fs::read(self.path(part)).ok()?;
         let (checksum, state) = bytes.split_at_checked(32)?;
-        (Digest::of(state).as_bytes() == checksum).then(|| state.to_vec())
+        (Digest::from_content(state).as_bytes() == checksum).then(|| state.to_vec())
     }
 
     fn save(&self, part: &str, state: &[u8]) {
@@ -234,7 +234,7 @@ mod tests {
     fn a_checkpoint_comes_back_whole_or_not_at_all() {
         let dir = tempfile::tempdir().unwrap();
         let store = Store::open(dir.path()).unwrap();
-        let key = Digest::of(b"key");
+        let key = Digest::from_content(b"key");
         let checkpoints = FileCheckpoints::new(&store, &key, "train", &SilentListener);
         assert_eq!(checkpoints.load("training"), None);
         for state in [b"step 1".as_slice(), b"step 2, longer", b""] {
@@ -255,23 +255,23 @@ mod tests {
     #[test]
     fn a_table_of_partial_results_outlives_its_program_and_a_damaged_one_is_none() {
         let dir = tempfile::tempdir().unwrap();
-        let key = Digest::of(b"features of photo 1, version 1");
+        let key = Digest::from_content(b"features of photo 1, version 1");
         // Above 64 KiB a blob is a file of its own, which a test can damage.
         let table = vec![7_u8; 70_000];
         {
             let store = Store::open(dir.path()).unwrap();
-            let memos = StoreMemos::new(&store, Digest::of(b"maker"), "calibrate", &SilentListener);
+            let memos = StoreMemos::new(&store, Digest::from_content(b"maker"), "calibrate", &SilentListener);
             assert_eq!(memos.load(&key), None);
             memos.save(&key, b"old");
             memos.save(&key, &table);
             assert_eq!(memos.load(&key).as_deref(), Some(table.as_slice()));
-            assert_eq!(memos.load(&Digest::of(b"another")), None);
+            assert_eq!(memos.load(&Digest::from_content(b"another")), None);
             store.commit().unwrap();
         }
         let store = Store::open(dir.path()).unwrap();
-        let memos = StoreMemos::new(&store, Digest::of(b"maker"), "calibrate", &SilentListener);
+        let memos = StoreMemos::new(&store, Digest::from_content(b"maker"), "calibrate", &SilentListener);
         assert_eq!(memos.load(&key).as_deref(), Some(table.as_slice()));
-        let hex = Digest::of(&table).to_string();
+        let hex = Digest::from_content(&table).to_string();
         fs::write(dir.path().join("cas").join(&hex[..2]).join(&hex[2..]), b"damaged").unwrap();
         assert_eq!(memos.load(&key), None);
         memos.save(&key, &table);
@@ -281,12 +281,12 @@ mod tests {
     #[test]
     fn a_second_lease_on_a_key_waits_and_can_be_cancelled() {
         let dir = tempfile::tempdir().unwrap();
-        let (key, cancel) = (Digest::of(b"key"), Cancel::default());
+        let (key, cancel) = (Digest::from_content(b"key"), Cancel::default());
         let first = Lease::take(dir.path(), &key, &cancel, || {}).unwrap();
         let stop = || cancel.set();
         let cancelled = Lease::take(dir.path(), &key, &cancel, stop);
         assert!(matches!(cancelled, Err(StageError::Cancelled)));
-        let other = Digest::of(b"other key");
+        let other = Digest::from_content(b"other key");
         Lease::take(dir.path(), &other, &Cancel::default(), || panic!("it is free")).unwrap();
 
         let (waiting, released) = (AtomicBool::new(false), AtomicBool::new(false));

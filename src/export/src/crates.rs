@@ -198,7 +198,7 @@ mod tests {
     /// The example of RFC 6920, section 8.1.
     #[test]
     fn bytes_are_named_as_the_standard_names_them() {
-        let digest = Sha256::of(b"Hello World!");
+        let digest = Sha256::from_content(b"Hello World!");
         assert_eq!(
             name_of(&digest),
             "ni:///sha-256;f4OxZX_x_FO5LcGBSKHWXfwtSx-j1ncoSt3SABJtkGk"

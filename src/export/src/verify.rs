@@ -62,11 +62,11 @@ pub fn verify(folder: &Path, key: Option<&PublicKey>) -> Result<Report, OpenErro
     let signature = signature::check(&opened, key, &mut faults);
     Ok(Report {
         run: opened.run.id.clone(),
-        root: Digest::of(&opened.root),
+        root: Digest::from_content(&opened.root),
         manifest_sha256: opened
             .bag
             .tag(crate::bag::MANIFEST)
-            .map(|bytes| Sha256::of(&bytes)),
+            .map(|bytes| Sha256::from_content(&bytes)),
         files: opened.bag.payload.len() as u64,
         named: opened.named() as u64,
         actions,

@@ -219,7 +219,7 @@ impl RunNode {
     pub fn parts(&self, store: &Store) -> Result<Vec<SourcePart>, RunError> {
         let record = self.record.as_ref().ok_or_else(|| RunError::NoRecord {
             what: format!("`{}`", self.run.name),
-            key: self.run.key.unwrap_or_else(|| Digest::of(&[])),
+            key: self.run.key.unwrap_or_else(|| Digest::from_content(&[])),
         })?;
         parts_of(store, record)
     }

@@ -164,7 +164,7 @@ fn rows(
     for leaf in leaves.iter().filter(|leaf| !without.contains(&leaf.leaf)) {
         for row in Leaf::decode(&store.get(&leaf.leaf)?)?.rows {
             let id = row.id.clone();
-            rows.insert(id, Digest::of(&Leaf { rows: vec![row] }.encode()));
+            rows.insert(id, Digest::from_content(&Leaf { rows: vec![row] }.encode()));
         }
     }
     Ok(rows)

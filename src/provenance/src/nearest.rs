@@ -32,7 +32,7 @@ impl Outline {
         };
         let mut stretches: HashMap<Digest, usize> = HashMap::new();
         for stretch in stretches_of(file, end_bits) {
-            *stretches.entry(Digest::of(stretch)).or_default() += stretch.len();
+            *stretches.entry(Digest::from_content(stretch)).or_default() += stretch.len();
         }
         Self {
             bytes: file.len(),
@@ -52,7 +52,7 @@ impl Outline {
         let mut left = self.stretches.clone();
         let mut shared = 0;
         for stretch in stretches_of(object, self.end_bits) {
-            if let Some(bytes) = left.get_mut(&Digest::of(stretch)) {
+            if let Some(bytes) = left.get_mut(&Digest::from_content(stretch)) {
                 let common = stretch.len().min(*bytes);
                 *bytes -= common;
                 shared += common;
@@ -79,7 +79,7 @@ mod tests {
     fn noise(seed: u32, bytes: u32) -> Vec<u8> {
         (0..bytes)
             .flat_map(|at| {
-                Digest::of(&[seed.to_le_bytes(), at.to_le_bytes()].concat()).as_bytes()[..1].to_vec()
+                Digest::from_content(&[seed.to_le_bytes(), at.to_le_bytes()].concat()).as_bytes()[..1].to_vec()
             })
             .collect()
     }

@@ -75,7 +75,7 @@ impl Stamp {
     /// Returns the words of a mark.
     fn text(&self) -> String {
         let said = format!("object={} run={}", self.object, self.run);
-        let check = &Digest::of(said.as_bytes()).to_string()[..CHECK];
+        let check = &Digest::from_content(said.as_bytes()).to_string()[..CHECK];
         format!("{said} check={check}")
     }
 
@@ -164,8 +164,8 @@ mod tests {
 
     fn stamp() -> Stamp {
         Stamp {
-            object: Digest::of(b"object"),
-            run: Digest::of(b"run"),
+            object: Digest::from_content(b"object"),
+            run: Digest::from_content(b"run"),
         }
     }
 
@@ -273,12 +273,12 @@ mod tests {
         #[test]
         fn a_flipped_bit_is_never_the_object(at: prop::sample::Index, bit in 0_u32..8, which in 0_usize..4) {
             let (_, object) = objects().swap_remove(which);
-            let of = Stamp { object: Digest::of(&object), run: Digest::of(b"run") };
+            let of = Stamp { object: Digest::from_content(&object), run: Digest::from_content(b"run") };
             let mut copy = of.add_to(&object).unwrap();
             let at = at.index(copy.len());
             copy[at] ^= 1 << bit;
             if let Some((bytes, stamp)) = Stamp::take_from(&copy) {
-                prop_assert!(Digest::of(&bytes) != stamp.object);
+                prop_assert!(Digest::from_content(&bytes) != stamp.object);
             }
         }
     }

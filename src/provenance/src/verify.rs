@@ -209,7 +209,7 @@ fn files(
                 continue;
             };
             verified.products += 1;
-            if Sha256::of(&bytes) != sha256 || Some(bytes.len() as u64) != file.bytes {
+            if Sha256::from_content(&bytes) != sha256 || Some(bytes.len() as u64) != file.bytes {
                 verified.fault(
                     Some(file.blake3),
                     &file.file,

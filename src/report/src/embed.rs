@@ -105,7 +105,7 @@ const VERSION: u32 = 1;
 
 /// Embeds a stored picture, or takes what an earlier report made of it.
 fn embed_stored(input: &ReportInput<'_>, digest: &Digest, form: Form) -> Result<Embedded, String> {
-    let key = Digest::of(format!("picture {VERSION} {form:?} {digest}").as_bytes());
+    let key = Digest::from_content(format!("picture {VERSION} {form:?} {digest}").as_bytes());
     let known = input.memos.load(&key);
     if let Some(known) = known.and_then(|bytes| serde_json::from_slice(&bytes).ok()) {
         return Ok(known);

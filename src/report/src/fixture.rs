@@ -30,7 +30,7 @@ pub(super) struct Store {
 
 impl Store {
     pub(super) fn put(&mut self, bytes: &[u8]) -> Digest {
-        let digest = Digest::of(bytes);
+        let digest = Digest::from_content(bytes);
         self.blobs.insert(digest, bytes.into());
         digest
     }
@@ -324,7 +324,7 @@ pub(super) fn scene() -> Scene {
         } else {
             NAMES[index].to_owned()
         },
-        image: Digest::of(NAMES[index].as_bytes()),
+        image: Digest::from_content(NAMES[index].as_bytes()),
         camera: Camera::pinhole(640, 480, 500.0),
         cam_from_world: pose(eye(index)),
         held_out: index == 3,

@@ -156,7 +156,7 @@ impl Kept {
     pub(super) fn new(input: &ReportInput<'_>, set: &Set<'_>) -> Result<Self, Missing> {
         let mut drawn = Vec::new();
         for block in &set.blocks {
-            let key = Digest::of(format!("sample {VERSION} {}", block.digest).as_bytes());
+            let key = Digest::from_content(format!("sample {VERSION} {}", block.digest).as_bytes());
             drawn.extend(remembered(input, &key, || sample(set, block))?);
             drawn.sort();
             drawn.truncate(MOST_KEPT);
@@ -174,7 +174,7 @@ fn sample(set: &Set<'_>, block: &BlockRef) -> Result<Vec<Drawn>, Missing> {
     let mut drawn: Vec<Drawn> = Vec::new();
     for leaf in set.leaves(block)? {
         let rows = set.photos(&leaf)?.into_iter();
-        drawn.extend(rows.map(|row| (Digest::of(row.id.as_bytes()), (leaf.shard, row.id))));
+        drawn.extend(rows.map(|row| (Digest::from_content(row.id.as_bytes()), (leaf.shard, row.id))));
         drawn.sort();
         drawn.truncate(MOST_KEPT);
     }

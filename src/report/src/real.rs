@@ -113,7 +113,7 @@ fn scene() -> Scene {
                 .unwrap()
                 .to_owned(),
             file: frame["file_path"].as_str().unwrap().to_owned(),
-            image: Digest::of(b""),
+            image: Digest::from_content(b""),
             camera,
             cam_from_world: pose(&frame["transform_matrix"]),
             held_out: false,

@@ -437,12 +437,12 @@ mod tests {
     #[test]
     fn a_point_judged_by_other_photos_is_told_apart() {
         let mut base = crate::fixture_documents::trade().points[0].clone();
-        base.runs[0].judged_by = Some(Digest::of(b"a"));
+        base.runs[0].judged_by = Some(Digest::from_content(b"a"));
         base.runs[0].position_error = Some(0.5);
         let mut point = base.clone();
         assert_eq!(point.apart(&base), None);
         point.sets = vec!["calibrate.pairs=\"sequential\"".to_owned()];
-        point.runs[0].judged_by = Some(Digest::of(b"b"));
+        point.runs[0].judged_by = Some(Digest::from_content(b"b"));
         point.runs[0].position_error = Some(0.25);
         point.runs[0].seconds = base.runs[0].seconds / 2.0;
         assert!(!point.is_comparable(&base));

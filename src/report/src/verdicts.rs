@@ -60,7 +60,7 @@ impl Summary {
     pub(super) fn of(input: &ReportInput<'_>, set: &Set<'_>) -> Result<Self, Missing> {
         let mut sum = Self::default();
         for block in &set.blocks {
-            let key = Digest::of(format!("verdicts {VERSION} {}", block.digest).as_bytes());
+            let key = Digest::from_content(format!("verdicts {VERSION} {}", block.digest).as_bytes());
             sum.append(remembered(input, &key, || of_block(set, block))?);
         }
         Ok(sum)

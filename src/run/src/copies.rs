@@ -30,8 +30,8 @@ pub fn is_copy(path: &Path, object: &Digest) -> bool {
         return false;
     };
     match Stamp::take_from(&bytes) {
-        Some((bytes, stamp)) => stamp.object == *object && Digest::of(&bytes) == *object,
-        None => Digest::of(&bytes) == *object,
+        Some((bytes, stamp)) => stamp.object == *object && Digest::from_content(&bytes) == *object,
+        None => Digest::from_content(&bytes) == *object,
     }
 }
 
@@ -51,7 +51,7 @@ mod tests {
     fn a_copy_is_known_again_and_a_changed_one_is_not() {
         let dir = tempfile::tempdir().unwrap();
         let bytes = b"{\"psnr\": 20}";
-        let (object, run) = (Digest::of(bytes), Digest::of(b"run"));
+        let (object, run) = (Digest::from_content(bytes), Digest::from_content(b"run"));
         for (name, is_marked) in [
             ("metrics.json", true),
             ("scene.json", false),

@@ -112,7 +112,7 @@ mod tests {
 
     /// A run of one training: what it was keyed by and what it gave.
     fn run(key: &str, weights: &str) -> RunRecord {
-        let [key, weights] = [key, weights].map(|text| Digest::of(text.as_bytes()));
+        let [key, weights] = [key, weights].map(|text| Digest::from_content(text.as_bytes()));
         let node = json!({
             "name": "train", "stage": "train", "parent": null, "edges": [], "key": key, "state": "finished", "reason": "",
             "seconds": 1.0, "outputs": {"weights.safetensors": {"digest": weights, "bytes": 1}}, "counts": {},

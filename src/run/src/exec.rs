@@ -160,11 +160,11 @@ impl Task {
             Ok(key) => reader
                 .blob(&key)
                 .map_err(Error::failed)?
-                .filter(|bytes| Digest::of(bytes) == key)
+                .filter(|bytes| Digest::from_content(bytes) == key)
                 .ok_or_else(|| Error::failed(format!("the shared store has no action {}", key.short())))?,
             Err(_) => std::fs::read(given).map_err(|error| Error::usage(format!("{given}: {error}")))?,
         };
-        let key = Digest::of(&bytes);
+        let key = Digest::from_content(&bytes);
         if let Some(question) = BackendQuestion::decode(&bytes) {
             let work = Work::Backend(question);
             return Ok(Self { key, work });

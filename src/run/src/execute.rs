@@ -37,7 +37,7 @@ fn run_id() -> String {
         .duration_since(SystemTime::UNIX_EPOCH)
         .unwrap_or_default();
     let seed = format!("{} {}", since.as_nanos(), std::process::id());
-    Digest::of(seed.as_bytes()).to_string()[..16].to_owned()
+    Digest::from_content(seed.as_bytes()).to_string()[..16].to_owned()
 }
 
 /// A run that is over and recorded.

@@ -172,7 +172,7 @@ fn table_path(dir: &Path, folder: &Path) -> PathBuf {
 
 /// Returns a file name that stands for a path.
 fn name_of(path: &Path) -> String {
-    Digest::of(path.as_os_str().as_encoded_bytes()).to_string()
+    Digest::from_content(path.as_os_str().as_encoded_bytes()).to_string()
 }
 
 /// Returns the folder and the name of a file; none of a name that is not UTF-8.
@@ -191,7 +191,7 @@ mod tests {
             Ok::<_, Error>(Arc::from(text.as_bytes()))
         };
         table
-            .write(Path::new(file), &Digest::of(text.as_bytes()), bytes)
+            .write(Path::new(file), &Digest::from_content(text.as_bytes()), bytes)
             .unwrap();
         read
     }
@@ -218,11 +218,11 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let store = Store::open(dir.path().join("store")).unwrap();
         let mut table = ExportTable::load(&store, dir.path(), None);
-        let (folder, root) = (Path::new("v"), Digest::of(b"root"));
+        let (folder, root) = (Path::new("v"), Digest::from_content(b"root"));
         write(&mut table, "v/1", "one");
         write(&mut table, "v/2", "two");
         table.note_folder(folder, &root);
-        assert!(table.has_folder(folder, &root) && !table.has_folder(folder, &Digest::of(b"other")));
+        assert!(table.has_folder(folder, &root) && !table.has_folder(folder, &Digest::from_content(b"other")));
         table
             .keep_only(folder, &BTreeSet::from(["2".to_owned()]))
             .unwrap();

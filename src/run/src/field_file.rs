@@ -33,7 +33,7 @@ pub fn made_by(
     let bytes = std::fs::read(file)
         .map_err(|error| Error::usage(format!("--field {}: cannot be read: {error}", file.display())))?;
     let runs = marf_engine::runs(store, context.warnings())?;
-    let makers = find(store, &runs, &Digest::of(&object_of(bytes)))?;
+    let makers = find(store, &runs, &Digest::from_content(&object_of(bytes)))?;
     let of_pipeline = makers.into_iter().find_map(|maker| match maker.place {
         // What is below another node is a trial or a retraining, which no pipeline names.
         Place::Output(OutputName { node, output }) if output == WEIGHTS && !node.contains('/') => {

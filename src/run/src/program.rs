@@ -45,7 +45,7 @@ pub fn build(store: &Store, commit: Option<&str>) -> Option<Build> {
 }
 
 fn read(path: &Path, state: FileState, table: &Path) -> Option<ProgramFile> {
-    let (blake3, bytes) = Digest::of_reader(std::fs::File::open(path).ok()?).ok()?;
+    let (blake3, bytes) = Digest::from_reader(std::fs::File::open(path).ok()?).ok()?;
     let known = ProgramFile { state, blake3, bytes };
     if let Ok(json) = serde_json::to_vec(&known) {
         let _ = files::write(table, &json); // what cannot be kept is read again
@@ -63,12 +63,12 @@ mod tests {
         let store = Store::open(dir.path()).unwrap();
         let first = build(&store, None).unwrap();
         let exe = std::fs::read(std::env::current_exe().unwrap()).unwrap();
-        assert_eq!((first.blake3, first.bytes), (Digest::of(&exe), exe.len() as u64));
+        assert_eq!((first.blake3, first.bytes), (Digest::from_content(&exe), exe.len() as u64));
         let table = store.scratch().join("program.json");
         let mut known: ProgramFile = serde_json::from_slice(&std::fs::read(&table).unwrap()).unwrap();
-        known.blake3 = Digest::of(b"kept");
+        known.blake3 = Digest::from_content(b"kept");
         std::fs::write(&table, serde_json::to_vec(&known).unwrap()).unwrap();
-        assert_eq!(build(&store, None).unwrap().blake3, Digest::of(b"kept"));
+        assert_eq!(build(&store, None).unwrap().blake3, Digest::from_content(b"kept"));
         known.state = state_of(&table).unwrap();
         std::fs::write(&table, serde_json::to_vec(&known).unwrap()).unwrap();
         assert_eq!(build(&store, None), Some(first), "another file is read anew");

@@ -73,7 +73,7 @@ fn page_of(session: &Session, record: &RunRecord, scene: Option<&str>) -> Result
         .iter()
         .rev()
         .find_map(|node| node.key)
-        .unwrap_or_else(|| Digest::of(&[]));
+        .unwrap_or_else(|| Digest::from_content(&[]));
     let all = nodes(session, record)?;
     let of = |scene: Option<&str>| -> Vec<NodeView> {
         let shown = all.iter().filter(|node| scenes::is_of(&node.name, scene));

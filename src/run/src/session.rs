@@ -295,7 +295,7 @@ pub fn graph_of(nodes: Vec<config::Node>) -> Result<Graph, Error> {
 /// in other folders. Two pipelines that share a store are then never compared with each other.
 pub fn unnamed(file: &Path) -> String {
     let whole = std::path::absolute(file).unwrap_or_else(|_| file.to_owned());
-    let digits = &Digest::of(whole.as_os_str().as_encoded_bytes()).to_string()[..8];
+    let digits = &Digest::from_content(whole.as_os_str().as_encoded_bytes()).to_string()[..8];
     let stem = file.file_stem().unwrap_or_default().to_string_lossy();
     format!("{stem}-{digits}")
 }

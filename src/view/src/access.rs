@@ -71,7 +71,7 @@ impl Access {
         }
         Ok(Self {
             host: host.to_ascii_lowercase(),
-            token: token.map(|token| Digest::of(token.as_bytes())),
+            token: token.map(|token| Digest::from_content(token.as_bytes())),
         })
     }
 
@@ -108,7 +108,7 @@ impl Access {
 
     /// Tells whether a text is the token. Digests are compared, so that the time tells nothing of the token.
     pub fn is_token(&self, given: &str) -> bool {
-        self.token == Some(Digest::of(given.as_bytes()))
+        self.token == Some(Digest::from_content(given.as_bytes()))
     }
 
     /// Returns the name of the cookie with the token: servers on other ports of the host have other ones.

@@ -104,7 +104,7 @@ fn addressed(page: &str, up: &str, files: &mut HashMap<Digest, File>) -> Option<
 const MEDIA: [&str; 3] = ["image/jpeg", "image/png", "video/mp4"];
 
 fn add(files: &mut HashMap<Digest, File>, media: &'static str, bytes: Vec<u8>) -> Digest {
-    let digest = Digest::of(&bytes);
+    let digest = Digest::from_content(&bytes);
     let bytes = bytes.into();
     files.insert(digest, File { media, bytes });
     digest
@@ -191,7 +191,7 @@ mod tests {
     #[test]
     fn pictures_and_style_become_files_and_nothing_stays_inline() {
         let page = live(REPORT, &live_parts(Some(3), &["train"])).unwrap();
-        let picture = Digest::of(&[0, 1, 2]);
+        let picture = Digest::from_content(&[0, 1, 2]);
         assert!(
             page.html
                 .contains(&format!("<img loading=\"lazy\" src=\"object/{picture}\"")),

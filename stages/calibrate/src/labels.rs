@@ -221,7 +221,7 @@ pub(crate) fn photo_key(
         )
     });
     let text = serde_json::to_vec(&(item.image, model, mask, &item.facts.file)).unwrap_or_default();
-    Digest::of(&text)
+    Digest::from_content(&text)
 }
 
 /// Returns what [`make`] returns of a photo; what an earlier run has made is taken from the memo.

@@ -195,7 +195,7 @@ mod tests {
     fn item(file: &str, instrument: &str) -> InputPhoto {
         InputPhoto {
             id: file.to_owned(),
-            image: Digest::of(b"image"),
+            image: Digest::from_content(b"image"),
             labelled: false,
             facts: PhotoFacts {
                 file: file.to_owned(),
@@ -295,7 +295,7 @@ mod tests {
         let placed = |camera: Camera| PlacedPhoto {
             item: 0,
             file: String::new(),
-            image: Digest::of(b"image"),
+            image: Digest::from_content(b"image"),
             camera,
             cam_from_world: Pose::identity(),
             held_out: None,

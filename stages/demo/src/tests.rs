@@ -101,7 +101,7 @@ fn the_version_is_raised_when_the_demo_draws_otherwise() {
     let files = Demo::new(options).unwrap().files(1, &|_, _| (), &never).unwrap();
     let all: Vec<(String, Digest)> = files
         .into_iter()
-        .map(|file| (file.name, Digest::of(&file.bytes)))
+        .map(|file| (file.name, Digest::from_content(&file.bytes)))
         .collect();
     let digest = digest_of(&all).short();
     assert_eq!((DEMO_VERSION, digest.as_str()), (1, "95213f591cb0"));

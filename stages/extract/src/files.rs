@@ -77,7 +77,7 @@ pub(crate) fn remove_unfinished(folder: &Path) -> io::Result<()> {
 pub(crate) fn read_checked(path: &Path) -> Option<Vec<u8>> {
     let mut bytes = fs::read(path).ok()?;
     let length = bytes.len().checked_sub(32)?;
-    let whole = Digest::of(&bytes[..length]).as_bytes() == &bytes[length..];
+    let whole = Digest::from_content(&bytes[..length]).as_bytes() == &bytes[length..];
     bytes.truncate(length);
     whole.then_some(bytes)
 }
@@ -85,7 +85,7 @@ pub(crate) fn read_checked(path: &Path) -> Option<Vec<u8>> {
 /// Writes a file that costs only time where it is lost, with the digest of its bytes at the end; a folder that cannot be
 /// written is left as it is.
 pub(crate) fn write_checked(path: &Path, mut bytes: Vec<u8>) {
-    let digest = Digest::of(&bytes);
+    let digest = Digest::from_content(&bytes);
     bytes.extend_from_slice(digest.as_bytes());
     let folder = path.parent().map_or(Ok(()), fs::create_dir_all);
     drop(folder.and_then(|()| replace(path, &bytes)));

@@ -253,7 +253,7 @@ impl Blobs for Store {
     }
 
     fn put(&self, bytes: &[u8]) -> Result<Digest, BlobError> {
-        let digest = Digest::of(bytes);
+        let digest = Digest::from_content(bytes);
         self.put.lock().unwrap().insert(digest, Arc::from(bytes));
         Ok(digest)
     }

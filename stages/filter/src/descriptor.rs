@@ -64,7 +64,7 @@ impl ViewDescriptor {
             sharpness: decoded.laplacian().detail * area * area,
             colour: means.colour(),
             hashes,
-            planes: Digest::of(&planes),
+            planes: Digest::from_content(&planes),
         };
         (descriptor, planes)
     }

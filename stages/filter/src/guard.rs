@@ -28,7 +28,7 @@ fn measures_change_only_with_their_version() {
             });
             format!(
                 "{version} {}",
-                Digest::of(&parts.collect::<Vec<_>>().concat()).short()
+                Digest::from_content(&parts.collect::<Vec<_>>().concat()).short()
             )
         });
         (row.name, line.unwrap_or_default())
@@ -45,7 +45,7 @@ fn decisions_change_only_with_the_version() {
     let photos = photos();
     let found = |row: &Guarded| {
         let verdicts = serde_json::to_vec(&photos.judge(row.name, defaults())).unwrap();
-        let digest = Digest::of(&verdicts).short();
+        let digest = Digest::from_content(&verdicts).short();
         (row.name, format!("{} {digest}", row.version))
     };
     let guards = GUARDS.iter();

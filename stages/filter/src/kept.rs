@@ -311,7 +311,7 @@ mod tests {
             sol: Some(0),
             size,
             hashes: hashes.clone(),
-            planes: Digest::of(id.as_bytes()),
+            planes: Digest::from_content(id.as_bytes()),
         };
         let relation = RelationKeys {
             exposure: (id == "b").then_some(9),

@@ -97,7 +97,7 @@ pub(crate) struct RelationKeys {
 /// Returns the key of some texts, the same on every machine.
 fn key_of(kind: &str, texts: &[&str]) -> u32 {
     let joined = [&[kind], texts].concat().join("\0");
-    let digest = Digest::of(joined.as_bytes());
+    let digest = Digest::from_content(joined.as_bytes());
     let [a, b, c, d, ..] = *digest.as_bytes();
     u32::from_le_bytes([a, b, c, d])
 }

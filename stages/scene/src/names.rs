@@ -47,7 +47,7 @@ mod tests {
         let frame = |file: &&str| Frame {
             id: (*file).to_owned(),
             file: (*file).to_owned(),
-            image: marf_cache::Digest::of(b""),
+            image: marf_cache::Digest::from_content(b""),
             camera: Camera::pinhole(2, 2, 1.0),
             cam_from_world: Pose::identity(),
             held_out: false,

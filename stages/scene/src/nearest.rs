@@ -134,7 +134,7 @@ mod tests {
         Frame {
             id: id.to_owned(),
             file: format!("{id}.png"),
-            image: marf_cache::Digest::of(b""),
+            image: marf_cache::Digest::from_content(b""),
             camera: Camera::pinhole(40, 30, 40.0),
             cam_from_world: Pose::looking_at(
                 Vector3::new(3.0 * cos, 3.0 * sin, 0.0),

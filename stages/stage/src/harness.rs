@@ -63,7 +63,7 @@ impl Harness {
 
     /// Stores bytes.
     pub fn put(&self, bytes: &[u8]) -> Digest {
-        let digest = Digest::of(bytes);
+        let digest = Digest::from_content(bytes);
         self.blobs.lock().insert(digest, Arc::from(bytes));
         digest
     }

@@ -76,9 +76,9 @@ mod tests {
         Origin {
             file: file.to_owned(),
             kind: OriginKind::Photo,
-            blake3: Digest::of(b"abc"),
+            blake3: Digest::from_content(b"abc"),
             bytes: Some(3),
-            sha256: Some(Sha256::of(b"abc")),
+            sha256: Some(Sha256::from_content(b"abc")),
             url: None,
             fetched: None,
             reason: None,

@@ -189,7 +189,7 @@ mod tests {
         let (ctx, mut made) = (harness.ctx(), Vec::new());
         let mut journal = Journal {
             every,
-            ..Journal::new(&ctx, "loop", Digest::of(of.as_bytes()))
+            ..Journal::new(&ctx, "loop", Digest::from_content(of.as_bytes()))
         };
         for index in 0..PIECES {
             let read = |bytes: &[u8]| bytes.first().copied().filter(|first| usable(*first));

@@ -89,7 +89,7 @@ mod tests {
         let frame = |index: usize| Frame {
             id: format!("{index:04}"),
             file: format!("{index:04}.png"),
-            image: marf_cache::Digest::of(b""),
+            image: marf_cache::Digest::from_content(b""),
             camera: Camera::pinhole(width, height, 800.0),
             cam_from_world: Pose::identity(),
             held_out: index.is_multiple_of(8),

@@ -49,7 +49,7 @@ mod tests {
             scene.frames = vec![marf_scene::Frame {
                 id: String::new(),
                 file: String::new(),
-                image: marf_cache::Digest::of(b""),
+                image: marf_cache::Digest::from_content(b""),
                 camera: marf_scene::Camera::pinhole(width, height, 1.0),
                 cam_from_world: marf_scene::Pose::identity(),
                 held_out: false,

@@ -142,7 +142,7 @@ mod tests {
         let frame = |index: usize| Frame {
             id: format!("{index:02}"),
             file: format!("{index:02}.png"),
-            image: marf_cache::Digest::of(b""),
+            image: marf_cache::Digest::from_content(b""),
             camera: Camera::pinhole(8, 8, 8.0),
             cam_from_world: Pose::identity(),
             held_out: is_held_out(index),

@@ -89,7 +89,7 @@ pub(in crate::store) fn seal(kind: Kind, id: &Digest, generation: u32, content: 
 /// Returns the content of a payload that is what its entry says; none if it is damaged.
 pub(in crate::store) fn open<'a>(kind: Kind, id: &Digest, payload: &'a [u8]) -> Option<&'a [u8]> {
     if kind == Kind::Blob {
-        return (Digest::of(payload) == *id).then_some(payload);
+        return (Digest::from_content(payload) == *id).then_some(payload);
     }
     let (checksum, rest) = payload.split_at_checked(DIGEST)?;
     let whole = seal_of(kind, id, rest).as_bytes() == checksum;

@@ -52,7 +52,7 @@ fn table(files: &Files, path: &Path) -> Result<Option<Vec<Entry>>, StoreError> {
     let rows = files
         .read_at(path, offset, (tail_at - offset) as usize + 8)?
         .unwrap_or_default();
-    if tail.get(8..8 + DIGEST) != Some(Digest::of(&rows).as_bytes()) {
+    if tail.get(8..8 + DIGEST) != Some(Digest::from_content(&rows).as_bytes()) {
         return Ok(None);
     }
     let rows = rows.chunks_exact(ROW).map(|row| {

@@ -80,7 +80,7 @@ impl<'a> Writer<'a> {
             table.extend_from_slice(&entry.generation.to_le_bytes());
         }
         table.extend_from_slice(&offset.to_le_bytes());
-        let checksum = Digest::of(&table);
+        let checksum = Digest::from_content(&table);
         table.extend_from_slice(checksum.as_bytes());
         table.extend_from_slice(END);
         self.buffer.extend_from_slice(&table);

@@ -38,7 +38,7 @@ fn a_damaged_record_or_memo_is_a_miss_and_its_neighbours_stay() {
         let (dir, store) = fresh();
         let record = record("k", &store, b"out");
         store.put_record(record.clone());
-        let (memo, blob) = (Digest::of(b"m"), store.put(b"features").unwrap());
+        let (memo, blob) = (Digest::from_content(b"m"), store.put(b"features").unwrap());
         store.put_memo(memo, blob, record.key);
         store.commit().unwrap();
         let pack = packs(&store).pop().unwrap();
@@ -124,7 +124,7 @@ fn tolerant_check(store: &Store, context: &str) {
         assert_eq!(record, step.record(), "{context}");
         for output in record.outputs.values() {
             match store.get(&output.digest) {
-                Ok(bytes) => assert_eq!(Digest::of(&bytes), output.digest, "{context}"),
+                Ok(bytes) => assert_eq!(Digest::from_content(&bytes), output.digest, "{context}"),
                 Err(error) => assert_eq!(error.lost(), Some(output.digest), "{context}: {error}"),
             }
             let bytes = store.size_of(&output.digest);

@@ -49,7 +49,7 @@ fn rich(store: &Store) -> (Record, Vec<Digest>, Vec<Digest>) {
         record("child", store, b"of child"),
     );
     let need = store.put(b"named by the stage alone").unwrap();
-    let action = action("extract", "rich", &[input, Digest::of(b"a fingerprint")]);
+    let action = action("extract", "rich", &[input, Digest::from_content(b"a fingerprint")]);
     let mut record = record_of(&action, output, 1);
     record.needs = Some(store.put(&digest_list(&[need])).unwrap());
     let parts = Root {
@@ -64,7 +64,7 @@ fn rich(store: &Store) -> (Record, Vec<Digest>, Vec<Digest>) {
     record.children.insert("child".into(), child.key);
     blobs.extend([need, record.needs.unwrap(), store.put(&action.encode()).unwrap()]);
     blobs.extend([part.key, child.key]);
-    blobs.extend([Digest::of(b"of part"), Digest::of(b"of child")]);
+    blobs.extend([Digest::from_content(b"of part"), Digest::from_content(b"of child")]);
     blobs.sort_unstable();
     let mut keys = vec![record.key, part.key, child.key];
     keys.sort_unstable();
@@ -85,25 +85,25 @@ fn a_closure_holds_action_inputs_outputs_needs_parts_and_children() {
     assert_eq!(closure.blobs, blobs);
     // Only the fingerprint, which stands for something outside the store, is not there.
     let missing: Vec<_> = closure.missing.iter().map(|one| (one.digest, one.role)).collect();
-    assert_eq!(missing, [(Digest::of(b"a fingerprint"), Role::Input)]);
+    assert_eq!(missing, [(Digest::from_content(b"a fingerprint"), Role::Input)]);
 }
 
 #[test]
 fn a_closure_lists_what_is_missing_with_what_names_it() {
     let (_dir, store) = fresh();
     let (record, ..) = rich(&store);
-    let image = Digest::of(&[2, 1].repeat(50));
+    let image = Digest::from_content(&[2, 1].repeat(50));
     let gone = [
         (image, Role::Row),
-        (Digest::of(b"named by the stage alone"), Role::Need),
-        (Digest::of(b"of child"), Role::Output),
+        (Digest::from_content(b"named by the stage alone"), Role::Need),
+        (Digest::from_content(b"of child"), Role::Output),
     ];
     let rows: Vec<_> = gone.iter().map(|(digest, _)| (Kind::Blob, *digest)).collect();
     store.objects.index.remove(&rows).unwrap();
     let closure = store
-        .closure(&[record.key, Digest::of(b"no record")], &[])
+        .closure(&[record.key, Digest::from_content(b"no record")], &[])
         .unwrap();
-    for (digest, role) in gone.into_iter().chain([(Digest::of(b"no record"), Role::Record)]) {
+    for (digest, role) in gone.into_iter().chain([(Digest::from_content(b"no record"), Role::Record)]) {
         let found = closure.missing.iter().find(|one| one.digest == digest);
         assert_eq!(found.map(|one| one.role), Some(role));
     }
@@ -118,9 +118,9 @@ fn a_collection_keeps_the_closure_of_its_roots_and_removes_the_rest() {
     let memos = [(b"kept memo", kept.key), (b"dead memo", dead.key)];
     for (name, maker) in memos {
         let blob = store.put(name).unwrap();
-        store.put_memo(Digest::of(name), blob, maker);
+        store.put_memo(Digest::from_content(name), blob, maker);
     }
-    let scratch = [Digest::of(b"under way"), Digest::of(b"given up"), kept.key].map(|key| {
+    let scratch = [Digest::from_content(b"under way"), Digest::from_content(b"given up"), kept.key].map(|key| {
         let path = store.scratch().join(format!("{key}.state"));
         fs::create_dir_all(store.scratch()).unwrap();
         fs::write(&path, b"").unwrap();
@@ -129,7 +129,7 @@ fn a_collection_keeps_the_closure_of_its_roots_and_removes_the_rest() {
     store.commit().unwrap();
     drop(store);
     let store = reopen(&dir);
-    let mut plan = plan(&[kept.key, Digest::of(b"under way")]);
+    let mut plan = plan(&[kept.key, Digest::from_content(b"under way")]);
     plan.dry_run = true;
     let promised = store.gc(&plan).unwrap();
     assert!(store.objects.contains(&dead.outputs["photos"].digest));
@@ -151,8 +151,8 @@ fn a_collection_keeps_the_closure_of_its_roots_and_removes_the_rest() {
         let closure = store.closure(&[kept.key], &[]).unwrap();
         assert_eq!((&closure.keys, &closure.blobs), (&keys, &blobs));
         assert_eq!(closure.missing.len(), 1);
-        assert!(store.memo(&Digest::of(b"kept memo")).unwrap().is_some());
-        assert_eq!(store.memo(&Digest::of(b"dead memo")).unwrap(), None);
+        assert!(store.memo(&Digest::from_content(b"kept memo")).unwrap().is_some());
+        assert_eq!(store.memo(&Digest::from_content(b"dead memo")).unwrap(), None);
         assert_eq!(store.record(&dead.key).unwrap(), None);
     }
     let report = store.gc(&GcPlan::default()).unwrap();
@@ -239,13 +239,13 @@ fn what_a_process_found_stays_until_it_ends() {
     store.put_record(found.clone());
     let again_put = store.put(&large(5)).unwrap();
     let memo_blob = store.put(b"features").unwrap();
-    store.put_memo(Digest::of(b"m"), memo_blob, Digest::of(b"nobody"));
+    store.put_memo(Digest::from_content(b"m"), memo_blob, Digest::from_content(b"nobody"));
     store.commit().unwrap();
     drop(store);
     let user = reopen(&dir);
     assert!(user.hit(&found.key).unwrap().is_some());
     user.put(&large(5)).unwrap();
-    assert!(user.memo(&Digest::of(b"m")).unwrap().is_some());
+    assert!(user.memo(&Digest::from_content(b"m")).unwrap().is_some());
     let collector = reopen(&dir);
     collector.gc(&GcPlan::default()).unwrap();
     assert!(user.hit(&found.key).unwrap().is_some());

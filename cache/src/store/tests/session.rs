@@ -22,17 +22,17 @@ pub(super) fn step(number: u8) -> Step {
         action: action("blur", &name, &[]),
         output: [number].repeat(300 + usize::from(number)),
         large: (number % 4 == 1).then(|| [number, 1].repeat(40_000)),
-        memo: Digest::of(name.as_bytes()),
+        memo: Digest::from_content(name.as_bytes()),
         memo_blob: format!("memo of {name}").into_bytes(),
     }
 }
 
 impl Step {
     pub(super) fn record(&self) -> Record {
-        let mut record = record_of(&self.action, Digest::of(&self.output), self.output.len() as u64);
+        let mut record = record_of(&self.action, Digest::from_content(&self.output), self.output.len() as u64);
         if let Some(large) = &self.large {
             let output = Output {
-                digest: Digest::of(large),
+                digest: Digest::from_content(large),
                 bytes: large.len() as u64,
             };
             record.outputs.insert("large".to_owned(), output);
@@ -91,7 +91,7 @@ pub(super) fn check(store: &Store, done: &[u8], context: &str) {
         if let Some(record) = store.hit(&step.action.key()).unwrap() {
             for output in record.outputs.values() {
                 let bytes = store.get(&output.digest).unwrap();
-                assert_eq!(Digest::of(&bytes), output.digest, "{context}");
+                assert_eq!(Digest::from_content(&bytes), output.digest, "{context}");
             }
         }
         if let Some(blob) = store.memo(&step.memo).unwrap() {

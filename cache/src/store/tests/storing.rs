@@ -121,7 +121,7 @@ fn two_processes_that_finish_one_key_differently_keep_one_and_tell_it() {
 #[test]
 fn a_memo_may_be_replaced_and_without_its_blob_is_none() {
     let (dir, store) = fresh();
-    let (key, maker) = (Digest::of(b"memo"), Digest::of(b"maker"));
+    let (key, maker) = (Digest::from_content(b"memo"), Digest::from_content(b"maker"));
     for text in [b"one".as_slice(), b"two", b"one"] {
         let blob = store.put(text).unwrap();
         store.put_memo(key, blob, maker);
@@ -131,7 +131,7 @@ fn a_memo_may_be_replaced_and_without_its_blob_is_none() {
         store.objects.index.rebuild("a test").unwrap();
         assert_eq!(store.memo(&key).unwrap(), Some(blob));
     }
-    store.put_memo(key, Digest::of(b"never stored"), maker);
+    store.put_memo(key, Digest::from_content(b"never stored"), maker);
     assert_eq!(store.memo(&key).unwrap(), None);
 }
 
@@ -157,7 +157,7 @@ fn a_file_is_stored_as_its_bytes_were_and_not_linked() {
         let path = dir.path().join("photo");
         fs::write(&path, &bytes).unwrap();
         let (digest, read) = store.put_file(&path, 1 << 20).unwrap();
-        assert_eq!((digest, &*read), (Digest::of(&bytes), bytes.as_slice()));
+        assert_eq!((digest, &*read), (Digest::from_content(&bytes), bytes.as_slice()));
         fs::write(&path, b"edited in place").unwrap();
         store.commit().unwrap();
         assert_eq!(&*reopen(&dir).get(&digest).unwrap(), bytes.as_slice());
@@ -172,7 +172,7 @@ fn a_reference_is_read_where_it_lies_and_is_damaged_when_it_is_edited() {
         fs::write(&path, &bytes).unwrap();
         let (digest, read) = store.put_reference(&path, 1 << 20).unwrap();
         store.commit().unwrap();
-        assert_eq!((digest, &*read), (Digest::of(&bytes), bytes.as_slice()));
+        assert_eq!((digest, &*read), (Digest::from_content(&bytes), bytes.as_slice()));
         assert_eq!(store.reference(&digest), Some(fs::canonicalize(&path).unwrap()));
         assert_eq!(&*reopen(&dir).get(&digest).unwrap(), bytes.as_slice());
         let stat = store.stat().unwrap();
@@ -343,7 +343,7 @@ fn the_count_of_a_store_is_exact() {
     let record = record("k", &store, b"small");
     let action_bytes = action("blur", "k", &[]).encode().len() as u64;
     store.put_record(record);
-    store.put_memo(Digest::of(b"m"), Digest::of(b"small"), Digest::of(b"maker"));
+    store.put_memo(Digest::from_content(b"m"), Digest::from_content(b"small"), Digest::from_content(b"maker"));
     store.put_run(b"{}").unwrap();
     let stat = store.stat().unwrap();
     assert!(stat.index_bytes > 0);

@@ -27,10 +27,10 @@ impl Upstream for Table {
 fn a_blob_that_is_lacking_is_asked_for_once_and_believed_by_its_digest() {
     let dir = tempfile::tempdir().unwrap();
     let (here, there, wrong, dead) = (
-        Digest::of(b"here"),
-        Digest::of(b"there"),
-        Digest::of(b"wrong"),
-        Digest::of(b"dead"),
+        Digest::from_content(b"here"),
+        Digest::from_content(b"there"),
+        Digest::from_content(b"wrong"),
+        Digest::from_content(b"dead"),
     );
     let table = Arc::new(Table {
         blobs: BTreeMap::from([
@@ -59,15 +59,15 @@ fn a_blob_that_is_lacking_is_asked_for_once_and_believed_by_its_digest() {
             .to_string()
             .ends_with("the line is dead")
     );
-    let absent = Digest::of(b"absent");
+    let absent = Digest::from_content(b"absent");
     assert!(matches!(store.get(&absent), Err(StoreError::Missing { digest }) if digest == absent));
-    assert_eq!(store.size_of(&Digest::of(b"there")), Some(5));
+    assert_eq!(store.size_of(&Digest::from_content(b"there")), Some(5));
 }
 
 #[test]
 fn what_passes_through_has_a_length_before_it_was_read() {
     let dir = tempfile::tempdir().unwrap();
-    let there = Digest::of(b"there");
+    let there = Digest::from_content(b"there");
     let table = Table {
         blobs: BTreeMap::from([(there, b"there".to_vec())]),
         ..Table::default()
@@ -75,5 +75,5 @@ fn what_passes_through_has_a_length_before_it_was_read() {
     let store = Store::open(dir.path()).unwrap().with_upstream(Arc::new(table));
     assert!(!store.contains(&there));
     assert_eq!(store.size_of(&there), Some(5));
-    assert_eq!(store.size_of(&Digest::of(b"absent")), None);
+    assert_eq!(store.size_of(&Digest::from_content(b"absent")), None);
 }

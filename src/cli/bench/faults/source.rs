@@ -99,7 +99,7 @@ impl Source {
                 _ => SIZE,
             };
             let png = noise(sol << 8 | number, width, height)?;
-            products.insert(Digest::of(&png));
+            products.insert(Digest::from_content(&png));
             let path = server.navcam(sol, number, png);
             server.script(&path, vec![PACE.always()]);
         }

@@ -40,7 +40,7 @@ impl Context {
     /// Returns the context of these bytes.
     pub(super) fn new(bytes: Vec<u8>) -> Self {
         Self {
-            digest: Some(Digest::of(&bytes)),
+            digest: Some(Digest::from_content(&bytes)),
             bytes,
         }
     }

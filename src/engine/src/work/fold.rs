@@ -24,12 +24,12 @@ const BEFORE: &str = "before";
 
 /// The chain before the first step.
 pub(super) fn start() -> Digest {
-    Digest::of(&[])
+    Digest::from_content(&[])
 }
 
 /// Returns the chain after a step, from the chain before it and what the step added.
 pub(super) fn after(before: &Digest, added: &Digest) -> Digest {
-    Digest::of(&link(before, added))
+    Digest::from_content(&link(before, added))
 }
 
 /// Returns the last link of a chain: the digest of the chain before a step, and that of what the step added.

@@ -86,7 +86,7 @@ fn two_damaged_photos_of_one_shard_heal_in_one_run() {
     (1..=2).for_each(|shard| fixture.put_shard(shard));
     run_on(&TestPipeline::new(number).graph(), &store);
     for photo in ["image 8", "image 12"] {
-        damage_object(&store, &Digest::of(photo.as_bytes()));
+        damage_object(&store, &Digest::from_content(photo.as_bytes()));
     }
     let pipeline = TestPipeline {
         times: 2,

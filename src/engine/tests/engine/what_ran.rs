@@ -256,7 +256,7 @@ fn a_key_is_the_digest_of_a_stored_action_and_a_part_has_its_own() {
     for node in &first.nodes {
         let key = node.key.unwrap();
         let bytes = store.get(&key).unwrap();
-        assert_eq!(Digest::of(&bytes), key);
+        assert_eq!(Digest::from_content(&bytes), key);
         let action = Action::decode(&bytes).unwrap();
         assert_eq!(action.stage, node.stage);
         let record = store.record(&key).unwrap().unwrap();

@@ -30,8 +30,8 @@ impl FileDigest {
     pub fn new(bytes: &[u8]) -> Self {
         Self {
             bytes: bytes.len() as u64,
-            sha256: Sha256::of(bytes),
-            blake3: Digest::of(bytes),
+            sha256: Sha256::from_content(bytes),
+            blake3: Digest::from_content(bytes),
         }
     }
 }

@@ -297,7 +297,7 @@ mod tests {
     fn a_manifest_cannot_lead_out_of_the_bag() {
         let (dir, folder) = bag();
         fs::write(dir.path().join("secret"), b"one").unwrap();
-        let line = format!("{}  data/../../secret\n", Sha256::of(b"one"));
+        let line = format!("{}  data/../../secret\n", Sha256::from_content(b"one"));
         fs::write(folder.join(MANIFEST), line).unwrap();
         let faults = Bag::read(&folder).faults;
         assert!(

@@ -237,7 +237,7 @@ mod tests {
     #[test]
     fn an_object_is_one_file_whoever_made_it() {
         let mut contents = Contents::default();
-        let (one, two) = (Digest::of(b"1"), Digest::of(b"2"));
+        let (one, two) = (Digest::from_content(b"1"), Digest::from_content(b"2"));
         contents.add_object(one, Purpose::Data);
         contents.add("outputs/a/x.png".into(), "first".into(), one, Purpose::Data);
         contents.add("outputs/b/x.png".into(), "second".into(), one, Purpose::Data);
@@ -245,13 +245,13 @@ mod tests {
         contents.add(
             "outputs/a/x y.png".into(),
             "not plain".into(),
-            Digest::of(b"3"),
+            Digest::from_content(b"3"),
             Purpose::Data,
         );
         contents.add_object(one, Purpose::Record);
         let mut expected = [
             format!("objects/{two}"),
-            format!("objects/{}", Digest::of(b"3")),
+            format!("objects/{}", Digest::from_content(b"3")),
             "outputs/a/x.png".to_owned(),
         ];
         expected.sort();

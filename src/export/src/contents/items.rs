@@ -90,11 +90,11 @@ fn add_verdict(contents: &mut Contents, node: &RunNode, row: &Row, verdict: &Ver
     let mut path = if is_plain(&whole) {
         whole
     } else {
-        format!("items/{}.json", Digest::of(whole.as_bytes()))
+        format!("items/{}.json", Digest::from_content(whole.as_bytes()))
     };
     // A product of several files has a verdict on each.
     if contents.files.contains_key(&path) {
-        path = format!("items/{}.json", Digest::of(&bytes));
+        path = format!("items/{}.json", Digest::from_content(&bytes));
     }
     contents.add_bytes(
         &path,

@@ -109,7 +109,7 @@ impl OpenCrate {
         let path = self.paths.get(digest).ok_or("it is not in the crate")?;
         let bytes = self.bag.get(path).map_err(|error| error.to_string())?;
         // The file may have changed since the bag was read.
-        if Digest::of(&bytes) != *digest {
+        if Digest::from_content(&bytes) != *digest {
             return Err("it changed while it was read".to_owned());
         }
         Ok(bytes.into())

@@ -56,8 +56,8 @@ fn wrong_subjects(opened: &OpenCrate, statement: &[u8]) -> Option<String> {
     };
     let manifest = opened.bag.tag(MANIFEST).unwrap_or_default();
     let expected = [
-        (MANIFEST, Sha256::of(&manifest)),
-        (RUN_ROOT, Sha256::of(&opened.root)),
+        (MANIFEST, Sha256::from_content(&manifest)),
+        (RUN_ROOT, Sha256::from_content(&opened.root)),
     ];
     let expected = expected.map(|(name, digest)| (name.to_owned(), digest));
     let missing = expected.iter().find(|subject| !subjects.contains(subject));

@@ -36,7 +36,7 @@ pub struct World {
 
 impl World {
     pub fn put(&mut self, bytes: &[u8]) -> Digest {
-        let digest = Digest::of(bytes);
+        let digest = Digest::from_content(bytes);
         self.objects.insert(digest, bytes.to_vec());
         digest
     }
@@ -45,7 +45,7 @@ impl World {
     pub fn set(&mut self, ids: &[&str]) -> Digest {
         let row = |id: &&str| Row {
             id: (*id).to_owned(),
-            blobs: BTreeMap::from([("image".to_owned(), Digest::of(image(id).as_bytes()))]),
+            blobs: BTreeMap::from([("image".to_owned(), Digest::from_content(image(id).as_bytes()))]),
             facts: Value::Null,
         };
         let leaf = Leaf::new(ids.iter().map(row).collect()).unwrap().encode();
@@ -139,9 +139,9 @@ impl World {
         let origin = |id: &&str| Origin {
             file: format!("{id}.png"),
             kind: OriginKind::Photo,
-            blake3: Digest::of(image(id).as_bytes()),
+            blake3: Digest::from_content(image(id).as_bytes()),
             bytes: Some(image(id).len() as u64),
-            sha256: Some(Sha256::of(image(id).as_bytes())),
+            sha256: Some(Sha256::from_content(image(id).as_bytes())),
             url: Some(format!("https://archive.example/{id}.png")),
             fetched: Some("2026-01-01T00:00:00Z".to_owned()),
             reason: None,
@@ -157,9 +157,9 @@ impl World {
         let root = json!({
             "format": marf_engine::RUN_FORMAT, "id": "6e10105061dd45eb", "pipeline": "small", "command": "marf run",
             "program": "marf 0.1.0", "started_unix_s": 1_000_000_000_u64, "seconds": 9.0, "outcome": "done",
-            "source": {"kind": "pipeline", "file": "pipeline.toml"}, "digest": Digest::of(b"declared"), "threads": 2,
+            "source": {"kind": "pipeline", "file": "pipeline.toml"}, "digest": Digest::from_content(b"declared"), "threads": 2,
             "nodes": self.nodes, "latest": {},
-            "build": {"commit": "abc", "blake3": Digest::of(b"program"), "bytes": 7, "os": "linux", "arch": "x86_64"},
+            "build": {"commit": "abc", "blake3": Digest::from_content(b"program"), "bytes": 7, "os": "linux", "arch": "x86_64"},
             "documents": {"pipeline.toml": {"digest": pipeline, "bytes": 15}},
         });
         let dir = tempfile::tempdir().unwrap();
@@ -242,7 +242,7 @@ pub fn world() -> World {
     let listing = Root {
         leaves: vec![LeafRef {
             shard: 7,
-            leaf: Digest::of(b"fingerprint"),
+            leaf: Digest::from_content(b"fingerprint"),
             rows: 0,
         }],
     };

@@ -71,5 +71,5 @@ fn a_crate_signed_by_another_or_by_nobody_is_found() {
         faults,
         ["`attestation.dsse.json` is signed, but not about this `manifest-sha256.txt`"]
     );
-    assert!(!faults.is_empty() && Digest::of(b"more") == more);
+    assert!(!faults.is_empty() && Digest::from_content(b"more") == more);
 }

@@ -41,7 +41,7 @@ fn a_crate_holds_and_the_same_run_gives_the_same_bytes() {
         names.contains(&"data/outputs/fit/weights.bin".to_owned()),
         "{names:?}"
     );
-    let photo = format!("data/objects/{}", Digest::of(image("a").as_bytes()));
+    let photo = format!("data/objects/{}", Digest::from_content(image("a").as_bytes()));
     assert!(names.contains(&photo), "{names:?}");
 }
 
@@ -121,7 +121,7 @@ fn chosen_photos_come_with_every_decision_on_them() {
     assert_eq!(items.len(), 4, "two photos, two nodes: {items:?}");
     let graph = String::from_utf8_lossy(&files["data/ro-crate-metadata.json"]).into_owned();
     assert!(graph.contains("\"size of name with spaces\""));
-    assert!(!files.contains_key(&format!("data/objects/{}", Digest::of(image("b").as_bytes()))));
+    assert!(!files.contains_key(&format!("data/objects/{}", Digest::from_content(image("b").as_bytes()))));
 }
 
 #[test]
@@ -137,7 +137,7 @@ fn a_photo_that_is_not_there_is_refused_and_nothing_is_left() {
     let error = write_crate(&run, &unknown, &folder).unwrap_err();
     assert!(matches!(error, ExportError::UnknownItem { .. }), "{error}");
     let mut without_weights = world();
-    without_weights.objects.remove(&Digest::of(b"weights"));
+    without_weights.objects.remove(&Digest::from_content(b"weights"));
     let (_lost, lost) = without_weights.stored();
     let error = write_crate(&Run::open(&lost, 1).unwrap(), &options(), &folder)
         .unwrap_err()
@@ -168,11 +168,11 @@ fn a_signed_crate_is_signed_over_its_manifest() {
 fn a_statement_names_results_and_everything_they_depend_on() {
     let (_dir, store) = world().stored();
     let run = Run::open(&store, 1).unwrap();
-    let weights = [("fit/weights.bin".to_owned(), Digest::of(b"weights"))];
+    let weights = [("fit/weights.bin".to_owned(), Digest::from_content(b"weights"))];
     let subjects = marf_export::subjects_of(&run, weights.into_iter()).unwrap();
     let node = run.node("fit").unwrap();
     let statement = marf_export::statement_on_node(&run, node, &subjects).unwrap();
-    let expected = vec![("fit/weights.bin".to_owned(), Sha256::of(b"weights"))];
+    let expected = vec![("fit/weights.bin".to_owned(), Sha256::from_content(b"weights"))];
     assert_eq!(subjects_in(&statement), Some(expected));
     let json: serde_json::Value = serde_json::from_slice(&statement).unwrap();
     let definition = &json["predicate"]["buildDefinition"];
@@ -196,7 +196,7 @@ fn a_crate_tells_where_its_bytes_came_from() {
     let dir = tempfile::tempdir().unwrap();
     let folder = world().write(dir.path(), &options());
     let opened = OpenCrate::open(&folder).unwrap();
-    let trace = opened.trace(&Digest::of(b"weights")).unwrap().unwrap();
+    let trace = opened.trace(&Digest::from_content(b"weights")).unwrap().unwrap();
     let output = Role::Output {
         node: "fit".to_owned(),
         output: "weights.bin".to_owned(),
@@ -223,8 +223,8 @@ fn a_crate_tells_where_its_bytes_came_from() {
         assert!(text.lines().any(|found| found == line), "{line}: {text}");
     }
 
-    let photo = opened.trace(&Digest::of(image("b").as_bytes())).unwrap().unwrap();
+    let photo = opened.trace(&Digest::from_content(image("b").as_bytes())).unwrap().unwrap();
     assert_eq!(photo.products.len(), 1);
     assert_eq!(photo.steps.len(), 1, "only its source");
-    assert!(opened.trace(&Digest::of(b"a stranger's")).unwrap().is_none());
+    assert!(opened.trace(&Digest::from_content(b"a stranger's")).unwrap().is_none());
 }

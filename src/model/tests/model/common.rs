@@ -103,7 +103,7 @@ impl Source for Archive {
                 kind: OriginKind::Photo,
                 blake3,
                 bytes: Some(bytes.len() as u64),
-                sha256: Some(Sha256::of(&bytes)),
+                sha256: Some(Sha256::from_content(&bytes)),
                 url: Some(format!("https://host/{id}.png")),
                 fetched: Some("2026-11-22T08:00:00Z".to_owned()),
                 reason: None,

@@ -73,7 +73,7 @@ fn stored(store: &Store, name: &str, source: RunSource, states: [Option<NodeStat
         started_unix_s: 0,
         seconds: 0.0,
         outcome: if is_done { Outcome::Done } else { Outcome::Failed },
-        digest: Digest::of(b"declared"),
+        digest: Digest::from_content(b"declared"),
         threads: 1,
         nodes,
         documents: BTreeMap::from([(document::RESOLVED.to_owned(), resolved)]),

@@ -20,8 +20,8 @@ fn every_kind_of_content_is_found_with_its_maker() {
     let key = run.node("sum").unwrap().key.unwrap();
     let cases = [
         (run.root.unwrap(), Place::Root),
-        (Digest::of(b"5 rows times 1"), output("sum", "sum")),
-        (Digest::of(b"mean of 2"), output("many", "mean")),
+        (Digest::from_content(b"5 rows times 1"), output("sum", "sum")),
+        (Digest::from_content(b"mean of 2"), output("many", "mean")),
         (key, Place::Action("sum".to_owned())),
         (
             leaf,
@@ -32,7 +32,7 @@ fn every_kind_of_content_is_found_with_its_maker() {
             },
         ),
         (
-            Digest::of(&picture("c1")),
+            Digest::from_content(&picture("c1")),
             Place::Product {
                 node: "archive".to_owned(),
                 sol: 1,
@@ -51,7 +51,7 @@ fn every_kind_of_content_is_found_with_its_maker() {
             "{place:?}"
         );
     }
-    assert_eq!(find(&store, &[run], &Digest::of(b"foreign")).unwrap(), []);
+    assert_eq!(find(&store, &[run], &Digest::from_content(b"foreign")).unwrap(), []);
 }
 
 /// One sum in two runs is one maker; the same text from other parameters is another.
@@ -67,7 +67,7 @@ fn a_reused_result_has_the_run_that_made_it_and_an_ambiguous_content_all_makers(
         ..pipeline
     }
     .run(&store);
-    let makers = find(&store, &[first, second, third], &Digest::of(b"5 rows times 1")).unwrap();
+    let makers = find(&store, &[first, second, third], &Digest::from_content(b"5 rows times 1")).unwrap();
     let mut runs: Vec<_> = makers
         .iter()
         .map(|maker| (maker.runs.clone(), maker.made_in))
@@ -83,7 +83,7 @@ fn where_the_run_that_made_it_is_gone_the_oldest_that_has_it_is_told() {
     Pipeline::default().run(&store);
     let second = Pipeline::default().run(&store);
     store.remove_run(1).unwrap();
-    let makers = find(&store, &[second], &Digest::of(b"5 rows times 1")).unwrap();
+    let makers = find(&store, &[second], &Digest::from_content(b"5 rows times 1")).unwrap();
     assert_eq!(
         (makers[0].runs.as_slice(), makers[0].made_in),
         ([2].as_slice(), None)

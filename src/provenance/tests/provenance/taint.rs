@@ -36,7 +36,7 @@ fn a_product_goes_into_everything_that_follows_unless_it_is_rejected() {
 fn a_product_is_known_by_id_by_file_and_by_digest() {
     let (_dir, store) = fresh_store();
     let lineage = Run::new(&store, Pipeline::default().run(&store)).unwrap();
-    let digest = Digest::of(&picture("c2")).to_string();
+    let digest = Digest::from_content(&picture("c2")).to_string();
     for wanted in ["c2", "c2.png", &digest] {
         assert_eq!(
             product_of(&lineage, wanted).unwrap().unwrap().id,

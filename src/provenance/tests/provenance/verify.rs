@@ -50,7 +50,7 @@ fn damage_is_named_and_tells_only_those_who_depend_on_it() {
     assert_eq!(found.faults.len(), 1, "{found:?}");
     assert_eq!(
         found.faults[0].object,
-        Some(marf_cache::Digest::of(&picture("a1")))
+        Some(marf_cache::Digest::from_content(&picture("a1")))
     );
     assert_eq!(found.missing, [], "what is damaged is not missing");
     // Nothing was set aside: a second look finds the same.

@@ -118,7 +118,7 @@ fn differences(pin: &PinnedProduct, file: &Origin) -> Vec<String> {
 }
 
 fn of_folder(folder: &Path, file: &Origin) -> Vec<String> {
-    match std::fs::read(folder.join(&file.file)).map(|bytes| Digest::of(&bytes)) {
+    match std::fs::read(folder.join(&file.file)).map(|bytes| Digest::from_content(&bytes)) {
         Ok(now) if now == file.blake3 => Vec::new(),
         Ok(now) => vec![format!("the folder has other bytes now, blake3 {now}")],
         Err(error) => vec![format!("the folder has it no longer: {error}")],

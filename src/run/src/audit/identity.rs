@@ -71,7 +71,7 @@ pub fn identify(store: &Store, runs: &[RunRecord], file: &[u8]) -> Result<Identi
     let Some((bytes, stamp)) = Stamp::take_from(file) else {
         return unmarked(store, runs, file);
     };
-    let content = Digest::of(&bytes);
+    let content = Digest::from_content(&bytes);
     if content == stamp.object {
         let makers = find(store, runs, &content)?;
         if makers.is_empty() {
@@ -106,7 +106,7 @@ pub fn identify(store: &Store, runs: &[RunRecord], file: &[u8]) -> Result<Identi
 
 /// Tells what a file without a mark is.
 fn unmarked(store: &Store, runs: &[RunRecord], file: &[u8]) -> Result<Identity, Error> {
-    let content = Digest::of(file);
+    let content = Digest::from_content(file);
     let makers = find(store, runs, &content)?;
     if !makers.is_empty() {
         return Ok(Identity::Whole {
@@ -115,7 +115,7 @@ fn unmarked(store: &Store, runs: &[RunRecord], file: &[u8]) -> Result<Identity, 
         });
     }
     if let Some(bytes) = Stamp::take_altered_from(file) {
-        let closest = Digest::of(&bytes);
+        let closest = Digest::from_content(&bytes);
         let makers = find(store, runs, &closest)?;
         if !makers.is_empty() {
             return Ok(Identity::Altered {

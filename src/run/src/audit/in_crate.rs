@@ -20,7 +20,7 @@ pub fn trace(file: &Path, folder: &Path) -> Result<Trace, Error> {
     let answered = |answer, message: String| Error::Answered(answer, Diagnostic::new(message));
     verify_crate(folder)?;
     let named = Stamp::take_from(&bytes).map(|(_, stamp)| stamp.object);
-    let digest = Digest::of(&object_of(bytes));
+    let digest = Digest::from_content(&object_of(bytes));
     if named.is_some_and(|object| object != digest) {
         let message = format!("{} is not what its mark says: it was altered", file.display());
         return Err(answered(Answer::Altered, message));

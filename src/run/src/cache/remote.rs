@@ -103,7 +103,7 @@ impl<'a> SharedStore<'a> {
             .map(in_words)
             .for_each(self.context.warnings());
         Ok(PushResult {
-            run: Digest::of(sent.root.as_bytes()),
+            run: Digest::from_content(sent.root.as_bytes()),
             number: run.number,
             results: pushed.records,
             known_results: pushed.known_records,

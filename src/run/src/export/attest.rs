@@ -69,7 +69,7 @@ fn on_result(run: &Run<'_>, subject: &str) -> Result<Vec<u8>, Error> {
         let message = format!("`{subject}` is no node of the run, and no file that can be read: {error}");
         Error::Usage(Diagnostic::new(message).hint("`marf status` lists the nodes"))
     })?;
-    let digest = Digest::of(&object_of(bytes));
+    let digest = Digest::from_content(&object_of(bytes));
     let made_it = |node: &&RunNode| node.run.outputs.values().any(|output| output.digest == digest);
     let node = run.nodes.iter().find(made_it).ok_or_else(|| {
         let message = format!("{subject} holds no result of run {}", run.record.id);

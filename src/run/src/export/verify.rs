@@ -114,7 +114,7 @@ fn verify_statement(request: &VerifyRequest, key: &PublicKey) -> Result<VerifyRe
     for file in &request.subjects {
         let bytes = std::fs::read(file)
             .map_err(|error| Error::usage(format!("{} cannot be read: {error}", file.display())))?;
-        let sha256 = marf_cache::Sha256::of(&object_of(bytes));
+        let sha256 = marf_cache::Sha256::from_content(&object_of(bytes));
         let subject = subjects.iter().find(|(_, digest)| *digest == sha256);
         let (name, _) = subject.ok_or_else(|| refuse(format!("it is not about {}", file.display())))?;
         found.push((file.clone(), name.to_string()));

@@ -206,12 +206,12 @@ mod tests {
         let keys = film.path.keys();
         assert_eq!(keys[0], ("path", json!("keyframes")));
         assert_eq!(keys[1].1[0]["cam_from_world"][2][3], 2.5);
-        assert_eq!(stills.of_other_scene(&Digest::of(b"any")), None);
-        let scene = Digest::of(b"scene");
+        assert_eq!(stills.of_other_scene(&Digest::from_content(b"any")), None);
+        let scene = Digest::from_content(b"scene");
         let of = format!(r#"[{{"of": {{"run": 3, "field": "train", "scene": "{scene}"}}, "name""#);
         let named = read(&file("named.json", &one.replace(r#"[{"name""#, &of)), None).unwrap();
         assert_eq!(named.of_other_scene(&scene), None);
-        let told = named.of_other_scene(&Digest::of(b"another")).unwrap();
+        let told = named.of_other_scene(&Digest::from_content(b"another")).unwrap();
         assert!(
             told.starts_with("1 of the bookmarks") && told.contains("`train` in run 3"),
             "{told}"

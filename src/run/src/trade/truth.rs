@@ -94,7 +94,7 @@ mod tests {
         let frame = |index: usize| Frame {
             id: format!("p{index}"),
             file: format!("sol 1/p{index}.jpg"),
-            image: Digest::of(&[]),
+            image: Digest::from_content(&[]),
             mask: None,
             camera: Camera::pinhole(4, 4, 4.0),
             cam_from_world: pose(index),

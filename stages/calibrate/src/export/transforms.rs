@@ -126,7 +126,7 @@ mod tests {
         let frame = Frame {
             id: "a".to_owned(),
             file: "images/a.jpg".to_owned(),
-            image: Digest::of(b"a"),
+            image: Digest::from_content(b"a"),
             camera: Camera::pinhole(640, 480, 500.0),
             cam_from_world: Pose::looking_at(eye, Vector3::zeros(), -Vector3::z()),
             held_out: false,

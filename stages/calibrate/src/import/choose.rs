@@ -180,7 +180,7 @@ mod tests {
     fn files(names: &[&str]) -> Files {
         names
             .iter()
-            .map(|name| ((*name).to_owned(), Digest::of(name.as_bytes())))
+            .map(|name| ((*name).to_owned(), Digest::from_content(name.as_bytes())))
             .collect()
     }
 

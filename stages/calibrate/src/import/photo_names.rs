@@ -81,7 +81,7 @@ mod tests {
     fn items(files: &[&str]) -> Vec<InputPhoto> {
         let item = |file: &&str| InputPhoto {
             id: base(file).to_uppercase(),
-            image: Digest::of(file.as_bytes()),
+            image: Digest::from_content(file.as_bytes()),
             labelled: false,
             facts: PhotoFacts {
                 file: (*file).to_owned(),

@@ -120,7 +120,7 @@ mod tests {
     fn items(count: usize) -> Vec<InputPhoto> {
         let item = |index: usize| InputPhoto {
             id: format!("p{index}"),
-            image: Digest::of(&[]),
+            image: Digest::from_content(&[]),
             labelled: false,
             facts: PhotoFacts {
                 file: format!("a/IMG {index}.jpg"),

@@ -165,7 +165,7 @@ mod tests {
     fn items(count: u32) -> Vec<InputPhoto> {
         let item = |index: u32| InputPhoto {
             id: format!("p{index}"),
-            image: Digest::of(&[]),
+            image: Digest::from_content(&[]),
             labelled: true,
             facts: PhotoFacts {
                 file: format!("{index}.png"),

@@ -189,7 +189,7 @@ pub(super) fn photos_key(
         (shared.camera, shared.focal == FocalKnown::Known)
     };
     let parts = (photos.map(|photo| features[photo].row.found), photos.map(camera));
-    Digest::of(&serde_json::to_vec(&parts).unwrap_or_default())
+    Digest::from_content(&serde_json::to_vec(&parts).unwrap_or_default())
 }
 
 impl PairFunction for Comparison<'_> {
@@ -210,7 +210,7 @@ impl PairFunction for Comparison<'_> {
         };
         let found = |photo: usize| self.features[photo].row.found;
         let parts = (found(a), found(b), camera(a), camera(b), self.params.seed);
-        Digest::of(&serde_json::to_vec(&parts).unwrap_or_default())
+        Digest::from_content(&serde_json::to_vec(&parts).unwrap_or_default())
     }
 
     fn compute(&self, photos: [usize; 2], key: &Digest) -> ComparedPair {

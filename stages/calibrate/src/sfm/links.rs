@@ -49,7 +49,7 @@ impl PairLinks<'_> {
 
     /// Returns a seed that depends on the verified matches of a pair alone.
     fn seed(&self, pair: &ComparedPair) -> u64 {
-        seed_of(&Digest::of(&pack_inliers(&pair.verified.inliers))) ^ self.params.seed
+        seed_of(&Digest::from_content(&pack_inliers(&pair.verified.inliers))) ^ self.params.seed
     }
 }
 

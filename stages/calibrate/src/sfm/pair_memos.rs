@@ -195,11 +195,11 @@ mod tests {
         const NOTE: &'static str = "sums";
 
         fn table(&self) -> Digest {
-            Digest::of(b"sums 1")
+            Digest::from_content(b"sums 1")
         }
 
         fn key(&self, [a, b]: [usize; 2]) -> Digest {
-            Digest::of(format!("{a} {b}").as_bytes())
+            Digest::from_content(format!("{a} {b}").as_bytes())
         }
 
         fn compute(&self, [a, b]: [usize; 2], _key: &Digest) -> usize {
@@ -217,7 +217,7 @@ mod tests {
     }
 
     fn photos(count: usize) -> Vec<Digest> {
-        (0..count).map(|photo| Digest::of(&[photo as u8])).collect()
+        (0..count).map(|photo| Digest::from_content(&[photo as u8])).collect()
     }
 
     fn pairs(count: usize) -> Vec<[usize; 2]> {

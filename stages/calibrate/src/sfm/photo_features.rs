@@ -109,7 +109,7 @@ pub(crate) fn features_of(
 
 /// Returns the digest of all of a photo that its features depend on.
 fn row_key(item: &InputPhoto, candidate: Option<&Candidate<'_>>, mask: Option<&Image<Srgb>>) -> Digest {
-    let mask = mask.map(|mask| Digest::of(mask.pixels.as_flattened()));
+    let mask = mask.map(|mask| Digest::from_content(mask.pixels.as_flattened()));
     photo_key(item, candidate, mask)
 }
 

@@ -158,7 +158,7 @@ impl PairFunction for KnownPairs<'_> {
                 (known.cam_from_world, known.camera),
             )
         });
-        Digest::of(&serde_json::to_vec(&parts).unwrap_or_default())
+        Digest::from_content(&serde_json::to_vec(&parts).unwrap_or_default())
     }
 
     fn compute(&self, photos: [usize; 2], _key: &Digest) -> Link {

@@ -165,7 +165,7 @@ fn the_answer_belongs_to_the_version() {
         .collect();
     let found = (
         ExportCameras::VERSION,
-        Digest::of(all.join("\n").as_bytes()).short(),
+        Digest::from_content(all.join("\n").as_bytes()).short(),
     );
     assert_eq!(found, (1, "779efbaf5f66".to_owned()));
     assert_eq!(define::<ExportCameras>().version, ExportCameras::VERSION);

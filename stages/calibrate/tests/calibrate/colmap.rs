@@ -58,7 +58,7 @@ fn scene(files: &[&str]) -> Scene {
     let frame = |(step, file): (usize, &&str)| Frame {
         id: (*file).to_owned(),
         file: (*file).to_owned(),
-        image: Digest::of(file.as_bytes()),
+        image: Digest::from_content(file.as_bytes()),
         camera: Camera {
             k1: 0.1,
             k2: -0.05,
@@ -124,7 +124,7 @@ fn the_largest_model_places_its_photos_and_the_others_are_listed() {
     assert_eq!((frame.camera.fx_px, frame.camera.k2), (30.0, -0.05));
     assert_eq!(
         frame.image,
-        Digest::of(&picture(0)),
+        Digest::from_content(&picture(0)),
         "the photo itself, not a copy"
     );
     assert_eq!(output.scene.points.len(), 1);

@@ -151,7 +151,7 @@ fn labels_place_one_site_in_metres_and_say_why_of_the_others() {
     let straight = &frames[1];
     assert_eq!(
         (straight.file.as_str(), straight.image),
-        ("b.png", marf_cache::Digest::of(&picture(2)))
+        ("b.png", marf_cache::Digest::from_content(&picture(2)))
     );
     assert_eq!((straight.camera.cx_px, straight.camera.width), (32.5, 64));
     let resampled = &frames[0];
@@ -357,7 +357,7 @@ fn the_version_is_raised_when_the_answer_changes() {
     const STAGE: StageDef = define::<Calibrate>();
     assert_eq!((STAGE.version, STAGE.name), (Calibrate::VERSION, "calibrate"));
     let parts = |output: crate::common::Output| {
-        let transforms = marf_cache::Digest::of(output.transforms.as_bytes());
+        let transforms = marf_cache::Digest::from_content(output.transforms.as_bytes());
         (output.scene_digest.short(), transforms.short())
     };
     let labels = parts(mixed().run(&json!({"method": "labels"})).unwrap());

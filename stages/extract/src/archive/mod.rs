@@ -76,7 +76,7 @@ impl ReadFile {
         Self {
             name: file.name.clone(),
             bytes: bytes.len() as u64,
-            sha256: Sha256::of(bytes),
+            sha256: Sha256::from_content(bytes),
         }
     }
 }
@@ -124,7 +124,7 @@ impl ArchiveFile {
     pub fn in_memory(name: String, bytes: Vec<u8>) -> Self {
         let kind = kind(&name, &bytes);
         Self {
-            digest: Digest::of(&bytes),
+            digest: Digest::from_content(&bytes),
             bytes: Bytes::Memory(bytes.into()),
             fetched: None,
             name,
@@ -181,7 +181,7 @@ impl ArchiveFile {
     /// Returns a file that an archive lists and that is not taken.
     pub fn left_out(name: String, reason: String) -> Self {
         Self {
-            digest: Digest::of(reason.as_bytes()),
+            digest: Digest::from_content(reason.as_bytes()),
             bytes: Bytes::Memory(Arc::default()),
             fetched: None,
             kind: Kind::Other(reason),
@@ -192,7 +192,7 @@ impl ArchiveFile {
     /// Returns a file that is there and cannot be read.
     pub fn unreadable(name: String, reason: String) -> Self {
         Self {
-            digest: Digest::of(reason.as_bytes()),
+            digest: Digest::from_content(reason.as_bytes()),
             bytes: Bytes::Memory(Arc::default()),
             fetched: None,
             kind: Kind::Unreadable(reason),
@@ -238,7 +238,7 @@ impl ArchiveFile {
             Bytes::Stored => return Ok(ctx.get(&self.digest)?.to_vec()),
             Bytes::Path(path, _) => read_path(path).map_err(|error| self.changed(&error.to_string()))?,
         };
-        if Digest::of(&bytes) == self.digest {
+        if Digest::from_content(&bytes) == self.digest {
             Ok(bytes)
         } else {
             Err(self.changed(OTHER_BYTES))
@@ -299,7 +299,7 @@ impl Known {
         let bytes = read_path(path)?;
         let kind = kind(name, &bytes);
         Ok(Self {
-            digest: Digest::of(&bytes),
+            digest: Digest::from_content(&bytes),
             sol: own_sol(name, &kind, &bytes),
             kind,
         })

@@ -352,7 +352,7 @@ impl RemoteArchive {
         for (name, pin) in lost {
             let bytes = now.files.get(name).and_then(|file| file.bytes.clone());
             let bytes = bytes
-                .filter(|bytes| Digest::of(bytes) == pin.blake3)
+                .filter(|bytes| Digest::from_content(bytes) == pin.blake3)
                 .ok_or_else(|| changed(name))?;
             if let Some(file) = files.files.get_mut(name) {
                 file.bytes = Some(bytes);

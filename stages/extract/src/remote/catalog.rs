@@ -114,7 +114,7 @@ impl SolListing {
     /// Returns the digest of what is listed; the digest of nothing where that is unknown.
     pub fn digest(&self, pages: &Pages) -> Digest {
         let Self::Pages(paths) = self else {
-            return Digest::of(b"pinned");
+            return Digest::from_content(b"pinned");
         };
         let state = |path: &String| (path.clone(), pages.state(path).and_then(|state| state.content));
         digest_of(&paths.iter().map(state).collect::<Vec<_>>())
@@ -184,7 +184,7 @@ impl SolFiles {
                 blake3: file
                     .bytes
                     .as_ref()
-                    .map(|bytes| Digest::of(bytes))
+                    .map(|bytes| Digest::from_content(bytes))
                     .or_else(|| pin.map(|pin| pin.blake3)),
                 others: pin
                     .map(|pin| pin.others.iter().copied().collect())

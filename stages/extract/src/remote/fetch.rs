@@ -150,7 +150,7 @@ impl Sol<'_> {
             let pin = Pin {
                 bytes: bytes.len() as u64,
                 blake3,
-                sha256: Sha256::of(bytes),
+                sha256: Sha256::from_content(bytes),
                 url: lock::WITH_LISTING.to_owned(),
                 fetched: now(),
                 validators: Validators::default(),
@@ -218,7 +218,7 @@ impl Sol<'_> {
         // A pin whose bytes are here is asked for on condition; one whose bytes are lost is asked for whole.
         let here = pin.filter(|pin| self.ctx.get(&pin.blake3).is_ok());
         // The one part of a server's name that reaches the disk is its digest.
-        let key = Digest::of(name.as_bytes());
+        let key = Digest::from_content(name.as_bytes());
         Download {
             urls: file.urls.clone(),
             cap_bytes: file.cap_bytes,
@@ -257,7 +257,7 @@ impl Sol<'_> {
                 let fresh = Pin {
                     bytes: bytes.len() as u64,
                     blake3,
-                    sha256: Sha256::of(&bytes),
+                    sha256: Sha256::from_content(&bytes),
                     url,
                     fetched: now(),
                     validators,

@@ -48,7 +48,7 @@ pub(crate) struct Pages {
 impl Pages {
     /// Opens the pages of an archive, which `name` tells apart from others; empty where they are lost.
     pub fn open(scratch: &Path, name: &str) -> Self {
-        let key = Digest::of(format!("pages {FORM}\n{name}").as_bytes());
+        let key = Digest::from_content(format!("pages {FORM}\n{name}").as_bytes());
         let folder = scratch.join("listings").join(key.to_string());
         let index = read_checked(&folder.join("index")).and_then(|bytes| serde_json::from_slice(&bytes).ok());
         Self {
@@ -76,13 +76,13 @@ impl Pages {
     pub fn content<T: DeserializeOwned>(&self, path: &str) -> Option<T> {
         let digest = self.index.get(path)?.content?;
         let bytes = read_checked(&self.file(path))?;
-        (Digest::of(&bytes) == digest).then(|| serde_json::from_slice(&bytes).ok())?
+        (Digest::from_content(&bytes) == digest).then(|| serde_json::from_slice(&bytes).ok())?
     }
 
     /// Keeps a page with its content; `None`: it is not there.
     pub fn put<T: Serialize>(&mut self, path: &str, mut state: PageState, content: Option<&T>) {
         let bytes = content.and_then(|content| serde_json::to_vec(content).ok());
-        state.content = bytes.as_ref().map(|bytes| Digest::of(bytes));
+        state.content = bytes.as_ref().map(|bytes| Digest::from_content(bytes));
         let old = self.index.get(path);
         if let Some(bytes) = bytes
             && !(old.is_some_and(|old| old.content == state.content) && self.file(path).exists())
@@ -125,7 +125,7 @@ impl Pages {
     }
 
     fn file(&self, path: &str) -> PathBuf {
-        self.folder.join(format!("{}.json", Digest::of(path.as_bytes())))
+        self.folder.join(format!("{}.json", Digest::from_content(path.as_bytes())))
     }
 }
 

@@ -64,7 +64,7 @@ pub(super) struct Summaries<'a> {
 impl<'a> Summaries<'a> {
     /// Opens the summaries of an archive, which `name` tells apart from others.
     pub fn open(scratch: &Path, name: &str, lock: &'a OpenLock) -> Self {
-        let key = Digest::of(format!("summaries {FORM}\n{name}").as_bytes());
+        let key = Digest::from_content(format!("summaries {FORM}\n{name}").as_bytes());
         let path = scratch.join("pins").join(key.to_string());
         let before = read_checked(&path).and_then(|bytes| serde_json::from_slice(&bytes).ok());
         Self {

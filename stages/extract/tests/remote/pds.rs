@@ -183,7 +183,7 @@ fn other_bytes_under_a_known_name_are_an_alarm_and_both_are_kept() {
     assert_ne!(before.listing, alarmed.listing, "the sol is brought again");
     assert_eq!(before.rows, alarmed.rows, "the first bytes stay in use");
     let reason = alarmed.reason(&format!("{name} (other bytes)"));
-    let digest = marf_cache::Digest::of(b"\x89PNG\r\n\x1a\nother");
+    let digest = marf_cache::Digest::from_content(b"\x89PNG\r\n\x1a\nother");
     assert!(
         reason.starts_with("alarm") && reason.contains(&digest.to_string()),
         "{reason}"

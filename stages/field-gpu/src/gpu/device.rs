@@ -288,7 +288,7 @@ fn kernels() -> String {
         .flat_map(|shader| shader.shared.iter().chain([&shader.text]));
     let order = format!("{GROUPS} {MOST_WORK} {AT_ONCE:?} {FIRST_ROUND}\n");
     let all = order + &constants() + &texts.copied().collect::<String>();
-    Digest::of(all.as_bytes()).short().to_string()
+    Digest::from_content(all.as_bytes()).short().to_string()
 }
 
 /// Ranks from here on are not taken unless named.

@@ -92,7 +92,7 @@ mod tests {
             Frame {
                 id: format!("{index:03}"),
                 file: format!("{index:03}.png"),
-                image: marf_cache::Digest::of(b""),
+                image: marf_cache::Digest::from_content(b""),
                 camera: Camera::pinhole(400, 300, 320.0),
                 cam_from_world: Pose::looking_at(eye, Vector3::x(), Vector3::z()),
                 held_out: index % 8 == 3,

@@ -288,7 +288,7 @@ fn two_times(held_out: &dyn Fn(usize) -> bool) -> (Scene, BTreeMap<String, u32>)
     let frame = |index: usize| Frame {
         id: format!("p{index:02}"),
         file: format!("p{index:02}.png"),
-        image: marf_cache::Digest::of(&[]),
+        image: marf_cache::Digest::from_content(&[]),
         mask: None,
         camera: Camera::pinhole(64, 48, 60.0),
         cam_from_world: Pose::looking_at(

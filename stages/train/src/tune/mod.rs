@@ -169,7 +169,7 @@ mod tests {
         let frame = Frame {
             id: String::new(),
             file: String::new(),
-            image: marf_cache::Digest::of(b""),
+            image: marf_cache::Digest::from_content(b""),
             camera: Camera::pinhole(640, 480, 500.0),
             cam_from_world: Pose::identity(),
             held_out: false,

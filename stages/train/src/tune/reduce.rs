@@ -240,7 +240,7 @@ mod tests {
     #[test]
     fn the_answer_belongs_to_the_version() {
         let outputs = reduced(3, &[20.0, 19.0, 21.5, 20.25, 21.25]).3;
-        let all = Digest::of(&serde_json::to_vec(&outputs).unwrap());
+        let all = Digest::from_content(&serde_json::to_vec(&outputs).unwrap());
         assert_eq!(
             (Tune::VERSION, all.short().as_str()),
             (8, "bef13b577428"),

@@ -450,6 +450,6 @@ fn a_member_without_weights_is_named() {
 #[test]
 fn the_answer_belongs_to_the_version() {
     let (_, outputs) = fixture(2).reduce(json!({"b": 2, "device": "cpu"}));
-    let all = Digest::of(&serde_json::to_vec(&outputs).unwrap());
+    let all = Digest::from_content(&serde_json::to_vec(&outputs).unwrap());
     assert_eq!((Bootstrap::VERSION, all.short().as_str()), (13, ""));
 }

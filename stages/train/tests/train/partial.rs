@@ -137,7 +137,7 @@ fn the_device_of_the_training_is_in_no_key() {
 fn the_answer_belongs_to_the_version() {
     let tried = Tried::new();
     let outputs = tried.partial(16, None, table()).unwrap();
-    let all = Digest::of(&serde_json::to_vec(&outputs).unwrap());
+    let all = Digest::from_content(&serde_json::to_vec(&outputs).unwrap());
     assert_eq!(
         (<Partial as marf_stage::Define>::VERSION, all.short().as_str()),
         (11, "87bde9676dab"),

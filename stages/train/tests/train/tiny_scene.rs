@@ -315,7 +315,7 @@ fn evaluate_agrees_with_train_and_knows_the_other_photos_too() {
 fn the_answers_belong_to_the_versions() {
     let harness = Harness::default();
     let inputs = downstream(&harness);
-    let digest = |outputs: &Outputs| Digest::of(&serde_json::to_vec(outputs).unwrap()).short();
+    let digest = |outputs: &Outputs| Digest::from_content(&serde_json::to_vec(outputs).unwrap()).short();
     let evaluate: Evaluate = stage(json!({"views": "all", "device": "cpu"}));
     let render: Render =
         stage(json!({"frames": 2, "width": 24, "outputs": ["rgb", "depth"], "device": "cpu"}));

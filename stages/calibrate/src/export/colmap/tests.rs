@@ -35,7 +35,7 @@ fn scene() -> Scene {
         Frame {
             id: format!("photo-{index}"),
             file: format!("images/{index}.jpg"),
-            image: Digest::of(&[index as u8]),
+            image: Digest::from_content(&[index as u8]),
             camera,
             cam_from_world: Pose::looking_at(eye, Vector3::zeros(), -Vector3::z()),
             held_out: false,

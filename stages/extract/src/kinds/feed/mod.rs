@@ -153,7 +153,7 @@ impl Feed {
         let json = pages.one(&path)?;
         let sol = json.get("latest_sol").and_then(text);
         // Keys are sorted: the same answer is the same text.
-        let version = || Digest::of(json.to_string().as_bytes()).to_string();
+        let version = || Digest::from_content(json.to_string().as_bytes()).to_string();
         Ok(Newest {
             sol: sol.and_then(|sol| values::sol(&sol)),
             version: json.get("total").and_then(text).map(|_| version()),

@@ -190,7 +190,7 @@ impl ArchiveFiles for Folder {
         }
         let shards = survey.shards.iter().map(|(shard, files)| Shard {
             shard: *shard,
-            fingerprint: Digest::of(&survey.digests(files).encode()),
+            fingerprint: Digest::from_content(&survey.digests(files).encode()),
         });
         Ok(Listing {
             shards: shards.collect(),

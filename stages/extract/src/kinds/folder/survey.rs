@@ -216,7 +216,7 @@ fn read_rest(
             let sol = ProductName::read(stem(names.get(index))).and_then(|product| product.sol);
             let entry = Entry {
                 kind: EntryKind::Unreadable(reasons.len() as u32),
-                digest: Digest::of(reason.as_bytes()),
+                digest: Digest::from_content(reason.as_bytes()),
                 sol,
             };
             reasons.push(reason);

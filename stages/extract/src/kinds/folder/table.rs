@@ -97,7 +97,7 @@ pub(super) fn path(scratch: &Path, root: &Path, depth: usize) -> Option<PathBuf>
     }
     let root = std::fs::canonicalize(root).unwrap_or_else(|_| root.to_owned());
     let key = format!("folder {FORM} {depth}\n{}", root.to_string_lossy());
-    let name = Digest::of(key.as_bytes()).to_string();
+    let name = Digest::from_content(key.as_bytes()).to_string();
     Some(scratch.join("folders").join(name))
 }
 

@@ -47,7 +47,7 @@ fn lie(ctx: &Ctx<'_>, root: &Path, began_ns: i64) {
     let found = walk(ctx, root, DEPTH).unwrap();
     let entry = Entry {
         kind: EntryKind::Photo,
-        digest: Digest::of(b"lie"),
+        digest: Digest::from_content(b"lie"),
         sol: Some(7),
     };
     let entries = vec![entry; found.names.len()];
@@ -70,7 +70,7 @@ fn a_file_whose_state_is_known_is_not_read_unless_asked_for() {
     assert!(
         digests(&believed, &root)
             .iter()
-            .all(|(_, digest)| *digest == Digest::of(b"lie"))
+            .all(|(_, digest)| *digest == Digest::from_content(b"lie"))
     );
     assert_eq!(
         believed.shards.keys().collect::<Vec<_>>(),
@@ -117,7 +117,7 @@ fn a_file_that_was_replaced_by_one_of_the_same_size_and_time_is_read() {
         .set_modified(meta.modified().unwrap())
         .unwrap();
     let edited = digests(&rested(&harness.ctx(), &root, Reading::Changed), &root);
-    assert!(edited.contains(&("b/a.png".to_owned(), Digest::of(&bytes))));
+    assert!(edited.contains(&("b/a.png".to_owned(), Digest::from_content(&bytes))));
     assert_eq!(before.iter().zip(&edited).filter(|(a, b)| a != b).count(), 1);
     let other = root.join("other");
     fs::write(&other, vec![b'y'; bytes.len()]).unwrap();
@@ -129,7 +129,7 @@ fn a_file_that_was_replaced_by_one_of_the_same_size_and_time_is_read() {
         .unwrap();
     fs::rename(&other, &path).unwrap();
     let replaced = digests(&rested(&harness.ctx(), &root, Reading::Changed), &root);
-    assert!(replaced.contains(&("b/a.png".to_owned(), Digest::of(&vec![b'y'; bytes.len()]))));
+    assert!(replaced.contains(&("b/a.png".to_owned(), Digest::from_content(&vec![b'y'; bytes.len()]))));
 }
 
 #[test]
@@ -159,7 +159,7 @@ fn files_that_vanish_or_come_change_the_table() {
     assert_eq!(Reader::open(&path).count(), 4);
     fs::write(root.join("b/b.png"), "new").unwrap();
     let found = digests(&rested(&harness.ctx(), &root, Reading::Changed), &root);
-    assert!(found.contains(&("b/b.png".to_owned(), Digest::of(b"new"))));
+    assert!(found.contains(&("b/b.png".to_owned(), Digest::from_content(b"new"))));
     assert_eq!(Reader::open(&path).count(), 5);
     let before = fs::metadata(&path).unwrap().modified().unwrap();
     drop(rested(&harness.ctx(), &root, Reading::Changed));

@@ -128,7 +128,7 @@ mod tests {
         Pin {
             bytes: 7,
             blake3,
-            sha256: Sha256::of(b"bytes"),
+            sha256: Sha256::from_content(b"bytes"),
             url: "https://host/a".to_owned(),
             fetched: "2026-11-22T08:00:00Z".to_owned(),
             validators: Validators::default(),
@@ -142,7 +142,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let lock = dir.path().join("marf.lock");
         assert_eq!(pinned_products(&lock).unwrap(), []);
-        let (one, two) = (Digest::of(b"one"), Digest::of(b"two"));
+        let (one, two) = (Digest::from_content(b"one"), Digest::from_content(b"two"));
         let pins = SolPins {
             files: BTreeMap::from([("a.jpg".to_owned(), pin(one, &[two]))]),
             ..SolPins::default()

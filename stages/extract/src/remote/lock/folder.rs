@@ -140,7 +140,7 @@ impl Lock {
         if asked == self.asked {
             return Ok((folder, None));
         }
-        let mark = Digest::of(self.asked.as_bytes()).short();
+        let mark = Digest::from_content(self.asked.as_bytes()).short();
         let own = self.path.join(format!("{}@{mark}", folder_name(&self.archive)));
         Ok((own, Some(asked)))
     }

@@ -10,8 +10,8 @@ use crate::remote::catalog::SolFiles;
 fn pin(byte: u8) -> Pin {
     Pin {
         bytes: 7,
-        blake3: Digest::of(&[byte]),
-        sha256: Sha256::of(&[byte]),
+        blake3: Digest::from_content(&[byte]),
+        sha256: Sha256::from_content(&[byte]),
         url: "https://a.example/x \"y\".png".to_owned(),
         fetched: "2026-11-21T21:55:22Z".to_owned(),
         validators: Validators {
@@ -19,7 +19,7 @@ fn pin(byte: u8) -> Pin {
             modified: None,
         },
         listed: Some("2022-03-01T10:20".to_owned()),
-        others: BTreeSet::from([Digest::of(b"other")]),
+        others: BTreeSet::from([Digest::from_content(b"other")]),
     }
 }
 
