@@ -106,14 +106,14 @@ impl Window {
             return Err(bucket.damaged(&name, "its index is there, and it is not"));
         };
         let parts = parts.into_iter().map(Some).chain(iter::repeat(None));
-        let arrived = |(entry, blob): (&Entry, Option<Bytes>)| FetchedBlob {
+        let pairs = self.entries.iter().zip(parts);
+        let blobs = pairs.map(|(entry, blob)| FetchedBlob {
             name: name.clone(),
             digest: entry.digest,
             bytes: u64::from(entry.len),
             blob,
-        };
-        let blobs: Vec<FetchedBlob> = self.entries.iter().zip(parts).map(arrived).collect();
-        keep(bucket, store, &blobs, meter)
+        });
+        keep(bucket, store, &blobs.collect::<Vec<_>>(), meter)
     }
 }
 

@@ -101,12 +101,9 @@ pub(crate) async fn collect(
     collection.done.missing = live.missing;
     // Who names goes before what is named.
     collection.done.runs = collection.remove(given_up.into_iter()).await?;
-    let dead = |(digest, object): (&Digest, &'_ StoredObject), live: &HashSet<Digest>| {
-        (!live.contains(digest)).then(|| object.clone())
-    };
-    let records = inventory.records.iter().filter_map(|one| dead(one, &live.keys));
+    let records = without(&inventory.records, &live.keys);
     collection.done.records = collection.remove(records).await?;
-    let blobs = inventory.blobs.iter().filter_map(|one| dead(one, &live.blobs));
+    let blobs = without(&inventory.blobs, &live.blobs);
     collection.done.blobs = collection.remove(blobs).await?;
     let stays = inventory
         .blobs
@@ -118,6 +115,15 @@ pub(crate) async fn collect(
         Lease::sweep(bucket, now).await?;
     }
     Ok(collection.done)
+}
+
+/// Returns the objects that are not live.
+fn without(
+    objects: &BTreeMap<Digest, StoredObject>,
+    live: &HashSet<Digest>,
+) -> impl Iterator<Item = StoredObject> {
+    let dead = objects.iter().filter(|(digest, _)| !live.contains(*digest));
+    dead.map(|(_, object)| object.clone())
 }
 
 impl Collection<'_> {

@@ -8,7 +8,10 @@ use std::{
 use marf_cache::Digest;
 use serde::{Deserialize, Serialize};
 
-use crate::queue::ATTEMPTS;
+use crate::queue::{ATTEMPTS, PREFIX};
+
+/// Digits of the digest of its tasks in the name of an array.
+const NAME_DIGITS: usize = 16;
 
 /// What was submitted for a node, as its file tells.
 #[derive(Debug, Default, Serialize, Deserialize)]
@@ -48,6 +51,18 @@ pub(crate) struct Array {
     pub(crate) since: Instant,
     /// Its id, once the batch system has told it.
     pub(crate) id: Option<String>,
+}
+
+impl PlannedArray {
+    pub(crate) fn new(tasks: Vec<Digest>, memory_mb: u64) -> Self {
+        let joined: Vec<String> = tasks.iter().map(Digest::to_string).collect();
+        let digest = Digest::from_content(joined.join("\n").as_bytes()).to_string();
+        Self {
+            name: format!("{PREFIX}{}", &digest[..NAME_DIGITS]),
+            memory_mb,
+            tasks,
+        }
+    }
 }
 
 impl Task {

@@ -19,13 +19,10 @@ use crate::{
     errors::{failed, remote_failed},
     job_files::JobFiles,
     job_result::{JobResult, write_whole},
-    queue::{ATTEMPTS, JobState, PREFIX},
+    queue::{ATTEMPTS, JobState},
     script::{Filling, filled, shell_quoted},
     words::{counted, in_short},
 };
-
-/// Digits of the digest of its tasks in the name of an array.
-const NAME_DIGITS: usize = 16;
 
 /// The parts of a node, from their submission to their results.
 pub(crate) struct Arrays<'a> {
@@ -65,7 +62,6 @@ impl<'a> Arrays<'a> {
             .and_then(|()| self.wait());
         match ended {
             Ok(()) => self.remove_files(),
-            // Whatever still waits would be computed for nobody.
             Err(_) => self.cancel(),
         }
         ended
@@ -153,14 +149,8 @@ impl<'a> Arrays<'a> {
     /// Submits tasks, as arrays of no more than the batch system takes.
     fn submit(&mut self, tasks: Vec<usize>, memory_mb: u64) -> Result<(), StageError> {
         for chunk in tasks.chunks(self.cluster.site.max_array) {
-            let keys: Vec<Digest> = chunk.iter().map(|&task| self.tasks[task].key).collect();
-            let joined: Vec<String> = keys.iter().map(Digest::to_string).collect();
-            let digest = Digest::from_content(joined.join("\n").as_bytes()).to_string();
-            let planned = PlannedArray {
-                name: format!("{PREFIX}{}", &digest[..NAME_DIGITS]),
-                memory_mb,
-                tasks: keys,
-            };
+            let keys = chunk.iter().map(|&task| self.tasks[task].key);
+            let planned = PlannedArray::new(keys.collect(), memory_mb);
             for (index, &task) in chunk.iter().enumerate() {
                 self.tasks[task].array = self.arrays.len();
                 self.tasks[task].index = index;
@@ -182,9 +172,8 @@ impl<'a> Arrays<'a> {
             return Ok(());
         };
         let script = || self.write(&array.planned);
-        let job = self
-            .cluster
-            .job(self.order.node, self.order.cancel, &array.planned.name, &script)?;
+        let (node, cancel) = (self.order.node, self.order.cancel);
+        let job = self.cluster.job(node, cancel, &array.planned.name, &script)?;
         if let Some(array) = self.arrays.last_mut() {
             let (id, _) = tasks_of(&job.id);
             (array.id, array.since) = (Some(id.to_owned()), job.since);
@@ -262,8 +251,10 @@ impl<'a> Arrays<'a> {
                 ended.push(at);
             }
         }
-        let keys = ended.iter().flat_map(|&at| &self.tasks[at].parts);
-        let keys: Vec<Digest> = keys.copied().collect();
+        let keys: Vec<Digest> = ended
+            .iter()
+            .flat_map(|&at| self.tasks[at].parts.clone())
+            .collect();
         for some in keys.chunks(KEYS_AT_ONCE) {
             self.cluster.bring_told(order, some)?;
         }

@@ -31,8 +31,10 @@ impl ShardLeaves {
 
     /// Returns the inputs of a part that reads the leaves.
     pub(crate) fn inputs(&self) -> BTreeMap<String, Digest> {
-        let named = |(index, leaf): (usize, &LeafRef)| (leaf_name(index), leaf.leaf);
-        self.leaves.iter().enumerate().map(named).collect()
+        let leaves = self.leaves.iter().enumerate();
+        leaves
+            .map(|(index, leaf)| (leaf_name(index), leaf.leaf))
+            .collect()
     }
 }
 

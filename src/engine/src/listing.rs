@@ -136,9 +136,10 @@ pub(crate) fn file_changes(
             None => Some(Files::default()),
         };
         if let (Some(before), Some(now)) = (before, now) {
-            let named = |(name, digest): (String, Digest)| (file_path(shard, &name), digest.to_string());
-            old.extend(before.0.into_iter().map(named));
-            new.extend(now.0.into_iter().map(named));
+            for (files, paths) in [(before, &mut old), (now, &mut new)] {
+                let files = files.0.into_iter();
+                paths.extend(files.map(|(name, digest)| (file_path(shard, &name), digest.to_string())));
+            }
         }
     }
     Ok(changes_between(&old, &new))

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use marf_cache::{Action, Conflict, Digest, Record, Store, Upstream};
 use marf_cluster::{BackendQuestion, Fault, JobProgress, JobResult};
-use marf_engine::{ActionError, Cancel, Event, Listener, Options, run_action};
+use marf_engine::{ActionError, ActionJob, Cancel, Event, Listener, Options};
 use marf_field::{Device, DeviceError};
 use marf_remote::{Observer, Patience, Reader, Remote, Traffic, in_words};
 use parking_lot::Mutex;
@@ -227,9 +227,8 @@ impl Machine<'_> {
             program: program::PROGRAM.to_owned(),
             ..Options::default()
         };
-        let wanted = (action, params_of(action));
-        let stages = marf_stages::stages();
-        let made = run_action(wanted, stages, store, &options, &listener, &context.cancel);
+        let job = ActionJob::new(action, params_of(action), marf_stages::stages());
+        let made = job.and_then(|job| job.run(store, &options, &listener, &context.cancel));
         let failure = listener.failure.into_inner();
         store.take_warnings().into_iter().for_each(context.warnings());
         made.map_err(|error| match error {

@@ -154,10 +154,9 @@ impl<'a> Scheduler<'a> {
         // Two trainings on one GPU would only alternate, with the memory of both.
         let is_on_gpu = |task: &Task| task.bound.backend_id().is_some();
         let tasks = &self.state.tasks;
-        let is_busy = |(index, task): (usize, &Task)| {
+        let gpu_is_busy = tasks.iter().enumerate().any(|(index, task)| {
             task.phase == Phase::Running && !self.elsewhere.contains(&index) && is_on_gpu(task)
-        };
-        let gpu_is_busy = tasks.iter().enumerate().any(is_busy);
+        });
         let is_ready = |task: &&Task| {
             matches!(task.phase, Phase::Ready | Phase::Reducible)
                 && !(gpu_is_busy && is_on_gpu(task))
