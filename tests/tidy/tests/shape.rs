@@ -1,0 +1,148 @@
+//! The bars on the shape of the code.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    reason = "a test that cannot go on should stop"
+)]
+
+use std::fmt::Write as _;
+use std::path::Path;
+use std::sync::LazyLock;
+
+use marf_tidy::{Checkout, Report, Rule};
+
+/// What is limited.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Bar {
+    /// Lines of code outside tests, of all packages.
+    Code,
+    /// Lines of code outside tests, of the package marf.
+    CodeOfMarf,
+    /// Lines of code outside tests, of each other package.
+    CodeOfACrate,
+    /// How often a rule does not hold.
+    Rule(Rule),
+}
+
+/// The most that is allowed now, and the bar. A limit only goes down.
+struct Limit {
+    bar: Bar,
+    now: usize,
+    goal: usize,
+}
+
+const fn limit(bar: Bar, now: usize, goal: usize) -> Limit {
+    Limit { bar, now, goal }
+}
+
+static LIMITS: [Limit; 12] = [
+    limit(Bar::Code, 104_238, 97_000),
+    limit(Bar::CodeOfMarf, 17_191, 5_000),
+    limit(Bar::CodeOfACrate, 11_805, 8_000),
+    limit(Bar::Rule(Rule::LongFunctions), 1, 0),
+    limit(Bar::Rule(Rule::LongFiles), 25, 0),
+    limit(Bar::Rule(Rule::Arguments), 42, 0),
+    limit(Bar::Rule(Rule::TupleParameters), 80, 0),
+    limit(Bar::Rule(Rule::BooleanMatches), 166, 0),
+    limit(Bar::Rule(Rule::Names), 101, 0),
+    limit(Bar::Rule(Rule::States), 14, 0),
+    limit(Bar::Rule(Rule::Circles), 226, 0),
+    limit(Bar::Rule(Rule::Terminal), 10, 0),
+];
+
+static REPORT: LazyLock<Report> = LazyLock::new(|| {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    Report::new(&Checkout::read(&root).unwrap())
+});
+
+fn limit_of(bar: Bar) -> &'static Limit {
+    LIMITS.iter().find(|limit| limit.bar == bar).unwrap()
+}
+
+/// Fails with the number and every place if a rule is broken more often than its limit allows.
+fn check(rule: Rule) {
+    let total = REPORT.total();
+    let Limit { now, goal, .. } = limit_of(Bar::Rule(rule));
+    let count = total.count(rule);
+    let mut places = String::new();
+    for finding in total.findings.iter().filter(|finding| finding.rule == rule) {
+        writeln!(places, "{finding}").unwrap();
+    }
+    assert!(
+        count <= *now,
+        "{}: {count}, the limit is {now} and the bar {goal}\n{places}",
+        rule.name()
+    );
+}
+
+#[test]
+fn all_code_outside_tests_has_at_most_so_many_lines() {
+    let Limit { now, goal, .. } = limit_of(Bar::Code);
+    let code = REPORT.total().code;
+    assert!(
+        code <= *now,
+        "{code} lines of code, the limit is {now} and the bar {goal}"
+    );
+}
+
+#[test]
+fn the_package_marf_is_small_and_no_other_is_large() {
+    for (package, measure) in &REPORT.packages {
+        let bar = if package == "marf" {
+            Bar::CodeOfMarf
+        } else {
+            Bar::CodeOfACrate
+        };
+        let Limit { now, goal, .. } = limit_of(bar);
+        let code = measure.code;
+        assert!(
+            code <= *now,
+            "{package}: {code} lines of code, the limit is {now} and the bar {goal}"
+        );
+    }
+}
+
+#[test]
+fn functions_have_at_most_80_lines() {
+    check(Rule::LongFunctions);
+}
+
+#[test]
+fn files_have_at_most_450_lines() {
+    check(Rule::LongFiles);
+}
+
+#[test]
+fn functions_have_at_most_five_arguments_besides_self() {
+    check(Rule::Arguments);
+}
+
+#[test]
+fn no_parameter_is_a_packed_tuple() {
+    check(Rule::TupleParameters);
+}
+
+#[test]
+fn no_match_has_arms_true_and_false() {
+    check(Rule::BooleanMatches);
+}
+
+#[test]
+fn functions_and_modules_have_names_that_say_what_they_do() {
+    check(Rule::Names);
+}
+
+#[test]
+fn no_type_is_named_after_a_state() {
+    check(Rule::States);
+}
+
+#[test]
+fn no_crate_has_a_circle_of_files() {
+    check(Rule::Circles);
+}
+
+#[test]
+fn only_the_package_marf_knows_clap_and_the_terminal() {
+    check(Rule::Terminal);
+}
