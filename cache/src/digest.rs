@@ -125,7 +125,10 @@ mod tests {
     fn a_reader_gives_the_digest_of_its_bytes() {
         for bytes in [vec![], vec![7; 1], vec![3; 200_000]] {
             let (digest, length) = Digest::from_reader(bytes.as_slice()).unwrap();
-            assert_eq!((digest, length), (Digest::from_content(&bytes), bytes.len() as u64));
+            assert_eq!(
+                (digest, length),
+                (Digest::from_content(&bytes), bytes.len() as u64)
+            );
         }
     }
 

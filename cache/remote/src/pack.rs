@@ -151,7 +151,9 @@ mod tests {
 
     fn pack(blobs: &[&[u8]]) -> Pack {
         let mut writer = PackWriter::default();
-        blobs.iter().for_each(|blob| writer.add(Digest::from_content(blob), blob));
+        blobs
+            .iter()
+            .for_each(|blob| writer.add(Digest::from_content(blob), blob));
         writer.finish()
     }
 

@@ -142,7 +142,10 @@ fn a_second_different_result_is_a_conflict_and_the_first_stays() {
         panic!("{:?}", pushed.conflicts);
     };
     assert_eq!(conflict.kept["out"].digest, Digest::from_content(b"one result"));
-    assert_eq!(conflict.refused["out"].digest, Digest::from_content(b"another result"));
+    assert_eq!(
+        conflict.refused["out"].digest,
+        Digest::from_content(b"another result")
+    );
     world.remote().pull(&third, &run, &Quiet::default()).unwrap();
     let kept = third.record(&run.keys[0]).unwrap().unwrap();
     assert_eq!(kept.outputs["out"].digest, Digest::from_content(b"one result"));

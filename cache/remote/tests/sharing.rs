@@ -57,7 +57,9 @@ fn what_one_run_offers_another_fetches() {
     let run = run_in(&here.store);
     run.keys.iter().for_each(|key| here.sharing.offer(key));
     here.finish();
-    there.sharing.fetch(&[run.keys[0], Digest::from_content(b"never made")]);
+    there
+        .sharing
+        .fetch(&[run.keys[0], Digest::from_content(b"never made")]);
     let closure = |store: &Store| store.closure(&run.keys[..1], &[]).unwrap();
     assert_eq!(closure(&here.store), closure(&there.store));
     assert_eq!(
@@ -65,7 +67,10 @@ fn what_one_run_offers_another_fetches() {
         None,
         "nobody asked for it"
     );
-    assert_eq!(there.store.record(&Digest::from_content(b"never made")).unwrap(), None);
+    assert_eq!(
+        there.store.record(&Digest::from_content(b"never made")).unwrap(),
+        None
+    );
     there.finish();
     assert_eq!((here.told(), there.told()), (vec![], vec![]));
 }
@@ -92,7 +97,8 @@ fn a_conflict_is_told_with_both_digests() {
     }
     assert_eq!(here.told(), Vec::<String>::new());
     let told = there.told();
-    let digests = [b"one result".as_slice(), b"another result"].map(|bytes| Digest::from_content(bytes).to_string());
+    let digests =
+        [b"one result".as_slice(), b"another result"].map(|bytes| Digest::from_content(bytes).to_string());
     assert!(
         told.len() == 1 && digests.iter().all(|digest| told[0].contains(digest)),
         "{told:?}"

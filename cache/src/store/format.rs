@@ -46,7 +46,8 @@ fn parse(bytes: &[u8]) -> StoreForm {
     let parsed = std::str::from_utf8(bytes).ok().and_then(|text| {
         let (line, rest) = text.split_at_checked(text.find('\n')? + 1)?;
         let number: u32 = line.trim_end().strip_prefix("marf store ")?.parse().ok()?;
-        let is_sealed = rest.is_empty() || rest.trim_end() == Digest::from_content(line.as_bytes()).to_string();
+        let is_sealed =
+            rest.is_empty() || rest.trim_end() == Digest::from_content(line.as_bytes()).to_string();
         Some((number, is_sealed))
     });
     match parsed {

@@ -4,7 +4,6 @@ mod args;
 mod remote;
 
 use marf_cache::{FsckOptions, Store};
-use marf_progress::duration;
 use marf_run::cache::{self, GcRequest, GcResult};
 use marf_run::{Context, Diagnostic, Error};
 use serde::Serialize;

@@ -100,7 +100,10 @@ impl<'a> Arrays<'a> {
             let Ok(actions) = fs::read(self.files(&key).action) else {
                 continue;
             };
-            let parts: Vec<Digest> = actions.split(|byte| *byte == b'\n').map(Digest::from_content).collect();
+            let parts: Vec<Digest> = actions
+                .split(|byte| *byte == b'\n')
+                .map(Digest::from_content)
+                .collect();
             if Digest::from_content(&actions) == key && parts.iter().any(|part| wanted.contains(part)) {
                 taken.extend(&parts);
                 self.tasks.push(Task {

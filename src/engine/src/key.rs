@@ -274,11 +274,19 @@ mod tests {
             ),
             (|action| action.version = 2, "stage version 1 -> 2"),
             (
-                |action| action.inputs.extend([("photos".to_owned(), Digest::from_content(b"b"))]),
+                |action| {
+                    action
+                        .inputs
+                        .extend([("photos".to_owned(), Digest::from_content(b"b"))])
+                },
                 "input photos changed",
             ),
             (
-                |action| action.inputs.extend([(LISTING.to_owned(), Digest::from_content(b"b"))]),
+                |action| {
+                    action
+                        .inputs
+                        .extend([(LISTING.to_owned(), Digest::from_content(b"b"))])
+                },
                 "what the archive lists is new",
             ),
             (

@@ -260,7 +260,12 @@ mod tests {
         let table = vec![7_u8; 70_000];
         {
             let store = Store::open(dir.path()).unwrap();
-            let memos = StoreMemos::new(&store, Digest::from_content(b"maker"), "calibrate", &SilentListener);
+            let memos = StoreMemos::new(
+                &store,
+                Digest::from_content(b"maker"),
+                "calibrate",
+                &SilentListener,
+            );
             assert_eq!(memos.load(&key), None);
             memos.save(&key, b"old");
             memos.save(&key, &table);
@@ -269,7 +274,12 @@ mod tests {
             store.commit().unwrap();
         }
         let store = Store::open(dir.path()).unwrap();
-        let memos = StoreMemos::new(&store, Digest::from_content(b"maker"), "calibrate", &SilentListener);
+        let memos = StoreMemos::new(
+            &store,
+            Digest::from_content(b"maker"),
+            "calibrate",
+            &SilentListener,
+        );
         assert_eq!(memos.load(&key).as_deref(), Some(table.as_slice()));
         let hex = Digest::from_content(&table).to_string();
         fs::write(dir.path().join("cas").join(&hex[..2]).join(&hex[2..]), b"damaged").unwrap();

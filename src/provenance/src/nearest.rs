@@ -79,7 +79,8 @@ mod tests {
     fn noise(seed: u32, bytes: u32) -> Vec<u8> {
         (0..bytes)
             .flat_map(|at| {
-                Digest::from_content(&[seed.to_le_bytes(), at.to_le_bytes()].concat()).as_bytes()[..1].to_vec()
+                Digest::from_content(&[seed.to_le_bytes(), at.to_le_bytes()].concat()).as_bytes()[..1]
+                    .to_vec()
             })
             .collect()
     }

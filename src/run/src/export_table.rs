@@ -222,7 +222,9 @@ mod tests {
         write(&mut table, "v/1", "one");
         write(&mut table, "v/2", "two");
         table.note_folder(folder, &root);
-        assert!(table.has_folder(folder, &root) && !table.has_folder(folder, &Digest::from_content(b"other")));
+        assert!(
+            table.has_folder(folder, &root) && !table.has_folder(folder, &Digest::from_content(b"other"))
+        );
         table
             .keep_only(folder, &BTreeSet::from(["2".to_owned()]))
             .unwrap();

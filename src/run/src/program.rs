@@ -63,7 +63,10 @@ mod tests {
         let store = Store::open(dir.path()).unwrap();
         let first = build(&store, None).unwrap();
         let exe = std::fs::read(std::env::current_exe().unwrap()).unwrap();
-        assert_eq!((first.blake3, first.bytes), (Digest::from_content(&exe), exe.len() as u64));
+        assert_eq!(
+            (first.blake3, first.bytes),
+            (Digest::from_content(&exe), exe.len() as u64)
+        );
         let table = store.scratch().join("program.json");
         let mut known: ProgramFile = serde_json::from_slice(&std::fs::read(&table).unwrap()).unwrap();
         known.blake3 = Digest::from_content(b"kept");

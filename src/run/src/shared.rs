@@ -51,7 +51,7 @@ impl Shared {
         let remote = Remote::open(&shared.url, Patience::Impatient, trust(&shared.trust)?);
         let opened = remote.and_then(|remote| {
             let (share, store) = (shared.verify_share, session.store.dir());
-            let warn = move |message| feedback.warn(&message);
+            let warn = move |message: String| feedback.warn(&message);
             Sharing::start(remote, share, store, warn, move || stop.is_set())
         });
         let refuse = |error: &RemoteError| {

@@ -96,7 +96,8 @@ impl MakeSurface {
     }
 
     fn field(&self, ctx: &Ctx<'_>, weights: &Digest) -> Result<Field, StageError> {
-        let field = Field::decode(&ctx.get(weights)?).and_then(|field| field.with_backend(marf_field_gpu::open(&self.params.device)?));
+        let field = Field::decode(&ctx.get(weights)?)
+            .and_then(|field| field.with_backend(marf_field_gpu::open(&self.params.device)?));
         Ok(field.map_err(SurfaceError::from)?)
     }
 

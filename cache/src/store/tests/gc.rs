@@ -49,7 +49,11 @@ fn rich(store: &Store) -> (Record, Vec<Digest>, Vec<Digest>) {
         record("child", store, b"of child"),
     );
     let need = store.put(b"named by the stage alone").unwrap();
-    let action = action("extract", "rich", &[input, Digest::from_content(b"a fingerprint")]);
+    let action = action(
+        "extract",
+        "rich",
+        &[input, Digest::from_content(b"a fingerprint")],
+    );
     let mut record = record_of(&action, output, 1);
     record.needs = Some(store.put(&digest_list(&[need])).unwrap());
     let parts = Root {
@@ -64,7 +68,10 @@ fn rich(store: &Store) -> (Record, Vec<Digest>, Vec<Digest>) {
     record.children.insert("child".into(), child.key);
     blobs.extend([need, record.needs.unwrap(), store.put(&action.encode()).unwrap()]);
     blobs.extend([part.key, child.key]);
-    blobs.extend([Digest::from_content(b"of part"), Digest::from_content(b"of child")]);
+    blobs.extend([
+        Digest::from_content(b"of part"),
+        Digest::from_content(b"of child"),
+    ]);
     blobs.sort_unstable();
     let mut keys = vec![record.key, part.key, child.key];
     keys.sort_unstable();
@@ -103,7 +110,10 @@ fn a_closure_lists_what_is_missing_with_what_names_it() {
     let closure = store
         .closure(&[record.key, Digest::from_content(b"no record")], &[])
         .unwrap();
-    for (digest, role) in gone.into_iter().chain([(Digest::from_content(b"no record"), Role::Record)]) {
+    for (digest, role) in gone
+        .into_iter()
+        .chain([(Digest::from_content(b"no record"), Role::Record)])
+    {
         let found = closure.missing.iter().find(|one| one.digest == digest);
         assert_eq!(found.map(|one| one.role), Some(role));
     }
@@ -120,7 +130,12 @@ fn a_collection_keeps_the_closure_of_its_roots_and_removes_the_rest() {
         let blob = store.put(name).unwrap();
         store.put_memo(Digest::from_content(name), blob, maker);
     }
-    let scratch = [Digest::from_content(b"under way"), Digest::from_content(b"given up"), kept.key].map(|key| {
+    let scratch = [
+        Digest::from_content(b"under way"),
+        Digest::from_content(b"given up"),
+        kept.key,
+    ]
+    .map(|key| {
         let path = store.scratch().join(format!("{key}.state"));
         fs::create_dir_all(store.scratch()).unwrap();
         fs::write(&path, b"").unwrap();
@@ -239,7 +254,11 @@ fn what_a_process_found_stays_until_it_ends() {
     store.put_record(found.clone());
     let again_put = store.put(&large(5)).unwrap();
     let memo_blob = store.put(b"features").unwrap();
-    store.put_memo(Digest::from_content(b"m"), memo_blob, Digest::from_content(b"nobody"));
+    store.put_memo(
+        Digest::from_content(b"m"),
+        memo_blob,
+        Digest::from_content(b"nobody"),
+    );
     store.commit().unwrap();
     drop(store);
     let user = reopen(&dir);

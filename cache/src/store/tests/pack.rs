@@ -13,7 +13,9 @@ fn write(path: &Path, count: u8) -> Vec<Entry> {
     let mut writer = Writer::new(&files, path);
     for value in 0..count {
         let blob = vec![value; usize::from(value) * 7];
-        writer.add(Kind::Blob, &Digest::from_content(&blob), &blob).unwrap();
+        writer
+            .add(Kind::Blob, &Digest::from_content(&blob), &blob)
+            .unwrap();
         let key = Digest::from_content(&[value]);
         let record = seal(Kind::Record, &key, u32::from(value), b"{}");
         writer.add(Kind::Record, &key, &record).unwrap();

@@ -29,7 +29,11 @@ pub(super) fn step(number: u8) -> Step {
 
 impl Step {
     pub(super) fn record(&self) -> Record {
-        let mut record = record_of(&self.action, Digest::from_content(&self.output), self.output.len() as u64);
+        let mut record = record_of(
+            &self.action,
+            Digest::from_content(&self.output),
+            self.output.len() as u64,
+        );
         if let Some(large) = &self.large {
             let output = Output {
                 digest: Digest::from_content(large),

@@ -343,7 +343,11 @@ fn the_count_of_a_store_is_exact() {
     let record = record("k", &store, b"small");
     let action_bytes = action("blur", "k", &[]).encode().len() as u64;
     store.put_record(record);
-    store.put_memo(Digest::from_content(b"m"), Digest::from_content(b"small"), Digest::from_content(b"maker"));
+    store.put_memo(
+        Digest::from_content(b"m"),
+        Digest::from_content(b"small"),
+        Digest::from_content(b"maker"),
+    );
     store.put_run(b"{}").unwrap();
     let stat = store.stat().unwrap();
     assert!(stat.index_bytes > 0);

@@ -68,7 +68,12 @@ impl<'a> ReadOnly<'a> {
         let store = self.case.store();
         let files = files_of(&store).into_iter();
         files
-            .map(|file| Ok((file.clone(), Digest::from_content(&std::fs::read(store.join(file))?))))
+            .map(|file| {
+                Ok((
+                    file.clone(),
+                    Digest::from_content(&std::fs::read(store.join(file))?),
+                ))
+            })
             .collect()
     }
 }

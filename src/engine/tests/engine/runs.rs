@@ -12,7 +12,7 @@ use crate::common::*;
 use crate::what_ran::after_first_run;
 use proptest::prelude::*;
 
-use marf_engine::{RunSource, Outcome, PlanState, last_run, plan, runs};
+use marf_engine::{Outcome, PlanState, RunSource, last_run, plan, runs};
 
 #[test]
 fn runs_are_kept_in_order_and_carry_the_latest_keys() {
@@ -30,8 +30,14 @@ fn runs_are_kept_in_order_and_carry_the_latest_keys() {
     let all = runs(&store, no_warning).unwrap();
     assert_eq!(all.iter().map(|run| run.number).collect::<Vec<_>>(), vec![1, 2]);
     assert_eq!(all[1], second);
-    assert_eq!(last_run(&store, "test", &RunSource::default(), no_warning).unwrap(), Some(second));
-    assert_eq!(last_run(&store, "another", &RunSource::default(), no_warning).unwrap(), None);
+    assert_eq!(
+        last_run(&store, "test", &RunSource::default(), no_warning).unwrap(),
+        Some(second)
+    );
+    assert_eq!(
+        last_run(&store, "another", &RunSource::default(), no_warning).unwrap(),
+        None
+    );
 }
 
 #[test]

@@ -3,7 +3,9 @@
 use crate::common::*;
 
 use marf_cache::{Action, Digest};
-use marf_engine::{RunSource, Graph, Listings, NodeState, Outcome, PlanState, PlannedNode, last_run, plan, why};
+use marf_engine::{
+    Graph, Listings, NodeState, Outcome, PlanState, PlannedNode, RunSource, last_run, plan, why,
+};
 
 /// A store with the pipeline's first run in it.
 pub fn after_first_run() -> (

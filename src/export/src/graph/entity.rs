@@ -53,7 +53,10 @@ pub(super) fn id_of(kind: &str, name: &str) -> String {
     if is_plain(name) {
         format!("#{kind}/{name}")
     } else {
-        format!("#{kind}/blake3-{}", marf_cache::Digest::from_content(name.as_bytes()))
+        format!(
+            "#{kind}/blake3-{}",
+            marf_cache::Digest::from_content(name.as_bytes())
+        )
     }
 }
 

@@ -104,7 +104,9 @@ fn check_verdicts(opened: &OpenCrate, faults: &mut Vec<String>) {
             Ok(leaves) => {
                 for leaf in leaves {
                     match opened.object(&leaf.leaf) {
-                        Ok(bytes) => lines.extend(bytes.split(|byte| *byte == b'\n').map(Digest::from_content)),
+                        Ok(bytes) => {
+                            lines.extend(bytes.split(|byte| *byte == b'\n').map(Digest::from_content))
+                        }
                         Err(cause) => faults.push(format!("a leaf of {what}: {cause}")),
                     }
                 }

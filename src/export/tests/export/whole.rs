@@ -121,7 +121,10 @@ fn chosen_photos_come_with_every_decision_on_them() {
     assert_eq!(items.len(), 4, "two photos, two nodes: {items:?}");
     let graph = String::from_utf8_lossy(&files["data/ro-crate-metadata.json"]).into_owned();
     assert!(graph.contains("\"size of name with spaces\""));
-    assert!(!files.contains_key(&format!("data/objects/{}", Digest::from_content(image("b").as_bytes()))));
+    assert!(!files.contains_key(&format!(
+        "data/objects/{}",
+        Digest::from_content(image("b").as_bytes())
+    )));
 }
 
 #[test]
@@ -223,8 +226,16 @@ fn a_crate_tells_where_its_bytes_came_from() {
         assert!(text.lines().any(|found| found == line), "{line}: {text}");
     }
 
-    let photo = opened.trace(&Digest::from_content(image("b").as_bytes())).unwrap().unwrap();
+    let photo = opened
+        .trace(&Digest::from_content(image("b").as_bytes()))
+        .unwrap()
+        .unwrap();
     assert_eq!(photo.products.len(), 1);
     assert_eq!(photo.steps.len(), 1, "only its source");
-    assert!(opened.trace(&Digest::from_content(b"a stranger's")).unwrap().is_none());
+    assert!(
+        opened
+            .trace(&Digest::from_content(b"a stranger's"))
+            .unwrap()
+            .is_none()
+    );
 }

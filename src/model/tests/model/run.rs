@@ -99,7 +99,10 @@ fn products_name_the_bytes_and_where_they_came_from() {
     );
     let origin = &products[0].origins["image"];
     assert_eq!(origin.url.as_deref(), Some("https://host/a2.png"));
-    assert_eq!(origin.sha256, Some(marf_cache::Sha256::from_content(&picture("a2"))));
+    assert_eq!(
+        origin.sha256,
+        Some(marf_cache::Sha256::from_content(&picture("a2")))
+    );
     assert_eq!(*store.get(&products[0].blobs["image"]).unwrap(), *picture("a2"));
     assert_eq!(origins(&store, &parts[0]).unwrap().len(), 3);
 }

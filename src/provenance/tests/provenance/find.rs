@@ -51,7 +51,10 @@ fn every_kind_of_content_is_found_with_its_maker() {
             "{place:?}"
         );
     }
-    assert_eq!(find(&store, &[run], &Digest::from_content(b"foreign")).unwrap(), []);
+    assert_eq!(
+        find(&store, &[run], &Digest::from_content(b"foreign")).unwrap(),
+        []
+    );
 }
 
 /// One sum in two runs is one maker; the same text from other parameters is another.
@@ -67,7 +70,12 @@ fn a_reused_result_has_the_run_that_made_it_and_an_ambiguous_content_all_makers(
         ..pipeline
     }
     .run(&store);
-    let makers = find(&store, &[first, second, third], &Digest::from_content(b"5 rows times 1")).unwrap();
+    let makers = find(
+        &store,
+        &[first, second, third],
+        &Digest::from_content(b"5 rows times 1"),
+    )
+    .unwrap();
     let mut runs: Vec<_> = makers
         .iter()
         .map(|maker| (maker.runs.clone(), maker.made_in))

@@ -6,8 +6,8 @@ use marf_cache::{Digest, Store};
 use marf_config as config;
 use marf_engine::Cancel;
 use marf_remote::{
-    Checked, Collected, FsckOptions, GcOptions, Observer, Patience, Remote, RemoteError, RemoteRun, Traffic,
-    in_words,
+    FsckOptions, GcOptions, Observer, Patience, Remote, RemoteError, RemoteFsckReport, RemoteGcReport,
+    RemoteRun, Traffic, in_words,
 };
 use serde::Serialize;
 
@@ -145,7 +145,7 @@ impl<'a> SharedStore<'a> {
     ///
     /// # Errors
     /// A store that cannot be read or written.
-    pub fn gc(&self, options: GcOptions) -> Result<Collected, Error> {
+    pub fn gc(&self, options: GcOptions) -> Result<RemoteGcReport, Error> {
         Ok(self.remote.gc(options, &self.transfer("gc"))?)
     }
 
@@ -153,7 +153,7 @@ impl<'a> SharedStore<'a> {
     ///
     /// # Errors
     /// A store that cannot be read or written.
-    pub fn fsck(&self, options: FsckOptions) -> Result<Checked, Error> {
+    pub fn fsck(&self, options: FsckOptions) -> Result<RemoteFsckReport, Error> {
         Ok(self.remote.fsck(options, &self.transfer("fsck"))?)
     }
 

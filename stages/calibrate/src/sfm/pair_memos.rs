@@ -217,7 +217,9 @@ mod tests {
     }
 
     fn photos(count: usize) -> Vec<Digest> {
-        (0..count).map(|photo| Digest::from_content(&[photo as u8])).collect()
+        (0..count)
+            .map(|photo| Digest::from_content(&[photo as u8]))
+            .collect()
     }
 
     fn pairs(count: usize) -> Vec<[usize; 2]> {

@@ -122,7 +122,10 @@ fn the_answer_belongs_to_the_version() {
         .iter()
         .map(|(name, digest)| format!("{name} {digest}"))
         .collect();
-    let found = (Masks::VERSION, Digest::from_content(all.join("\n").as_bytes()).short());
+    let found = (
+        Masks::VERSION,
+        Digest::from_content(all.join("\n").as_bytes()).short(),
+    );
     assert_eq!(found, (1, "054188011960".to_owned()));
     assert_eq!(define::<Masks>().version, Masks::VERSION);
 }

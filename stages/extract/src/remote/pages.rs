@@ -125,7 +125,8 @@ impl Pages {
     }
 
     fn file(&self, path: &str) -> PathBuf {
-        self.folder.join(format!("{}.json", Digest::from_content(path.as_bytes())))
+        self.folder
+            .join(format!("{}.json", Digest::from_content(path.as_bytes())))
     }
 }
 

@@ -19,7 +19,10 @@ use marf_scene::{Frame, PosedPhoto, Scene, hold_out_places};
 use marf_schema::changes::{ChangesParams, ChangesReport, Time};
 use marf_schema::output::{CHANGE_MAPS, SCENE};
 use marf_schema::train::Metrics;
-use marf_stage::{ChildStage, Ctx, Document, Expand, Inputs, NodeSpec, Outputs, PHOTOS, Port, Sols, StageError, Threads, TypedOutputs, rows_of, stage};
+use marf_stage::{
+    ChildStage, Ctx, Document, Expand, Inputs, NodeSpec, Outputs, PHOTOS, Port, Sols, StageError, Threads,
+    TypedOutputs, rows_of, stage,
+};
 
 use crate::SurfaceError;
 use crate::frame::ExportFrame;

@@ -249,7 +249,8 @@ pub fn noise_is_encoded_whole(codec: Codec) {
 
 /// Returns the digest of a file that is the same in any thread.
 pub fn digest_of_any_thread(codec: Codec) -> String {
-    let file = move || Digest::from_content(&encode(&pictures(100, 60, 50), settings(codec, 24, 24)).unwrap());
+    let file =
+        move || Digest::from_content(&encode(&pictures(100, 60, 50), settings(codec, 24, 24)).unwrap());
     let threads: Vec<_> = (0..3).map(|_| std::thread::spawn(file)).collect();
     let found: Vec<Digest> = threads.into_iter().map(|thread| thread.join().unwrap()).collect();
     assert!(found.iter().all(|digest| *digest == file()), "{found:?}");

@@ -369,7 +369,10 @@ impl Set for Broken {
         match self.0.how.as_str() {
             "panics" => panic!("index 7 of 3"),
             "forgets" => Ok(Outputs::new()),
-            "invents" => Ok(BTreeMap::from([("sum".to_owned(), Digest::from_content(b"never stored"))])),
+            "invents" => Ok(BTreeMap::from([(
+                "sum".to_owned(),
+                Digest::from_content(b"never stored"),
+            )])),
             "adds" => {
                 let blob = ctx.put(b"x")?;
                 Ok(BTreeMap::from([

@@ -129,7 +129,10 @@ fn a_file_that_was_replaced_by_one_of_the_same_size_and_time_is_read() {
         .unwrap();
     fs::rename(&other, &path).unwrap();
     let replaced = digests(&rested(&harness.ctx(), &root, Reading::Changed), &root);
-    assert!(replaced.contains(&("b/a.png".to_owned(), Digest::from_content(&vec![b'y'; bytes.len()]))));
+    assert!(replaced.contains(&(
+        "b/a.png".to_owned(),
+        Digest::from_content(&vec![b'y'; bytes.len()])
+    )));
 }
 
 #[test]

@@ -181,7 +181,9 @@ impl OpenLock {
     /// Returns the state of the file of a sol, if it has one.
     pub fn state(&self, sol: u32) -> Option<FileState> {
         let path = self.sols.contains(&sol).then(|| sol_path(&self.folder, sol))?;
-        fs::metadata(path).ok().map(|meta| FileState::from_metadata(&meta))
+        fs::metadata(path)
+            .ok()
+            .map(|meta| FileState::from_metadata(&meta))
     }
 
     /// Reads the pins of a sol, if it has any; also those that were written since.

@@ -70,7 +70,7 @@ fn all_of(error: &StageError) -> String {
 /// Results are found by it.
 #[test]
 fn the_fingerprint_of_a_sol_stays_what_it_was() {
-    let mut files = SolFiles::of_pins(&pins());
+    let mut files = SolFiles::from_pins(&pins());
     assert_eq!(files.fingerprint(&pins()).short(), "e09f83a1e3cf");
     if let Some(file) = files.files.get_mut("A.png") {
         file.listed = Some("2023-01-01T00:00".to_owned());

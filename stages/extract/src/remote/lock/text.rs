@@ -132,7 +132,26 @@ pub(super) fn quoted(text: &str) -> String {
 /// The line and what it is.
 pub(super) fn check(text: &str) -> Result<(), BadLine> {
     let mark = |line: &str| {
-        ["    let cause = if found.version > VERSION {
+        ["<<<<<<< ", ">>>>>>> ", "||||||| "]
+            .iter()
+            .any(|mark| line.starts_with(mark))
+    };
+    if let Some(index) = text.lines().position(mark) {
+        return Err(BadLine {
+            line: index + 1,
+            cause: "two versions of the file were merged and the conflict is not resolved".to_owned(),
+        });
+    }
+    // Only the version is read at first: a newer form may have keys that this program does not know.
+    #[derive(Deserialize)]
+    struct Version {
+        version: i64,
+    }
+    let found: Version = toml::from_str(text).map_err(|error| bad(text, &error))?;
+    if found.version == VERSION {
+        return Ok(());
+    }
+    let cause = if found.version > VERSION {
         format!(
             "its version is {}: a newer marf wrote it, this one reads {VERSION}",
             found.version
