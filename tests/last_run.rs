@@ -43,8 +43,6 @@ scale = 4
 input = "calibrate"
 of = "train"
 b = 2
-frames = 2
-width = 80
 "#;
 
 const MESH: &str =

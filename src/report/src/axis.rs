@@ -46,7 +46,7 @@ impl Chart<'_> {
             points
                 .iter()
                 .copied()
-                .filter(|point| self.can_draw(*point))
+                .filter(|(x, y)| self.can_draw(*x, *y))
                 .collect()
         };
         let lines = self.lines.iter().map(|(name, points)| (*name, drawable(points)));
@@ -95,7 +95,7 @@ impl Chart<'_> {
         }
     }
 
-    fn can_draw(&self, (x, y): (f64, f64)) -> bool {
+    fn can_draw(&self, x: f64, y: f64) -> bool {
         x.is_finite() && y.is_finite() && (self.scale == Scale::Linear || y > 0.0)
     }
 }

@@ -136,7 +136,7 @@ pub(super) struct Plan {
 impl Plan {
     /// Reads the scene of a node, or of one that it reads; none without a scene, or with one that cannot be read: the section on cameras
     /// says why.
-    pub(super) fn of(page: &Page<'_>, node: &NodeView) -> Option<Self> {
+    pub(super) fn new(page: &Page<'_>, node: &NodeView) -> Option<Self> {
         let upstream = node.upstream.iter().map(|(_, name)| name);
         let read = upstream.filter_map(|name| page.input.nodes.iter().find(|node| node.name == *name));
         let mut holders = [node].into_iter().chain(read);

@@ -92,15 +92,27 @@ fn curves(page: &Page<'_>, node: &NodeView) -> Markup {
     };
     let steps: Vec<f64> = points.iter().map(|point| point.step as f64).collect();
     let seconds = node.training_s.and_then(|whole_s| seconds(&points, whole_s));
-    let psnr: (&str, Scale, Value) = ("PSNR, dB", Scale::Linear, |point: &CurvePoint| point.psnr);
-    let loss: (&str, Scale, Value) = ("loss", Scale::Log, |point: &CurvePoint| point.loss);
+    let psnr = |title, x_label, along: &[f64]| Chart {
+        title,
+        x_label,
+        y_label: "PSNR, dB",
+        scale: Scale::Linear,
+        lines: vec![line(&points, along, |point| point.psnr)],
+    };
+    let loss = |title, x_label, along: &[f64]| Chart {
+        title,
+        x_label,
+        y_label: "loss",
+        scale: Scale::Log,
+        lines: vec![line(&points, along, |point| point.loss)],
+    };
     html! {
         div.charts {
-            (chart(&points, ("PSNR against step", "step", &steps), psnr).drawn())
-            (chart(&points, ("Loss against step", "step", &steps), loss).drawn())
+            (psnr("PSNR against step", "step", &steps).drawn())
+            (loss("Loss against step", "step", &steps).drawn())
             @if let Some(seconds) = &seconds {
-                (chart(&points, ("PSNR against seconds", "seconds", seconds), psnr).drawn())
-                (chart(&points, ("Loss against seconds", "seconds", seconds), loss).drawn())
+                (psnr("PSNR against seconds", "seconds", seconds).drawn())
+                (loss("Loss against seconds", "seconds", seconds).drawn())
             }
         }
         @if let Some(last) = points.last() {
@@ -122,21 +134,13 @@ fn seconds(points: &[CurvePoint], whole_s: f64) -> Option<Vec<f64>> {
     (all > 0).then(|| points.iter().map(at).collect())
 }
 
-type Value = fn(&CurvePoint) -> f64;
-
-/// Returns a chart of one value of a curve's points.
-fn chart<'a>(
+/// Returns the line of one value of a curve's points, without a name.
+fn line(
     points: &[CurvePoint],
-    (title, x_label, along): (&'a str, &'a str, &[f64]),
-    (y_label, scale, value): (&'a str, Scale, Value),
-) -> Chart<'a> {
-    Chart {
-        title,
-        x_label,
-        y_label,
-        scale,
-        lines: vec![("", along.iter().copied().zip(points.iter().map(value)).collect())],
-    }
+    along: &[f64],
+    value: fn(&CurvePoint) -> f64,
+) -> (&'static str, Vec<(f64, f64)>) {
+    ("", along.iter().copied().zip(points.iter().map(value)).collect())
 }
 
 #[cfg(test)]

@@ -5,6 +5,7 @@
 //! a sentence stands in place of an output that is absent or unreadable.
 
 mod axis;
+mod call;
 mod cameras;
 mod changes;
 mod curves;
@@ -53,8 +54,9 @@ use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 use page::Page;
 
+pub use call::{Call, FACTORS, calls};
 pub use input::{ChangedNode, Changes, ChildView, NodeView, ReadBlob, ReportInput, SceneView, State};
-pub use review::{Call, FACTORS, calls, percent};
+pub use review::percent;
 
 /// Writes the report as one HTML file. Equal input gives equal bytes; nothing in it can make it panic.
 pub fn write(input: &ReportInput<'_>) -> String {

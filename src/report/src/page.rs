@@ -30,7 +30,7 @@ impl<'a> Page<'a> {
             nodes.filter_map(move |node| Some((node, Set::open(input, node, output)?)))
         };
         let verdicts: Vec<_> = open(VERDICTS).collect();
-        let sum = |set: &Result<Set<'_>, Missing>| Summary::of(input, set.as_ref().map_err(Clone::clone)?);
+        let sum = |set: &Result<Set<'_>, Missing>| Summary::new(input, set.as_ref().map_err(Clone::clone)?);
         let judged: Vec<_> = verdicts.iter().map(|(node, set)| (*node, sum(set))).collect();
         let last = last_photo_nodes(input);
         let kept: Vec<_> = open(PHOTOS)

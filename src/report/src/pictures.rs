@@ -29,9 +29,12 @@ pub(super) fn held_out(page: &Page<'_>) -> Markup {
     let mut shown: BTreeSet<Vec<Digest>> = BTreeSet::new();
     let parts: Vec<Markup> = page
         .with_outputs_under(output::HELDOUT)
-        .map(|node| match shown.insert(digests(node, output::HELDOUT)) {
-            true => views(page, node),
-            false => html! { h3 { (node.name) } p { "The same renders as above." } },
+        .map(|node| {
+            if shown.insert(digests(node, output::HELDOUT)) {
+                views(page, node)
+            } else {
+                html! { h3 { (node.name) } p { "The same renders as above." } }
+            }
         })
         .collect();
     if parts.is_empty() {
@@ -64,7 +67,7 @@ fn views(page: &Page<'_>, node: &NodeView) -> Markup {
         h3 { (node.name) ": " (count(names.len(), "view")) }
         @if let Err(missing) = &scores { (missing) }
         @if let Ok(scores) = &scores { (by_distance(scores)) }
-        @let plan = Plan::of(page, node);
+        @let plan = Plan::new(page, node);
         @for name in names.iter().take(MOST_VIEWS) { (judged(page, node, name, view(name), plan.as_ref())) }
         @if names.len() > MOST_VIEWS { p.quiet { (count(names.len() - MOST_VIEWS, "better view")) " not shown." } }
     }

@@ -3,59 +3,11 @@
 use marf_stage::Verdict;
 use maud::{Markup, html};
 
+use super::call::{Call, FACTORS};
 use super::format::{count, number};
 use super::page::Page;
 use super::thumbs::{name_of, thumb};
 use super::verdicts::{Judged, Summary};
-
-/// Thresholds that are tried, as multiples of those in force.
-pub const FACTORS: [f64; 6] = [0.8, 0.9, 0.95, 1.05, 1.1, 1.2];
-
-/// A verdict that rests on a score and a threshold.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Call {
-    keeps: bool,
-    score: f64,
-    threshold: f64,
-}
-
-impl Call {
-    /// Reads it from a verdict; none where there is no score or threshold, or a person has decided.
-    pub fn of(verdict: &Verdict) -> Option<Self> {
-        let manual =
-            verdict.reason.starts_with("kept by hand") || verdict.reason.starts_with("rejected by hand");
-        let call = Self {
-            keeps: verdict.keeps(),
-            score: verdict.score?,
-            threshold: verdict.threshold?,
-        };
-        let sound = call.score.is_finite() && call.threshold.is_finite() && call.threshold != 0.0;
-        (sound && !manual).then_some(call)
-    }
-
-    /// Returns how far the score lies above the threshold, as a share of it; negative below.
-    pub fn margin(&self) -> f64 {
-        (self.score - self.threshold) / self.threshold.abs()
-    }
-
-    /// Tells whether the verdict would be another one if the threshold were so many times as large. Only this score
-    /// counts: other measures of the filter stay as they are.
-    pub fn flips_at(&self, factor: f64) -> bool {
-        // The side on which photos go: where a rejected one is, and a kept one is not.
-        let high_goes = (self.score >= self.threshold) != self.keeps;
-        let threshold = self.threshold * factor;
-        let goes = match high_goes {
-            true => self.score >= threshold,
-            false => self.score < threshold,
-        };
-        goes == self.keeps
-    }
-}
-
-/// Returns the calls among some verdicts.
-pub fn calls(verdicts: &[Verdict]) -> Vec<Call> {
-    verdicts.iter().filter_map(Call::of).collect()
-}
 
 /// Draws the table of other thresholds, and the closest calls of each filter.
 pub(super) fn body(page: &Page<'_>) -> Markup {
@@ -113,7 +65,7 @@ fn closest_of(page: &Page<'_>, name: &str, sum: &Summary) -> Markup {
         .closest
         .iter()
         .filter(|judged| page.photos.get(&judged.verdict.id).is_some())
-        .filter_map(|judged| Some((&judged.verdict, Call::of(&judged.verdict)?.margin())));
+        .filter_map(|judged| Some((&judged.verdict, Call::from_verdict(&judged.verdict)?.margin())));
     html! {
         @if sum.near > 0 {
             h3 { (name) ": closest calls, " (count(sum.near, "verdict")) " of " (sum.seen) " within half of their threshold" }
@@ -180,7 +132,7 @@ mod tests {
             (false, 0.975, 0.975, 1.05, true),
             (false, 0.975, 0.975, 0.9, false),
         ] {
-            let call = Call::of(&verdict(keeps, score, threshold)).unwrap();
+            let call = Call::from_verdict(&verdict(keeps, score, threshold)).unwrap();
             assert_eq!(
                 call.flips_at(factor),
                 flips,
@@ -201,14 +153,14 @@ mod tests {
             ..verdict(true, 0.5, 1.0)
         };
         for no_call in [bare, hand, verdict(true, 3.0, 0.0), verdict(true, f64::NAN, 1.0)] {
-            assert_eq!(Call::of(&no_call), None, "{no_call:?}");
+            assert_eq!(Call::from_verdict(&no_call), None, "{no_call:?}");
         }
     }
 
     #[test]
     fn margins_are_percentages() {
         let verdict = verdict(true, 21.5, 9.3);
-        let margin = Call::of(&verdict).unwrap().margin();
+        let margin = Call::from_verdict(&verdict).unwrap().margin();
         assert_eq!(against(&verdict, margin), "21.5 against 9.3, 131.2 % above");
         assert_eq!(
             (percent(-0.2), percent(0.05)),

@@ -157,7 +157,7 @@ struct Fit {
 }
 
 impl Fit {
-    fn of(stops: &[&Stop]) -> Self {
+    fn new(stops: &[&Stop]) -> Self {
         let span = |axis: usize| {
             let values = stops.iter().map(|stop| stop.position_m[axis]);
             let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), one| {
@@ -184,7 +184,7 @@ impl Fit {
 
 /// Draws the stops of one site in the order of its drives.
 fn map(stops: &[&Stop], views: &[SceneView]) -> Markup {
-    let fit = Fit::of(stops);
+    let fit = Fit::new(stops);
     let places: Vec<(f64, f64)> = stops.iter().map(|stop| fit.place(stop.position_m)).collect();
     let traverse: Vec<String> = places
         .iter()
@@ -263,7 +263,7 @@ mod tests {
         for scale in [0.0, 1e-3, 1.0, 1e6] {
             let stops = [stop(0.0, 0.0), stop(2.0 * scale, scale)];
             let stops: Vec<&Stop> = stops.iter().collect();
-            let fit = Fit::of(&stops);
+            let fit = Fit::new(&stops);
             let (a, b) = (fit.place(stops[0].position_m), fit.place(stops[1].position_m));
             assert!(a.0 <= b.0 && a.1 >= b.1, "{scale}: {a:?} {b:?}");
             for (x, y) in [a, b] {

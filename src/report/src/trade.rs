@@ -101,18 +101,18 @@ pub struct Effect {
 impl Point {
     /// Returns the settings, or that there are none.
     pub fn name(&self) -> String {
-        match self.sets.is_empty() {
-            true => "as it is".to_owned(),
-            false => self.sets.join(" "),
+        if self.sets.is_empty() {
+            return "as it is".to_owned();
         }
+        self.sets.join(" ")
     }
 
     /// Returns its name as lines of the list below the front, which three settings would leave.
     fn lines(&self) -> Vec<String> {
-        match self.sets.is_empty() {
-            true => vec![self.name()],
-            false => self.sets.chunks(2).map(|sets| sets.join(" ")).collect(),
+        if self.sets.is_empty() {
+            return vec![self.name()];
         }
+        self.sets.chunks(2).map(|sets| sets.join(" ")).collect()
     }
 
     /// Tells whether it is judged by the same photos as another, at the same size.

@@ -8,10 +8,10 @@ use marf_cache::manifest::BlockRef;
 use marf_stage::Verdict;
 use serde::{Deserialize, Serialize};
 
+use super::call::{Call, FACTORS};
 use super::input::ReportInput;
 use super::photos::{Spot, remembered};
 use super::read::Missing;
-use super::review::{Call, FACTORS};
 use super::sets::Set;
 
 /// Most rejections of a node that are shown one by one.
@@ -57,7 +57,7 @@ pub(super) struct Summary {
 
 impl Summary {
     /// Sums up the verdicts of a set, from what earlier reports kept of its blocks.
-    pub(super) fn of(input: &ReportInput<'_>, set: &Set<'_>) -> Result<Self, Missing> {
+    pub(super) fn new(input: &ReportInput<'_>, set: &Set<'_>) -> Result<Self, Missing> {
         let mut sum = Self::default();
         for block in &set.blocks {
             let key = Digest::from_content(format!("verdicts {VERSION} {}", block.digest).as_bytes());
@@ -78,7 +78,7 @@ impl Summary {
     fn add(&mut self, shard: u32, verdict: Verdict) {
         self.seen += 1;
         self.kept += usize::from(verdict.keeps());
-        if let Some(call) = Call::of(&verdict) {
+        if let Some(call) = Call::from_verdict(&verdict) {
             self.calls += 1;
             self.calls_rejected += usize::from(!verdict.keeps());
             for (flips, factor) in self.flips.iter_mut().zip(FACTORS) {
@@ -134,7 +134,7 @@ impl Summary {
 
 /// Distance of a score from its threshold, as a share of it; infinite where there is none.
 fn distance(judged: &Judged) -> f64 {
-    Call::of(&judged.verdict).map_or(f64::INFINITY, |call| call.margin().abs())
+    Call::from_verdict(&judged.verdict).map_or(f64::INFINITY, |call| call.margin().abs())
 }
 
 fn of_block(set: &Set<'_>, block: &BlockRef) -> Result<Summary, Missing> {
@@ -165,7 +165,9 @@ pub(super) fn closest_calls<'s, 'a: 's>(
             .iter()
             .flat_map(|leaf| set.verdicts(leaf).unwrap_or_default());
         for verdict in verdicts.filter(|verdict| ids.contains(verdict.id.as_str())) {
-            let Some(call) = Call::of(&verdict) else { continue };
+            let Some(call) = Call::from_verdict(&verdict) else {
+                continue;
+            };
             let margin = call.margin();
             let known = closest.get(&verdict.id);
             if known.is_none_or(|(_, _, known)| margin.abs() < known.abs()) {

@@ -91,10 +91,10 @@ impl Access {
             return Err(Refusal::Origin);
         }
         let given = bearer(headers).or_else(|| self.cookie(headers));
-        match self.token.is_none() || given.is_some_and(|token| self.is_token(token)) {
-            true => Ok(()),
-            false => Err(Refusal::Token),
+        if self.token.is_none() || given.is_some_and(|token| self.is_token(token)) {
+            return Ok(());
         }
+        Err(Refusal::Token)
     }
 
     /// Checks the host alone: for the request that brings the token in its address.

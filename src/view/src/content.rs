@@ -9,21 +9,13 @@ use marf_scene::{Photo, encode_jpeg, shrunk};
 use parking_lot::Mutex;
 
 use crate::field::Field;
+use crate::file::File;
 use crate::page::{LivePage, below, live, live_parts};
 use crate::source::{FieldSource, RunContent, Source};
 
 /// Longest side of a photo beside its render, pixels, and its JPEG quality.
 const PHOTO_PX: u32 = 960;
 const PHOTO_QUALITY: u8 = 88;
-
-/// Bytes with their type.
-#[derive(Debug, Clone)]
-pub struct File {
-    /// Their type.
-    pub media: &'static str,
-    /// The bytes.
-    pub bytes: Arc<[u8]>,
-}
 
 /// A run that is shown.
 pub struct Content {

@@ -32,10 +32,10 @@ impl Reference {
         let mask = frame.mask.as_ref().map(read).transpose()?.map(|mask| mask.image);
         let size = (frame.camera.width, frame.camera.height);
         let is_of_size = |image: &Image<Srgb>| (image.width, image.height) == size;
-        match is_of_size(&photo) && mask.as_ref().is_none_or(is_of_size) {
-            true => Ok(Self { photo, mask }),
-            false => Err(format!("{file} or its mask has another size than its camera")),
+        if is_of_size(&photo) && mask.as_ref().is_none_or(is_of_size) {
+            return Ok(Self { photo, mask });
         }
+        Err(format!("{file} or its mask has another size than its camera"))
     }
 
     /// Returns |gray of a render - gray of the photo| of every pixel, white = 1; -1 where the mask hides any of it.

@@ -130,7 +130,7 @@ impl Follower {
 
 impl OpenFile {
     /// Opens the file of a program.
-    fn of(lock: PathBuf) -> Option<Self> {
+    fn open(lock: PathBuf) -> Option<Self> {
         Some(Self {
             file: File::open(lock.with_extension("jsonl")).ok()?,
             lock,
@@ -181,7 +181,7 @@ fn all_running(folder: &Path) -> impl Iterator<Item = OpenFile> {
     };
     let mut locks: Vec<PathBuf> = locks.filter(|path| is_locked(path)).collect();
     locks.sort_by_cached_key(|path| std::cmp::Reverse((began(path), path.clone())));
-    locks.into_iter().filter_map(OpenFile::of)
+    locks.into_iter().filter_map(OpenFile::open)
 }
 
 /// Tells whether a program holds this file; the lock that is tried is given back at once.

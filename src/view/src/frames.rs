@@ -98,7 +98,7 @@ pub fn frame(
         Shown::Color => render(field.trained())?.to_image(),
         Shown::Depth => {
             let values = depths(&render(field.trained())?);
-            colored(&values, &field.scales().depth, (width, height))
+            colored(&values, &field.scales().depth, width, height)
         }
         Shown::Uncertainty => {
             let renders: Vec<Render> = field.members().iter().map(render).collect::<Result<_, _>>()?;
@@ -108,11 +108,11 @@ pub fn frame(
                     "the run has no retrainings, hence no uncertainty".to_owned(),
                 ));
             }
-            colored(&values, &field.scales().uncertainty, (width, height))
+            colored(&values, &field.scales().uncertainty, width, height)
         }
         Shown::Difference(reference) => {
             let values = reference.differences(&render(field.trained())?.to_image());
-            colored(&values, &field.scales().difference, (width, height))
+            colored(&values, &field.scales().difference, width, height)
         }
     };
     let png = encode_png(&image).map_err(|error| FrameError::Failed(error.to_string()))?;
@@ -122,7 +122,7 @@ pub fn frame(
 }
 
 /// Draws values on a scale.
-fn colored(values: &[f32], scale: &ColorScale, (width, height): (u32, u32)) -> Image<Srgb> {
+fn colored(values: &[f32], scale: &ColorScale, width: u32, height: u32) -> Image<Srgb> {
     Image {
         width,
         height,

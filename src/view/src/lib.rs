@@ -9,6 +9,7 @@ mod difference;
 mod error;
 mod events;
 mod field;
+mod file;
 mod frames;
 mod measure;
 mod page;

@@ -67,9 +67,10 @@ pub fn pick(field: &Field, view: &View, [column, row]: [u32; 2]) -> Result<Picke
         .iter()
         .map(render)
         .collect::<Result<_, FieldError>>()?;
-    let own = match renders.is_empty() {
-        true => vec![render(field.trained())?],
-        false => Vec::new(),
+    let own = if renders.is_empty() {
+        vec![render(field.trained())?]
+    } else {
+        Vec::new()
     };
     let ray = ray_of(camera, cam_from_world, [column, row])
         .ok_or_else(|| FrameError::Failed("the lens has no ray there".to_owned()))?;

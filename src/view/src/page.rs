@@ -6,7 +6,7 @@ use base64::{Engine as _, engine::general_purpose::STANDARD};
 use marf_cache::Digest;
 use maud::{Markup, html};
 
-use crate::content::File;
+use crate::file::File;
 
 /// A report as it is served.
 pub struct LivePage {

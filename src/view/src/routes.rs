@@ -15,10 +15,11 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use crate::access::Refusal;
-use crate::content::{BYTES, File};
+use crate::content::BYTES;
 use crate::difference::Reference;
 use crate::events::follow;
 use crate::field::SharedField;
+use crate::file::File;
 use crate::frames::{FrameError, Shown, View};
 use crate::measure::{distance, pick};
 use crate::range::part;

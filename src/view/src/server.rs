@@ -189,10 +189,10 @@ impl Server {
 fn check_prefix(prefix: &str) -> Result<(), ViewError> {
     let is_plain = |char: char| char.is_ascii_alphanumeric() || "-_./".contains(char);
     let is_path = prefix.starts_with('/') && !prefix.ends_with('/') && !prefix.contains("//");
-    match prefix.is_empty() || (is_path && prefix.chars().all(is_plain)) {
-        true => Ok(()),
-        false => Err(ViewError::Prefix(prefix.to_owned())),
+    if prefix.is_empty() || (is_path && prefix.chars().all(is_plain)) {
+        return Ok(());
     }
+    Err(ViewError::Prefix(prefix.to_owned()))
 }
 
 #[cfg(test)]
