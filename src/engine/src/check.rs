@@ -143,9 +143,9 @@ pub enum GraphError {
         /// The node.
         node: String,
         /// The key.
-        key: String,
+        key: Box<str>,
         /// The upstream node.
-        upstream: String,
+        upstream: Box<str>,
         /// The stage of the upstream node.
         stage: &'static str,
         /// The output; one of several parts ends with `/`.
@@ -196,9 +196,8 @@ impl GraphError {
     /// Returns the key at fault, if the fault is that of one key of the node.
     pub fn key(&self) -> Option<&str> {
         match self {
-            Self::UnknownUpstream { key, .. }
-            | Self::UnknownKey { key, .. }
-            | Self::NoSuchOutput { key, .. } => Some(key),
+            Self::UnknownUpstream { key, .. } | Self::UnknownKey { key, .. } => Some(key),
+            Self::NoSuchOutput { key, .. } => Some(key),
             _ => None,
         }
     }
@@ -340,8 +339,8 @@ fn connected_ports<'a>(
         None => Ok(found),
         Some(port) => Err(GraphError::NoSuchOutput {
             node: node.name.to_owned(),
-            key: edge.key.clone(),
-            upstream: upstream.name.to_owned(),
+            key: edge.key.as_str().into(),
+            upstream: upstream.name.into(),
             stage: upstream.stage.name,
             output: wanted(port).into_boxed_str(),
             outputs,

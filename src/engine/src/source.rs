@@ -130,7 +130,7 @@ mod tests {
     fn files_are_named_from_the_folder_of_the_store_and_others_by_digits() {
         let dir = tempfile::tempdir().unwrap();
         let project = dir.path().join("project");
-        let store = Store::open(&project.join(".marf")).unwrap();
+        let store = Store::open(project.join(".marf")).unwrap();
         let file = |path: &Path| RunSource::from_file(&store, path);
         let named = |file: &str| RunSource::Pipeline {
             file: file.to_owned(),

@@ -35,8 +35,6 @@ steps = 10
 scale = 4
 field = { batch_samples = 2_048, occupancy_resolution = 32, log2_table = 10 }
 b = 2
-frames = 2
-width = 32
 "#;
 /// Photos in the folder: a ring of cameras around nothing in particular.
 const RING: u32 = 12;

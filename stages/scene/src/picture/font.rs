@@ -146,8 +146,6 @@ const GLYPHS: [(u8, [u8; 7]); 73] = [
 mod tests {
     use super::*;
 
-    const INK: [u8; 3] = [255; 3];
-
     fn drawn(text: &str, zoom: u32) -> Image<Srgb> {
         let mut picture = Image::from_fn(text_width_px(text, zoom), HEIGHT_PX * zoom, |_, _| [0; 3]);
         draw_text(&mut picture, 0, 0, zoom, text);
