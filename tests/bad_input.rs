@@ -50,7 +50,7 @@ fn an_unknown_stage_and_an_unknown_upstream_are_refused() {
 #[test]
 fn what_the_training_of_a_bootstrap_decides_cannot_be_set_beside_it() {
     let nodes = "[node.calibrate]\ninput = \"extract\"\n[node.tune]\ninput = \"calibrate\"\n\
-                 [node.train]\ninput = \"calibrate\"\n[node.bootstrap]\ninput = \"calibrate\"\nof = \"train\"\n";
+                 [node.train]\ninput = \"calibrate\"\n[node.bootstrap]\ninput = \"calibrate\"\ntraining = \"train\"\n";
     for (key, value) in [
         ("quality", "\"draft\""),
         ("steps", "5"),
@@ -61,9 +61,9 @@ fn what_the_training_of_a_bootstrap_decides_cannot_be_set_beside_it() {
         let dir = with_pipeline(&format!("{HEAD}{nodes}{key} = {value}\n"));
         let ran = marf(dir.path(), &["plan"]).exits(2);
         let message =
-            format!("pipeline.toml:14:1: node.bootstrap.{key}: `of` decides it too, and both cannot");
+            format!("pipeline.toml:14:1: node.bootstrap.{key}: `training` decides it too, and both cannot");
         assert!(ran.stderr.contains(&message), "{}", ran.stderr);
-        let hint = format!("hint: remove `{key}`, or `of`");
+        let hint = format!("hint: remove `{key}`, or `training`");
         assert!(ran.stderr.contains(&hint), "{}", ran.stderr);
     }
     let dir = with_pipeline(&format!("{HEAD}{nodes}b = 2\nmode = \"photos\"\nseed = 4\n"));

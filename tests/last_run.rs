@@ -42,7 +42,7 @@ scale = 2
 
 [node.bootstrap]
 input = "calibrate"
-of = "train"
+training = "train"
 b = 2
 "#;
 

@@ -211,7 +211,7 @@ fn uncertainty_without_a_bootstrap_names_what_to_add() {
     let dir = small_run("train");
     let ran = render(dir.path(), &["--output", "uncertainty", "--out", "x"]).exits(2);
     assert!(
-        ran.stderr.contains("[node.bootstrap]") && ran.stderr.contains("of = \"train\""),
+        ran.stderr.contains("[node.bootstrap]") && ran.stderr.contains("training = \"train\""),
         "{}",
         ran.stderr
     );

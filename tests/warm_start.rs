@@ -162,9 +162,9 @@ fn a_cold_start_is_warned_of_and_what_cannot_be_is_refused_before_anything_runs(
     };
     let resample = format!("{PIPELINE}resample = 3\n");
     refused(resample, ["train.warm_start", "`resample` is given too"]);
-    let of = "of = \"other\"\n[node.other]\nuses = \"train\"\ninput = \"calibrate\"\n";
+    let of = "training = \"other\"\n[node.other]\nuses = \"train\"\ninput = \"calibrate\"\n";
     let of = PIPELINE.replace("steps = 24\nscale = 4\n", "") + of;
-    refused(of, ["train.warm_start", "`of` decides it too"]);
+    refused(of, ["train.warm_start", "`training` decides it too"]);
     let from = "from = \"half\"\n[node.half]\nuses = \"partial\"\ninput = \"calibrate\"\nuntil = 16\n";
     let from = format!("{PIPELINE}{from}");
     refused(from, ["train.warm_start", "`from` decides it too"]);
@@ -176,13 +176,13 @@ fn a_cold_start_is_warned_of_and_what_cannot_be_is_refused_before_anything_runs(
 /// The first training is a cold one, whose seeds a bootstrap repeats; the next is not, and the bootstrap alone fails.
 #[test]
 fn a_bootstrap_of_it_fails_with_the_way_out() {
-    let bootstrap = "[node.bootstrap]\ninput = \"calibrate\"\nof = \"train\"\nb = 2\nmap_frames = 1\n";
+    let bootstrap = "[node.bootstrap]\ninput = \"calibrate\"\ntraining = \"train\"\nb = 2\nmap_frames = 1\n";
     let dir = written(&format!("{PIPELINE}{bootstrap}"));
     run(dir.path(), &[]);
     let ran = marf(dir.path(), &[&["run"][..], &WIDER].concat()).exits(1);
     let told = ran.stderr;
     assert!(
-        told.contains("bootstrap: the training that `of` names started from an earlier field"),
+        told.contains("bootstrap: the training that `training` names started from an earlier field"),
         "{told}"
     );
     assert!(told.contains("set `warm_start = false`"), "{told}");

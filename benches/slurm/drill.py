@@ -40,7 +40,7 @@ scale = 2
 device = "cpu"
 [node.bootstrap]
 input = "calibrate"
-of = "train"
+training = "train"
 b = 10
 frames = 1
 width = 32

@@ -39,7 +39,7 @@ device = "cpu"
 field = { log2_table = 10, density_width = 16, color_width = 16, batch_samples = 1024, cone = 0.2, occupancy_resolution = 16 }
 [node.bootstrap]
 input = "calibrate"
-of = "train"
+training = "train"
 b = 3
 device = "cpu"
 "#;

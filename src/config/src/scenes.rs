@@ -159,7 +159,7 @@ input = "calibrate"
 steps = 50
 [node.bootstrap]
 input = "calibrate"
-of = "train"
+training = "train"
 "#;
 
     fn pipeline(text: &str) -> Pipeline {
@@ -196,7 +196,7 @@ of = "train"
         );
         assert_eq!(tree["node"]["calibrate@b"]["input"], "scenes/b");
         assert_eq!(tree["node"]["calibrate@b"]["cameras"], "extract");
-        assert_eq!(tree["node"]["bootstrap@a"]["of"], "train@a");
+        assert_eq!(tree["node"]["bootstrap@a"]["training"], "train@a");
         assert_eq!(tree["node"]["train@a"]["steps"], 50);
         // What has its scenes is not split again.
         assert_eq!(ByScene::from_pipeline(&expanded), None);

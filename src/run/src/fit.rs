@@ -143,7 +143,10 @@ fn pipeline(request: &FitRequest, seconds: u32) -> String {
     });
     let (length, folds) = match request.time {
         FitTime::Within(_) => ("within", ""),
-        FitTime::Budgets(_) => ("budget", "[node.folds]\ninput = \"calibrate\"\nof = \"train\"\n"),
+        FitTime::Budgets(_) => (
+            "budget",
+            "[node.folds]\ninput = \"calibrate\"\ntraining = \"train\"\n",
+        ),
     };
     let target = request
         .target

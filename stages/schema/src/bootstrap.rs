@@ -157,9 +157,9 @@ pub struct BootstrapParams {
     pub b: Members,
     /// What differs between members.
     pub mode: Mode,
-    /// Seed of the first member; each further one adds 1. With `of` and its seed the first member is that training again.
+    /// Seed of the first member; each further one adds 1. With `training` and its seed the first member is that training again.
     pub seed: u64,
-    /// Steps, size of the photos and size of the field, as for `train`; `of` decides all four keys from here to `field`.
+    /// Steps, size of the photos and size of the field, as for `train`; `training` decides all four keys from here to `field`.
     pub quality: Quality,
     /// Optimiser steps of a member, instead of those of `quality`.
     #[serde(skip_serializing_if = "Option::is_none")]

@@ -15,7 +15,7 @@ pub struct FoldsParams {
     pub below: u32,
     /// Trainings, each without another part of the photos; fewer where there are fewer places.
     pub folds: u32,
-    /// Share of the steps of the training `of` that each takes: with 0.25 four folds take as long as that training.
+    /// Share of the steps of the node `training` that each takes: with 0.25 four folds take as long as that training.
     pub share: f64,
     /// Which processor trains and renders: `auto` (a GPU where there is one, never a software adapter), `cpu`, `gpu`,
     /// or `gpu:NAME` for the adapter whose name holds NAME. Only what was opened is in the key.

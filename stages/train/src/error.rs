@@ -16,7 +16,7 @@ pub enum TrainError {
     Setup(String),
     /// A training that started from an earlier field, and is to be repeated with another seed or other photos.
     #[error(
-        "the training that `of` names started from an earlier field (`warm_start`), and one with another seed or draw does not"
+        "the training that `training` names started from an earlier field (`warm_start`), and one with another seed or draw does not"
     )]
     WarmStarted,
     /// The state of a training that cannot be gone on from.
@@ -188,7 +188,7 @@ impl TrainError {
             Self::NoValidation { .. } => "leave `target_psnr` out, or take more photos",
             Self::State(_) => "take steps, seed, photos and field of the training that was stopped",
             Self::WarmStarted => {
-                "set `warm_start = false` in the training that `of` names, or leave this node out while the scene grows"
+                "set `warm_start = false` in the training that `training` names, or leave this node out while the scene grows"
             }
             Self::Behind { .. } => "raise `until`",
             Self::Vanished { .. } => "lower `scale`",

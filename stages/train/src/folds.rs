@@ -17,7 +17,7 @@ use crate::{
 
 /// Judges every photo of a small scene by a field that was trained without its place.
 ///
-/// Where few photos are held out, their mean says little. Each fold is a node `train`: the training `of`, of which it has sizes
+/// Where few photos are held out, their mean says little. Each fold is a node `train`: the node `training`, of which it has sizes
 /// and configuration, on the photos of all other folds, for a share of its steps: shorter and with fewer photos than that training has. Photos
 /// that `calibrate` holds out are trained on as well: it is the scene that is judged here, not the field delivered.
 #[derive(Debug)]
@@ -33,7 +33,7 @@ stage! {
     version: 1,
     ports: [
         Port::required("input", SCENE),
-        Port::required("of", Setup::OUTPUT),
+        Port::required("training", Setup::OUTPUT),
     ],
     outputs: [Metrics::OUTPUT, HELDOUT, PHOTO],
     device: device,

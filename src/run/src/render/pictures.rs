@@ -151,7 +151,7 @@ fn run_of(choice: &RunChoice<'_>, request: &RenderRequest, field: &FieldMaker) -
             run.number
         );
         Error::Usage(Diagnostic::new(message).hint(format!(
-            "add `[node.bootstrap]` with `of = \"{trained}\"` to pipeline.toml and run it, or leave `uncertainty` out"
+            "add `[node.bootstrap]` with `training = \"{trained}\"` to pipeline.toml and run it, or leave `uncertainty` out"
         )))
     })
 }

@@ -106,7 +106,7 @@ impl Document for Metrics {
 /// Output `setup` of `train`: all that a training depends on beside its scene, its seed and the draw of its photos, with
 /// everything that was derived or decided on the way.
 ///
-/// A training that reads it through its port `of` is the same training with another seed or draw.
+/// A training that reads it through its port `training` is the same training with another seed or draw.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Setup {
     /// Optimiser steps.

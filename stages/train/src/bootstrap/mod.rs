@@ -36,7 +36,7 @@ use reduce::reduce;
 
 /// Trains B fields that differ in seed or photos, and maps where they disagree.
 ///
-/// With `of`, a `train` node, members are that training with other seeds or photos: its steps, image scale, box, sizes and
+/// With `training`, a `train` node, members are that training with other seeds or photos: its steps, image scale, box, sizes and
 /// configuration, whatever it found them by. Without it they are trainings of their own, by `quality` and its fellows.
 #[derive(Debug)]
 pub struct Bootstrap {
@@ -52,7 +52,7 @@ stage! {
     ports: [
         Port::required("input", SCENE),
         Port::optional("params", BestParams::OUTPUT),
-        Port::optional("of", Setup::OUTPUT).deciding(&["params", "quality", "steps", "scale", "field"]),
+        Port::optional("training", Setup::OUTPUT).deciding(&["params", "quality", "steps", "scale", "field"]),
     ],
     outputs: [Metrics::OUTPUT, MemberFields::OUTPUT, MAPS],
     device: device,

@@ -48,7 +48,7 @@ pub(super) struct GivenSizes {
 }
 
 impl Settings {
-    /// Returns the setup that the input `of` names, or else what the parameters say; a budget is planned as for a machine of two
+    /// Returns the setup that the input `training` names, or else what the parameters say; a budget is planned as for a machine of two
     /// cores, until it is measured.
     pub fn resolve(
         ctx: &Ctx<'_>,

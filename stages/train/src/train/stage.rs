@@ -17,7 +17,7 @@ use crate::{io::read_scene, photos::PhotoReader};
 ///
 /// With `warm_start` it starts from the field of its own last run, where that fits the scene, and says where it does not.
 ///
-/// With `of`, the setup of another training of the scene, it is that training again: only seed and draw of photos are its
+/// With `training`, the setup of another training of the scene, it is that training again: only seed and draw of photos are its
 /// own, nothing is derived from the photos drawn and nothing is tried.
 #[derive(Debug)]
 pub struct Train {
@@ -33,7 +33,7 @@ stage! {
     ports: [
         Port::required("input", SCENE),
         Port::optional("params", BestParams::OUTPUT),
-        Port::optional("of", Setup::OUTPUT).deciding(&[
+        Port::optional("training", Setup::OUTPUT).deciding(&[
             "params",
             "quality",
             "steps",

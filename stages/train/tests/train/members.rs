@@ -1,4 +1,4 @@
-//! A member of a bootstrap is the training that its port `of` names, with another seed or draw of photos.
+//! A member of a bootstrap is the training that its port `training` names, with another seed or draw of photos.
 
 use crate::common::{inputs, json, put_scene, run, scene, small, stage};
 use marf_cache::Digest;
