@@ -8,7 +8,7 @@ use serde_json::{Map, Value as Json, json};
 
 use super::error::ConfigError;
 use super::options::GlobalOptions;
-use super::syntax::{Entry, Located};
+use super::syntax::{Entry, SyntaxNode};
 use crate::nearest::did_you_mean;
 
 /// Key that names the kind of an archive.
@@ -113,7 +113,7 @@ fn kind_of(table: &Entry) -> Result<&'static ArchiveDef, ConfigError> {
 }
 
 /// Refuses a key that a schema does not have, at any depth.
-fn check_keys(table: &Located, schema: &Json, owner: &str, of: &str) -> Result<(), ConfigError> {
+fn check_keys(table: &SyntaxNode, schema: &Json, owner: &str, of: &str) -> Result<(), ConfigError> {
     let Some(properties) = schema["properties"].as_object() else {
         return Ok(());
     };

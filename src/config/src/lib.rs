@@ -26,7 +26,7 @@ pub use store::SharedStore;
 pub use templates::{TEMPLATES, template};
 
 /// A pipeline together with the text it came from.
-pub struct Loaded {
+pub struct PipelineDocument {
     /// The checked pipeline.
     pub pipeline: Pipeline,
     /// The text of the file.
@@ -47,7 +47,7 @@ pub struct LoadError {
 ///
 /// # Errors
 /// A file that cannot be read, and every [`ConfigError`].
-pub fn load(file: &Path, sets: &[String], options: &GlobalOptions) -> Result<Loaded, LoadError> {
+pub fn load(file: &Path, sets: &[String], options: &GlobalOptions) -> Result<PipelineDocument, LoadError> {
     let text = std::fs::read_to_string(file).map_err(|error| LoadError {
         message: format!("{}: {error}", file.display()),
         hint: Some("write one with `marf init`, or name another with `--file`".to_owned()),
@@ -57,7 +57,7 @@ pub fn load(file: &Path, sets: &[String], options: &GlobalOptions) -> Result<Loa
         message: error.render(file, &text),
         hint: error.hint.clone(),
     })?;
-    Ok(Loaded { pipeline, text })
+    Ok(PipelineDocument { pipeline, text })
 }
 
 /// Checks a pipeline's text. Paths of archives are relative to `base`, the folder of marf.lock.

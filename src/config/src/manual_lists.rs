@@ -3,7 +3,7 @@
 use serde_json::{Map, Value as Json, json};
 
 use super::error::ConfigError;
-use super::syntax::{Entry, Located, Value};
+use super::syntax::{Entry, SyntaxNode, Value};
 use crate::nearest::did_you_mean;
 
 /// The tables, each with one key `ids`; also the keys of a filter's `by_hand`.
@@ -16,7 +16,7 @@ const IDS: &str = "ids";
 ///
 /// # Errors
 /// Another key than `ids`, something that is no list of names, a name in both lists.
-pub(super) fn lists(root: &Located) -> Result<Option<Map<String, Json>>, ConfigError> {
+pub(super) fn lists(root: &SyntaxNode) -> Result<Option<Map<String, Json>>, ConfigError> {
     let mut lists = Map::new();
     for name in LISTS {
         if let Some(entry) = root.entry(name) {
@@ -36,7 +36,7 @@ pub(super) fn lists(root: &Located) -> Result<Option<Map<String, Json>>, ConfigE
 fn names(table: &Entry) -> Result<Vec<Json>, ConfigError> {
     let name = &table.key;
     let shape = || format!("write it as `[{name}]` with `{IDS} = [\"product id or file name\", …]`");
-    let refuse = |at: &Located| {
+    let refuse = |at: &SyntaxNode| {
         ConfigError::at(at.at.clone(), format!("`{name}` is no list of photos")).hint(Some(shape()))
     };
     let entries = table.value.entries().ok_or_else(|| refuse(&table.value))?;

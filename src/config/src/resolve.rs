@@ -14,7 +14,7 @@ use super::error::{ConfigError, Origin};
 use super::manual_lists;
 use super::options::GlobalOptions;
 use super::store::{self, SharedStore};
-use super::syntax::{Entry, Located, Value};
+use super::syntax::{Entry, SyntaxNode, Value};
 use crate::nearest::did_you_mean;
 
 /// A checked pipeline.
@@ -53,7 +53,11 @@ struct PipelineContext<'a> {
     manual_lists: Option<serde_json::Map<String, Json>>,
 }
 
-pub(super) fn check(root: &Located, options: &GlobalOptions, base: &Path) -> Result<Pipeline, ConfigError> {
+pub(super) fn check(
+    root: &SyntaxNode,
+    options: &GlobalOptions,
+    base: &Path,
+) -> Result<Pipeline, ConfigError> {
     for entry in root.entries().unwrap_or_default() {
         if !TOP.contains(&entry.key.as_str()) {
             let message = format!("unknown key `{}`", entry.key);
@@ -118,7 +122,7 @@ pub(super) fn check(root: &Located, options: &GlobalOptions, base: &Path) -> Res
 }
 
 /// Checks `[trade]`: keys of nodes as `--set` takes them, each with a list of values.
-fn check_trade(root: &Located) -> Result<(), ConfigError> {
+fn check_trade(root: &SyntaxNode) -> Result<(), ConfigError> {
     let Some(table) = root.entry("trade") else {
         return Ok(());
     };
@@ -151,7 +155,7 @@ fn measures(nodes: &[Node]) -> Vec<Table> {
 }
 
 /// Returns the entries of `[key.*]`, each of which must be a table.
-fn tables<'a>(root: &'a Located, key: &str) -> Result<&'a [Entry], ConfigError> {
+fn tables<'a>(root: &'a SyntaxNode, key: &str) -> Result<&'a [Entry], ConfigError> {
     let Some(entry) = root.entry(key) else {
         return Ok(&[]);
     };
@@ -305,7 +309,7 @@ fn upstreams(field: &Entry, port: &Port, names: &[&str]) -> Result<Vec<Edge>, Co
 }
 
 /// Returns the edge to a node, or to a part of what that node gives (`scenes/NAME`).
-fn upstream(key: &str, name: &str, written: &Located, names: &[&str]) -> Result<Edge, ConfigError> {
+fn upstream(key: &str, name: &str, written: &SyntaxNode, names: &[&str]) -> Result<Edge, ConfigError> {
     let edge = Edge::new(key, name);
     if names.contains(&edge.upstream.as_str()) {
         return Ok(edge);

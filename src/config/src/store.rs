@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use serde_json::{Value as Json, json};
 
 use super::error::ConfigError;
-use super::syntax::Located;
+use super::syntax::SyntaxNode;
 use crate::nearest::did_you_mean;
 
 /// The table.
@@ -29,7 +29,7 @@ pub struct SharedStore {
 ///
 /// # Errors
 /// An unknown key, something that is no address, a share that is none.
-pub(super) fn shared(root: &Located, base: &Path) -> Result<Option<SharedStore>, ConfigError> {
+pub(super) fn shared(root: &SyntaxNode, base: &Path) -> Result<Option<SharedStore>, ConfigError> {
     let Some(table) = root.entry(TABLE) else {
         return Ok(None);
     };
@@ -66,7 +66,7 @@ pub(super) fn shared(root: &Located, base: &Path) -> Result<Option<SharedStore>,
     }))
 }
 
-fn address(value: &Located, shape: Option<String>) -> Result<String, ConfigError> {
+fn address(value: &SyntaxNode, shape: Option<String>) -> Result<String, ConfigError> {
     let refuse = |message: String, hint| Err(ConfigError::at(value.at.clone(), message).hint(hint));
     let Some(url) = value.text() else {
         return refuse(format!("`{REMOTE}` must be a string"), shape);
@@ -78,7 +78,7 @@ fn address(value: &Located, shape: Option<String>) -> Result<String, ConfigError
 }
 
 /// Returns the files that a list names, from the folder of the pipeline.
-fn key_files(value: &Located, base: &Path) -> Result<Vec<PathBuf>, ConfigError> {
+fn key_files(value: &SyntaxNode, base: &Path) -> Result<Vec<PathBuf>, ConfigError> {
     let shape = || {
         let message = format!("`{TRUST}` must be a list of files with public keys, at least one");
         ConfigError::at(value.at.clone(), message).hint(Some(format!("`{TRUST} = [\"PUB.pem\"]`")))
@@ -92,7 +92,7 @@ fn key_files(value: &Located, base: &Path) -> Result<Vec<PathBuf>, ConfigError> 
     files.iter().map(file).collect::<Option<_>>().ok_or_else(shape)
 }
 
-fn share(value: &Located) -> Result<f64, ConfigError> {
+fn share(value: &SyntaxNode) -> Result<f64, ConfigError> {
     let number = value.json().as_f64().filter(|share| (0.0..=1.0).contains(share));
     number.ok_or_else(|| {
         ConfigError::at(

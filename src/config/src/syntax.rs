@@ -6,10 +6,11 @@ use serde_json::{Map, Number, Value as Json};
 use toml::de::{DeTable, DeValue};
 
 use super::error::{ConfigError, Origin};
+use crate::nearest::did_you_mean;
 
 /// A value and its place.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Located {
+pub struct SyntaxNode {
     /// Where it stands.
     pub at: Origin,
     /// The value itself.
@@ -22,7 +23,7 @@ pub enum Value {
     /// In the order of the file.
     Table(Vec<Entry>),
     /// In order.
-    Array(Vec<Located>),
+    Array(Vec<SyntaxNode>),
     /// A string.
     Text(String),
     /// Any integer of 64 bits, signed or not.
@@ -41,24 +42,24 @@ pub struct Entry {
     /// Where the key stands.
     pub at: Origin,
     /// Its value.
-    pub value: Located,
+    pub value: SyntaxNode,
 }
 
 /// Reads a TOML text.
 ///
 /// # Errors
 /// Syntax errors, dates, and numbers that are not finite or do not fit 64 bits, with their place.
-pub fn parse(text: &str) -> Result<Located, ConfigError> {
+pub fn parse(text: &str) -> Result<SyntaxNode, ConfigError> {
     let table = DeTable::parse(text).map_err(|error| {
         ConfigError::at(
             Origin::Text(error.span().unwrap_or(0..0)),
             error.message().to_owned(),
         )
     })?;
-    located(table.span(), &DeValue::Table(table.into_inner()))
+    syntax_node(table.span(), &DeValue::Table(table.into_inner()))
 }
 
-fn located(span: Range<usize>, value: &DeValue<'_>) -> Result<Located, ConfigError> {
+fn syntax_node(span: Range<usize>, value: &DeValue<'_>) -> Result<SyntaxNode, ConfigError> {
     let at = Origin::Text(span);
     let refuse = |message: String| ConfigError::at(at.clone(), message);
     let value = match value {
@@ -82,7 +83,7 @@ fn located(span: Range<usize>, value: &DeValue<'_>) -> Result<Located, ConfigErr
         DeValue::Array(items) => Value::Array(
             items
                 .iter()
-                .map(|item| located(item.span(), item.get_ref()))
+                .map(|item| syntax_node(item.span(), item.get_ref()))
                 .collect::<Result<_, _>>()?,
         ),
         DeValue::Table(table) => Value::Table(
@@ -93,20 +94,20 @@ fn located(span: Range<usize>, value: &DeValue<'_>) -> Result<Located, ConfigErr
                     Ok(Entry {
                         key: name,
                         at,
-                        value: located(value.span(), value.get_ref())?,
+                        value: syntax_node(value.span(), value.get_ref())?,
                     })
                 })
                 .collect::<Result<_, ConfigError>>()?,
         ),
     };
-    Ok(Located { at, value })
+    Ok(SyntaxNode { at, value })
 }
 
 /// Returns a tree of the values of JSON; the places are those of a text that is not there.
 ///
 /// # Errors
 /// `null`, which no pipeline holds.
-pub fn of_json(json: &Json) -> Result<Located, ConfigError> {
+pub fn of_json(json: &Json) -> Result<SyntaxNode, ConfigError> {
     let at = || Origin::Text(0..0);
     let value = match json {
         Json::Null => {
@@ -139,14 +140,14 @@ pub fn of_json(json: &Json) -> Result<Located, ConfigError> {
             Value::Table(table.iter().map(entry).collect::<Result<_, ConfigError>>()?)
         }
     };
-    Ok(Located { at: at(), value })
+    Ok(SyntaxNode { at: at(), value })
 }
 
 /// Applies one `--set path.to.key=value`; the value is TOML, or a plain string where it is no TOML.
 ///
 /// # Errors
-/// An argument without `=`, or a path through something that is not a table.
-pub fn set(root: &mut Located, argument: &str) -> Result<(), ConfigError> {
+/// An argument without `=`, a node or archive that the file does not have, or a path through something that is not a table.
+pub fn set(root: &mut SyntaxNode, argument: &str) -> Result<(), ConfigError> {
     let origin = Origin::Argument(argument.to_owned());
     let Some((path, text)) = argument.split_once('=') else {
         return Err(ConfigError::at(origin, "write it as node.key=value".to_owned()));
@@ -158,7 +159,21 @@ pub fn set(root: &mut Located, argument: &str) -> Result<(), ConfigError> {
     if parts.iter().any(|part| part.is_empty()) || (parts[0] == "node" && parts.len() < 3) {
         return Err(ConfigError::at(origin, "write it as node.key=value".to_owned()));
     }
-    let value = Located {
+    if let [kind @ ("node" | "archive"), name, ..] = parts[..] {
+        let table = root.entry(kind).and_then(|table| table.value.entries());
+        let known: Vec<&str> = table
+            .unwrap_or_default()
+            .iter()
+            .map(|entry| entry.key.as_str())
+            .collect();
+        if !known.contains(&name) {
+            let all =
+                || Some(format!("this pipeline has {}", known.join(", "))).filter(|_| !known.is_empty());
+            let hint = did_you_mean(name, known.iter().copied()).or_else(all);
+            return Err(ConfigError::at(origin, format!("there is no {kind} `{name}`")).hint(hint));
+        }
+    }
+    let value = SyntaxNode {
         at: origin.clone(),
         value: argument_value(text.trim()),
     };
@@ -174,7 +189,12 @@ fn argument_value(text: &str) -> Value {
     parsed.unwrap_or_else(|| Value::Text(text.to_owned()))
 }
 
-fn insert(table: &mut Located, parts: &[&str], value: Located, origin: &Origin) -> Result<(), ConfigError> {
+fn insert(
+    table: &mut SyntaxNode,
+    parts: &[&str],
+    value: SyntaxNode,
+    origin: &Origin,
+) -> Result<(), ConfigError> {
     let Value::Table(entries) = &mut table.value else {
         return Err(ConfigError::at(
             origin.clone(),
@@ -183,7 +203,7 @@ fn insert(table: &mut Located, parts: &[&str], value: Located, origin: &Origin) 
     };
     let index = entries.iter().position(|entry| entry.key == parts[0]);
     let index = index.unwrap_or_else(|| {
-        let empty = Located {
+        let empty = SyntaxNode {
             at: origin.clone(),
             value: Value::Table(Vec::new()),
         };
@@ -201,7 +221,7 @@ fn insert(table: &mut Located, parts: &[&str], value: Located, origin: &Origin) 
     Ok(())
 }
 
-impl Located {
+impl SyntaxNode {
     /// Returns the entries of a table, `None` for anything else.
     pub fn entries(&self) -> Option<&[Entry]> {
         match &self.value {
@@ -260,7 +280,7 @@ mod tests {
 
     #[test]
     fn set_reads_numbers_lists_and_plain_words() {
-        let mut root = parse("[node.blur]\nmin = 3\n").unwrap();
+        let mut root = parse("[archive.demo]\n[node.blur]\nmin = 3\n").unwrap();
         for argument in [
             "blur.min=0.5",
             "blur.rule=laplacian",
@@ -294,9 +314,34 @@ mod tests {
     }
 
     #[test]
+    fn set_on_a_node_or_an_archive_that_is_not_there_is_refused_with_the_nearest_name() {
+        let mut root = parse("[archive.demo]\n[node.blur]\n[node.size]\n").unwrap();
+        for (argument, message, hint) in [
+            ("blurr.min=3", "there is no node `blurr`", "did you mean `blur`?"),
+            ("node.siz.min=3", "there is no node `siz`", "did you mean `size`?"),
+            (
+                "train.steps=3",
+                "there is no node `train`",
+                "this pipeline has blur, size",
+            ),
+            (
+                "archive.dem.sols=1",
+                "there is no archive `dem`",
+                "did you mean `demo`?",
+            ),
+        ] {
+            let error = set(&mut root, argument).unwrap_err();
+            assert_eq!(
+                (error.message.as_str(), error.hint.as_deref()),
+                (message, Some(hint))
+            );
+        }
+    }
+
+    #[test]
     fn all_64_bits_of_a_seed_arrive() {
         let root = parse("a = 18446744073709551615\nb = -9223372036854775808").err();
-        let mut table = parse("").unwrap();
+        let mut table = parse("[node.train]").unwrap();
         set(&mut table, "train.seed=18446744073709551615").unwrap();
         assert_eq!(table.json()["node"]["train"]["seed"], u64::MAX);
         assert!(root.is_none(), "{root:?}");

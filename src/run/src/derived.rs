@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use marf_cache::Store;
-use marf_config::{GlobalOptions, Loaded, check_tree};
+use marf_config::{GlobalOptions, PipelineDocument, check_tree};
 use marf_engine::{NodeRun, Options, Purpose, RunRecord, RunSource};
 use marf_model::Run;
 use marf_provenance::replay::recorded;
@@ -76,7 +76,12 @@ pub fn run_nodes(
         purpose,
     };
     let text = json!(tree).to_string();
-    let mut session = Session::derived(context, Loaded { pipeline, text }, run.pipeline.clone(), store)?;
+    let mut session = Session::derived(
+        context,
+        PipelineDocument { pipeline, text },
+        run.pipeline.clone(),
+        store,
+    )?;
     session.source = source;
     let options = Options {
         to: names,

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use marf_cache::{Digest, Store};
 use marf_config::scenes::ByScene;
-use marf_config::{self as config, Loaded, SharedStore};
+use marf_config::{self as config, PipelineDocument, SharedStore};
 use marf_engine::{Graph, Listings, NodeDecl, NodeRun, Outcome, Purpose, RunRecord, RunSource};
 use marf_model::select::Subject;
 use marf_schema::bootstrap;
@@ -87,7 +87,7 @@ impl Session {
         let text = text.to_owned();
         let session = Self::new(
             context,
-            Loaded { pipeline, text },
+            PipelineDocument { pipeline, text },
             name,
             store,
             Listings::default(),
@@ -99,13 +99,18 @@ impl Session {
     ///
     /// # Errors
     /// Nodes that form no graph.
-    pub fn derived(context: &Context, loaded: Loaded, name: String, store: Store) -> Result<Self, Error> {
+    pub fn derived(
+        context: &Context,
+        loaded: PipelineDocument,
+        name: String,
+        store: Store,
+    ) -> Result<Self, Error> {
         Self::new(context, loaded, name, store, Listings::default())
     }
 
     fn new(
         context: &Context,
-        loaded: Loaded,
+        loaded: PipelineDocument,
         name: String,
         store: Store,
         listings: Listings,
@@ -150,7 +155,7 @@ impl Session {
         let tree = by_scene.expanded(&loaded.pipeline, &names);
         let pipeline = config::check_tree(&tree, &context.config, context.folder())
             .map_err(|error| Error::usage(format!("the pipeline by scene: {}", error.message)))?;
-        let loaded = Loaded {
+        let loaded = PipelineDocument {
             pipeline,
             text: self.written,
         };

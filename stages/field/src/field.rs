@@ -8,7 +8,7 @@ use marf_scene::{Camera, Pose};
 use crate::backend::{Backend, Renderer};
 use crate::cpu_backend::Cpu;
 use crate::model::Model;
-use crate::{Config, Derived, Facts, FieldError, Learnt, Render, Trial};
+use crate::{Config, Derived, Facts, FieldError, PhotoHistory, Render, Trial};
 
 /// A trained field: everything needed to render.
 #[derive(Clone, Debug)]
@@ -92,13 +92,13 @@ impl Field {
 
     /// Returns the field with what a training that starts from it must know; it then is a part of its bytes.
     #[must_use]
-    pub fn with_learnt(mut self, learnt: Learnt) -> Self {
+    pub fn with_learnt(mut self, learnt: PhotoHistory) -> Self {
         self.model.learnt = Some(learnt);
         self
     }
 
     /// Returns the photos that it was trained on, where it tells them.
-    pub fn learnt(&self) -> Option<&Learnt> {
+    pub fn learnt(&self) -> Option<&PhotoHistory> {
         self.model.learnt.as_ref()
     }
 

@@ -7,7 +7,7 @@ use crate::cpu::space::Bits;
 use crate::frame::Frame;
 use crate::tensors::{Reader, Writer, check_tables};
 use crate::weights::Weights;
-use crate::{Config, Facts, FieldError, Learnt};
+use crate::{Config, Facts, FieldError, PhotoHistory};
 
 /// What a trained field consists of: everything needed to render it.
 #[derive(Clone, Debug)]
@@ -25,7 +25,7 @@ pub struct Model {
     /// What the field was sized by.
     pub facts: Facts,
     /// The photos that it was trained on, where a training may start from it.
-    pub learnt: Option<Learnt>,
+    pub learnt: Option<PhotoHistory>,
 }
 
 /// The JSON in the file's header.
@@ -38,7 +38,7 @@ struct Header {
     frame: Frame,
     facts: Facts,
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    learnt: Option<Learnt>,
+    learnt: Option<PhotoHistory>,
 }
 
 /// Raised when the meaning of the file changes.

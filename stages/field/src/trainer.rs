@@ -5,7 +5,7 @@ use crate::cpu_backend::Cpu;
 use crate::model::Model;
 use crate::surface::surface_points;
 use crate::training::Training;
-use crate::{Config, Derived, Field, FieldError, Learnt, LearntPhoto, Schedule, View};
+use crate::{Config, Derived, Field, FieldError, PhotoHistory, PhotoRecord, Schedule, View};
 
 /// Trains a field on a set of views.
 pub struct Trainer {
@@ -197,21 +197,21 @@ impl Trainer {
     ///
     /// # Errors
     /// A GPU that failed.
-    pub fn learnt(&mut self, metres_per_unit: Option<f64>) -> Result<Learnt, FieldError> {
+    pub fn learnt(&mut self, metres_per_unit: Option<f64>) -> Result<PhotoHistory, FieldError> {
         self.sync()?;
         let training = &self.training;
         let photos = training
             .views
             .iter()
             .enumerate()
-            .map(|(view, photo)| LearntPhoto {
+            .map(|(view, photo)| PhotoRecord {
                 id: photo.id.clone(),
                 cam_from_world: photo.cam_from_world,
                 exposure: training.exposure(view),
             });
-        let mut photos: Vec<LearntPhoto> = photos.collect();
+        let mut photos: Vec<PhotoRecord> = photos.collect();
         photos.sort_by(|a, b| a.id.cmp(&b.id));
-        Ok(Learnt {
+        Ok(PhotoHistory {
             metres_per_unit,
             photos,
         })

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use crate::exposure::ROW;
 use crate::training::Training;
-use crate::{Field, FieldError, Learnt};
+use crate::{Field, FieldError, PhotoHistory};
 
 impl Training {
     /// Returns the exposure of a photo, empty where all share one.
@@ -57,7 +57,7 @@ impl Training {
     }
 
     /// Takes over the exposures of the photos that the field was trained on; new ones start neutral.
-    fn take_exposures(&mut self, learnt: Option<&Learnt>) {
+    fn take_exposures(&mut self, learnt: Option<&PhotoHistory>) {
         let half = self.views.len() * ROW;
         for (view, photo) in self.views.iter().enumerate() {
             let Some(known) = learnt.and_then(|learnt| learnt.photo(&photo.id)) else {
@@ -231,7 +231,7 @@ mod tests {
         assert!(!String::from_utf8_lossy(&silent.encode()).contains("learnt"));
         let (photos, few) = (
             &field.learnt().unwrap().photos,
-            |range: std::ops::Range<usize>| Learnt {
+            |range: std::ops::Range<usize>| PhotoHistory {
                 metres_per_unit: None,
                 photos: field.learnt().unwrap().photos[range].to_vec(),
             },

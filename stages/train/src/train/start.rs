@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
-use marf_field::{Config, Field, Learnt};
+use marf_field::{Config, Field, PhotoHistory};
 use marf_numeric::upper_median;
 use marf_scene::{Pose, Scene};
 use marf_schema::{
@@ -111,7 +111,7 @@ fn ids<'a>(frames: &'a [NamedFrame<'_>]) -> impl Iterator<Item = &'a str> {
 }
 
 /// Checks that the field has seen no photo that judges it, and that the photos of both are where they were.
-fn check_photos(learnt: &Learnt, scene: &Scene, judged: &[&str], depth: f64) -> Result<(), String> {
+fn check_photos(learnt: &PhotoHistory, scene: &Scene, judged: &[&str], depth: f64) -> Result<(), String> {
     let mut seen = judged.iter().filter(|id| learnt.photo(id).is_some());
     if let Some(first) = seen.next() {
         let more = match seen.count() {
@@ -182,7 +182,7 @@ fn table(config: &Config) -> serde_json::Map<String, serde_json::Value> {
 }
 
 /// Checks that the scene has not outgrown the box of the field.
-fn check_box(field: &Field, learnt: &Learnt, scene: &Scene) -> Result<(), String> {
+fn check_box(field: &Field, learnt: &PhotoHistory, scene: &Scene) -> Result<(), String> {
     let points: Vec<[f64; 3]> = scene.points.iter().map(|point| point.position).collect();
     let before: Vec<_> = learnt
         .photos

@@ -6,17 +6,17 @@ use serde::{Deserialize, Serialize};
 /// The photos that a field, and those that it was started from, were trained on.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Learnt {
+pub struct PhotoHistory {
     /// Metres per unit of the world, if known.
     pub metres_per_unit: Option<f64>,
     /// The photos, sorted by id.
-    pub photos: Vec<LearntPhoto>,
+    pub photos: Vec<PhotoRecord>,
 }
 
 /// A photo that was trained on.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct LearntPhoto {
+pub struct PhotoRecord {
     /// Its id.
     pub id: String,
     /// Its pose then.
@@ -26,9 +26,9 @@ pub struct LearntPhoto {
     pub exposure: Vec<f32>,
 }
 
-impl Learnt {
+impl PhotoHistory {
     /// Returns the entry of a photo.
-    pub fn photo(&self, id: &str) -> Option<&LearntPhoto> {
+    pub fn photo(&self, id: &str) -> Option<&PhotoRecord> {
         let found = self.photos.binary_search_by(|photo| photo.id.as_str().cmp(id));
         Some(&self.photos[found.ok()?])
     }
@@ -40,7 +40,7 @@ impl Learnt {
             .photos
             .iter()
             .filter(|photo| self.photo(&photo.id).is_none());
-        let gone: Vec<LearntPhoto> = gone.cloned().collect();
+        let gone: Vec<PhotoRecord> = gone.cloned().collect();
         self.photos.extend(gone);
         self.photos.sort_by(|a, b| a.id.cmp(&b.id));
         self
