@@ -2,9 +2,9 @@
 
 use std::path::PathBuf;
 
-use clap::{Parser, Subcommand};
+use clap::{Command, Parser, Subcommand};
 
-use super::global::Global;
+use super::options::GlobalArgs;
 
 /// Raw Mars rover and helicopter photos to radiance fields, with proof of how.
 #[derive(Debug, Parser)]
@@ -13,7 +13,8 @@ use super::global::Global;
     version,
     about,
     max_term_width = 100,
-    arg_required_else_help = true
+    arg_required_else_help = true,
+    help_template = help_template()
 )]
 pub struct Cli {
     /// The verb.
@@ -21,37 +22,67 @@ pub struct Cli {
     pub verb: Verb,
     /// Options of all verbs.
     #[command(flatten)]
-    pub global: Global,
+    pub global: GlobalArgs,
+}
+
+/// The verbs as `marf --help` groups them.
+const GROUPS: [(&str, &[&str]); 6] = [
+    ("Pipeline", &["init", "run", "plan", "why", "status", "log"]),
+    ("Own photos", &["photos", "filter", "calibrate", "fit"]),
+    (
+        "Results",
+        &["report", "view", "render", "compare", "export", "trade"],
+    ),
+    ("Provenance", &["audit", "replay", "diff", "verify"]),
+    ("Store and cluster", &["cache", "exec"]),
+    ("Setup", &["schema", "completions", "man", "bench"]),
+];
+
+/// Returns the form of `marf --help`, with the verbs in their groups.
+fn help_template() -> String {
+    let verbs = Verb::augment_subcommands(Command::new("marf"));
+    let mut text = "{about-with-newline}\n{usage-heading} {usage}\n".to_owned();
+    for (group, names) in GROUPS {
+        text += &format!("\n{group}:\n");
+        for name in names {
+            let about = verbs.find_subcommand(name).and_then(Command::get_about);
+            text += &format!(
+                "  {name:<12} {}\n",
+                about.map(ToString::to_string).unwrap_or_default()
+            );
+        }
+    }
+    text + "\nOptions:\n{options}\n\nRun `marf VERB --help` for the options of a verb."
 }
 
 /// The verbs.
 #[derive(Debug, Subcommand)]
 pub enum Verb {
-    /// Run what changed, and write the report
+    /// Run the nodes that are out of date, and write the report
     Run(super::run::RunArgs),
-    /// Show which nodes would run, and the first thing that changed
-    Plan(super::selection::SelectionArgs),
-    /// Show why a node would run, or the key of its result
+    /// Show which nodes would run, and the first change that causes it
+    Plan(super::plan::PlanArgs),
+    /// Explain why a node is out of date, or print its key
     Why(super::plan::WhyArgs),
-    /// Compute one action, its inputs from a shared store and its result into it: what a job of a batch system runs
+    /// Compute one action of a batch job, using a shared store
     Exec(super::exec::ExecArgs),
-    /// Show the nodes of the last run
-    Status,
-    /// List the runs so far
+    /// Show the nodes of the newest run
+    Status(super::status::StatusArgs),
+    /// List the runs, newest first
     Log(super::log::LogArgs),
     /// Write a commented pipeline.toml
     Init(super::init::InitArgs),
-    /// Print the JSON schema of pipeline.toml, for editors, or of the lines of `run --json`
+    /// Print the JSON schema of pipeline.toml or of `run --json`
     Schema(super::schema::SchemaArgs),
-    /// Write report.html of the last run
+    /// Write report.html of the newest run
     Report(super::report::ReportArgs),
-    /// Show the report live, with what runs now and a 3-D view of the field, on one local port
+    /// Serve the live report with a 3-D view on a local port
     View(super::view::ViewArgs),
-    /// Render a trained field along a path: pictures of colour, depth or uncertainty, and a film
+    /// Render pictures and a film along a path through a trained field
     Render(super::render::RenderArgs),
-    /// Compare a place at two times: what changed on the ground, as maps with their uncertainty
+    /// Map what changed on the ground between two times
     Compare(super::compare::CompareArgs),
-    /// Hand a run, or what it made, to people and programs without the store
+    /// Export a run or its results for use without the store
     Export {
         /// In which form
         #[command(subcommand)]
@@ -59,35 +90,38 @@ pub enum Verb {
     },
     /// Check a crate or a signed statement, without a store
     Verify(super::verify::VerifyArgs),
-    /// Tell who made a file, from which bytes, or what a product went into
+    /// Trace a file's provenance, or list everything derived from a product
     Audit(super::audit::AuditArgs),
-    /// Make a run again in an empty store, from the bytes that it read, and compare all digests
+    /// Repeat a run in an empty store, and compare all digests
     Replay(super::replay::ReplayArgs),
-    /// Tell what changed between two runs: parameters, products, metrics, pictures
+    /// Show what changed between two runs
     Diff(super::diff::DiffArgs),
-    /// Inspect the store
+    /// Inspect, clean, verify or share the store
     Cache {
         /// What to do with it
         #[command(subcommand)]
         verb: super::cache::CacheVerb,
     },
-    /// Filter the photos of a folder, and show every verdict
+    /// Filter the photos of a folder, and write every verdict
     Filter(super::filter::FilterArgs),
-    /// Show what was read of every photo: format, size, the label's camera, site, drive and pose, sol
+    /// List photos with their format, size, camera, position and sol
     Photos(super::photos::PhotosArgs),
-    /// Find the cameras of a folder's photos
+    /// Find the cameras of the photos of a folder
     Calibrate(super::calibrate::CalibrateArgs),
-    /// Train a field on the photos of a folder, with the cameras beside them or by structure from motion, and render the held-out views
+    /// Train a field on the photos of a folder, and score it
     Fit(super::fit::FitArgs),
-    /// Measure what each knob costs in time and gains in quality
+    /// Measure what each parameter costs in time and gains in quality
     Trade(super::trade::TradeArgs),
     /// Benchmark this program
     Bench {
         /// What to measure
         #[command(subcommand)]
         verb: super::bench::BenchVerb,
+        /// Options of all benchmarks.
+        #[command(flatten)]
+        options: super::global::Global,
     },
-    /// Write manual pages, one a verb
+    /// Write a manual page for each verb
     Man {
         /// Folder to write
         dir: PathBuf,
@@ -97,4 +131,19 @@ pub enum Verb {
         /// The shell
         shell: clap_complete::Shell,
     },
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_verb_is_in_one_group_of_the_help() {
+        let verbs = Verb::augment_subcommands(Command::new("marf"));
+        let mut names: Vec<&str> = verbs.get_subcommands().map(Command::get_name).collect();
+        let mut grouped: Vec<&str> = GROUPS.iter().flat_map(|group| group.1).copied().collect();
+        names.sort_unstable();
+        grouped.sort_unstable();
+        assert_eq!(grouped, names);
+    }
 }

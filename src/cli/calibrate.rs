@@ -1,73 +1,59 @@
 use std::path::PathBuf;
 
-use clap::{Args, ValueEnum};
+use clap::Args;
+use clap::builder::PossibleValue;
 use marf_run::calibrate::{CalibrateRequest, CalibrateResult};
 use marf_run::{Context, Error};
 use marf_scene::Scene;
 
-use super::global::Global;
+use super::options::{FolderArgs, JsonArg};
 use super::output::print_json;
 use crate::terminal::{escape_control, print_line};
 
 /// Arguments of `calibrate`.
 #[derive(Debug, Clone, Args)]
 pub struct CalibrateArgs {
-    /// A folder with photos, and labels or cameras beside them
+    /// Folder with photos, and labels or cameras next to them
     pub dir: PathBuf,
-    /// transforms.json to write, with the photos' paths as seen from it; metrics.json, sparse/0 (COLMAP's model, binary and text) and
-    /// points.ply go beside it, and photos that are resampled
+    /// transforms.json to write; metrics.json, sparse/0 (COLMAP's model, binary and text), points.ply and undistorted photos are written
+    /// next to it
     #[arg(long, value_name = "FILE", default_value = "transforms.json")]
     pub out: PathBuf,
-    /// Write photos without the distortion of their lens, as PNG
+    /// Write undistorted photos as PNG
     #[arg(long)]
     pub undistort: bool,
-    /// Where cameras come from
-    #[arg(long, value_enum, default_value_t = Method::Sfm)]
-    pub method: Method,
+    /// Source of the cameras
+    #[arg(long, value_parser = METHODS.map(|(name, about)| PossibleValue::new(name).help(about)), default_value = METHODS[0].0)]
+    pub method: String,
+    #[command(flatten)]
+    json: JsonArg,
+    #[command(flatten)]
+    folder: FolderArgs,
 }
 
 /// Methods of `calibrate`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum Method {
-    /// Structure from motion
-    Sfm,
-    /// Camera models of the labels
-    Labels,
-    /// transforms.json or a COLMAP model found in the folder
-    Import,
-    /// An installed COLMAP
-    Colmap,
-    /// `import` where a file with cameras lies in the folder, else `sfm`
-    Auto,
-}
-
-impl Method {
-    /// Returns the method as pipeline.toml names it.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Sfm => "sfm",
-            Self::Labels => "labels",
-            Self::Import => "import",
-            Self::Colmap => "colmap",
-            Self::Auto => "auto",
-        }
-    }
-}
+const METHODS: [(&str, &str); 5] = [
+    ("sfm", "Structure from motion"),
+    ("labels", "Camera models of the labels"),
+    ("import", "transforms.json or a COLMAP model in the folder"),
+    ("colmap", "An installed COLMAP"),
+    ("auto", "`import` if the folder contains cameras, else `sfm`"),
+];
 
 /// Most reasons of photos without a camera that have a line of their own.
 const MOST_REASONS: usize = 3;
 
-/// `marf calibrate DIR`: writes transforms.json, and beside it metrics.json, COLMAP's model, the points, and the photos that do not lie where they came from.
-pub fn calibrate(global: &Global, args: CalibrateArgs, context: &Context) -> Result<(), Error> {
+/// `marf calibrate DIR`: writes transforms.json, and next to it metrics.json, COLMAP's model, the points and undistorted photos.
+pub fn calibrate(args: CalibrateArgs, context: Context) -> Result<(), Error> {
     let request = CalibrateRequest {
         dir: args.dir,
         out: args.out,
         undistort: args.undistort,
-        method: args.method.name(),
+        method: args.method,
     };
-    let result = marf_run::calibrate::calibrate(context, &request)?;
-    if global.json {
-        return print_json(&serde_json::to_value(&result.metrics).unwrap_or_default());
+    let result = marf_run::calibrate::calibrate(&args.folder.context(context), &request)?;
+    if args.json.json {
+        return print_json(&result.metrics);
     }
     print_line(&table(&result));
     Ok(())

@@ -7,9 +7,8 @@ use marf_field::Quality;
 use marf_run::compare::{CompareRequest, REPORT};
 use marf_run::{Context, Diagnostic, Error};
 use marf_schema::changes::{Change, ChangesParams, ChangesReport};
-use serde_json::json;
 
-use super::global::Global;
+use super::options::{JsonArg, ResultArgs, word};
 use super::output::print_json;
 use crate::terminal::print_line;
 
@@ -20,44 +19,44 @@ const MOST_LISTED: usize = 20;
 #[derive(Debug, Clone, Args)]
 #[command(after_help = AFTER_HELP)]
 pub struct CompareArgs {
-    /// The scene, where the photos are split by place
+    /// Scene, if the pipeline splits photos by place
     #[arg(value_name = "SCENE")]
     pub scene: Option<String>,
-    /// Sols of the earlier and of the later photos: `--sols 1..=2 --sols 8..=9`
+    /// Sols of the earlier photos, then those of the later photos: `--sols 1..=2 --sols 8..=9`
     #[arg(long, value_name = "SOLS", required = true)]
     pub sols: Vec<String>,
     /// Folder to write
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Number of the run [default: the last one that has the scene]
+    /// Number of the run [default: the newest one that has the scene]
     #[arg(long, value_name = "NUMBER")]
     pub run: Option<u64>,
-    /// How much time a training may take: `draft`, `standard` or `best`
-    #[arg(long, value_name = "QUALITY", default_value = "draft", value_parser = quality)]
+    /// Quality of the trainings: `draft`, `standard` or `best`
+    #[arg(long, value_name = "QUALITY", default_value = "draft", value_parser = word::<Quality>)]
     pub quality: Quality,
-    /// Optimiser steps of a training, instead of those of its quality
+    /// Optimiser steps of a training [default: by quality]
     #[arg(long, value_name = "STEPS")]
     pub steps: Option<u64>,
-    /// Trainings of each time, at least 2: how far they differ is the noise
+    /// Number of trainings for each time, at least 2; their differences measure the noise
     #[arg(short = 'b', long = "members", value_name = "COUNT", default_value_t = ChangesParams::default().b)]
     pub members: u32,
     /// Width of a cell of the map, metres [default: as fine as the photos allow]
     #[arg(long, value_name = "METRES")]
     pub cell: Option<f64>,
+    #[command(flatten)]
+    json: JsonArg,
+    #[command(flatten)]
+    results: ResultArgs,
 }
 
 const AFTER_HELP: &str = "\
-Photos of each time train fields of their own, on the cameras of the run. DIR gets map.png (what changed, over the ground in gray), \
-before.png and after.png (orthophotos), height.png (change of height) and height-interval.png (PNG of 16 bits, the scale in their text), a \
-world file for each, and changes.json with every patch. Ground that is brighter or darker alone is undecided: a shadow does the same. Nine \
-tenths of the ground are taken for unchanged: from them follows how large the noise is.";
+Fields are trained on the photos of each time, with the cameras of the run. DIR receives map.png (changes over gray ground), before.png \
+and after.png (orthophotos), height.png (change of height) and height-interval.png (16-bit PNG, the scale in their text chunks), a world \
+file for each, and changes.json with every patch. Ground that is only brighter or darker is undecided, because shadows look the same. The \
+noise is estimated from nine tenths of the ground, which are assumed to be unchanged.";
 
-fn quality(word: &str) -> Result<Quality, String> {
-    serde_json::from_value(json!(word)).map_err(|error| error.to_string())
-}
-
-/// Compares what is wanted, unless it is compared already, and writes it.
-pub fn compare(global: &Global, args: CompareArgs, context: &Context) -> Result<(), Error> {
+/// `marf compare`: compares the two times, unless the store has the result, and writes it.
+pub fn compare(args: CompareArgs, context: Context) -> Result<(), Error> {
     let [before, after] = args.sols.as_slice() else {
         let diagnostic = Diagnostic::new(format!(
             "--sols: {} times are given, two are compared",
@@ -76,9 +75,9 @@ pub fn compare(global: &Global, args: CompareArgs, context: &Context) -> Result<
         members: args.members,
         cell: args.cell,
     };
-    let result = marf_run::compare::compare(context, &request)?;
-    if global.json {
-        return print_json(&json!(result));
+    let result = marf_run::compare::compare(&args.results.context(context), &request)?;
+    if args.json.json {
+        return print_json(&result);
     }
     text(&result.changes).iter().for_each(|line| print_line(line));
     print_line(&format!(

@@ -4,7 +4,7 @@ use clap::Args;
 use marf_run::diff::RunNames;
 use marf_run::{Context, Error};
 
-use super::global::Global;
+use super::options::{JsonArg, StoreArgs};
 use super::output::print_json;
 use crate::terminal::{escape_control, print_line};
 
@@ -15,12 +15,16 @@ pub struct DiffArgs {
     pub first: u64,
     /// Number of the second run
     pub second: u64,
+    #[command(flatten)]
+    json: JsonArg,
+    #[command(flatten)]
+    store: StoreArgs,
 }
 
 /// `marf diff`: prints parameters, products, metrics and pictures that differ between two runs.
-pub fn diff(global: &Global, args: &DiffArgs, context: &Context) -> Result<(), Error> {
-    let diff = marf_run::diff::diff(context, args.first, args.second)?;
-    if global.json {
+pub fn diff(args: DiffArgs, context: Context) -> Result<(), Error> {
+    let diff = marf_run::diff::diff(&args.store.context(context), args.first, args.second)?;
+    if args.json.json {
         return print_json(&diff);
     }
     let names = RunNames {

@@ -5,36 +5,40 @@ use marf_report::{FACTORS, calls, percent};
 use marf_run::filter::{FilterCalls, FilterRequest};
 use marf_run::{Context, Error};
 
-use super::global::Global;
+use super::options::{FolderArgs, JsonArg};
 use super::output::print_json;
 use crate::terminal::{eprint_line, print_line};
 
 /// Arguments of `filter`.
 #[derive(Debug, Clone, Args)]
 pub struct FilterArgs {
-    /// A folder with photos
+    /// Folder with photos
     pub dir: PathBuf,
-    /// CSV of file, verdict, score, threshold, twin, reason; a page with the photos goes beside it as .html
+    /// CSV to write: file, verdict, score, threshold, twin, reason; a page with the photos is written next to it as .html
     #[arg(long, value_name = "FILE", default_value = "verdicts.csv")]
     pub out: PathBuf,
-    /// Keep this photo (product id or file name), whatever the filters say
+    /// Keep this photo (product id or file name), even if a filter rejects it
     #[arg(long, value_name = "ID")]
     pub keep: Vec<String>,
-    /// Reject this photo, whatever the filters say
+    /// Reject this photo, even if all filters keep it
     #[arg(long, value_name = "ID")]
     pub reject: Vec<String>,
+    #[command(flatten)]
+    json: JsonArg,
+    #[command(flatten)]
+    folder: FolderArgs,
 }
 
 /// Runs `marf filter DIR`: every filter with its defaults on the photos of a folder.
-pub fn filter(global: &Global, args: FilterArgs, context: &Context) -> Result<(), Error> {
+pub fn filter(args: FilterArgs, context: Context) -> Result<(), Error> {
     let request = FilterRequest {
         dir: args.dir,
         out: args.out,
         keep: args.keep,
         reject: args.reject,
     };
-    let result = marf_run::filter::filter(context, &request)?;
-    if global.json {
+    let result = marf_run::filter::filter(&args.folder.context(context), &request)?;
+    if args.json.json {
         return print_json(&result.counts);
     }
     for (name, count) in &result.counts {

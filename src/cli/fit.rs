@@ -1,27 +1,27 @@
 use std::path::PathBuf;
 
-use clap::{Args, ValueEnum};
+use clap::Args;
 use marf_run::fit::{FitRequest, FitScores, FitTime};
 use marf_run::{Context, Error};
 use marf_schema::train::Target;
 
-use super::global::Global;
+use super::options::{DeviceArg, FolderArgs, JsonArg};
 use super::output::print_json;
 use crate::terminal::print_line;
 
 /// Arguments of `fit`.
 #[derive(Debug, Clone, Args)]
 pub struct FitArgs {
-    /// A folder with photos; cameras are those of a transforms.json (nerfstudio, instant-ngp, NeRF) or COLMAP's model in it, else
-    /// found by structure from motion
+    /// Folder with photos; cameras are read from a transforms.json (nerfstudio, instant-ngp, NeRF) or a COLMAP model in it, or found by
+    /// structure from motion
     pub dir: PathBuf,
-    /// Training times, e.g. `10s,60s,5m`: trials and steps, without decoding and judging
+    /// Training times, e.g. `10s,60s,5m`, without decoding and scoring
     #[arg(long, value_name = "TIMES", default_value = "60s", value_delimiter = ',')]
     pub budget: Vec<String>,
-    /// The whole wait instead, e.g. `5m`: decoding, training, judging and pictures; no folds
+    /// Total time instead, e.g. `5m`: decoding, training, scoring and pictures; without folds
     #[arg(long, value_name = "TIME", conflicts_with = "budget")]
     pub within: Option<String>,
-    /// Stop at this PSNR on training photos that are held back, dB
+    /// Stop at this PSNR on validation photos, dB
     #[arg(long, value_name = "DB")]
     pub target: Option<f64>,
     /// Folder for `<time>s/<name>.png` and metrics.json
@@ -30,35 +30,23 @@ pub struct FitArgs {
     /// Seed of the training
     #[arg(long, default_value_t = 0)]
     pub seed: u64,
-    /// Memory the training may take, e.g. `2GB` [default: 4GB]
+    /// Memory limit of the training, e.g. `2GB` [default: 4GB]
     #[arg(long, value_name = "SIZE")]
     pub memory: Option<String>,
-    /// What decides how large the field is
-    #[arg(long, value_enum, default_value_t = Fit::Scene)]
-    pub fit: Fit,
-}
-
-/// What decides how large a field is.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum Fit {
-    /// The scene and the time
-    Scene,
-    /// Nothing: the full base configuration of instant-ngp
-    Fixed,
-}
-
-impl Fit {
-    /// Returns the word as pipeline.toml has it.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Scene => "scene",
-            Self::Fixed => "fixed",
-        }
-    }
+    /// Size of the field: `scene` (by scene and time) or `fixed` (base configuration of instant-ngp)
+    #[arg(long, value_name = "SIZE", value_parser = ["scene", "fixed"], hide_possible_values = true, default_value = "scene")]
+    pub fit: String,
+    #[command(flatten)]
+    json: JsonArg,
+    #[command(flatten)]
+    folder: FolderArgs,
+    #[command(flatten)]
+    device: DeviceArg,
 }
 
 /// `marf fit DIR`: trains for each time and renders the held-out views.
-pub fn fit(global: &Global, args: FitArgs, context: &Context) -> Result<(), Error> {
+pub fn fit(args: FitArgs, context: Context) -> Result<(), Error> {
+    let context = args.device.context(args.folder.context(context));
     let request = FitRequest {
         dir: args.dir,
         time: args.within.map_or(FitTime::Budgets(args.budget), FitTime::Within),
@@ -66,10 +54,10 @@ pub fn fit(global: &Global, args: FitArgs, context: &Context) -> Result<(), Erro
         out: args.out,
         seed: args.seed,
         memory: args.memory,
-        fit: args.fit.name(),
+        fit: args.fit,
     };
-    let scores = marf_run::fit::fit(context, &request)?;
-    if global.json {
+    let scores = marf_run::fit::fit(&context, &request)?;
+    if args.json.json {
         return print_json(&scores);
     }
     scores

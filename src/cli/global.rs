@@ -1,31 +1,13 @@
-//! Options of all verbs.
-
-use std::num::NonZero;
-use std::path::PathBuf;
-use std::sync::Arc;
+//! Options of all benchmarks.
 
 use clap::Args;
-use marf_config::GlobalOptions;
-use marf_engine::Cancel;
 use marf_field::Device;
 use marf_run::Context;
-use marf_stage::Access;
 
-use super::feedback::Terminal;
-
-/// Options of all verbs.
+/// Options of all benchmarks.
 #[derive(Debug, Clone, Args)]
 pub struct Global {
-    /// Change to this folder first
-    #[arg(
-        short = 'C',
-        long = "directory",
-        global = true,
-        value_name = "DIR",
-        default_value = "."
-    )]
-    pub directory: PathBuf,
-    /// The pipeline file
+    /// Pipeline file
     #[arg(
         short,
         long,
@@ -33,70 +15,35 @@ pub struct Global {
         value_name = "FILE",
         default_value = "pipeline.toml"
     )]
-    pub file: PathBuf,
-    /// Folder of the store [default: .marf beside the pipeline]
+    pub file: std::path::PathBuf,
+    /// Folder of the store [default: .marf next to the pipeline file]
     #[arg(long, global = true, value_name = "DIR")]
-    pub store: Option<PathBuf>,
-    /// Override a value of the pipeline, e.g. `blur.min_share=0.6` or `archive.demo.sols=1..=3`
+    pub store: Option<std::path::PathBuf>,
+    /// Override a value, e.g. `train.scale=2`
     #[arg(long = "set", global = true, value_name = "NODE.KEY=VALUE")]
     pub sets: Vec<String>,
-    /// Cores to use [default: all]; results do not depend on it
+    /// Number of CPU cores to use [default: all]
     #[arg(long, global = true, value_name = "N")]
-    pub threads: Option<NonZero<usize>>,
-    /// Device that trains and renders: `auto` (a GPU, if there is one), `cpu`, `gpu` or `gpu:NAME`; a node's own `device`
-    /// has priority
+    pub threads: Option<std::num::NonZero<usize>>,
+    /// Device for training: `auto` (a GPU if there is one), `cpu`, `gpu` or `gpu:NAME`
     #[arg(long, global = true, value_name = "DEVICE")]
     pub device: Option<Device>,
-    /// Use exactly the products of archives on servers that marf.lock lists; fail where their bytes differ
-    #[arg(long, global = true)]
-    pub locked: bool,
-    /// Like --locked, and open no connection
-    #[arg(long, global = true)]
-    pub offline: bool,
-    /// Read the bytes of all files of folders, also of those whose size and times have not changed
-    #[arg(long, global = true)]
-    pub rehash: bool,
     /// Print JSON to stdout
     #[arg(long, global = true)]
     pub json: bool,
 }
 
 impl Global {
-    /// Returns what these options say to a request.
-    pub fn context(&self, cancel: &Cancel) -> Context {
-        let words: Vec<String> = std::env::args().skip(1).collect();
-        let terminal = if self.json {
-            Terminal::with_json_lines()
-        } else {
-            Terminal::with_progress()
-        };
-        Context {
+    /// Returns the context of a benchmark.
+    pub fn context(&self, context: Context) -> Context {
+        let mut context = Context {
             file: self.file.clone(),
             store: self.store.clone(),
             sets: self.sets.clone(),
             threads: self.threads,
-            config: self.config(),
-            command: format!("marf {}", words.join(" ")),
-            commit: option_env!("MARF_COMMIT"),
-            feedback: Arc::new(terminal),
-            cancel: cancel.clone(),
-        }
-    }
-
-    /// Returns the options that hold for all nodes and archives.
-    fn config(&self) -> GlobalOptions {
-        let access = if self.offline {
-            Access::Offline
-        } else if self.locked {
-            Access::Locked
-        } else {
-            Access::Online
+            ..context
         };
-        GlobalOptions {
-            device: self.device.clone(),
-            access,
-            rehash: self.rehash,
-            ..GlobalOptions::default()
-        }
+        context.config.device.clone_from(&self.device);
+        context
     }
 }

@@ -1,54 +1,39 @@
-use clap::{Args, ValueEnum};
+use std::path::PathBuf;
+
+use clap::Args;
+use clap::builder::PossibleValue;
+use marf_config::TEMPLATES;
 use marf_run::{Diagnostic, Error, files};
 
-use super::global::Global;
 use crate::terminal::eprint_line;
 
 /// Arguments of `init`.
 #[derive(Debug, Clone, Args)]
 pub struct InitArgs {
-    /// Which one
-    #[arg(long, value_enum, default_value_t = Mission::Demo)]
-    mission: Mission,
+    /// Pipeline to write
+    #[arg(long, value_name = "MISSION", value_parser = missions(), default_value = TEMPLATES[0].name)]
+    mission: String,
+    /// File to write
+    #[arg(short, long, value_name = "FILE", default_value = "pipeline.toml")]
+    file: PathBuf,
 }
 
-/// Pipelines that `init` writes.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum Mission {
-    /// A built-in Mars, offline
-    Demo,
-    /// The built-in Mars at three places, each a scene
-    #[value(name = "mission")]
-    Places,
-    /// Photos in a folder
-    Folder,
-    /// Mars 2020 Mastcam-Z and Navcam
-    Perseverance,
-    /// MSL Mastcam and Navcam
-    Curiosity,
-    /// The helicopter's colour camera
-    Ingenuity,
+fn missions() -> [PossibleValue; TEMPLATES.len()] {
+    TEMPLATES.map(|template| PossibleValue::new(template.name).help(template.about))
 }
 
-/// `marf init`: writes a commented pipeline; never over one that is there.
-pub fn init(global: &Global, args: &InitArgs) -> Result<(), Error> {
-    if global.file.exists() {
-        let diagnostic = Diagnostic::new(format!("{} is there already", global.file.display()));
+/// `marf init`: writes a commented pipeline; an existing file stays as it is.
+pub fn init(args: &InitArgs) -> Result<(), Error> {
+    let (file, name) = (&args.file, &args.mission);
+    if file.exists() {
+        let diagnostic = Diagnostic::new(format!("{} is there already", file.display()));
         return Err(Error::Usage(
             diagnostic.hint("name another with --file, or remove it"),
         ));
     }
-    let name = match args.mission {
-        Mission::Demo => "demo",
-        Mission::Places => "mission",
-        Mission::Folder => "folder",
-        Mission::Perseverance => "perseverance",
-        Mission::Curiosity => "curiosity",
-        Mission::Ingenuity => "ingenuity",
-    };
     let template =
         marf_config::template(name).ok_or_else(|| Error::failed(format!("no template `{name}`")))?;
-    files::write(&global.file, template.text.as_bytes())?;
-    eprint_line(&format!("wrote {}: {}", global.file.display(), template.about));
+    files::write(file, template.text.as_bytes())?;
+    eprint_line(&format!("wrote {}: {}", file.display(), template.about));
     Ok(())
 }

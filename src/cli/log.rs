@@ -4,23 +4,28 @@ use marf_export::iso_time;
 use marf_progress::duration;
 use marf_run::{Context, Error};
 
-use super::global::Global;
+use super::options::{JsonArg, StoreArgs};
 use super::output::print_json;
 use crate::terminal::print_line;
 
 /// Arguments of `log`.
 #[derive(Debug, Clone, Args)]
 pub struct LogArgs {
-    /// How many, the newest first
+    /// Number of runs to list
     #[arg(short = 'n', long, default_value_t = 20)]
     last: usize,
+    #[command(flatten)]
+    json: JsonArg,
+    #[command(flatten)]
+    store: StoreArgs,
 }
 
 /// `marf log`: the runs so far, the newest first.
-pub fn log(global: &Global, args: &LogArgs, context: &Context) -> Result<(), Error> {
+pub fn log(args: LogArgs, context: Context) -> Result<(), Error> {
+    let context = args.store.context(context);
     let runs = marf_engine::runs(&context.existing_store()?, context.warnings())?;
     let shown: Vec<_> = runs.iter().rev().take(args.last).collect();
-    if global.json {
+    if args.json.json {
         return print_json(&shown);
     }
     for run in shown {

@@ -17,6 +17,7 @@ mod global;
 mod init;
 mod log;
 mod man;
+mod options;
 mod output;
 mod photos;
 mod plan;
@@ -26,7 +27,6 @@ mod replay;
 mod report;
 mod run;
 mod schema;
-mod selection;
 mod status;
 mod trade;
 mod traffic;
@@ -34,13 +34,16 @@ mod verify;
 mod view;
 
 use std::process::ExitCode;
+use std::sync::Arc;
 
 use clap::{CommandFactory, Parser};
+use marf_config::GlobalOptions;
 use marf_engine::Cancel;
-use marf_run::Error;
+use marf_run::{Context, Error};
 
 use crate::terminal::{eprint_line, print_line};
 use args::{Cli, Verb};
+use feedback::Terminal;
 
 /// Parses the command line, runs the verb and returns the exit code.
 ///
@@ -65,36 +68,52 @@ pub fn main(cancel: &Cancel) -> ExitCode {
     }
 }
 
+/// Returns the context of a verb without options; progress goes to stderr.
+fn context(cancel: &Cancel) -> Context {
+    let words: Vec<String> = std::env::args().skip(1).collect();
+    Context {
+        file: "pipeline.toml".into(),
+        store: None,
+        sets: Vec::new(),
+        threads: None,
+        config: GlobalOptions::default(),
+        command: format!("marf {}", words.join(" ")),
+        commit: option_env!("MARF_COMMIT"),
+        feedback: Arc::new(Terminal::with_progress()),
+        cancel: cancel.clone(),
+    }
+}
+
 fn dispatch(cli: Cli, cancel: &Cancel) -> Result<(), Error> {
-    let global = &cli.global;
-    std::env::set_current_dir(&global.directory)
-        .map_err(|error| Error::usage(format!("-C {}: {error}", global.directory.display())))?;
-    let context = &global.context(cancel);
+    let folder = &cli.global.directory;
+    std::env::set_current_dir(folder)
+        .map_err(|error| Error::usage(format!("-C {}: {error}", folder.display())))?;
+    let context = context(cancel);
     match cli.verb {
-        Verb::Run(args) => run::run(global, args, context),
-        Verb::Plan(args) => plan::plan(global, args, context),
-        Verb::Why(args) => plan::why(global, args, context),
-        Verb::Status => status::status(global, context),
-        Verb::Log(args) => log::log(global, &args, context),
-        Verb::Init(args) => init::init(global, &args),
+        Verb::Run(args) => run::run(args, context),
+        Verb::Plan(args) => plan::plan(args, context),
+        Verb::Why(args) => plan::why(args, context),
+        Verb::Status(args) => status::status(args, context),
+        Verb::Log(args) => log::log(args, context),
+        Verb::Init(args) => init::init(&args),
         Verb::Schema(args) => schema::schema(&args),
-        Verb::Report(args) => report::report(&args, context),
+        Verb::Report(args) => report::report(args, context),
         Verb::View(args) => view::view(args, context),
-        Verb::Render(args) => render::render(global, args, context),
-        Verb::Compare(args) => compare::compare(global, args, context),
-        Verb::Export { verb } => export::export(global, verb, context),
-        Verb::Verify(args) => verify::verify(global, args),
-        Verb::Audit(args) => audit::audit(global, args, context),
-        Verb::Diff(args) => diff::diff(global, &args, context),
-        Verb::Replay(args) => replay::replay(global, args, context),
+        Verb::Render(args) => render::render(args, context),
+        Verb::Compare(args) => compare::compare(args, context),
+        Verb::Export { verb } => export::export(verb, context),
+        Verb::Verify(args) => verify::verify(&args),
+        Verb::Audit(args) => audit::audit(args, context),
+        Verb::Diff(args) => diff::diff(args, context),
+        Verb::Replay(args) => replay::replay(args, context),
         Verb::Exec(args) => exec::exec(args, context),
-        Verb::Cache { verb } => cache::cache(global, verb, context),
-        Verb::Filter(args) => filter::filter(global, args, context),
-        Verb::Photos(args) => photos::photos(global, args, context),
-        Verb::Calibrate(args) => calibrate::calibrate(global, args, context),
-        Verb::Fit(args) => fit::fit(global, args, context),
-        Verb::Trade(args) => trade::trade(global, args, context),
-        Verb::Bench { verb } => bench::bench(global, &verb, context),
+        Verb::Cache { verb } => cache::cache(verb, context),
+        Verb::Filter(args) => filter::filter(args, context),
+        Verb::Photos(args) => photos::photos(args, context),
+        Verb::Calibrate(args) => calibrate::calibrate(args, context),
+        Verb::Fit(args) => fit::fit(args, context),
+        Verb::Trade(args) => trade::trade(args, context),
+        Verb::Bench { verb, options } => bench::bench(&options, &verb, &options.context(context)),
         Verb::Man { dir } => man::man(&dir),
         Verb::Completions { shell } => {
             let mut bytes = Vec::new();

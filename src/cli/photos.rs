@@ -1,32 +1,38 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use marf_run::photos::{PhotoLine, PhotosRequest, UnreadFile};
+use marf_run::photos::{PhotoLine, UnreadFile};
 use marf_run::{Context, Error};
 use marf_scene::CameraPrior;
 
-use super::global::Global;
+use super::options::{JsonArg, StoreArgs, ThreadsArg, ValueArgs};
 use super::output::print_json;
 use crate::terminal::print_line;
 
 /// Arguments of `photos`.
 #[derive(Debug, Clone, Args)]
 pub struct PhotosArgs {
-    /// A folder with photos [default: the last run of the pipeline]
+    /// Folder with photos [default: the newest run of the pipeline]
     dir: Option<PathBuf>,
-    /// The node whose photos are shown
+    /// Node whose photos are listed
     #[arg(long, default_value = "extract")]
     node: String,
+    #[command(flatten)]
+    json: JsonArg,
+    #[command(flatten)]
+    store: StoreArgs,
+    #[command(flatten)]
+    values: ValueArgs,
+    #[command(flatten)]
+    threads: ThreadsArg,
 }
 
-/// `marf photos [DIR]`: what was read of every photo, from a folder or from the pipeline's last run, and which files were not.
-pub fn photos(global: &Global, args: PhotosArgs, context: &Context) -> Result<(), Error> {
-    let request = PhotosRequest {
-        dir: args.dir,
-        node: args.node,
-    };
-    let table = marf_run::photos::photos(context, &request)?;
-    if global.json {
+/// `marf photos [DIR]`: what was read of every photo, of a folder or of the pipeline's newest run, and which files were not read.
+pub fn photos(args: PhotosArgs, context: Context) -> Result<(), Error> {
+    let context = args.values.context(args.store.context(context));
+    let context = args.threads.context(context);
+    let table = marf_run::photos::photos(&context, args.dir.as_deref(), &args.node)?;
+    if args.json.json {
         return print_json(&table);
     }
     print_line(

@@ -5,19 +5,33 @@ use marf_run::plan::WhyRequest;
 use marf_run::{Context, Error};
 use serde::Serialize;
 
-use super::global::Global;
+use super::options::{JsonArg, PipelineArgs, SelectionArgs};
 use super::output::print_json;
-use super::selection::SelectionArgs;
 use crate::terminal::print_line;
+
+/// Arguments of `plan`.
+#[derive(Debug, Clone, Args)]
+pub struct PlanArgs {
+    #[command(flatten)]
+    selection: SelectionArgs,
+    #[command(flatten)]
+    json: JsonArg,
+    #[command(flatten)]
+    pipeline: PipelineArgs,
+}
 
 /// Arguments of `why`.
 #[derive(Debug, Clone, Args)]
 pub struct WhyArgs {
-    /// The node
+    /// Node to explain
     node: String,
-    /// Name every photo that was added, edited or removed
+    /// List every photo that was added, edited or removed
     #[arg(long)]
     files: bool,
+    #[command(flatten)]
+    json: JsonArg,
+    #[command(flatten)]
+    pipeline: PipelineArgs,
 }
 
 /// A node, as `--json` prints it.
@@ -44,9 +58,9 @@ impl<'a> Row<'a> {
 }
 
 /// `marf plan`: the state of every node and the first thing that changed.
-pub fn plan(global: &Global, selection: SelectionArgs, context: &Context) -> Result<(), Error> {
-    let nodes = marf_run::plan::plan(context, &selection.request())?;
-    if global.json {
+pub fn plan(args: PlanArgs, context: Context) -> Result<(), Error> {
+    let nodes = marf_run::plan::plan(&args.pipeline.context(context), &args.selection.into())?;
+    if args.json.json {
         let rows: Vec<Row<'_>> = nodes.iter().map(Row::new).collect();
         return print_json(&rows);
     }
@@ -101,13 +115,13 @@ fn counted(number: u64, what: &str) -> String {
 }
 
 /// `marf why NODE`: everything that differs from what made its last result; with `--files` every photo too.
-pub fn why(global: &Global, args: WhyArgs, context: &Context) -> Result<(), Error> {
+pub fn why(args: WhyArgs, context: Context) -> Result<(), Error> {
     let request = WhyRequest {
         node: args.node,
         with_photos: args.files,
     };
-    let planned = marf_run::plan::why(context, &request)?;
-    if global.json {
+    let planned = marf_run::plan::why(&args.pipeline.context(context), &request)?;
+    if args.json.json {
         return print_json(&planned);
     }
     print_line(&format!(

@@ -1,16 +1,14 @@
 //! `marf replay`: a run made again in an empty store, from its root and the pinned bytes alone.
 
 use std::path::PathBuf;
-use std::sync::Arc;
 
 use clap::Args;
 use marf_provenance::difference::value_text;
 use marf_provenance::replay::{NotMade, Replayed};
-use marf_run::replay::{ReplayReport, ReplayRequest, differs, is_equal, is_missing};
+use marf_run::replay::{ReplayReport, differs, is_equal, is_missing};
 use marf_run::{Context, Error};
 
-use super::feedback::Terminal;
-use super::global::Global;
+use super::options::{JsonArg, StoreArgs, ThreadsArg};
 use super::output::print_json;
 use crate::terminal::{escape_control, print_line};
 
@@ -18,35 +16,31 @@ use crate::terminal::{escape_control, print_line};
 #[derive(Debug, Clone, Args)]
 #[command(after_help = AFTER_HELP)]
 pub struct ReplayArgs {
-    /// Number of a run, a node of the last run, or a file that a run made [default: the last run]
+    /// Run number, node of the newest run, or file that a run wrote [default: the newest run]
     #[arg(value_name = "RUN|NODE|FILE")]
     pub what: Option<String>,
-    /// Folder for the store of the replay, which is kept [default: a temporary one]
+    /// Folder for the store of the replay, which is kept [default: a temporary folder]
     #[arg(long, value_name = "DIR")]
     pub scratch: Option<PathBuf>,
+    #[command(flatten)]
+    json: JsonArg,
+    #[command(flatten)]
+    store: StoreArgs,
+    #[command(flatten)]
+    threads: ThreadsArg,
 }
 
 const AFTER_HELP: &str = "\
-Nothing is asked of any server, and nothing of the first run is used but its root, the files that it read from archives, and \
-the results of stages that are declared to vary (COLMAP's cameras). A training by the clock is repeated by the schedule that \
-it ran.
-Exit codes of the answer: 0 every digest is equal, 3 the file was not made by marf, 5 something that is needed is not in the \
-store any more, 7 something came out otherwise, 9 nothing did, but not everything could be made again here (it ran on another \
-GPU, or failed).";
+The replay contacts no server. It uses only the root of the run, the files that the run read from archives, and the results of stages \
+that are declared to vary (COLMAP's cameras). A training with a time limit is repeated by its recorded schedule.
+Exit codes: 0 all digests are equal, 3 the file was not written by marf, 5 the store no longer has something that is needed, 7 a digest \
+differs, 9 no digest differs, but something could not be repeated here (it ran on another GPU, or failed).";
 
 /// `marf replay`: runs a run, a node or what made a file again, and compares digests.
-pub fn replay(global: &Global, args: ReplayArgs, context: &Context) -> Result<(), Error> {
-    // Progress goes to stderr whatever is printed to stdout.
-    let context = Context {
-        feedback: Arc::new(Terminal::with_progress()),
-        ..context.clone()
-    };
-    let request = ReplayRequest {
-        what: args.what,
-        scratch: args.scratch,
-    };
-    let report = marf_run::replay::replay(&context, &request)?;
-    if global.json {
+pub fn replay(args: ReplayArgs, context: Context) -> Result<(), Error> {
+    let context = args.threads.context(args.store.context(context));
+    let report = marf_run::replay::replay(&context, args.what.as_deref(), args.scratch.as_deref())?;
+    if args.json.json {
         print_json(&report)?;
     } else {
         print_line(&escape_control(&text(&report)));

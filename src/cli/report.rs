@@ -3,19 +3,22 @@ use std::path::PathBuf;
 use clap::Args;
 use marf_run::{Context, Error};
 
+use super::options::StoreArgs;
 use crate::terminal::eprint_line;
 
 /// Arguments of `report`.
 #[derive(Debug, Clone, Args)]
 pub struct ReportArgs {
-    /// Where to
+    /// File to write
     #[arg(long, value_name = "FILE", default_value = "report.html")]
     out: PathBuf,
+    #[command(flatten)]
+    store: StoreArgs,
 }
 
-/// `marf report`: writes the report of the last run.
-pub fn report(args: &ReportArgs, context: &Context) -> Result<(), Error> {
-    marf_run::report::report(context, &args.out)?;
+/// `marf report`: writes the report of the newest run.
+pub fn report(args: ReportArgs, context: Context) -> Result<(), Error> {
+    marf_run::report::report(&args.store.context(context), &args.out)?;
     eprint_line(&format!("wrote {}", args.out.display()));
     Ok(())
 }

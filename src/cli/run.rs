@@ -1,4 +1,5 @@
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use clap::{Args, ValueEnum};
 use marf_engine::{NodeState, Outcome, document};
@@ -7,28 +8,32 @@ use marf_run::results::{result, state_word};
 use marf_run::run::{PipelineRun, RunRequest};
 use marf_run::{Context, Error};
 
-use super::global::Global;
-use super::selection::SelectionArgs;
+use super::feedback::Terminal;
+use super::options::{PipelineArgs, SelectionArgs};
 use crate::terminal::{eprint_line, print_line};
 
 /// Arguments of `run`.
 #[derive(Debug, Clone, Args)]
 pub struct RunArgs {
-    /// Which nodes
     #[command(flatten)]
     pub selection: SelectionArgs,
-    /// Where pictures, models and the report go
+    /// Folder for pictures, models and the report
     #[arg(long, value_name = "DIR", default_value = "out")]
     pub out: PathBuf,
-    /// Write what ran when, for Perfetto or chrome://tracing
+    /// Write a trace of the run for Perfetto or chrome://tracing
     #[arg(long, value_name = "FILE")]
     pub trace: Option<PathBuf>,
-    /// Have trainings computed as jobs of a batch system: `slurm`, or others by `template` and `commands` of the site file
+    /// Compute trainings as jobs of a batch system: `slurm`, or another that the site file describes
     #[arg(long = "on", value_enum, value_name = "SYSTEM", hide_possible_values = true)]
     pub batch_system: Option<BatchSystem>,
-    /// The site file: shared store, folder of jobs, commands and limits of the batch system; in no key
+    /// Site file: shared store, job folder, commands and limits of the batch system; results do not depend on it
     #[arg(long, value_name = "FILE", default_value = "site.toml")]
     pub site: PathBuf,
+    /// Print events to stdout, one JSON object a line
+    #[arg(long)]
+    pub json: bool,
+    #[command(flatten)]
+    pipeline: PipelineArgs,
 }
 
 /// A batch system.
@@ -39,15 +44,19 @@ pub enum BatchSystem {
 }
 
 /// `marf run`: runs what changed, writes pictures, models and the report.
-pub fn run(global: &Global, args: RunArgs, context: &Context) -> Result<(), Error> {
+pub fn run(args: RunArgs, context: Context) -> Result<(), Error> {
+    let mut context = args.pipeline.context(context);
+    if args.json {
+        context.feedback = Arc::new(Terminal::with_json_lines());
+    }
     let request = RunRequest {
-        selection: args.selection.request(),
+        selection: args.selection.into(),
         out: args.out,
         trace: args.trace,
         site: args.batch_system.map(|_| args.site),
     };
-    let run = marf_run::run::run(context, &request)?;
-    if !global.json {
+    let run = marf_run::run::run(&context, &request)?;
+    if !args.json {
         print_line(&table(&run));
         if run.execution.record.outcome != Outcome::Cancelled {
             eprint_line(&format!(

@@ -6,7 +6,7 @@ use super::output::print_json;
 /// Arguments of `schema`.
 #[derive(Debug, Clone, Args)]
 pub struct SchemaArgs {
-    /// Of what
+    /// What to describe
     #[arg(value_enum, value_name = "OF", default_value_t = SchemaOf::Pipeline)]
     subject: SchemaOf,
 }

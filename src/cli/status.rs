@@ -1,3 +1,4 @@
+use clap::Args;
 use marf_config::scenes::scene_of;
 use marf_engine::{NodeRun, RunRecord};
 use marf_progress::duration;
@@ -6,17 +7,27 @@ use marf_run::scenes::parent_of;
 use marf_run::status::{self, RunningProgram};
 use marf_run::{Context, Error};
 
-use super::global::Global;
+use super::options::{JsonArg, StoreArgs};
 use super::output::print_json;
 use crate::terminal::print_line;
 
-/// `marf status`: the nodes of the run that goes on and began last, and how far others are; or the nodes of the newest run. Exports aside.
-pub fn status(global: &Global, context: &Context) -> Result<(), Error> {
+/// Arguments of `status`.
+#[derive(Debug, Clone, Args)]
+pub struct StatusArgs {
+    #[command(flatten)]
+    json: JsonArg,
+    #[command(flatten)]
+    store: StoreArgs,
+}
+
+/// `marf status`: the running programs of the pipeline, the nodes of the last one that was started first; or the nodes of the newest run.
+pub fn status(args: StatusArgs, context: Context) -> Result<(), Error> {
+    let context = &args.store.context(context);
     let store = context.existing_store()?;
-    if global.json {
+    if args.json.json {
         return print_json(&status::newest_run(context, &store)?);
     }
-    if let Some(text) = running_text(&status::running(&store)) {
+    if let Some(text) = running_text(&status::running(context, &store)?) {
         text.lines().for_each(print_line);
         return Ok(());
     }

@@ -7,7 +7,7 @@ use marf_engine::document;
 use marf_run::trade::TradeRequest;
 use marf_run::{Context, Error};
 
-use super::global::Global;
+use super::options::{JsonArg, PipelineArgs};
 use super::output::print_json;
 use crate::terminal::{eprint_line, print_line};
 
@@ -15,39 +15,42 @@ use crate::terminal::{eprint_line, print_line};
 #[derive(Debug, Clone, Args)]
 #[command(after_help = AFTER_HELP)]
 pub struct TradeArgs {
-    /// A folder with photos, as `marf fit` takes it, instead of the pipeline
+    /// Folder with photos, as for `marf fit`, instead of the pipeline
     pub dir: Option<PathBuf>,
-    /// Turn only these knobs, e.g. `train.scale`
+    /// Vary only these parameters, e.g. `train.scale`
     #[arg(long = "knob", value_name = "NODE.KEY")]
     pub knobs: Vec<String>,
-    /// Seeds, each a training of the pipeline as it is and of every point with one knob turned
+    /// Number of seeds that every point is trained with
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u64).range(1..=100))]
     pub seeds: u64,
-    /// Further points with every knob at a random one of its values
+    /// Number of additional points with random values of all parameters
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u64).range(0..=10_000))]
     pub random: u64,
-    /// A further point with these settings, e.g. `train.steps=4000 train.scale=2`
+    /// Additional point with these values, e.g. `train.steps=4000 train.scale=2`
     #[arg(long = "point", value_name = "SETTINGS")]
     pub points: Vec<String>,
-    /// Optimiser steps of the training as it is, instead of the pipeline's
+    /// Optimiser steps of the base point, instead of the pipeline's
     #[arg(long, value_name = "N")]
     pub steps: Option<u64>,
-    /// Known cameras of the photos, as transforms.json: what each point's calibration is off by is told
+    /// transforms.json with the true cameras: report the calibration error of each point
     #[arg(long, value_name = "FILE")]
     pub truth: Option<PathBuf>,
     /// Folder for trade.json, trade.csv, front.svg, effects.svg and report.html
     #[arg(long, value_name = "DIR", default_value = "out/trade")]
     pub out: PathBuf,
+    #[command(flatten)]
+    json: JsonArg,
+    #[command(flatten)]
+    pipeline: PipelineArgs,
 }
 
 const AFTER_HELP: &str = "\
-Every point is an ordinary training of the pipeline with other values, kept in its store: a trade that is stopped goes on, and \
-more seeds, knobs or random points are added to what is known. `[trade]` in pipeline.toml sets the knobs and their values, \
-`\"train.scale\" = [1, 2, 3]`; without it they stand around the values that the pipeline has. Let nothing else run meanwhile: \
-seconds are those of the clock.";
+Every point is a training of the pipeline with other values, and its result is kept in the store. A trade that was stopped continues, \
+and more seeds, parameters or points can be added later. `[trade]` in pipeline.toml lists the parameters and their values, e.g. \
+`\"train.scale\" = [1, 2, 3]`; the default is values around those of the pipeline. Times are wall time: run nothing else meanwhile.";
 
 /// Runs `marf trade`.
-pub fn trade(global: &Global, args: TradeArgs, context: &Context) -> Result<(), Error> {
+pub fn trade(args: TradeArgs, context: Context) -> Result<(), Error> {
     let request = TradeRequest {
         dir: args.dir,
         knobs: args.knobs,
@@ -58,8 +61,8 @@ pub fn trade(global: &Global, args: TradeArgs, context: &Context) -> Result<(), 
         truth: args.truth,
         out: args.out,
     };
-    let trade = marf_run::trade::trade(context, &request)?;
-    if global.json {
+    let trade = marf_run::trade::trade(&args.pipeline.context(context), &request)?;
+    if args.json.json {
         return print_json(&trade);
     }
     trade

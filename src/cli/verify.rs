@@ -5,44 +5,42 @@ use std::path::PathBuf;
 use clap::Args;
 use marf_export::verify::{Report, Signature};
 use marf_run::Error;
-use marf_run::export::{VerifyRequest, VerifyResult, verify_path, without_faults};
+use marf_run::export::{Statement, VerifyResult, verify_path, without_faults};
 
-use super::global::Global;
+use super::options::JsonArg;
 use super::output::print_json;
 use crate::terminal::{escape_control, print_line};
 
 /// Arguments of `verify`.
 #[derive(Debug, Clone, Args)]
 pub struct VerifyArgs {
-    /// A folder of `export crate`, or a file of `export attest`
+    /// Folder of `export crate`, or file of `export attest`
     #[arg(value_name = "CRATE|STATEMENT")]
     pub path: PathBuf,
     /// Check the signature with this public key (PEM)
     #[arg(long, value_name = "FILE")]
     pub key: Option<PathBuf>,
-    /// A file that the statement must be about
+    /// File that the statement must be about
     #[arg(long, value_name = "FILE")]
     pub subject: Vec<PathBuf>,
+    #[command(flatten)]
+    json: JsonArg,
 }
 
 /// `marf verify`.
-pub fn verify(global: &Global, args: VerifyArgs) -> Result<(), Error> {
-    let request = VerifyRequest {
-        path: args.path,
-        key: args.key,
-        subjects: args.subject,
-    };
-    match verify_path(&request)? {
+pub fn verify(args: &VerifyArgs) -> Result<(), Error> {
+    match verify_path(&args.path, args.key.as_deref(), &args.subject)? {
         VerifyResult::Crate(report) => {
-            if global.json {
+            if args.json.json {
                 print_json(&report)?;
             } else {
                 print_report(&report);
             }
-            without_faults(&request.path, &report)
+            without_faults(&args.path, &report)
         }
-        VerifyResult::Statement { found, subjects } => {
-            for (file, name) in found {
+        VerifyResult::Statement(statement) if args.json.json => print_json(&statement),
+        VerifyResult::Statement(Statement { found, subjects }) => {
+            for (name, file) in found {
                 print_line(&format!("{} is {name}", file.display()));
             }
             print_line(&format!("signed by this key; files it is about: {subjects}"));

@@ -8,36 +8,40 @@ use marf_run::view::StoreSource;
 use marf_run::{Context, Error};
 use marf_view::{Options, Server};
 
+use super::options::ResultArgs;
 use crate::terminal::{eprint_line, print_line};
 
 /// Arguments of `view`.
 #[derive(Debug, Clone, Args)]
 #[command(after_help = AFTER_HELP)]
 pub struct ViewArgs {
-    /// Number of the run [default: the newest one, looked up at each load]
+    /// Number of the run [default: the newest one at each load of the page]
     #[arg(long, value_name = "NUMBER")]
     pub run: Option<u64>,
-    /// Port; 0 takes a free one
+    /// Port; 0 chooses a free one
     #[arg(long, value_name = "PORT", default_value_t = 8460)]
     pub port: u16,
-    /// Name or address to listen on; what is no loopback address needs a token
+    /// Name or address to listen on; an address that other machines can reach needs a token
     #[arg(long, value_name = "HOST", default_value = "127.0.0.1")]
     pub host: String,
-    /// Token that a browser has to bring: 16 letters and digits or more; the address that is printed holds it
+    /// Access token, at least 16 letters and digits; the printed address contains it
     #[arg(long, value_name = "TOKEN")]
     pub token: Option<String>,
-    /// Path below which everything is served, for a proxy that forwards it, e.g. `/mars`
+    /// Path prefix of all pages, for a proxy, e.g. `/mars`
     #[arg(long, value_name = "PATH")]
     pub prefix: Option<String>,
+    #[command(flatten)]
+    results: ResultArgs,
 }
 
 const AFTER_HELP: &str = "\
-Nothing is fetched from anywhere, and nothing in the store is changed. From another machine: `ssh -L 8460:127.0.0.1:8460 HOST`, \
+The page loads nothing from the network, and the store is not changed. From another machine: `ssh -L 8460:127.0.0.1:8460 HOST`, \
 then open http://127.0.0.1:8460/ there. The 3-D view is rendered here, on the CPU unless --device names a GPU.";
 
 /// `marf view`: serves until Ctrl-C.
-pub fn view(args: ViewArgs, context: &Context) -> Result<(), Error> {
-    let source = StoreSource::open(context, args.run)?;
+pub fn view(args: ViewArgs, context: Context) -> Result<(), Error> {
+    let context = args.results.context(context);
+    let source = StoreSource::open(&context, args.run)?;
     let options = Options {
         host: args.host,
         port: args.port,

@@ -10,7 +10,7 @@ use marf_run::audit::{self, AuditRequest};
 use marf_run::{Context, Error};
 use serde_json::json;
 
-use super::global::Global;
+use super::options::{JsonArg, StoreArgs};
 use super::output::print_json;
 use crate::terminal::{escape_control, print_line};
 
@@ -18,51 +18,56 @@ use crate::terminal::{escape_control, print_line};
 #[derive(Debug, Clone, Args)]
 #[command(after_help = AFTER_HELP)]
 pub struct AuditArgs {
-    /// A file that marf may have made, wherever it lies now
+    /// File to trace
     #[arg(
         value_name = "FILE",
         required_unless_present = "from",
         conflicts_with = "from"
     )]
     pub path: Option<PathBuf>,
-    /// Read everything that it was made from, and compare it with its digests
+    /// Re-read everything the file was made from, and compare digests
     #[arg(long)]
     pub verify: bool,
-    /// List all products of archives, not the first few
+    /// List all products of archives, not only the first few
     #[arg(long)]
     pub products: bool,
-    /// Ask a crate of `export crate` instead of a store
+    /// Use a crate of `export crate` instead of the store
     #[arg(long = "crate", value_name = "CRATE", conflicts_with_all = ["from", "verify"])]
     pub in_crate: Option<PathBuf>,
-    /// Tell what a product (id, name of its file, or blake3) went into
+    /// List everything derived from a product (id, file name or blake3)
     #[arg(long, value_name = "PRODUCT")]
     pub from: Option<String>,
+    #[command(flatten)]
+    json: JsonArg,
+    #[command(flatten)]
+    store: StoreArgs,
 }
 
 const AFTER_HELP: &str = "\
-Exit codes of the answer: 0 made by marf and whole, 3 not made by marf, 4 altered, 5 something of its lineage is not in \
-the store any more, 6 an archive has changed a product since.";
+Exit codes: 0 written by marf and unaltered, 3 not written by marf, 4 altered, 5 the store no longer has a part of its lineage, 6 an \
+archive has changed a product since.";
 
 /// `marf audit`: who made a file, from which bytes.
-pub fn audit(global: &Global, args: AuditArgs, context: &Context) -> Result<(), Error> {
+pub fn audit(args: AuditArgs, context: Context) -> Result<(), Error> {
+    let (context, json) = (&args.store.context(context), args.json);
     match (args.path, args.in_crate, args.from) {
-        (Some(file), Some(folder), _) => in_crate(global, &file, &folder),
+        (Some(file), Some(folder), _) => in_crate(json, &file, &folder),
         (Some(file), None, _) => {
             let request = AuditRequest {
                 file,
                 verify: args.verify,
                 products: args.products,
             };
-            audit_file(global, &request, context)
+            audit_file(json, &request, context)
         }
-        (None, _, Some(product)) => from(global, &product, context),
+        (None, _, Some(product)) => from(json, &product, context),
         (None, _, None) => Err(Error::usage("name a file, or a product with --from".to_owned())),
     }
 }
 
-fn audit_file(global: &Global, request: &AuditRequest, context: &Context) -> Result<(), Error> {
+fn audit_file(json: JsonArg, request: &AuditRequest, context: &Context) -> Result<(), Error> {
     let report = audit::audit(context, request)?;
-    if global.json {
+    if json.json {
         print_json(&report)?;
     } else {
         print_line(escape_control(&tree::text(&report)).trim_end());
@@ -71,9 +76,9 @@ fn audit_file(global: &Global, request: &AuditRequest, context: &Context) -> Res
 }
 
 /// Prints what the run of a crate says of a file.
-fn in_crate(global: &Global, file: &Path, folder: &Path) -> Result<(), Error> {
+fn in_crate(json: JsonArg, file: &Path, folder: &Path) -> Result<(), Error> {
     let trace = audit::trace(file, folder)?;
-    if global.json {
+    if json.json {
         return print_json(&trace);
     }
     print_line(escape_control(&trace.to_string()).trim_end());
@@ -81,9 +86,9 @@ fn in_crate(global: &Global, file: &Path, folder: &Path) -> Result<(), Error> {
 }
 
 /// Prints every run and node that a product went into, the newest run first.
-fn from(global: &Global, product: &str, context: &Context) -> Result<(), Error> {
+fn from(json: JsonArg, product: &str, context: &Context) -> Result<(), Error> {
     let uses = audit::uses(context, product)?;
-    if global.json {
+    if json.json {
         print_json(&json!(uses))?;
     } else {
         uses.runs

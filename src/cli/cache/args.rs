@@ -5,89 +5,120 @@ use std::time::Duration;
 use clap::{Args, Subcommand};
 use marf_run::Error;
 
+use crate::cli::options::{JsonArg, StoreArgs};
+
 /// Verbs of `cache`.
 #[derive(Debug, Clone, Subcommand)]
 pub enum CacheVerb {
-    /// Count objects, bytes, records and runs, by stage too
-    Stat,
-    /// Remove what no kept run, no pin, no lock file and no running program needs
+    /// Count objects, bytes, records and runs, and results by stage
+    Stat(StatArgs),
+    /// Remove data that no kept run, pin, lock file or running program needs
     Gc(GcArgs),
-    /// Verify what is stored
+    /// Verify the stored data
     Fsck(FsckArgs),
-    /// Send a run with all its results to a shared store
+    /// Send a run and its results to a shared store
     Push(PushArgs),
-    /// Fetch a run with all its results from a shared store
+    /// Fetch a run and its results from a shared store
     Pull(PullArgs),
-    /// Keep the results of a run, whatever is collected
+    /// Protect the results of a run from `gc`
     Pin {
         /// Name of the pin
         name: String,
-        /// Number of the run [default: the last one]
+        /// Number of the run [default: the newest whole one]
         run: Option<u64>,
+        #[command(flatten)]
+        store: StoreArgs,
     },
-    /// Let a pinned run go with the others
+    /// Remove a pin
     Unpin {
         /// Name of the pin
         name: String,
+        #[command(flatten)]
+        store: StoreArgs,
     },
+}
+
+/// Arguments of `cache stat`.
+#[derive(Debug, Clone, Args)]
+pub struct StatArgs {
+    #[command(flatten)]
+    pub json: JsonArg,
+    #[command(flatten)]
+    pub store: StoreArgs,
 }
 
 /// Arguments of `cache gc`.
 #[derive(Debug, Clone, Args)]
 pub struct GcArgs {
-    /// Runs of each pipeline whose results are kept; the last one always is
+    /// Number of runs to keep for each pipeline; the newest is always kept
     #[arg(long, value_name = "RUNS", default_value_t = 10)]
     pub keep_last: usize,
-    /// Give up older runs until what is kept fits, e.g. `20GB`
+    /// Remove older runs until the rest fits, e.g. `20GB`
     #[arg(long, value_name = "SIZE")]
     pub max_size: Option<String>,
-    /// Keep what was stored or used within this time
+    /// Keep data that was stored or used within this time
     #[arg(long, value_name = "TIME", default_value = "24h")]
     pub grace: String,
-    /// Only tell what would be removed
+    /// Only print what would be removed
     #[arg(long)]
     pub dry_run: bool,
-    /// Collect a shared store in place of the own: that of the pipeline, or this one
+    /// Clean a shared store instead: that of the pipeline, or this one
     #[arg(long, value_name = "URL", conflicts_with = "max_size")]
     pub remote: Option<Option<String>>,
+    #[command(flatten)]
+    pub json: JsonArg,
+    #[command(flatten)]
+    pub store: StoreArgs,
 }
 
 /// Arguments of `cache push`.
 #[derive(Debug, Clone, Args)]
 pub struct PushArgs {
-    /// Number of the run [default: the last one]
-    #[arg(long)]
+    /// Number of the run [default: the newest whole one]
+    #[arg(long, value_name = "NUMBER")]
     pub run: Option<u64>,
     /// Address of the shared store, `s3://BUCKET/PREFIX` or `file:///FOLDER` [default: `[store] remote` of the pipeline];
     /// credentials come from the environment (`AWS_*`)
     #[arg(long, value_name = "URL")]
     pub remote: Option<String>,
+    #[command(flatten)]
+    pub json: JsonArg,
+    #[command(flatten)]
+    pub store: StoreArgs,
 }
 
 /// Arguments of `cache pull`.
 #[derive(Debug, Clone, Args)]
 pub struct PullArgs {
-    /// First digits of the run, as a push tells them [default: the newest of this pipeline]
+    /// First digits of the run, as printed by a push [default: the newest of this pipeline]
     #[arg(long, value_name = "DIGITS")]
     pub run: Option<String>,
     /// Address of the shared store, `s3://BUCKET/PREFIX` or `file:///FOLDER` [default: `[store] remote` of the pipeline];
     /// credentials come from the environment (`AWS_*`)
     #[arg(long, value_name = "URL")]
     pub remote: Option<String>,
+    #[command(flatten)]
+    pub json: JsonArg,
+    #[command(flatten)]
+    pub store: StoreArgs,
 }
 
 /// Arguments of `cache fsck`.
 #[derive(Debug, Clone, Args)]
 pub struct FsckArgs {
-    /// Read every byte and compare it with its digest
+    /// Read every byte, and compare digests
     #[arg(long)]
     pub read_data: bool,
-    /// Set damaged files aside and make a wrong index anew; of a shared store remove them with what names them
+    /// Quarantine damaged files and rebuild the index; in a shared store, remove damaged files and everything that refers to them
     #[arg(long)]
     pub repair: bool,
-    /// Verify a shared store in place of the own: that of the pipeline, or this one
+    /// Verify a shared store instead: that of the pipeline, or this one
     #[arg(long, value_name = "URL")]
     pub remote: Option<Option<String>>,
+    #[command(flatten)]
+    pub json: JsonArg,
+    #[command(flatten)]
+    pub store: StoreArgs,
 }
 
 impl GcArgs {

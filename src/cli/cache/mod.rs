@@ -9,7 +9,7 @@ use marf_run::{Context, Diagnostic, Error};
 use serde::Serialize;
 use serde_json::{Value, json};
 
-use super::global::Global;
+use super::options::JsonArg;
 use super::output::print_json;
 use super::traffic::megabytes;
 use crate::terminal::{eprint_line, print_line};
@@ -18,39 +18,61 @@ use args::{FsckArgs, GcArgs};
 pub use args::CacheVerb;
 
 /// Runs a verb of `cache`.
-pub fn cache(global: &Global, verb: CacheVerb, context: &Context) -> Result<(), Error> {
-    let store = match &verb {
-        CacheVerb::Gc(args) if args.remote.is_some() => {
-            return remote::gc(global, args, args.grace()?, context);
+pub fn cache(verb: CacheVerb, context: Context) -> Result<(), Error> {
+    match verb {
+        CacheVerb::Stat(args) => with_store(&args.store.context(context), |store, _| stat(args.json, store)),
+        CacheVerb::Gc(args) => {
+            let context = args.store.clone().context(context);
+            if args.remote.is_some() {
+                return remote::gc(&args, args.grace()?, &context);
+            }
+            with_store(&context, |store, context| gc(store, &args, context))
         }
-        CacheVerb::Fsck(args) if args.remote.is_some() => return remote::fsck(global, args, context),
-        CacheVerb::Pull(_) => context.open_store()?,
-        _ => context.existing_store()?,
-    };
-    let done = match verb {
-        CacheVerb::Stat => stat(global, &store),
-        CacheVerb::Gc(args) => gc(global, &store, &args, context),
-        CacheVerb::Fsck(args) => fsck(global, &store, &args),
-        CacheVerb::Push(args) => remote::push(global, &store, &args, context),
-        CacheVerb::Pin { name, run } => pin(&store, &name, run, context),
-        CacheVerb::Unpin { name } => cache::unpin(&store, &name),
-        CacheVerb::Pull(args) => remote::pull(global, &store, &args, context),
-    };
+        CacheVerb::Fsck(args) => {
+            let context = args.store.clone().context(context);
+            if args.remote.is_some() {
+                return remote::fsck(&args, &context);
+            }
+            with_store(&context, |store, _| fsck(store, &args))
+        }
+        CacheVerb::Push(args) => {
+            let context = args.store.clone().context(context);
+            with_store(&context, |store, context| remote::push(store, &args, context))
+        }
+        CacheVerb::Pull(args) => {
+            let context = args.store.clone().context(context);
+            let store = context.open_store()?;
+            let done = remote::pull(&store, &args, &context);
+            store.take_warnings().into_iter().for_each(context.warnings());
+            done
+        }
+        CacheVerb::Pin { name, run, store } => with_store(&store.context(context), |store, context| {
+            let number = cache::pin(context, store, &name, run)?;
+            print_line(&format!("pinned run {number} as `{name}`"));
+            Ok(())
+        }),
+        CacheVerb::Unpin { name, store } => {
+            with_store(&store.context(context), |store, _| cache::unpin(store, &name))
+        }
+    }
+}
+
+/// Calls a verb with the store, which must exist, and prints the warnings of the store.
+fn with_store(
+    context: &Context,
+    verb: impl FnOnce(&Store, &Context) -> Result<(), Error>,
+) -> Result<(), Error> {
+    let store = context.existing_store()?;
+    let done = verb(&store, context);
     store.take_warnings().into_iter().for_each(context.warnings());
     done
 }
 
-fn pin(store: &Store, name: &str, run: Option<u64>, context: &Context) -> Result<(), Error> {
-    let number = cache::pin(context, store, name, run)?;
-    print_line(&format!("pinned run {number} as `{name}`"));
-    Ok(())
-}
-
 /// `marf cache stat`: objects, bytes, records, runs, and what each stage holds.
-fn stat(global: &Global, store: &Store) -> Result<(), Error> {
+fn stat(format: JsonArg, store: &Store) -> Result<(), Error> {
     let (all, stages) = (store.stat()?, store.stat_by_stage()?);
     let mut json = to_json(&all)?;
-    if global.json {
+    if format.json {
         json["stages"] = to_json(&stages)?;
         return print_json(&json);
     }
@@ -75,7 +97,7 @@ fn to_json(value: &impl Serialize) -> Result<Value, Error> {
 }
 
 /// `marf cache gc`: removes what no kept run, no pin, no lock file and no running program needs.
-fn gc(global: &Global, store: &Store, args: &GcArgs, context: &Context) -> Result<(), Error> {
+fn gc(store: &Store, args: &GcArgs, context: &Context) -> Result<(), Error> {
     let request = GcRequest {
         keep_last: args.keep_last,
         max_bytes: args.max_size.as_deref().map(bytes_of).transpose()?,
@@ -83,7 +105,7 @@ fn gc(global: &Global, store: &Store, args: &GcArgs, context: &Context) -> Resul
         dry_run: args.dry_run,
     };
     let GcResult { report, runs } = cache::gc(context, store, &request)?;
-    if global.json {
+    if args.json.json {
         let mut json = to_json(&report)?;
         json["runs_removed"] = json!(runs);
         json["dry_run"] = json!(args.dry_run);
@@ -119,13 +141,13 @@ fn bytes_of(text: &str) -> Result<u64, Error> {
 }
 
 /// `marf cache fsck`: verifies everything that is stored.
-fn fsck(global: &Global, store: &Store, args: &FsckArgs) -> Result<(), Error> {
+fn fsck(store: &Store, args: &FsckArgs) -> Result<(), Error> {
     let options = FsckOptions {
         read_data: args.read_data,
         repair: args.repair,
     };
     let report = store.fsck(options)?;
-    if global.json {
+    if args.json.json {
         print_json(&report)?;
     } else {
         for fault in &report.faults {

@@ -9,15 +9,14 @@ use marf_run::{Context, Diagnostic, Error};
 use serde_json::json;
 
 use super::args::{FsckArgs, GcArgs, PullArgs, PushArgs};
-use crate::cli::global::Global;
 use crate::cli::output::print_json;
 use crate::cli::traffic::{megabytes, traffic_text};
 use crate::terminal::{eprint_line, print_line};
 
 /// `marf cache push`: sends a run.
-pub fn push(global: &Global, store: &Store, args: &PushArgs, context: &Context) -> Result<(), Error> {
+pub fn push(store: &Store, args: &PushArgs, context: &Context) -> Result<(), Error> {
     let pushed = SharedStore::open(context, args.remote.as_deref())?.push(store, args.run)?;
-    if global.json {
+    if args.json.json {
         return print_json(&json!(pushed));
     }
     print_line(&format!(
@@ -35,10 +34,10 @@ pub fn push(global: &Global, store: &Store, args: &PushArgs, context: &Context) 
 }
 
 /// `marf cache pull`: fetches a run.
-pub fn pull(global: &Global, store: &Store, args: &PullArgs, context: &Context) -> Result<(), Error> {
+pub fn pull(store: &Store, args: &PullArgs, context: &Context) -> Result<(), Error> {
     let shared = SharedStore::open(context, args.remote.as_deref())?;
     let pulled = shared.pull(store, args.run.as_deref())?;
-    if global.json {
+    if args.json.json {
         return print_json(&json!(pulled));
     }
     print_line(&format!(
@@ -56,7 +55,7 @@ pub fn pull(global: &Global, store: &Store, args: &PullArgs, context: &Context) 
 }
 
 /// `marf cache gc --remote`: removes what no kept run of the shared store needs.
-pub fn gc(global: &Global, args: &GcArgs, grace: Duration, context: &Context) -> Result<(), Error> {
+pub fn gc(args: &GcArgs, grace: Duration, context: &Context) -> Result<(), Error> {
     let remote = SharedStore::open(context, args.remote.as_ref().and_then(Option::as_deref))?;
     let options = GcOptions {
         keep_last: args.keep_last,
@@ -64,7 +63,7 @@ pub fn gc(global: &Global, args: &GcArgs, grace: Duration, context: &Context) ->
         dry_run: args.dry_run,
     };
     let done = remote.gc(options)?;
-    if global.json {
+    if args.json.json {
         return print_json(&json!({"dry_run": args.dry_run, "collected": done, "traffic": remote.traffic()}));
     }
     let would = if args.dry_run { "would remove" } else { "removed" };
@@ -89,14 +88,14 @@ pub fn gc(global: &Global, args: &GcArgs, grace: Duration, context: &Context) ->
 }
 
 /// `marf cache fsck --remote`: verifies the shared store.
-pub fn fsck(global: &Global, args: &FsckArgs, context: &Context) -> Result<(), Error> {
+pub fn fsck(args: &FsckArgs, context: &Context) -> Result<(), Error> {
     let remote = SharedStore::open(context, args.remote.as_ref().and_then(Option::as_deref))?;
     let options = FsckOptions {
         read_data: args.read_data,
         repair: args.repair,
     };
     let checked = remote.fsck(options)?;
-    if global.json {
+    if args.json.json {
         print_json(&checked)?;
     } else {
         for fault in &checked.faults {

@@ -6,46 +6,48 @@ use clap::Args;
 use marf_run::export::{SurfaceKind, SurfaceRequest, export_surface};
 use marf_run::{Context, Error};
 use marf_schema::surface::{ColorBy, SplatPsnr, SplatReport, SpreadOf, SurfaceReport};
-use serde_json::json;
 
-use crate::cli::global::Global;
+use crate::cli::options::{JsonArg, ResultArgs, word};
 use crate::cli::output::print_json;
 use crate::terminal::print_line;
 
 /// Arguments of the exports of a surface.
 #[derive(Debug, Clone, Args)]
 pub struct SurfaceArgs {
-    /// A node with a trained field
+    /// Node with a trained field
     #[arg(value_name = "NODE", default_value = "train")]
     pub node: String,
-    /// The field in this file instead, as a run of the store made it (`out/train/weights.safetensors`)
+    /// File of a field that a run of the store wrote, e.g. out/train/weights.safetensors
     #[arg(long, value_name = "FILE", conflicts_with = "node")]
     pub field: Option<PathBuf>,
-    /// Where to
+    /// File or folder to write
     #[arg(long, value_name = "PATH")]
     pub out: PathBuf,
-    /// Number of the run [default: the last one that has the node]
+    /// Number of the run [default: the newest one that has the node]
     #[arg(long, value_name = "NUMBER")]
     pub run: Option<u64>,
-    /// Distance between samples, metres (units of the scene where it has no scale) [default: two pixels of what is near]
+    /// Distance between samples, metres, or units of a scene without scale [default: two pixels of near ground]
     #[arg(long, value_name = "LENGTH")]
     pub cell: Option<f64>,
-    /// Largest distance from a photo, as `--cell` [default: where a pixel is four cells wide]
+    /// Largest distance from a photo, in the unit of `--cell` [default: where a pixel is four cells wide]
     #[arg(long, value_name = "LENGTH")]
     pub reach: Option<f64>,
-    /// Photos that must show a point [default: 2; of splats 1]
+    /// Number of photos that must show a point [default: 2; splats: 1]
     #[arg(long, value_name = "COUNT")]
     pub least_photos: Option<u32>,
-    /// Largest difference between the views at a point, as `--cell` [default: a cell]
+    /// Largest difference between views at a point, in the unit of `--cell` [default: one cell]
     #[arg(long, value_name = "LENGTH")]
     pub most_spread: Option<f64>,
-    /// What mesh and points are coloured by: `photos`, or `uncertainty`: how far the retrainings of the run's bootstrap differ, or the views
-    /// of the field where the run has none
-    #[arg(long, value_name = "WHAT", default_value = "photos", value_parser = color)]
+    /// Colour of mesh and points: `photos`, or `uncertainty` (spread of the bootstrap's retrainings; without a bootstrap, of the views)
+    #[arg(long, value_name = "WHAT", default_value = "photos", value_parser = word::<ColorBy>)]
     pub color: ColorBy,
-    /// Width of a pixel of a map, metres [default: that of a cell]
+    /// Pixel size of a map, metres [default: one cell]
     #[arg(long, value_name = "METRES")]
     pub map_cell: Option<f64>,
+    #[command(flatten)]
+    json: JsonArg,
+    #[command(flatten)]
+    results: ResultArgs,
 }
 
 /// Arguments of `export splats`.
@@ -53,20 +55,18 @@ pub struct SurfaceArgs {
 pub struct SplatsArgs {
     #[command(flatten)]
     pub surface: SurfaceArgs,
-    /// Folder for pictures splats | field at the views of the held-out photos
+    /// Folder for pictures of splats and field next to each other at the held-out photos
     #[arg(long, value_name = "DIR")]
     pub pictures: Option<PathBuf>,
 }
 
-/// Reads what colours are, as pipeline.toml has it.
-fn color(word: &str) -> Result<ColorBy, String> {
-    serde_json::from_value(json!(word)).map_err(|error| error.to_string())
-}
-
 impl SurfaceArgs {
-    /// Returns the request of a kind of export.
-    pub fn request(self, kind: SurfaceKind) -> SurfaceRequest {
-        SurfaceRequest {
+    /// Computes an export of this kind, unless the store has it, and writes it. `pictures` is the folder for pictures of splats.
+    ///
+    /// # Errors
+    /// Those of [`export_surface`].
+    pub fn export(self, kind: SurfaceKind, pictures: Option<PathBuf>, context: Context) -> Result<(), Error> {
+        let request = SurfaceRequest {
             kind,
             node: self.node,
             field: self.field,
@@ -78,36 +78,21 @@ impl SurfaceArgs {
             most_spread: self.most_spread,
             color: self.color,
             map_cell: self.map_cell,
-            pictures: None,
+            pictures,
+        };
+        let result = export_surface(&self.results.context(context), &request)?;
+        if self.json.json {
+            return print_json(&result);
         }
-    }
-}
-
-impl SplatsArgs {
-    /// Returns the request of the splats.
-    pub fn request(self) -> SurfaceRequest {
-        SurfaceRequest {
-            pictures: self.pictures,
-            ..self.surface.request(SurfaceKind::Splats)
+        print_line(&text(kind, &result.surface));
+        if matches!(kind, SurfaceKind::Mesh | SurfaceKind::Points) {
+            print_line(&uncertainty_text(&result.surface));
         }
+        for path in result.files {
+            print_line(&format!("wrote {}", path.display()));
+        }
+        Ok(())
     }
-}
-
-/// Makes what is wanted, unless it is made already, and writes it.
-pub fn export(global: &Global, request: SurfaceRequest, context: &Context) -> Result<(), Error> {
-    let kind = request.kind;
-    let result = export_surface(context, &request)?;
-    if global.json {
-        return print_json(&json!(result));
-    }
-    print_line(&text(kind, &result.surface));
-    if matches!(kind, SurfaceKind::Mesh | SurfaceKind::Points) {
-        print_line(&uncertainty_text(&result.surface));
-    }
-    for path in result.files {
-        print_line(&format!("wrote {}", path.display()));
-    }
-    Ok(())
 }
 
 /// Says what the uncertainty of a surface is.

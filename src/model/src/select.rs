@@ -44,14 +44,19 @@ impl Subject {
         Ok(folder.map_or(Self::Any, |_| Self::Folder))
     }
 
-    /// Tells whether a run is one of the subject.
+    /// Returns whether a run is one of the subject.
     pub fn has(&self, run: &RunRecord) -> bool {
+        self.covers(&run.source, &run.pipeline)
+    }
+
+    /// Returns whether a run with this source and name of the pipeline is one of the subject.
+    pub fn covers(&self, from: &RunSource, pipeline: &str) -> bool {
         match self {
             Self::Pipeline { source, name } => {
-                run.source == *source && name.as_ref().is_none_or(|name| run.pipeline == *name)
+                from == source && name.as_ref().is_none_or(|name| pipeline == name)
             }
-            Self::Folder => matches!(run.source, RunSource::Folder { .. }),
-            Self::Any => !run.source.is_derived(),
+            Self::Folder => matches!(from, RunSource::Folder { .. }),
+            Self::Any => !from.is_derived(),
         }
     }
 }

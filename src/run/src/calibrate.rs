@@ -27,7 +27,7 @@ pub struct CalibrateRequest {
     /// Whether photos are written without the distortion of their lens.
     pub undistort: bool,
     /// Where cameras come from, as pipeline.toml names it.
-    pub method: &'static str,
+    pub method: String,
 }
 
 /// The cameras of a folder's photos.
@@ -50,7 +50,7 @@ pub fn calibrate(context: &Context, request: &CalibrateRequest) -> Result<Calibr
     let text = folder::cameras(
         "calibrate",
         &request.dir,
-        request.method,
+        &request.method,
         &photos_at,
         request.undistort,
     );
@@ -86,14 +86,19 @@ fn write(session: &Session, record: &RunRecord, request: &CalibrateRequest) -> R
             cameras::TRANSFORMS => request.out.clone(),
             name => request.out.with_file_name("").join(name),
         };
-        outputs::one(session, record, digest, &path)?;
+        outputs::one(&session.store, record, digest, &path)?;
         written.extend((*name != cameras::TRANSFORMS).then_some(path));
     }
-    outputs::one(session, record, &digest(node, Metrics::OUTPUT)?, &written[1])?;
+    outputs::one(
+        &session.store,
+        record,
+        &digest(node, Metrics::OUTPUT)?,
+        &written[1],
+    )?;
     for (name, digest) in &files.photos {
         let path = request.out.with_file_name("").join(name);
         refuse_to_replace(&path, digest, &request.dir)?;
-        outputs::one(session, record, digest, &path)?;
+        outputs::one(&session.store, record, digest, &path)?;
     }
     Ok(written)
 }

@@ -19,7 +19,7 @@ pub fn subject(context: &Context, store: &Store) -> Result<Subject, Error> {
         return Ok(Subject::without_file(store, context.warnings())?);
     }
     // A file that cannot be parsed now may have been run before.
-    let loaded = config::load(&context.file, &context.sets, &context.config).ok();
+    let loaded = config::load(&context.file, &[], &context.config).ok();
     let name = loaded.map(|loaded| loaded.pipeline.name.unwrap_or_else(|| unnamed(&context.file)));
     let source = RunSource::from_file(store, &context.file);
     Ok(Subject::Pipeline { source, name })

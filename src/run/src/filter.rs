@@ -63,7 +63,7 @@ pub fn filter(context: &Context, request: &FilterRequest) -> Result<FilterResult
     let page = page(&request.out);
     for (name, path) in [(document::VERDICTS, &request.out), (document::REPORT, &page)] {
         if let Some(document) = execution.record.documents.get(name) {
-            outputs::one(&session, &execution.record, &document.digest, path)?;
+            outputs::one(&session.store, &execution.record, &document.digest, path)?;
         }
     }
     execution.done()?;

@@ -36,7 +36,7 @@ pub struct FitRequest {
     /// Memory that the training may take, as pipeline.toml has it.
     pub memory: Option<String>,
     /// What decides how large the field is, as pipeline.toml names it.
-    pub fit: &'static str,
+    pub fit: String,
 }
 
 /// How long to train.
@@ -182,12 +182,22 @@ fn document(
 /// Writes metrics.json and, into the folder of the budget, the held-out renders.
 fn write(session: &Session, record: &RunRecord, out: &Path, budget: &str) -> Result<(), Error> {
     if let Some(metrics) = record.documents.get(document::METRICS) {
-        outputs::one(session, record, &metrics.digest, &out.join(document::METRICS))?;
+        outputs::one(
+            &session.store,
+            record,
+            &metrics.digest,
+            &out.join(document::METRICS),
+        )?;
     }
     let node = node_named(record, TrainParams::STAGE)?;
     for (name, output) in &node.outputs {
         if let Some(file) = name.strip_prefix(output::HELDOUT) {
-            outputs::one(session, record, &output.digest, &out.join(budget).join(file))?;
+            outputs::one(
+                &session.store,
+                record,
+                &output.digest,
+                &out.join(budget).join(file),
+            )?;
         }
     }
     Ok(())

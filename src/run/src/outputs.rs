@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Component, Path, PathBuf};
 
-use marf_cache::Digest;
+use marf_cache::{Digest, Store};
 use marf_engine::{RunRecord, document, sets};
 use marf_schema::changes::ChangesReport;
 use marf_schema::scenes::Scenes;
@@ -11,12 +11,14 @@ use marf_schema::ties::Ties;
 use marf_schema::{output, train, tune};
 use marf_stage::{Document, VERDICTS};
 
+use crate::context::Context;
 use crate::copies;
-use crate::error::Error;
+use crate::error::{Diagnostic, Error};
 use crate::export_table::ExportTable;
 use crate::files;
 use crate::scenes::{self, SCENE_PAGES};
 use crate::session::Session;
+use crate::status::newest_run;
 
 /// Outputs without a file name of their own, and the name they get.
 const NAMED: [(&str, &str); 13] = [
@@ -175,12 +177,26 @@ fn write_verdicts(
 ///
 /// # Errors
 /// A place that cannot be written, or an object that the store has lost.
-pub fn one(session: &Session, record: &RunRecord, digest: &Digest, path: &Path) -> Result<(), Error> {
+pub fn one(store: &Store, record: &RunRecord, digest: &Digest, path: &Path) -> Result<(), Error> {
     if copies::is_copy(path, digest) {
         return Ok(());
     }
-    let bytes = session.store.get(digest)?;
+    let bytes = store.get(digest)?;
     files::write(path, &copies::copy(path, digest, &bytes, record.root))
+}
+
+/// Writes the report that the newest run of a folder without a pipeline file has kept.
+///
+/// # Errors
+/// No run, a run without a report, a place that cannot be written.
+pub fn report(context: &Context, path: &Path) -> Result<(), Error> {
+    let store = context.existing_store()?;
+    let run = newest_run(context, &store)?;
+    let report = run.documents.get(document::REPORT).ok_or_else(|| {
+        let message = format!("run {} (`{}`) keeps no report", run.number, run.command);
+        Error::Failed(Diagnostic::new(message).hint("`marf view` shows the run"))
+    })?;
+    one(&store, &run, &report.digest, path)
 }
 
 /// Returns the file an output becomes; `None` for manifests, which only the store can resolve.

@@ -1,14 +1,14 @@
 //! What was read of every photo.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use marf_cache::Digest;
+use marf_cache::{Digest, Store};
 use marf_engine::{RunRecord, sets};
-use marf_model::select;
 use marf_scene::{Photo, PhotoFacts};
 use marf_stage::{PHOTOS, VERDICTS, Verdict};
 use serde::Serialize;
 
+use crate::choice::RunChoice;
 use crate::context::Context;
 use crate::error::Error;
 use crate::execute::{execute, options};
@@ -47,58 +47,43 @@ pub struct UnreadFile {
     pub reason: String,
 }
 
-/// Photos of a folder, or of the last run of the pipeline.
-#[derive(Debug, Clone)]
-pub struct PhotosRequest {
-    /// The folder; none for the last run of the pipeline.
-    pub dir: Option<PathBuf>,
-    /// The node whose photos are shown.
-    pub node: String,
-}
-
-/// Returns what was read of every photo, and which files were not read.
+/// Returns what was read of every photo that a node gave, and which files were not read: of a folder, or by default of the newest run of the
+/// pipeline with such photos.
 ///
 /// # Errors
 /// A folder that cannot be read, a pipeline that has not run, a node that gave no photos.
-pub fn photos(context: &Context, request: &PhotosRequest) -> Result<PhotoTable, Error> {
-    let node = &request.node;
-    let (session, record) = match &request.dir {
-        Some(dir) => of_folder(context, dir)?,
+pub fn photos(context: &Context, dir: Option<&Path>, node: &str) -> Result<PhotoTable, Error> {
+    let (store, record) = match dir {
+        Some(dir) => {
+            let session = Session::implicit(context, &folder::photos("photos", dir), "photos", dir)?;
+            let record = execute(&session, &options(&session))?.done()?;
+            (session.store, record)
+        }
         None => {
-            let session = Session::open(context)?;
+            let store = context.existing_store()?;
             let has_photos = |run: &RunRecord| {
                 let node = run.node(node).filter(|node| node.state.is_good());
                 node.is_some_and(|node| node.outputs.contains_key(PHOTOS))
             };
-            let warnings = context.warnings();
-            let with_photos = select::newest_with(&session.store, &session.subject(), warnings, has_photos)?;
-            let run = with_photos.map_or_else(|| session.last(), |run| Ok(Some(run)))?;
-            let record = run.ok_or_else(|| Error::failed("no run of this pipeline yet".to_owned()))?;
-            (session, record)
+            let choice = RunChoice::new(context, &store, None)?;
+            let record = choice.newest_with(has_photos, |run| without_photos(run, node))?;
+            (store, record)
         }
     };
     Ok(PhotoTable {
-        photos: lines(&session, &record, node)?,
-        not_read: not_read(&session, &record, node)?,
+        photos: lines(&store, &record, node)?,
+        not_read: not_read(&store, &record, node)?,
     })
 }
 
-fn of_folder(context: &Context, dir: &Path) -> Result<(Session, RunRecord), Error> {
-    let session = Session::implicit(context, &folder::photos("photos", dir), "photos", dir)?;
-    let record = execute(&session, &options(&session))?.done()?;
-    Ok((session, record))
-}
-
 /// Returns the files that a source has met and took no photo from; none of a filter, whose verdicts are on photos.
-fn not_read(session: &Session, record: &RunRecord, node: &str) -> Result<Vec<UnreadFile>, Error> {
-    let source = record
-        .nodes
-        .iter()
-        .find(|one| one.name == node && one.edges.is_empty());
+fn not_read(store: &Store, record: &RunRecord, node: &str) -> Result<Vec<UnreadFile>, Error> {
+    let source = record.node(node).filter(|node| node.edges.is_empty());
     let Some(verdicts) = source.and_then(|node| node.outputs.get(VERDICTS)) else {
         return Ok(Vec::new());
     };
-    let verdicts = session.verdicts(&verdicts.digest)?.into_iter();
+    let get = |digest: &Digest| Ok::<_, Error>(store.get(digest)?);
+    let verdicts = sets::verdicts(&verdicts.digest, get)?.into_iter();
     let left_out = verdicts.filter(|verdict| !verdict.keeps());
     Ok(left_out
         .map(|Verdict { file, reason, .. }| UnreadFile { file, reason })
@@ -109,26 +94,27 @@ fn not_read(session: &Session, record: &RunRecord, node: &str) -> Result<Vec<Unr
 ///
 /// # Errors
 /// A photo that the store has lost.
-fn format(session: &Session, image: Option<&Digest>, has_raw: bool) -> Result<&'static str, Error> {
+fn format(store: &Store, image: Option<&Digest>, has_raw: bool) -> Result<&'static str, Error> {
     match image {
         Some(_) if has_raw => Ok("IMG"),
-        Some(image) => Ok(Photo::format(&session.store.get(image)?).unwrap_or("-")),
+        Some(image) => Ok(Photo::format(&store.get(image)?).unwrap_or("-")),
         None => Ok("-"),
     }
 }
 
-fn lines(session: &Session, record: &RunRecord, node: &str) -> Result<Vec<PhotoLine>, Error> {
-    let found = record.nodes.iter().find(|one| one.name == node);
-    let output = found.and_then(|node| node.outputs.get(PHOTOS)).ok_or_else(|| {
-        let nodes: Vec<&str> = record.nodes.iter().map(|node| node.name.as_str()).collect();
-        Error::usage(format!(
-            "node `{node}` gave no photos in the last run; its nodes: {}",
-            nodes.join(", ")
-        ))
-    })?;
-    let rows = sets::rows(&output.digest, |digest| {
-        Ok::<_, Error>(session.store.get(digest)?)
-    })?;
+/// Returns the error of a run in which a node gave no photos.
+fn without_photos(run: &RunRecord, node: &str) -> Error {
+    let nodes: Vec<&str> = run.nodes.iter().map(|node| node.name.as_str()).collect();
+    Error::usage(format!(
+        "node `{node}` gave no photos in the last run; its nodes: {}",
+        nodes.join(", ")
+    ))
+}
+
+fn lines(store: &Store, record: &RunRecord, node: &str) -> Result<Vec<PhotoLine>, Error> {
+    let photos = record.node(node).and_then(|node| node.outputs.get(PHOTOS));
+    let photos = photos.ok_or_else(|| without_photos(record, node))?;
+    let rows = sets::rows(&photos.digest, |digest| Ok::<_, Error>(store.get(digest)?))?;
     let mut lines = Vec::new();
     for row in rows {
         let facts = PhotoFacts::from_json(&row.facts)
@@ -136,7 +122,7 @@ fn lines(session: &Session, record: &RunRecord, node: &str) -> Result<Vec<PhotoL
         let image = row.blobs.get("image").copied();
         lines.push(PhotoLine {
             facts,
-            format: format(session, image.as_ref(), row.blobs.contains_key("raw"))?,
+            format: format(store, image.as_ref(), row.blobs.contains_key("raw"))?,
             image,
             product: row.id,
         });

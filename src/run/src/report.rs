@@ -18,11 +18,15 @@ use crate::error::Error;
 use crate::session::Session;
 use crate::{files, outputs, scenes};
 
-/// Writes the report of the last run: the one that the run kept, or for a run without one a new one.
+/// Writes the report of the last run: the one that the run kept, or for a run without one a new one. Without a pipeline file, the report of the
+/// newest verb on a folder.
 ///
 /// # Errors
 /// A pipeline that has not run, a store that cannot be read, a place that cannot be written.
 pub fn report(context: &Context, out: &Path) -> Result<(), Error> {
+    if !context.file.is_file() {
+        return outputs::report(context, out);
+    }
     let session = Session::open(context)?;
     let record = session
         .last()?
@@ -30,7 +34,7 @@ pub fn report(context: &Context, out: &Path) -> Result<(), Error> {
     let session = session.for_scenes_of(Some(&record))?;
     let kept = record.documents.get(document::REPORT);
     match kept.filter(|kept| session.store.contains(&kept.digest)) {
-        Some(kept) => outputs::one(&session, &record, &kept.digest, out),
+        Some(kept) => outputs::one(&session.store, &record, &kept.digest, out),
         None => files::write(out, page(&session, &record)?.as_bytes()),
     }
 }

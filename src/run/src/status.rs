@@ -14,9 +14,15 @@ use crate::context::Context;
 use crate::error::Error;
 use crate::scenes::parent_of;
 
-/// Returns the programs that run a pipeline on a store, the one that began last first.
-pub fn running(store: &Store) -> Vec<RunningProgram> {
-    programs(&lines_of_running(&event_folder(store)))
+/// Returns the running programs of the pipeline, the one that was started last first.
+///
+/// # Errors
+/// A store that cannot be read.
+pub fn running(context: &Context, store: &Store) -> Result<Vec<RunningProgram>, Error> {
+    let subject = subject(context, store)?;
+    let mut programs = programs(&lines_of_running(&event_folder(store)));
+    programs.retain(|program| subject.covers(&program.source, &program.pipeline));
+    Ok(programs)
 }
 
 /// Returns the programs that have left these lines and run a pipeline.

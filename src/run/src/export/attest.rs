@@ -1,6 +1,6 @@
 //! Signed statements on who made a result, by what and from what.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use marf_cache::Digest;
 use marf_export::dsse::Envelope;
@@ -14,17 +14,6 @@ use crate::error::{Diagnostic, Error};
 use crate::outputs::file_name;
 use crate::trust::signing_key;
 
-/// A result to sign for.
-#[derive(Debug, Clone)]
-pub struct AttestRequest {
-    /// A node, or a file with the bytes of a result; none for all results of the run.
-    pub subject: Option<String>,
-    /// File of the private key, PEM.
-    pub key: PathBuf,
-    /// Number of the run; none for the last one.
-    pub run: Option<u64>,
-}
-
 /// A signed statement.
 #[derive(Debug, Clone)]
 pub struct Attestation {
@@ -34,15 +23,21 @@ pub struct Attestation {
     pub key_id: String,
 }
 
-/// Signs a statement.
+/// Signs a statement on a run, by default the newest whole one, with the private key in a file (PEM). `subject` is a node or a file with the
+/// bytes of a result, by default all results of the run.
 ///
 /// # Errors
 /// A key, a run or a result that is not there.
-pub fn attest(context: &Context, request: &AttestRequest) -> Result<Attestation, Error> {
-    let key = signing_key(&request.key)?;
+pub fn attest(
+    context: &Context,
+    subject: Option<&str>,
+    key: &Path,
+    run: Option<u64>,
+) -> Result<Attestation, Error> {
+    let key = signing_key(key)?;
     let store = context.existing_store()?;
-    let run = Run::new(&store, whole_run(context, &store, request.run)?)?;
-    let statement = match &request.subject {
+    let run = Run::new(&store, whole_run(context, &store, run)?)?;
+    let statement = match subject {
         None => on_run(&run)?,
         Some(subject) => on_result(&run, subject)?,
     };

@@ -72,7 +72,7 @@ pub fn export(context: &Context, request: &CamerasRequest) -> Result<CamerasResu
     let all = CameraFiles::from_node(node_named(&record, &added.name)?);
     for (file, digest) in all.models.iter().chain(&all.photos) {
         session.check()?;
-        outputs::one(&session, &record, digest, &request.out.join(file))?;
+        outputs::one(&session.store, &record, digest, &request.out.join(file))?;
     }
     let files = all.models.iter().chain(&all.photos);
     Ok(CamerasResult {

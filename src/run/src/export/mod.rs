@@ -6,7 +6,7 @@ mod crates;
 mod surface;
 mod verify;
 
-pub use attest::{AttestRequest, Attestation, attest};
+pub use attest::{Attestation, attest};
 pub use crates::{CrateRequest, CrateResult, export as export_crate};
 pub use surface::{SurfaceKind, SurfaceRequest, SurfaceResult, export as export_surface};
-pub use verify::{VerifyRequest, VerifyResult, open_crate, verify_crate, verify_path, without_faults};
+pub use verify::{Statement, VerifyResult, open_crate, verify_crate, verify_path, without_faults};

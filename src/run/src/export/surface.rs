@@ -113,7 +113,7 @@ pub fn export(context: &Context, request: &SurfaceRequest) -> Result<SurfaceResu
             .unwrap_or_default(),
     );
     for (name, path) in &files {
-        outputs::one(&session, &record, &digest(node, name)?, path)?;
+        outputs::one(&session.store, &record, &digest(node, name)?, path)?;
     }
     Ok(SurfaceResult {
         files: files.into_iter().map(|(_, path)| path).collect(),

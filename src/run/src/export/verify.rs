@@ -1,26 +1,17 @@
 //! Checks exports, without a store.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use marf_export::dsse::Envelope;
 use marf_export::subjects_in;
 use marf_export::verify::{OpenCrate, OpenError, Report, verify};
 use marf_keys::PublicKey;
+use serde::Serialize;
 
 use crate::copies::object_of;
 use crate::error::{Diagnostic, Error};
 use crate::trust::public_key;
-
-/// An export to check.
-#[derive(Debug, Clone)]
-pub struct VerifyRequest {
-    /// The folder of a crate, or the file of a statement.
-    pub path: PathBuf,
-    /// File of the public key that its signature is checked with, PEM.
-    pub key: Option<PathBuf>,
-    /// Files that the statement must be about.
-    pub subjects: Vec<PathBuf>,
-}
 
 /// What was checked.
 #[derive(Debug)]
@@ -28,21 +19,26 @@ pub enum VerifyResult {
     /// A crate, which may have faults: see [`without_faults`].
     Crate(Report),
     /// A statement that is signed by the key.
-    Statement {
-        /// The files of the request by their names in the statement.
-        found: Vec<(PathBuf, String)>,
-        /// How many files the statement is about.
-        subjects: usize,
-    },
+    Statement(Statement),
 }
 
-/// Checks a crate or a statement.
+/// A statement that is signed by a key.
+#[derive(Debug, Serialize)]
+pub struct Statement {
+    /// The files that it must be about, by their names in it.
+    pub found: BTreeMap<String, PathBuf>,
+    /// How many files it is about.
+    pub subjects: usize,
+}
+
+/// Checks the folder of a crate or the file of a statement, its signature with the public key in a file (PEM). `subjects` are files that
+/// the statement must be about.
 ///
 /// # Errors
 /// Something that is neither; a statement that does not hold.
-pub fn verify_path(request: &VerifyRequest) -> Result<VerifyResult, Error> {
-    let key = request.key.as_deref().map(public_key).transpose()?;
-    if request.path.is_file() {
+pub fn verify_path(path: &Path, key: Option<&Path>, subjects: &[PathBuf]) -> Result<VerifyResult, Error> {
+    let key = key.map(public_key).transpose()?;
+    if path.is_file() {
         let key = key.ok_or_else(|| {
             Error::Usage(
                 Diagnostic::new(
@@ -51,12 +47,12 @@ pub fn verify_path(request: &VerifyRequest) -> Result<VerifyResult, Error> {
                 .hint("`openssl pkey -in KEY.pem -pubout -out PUB.pem` writes it"),
             )
         })?;
-        return verify_statement(request, &key);
+        return Ok(VerifyResult::Statement(verify_statement(path, &key, subjects)?));
     }
-    if !request.subjects.is_empty() {
+    if !subjects.is_empty() {
         return Err(Error::usage("--subject goes with a statement, not with a crate"));
     }
-    let report = verify(&request.path, key.as_ref()).map_err(open_error)?;
+    let report = verify(path, key.as_ref()).map_err(open_error)?;
     Ok(VerifyResult::Crate(report))
 }
 
@@ -102,24 +98,23 @@ fn open_error(error: OpenError) -> Error {
 }
 
 /// Checks a statement: its signature, and that it is about the files named.
-fn verify_statement(request: &VerifyRequest, key: &PublicKey) -> Result<VerifyResult, Error> {
-    let refuse =
-        |error: String| Error::altered(Diagnostic::new(format!("{}: {error}", request.path.display())));
-    let bytes = std::fs::read(&request.path).map_err(|error| refuse(error.to_string()))?;
-    let envelope = Envelope::decode(&bytes)
-        .map_err(|error| Error::usage(format!("{}: {error}", request.path.display())))?;
+fn verify_statement(path: &Path, key: &PublicKey, files: &[PathBuf]) -> Result<Statement, Error> {
+    let refuse = |error: String| Error::altered(Diagnostic::new(format!("{}: {error}", path.display())));
+    let bytes = std::fs::read(path).map_err(|error| refuse(error.to_string()))?;
+    let envelope =
+        Envelope::decode(&bytes).map_err(|error| Error::usage(format!("{}: {error}", path.display())))?;
     let statement = envelope.verify(key).map_err(|error| refuse(error.to_string()))?;
     let subjects = subjects_in(&statement).ok_or_else(|| refuse("it is no in-toto statement".to_owned()))?;
-    let mut found = Vec::new();
-    for file in &request.subjects {
+    let mut found = BTreeMap::new();
+    for file in files {
         let bytes = std::fs::read(file)
             .map_err(|error| Error::usage(format!("{} cannot be read: {error}", file.display())))?;
         let sha256 = marf_cache::Sha256::from_content(&object_of(bytes));
         let subject = subjects.iter().find(|(_, digest)| *digest == sha256);
         let (name, _) = subject.ok_or_else(|| refuse(format!("it is not about {}", file.display())))?;
-        found.push((file.clone(), name.to_string()));
+        found.insert(name.to_string(), file.clone());
     }
-    Ok(VerifyResult::Statement {
+    Ok(Statement {
         found,
         subjects: subjects.len(),
     })

@@ -4,4 +4,4 @@ mod plan;
 mod request;
 mod target;
 
-pub use request::{ReplayReport, ReplayRequest, differs, is_equal, is_missing, replay};
+pub use request::{ReplayReport, differs, is_equal, is_missing, replay};

@@ -14,15 +14,6 @@ use crate::context::{Context, open_store};
 use crate::error::{Answer, Diagnostic, Error};
 use crate::program;
 
-/// What to make again.
-#[derive(Debug, Clone)]
-pub struct ReplayRequest {
-    /// Number of a run, a node of the last run, or a file that a run made; none for the last run.
-    pub what: Option<String>,
-    /// Folder for the store of the replay, which is kept; none for a temporary one.
-    pub scratch: Option<PathBuf>,
-}
-
 /// What came of a replay.
 #[derive(Debug, Serialize)]
 pub struct ReplayReport {
@@ -34,22 +25,23 @@ pub struct ReplayReport {
     pub nodes: Vec<Replayed>,
 }
 
-/// Makes a run, a node or what made a file again, and compares digests.
+/// Repeats a run and compares digests. `what` is the number of a run, a node of the last run or a file that a run wrote, by default the
+/// last run. `scratch` is the folder for the store of the replay, which is kept, by default a temporary one.
 ///
 /// # Errors
 /// What is needed and not there, a folder that is not empty, a run that fails.
-pub fn replay(context: &Context, request: &ReplayRequest) -> Result<ReplayReport, Error> {
+pub fn replay(context: &Context, what: Option<&str>, scratch: Option<&Path>) -> Result<ReplayReport, Error> {
     let store = context.existing_store()?;
-    let Target { run, node } = target(context, &store, request.what.as_deref())?;
+    let Target { run, node } = target(context, &store, what)?;
     let lineage = Run::new(&store, run)?;
     let nodes = match &node {
         Some(node) => lineage.upstream(node),
         None => lineage.nodes.iter().collect(),
     };
-    let temporary = request.scratch.is_none().then(tempfile::tempdir).transpose();
+    let temporary = scratch.is_none().then(tempfile::tempdir).transpose();
     let temporary = temporary.map_err(|error| Error::failed(error.to_string()))?;
-    let dir = match (&request.scratch, &temporary) {
-        (Some(dir), _) => dir.clone(),
+    let dir = match (scratch, &temporary) {
+        (Some(dir), _) => dir.to_owned(),
         (None, Some(temporary)) => temporary.path().join("store"),
         (None, None) => PathBuf::new(),
     };
