@@ -57,8 +57,7 @@ def fit(marf: str, photos: str, budget: str, keys: dict) -> dict:
         if not errors:
             sys.exit(f"{' '.join(command)} ended with {ran.returncode} and no error:\n{ran.stderr}")
         return {"refused": errors[-1]}
-    # Events are a line each; the answer is the one that begins with a line of its own.
-    (fitted,) = json.loads("{" + ran.stdout.partition("\n{\n")[2]).values()
+    (fitted,) = json.loads(ran.stdout).values()
     return {key: fitted[key] for key in ("psnr", "ssim", "steps", "train_seconds", "peak_mb")}
 
 

@@ -172,9 +172,15 @@ fn what_is_not_there_is_told_with_the_way_out() {
     marf(&here, &["run"]).exits(0);
     world.cache(&here, &["push"]).exits(0);
     let url = world.url();
+    let pipeline = std::fs::read_to_string(there.join("pipeline.toml")).unwrap();
+    std::fs::write(
+        there.join("other.toml"),
+        pipeline.replacen("name = ", "name = \"other\" # ", 1),
+    )
+    .unwrap();
     let ran = marf(
         &there,
-        &["--set", "name=other", "cache", "pull", "--remote", &url],
+        &["cache", "pull", "--file", "other.toml", "--remote", &url],
     )
     .exits(1);
     assert!(

@@ -6,7 +6,7 @@ use marf_run::calibrate::{CalibrateRequest, CalibrateResult};
 use marf_run::{Context, Error};
 use marf_scene::Scene;
 
-use super::options::{FolderArgs, JsonArg};
+use super::options::FolderArgs;
 use super::output::print_json;
 use crate::terminal::{escape_control, print_line};
 
@@ -25,8 +25,6 @@ pub struct CalibrateArgs {
     /// Source of the cameras
     #[arg(long, value_parser = METHODS.map(|(name, about)| PossibleValue::new(name).help(about)), default_value = METHODS[0].0)]
     pub method: String,
-    #[command(flatten)]
-    json: JsonArg,
     #[command(flatten)]
     folder: FolderArgs,
 }
@@ -52,7 +50,7 @@ pub fn calibrate(args: CalibrateArgs, context: Context) -> Result<(), Error> {
         method: args.method,
     };
     let result = marf_run::calibrate::calibrate(&args.folder.context(context), &request)?;
-    if args.json.json {
+    if args.folder.json {
         return print_json(&result.metrics);
     }
     print_line(&table(&result));

@@ -8,7 +8,7 @@ use marf_run::compare::{CompareRequest, REPORT};
 use marf_run::{Context, Diagnostic, Error};
 use marf_schema::changes::{Change, ChangesParams, ChangesReport};
 
-use super::options::{JsonArg, ResultArgs, word};
+use super::options::{ResultArgs, word};
 use super::output::print_json;
 use crate::terminal::print_line;
 
@@ -44,8 +44,6 @@ pub struct CompareArgs {
     #[arg(long, value_name = "METRES")]
     pub cell: Option<f64>,
     #[command(flatten)]
-    json: JsonArg,
-    #[command(flatten)]
     results: ResultArgs,
 }
 
@@ -76,7 +74,7 @@ pub fn compare(args: CompareArgs, context: Context) -> Result<(), Error> {
         cell: args.cell,
     };
     let result = marf_run::compare::compare(&args.results.context(context), &request)?;
-    if args.json.json {
+    if args.results.json {
         return print_json(&result);
     }
     text(&result.changes).iter().for_each(|line| print_line(line));

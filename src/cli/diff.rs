@@ -4,7 +4,7 @@ use clap::Args;
 use marf_run::diff::RunNames;
 use marf_run::{Context, Error};
 
-use super::options::{JsonArg, StoreArgs};
+use super::options::RecordArgs;
 use super::output::print_json;
 use crate::terminal::{escape_control, print_line};
 
@@ -16,15 +16,13 @@ pub struct DiffArgs {
     /// Number of the second run
     pub second: u64,
     #[command(flatten)]
-    json: JsonArg,
-    #[command(flatten)]
-    store: StoreArgs,
+    record: RecordArgs,
 }
 
 /// `marf diff`: prints parameters, products, metrics and pictures that differ between two runs.
 pub fn diff(args: DiffArgs, context: Context) -> Result<(), Error> {
-    let diff = marf_run::diff::diff(&args.store.context(context), args.first, args.second)?;
-    if args.json.json {
+    let diff = marf_run::diff::diff(&args.record.context(context), args.first, args.second)?;
+    if args.record.json {
         return print_json(&diff);
     }
     let names = RunNames {

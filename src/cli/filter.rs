@@ -5,7 +5,7 @@ use marf_report::{FACTORS, calls, percent};
 use marf_run::filter::{FilterCalls, FilterRequest};
 use marf_run::{Context, Error};
 
-use super::options::{FolderArgs, JsonArg};
+use super::options::FolderArgs;
 use super::output::print_json;
 use crate::terminal::{eprint_line, print_line};
 
@@ -24,8 +24,6 @@ pub struct FilterArgs {
     #[arg(long, value_name = "ID")]
     pub reject: Vec<String>,
     #[command(flatten)]
-    json: JsonArg,
-    #[command(flatten)]
     folder: FolderArgs,
 }
 
@@ -38,7 +36,7 @@ pub fn filter(args: FilterArgs, context: Context) -> Result<(), Error> {
         reject: args.reject,
     };
     let result = marf_run::filter::filter(&args.folder.context(context), &request)?;
-    if args.json.json {
+    if args.folder.json {
         return print_json(&result.counts);
     }
     for (name, count) in &result.counts {

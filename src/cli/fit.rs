@@ -5,7 +5,7 @@ use marf_run::fit::{FitRequest, FitScores, FitTime};
 use marf_run::{Context, Error};
 use marf_schema::train::Target;
 
-use super::options::{DeviceArg, FolderArgs, JsonArg};
+use super::options::{DeviceArg, FolderArgs};
 use super::output::print_json;
 use crate::terminal::print_line;
 
@@ -37,8 +37,6 @@ pub struct FitArgs {
     #[arg(long, value_name = "SIZE", value_parser = ["scene", "fixed"], hide_possible_values = true, default_value = "scene")]
     pub fit: String,
     #[command(flatten)]
-    json: JsonArg,
-    #[command(flatten)]
     folder: FolderArgs,
     #[command(flatten)]
     device: DeviceArg,
@@ -57,7 +55,7 @@ pub fn fit(args: FitArgs, context: Context) -> Result<(), Error> {
         fit: args.fit,
     };
     let scores = marf_run::fit::fit(&context, &request)?;
-    if args.json.json {
+    if args.folder.json {
         return print_json(&scores);
     }
     scores

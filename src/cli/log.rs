@@ -4,7 +4,7 @@ use marf_export::iso_time;
 use marf_progress::duration;
 use marf_run::{Context, Error};
 
-use super::options::{JsonArg, StoreArgs};
+use super::options::RecordArgs;
 use super::output::print_json;
 use crate::terminal::print_line;
 
@@ -15,17 +15,15 @@ pub struct LogArgs {
     #[arg(short = 'n', long, default_value_t = 20)]
     last: usize,
     #[command(flatten)]
-    json: JsonArg,
-    #[command(flatten)]
-    store: StoreArgs,
+    record: RecordArgs,
 }
 
 /// `marf log`: the runs so far, the newest first.
 pub fn log(args: LogArgs, context: Context) -> Result<(), Error> {
-    let context = args.store.context(context);
+    let context = args.record.context(context);
     let runs = marf_engine::runs(&context.existing_store()?, context.warnings())?;
     let shown: Vec<_> = runs.iter().rev().take(args.last).collect();
-    if args.json.json {
+    if args.record.json {
         return print_json(&shown);
     }
     for run in shown {

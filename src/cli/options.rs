@@ -37,18 +37,6 @@ pub struct StoreArgs {
     store: Option<PathBuf>,
 }
 
-/// Values of nodes, and how their photos are read.
-#[derive(Debug, Clone, Args)]
-#[command(next_help_heading = "Values and photos")]
-pub struct ValueArgs {
-    /// Override a value, e.g. `blur.min_share=0.6` or `archive.demo.sols=1..=3`
-    #[arg(long = "set", value_name = "NODE.KEY=VALUE")]
-    sets: Vec<String>,
-    /// Re-read every file of a folder, even if its size and mtime are unchanged
-    #[arg(long)]
-    rehash: bool,
-}
-
 /// Cores.
 #[derive(Debug, Clone, Args)]
 #[command(next_help_heading = "Computation")]
@@ -68,16 +56,55 @@ pub struct DeviceArg {
     device: Option<Device>,
 }
 
-/// What may be asked of archives on servers.
+/// Values of nodes, and how their photos are read.
 #[derive(Debug, Clone, Args)]
-#[command(next_help_heading = "Archives on servers")]
-pub struct AccessArgs {
-    /// Fetch exactly the products that marf.lock lists; fail if their bytes differ
+#[command(next_help_heading = "Nodes")]
+pub struct NodeArgs {
+    /// Override a value, e.g. `blur.min_share=0.6` or `archive.demo.sols=1..=3`
+    #[arg(long = "set", value_name = "NODE.KEY=VALUE")]
+    sets: Vec<String>,
+    /// Re-read every file of a folder, even if its size and mtime are unchanged
     #[arg(long)]
-    locked: bool,
-    /// Like --locked, but open no connection
+    rehash: bool,
+    #[command(flatten)]
+    threads: ThreadsArg,
+}
+
+/// Options of verbs that print what the store has.
+#[derive(Debug, Clone, Args)]
+pub struct RecordArgs {
+    /// Print one JSON document to stdout
     #[arg(long)]
-    offline: bool,
+    pub json: bool,
+    #[command(flatten)]
+    store: StoreArgs,
+}
+
+/// Options of verbs that compute something from the results of a run.
+#[derive(Debug, Clone, Args)]
+pub struct ResultArgs {
+    /// Print one JSON document to stdout
+    #[arg(long)]
+    pub json: bool,
+    #[command(flatten)]
+    store: StoreArgs,
+    #[command(flatten)]
+    threads: ThreadsArg,
+    #[command(flatten)]
+    device: DeviceArg,
+}
+
+/// Options of verbs that run a pipeline of their own on the photos of a folder.
+#[derive(Debug, Clone, Args)]
+pub struct FolderArgs {
+    /// Print one JSON document to stdout
+    #[arg(long)]
+    pub json: bool,
+    /// Folder of the store [default: .marf]
+    #[arg(long, value_name = "DIR")]
+    store: Option<PathBuf>,
+    #[command(flatten)]
+    nodes: NodeArgs,
 }
 
 /// Options of verbs that plan or run a pipeline.
@@ -86,49 +113,15 @@ pub struct PipelineArgs {
     #[command(flatten)]
     store: StoreArgs,
     #[command(flatten)]
-    values: ValueArgs,
-    #[command(flatten)]
-    access: AccessArgs,
-    #[command(flatten)]
-    compute: ComputeArgs,
-}
-
-/// Options of verbs that run a pipeline of their own on the photos of a folder.
-#[derive(Debug, Clone, Args)]
-pub struct FolderArgs {
-    /// Folder of the store [default: .marf]
-    #[arg(long, value_name = "DIR", help_heading = "Pipeline and store")]
-    store: Option<PathBuf>,
-    #[command(flatten)]
-    values: ValueArgs,
-    #[command(flatten)]
-    threads: ThreadsArg,
-}
-
-/// Options of verbs that compute something from the results of a run.
-#[derive(Debug, Clone, Args)]
-pub struct ResultArgs {
-    #[command(flatten)]
-    store: StoreArgs,
-    #[command(flatten)]
-    compute: ComputeArgs,
-}
-
-/// Cores and device.
-#[derive(Debug, Clone, Args)]
-pub struct ComputeArgs {
-    #[command(flatten)]
-    threads: ThreadsArg,
+    nodes: NodeArgs,
     #[command(flatten)]
     device: DeviceArg,
-}
-
-/// The form of the result.
-#[derive(Debug, Clone, Copy, Args)]
-pub struct JsonArg {
-    /// Print one JSON document to stdout
-    #[arg(long)]
-    pub json: bool,
+    /// Fetch exactly the products that marf.lock lists; fail if their bytes differ
+    #[arg(long, help_heading = "Archives on servers")]
+    locked: bool,
+    /// Like --locked, but open no connection
+    #[arg(long, help_heading = "Archives on servers")]
+    offline: bool,
 }
 
 /// Which nodes.
@@ -156,83 +149,74 @@ impl From<SelectionArgs> for Selection {
 }
 
 impl StoreArgs {
-    /// Returns the context of a verb that reads the results of a pipeline.
-    pub fn context(self, context: Context) -> Context {
+    /// Sets pipeline and store of a context.
+    pub fn context(&self, context: Context) -> Context {
         Context {
-            file: self.file,
-            store: self.store,
+            file: self.file.clone(),
+            store: self.store.clone(),
             ..context
         }
-    }
-}
-
-impl ValueArgs {
-    /// Returns the context of a verb that runs nodes with other values.
-    pub fn context(self, mut context: Context) -> Context {
-        context.sets = self.sets;
-        context.config.rehash = self.rehash;
-        context
     }
 }
 
 impl ThreadsArg {
-    /// Returns the context of a verb that computes on the CPU.
-    pub fn context(self, context: Context) -> Context {
-        Context {
-            threads: self.threads,
-            ..context
-        }
+    /// Sets the number of cores of a context.
+    pub fn context(&self, context: Context) -> Context {
+        let threads = self.threads;
+        Context { threads, ..context }
     }
 }
 
 impl DeviceArg {
-    /// Returns the context of a verb that trains or renders.
-    pub fn context(self, mut context: Context) -> Context {
-        context.config.device = self.device;
+    /// Sets the device of a context.
+    pub fn context(&self, mut context: Context) -> Context {
+        context.config.device.clone_from(&self.device);
         context
     }
 }
 
-impl AccessArgs {
-    fn context(self, mut context: Context) -> Context {
-        context.config.access = if self.offline {
-            Access::Offline
-        } else if self.locked {
-            Access::Locked
-        } else {
-            Access::Online
-        };
-        context
-    }
-}
-
-impl ComputeArgs {
-    fn context(self, context: Context) -> Context {
-        self.device.context(self.threads.context(context))
-    }
-}
-
-impl PipelineArgs {
-    /// Returns the context of a verb that plans or runs a pipeline.
-    pub fn context(self, context: Context) -> Context {
-        let context = self.values.context(self.store.context(context));
-        self.compute.context(self.access.context(context))
-    }
-}
-
-impl FolderArgs {
-    /// Returns the context of a verb on the photos of a folder.
-    pub fn context(self, context: Context) -> Context {
-        let store = self.store;
-        let context = self.values.context(Context { store, ..context });
+impl NodeArgs {
+    /// Sets values, cores, and how photos are read.
+    pub fn context(&self, mut context: Context) -> Context {
+        context.sets.clone_from(&self.sets);
+        context.config.rehash = self.rehash;
         self.threads.context(context)
     }
 }
 
+impl RecordArgs {
+    /// Sets pipeline and store of a context.
+    pub fn context(&self, context: Context) -> Context {
+        self.store.context(context)
+    }
+}
+
 impl ResultArgs {
-    /// Returns the context of a verb that computes something from the results of a run.
-    pub fn context(self, context: Context) -> Context {
-        self.compute.context(self.store.context(context))
+    /// Sets all options of a context.
+    pub fn context(&self, context: Context) -> Context {
+        let context = self.threads.context(self.store.context(context));
+        self.device.context(context)
+    }
+}
+
+impl FolderArgs {
+    /// Sets all options of a context.
+    pub fn context(&self, context: Context) -> Context {
+        let store = self.store.clone();
+        self.nodes.context(Context { store, ..context })
+    }
+}
+
+impl PipelineArgs {
+    /// Sets all options of a context.
+    pub fn context(&self, context: Context) -> Context {
+        let mut context = self.nodes.context(self.store.context(context));
+        context.config.access = match self {
+            Self { offline: true, .. } => Access::Offline,
+            Self { locked: true, .. } => Access::Locked,
+            _ => Access::Online,
+        };
+        self.device.context(context)
     }
 }
 

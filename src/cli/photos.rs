@@ -5,7 +5,7 @@ use marf_run::photos::{PhotoLine, UnreadFile};
 use marf_run::{Context, Error};
 use marf_scene::CameraPrior;
 
-use super::options::{JsonArg, StoreArgs, ThreadsArg, ValueArgs};
+use super::options::{NodeArgs, RecordArgs};
 use super::output::print_json;
 use crate::terminal::print_line;
 
@@ -18,21 +18,16 @@ pub struct PhotosArgs {
     #[arg(long, default_value = "extract")]
     node: String,
     #[command(flatten)]
-    json: JsonArg,
+    record: RecordArgs,
     #[command(flatten)]
-    store: StoreArgs,
-    #[command(flatten)]
-    values: ValueArgs,
-    #[command(flatten)]
-    threads: ThreadsArg,
+    nodes: NodeArgs,
 }
 
 /// `marf photos [DIR]`: what was read of every photo, of a folder or of the pipeline's newest run, and which files were not read.
 pub fn photos(args: PhotosArgs, context: Context) -> Result<(), Error> {
-    let context = args.values.context(args.store.context(context));
-    let context = args.threads.context(context);
+    let context = args.nodes.context(args.record.context(context));
     let table = marf_run::photos::photos(&context, args.dir.as_deref(), &args.node)?;
-    if args.json.json {
+    if args.record.json {
         return print_json(&table);
     }
     print_line(

@@ -5,7 +5,7 @@ use marf_run::plan::WhyRequest;
 use marf_run::{Context, Error};
 use serde::Serialize;
 
-use super::options::{JsonArg, PipelineArgs, SelectionArgs};
+use super::options::{PipelineArgs, SelectionArgs};
 use super::output::print_json;
 use crate::terminal::print_line;
 
@@ -14,8 +14,9 @@ use crate::terminal::print_line;
 pub struct PlanArgs {
     #[command(flatten)]
     selection: SelectionArgs,
-    #[command(flatten)]
-    json: JsonArg,
+    /// Print one JSON document to stdout
+    #[arg(long)]
+    json: bool,
     #[command(flatten)]
     pipeline: PipelineArgs,
 }
@@ -28,8 +29,9 @@ pub struct WhyArgs {
     /// List every photo that was added, edited or removed
     #[arg(long)]
     files: bool,
-    #[command(flatten)]
-    json: JsonArg,
+    /// Print one JSON document to stdout
+    #[arg(long)]
+    json: bool,
     #[command(flatten)]
     pipeline: PipelineArgs,
 }
@@ -60,7 +62,7 @@ impl<'a> Row<'a> {
 /// `marf plan`: the state of every node and the first thing that changed.
 pub fn plan(args: PlanArgs, context: Context) -> Result<(), Error> {
     let nodes = marf_run::plan::plan(&args.pipeline.context(context), &args.selection.into())?;
-    if args.json.json {
+    if args.json {
         let rows: Vec<Row<'_>> = nodes.iter().map(Row::new).collect();
         return print_json(&rows);
     }
@@ -121,7 +123,7 @@ pub fn why(args: WhyArgs, context: Context) -> Result<(), Error> {
         with_photos: args.files,
     };
     let planned = marf_run::plan::why(&args.pipeline.context(context), &request)?;
-    if args.json.json {
+    if args.json {
         return print_json(&planned);
     }
     print_line(&format!(

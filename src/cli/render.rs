@@ -8,7 +8,7 @@ use marf_run::{Context, Error};
 use marf_schema::render::Layer;
 use marf_schema::video::{Codec, VideoParams};
 
-use super::options::{JsonArg, ResultArgs, word};
+use super::options::{ResultArgs, word};
 use super::output::print_json;
 use crate::terminal::print_line;
 
@@ -48,8 +48,6 @@ pub struct RenderArgs {
     /// Quantiser of the film, from 12 (best quality, largest file) to 51
     #[arg(long, value_name = "QP", default_value_t = VideoParams::default().quantizer)]
     pub quantizer: u32,
-    #[command(flatten)]
-    json: JsonArg,
     #[command(flatten)]
     results: ResultArgs,
 }
@@ -94,7 +92,7 @@ pub fn render(args: RenderArgs, context: Context) -> Result<(), Error> {
         quantizer: args.quantizer,
     };
     let result = marf_run::render::render(&args.results.context(context), &request)?;
-    if args.json.json {
+    if args.results.json {
         return print_json(&result);
     }
     print_line(&text(&request.outputs, &result));

@@ -8,7 +8,7 @@ use marf_provenance::replay::{NotMade, Replayed};
 use marf_run::replay::{ReplayReport, differs, is_equal, is_missing};
 use marf_run::{Context, Error};
 
-use super::options::{JsonArg, StoreArgs, ThreadsArg};
+use super::options::{RecordArgs, ThreadsArg};
 use super::output::print_json;
 use crate::terminal::{escape_control, print_line};
 
@@ -23,9 +23,7 @@ pub struct ReplayArgs {
     #[arg(long, value_name = "DIR")]
     pub scratch: Option<PathBuf>,
     #[command(flatten)]
-    json: JsonArg,
-    #[command(flatten)]
-    store: StoreArgs,
+    record: RecordArgs,
     #[command(flatten)]
     threads: ThreadsArg,
 }
@@ -38,9 +36,9 @@ differs, 9 no digest differs, but something could not be repeated here (it ran o
 
 /// `marf replay`: runs a run, a node or what made a file again, and compares digests.
 pub fn replay(args: ReplayArgs, context: Context) -> Result<(), Error> {
-    let context = args.threads.context(args.store.context(context));
+    let context = args.threads.context(args.record.context(context));
     let report = marf_run::replay::replay(&context, args.what.as_deref(), args.scratch.as_deref())?;
-    if args.json.json {
+    if args.record.json {
         print_json(&report)?;
     } else {
         print_line(&escape_control(&text(&report)));

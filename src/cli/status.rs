@@ -7,7 +7,7 @@ use marf_run::scenes::parent_of;
 use marf_run::status::{self, RunningProgram};
 use marf_run::{Context, Error};
 
-use super::options::{JsonArg, StoreArgs};
+use super::options::RecordArgs;
 use super::output::print_json;
 use crate::terminal::print_line;
 
@@ -15,16 +15,14 @@ use crate::terminal::print_line;
 #[derive(Debug, Clone, Args)]
 pub struct StatusArgs {
     #[command(flatten)]
-    json: JsonArg,
-    #[command(flatten)]
-    store: StoreArgs,
+    record: RecordArgs,
 }
 
 /// `marf status`: the running programs of the pipeline, the nodes of the last one that was started first; or the nodes of the newest run.
 pub fn status(args: StatusArgs, context: Context) -> Result<(), Error> {
-    let context = &args.store.context(context);
+    let context = &args.record.context(context);
     let store = context.existing_store()?;
-    if args.json.json {
+    if args.record.json {
         return print_json(&status::newest_run(context, &store)?);
     }
     if let Some(text) = running_text(&status::running(context, &store)?) {

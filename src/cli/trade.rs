@@ -7,7 +7,7 @@ use marf_engine::document;
 use marf_run::trade::TradeRequest;
 use marf_run::{Context, Error};
 
-use super::options::{JsonArg, PipelineArgs};
+use super::options::PipelineArgs;
 use super::output::print_json;
 use crate::terminal::{eprint_line, print_line};
 
@@ -38,8 +38,9 @@ pub struct TradeArgs {
     /// Folder for trade.json, trade.csv, front.svg, effects.svg and report.html
     #[arg(long, value_name = "DIR", default_value = "out/trade")]
     pub out: PathBuf,
-    #[command(flatten)]
-    json: JsonArg,
+    /// Print one JSON document to stdout
+    #[arg(long)]
+    json: bool,
     #[command(flatten)]
     pipeline: PipelineArgs,
 }
@@ -62,7 +63,7 @@ pub fn trade(args: TradeArgs, context: Context) -> Result<(), Error> {
         out: args.out,
     };
     let trade = marf_run::trade::trade(&args.pipeline.context(context), &request)?;
-    if args.json.json {
+    if args.json {
         return print_json(&trade);
     }
     trade

@@ -7,7 +7,6 @@ use marf_export::verify::{Report, Signature};
 use marf_run::Error;
 use marf_run::export::{Statement, VerifyResult, verify_path, without_faults};
 
-use super::options::JsonArg;
 use super::output::print_json;
 use crate::terminal::{escape_control, print_line};
 
@@ -23,22 +22,23 @@ pub struct VerifyArgs {
     /// File that the statement must be about
     #[arg(long, value_name = "FILE")]
     pub subject: Vec<PathBuf>,
-    #[command(flatten)]
-    json: JsonArg,
+    /// Print one JSON document to stdout
+    #[arg(long)]
+    json: bool,
 }
 
 /// `marf verify`.
 pub fn verify(args: &VerifyArgs) -> Result<(), Error> {
     match verify_path(&args.path, args.key.as_deref(), &args.subject)? {
         VerifyResult::Crate(report) => {
-            if args.json.json {
+            if args.json {
                 print_json(&report)?;
             } else {
                 print_report(&report);
             }
             without_faults(&args.path, &report)
         }
-        VerifyResult::Statement(statement) if args.json.json => print_json(&statement),
+        VerifyResult::Statement(statement) if args.json => print_json(&statement),
         VerifyResult::Statement(Statement { found, subjects }) => {
             for (name, file) in found {
                 print_line(&format!("{} is {name}", file.display()));

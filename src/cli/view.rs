@@ -8,7 +8,7 @@ use marf_run::view::StoreSource;
 use marf_run::{Context, Error};
 use marf_view::{Options, Server};
 
-use super::options::ResultArgs;
+use super::options::{DeviceArg, StoreArgs, ThreadsArg};
 use crate::terminal::{eprint_line, print_line};
 
 /// Arguments of `view`.
@@ -31,7 +31,11 @@ pub struct ViewArgs {
     #[arg(long, value_name = "PATH")]
     pub prefix: Option<String>,
     #[command(flatten)]
-    results: ResultArgs,
+    store: StoreArgs,
+    #[command(flatten)]
+    threads: ThreadsArg,
+    #[command(flatten)]
+    device: DeviceArg,
 }
 
 const AFTER_HELP: &str = "\
@@ -40,7 +44,8 @@ then open http://127.0.0.1:8460/ there. The 3-D view is rendered here, on the CP
 
 /// `marf view`: serves until Ctrl-C.
 pub fn view(args: ViewArgs, context: Context) -> Result<(), Error> {
-    let context = args.results.context(context);
+    let context = args.threads.context(args.store.context(context));
+    let context = args.device.context(context);
     let source = StoreSource::open(&context, args.run)?;
     let options = Options {
         host: args.host,

@@ -15,6 +15,7 @@ mod errors;
 mod export;
 mod generated;
 mod help;
+mod json;
 mod log;
 mod photos;
 mod plan;

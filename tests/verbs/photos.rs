@@ -45,10 +45,18 @@ fn the_table_has_the_format_of_the_bytes_and_every_file_that_is_not_read() {
         assert!(said.stdout.contains(row), "{row}\n{}", said.stdout);
     }
     let told = marf(dir.path(), &["photos", "photos", "--json"]).exits(0);
-    let values = serde_json::Deserializer::from_str(&told.stdout).into_iter::<serde_json::Value>();
-    let table = values.last().unwrap().unwrap();
+    let table: serde_json::Value = serde_json::from_str(&told.stdout).unwrap();
     assert_eq!(table["photos"][1]["format"], "TIFF");
     assert_eq!(table["not_read"].as_array().unwrap().len(), 4);
+
+    // Without a pipeline file the newest run of a verb on a folder is meant.
+    assert_eq!(marf(dir.path(), &["photos"]).exits(0).stdout, said.stdout);
+    let none = marf(dir.path(), &["report"]).exits(1);
+    assert!(none.stderr.contains("keeps no report"), "{}", none.stderr);
+    marf(dir.path(), &["filter", "photos"]).exits(0);
+    marf(dir.path(), &["report"]).exits(0);
+    let report = |name: &str| std::fs::read(dir.path().join(name)).unwrap();
+    assert_eq!(report("report.html"), report("verdicts.html"));
 }
 
 #[test]

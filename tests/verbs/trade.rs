@@ -37,12 +37,7 @@ fn traded(dir: &Path, more: &[&str]) -> Value {
     let mut args = vec!["trade", "--seeds", "2", "--random", "1", "--json"];
     args.extend(more);
     let told = marf(dir, &args).exits(0).stdout;
-    let last = told
-        .lines()
-        .skip_while(|line| *line != "{")
-        .collect::<Vec<_>>()
-        .join("\n");
-    serde_json::from_str(&last).unwrap()
+    serde_json::from_str(&told).unwrap()
 }
 
 #[test]

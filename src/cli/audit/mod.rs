@@ -8,9 +8,8 @@ use clap::Args;
 use marf_provenance::taint::Tainted;
 use marf_run::audit::{self, AuditRequest};
 use marf_run::{Context, Error};
-use serde_json::json;
 
-use super::options::{JsonArg, StoreArgs};
+use super::options::RecordArgs;
 use super::output::print_json;
 use crate::terminal::{escape_control, print_line};
 
@@ -38,9 +37,7 @@ pub struct AuditArgs {
     #[arg(long, value_name = "PRODUCT")]
     pub from: Option<String>,
     #[command(flatten)]
-    json: JsonArg,
-    #[command(flatten)]
-    store: StoreArgs,
+    record: RecordArgs,
 }
 
 const AFTER_HELP: &str = "\
@@ -49,25 +46,25 @@ archive has changed a product since.";
 
 /// `marf audit`: who made a file, from which bytes.
 pub fn audit(args: AuditArgs, context: Context) -> Result<(), Error> {
-    let (context, json) = (&args.store.context(context), args.json);
+    let (context, record) = (&args.record.context(context), &args.record);
     match (args.path, args.in_crate, args.from) {
-        (Some(file), Some(folder), _) => in_crate(json, &file, &folder),
+        (Some(file), Some(folder), _) => in_crate(record, &file, &folder),
         (Some(file), None, _) => {
             let request = AuditRequest {
                 file,
                 verify: args.verify,
                 products: args.products,
             };
-            audit_file(json, &request, context)
+            audit_file(record, &request, context)
         }
-        (None, _, Some(product)) => from(json, &product, context),
+        (None, _, Some(product)) => from(record, &product, context),
         (None, _, None) => Err(Error::usage("name a file, or a product with --from".to_owned())),
     }
 }
 
-fn audit_file(json: JsonArg, request: &AuditRequest, context: &Context) -> Result<(), Error> {
+fn audit_file(record: &RecordArgs, request: &AuditRequest, context: &Context) -> Result<(), Error> {
     let report = audit::audit(context, request)?;
-    if json.json {
+    if record.json {
         print_json(&report)?;
     } else {
         print_line(escape_control(&tree::text(&report)).trim_end());
@@ -76,9 +73,9 @@ fn audit_file(json: JsonArg, request: &AuditRequest, context: &Context) -> Resul
 }
 
 /// Prints what the run of a crate says of a file.
-fn in_crate(json: JsonArg, file: &Path, folder: &Path) -> Result<(), Error> {
+fn in_crate(record: &RecordArgs, file: &Path, folder: &Path) -> Result<(), Error> {
     let trace = audit::trace(file, folder)?;
-    if json.json {
+    if record.json {
         return print_json(&trace);
     }
     print_line(escape_control(&trace.to_string()).trim_end());
@@ -86,10 +83,10 @@ fn in_crate(json: JsonArg, file: &Path, folder: &Path) -> Result<(), Error> {
 }
 
 /// Prints every run and node that a product went into, the newest run first.
-fn from(json: JsonArg, product: &str, context: &Context) -> Result<(), Error> {
+fn from(record: &RecordArgs, product: &str, context: &Context) -> Result<(), Error> {
     let uses = audit::uses(context, product)?;
-    if json.json {
-        print_json(&json!(uses))?;
+    if record.json {
+        print_json(&uses)?;
     } else {
         uses.runs
             .iter()

@@ -5,13 +5,13 @@ use std::time::Duration;
 use clap::{Args, Subcommand};
 use marf_run::Error;
 
-use crate::cli::options::{JsonArg, StoreArgs};
+use crate::cli::options::{RecordArgs, StoreArgs};
 
 /// Verbs of `cache`.
 #[derive(Debug, Clone, Subcommand)]
 pub enum CacheVerb {
     /// Count objects, bytes, records and runs, and results by stage
-    Stat(StatArgs),
+    Stat(RecordArgs),
     /// Remove data that no kept run, pin, lock file or running program needs
     Gc(GcArgs),
     /// Verify the stored data
@@ -38,15 +38,6 @@ pub enum CacheVerb {
     },
 }
 
-/// Arguments of `cache stat`.
-#[derive(Debug, Clone, Args)]
-pub struct StatArgs {
-    #[command(flatten)]
-    pub json: JsonArg,
-    #[command(flatten)]
-    pub store: StoreArgs,
-}
-
 /// Arguments of `cache gc`.
 #[derive(Debug, Clone, Args)]
 pub struct GcArgs {
@@ -66,9 +57,7 @@ pub struct GcArgs {
     #[arg(long, value_name = "URL", conflicts_with = "max_size")]
     pub remote: Option<Option<String>>,
     #[command(flatten)]
-    pub json: JsonArg,
-    #[command(flatten)]
-    pub store: StoreArgs,
+    pub record: RecordArgs,
 }
 
 /// Arguments of `cache push`.
@@ -82,9 +71,7 @@ pub struct PushArgs {
     #[arg(long, value_name = "URL")]
     pub remote: Option<String>,
     #[command(flatten)]
-    pub json: JsonArg,
-    #[command(flatten)]
-    pub store: StoreArgs,
+    pub record: RecordArgs,
 }
 
 /// Arguments of `cache pull`.
@@ -98,9 +85,7 @@ pub struct PullArgs {
     #[arg(long, value_name = "URL")]
     pub remote: Option<String>,
     #[command(flatten)]
-    pub json: JsonArg,
-    #[command(flatten)]
-    pub store: StoreArgs,
+    pub record: RecordArgs,
 }
 
 /// Arguments of `cache fsck`.
@@ -116,9 +101,7 @@ pub struct FsckArgs {
     #[arg(long, value_name = "URL")]
     pub remote: Option<Option<String>>,
     #[command(flatten)]
-    pub json: JsonArg,
-    #[command(flatten)]
-    pub store: StoreArgs,
+    pub record: RecordArgs,
 }
 
 impl GcArgs {

@@ -9,70 +9,54 @@ use marf_run::{Context, Diagnostic, Error};
 use serde::Serialize;
 use serde_json::{Value, json};
 
-use super::options::JsonArg;
+use super::options::RecordArgs;
 use super::output::print_json;
 use super::traffic::megabytes;
 use crate::terminal::{eprint_line, print_line};
-use args::{FsckArgs, GcArgs};
+use args::{FsckArgs, GcArgs, PullArgs, PushArgs};
 
 pub use args::CacheVerb;
 
 /// Runs a verb of `cache`.
 pub fn cache(verb: CacheVerb, context: Context) -> Result<(), Error> {
-    match verb {
-        CacheVerb::Stat(args) => with_store(&args.store.context(context), |store, _| stat(args.json, store)),
-        CacheVerb::Gc(args) => {
-            let context = args.store.clone().context(context);
-            if args.remote.is_some() {
-                return remote::gc(&args, args.grace()?, &context);
-            }
-            with_store(&context, |store, context| gc(store, &args, context))
-        }
-        CacheVerb::Fsck(args) => {
-            let context = args.store.clone().context(context);
-            if args.remote.is_some() {
-                return remote::fsck(&args, &context);
-            }
-            with_store(&context, |store, _| fsck(store, &args))
-        }
-        CacheVerb::Push(args) => {
-            let context = args.store.clone().context(context);
-            with_store(&context, |store, context| remote::push(store, &args, context))
-        }
-        CacheVerb::Pull(args) => {
-            let context = args.store.clone().context(context);
-            let store = context.open_store()?;
-            let done = remote::pull(&store, &args, &context);
-            store.take_warnings().into_iter().for_each(context.warnings());
-            done
-        }
-        CacheVerb::Pin { name, run, store } => with_store(&store.context(context), |store, context| {
-            let number = cache::pin(context, store, &name, run)?;
-            print_line(&format!("pinned run {number} as `{name}`"));
-            Ok(())
-        }),
-        CacheVerb::Unpin { name, store } => {
-            with_store(&store.context(context), |store, _| cache::unpin(store, &name))
-        }
-    }
-}
-
-/// Calls a verb with the store, which must exist, and prints the warnings of the store.
-fn with_store(
-    context: &Context,
-    verb: impl FnOnce(&Store, &Context) -> Result<(), Error>,
-) -> Result<(), Error> {
-    let store = context.existing_store()?;
-    let done = verb(&store, context);
+    let context = match &verb {
+        CacheVerb::Stat(record)
+        | CacheVerb::Gc(GcArgs { record, .. })
+        | CacheVerb::Fsck(FsckArgs { record, .. })
+        | CacheVerb::Push(PushArgs { record, .. })
+        | CacheVerb::Pull(PullArgs { record, .. }) => record.context(context),
+        CacheVerb::Pin { store, .. } | CacheVerb::Unpin { store, .. } => store.context(context),
+    };
+    let store = match &verb {
+        CacheVerb::Gc(args) if args.remote.is_some() => return remote::gc(args, args.grace()?, &context),
+        CacheVerb::Fsck(args) if args.remote.is_some() => return remote::fsck(args, &context),
+        CacheVerb::Pull(_) => context.open_store()?,
+        _ => context.existing_store()?,
+    };
+    let done = match verb {
+        CacheVerb::Stat(args) => stat(&args, &store),
+        CacheVerb::Gc(args) => gc(&store, &args, &context),
+        CacheVerb::Fsck(args) => fsck(&store, &args),
+        CacheVerb::Push(args) => remote::push(&store, &args, &context),
+        CacheVerb::Pull(args) => remote::pull(&store, &args, &context),
+        CacheVerb::Pin { name, run, .. } => pin(&store, &name, run, &context),
+        CacheVerb::Unpin { name, .. } => cache::unpin(&store, &name),
+    };
     store.take_warnings().into_iter().for_each(context.warnings());
     done
 }
 
+fn pin(store: &Store, name: &str, run: Option<u64>, context: &Context) -> Result<(), Error> {
+    let number = cache::pin(context, store, name, run)?;
+    print_line(&format!("pinned run {number} as `{name}`"));
+    Ok(())
+}
+
 /// `marf cache stat`: objects, bytes, records, runs, and what each stage holds.
-fn stat(format: JsonArg, store: &Store) -> Result<(), Error> {
+fn stat(args: &RecordArgs, store: &Store) -> Result<(), Error> {
     let (all, stages) = (store.stat()?, store.stat_by_stage()?);
     let mut json = to_json(&all)?;
-    if format.json {
+    if args.json {
         json["stages"] = to_json(&stages)?;
         return print_json(&json);
     }
@@ -105,7 +89,7 @@ fn gc(store: &Store, args: &GcArgs, context: &Context) -> Result<(), Error> {
         dry_run: args.dry_run,
     };
     let GcResult { report, runs } = cache::gc(context, store, &request)?;
-    if args.json.json {
+    if args.record.json {
         let mut json = to_json(&report)?;
         json["runs_removed"] = json!(runs);
         json["dry_run"] = json!(args.dry_run);
@@ -147,7 +131,7 @@ fn fsck(store: &Store, args: &FsckArgs) -> Result<(), Error> {
         repair: args.repair,
     };
     let report = store.fsck(options)?;
-    if args.json.json {
+    if args.record.json {
         print_json(&report)?;
     } else {
         for fault in &report.faults {

@@ -16,7 +16,7 @@ use crate::terminal::{eprint_line, print_line};
 /// `marf cache push`: sends a run.
 pub fn push(store: &Store, args: &PushArgs, context: &Context) -> Result<(), Error> {
     let pushed = SharedStore::open(context, args.remote.as_deref())?.push(store, args.run)?;
-    if args.json.json {
+    if args.record.json {
         return print_json(&json!(pushed));
     }
     print_line(&format!(
@@ -37,7 +37,7 @@ pub fn push(store: &Store, args: &PushArgs, context: &Context) -> Result<(), Err
 pub fn pull(store: &Store, args: &PullArgs, context: &Context) -> Result<(), Error> {
     let shared = SharedStore::open(context, args.remote.as_deref())?;
     let pulled = shared.pull(store, args.run.as_deref())?;
-    if args.json.json {
+    if args.record.json {
         return print_json(&json!(pulled));
     }
     print_line(&format!(
@@ -63,7 +63,7 @@ pub fn gc(args: &GcArgs, grace: Duration, context: &Context) -> Result<(), Error
         dry_run: args.dry_run,
     };
     let done = remote.gc(options)?;
-    if args.json.json {
+    if args.record.json {
         return print_json(&json!({"dry_run": args.dry_run, "collected": done, "traffic": remote.traffic()}));
     }
     let would = if args.dry_run { "would remove" } else { "removed" };
@@ -95,7 +95,7 @@ pub fn fsck(args: &FsckArgs, context: &Context) -> Result<(), Error> {
         repair: args.repair,
     };
     let checked = remote.fsck(options)?;
-    if args.json.json {
+    if args.record.json {
         print_json(&checked)?;
     } else {
         for fault in &checked.faults {

@@ -10,7 +10,7 @@ use marf_run::export::cameras::{self, CamerasRequest};
 use marf_run::export::{CrateRequest, SurfaceKind};
 use marf_run::{Context, Error};
 
-use super::options::{JsonArg, StoreArgs, ThreadsArg};
+use super::options::{RecordArgs, StoreArgs, ThreadsArg};
 use super::output::print_json;
 use crate::terminal::{eprint_line, print_line};
 use surface::{SplatsArgs, SurfaceArgs};
@@ -59,9 +59,7 @@ pub struct CrateArgs {
     #[arg(long, value_name = "FILE")]
     pub key: Option<PathBuf>,
     #[command(flatten)]
-    json: JsonArg,
-    #[command(flatten)]
-    store: StoreArgs,
+    record: RecordArgs,
 }
 
 /// Arguments of `export attest`.
@@ -99,9 +97,7 @@ pub struct CamerasArgs {
     #[arg(long, value_name = "NUMBER")]
     pub run: Option<u64>,
     #[command(flatten)]
-    json: JsonArg,
-    #[command(flatten)]
-    store: StoreArgs,
+    record: RecordArgs,
     #[command(flatten)]
     threads: ThreadsArg,
 }
@@ -125,7 +121,7 @@ pub fn export(verb: ExportVerb, context: Context) -> Result<(), Error> {
 }
 
 fn export_crate(args: CrateArgs, context: Context) -> Result<(), Error> {
-    let context = args.store.context(context);
+    let context = args.record.context(context);
     let request = CrateRequest {
         dir: args.dir,
         run: args.run,
@@ -143,7 +139,7 @@ fn export_crate(args: CrateArgs, context: Context) -> Result<(), Error> {
         key: args.key,
     };
     let written = marf_run::export::export_crate(&context, &request)?;
-    if args.json.json {
+    if args.record.json {
         return print_json(&written);
     }
     print_line(&format!(
@@ -171,7 +167,7 @@ fn attest(args: AttestArgs, context: Context) -> Result<(), Error> {
 }
 
 fn export_cameras(args: CamerasArgs, context: Context) -> Result<(), Error> {
-    let context = args.threads.context(args.store.context(context));
+    let context = args.threads.context(args.record.context(context));
     let request = CamerasRequest {
         node: args.node,
         out: args.out,
@@ -179,7 +175,7 @@ fn export_cameras(args: CamerasArgs, context: Context) -> Result<(), Error> {
         run: args.run,
     };
     let result = cameras::export(&context, &request)?;
-    if args.json.json {
+    if args.record.json {
         return print_json(&result);
     }
     let metres = result.metres_per_unit;

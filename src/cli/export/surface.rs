@@ -7,7 +7,7 @@ use marf_run::export::{SurfaceKind, SurfaceRequest, export_surface};
 use marf_run::{Context, Error};
 use marf_schema::surface::{ColorBy, SplatPsnr, SplatReport, SpreadOf, SurfaceReport};
 
-use crate::cli::options::{JsonArg, ResultArgs, word};
+use crate::cli::options::{ResultArgs, word};
 use crate::cli::output::print_json;
 use crate::terminal::print_line;
 
@@ -45,8 +45,6 @@ pub struct SurfaceArgs {
     #[arg(long, value_name = "METRES")]
     pub map_cell: Option<f64>,
     #[command(flatten)]
-    json: JsonArg,
-    #[command(flatten)]
     results: ResultArgs,
 }
 
@@ -81,7 +79,7 @@ impl SurfaceArgs {
             pictures,
         };
         let result = export_surface(&self.results.context(context), &request)?;
-        if self.json.json {
+        if self.results.json {
             return print_json(&result);
         }
         print_line(&text(kind, &result.surface));
