@@ -21,7 +21,7 @@ pub struct DiffArgs {
 
 /// `marf diff`: prints parameters, products, metrics and pictures that differ between two runs.
 pub fn diff(args: DiffArgs, context: Context) -> Result<(), Error> {
-    let diff = marf_run::diff::diff(&args.record.context(context), args.first, args.second)?;
+    let diff = marf_run::diff::diff(&args.record.store.context(context), args.first, args.second)?;
     if args.record.json {
         return print_json(&diff);
     }

@@ -20,7 +20,7 @@ pub struct LogArgs {
 
 /// `marf log`: the runs so far, the newest first.
 pub fn log(args: LogArgs, context: Context) -> Result<(), Error> {
-    let context = args.record.context(context);
+    let context = args.record.store.context(context);
     let runs = marf_engine::runs(&context.existing_store()?, context.warnings())?;
     let shown: Vec<_> = runs.iter().rev().take(args.last).collect();
     if args.record.json {

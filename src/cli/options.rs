@@ -77,7 +77,7 @@ pub struct RecordArgs {
     #[arg(long)]
     pub json: bool,
     #[command(flatten)]
-    store: StoreArgs,
+    pub store: StoreArgs,
 }
 
 /// Options of verbs that compute something from the results of a run.
@@ -181,13 +181,6 @@ impl NodeArgs {
         context.sets.clone_from(&self.sets);
         context.config.rehash = self.rehash;
         self.threads.context(context)
-    }
-}
-
-impl RecordArgs {
-    /// Sets pipeline and store of a context.
-    pub fn context(&self, context: Context) -> Context {
-        self.store.context(context)
     }
 }
 

@@ -36,7 +36,7 @@ differs, 9 no digest differs, but something could not be repeated here (it ran o
 
 /// `marf replay`: runs a run, a node or what made a file again, and compares digests.
 pub fn replay(args: ReplayArgs, context: Context) -> Result<(), Error> {
-    let context = args.threads.context(args.record.context(context));
+    let context = args.threads.context(args.record.store.context(context));
     let report = marf_run::replay::replay(&context, args.what.as_deref(), args.scratch.as_deref())?;
     if args.record.json {
         print_json(&report)?;

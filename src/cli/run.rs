@@ -5,7 +5,7 @@ use clap::{Args, ValueEnum};
 use marf_engine::{NodeState, Outcome, document};
 use marf_progress::duration;
 use marf_run::results::{result, state_word};
-use marf_run::run::{PipelineRun, RunRequest};
+use marf_run::run::PipelineRun;
 use marf_run::{Context, Error};
 
 use super::feedback::Terminal;
@@ -49,20 +49,13 @@ pub fn run(args: RunArgs, context: Context) -> Result<(), Error> {
     if args.json {
         context.feedback = Arc::new(Terminal::with_json_lines());
     }
-    let request = RunRequest {
-        selection: args.selection.into(),
-        out: args.out,
-        trace: args.trace,
-        site: args.batch_system.map(|_| args.site),
-    };
-    let run = marf_run::run::run(&context, &request)?;
+    let (out, trace) = (&args.out, args.trace.as_deref());
+    let site = args.batch_system.map(|_| args.site.as_path());
+    let run = marf_run::run::run(&context, &args.selection.into(), out, trace, site)?;
     if !args.json {
         print_line(&table(&run));
         if run.execution.record.outcome != Outcome::Cancelled {
-            eprint_line(&format!(
-                "report: {}",
-                request.out.join(document::REPORT).display()
-            ));
+            eprint_line(&format!("report: {}", out.join(document::REPORT).display()));
         }
     }
     run.execution.done().map(|_| ())

@@ -20,7 +20,7 @@ pub struct StatusArgs {
 
 /// `marf status`: the running programs of the pipeline, the nodes of the last one that was started first; or the nodes of the newest run.
 pub fn status(args: StatusArgs, context: Context) -> Result<(), Error> {
-    let context = &args.record.context(context);
+    let context = &args.record.store.context(context);
     let store = context.existing_store()?;
     if args.record.json {
         return print_json(&status::newest_run(context, &store)?);

@@ -46,7 +46,7 @@ archive has changed a product since.";
 
 /// `marf audit`: who made a file, from which bytes.
 pub fn audit(args: AuditArgs, context: Context) -> Result<(), Error> {
-    let (context, record) = (&args.record.context(context), &args.record);
+    let (context, record) = (&args.record.store.context(context), &args.record);
     match (args.path, args.in_crate, args.from) {
         (Some(file), Some(folder), _) => in_crate(record, &file, &folder),
         (Some(file), None, _) => {

@@ -3,8 +3,8 @@
 mod args;
 mod remote;
 
-use marf_cache::{FsckOptions, Store};
-use marf_run::cache::{self, GcRequest, GcResult};
+use marf_cache::{FsckOptions, GcPlan, Store};
+use marf_run::cache::{self, GcResult};
 use marf_run::{Context, Diagnostic, Error};
 use serde::Serialize;
 use serde_json::{Value, json};
@@ -24,7 +24,7 @@ pub fn cache(verb: CacheVerb, context: Context) -> Result<(), Error> {
         | CacheVerb::Gc(GcArgs { record, .. })
         | CacheVerb::Fsck(FsckArgs { record, .. })
         | CacheVerb::Push(PushArgs { record, .. })
-        | CacheVerb::Pull(PullArgs { record, .. }) => record.context(context),
+        | CacheVerb::Pull(PullArgs { record, .. }) => record.store.context(context),
         CacheVerb::Pin { store, .. } | CacheVerb::Unpin { store, .. } => store.context(context),
     };
     let store = match &verb {
@@ -82,13 +82,13 @@ fn to_json(value: &impl Serialize) -> Result<Value, Error> {
 
 /// `marf cache gc`: removes what no kept run, no pin, no lock file and no running program needs.
 fn gc(store: &Store, args: &GcArgs, context: &Context) -> Result<(), Error> {
-    let request = GcRequest {
-        keep_last: args.keep_last,
+    let limits = GcPlan {
         max_bytes: args.max_size.as_deref().map(bytes_of).transpose()?,
         grace: args.grace()?,
         dry_run: args.dry_run,
+        ..GcPlan::default()
     };
-    let GcResult { report, runs } = cache::gc(context, store, &request)?;
+    let GcResult { report, runs } = cache::gc(context, store, args.keep_last, limits)?;
     if args.record.json {
         let mut json = to_json(&report)?;
         json["runs_removed"] = json!(runs);

@@ -121,7 +121,7 @@ pub fn export(verb: ExportVerb, context: Context) -> Result<(), Error> {
 }
 
 fn export_crate(args: CrateArgs, context: Context) -> Result<(), Error> {
-    let context = args.record.context(context);
+    let context = args.record.store.context(context);
     let request = CrateRequest {
         dir: args.dir,
         run: args.run,
@@ -167,7 +167,7 @@ fn attest(args: AttestArgs, context: Context) -> Result<(), Error> {
 }
 
 fn export_cameras(args: CamerasArgs, context: Context) -> Result<(), Error> {
-    let context = args.threads.context(args.record.context(context));
+    let context = args.threads.context(args.record.store.context(context));
     let request = CamerasRequest {
         node: args.node,
         out: args.out,

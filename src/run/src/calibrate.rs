@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use marf_cache::Digest;
+use marf_cache::{Digest, Store};
 use marf_engine::RunRecord;
 use marf_scene::Scene;
 use marf_schema::calibrate::{CalibrateParams, Metrics};
@@ -58,7 +58,7 @@ pub fn calibrate(context: &Context, request: &CalibrateRequest) -> Result<Calibr
     let record = execute(&session, &options(&session))?
         .done()
         .map_err(for_this_verb)?;
-    let written = write(&session, &record, request)?;
+    let written = write(&session.store, &record, request)?;
     let node = node_named(&record, CalibrateParams::STAGE)?;
     let scene = Scene::decode(&session.output(node, output::SCENE)?);
     Ok(CalibrateResult {
@@ -76,7 +76,7 @@ fn folder_of(file: &Path) -> &Path {
 }
 
 /// Writes what other programs read, and returns where; photos, of which there are many, are written last and not listed.
-fn write(session: &Session, record: &RunRecord, request: &CalibrateRequest) -> Result<Vec<PathBuf>, Error> {
+fn write(store: &Store, record: &RunRecord, request: &CalibrateRequest) -> Result<Vec<PathBuf>, Error> {
     let node = node_named(record, CalibrateParams::STAGE)?;
     let cameras = node_named(record, CamerasParams::STAGE)?;
     let mut written = vec![request.out.clone(), request.out.with_file_name("metrics.json")];
@@ -86,19 +86,14 @@ fn write(session: &Session, record: &RunRecord, request: &CalibrateRequest) -> R
             cameras::TRANSFORMS => request.out.clone(),
             name => request.out.with_file_name("").join(name),
         };
-        outputs::one(&session.store, record, digest, &path)?;
+        outputs::one(store, record, digest, &path)?;
         written.extend((*name != cameras::TRANSFORMS).then_some(path));
     }
-    outputs::one(
-        &session.store,
-        record,
-        &digest(node, Metrics::OUTPUT)?,
-        &written[1],
-    )?;
+    outputs::one(store, record, &digest(node, Metrics::OUTPUT)?, &written[1])?;
     for (name, digest) in &files.photos {
         let path = request.out.with_file_name("").join(name);
         refuse_to_replace(&path, digest, &request.dir)?;
-        outputs::one(&session.store, record, digest, &path)?;
+        outputs::one(store, record, digest, &path)?;
     }
     Ok(written)
 }

@@ -76,13 +76,8 @@ pub fn run_nodes(
         purpose,
     };
     let text = json!(tree).to_string();
-    let mut session = Session::derived(
-        context,
-        PipelineDocument { pipeline, text },
-        run.pipeline.clone(),
-        store,
-    )?;
-    session.source = source;
+    let document = PipelineDocument { pipeline, text };
+    let session = Session::new(context, document, run.pipeline.clone(), source, store)?;
     let options = Options {
         to: names,
         ..options(&session)

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use marf_cache::Digest;
+use marf_cache::{Digest, Store};
 use marf_engine::{NodeRun, Outcome, RunRecord, document};
 use marf_schema::calibrate::{self, CalibrateParams};
 use marf_schema::folds::{self, FoldsParams};
@@ -130,7 +130,7 @@ pub fn fit(context: &Context, request: &FitRequest) -> Result<BTreeMap<String, F
             "cameras: {}, {} of {} photos placed",
             cameras.method, totals.registered, totals.photos
         ));
-        write(&session, &record, &request.out, &name)?;
+        write(&session.store, &record, &request.out, &name)?;
         scores.insert(name.clone(), scores_of(&session, &record)?);
         fitted.insert(name, metrics_of(&session, &record)?);
     }
@@ -180,24 +180,14 @@ fn document(
 }
 
 /// Writes metrics.json and, into the folder of the budget, the held-out renders.
-fn write(session: &Session, record: &RunRecord, out: &Path, budget: &str) -> Result<(), Error> {
+fn write(store: &Store, record: &RunRecord, out: &Path, budget: &str) -> Result<(), Error> {
     if let Some(metrics) = record.documents.get(document::METRICS) {
-        outputs::one(
-            &session.store,
-            record,
-            &metrics.digest,
-            &out.join(document::METRICS),
-        )?;
+        outputs::one(store, record, &metrics.digest, &out.join(document::METRICS))?;
     }
     let node = node_named(record, TrainParams::STAGE)?;
     for (name, output) in &node.outputs {
         if let Some(file) = name.strip_prefix(output::HELDOUT) {
-            outputs::one(
-                &session.store,
-                record,
-                &output.digest,
-                &out.join(budget).join(file),
-            )?;
+            outputs::one(store, record, &output.digest, &out.join(budget).join(file))?;
         }
     }
     Ok(())

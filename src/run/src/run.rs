@@ -1,6 +1,6 @@
 //! Runs a pipeline and writes its outputs.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use marf_engine::{Options, Outcome};
 
@@ -13,19 +13,6 @@ use crate::report;
 use crate::scenes::{self, Selection};
 use crate::session::Session;
 
-/// What to run, and where to write.
-#[derive(Debug, Clone)]
-pub struct RunRequest {
-    /// The nodes.
-    pub selection: Selection,
-    /// Folder of pictures, models and the report.
-    pub out: PathBuf,
-    /// Where to write a trace.
-    pub trace: Option<PathBuf>,
-    /// The site file of a batch system that computes trainings; none to compute all here.
-    pub site: Option<PathBuf>,
-}
-
 /// A run of a pipeline, and the session that it was made in.
 pub struct PipelineRun {
     /// The session.
@@ -37,26 +24,32 @@ pub struct PipelineRun {
 /// How often the outputs of one run may be found damaged when they are written out.
 const MAX_REPAIRS: usize = 8;
 
-/// Runs what changed, and writes pictures, models and the report. What turns out to be damaged is made again by another run.
+/// Runs what changed, and writes pictures, models and the report into `out`. What turns out to be damaged is made again by another run.
+/// `trace` is where a trace is written. `site` is the site file of a batch system that computes trainings; without it all is computed here.
 ///
 /// # Errors
 /// A pipeline, a selection or a site file that is wrong, a store or folder that cannot be written.
-pub fn run(context: &Context, request: &RunRequest) -> Result<PipelineRun, Error> {
-    let selection = &request.selection;
+pub fn run(
+    context: &Context,
+    selection: &Selection,
+    out: &Path,
+    trace: Option<&Path>,
+    site: Option<&Path>,
+) -> Result<PipelineRun, Error> {
     let session = scenes::found(Session::open(context)?, selection)?;
     let nodes = scenes::selected(&session, selection)?;
     let mut options = Options {
         to: nodes.to,
         from: nodes.from,
-        executor: batch_system::executor(context, request.site.as_deref())?,
+        executor: batch_system::executor(context, site)?,
         ..options(&session)
     };
     for _ in 0..MAX_REPAIRS {
-        let execution = documented(&session, &options, request.trace.as_deref())?;
+        let execution = documented(&session, &options, trace)?;
         if execution.record.outcome == Outcome::Cancelled {
             return Ok(PipelineRun { session, execution });
         }
-        match outputs::write(&session, &execution.record, &request.out)? {
+        match outputs::write(&session, &execution.record, out)? {
             Completeness::All => return Ok(PipelineRun { session, execution }),
             Completeness::Lost(lost) => {
                 context.warn(format!("{}; it is made again", lost.what));

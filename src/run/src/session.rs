@@ -67,8 +67,7 @@ impl Session {
         let name = name.unwrap_or_else(|| unnamed(&context.file));
         let store = context.open_store()?;
         let source = RunSource::from_file(&store, &context.file);
-        let session = Self::new(context, loaded, name, store, Listings::default())?;
-        Ok(Self { source, ..session })
+        Self::new(context, loaded, name, source, store)
     }
 
     /// Loads the text of a pipeline that a verb has built for one folder.
@@ -85,37 +84,22 @@ impl Session {
         let name = pipeline.name.clone().unwrap_or_else(|| "built-in".to_owned());
         let source = RunSource::from_folder(&store, verb, folder);
         let text = text.to_owned();
-        let session = Self::new(
-            context,
-            PipelineDocument { pipeline, text },
-            name,
-            store,
-            Listings::default(),
-        )?;
-        Ok(Self { source, ..session })
+        Self::new(context, PipelineDocument { pipeline, text }, name, source, store)
     }
 
-    /// Takes a pipeline that an earlier run had, with further nodes, in the store of that run. The caller sets its source.
+    /// Takes a pipeline and its store. `source` is what its runs are runs of.
     ///
     /// # Errors
     /// Nodes that form no graph.
-    pub fn derived(
+    pub fn new(
         context: &Context,
-        loaded: PipelineDocument,
+        document: PipelineDocument,
         name: String,
+        source: RunSource,
         store: Store,
     ) -> Result<Self, Error> {
-        Self::new(context, loaded, name, store, Listings::default())
-    }
-
-    fn new(
-        context: &Context,
-        loaded: PipelineDocument,
-        name: String,
-        store: Store,
-        listings: Listings,
-    ) -> Result<Self, Error> {
-        let pipeline = loaded.pipeline;
+        let PipelineDocument { pipeline, text } = document;
+        let listings = Listings::default();
         let info = |node: &config::Node| NodeInfo {
             name: node.name.clone(),
             about: node.def.about,
@@ -127,11 +111,11 @@ impl Session {
         let graph = graph_of(pipeline.nodes)?.sharing(&listings);
         Ok(Self {
             name,
-            source: RunSource::default(),
+            source,
             graph,
             store,
             nodes,
-            written: loaded.text,
+            written: text,
             tree: pipeline.tree,
             shared: pipeline.shared,
             by_scene,
@@ -155,15 +139,15 @@ impl Session {
         let tree = by_scene.expanded(&loaded.pipeline, &names);
         let pipeline = config::check_tree(&tree, &context.config, context.folder())
             .map_err(|error| Error::usage(format!("the pipeline by scene: {}", error.message)))?;
-        let loaded = PipelineDocument {
-            pipeline,
-            text: self.written,
-        };
+        let text = self.written;
+        let document = PipelineDocument { pipeline, text };
+        let session = Self::new(context, document, self.name, self.source, self.store)?;
         Ok(Self {
-            source: self.source,
+            graph: session.graph.sharing(&self.listings),
+            listings: self.listings,
             scenes: names,
             by_scene: self.by_scene,
-            ..Self::new(context, loaded, self.name, self.store, self.listings)?
+            ..session
         })
     }
 

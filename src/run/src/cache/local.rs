@@ -2,7 +2,6 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
-use std::time::Duration;
 
 use marf_cache::{GcPlan, GcReport, Store};
 use marf_stage::LOCK_FILE;
@@ -16,19 +15,6 @@ use crate::files;
 /// Folder of the store with a file for each pinned run: its name is that of the pin, its text the number of the run.
 const PINS: &str = "pins";
 
-/// What to keep of a store.
-#[derive(Debug, Clone)]
-pub struct GcRequest {
-    /// Runs of each pipeline whose results are kept.
-    pub keep_last: usize,
-    /// Older runs are given up until what is kept has this size, bytes.
-    pub max_bytes: Option<u64>,
-    /// What was stored or used within this time is kept.
-    pub grace: Duration,
-    /// Whether nothing is removed.
-    pub dry_run: bool,
-}
-
 /// What was removed.
 #[derive(Debug)]
 pub struct GcResult {
@@ -38,19 +24,17 @@ pub struct GcResult {
     pub runs: usize,
 }
 
-/// Removes what no kept run, no pin, no lock file and no running program needs.
+/// Removes what no kept run, no pin, no lock file and no running program needs. `keep_last` is how many runs of each pipeline are kept. The
+/// plan has the other limits; what it keeps is added here.
 ///
 /// # Errors
 /// A store or a lock file that cannot be read.
-pub fn gc(context: &Context, store: &Store, request: &GcRequest) -> Result<GcResult, Error> {
+pub fn gc(context: &Context, store: &Store, keep_last: usize, limits: GcPlan) -> Result<GcResult, Error> {
     let pins = pins(store)?;
     let pinned: BTreeSet<u64> = pins.values().copied().collect();
-    let mut kept = marf_engine::kept_runs(store, request.keep_last, &pinned, context.warnings())?;
+    let mut kept = marf_engine::kept_runs(store, keep_last, &pinned, context.warnings())?;
     let locked = marf_stages::pinned_products(&context.folder().join(LOCK_FILE)).map_err(|error| {
-        Error::Failed(
-            Diagnostic::new(error.to_string())
-                .hint("mend the lock first: a collection must know what it pins"),
-        )
+        Error::Failed(Diagnostic::new(error.to_string()).hint("repair marf.lock first: gc needs its pins"))
     })?;
     kept.always
         .blobs
@@ -58,14 +42,12 @@ pub fn gc(context: &Context, store: &Store, request: &GcRequest) -> Result<GcRes
     let plan = GcPlan {
         always: kept.always,
         runs: kept.runs.iter().map(|(_, roots)| roots.clone()).collect(),
-        max_bytes: request.max_bytes,
-        grace: request.grace,
-        dry_run: request.dry_run,
+        ..limits
     };
     let report = store.gc(&plan)?;
     let mut given_up = kept.given_up;
     given_up.extend(kept.runs.iter().skip(report.runs_kept).map(|(number, _)| *number));
-    if !request.dry_run {
+    if !plan.dry_run {
         given_up.iter().try_for_each(|number| store.remove_run(*number))?;
     }
     let runs = given_up.len();

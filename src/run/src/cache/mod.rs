@@ -3,5 +3,5 @@
 mod local;
 mod remote;
 
-pub use local::{GcRequest, GcResult, gc, pin, unpin};
+pub use local::{GcResult, gc, pin, unpin};
 pub use remote::{PullResult, PushResult, SharedStore};
