@@ -14,6 +14,7 @@ use super::options::GlobalArgs;
     about,
     max_term_width = 100,
     arg_required_else_help = true,
+    subcommand_value_name = "VERB",
     help_template = help_template()
 )]
 pub struct Cli {

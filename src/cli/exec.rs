@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use marf_run::exec::{ExecRequest, ExecResult};
+use marf_run::exec::ExecResult;
 use marf_run::{Context, Error};
 
 use super::options::ThreadsArg;
@@ -42,12 +42,8 @@ pub fn exec(args: ExecArgs, context: Context) -> Result<(), Error> {
         store: args.store,
         ..args.threads.context(context)
     };
-    let request = ExecRequest {
-        action: args.action,
-        result: args.result,
-        scratch: args.scratch,
-    };
-    match marf_run::exec::exec(&context, &request)? {
+    let (result, scratch) = (args.result.as_deref(), args.scratch.as_deref());
+    match marf_run::exec::exec(&context, &args.action, result, scratch)? {
         ExecResult::Actions(actions, traffic) => {
             for action in actions {
                 print_line(&format!("{} {}", action.stage, action.key()));

@@ -2,7 +2,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use marf_report::{FACTORS, calls, percent};
-use marf_run::filter::{FilterCalls, FilterRequest};
+use marf_run::filter::FilterCalls;
 use marf_run::{Context, Error};
 
 use super::options::FolderArgs;
@@ -29,13 +29,8 @@ pub struct FilterArgs {
 
 /// Runs `marf filter DIR`: every filter with its defaults on the photos of a folder.
 pub fn filter(args: FilterArgs, context: Context) -> Result<(), Error> {
-    let request = FilterRequest {
-        dir: args.dir,
-        out: args.out,
-        keep: args.keep,
-        reject: args.reject,
-    };
-    let result = marf_run::filter::filter(&args.folder.context(context), &request)?;
+    let context = args.folder.context(context);
+    let result = marf_run::filter::filter(&context, &args.dir, &args.out, &args.keep, &args.reject)?;
     if args.folder.json {
         return print_json(&result.counts);
     }
@@ -45,7 +40,7 @@ pub fn filter(args: FilterArgs, context: Context) -> Result<(), Error> {
     eprint_line(&changed_by_thresholds(&result.filters));
     eprint_line(&format!(
         "wrote {} and {}",
-        request.out.display(),
+        args.out.display(),
         result.page.display()
     ));
     Ok(())

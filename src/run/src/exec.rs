@@ -20,17 +20,6 @@ use crate::trust::trust;
 /// Time between two writes of the file with the progress, which lies on a file system that many machines share.
 const PROGRESS_INTERVAL: Duration = Duration::from_secs(2);
 
-/// Actions to compute.
-#[derive(Debug, Clone)]
-pub struct ExecRequest {
-    /// A file with actions, a line each, or the key of a result in the shared store.
-    pub action: String,
-    /// Where to write how it ended.
-    pub result: Option<PathBuf>,
-    /// Folder for checkpoints and what was fetched, kept until there is a result; none for a temporary one.
-    pub scratch: Option<PathBuf>,
-}
-
 /// What was computed.
 #[derive(Debug, Clone)]
 pub enum ExecResult {
@@ -40,11 +29,18 @@ pub enum ExecResult {
     Backend(Option<String>),
 }
 
-/// Computes actions, or answers which backend this machine has.
+/// Computes actions, or answers which backend this machine has. `given` is a file with actions, a line each, or the key of a result in the
+/// shared store. How it ended is written to `result`. `scratch` is the folder for checkpoints and what was fetched, kept until there is a
+/// result, by default a temporary one.
 ///
 /// # Errors
 /// A shared store that cannot be used, actions that cannot be computed here, a file that cannot be written.
-pub fn exec(context: &Context, request: &ExecRequest) -> Result<ExecResult, Error> {
+pub fn exec(
+    context: &Context,
+    given: &str,
+    result: Option<&Path>,
+    scratch: Option<&Path>,
+) -> Result<ExecResult, Error> {
     let remote = Remote::open(&address(context)?, Patience::Patient, trust(&[])?)?;
     let remote = Arc::new(match index_folder() {
         Some(folder) => remote.keeping_indexes(&folder),
@@ -52,19 +48,20 @@ pub fn exec(context: &Context, request: &ExecRequest) -> Result<ExecResult, Erro
     });
     let stop = StopObserver(context.cancel.clone());
     let reader = Arc::new(Reader::new(Arc::clone(&remote), stop));
-    let task = Task::read(&request.action, reader.as_ref())?;
+    let task = Task::read(given, reader.as_ref())?;
     let outcome = match &task.work {
         Work::Actions(list) => {
             let machine = Machine {
                 context,
-                request,
+                result,
+                scratch,
                 remote: &remote,
             };
             machine.compute(list, reader)
         }
         Work::Backend(question) => backend_of(question),
     };
-    if let Some(path) = &request.result
+    if let Some(path) = result
         && !matches!(outcome, Err(Error::Interrupted))
     {
         let written = job_result(task.key, &outcome).write(path);
@@ -183,14 +180,15 @@ impl Task {
 /// This machine, and the shared store that it computes for.
 struct Machine<'a> {
     context: &'a Context,
-    request: &'a ExecRequest,
+    result: Option<&'a Path>,
+    scratch: Option<&'a Path>,
     remote: &'a Remote,
 }
 
 impl Machine<'_> {
     /// Computes actions one after the other and sends their results. Returns the conflicts with results that were there.
     fn compute<R: Upstream + 'static>(&self, actions: &[Action], reader: Arc<R>) -> Result<Outcome, Error> {
-        let kept = self.request.scratch.as_deref();
+        let kept = self.scratch;
         let temporary = kept.is_none().then(tempfile::tempdir).transpose();
         let temporary = temporary.map_err(|error| Error::failed(error.to_string()))?;
         let dir = kept
@@ -217,7 +215,7 @@ impl Machine<'_> {
         let context = self.context;
         let listener = ActionListener {
             top: action.stage.clone(),
-            file: self.request.result.as_deref().map(JobProgress::path),
+            file: self.result.map(JobProgress::path),
             written: Mutex::default(),
             feedback: context.feedback.follow(&action.key().short()),
             failure: Mutex::default(),

@@ -14,19 +14,6 @@ use crate::execute::{Extras, execute_with, options};
 use crate::session::Session;
 use crate::{folder, outputs, report, verdicts};
 
-/// A folder whose photos are filtered.
-#[derive(Debug, Clone)]
-pub struct FilterRequest {
-    /// The folder.
-    pub dir: PathBuf,
-    /// The CSV to write; a page with the photos goes next to it as .html.
-    pub out: PathBuf,
-    /// Photos to keep whatever the filters say, by product id or file name.
-    pub keep: Vec<String>,
-    /// Photos to reject whatever the filters say.
-    pub reject: Vec<String>,
-}
-
 /// The verdicts on the photos of a folder.
 #[derive(Debug, Clone)]
 pub struct FilterResult {
@@ -47,21 +34,28 @@ pub struct FilterCalls {
     pub verdicts: Vec<Verdict>,
 }
 
-/// Runs every filter with its defaults on the photos of a folder, and writes their verdicts.
+/// Runs every filter with its defaults on the photos of a folder, and writes their verdicts to `csv` and a page with the photos next to it.
+/// Photos to keep or to reject whatever the filters say are named by product id or file name.
 ///
 /// # Errors
 /// A folder that cannot be read, a place that cannot be written, a run that fails.
-pub fn filter(context: &Context, request: &FilterRequest) -> Result<FilterResult, Error> {
+pub fn filter(
+    context: &Context,
+    dir: &Path,
+    csv: &Path,
+    keep: &[String],
+    reject: &[String],
+) -> Result<FilterResult, Error> {
     let chain = chain();
-    let session = Session::implicit(context, &pipeline(&chain, request), "filter", &request.dir)?;
+    let session = Session::implicit(context, &pipeline(&chain, dir, keep, reject), "filter", dir)?;
     let extras = Extras {
         trace: None,
         documents: &|record| documents(&session, record, &chain),
     };
     let execution = execute_with(&session, &options(&session), &extras)?;
     let by_node = verdicts::by_node(&session, &execution.record)?;
-    let page = page(&request.out);
-    for (name, path) in [(document::VERDICTS, &request.out), (document::REPORT, &page)] {
+    let page = csv.with_extension("html");
+    for (name, path) in [(document::VERDICTS, csv), (document::REPORT, &page)] {
         if let Some(document) = execution.record.documents.get(name) {
             outputs::one(&session.store, &execution.record, &document.digest, path)?;
         }
@@ -104,20 +98,15 @@ fn documents(session: &Session, record: &RunRecord, chain: &[&str]) -> Result<Do
     Ok(documents)
 }
 
-/// Returns the path of the page of the verdicts, beside the CSV.
-fn page(csv: &Path) -> PathBuf {
-    csv.with_extension("html")
-}
-
-/// Returns the text of the pipeline that runs a chain of nodes on the folder of a request.
-fn pipeline(chain: &[&str], request: &FilterRequest) -> String {
-    let mut text = folder::photos("filter", &request.dir);
+/// Returns the text of the pipeline that runs a chain of nodes on a folder, with lists of photos to keep and to reject.
+fn pipeline(chain: &[&str], dir: &Path, keep: &[String], reject: &[String]) -> String {
+    let mut text = folder::photos("filter", dir);
     for pair in chain.windows(2) {
         text.push_str(&format!("[node.{}]\ninput = \"{}\"\n", pair[1], pair[0]));
     }
-    for (list, ids) in [("keep", &request.keep), ("reject", &request.reject)] {
+    for (list, ids) in [("keep", keep), ("reject", reject)] {
         if !ids.is_empty() {
-            let ids = toml::Value::from(ids.clone());
+            let ids = toml::Value::from(ids.to_vec());
             text.push_str(&format!("[{list}]\nids = {ids}\n"));
         }
     }
