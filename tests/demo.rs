@@ -177,9 +177,7 @@ fn exports_run_on_the_results_of_a_run() {
         "--json",
     ];
     let said = marf(dir.path(), &ply).exits(0);
-    // Events of the run, then what was made.
-    let values = serde_json::Deserializer::from_str(&said.stdout).into_iter::<serde_json::Value>();
-    let told = values.last().unwrap().unwrap();
+    let told: serde_json::Value = serde_json::from_str(&said.stdout).unwrap();
     assert_eq!(told["files"], serde_json::json!(["e/mesh.ply"]));
     assert!(!said.stderr.contains("never ran"), "{}", said.stderr);
     let ply = std::fs::read(dir.path().join("e/mesh.ply")).unwrap();

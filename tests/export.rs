@@ -11,7 +11,6 @@ use std::path::Path;
 use std::sync::LazyLock;
 
 use common::{Ran, SURFACE, marf};
-use serde_json::Value;
 
 /// A field of photos whose cameras know no metre and no up.
 const WITHOUT_SCALE: &str = r#"name = "unscaled"
@@ -44,15 +43,6 @@ fn trained() -> &'static Path {
 fn export(folder: &Path, line: &str) -> Ran {
     let args: Vec<&str> = ["export"].into_iter().chain(line.split(' ')).collect();
     marf(folder, &args)
-}
-
-/// Returns the nodes that ran in a call with `--json`.
-fn finished(ran: &Ran) -> Vec<String> {
-    let values = serde_json::Deserializer::from_str(&ran.stdout).into_iter::<Value>();
-    let events = values.map(Result::unwrap);
-    let over = events.filter(|event| event["event"] == "finished");
-    over.map(|event| event["node"].as_str().unwrap().to_owned())
-        .collect()
 }
 
 #[track_caller]
@@ -119,14 +109,10 @@ fn depths_are_a_folder_with_a_picture_for_each_photo_trained_on() {
 fn a_field_of_a_file_gives_the_bytes_of_its_node_and_is_made_once() {
     let dir = trained();
     let wide = "--cell 0.2 --most-spread 5 --least-photos 1";
-    let first = export(
-        dir,
-        &format!("points --json --field {WEIGHTS} --out by-file.ply {wide}"),
-    )
-    .exits(0);
-    assert_eq!(finished(&first), ["surface-of-train"]);
-    let again = export(dir, &format!("points --json train --out by-node.ply {wide}")).exits(0);
-    assert_eq!(finished(&again), Vec::<String>::new(), "it is the same field");
+    let first = export(dir, &format!("points --field {WEIGHTS} --out by-file.ply {wide}")).exits(0);
+    assert_eq!(first.done(), ["surface-of-train"]);
+    let again = export(dir, &format!("points train --out by-node.ply {wide}")).exits(0);
+    assert_eq!(again.done(), Vec::<&str>::new(), "it is the same field");
     let [by_file, by_node] =
         ["by-file.ply", "by-node.ply"].map(|file| std::fs::read(dir.join(file)).unwrap());
     // The run that a file names is that of its own export.

@@ -41,12 +41,6 @@ fn told(ran: &Ran) -> Value {
     serde_json::from_str(&ran.stdout).unwrap()
 }
 
-/// Nodes that ran in a call.
-fn finished(ran: &Ran) -> Vec<&str> {
-    let done = ran.stderr.lines().filter_map(|line| line.strip_prefix("done "));
-    done.map(|line| line.split_whitespace().next().unwrap()).collect()
-}
-
 #[test]
 fn an_orbit_is_rendered_once_with_its_layers_and_known_by_its_content() {
     let dir = bootstrapped();
@@ -63,7 +57,7 @@ fn an_orbit_is_rendered_once_with_its_layers_and_known_by_its_content() {
         "film",
     ];
     let first = render(dir, &all).exits(0);
-    assert_eq!(finished(&first), ["render-of-train", "video-of-train"]);
+    assert_eq!(first.done(), ["render-of-train", "video-of-train"]);
     let what = told(&first);
     assert_eq!(
         (&what["pictures"], &what["width"]),
@@ -95,7 +89,7 @@ fn an_orbit_is_rendered_once_with_its_layers_and_known_by_its_content() {
     assert_eq!(poses[1]["name"], "0002");
 
     let again = render(dir, &all).exits(0);
-    assert_eq!(finished(&again), Vec::<&str>::new(), "nothing changed");
+    assert_eq!(again.done(), Vec::<&str>::new(), "nothing changed");
     for name in ["film/rgb/0001.png", "film/depth/0001.png", "film/video.mp4"] {
         let made = marf(dir, &["audit", name]).exits(0);
         assert!(made.stdout.contains("-of-train"), "{name}: {}", made.stdout);
@@ -109,13 +103,13 @@ fn an_orbit_is_rendered_once_with_its_layers_and_known_by_its_content() {
 
     let other_rate = render(dir, &[&all[..], &["--fps", "12"]].concat()).exits(0);
     assert_eq!(
-        finished(&other_rate),
+        other_rate.done(),
         ["video-of-train"],
         "another rate renders nothing"
     );
     let other_codec = render(dir, &[&all[..], &["--codec", "av1"]].concat()).exits(0);
     assert_eq!(
-        finished(&other_codec),
+        other_codec.done(),
         ["video-of-train"],
         "another codec renders nothing"
     );
@@ -167,7 +161,7 @@ fn the_poses_of_one_render_are_the_bookmarks_of_the_next() {
     ];
     let same = render(dir, &of_file).exits(0);
     assert_eq!(
-        finished(&same),
+        same.done(),
         Vec::<&str>::new(),
         "the field of the file is that of the node"
     );

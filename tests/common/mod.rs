@@ -97,6 +97,12 @@ impl Ran {
             .collect()
     }
 
+    /// Names of the nodes that ran, by the lines of progress on stderr.
+    pub fn done(&self) -> Vec<&str> {
+        let done = self.stderr.lines().filter_map(|line| line.strip_prefix("done "));
+        done.map(|line| line.split_whitespace().next().unwrap()).collect()
+    }
+
     /// Names of the nodes with this event, in order.
     pub fn nodes(&self, event: &str) -> Vec<String> {
         let events = self.events().into_iter().filter(|json| json["event"] == event);

@@ -6,23 +6,29 @@ use serde_json::Value;
 
 use crate::common::{marf, photos};
 
-/// One sol of the built-in Mars, small, and a field of few steps that has a surface.
+/// The built-in Mars before and after its change, with a field of few steps that has a surface.
 const PIPELINE: &str = r#"name = "json"
 [archive.demo]
 kind = "demo"
-sols = "1..=2"
-width = 160
+sols = "1,8"
+width = 320
+change = 8
 
 [node.extract]
 archive = "demo"
 
-[node.calibrate]
+[node.shape]
 input = "extract"
+min_width = 320
+min_height = 240
+
+[node.calibrate]
+input = "shape"
 method = "labels"
 
 [node.train]
 input = "calibrate"
-steps = 60
+steps = 200
 scale = 2
 device = "cpu"
 
@@ -50,22 +56,22 @@ const VERBS: [&str; 34] = [
     "calibrate photos --method import --out cameras/transforms.json",
     "fit photos --budget 1s --device cpu --set train.field.log2_table=10 --set train.field.batch_samples=1024",
     "render --frames 1 --width 40 --out rendered --device cpu",
-    "compare --sols 1 --sols 2 --steps 20 --cell 0.1 --out changes --device cpu",
+    "compare --sols 1 --sols 8 --steps 60 -b 2 --cell 0.05 --out changes --device cpu",
     "export crate crate",
     "export cameras --out colmap",
-    "export mesh --out mesh.ply --cell 0.2 --most-spread 5 --least-photos 1",
-    "export points --out points.ply --cell 0.2 --most-spread 5 --least-photos 1",
-    "export splats --out splats.ply --cell 0.2 --most-spread 5 --least-photos 1",
-    "export height --out height.tif --cell 0.2 --most-spread 5 --least-photos 1",
-    "export orthophoto --out above.png --cell 0.2 --most-spread 5 --least-photos 1",
-    "export depth --out depth --cell 0.2 --most-spread 5 --least-photos 1",
+    "export mesh --out mesh.ply --cell 0.05 --most-spread 5 --least-photos 1",
+    "export points --out points.ply --cell 0.05 --most-spread 5 --least-photos 1",
+    "export splats --out splats.ply --cell 0.05 --most-spread 5 --least-photos 1",
+    "export height --out height.tif --cell 0.05 --most-spread 5 --least-photos 1",
+    "export orthophoto --out above.png --cell 0.05 --most-spread 5 --least-photos 1",
+    "export depth --out depth --cell 0.05 --most-spread 5 --least-photos 1",
     "verify crate",
     "verify signed.json --key pub.pem",
     "audit out/train/weights.safetensors",
     "audit out/train/weights.safetensors --crate crate",
     "replay calibrate",
     "diff 1 2",
-    "trade --seeds 1",
+    "trade --seeds 1 --steps 2",
     "cache stat",
     "cache push --remote file://SHARED",
     "cache pull --remote file://SHARED",
