@@ -28,14 +28,14 @@ const fn row(folder: &'static str, package: &'static str, uses: &'static [&'stat
 }
 
 /// From the lowest to the highest: a crate uses only crates above its row.
-const CRATES: [Crate; 34] = [
+const CRATES: [Crate; 35] = [
     row("tests/tidy", "marf-tidy", &[]),
     row("shaders", "marf-shaders", &[]),
     row("cache", "marf-cache", &[]),
     row("cache/keys", "marf-keys", &["marf-cache"]),
     row("cache/remote", "marf-remote", &["marf-cache", "marf-keys"]),
     row("stages/numeric", "marf-numeric", &[]),
-    row("stages/loopback", "marf-loopback", &[]),
+    row("labs/loopback", "marf-loopback", &[]),
     row("stages/stage", "marf-stage", &["marf-cache"]),
     row("stages/scene", "marf-scene", &["marf-cache", "marf-numeric"]),
     Crate {
@@ -233,7 +233,7 @@ const CRATES: [Crate; 34] = [
         ],
     ),
     Crate {
-        tests_use: &["marf-video"],
+        tests_use: &["marf-loopback", "marf-video"],
         ..row(
             "",
             "marf",
@@ -243,10 +243,7 @@ const CRATES: [Crate; 34] = [
                 "marf-stage",
                 "marf-scene",
                 "marf-field",
-                "marf-field-gpu",
-                "marf-loopback",
                 "marf-schema",
-                "marf-stages",
                 "marf-engine",
                 "marf-config",
                 "marf-progress",
@@ -258,12 +255,33 @@ const CRATES: [Crate; 34] = [
             ],
         )
     },
+    row(
+        "labs",
+        "marf-labs",
+        &[
+            "marf-cache",
+            "marf-numeric",
+            "marf-loopback",
+            "marf-stage",
+            "marf-scene",
+            "marf-demo",
+            "marf-field",
+            "marf-field-gpu",
+            "marf-schema",
+            "marf-stages",
+            "marf-engine",
+            "marf-remote",
+            "marf-config",
+            "marf-progress",
+            "marf-run",
+        ],
+    ),
 ];
 
 /// Packages that only these crates may use.
 const RESTRICTED: [(&str, &[&str]); 17] = [
     ("axum", &["marf-view"]),
-    ("clap", &["marf"]),
+    ("clap", &["marf", "marf-labs"]),
     ("clap_complete", &["marf"]),
     ("clap_mangen", &["marf"]),
     ("indicatif", &["marf"]),
@@ -277,7 +295,7 @@ const RESTRICTED: [(&str, &[&str]); 17] = [
     ("ring", &["marf-cache", "marf-keys"]),
     ("rusqlite", &["marf-cache"]),
     ("rustls", &["marf-extract", "marf-remote"]),
-    ("tokio", &["marf-extract", "marf-remote", "marf-view", "marf"]),
+    ("tokio", &["marf-extract", "marf-remote", "marf-view"]),
     ("wgpu", &["marf-field-gpu"]),
 ];
 
@@ -391,6 +409,19 @@ fn rows_allow_nothing_that_is_not_used_and_nothing_below_them() {
             );
         }
         above.insert(krate.package);
+    }
+}
+
+#[test]
+fn only_the_laboratory_and_tests_use_the_laboratory() {
+    for krate in CRATES.iter().filter(|krate| !krate.folder.starts_with("labs")) {
+        let used = CRATES.iter().filter(|other| krate.uses.contains(&other.package));
+        let folders: Vec<&str> = used.map(|other| other.folder).collect();
+        assert!(
+            !folders.iter().any(|folder| folder.starts_with("labs")),
+            "{} uses the laboratory",
+            krate.package
+        );
     }
 }
 
