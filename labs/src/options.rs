@@ -6,9 +6,8 @@ use std::sync::Arc;
 
 use clap::Args;
 use marf_config::GlobalOptions;
-use marf_engine::{Cancel, Event, Listener};
+use marf_engine::{Cancel, SilentListener};
 use marf_field::Device;
-use marf_progress::RunProgress;
 use marf_run::{Context, Feedback, RunFeedback};
 
 use crate::output::eprint_line;
@@ -61,18 +60,6 @@ impl Feedback for Stderr {
     }
 
     fn follow(&self, _run: &str) -> Box<dyn RunFeedback> {
-        Box::new(Self)
+        Box::new(SilentListener)
     }
-
-    fn on_transfer(&self, _name: &str, _moved: marf_remote::Progress) {}
-}
-
-impl RunFeedback for Stderr {
-    fn on_devices(&self, _devices: &str) {}
-
-    fn on_run_progress(&self, _standing: &RunProgress) {}
-}
-
-impl Listener for Stderr {
-    fn on_event(&self, _event: &Event) {}
 }

@@ -27,7 +27,6 @@ use crate::process::absent;
 use injector::{Fault, Injector, Outcome, RoundError};
 use lab::Lab;
 use source::Source;
-use stop::{Signal, Stop};
 
 /// Time between two lines of progress.
 const PROGRESS_INTERVAL: Duration = Duration::from_secs(10);
@@ -166,8 +165,9 @@ impl Report {
 fn injector(lab: &Lab, fault: Fault) -> Outcome<Box<dyn Injector + '_>> {
     let case = lab.case(&fault.word());
     Ok(match fault {
-        Fault::Kill | Fault::FetchKill => Box::new(Stop::new(lab, case, fault, Signal::Kill)?),
-        Fault::Interrupt | Fault::FetchInterrupt => Box::new(Stop::new(lab, case, fault, Signal::Interrupt)?),
+        Fault::Kill | Fault::Interrupt | Fault::FetchKill | Fault::FetchInterrupt => {
+            Box::new(stop::Stop::new(lab, case, fault)?)
+        }
         Fault::Damage => Box::new(damage::Damage::new(lab, case)),
         Fault::Limit => Box::new(limit::Limit { lab, case, failed: 0 }),
         Fault::Full => Box::new(full::Full::new(lab, case)?),

@@ -14,20 +14,10 @@ const LIMIT: Duration = Duration::from_secs(2);
 /// Number of the signal of Ctrl-C.
 const SIGINT: i32 = 2;
 
-/// What stops a run.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Signal {
-    /// SIGKILL.
-    Kill,
-    /// Ctrl-C.
-    Interrupt,
-}
-
 /// Stops runs of one store until one comes to its end, then of the next.
 pub struct Stop<'a> {
     lab: &'a Lab,
     fault: Fault,
-    signal: Signal,
     case: Case,
     /// Time that a run of a new store takes, as last seen: the machine may do other work too.
     span: Duration,
@@ -47,12 +37,11 @@ impl<'a> Stop<'a> {
     ///
     /// # Errors
     /// A folder that cannot be written.
-    pub fn new(lab: &'a Lab, case: Case, fault: Fault, signal: Signal) -> Outcome<Self> {
+    pub fn new(lab: &'a Lab, case: Case, fault: Fault) -> Outcome<Self> {
         lab.reset(&case)?;
         Ok(Self {
             lab,
             fault,
-            signal,
             case,
             span: lab.wall,
             moments: 0,
@@ -61,6 +50,10 @@ impl<'a> Stop<'a> {
             in_download: 0,
             longest: Duration::ZERO,
         })
+    }
+
+    fn is_killing(&self) -> bool {
+        matches!(self.fault, Fault::Kill | Fault::FetchKill)
     }
 
     /// Compares the digests of a store whose run came to its end, and makes the next.
@@ -111,10 +104,10 @@ impl<'a> Stop<'a> {
 impl Injector for Stop<'_> {
     fn inject(&mut self, _round: u32) -> Outcome {
         let run = self.run_in_the_middle()?;
-        match self.signal {
-            Signal::Interrupt => self.interrupt(run),
-            Signal::Kill => kill(run),
+        if self.is_killing() {
+            return kill(run);
         }
+        self.interrupt(run)
     }
 
     fn judge(&mut self, _round: u32) -> Outcome {
@@ -132,9 +125,10 @@ impl Injector for Stop<'_> {
             "{} stores, each verified after each stop and run to its end",
             self.finished
         );
-        let how = match self.signal {
-            Signal::Kill => "SIGKILL".to_owned(),
-            Signal::Interrupt => format!("SIGINT (longest stop {:.2} s)", self.longest.as_secs_f64()),
+        let how = if self.is_killing() {
+            "SIGKILL".to_owned()
+        } else {
+            format!("SIGINT (longest stop {:.2} s)", self.longest.as_secs_f64())
         };
         let downloads = if self.fault.needs_server() {
             format!(", {} in mid-download", self.in_download)

@@ -8,6 +8,8 @@ use std::collections::HashMap;
 use std::{fs, path::Path};
 
 use nalgebra::Vector3;
+use ply_rs_bw::parser::Parser;
+use ply_rs_bw::ply::{DefaultElement, Property};
 use rayon::prelude::*;
 use serde_json::{Value, json};
 
@@ -190,45 +192,24 @@ fn rows(vertices: &[Vector3<f64>], points: &[TruePoint]) -> Vec<Value> {
         .collect()
 }
 
-/// Reads the positions of a PLY whose vertices begin with x, y and z as floats.
-fn vertices(bytes: &[u8]) -> Result<Vec<Vector3<f64>>> {
-    let end = bytes
-        .windows(11)
-        .position(|window| window == b"end_header\n")
-        .ok_or("no PLY")?
-        + 11;
-    let header = String::from_utf8_lossy(&bytes[..end]);
-    let (mut count, mut stride, mut is_vertex) = (0_usize, 0, false);
-    for line in header.lines() {
-        let words: Vec<&str> = line.split(' ').collect();
-        match words[..] {
-            ["element", name, number] => {
-                is_vertex = name == "vertex";
-                if is_vertex {
-                    count = number.parse()?;
-                }
-            }
-            ["property", kind, _] if is_vertex => {
-                stride += match kind {
-                    "uchar" => 1,
-                    "ushort" => 2,
-                    "float" => 4,
-                    other => return Err(format!("property of {other}").into()),
-                };
-            }
-            _ => {}
-        }
-    }
-    let float = |bytes: &[u8]| -> f64 {
-        bytes
-            .try_into()
-            .map_or(f64::NAN, |four| f64::from(f32::from_le_bytes(four)))
+/// Reads the positions of the vertices of a PLY.
+fn vertices(mut bytes: &[u8]) -> Result<Vec<Vector3<f64>>> {
+    let mut ply = Parser::<DefaultElement>::new().read_ply(&mut bytes)?;
+    let vertices = ply
+        .payload
+        .swap_remove("vertex")
+        .ok_or("a PLY without vertices")?;
+    let number = |vertex: &DefaultElement, name: &str| match vertex.get(name) {
+        Some(Property::Float(number)) => Ok(f64::from(*number)),
+        _ => Err(format!("a vertex has no float `{name}`")),
     };
-    let of_vertex =
-        |vertex: &[u8]| Vector3::new(float(&vertex[..4]), float(&vertex[4..8]), float(&vertex[8..12]));
-    Ok(bytes[end..]
-        .chunks_exact(stride)
-        .take(count)
-        .map(of_vertex)
-        .collect())
+    let mut positions = Vec::with_capacity(vertices.len());
+    for vertex in &vertices {
+        positions.push(Vector3::new(
+            number(vertex, "x")?,
+            number(vertex, "y")?,
+            number(vertex, "z")?,
+        ));
+    }
+    Ok(positions)
 }

@@ -1,4 +1,4 @@
-//! `marf-labs train DIR`: what it writes and prints, and what it refuses.
+//! The benchmarks, with little to do: what they write and print, and what they refuse.
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 mod common;
@@ -105,4 +105,39 @@ fn a_bench_refuses_keys_that_it_would_not_listen_to() {
     }
     let ran = labs(dir.path(), &["train", "photos", "--seconds", "soon"]).exits(2);
     assert!(ran.stderr.contains("`soon` is no budget"), "{}", ran.stderr);
+}
+
+#[test]
+fn engine_and_items_print_one_line_a_phase_and_nothing_runs_twice() {
+    let dir = tempfile::tempdir().unwrap();
+    let words = ["engine", "--photos", "40", "--sols", "4", "--rounds", "1"];
+    let lines = labs(dir.path(), &words).exits(0).events();
+    let phases: Vec<&str> = lines.iter().map(|line| line["phase"].as_str().unwrap()).collect();
+    assert_eq!(phases, ["cold", "no change", "new sols", "no change after"]);
+    let decided: Vec<&serde_json::Value> = lines.iter().map(|line| &line["decided"]["size"]).collect();
+    assert_eq!(
+        (decided[0].as_u64(), decided[2].as_u64()),
+        (Some(4), Some(10)),
+        "{lines:?}"
+    );
+    assert_eq!(lines[2]["photos"], 140);
+
+    let words = ["items", "--items", "1000", "--sols", "10", "--rounds", "1"];
+    let lines = labs(dir.path(), &words).exits(0).events();
+    let phases: Vec<&str> = lines.iter().map(|line| line["phase"].as_str().unwrap()).collect();
+    assert_eq!(phases, ["fill", "no change", "one new sol"]);
+    let nodes = lines[1]["nodes"].as_array().unwrap();
+    assert_eq!(nodes.len(), 3, "{nodes:?}");
+    assert!(nodes.iter().all(|node| node["state"] == "reused"), "{nodes:?}");
+}
+
+#[test]
+fn a_plain_is_a_folder_to_train_on() {
+    let dir = tempfile::tempdir().unwrap();
+    labs(dir.path(), &["plain", "plain", "8", "9", "32"]).exits(0);
+    let train = ["train", "plain", "--steps", "2", "--out", "out"];
+    let lines = labs(dir.path(), &with_small(&train)).exits(0).events();
+    assert_eq!(lines[0]["steps"], 2);
+    let cameras = labs(dir.path(), &["true-cameras", "1"]).exits(0);
+    assert!(cameras.stdout.contains("PINHOLE"), "{}", cameras.stdout);
 }
