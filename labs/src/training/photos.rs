@@ -52,7 +52,7 @@ pub fn photos(session: &Session, scene: &Scene, scale: u32, most: usize) -> Resu
             photos.tests.push(test);
             continue;
         }
-        if every.is_some_and(|every| photos.views.len() % every == 0) {
+        if every.is_some_and(|every| photos.views.len().is_multiple_of(every)) {
             photos.explained.push(test.clone());
         }
         photos.views.push(View {

@@ -326,7 +326,7 @@ impl Demo {
     }
 
     fn taken(&self, tour: &Tour, view: &View) -> Capture {
-        let size_px = (self.options.width_px, self.options.height_px);
+        let size_px = [self.options.width_px, self.options.height_px];
         let stop = &tour.stops[view.pointing.stop];
         tour::take(
             stop,
