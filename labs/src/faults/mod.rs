@@ -23,7 +23,7 @@ use marf_engine::Cancel;
 use serde::Serialize;
 
 use crate::output::{Result, eprint_line, go_on, print_json};
-use crate::process::absent;
+use crate::process::{absent, marf};
 use injector::{Fault, Injector, Outcome, RoundError};
 use lab::Lab;
 use source::Source;
@@ -66,6 +66,7 @@ struct Report {
 /// A folder that cannot be written; a fault that cannot be done here, with the way out; a fault after which something was
 /// wrong.
 pub fn faults(args: &FaultsArgs, cancel: &Cancel) -> Result {
+    marf()?; // before anything is written
     let dir = absent(&args.dir)?;
     let chosen = if args.fault.is_empty() {
         Fault::value_variants()
