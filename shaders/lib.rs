@@ -6,63 +6,20 @@
 
 mod net_structs;
 mod nets;
+mod shader;
+mod shared;
 mod structs;
 
 pub use net_structs::*;
 pub use nets::*;
+pub use shader::{Shader, constants, found};
+pub use shared::{CAMERA, MATH, RNG};
 pub use structs::*;
 
-/// A kernel's text.
-#[derive(Debug, Clone, Copy)]
-pub struct Shader {
-    /// Its name.
-    pub name: &'static str,
-    /// What it shares with others, in order, before its own text.
-    pub shared: &'static [&'static str],
-    /// Its own text.
-    pub text: &'static str,
-    /// Heads it is tested with.
-    pub heads: &'static [&'static str],
-}
-
-impl Shader {
-    /// Returns the whole text, which begins with [`constants`]; `head` holds the constants that decide its shape.
-    pub fn source(&self, head: &str) -> String {
-        let mut text = constants();
-        text.push_str(head);
-        for part in self.shared.iter().chain([&self.text]) {
-            text.push('\n');
-            text.push_str(part);
-        }
-        text
-    }
-}
-
-/// Returns the places in the arrays `counts`, `faults` and `found` as constants of WGSL.
-pub fn constants() -> String {
-    let places = [
-        ("COUNT_VISITED", counts::VISITED),
-        ("COUNT_KEPT", counts::KEPT),
-        ("COUNT_RAYS", counts::RAYS),
-        ("COUNT_ALIVE", counts::ALIVE),
-        ("FAULT_DENSITY", faults::DENSITY),
-        ("FAULT_LOGITS", faults::LOGITS),
-        ("FAULT_LOSS", faults::LOSS),
-        ("FAULT_FEATURES", faults::FEATURES),
-        ("FAULT_NETWORKS", faults::NETWORKS),
-        ("FAULT_BACKGROUND", faults::BACKGROUND),
-        ("FAULT_EXPOSURES", faults::EXPOSURES),
-        ("FAULT_SLOTS", faults::LEN as u32),
-        ("FOUND_GAIN", found::GAIN as u32),
-        ("FOUND_OFFSET", found::OFFSET as u32),
-        ("FOUND_LOSS", found::LOSS as u32),
-        ("FOUND_SLOPE", found::SLOPE as u32),
-        ("FOUND_TOWARDS", found::TOWARDS as u32),
-        ("FOUND_ROWS", found::LEN as u32),
-    ];
-    let lines = places.map(|(name, place)| format!("const {name}: u32 = {place}u;\n"));
-    lines.concat()
-}
+use shared::{
+    EXPOSED, FAULTS, FILLING, FLAT, GRID, LEVEL_MARKS, LEVEL_SCALE, PART, QUANTA, SCATTERED, STEP, TARGET,
+    WALK,
+};
 
 /// Returns the head of kernels that read rows of the tables: `Row` is one entry of `features` numbers, 2 or 4.
 pub fn row_head(features: u32) -> String {
@@ -98,46 +55,6 @@ const TABLE_HEADS: &[&str] = &[
     "alias Row = vec4<f32>;\nconst FEATURES: u32 = 4u;\nconst PRIME_Y: u32 = 3u;\nconst PRIME_Z: u32 = 5u;\n\
      alias Quanta = vec4<i32>;\nalias Sizes = vec4<u32>;\nconst PACKED: bool = true;\nconst MOST_QUANTA: i32 = 99;\nconst ROWS: u32 = 4u;\n",
 ];
-
-/// Number of a thread in a folded dispatch.
-const FLAT: &str = include_str!("shared/flat.wgsl");
-/// Corners around a point.
-const GRID: &str = include_str!("shared/grid.wgsl");
-/// Which levels a dispatch works on.
-const PART: &str = include_str!("shared/part.wgsl");
-/// From a sample's gradient to 8 entries.
-const SCATTERED: &str = include_str!("shared/spread.wgsl");
-/// Quanta from words.
-const QUANTA: &str = include_str!("shared/quanta.wgsl");
-/// A level's fixed point, marked by many threads.
-const LEVEL_MARKS: &str = include_str!("shared/level_marks.wgsl");
-/// A level's fixed point.
-const LEVEL_SCALE: &str = include_str!("shared/level_scale.wgsl");
-/// Whether a number ran away.
-const FAULTS: &str = include_str!("shared/faults.wgsl");
-/// Structs of the occupancy grid.
-const FILLING: &str = include_str!("shared/filling.wgsl");
-
-/// Own exponential functions, for kernels and their tests.
-pub const MATH: &str = include_str!("shared/math.wgsl");
-
-/// Streams of random numbers, for kernels and their tests.
-pub const RNG: &str = include_str!("shared/rng.wgsl");
-
-/// A camera and the rays behind its pixels, for kernels and their tests.
-pub const CAMERA: &str = include_str!("shared/camera.wgsl");
-
-/// What a ray is compared with.
-const TARGET: &str = include_str!("shared/target.wgsl");
-
-/// What changes with every step of training.
-const STEP: &str = include_str!("shared/step.wgsl");
-
-/// Sizes and limits of a walk along rays.
-const WALK: &str = include_str!("shared/walk.wgsl");
-
-/// Sizes and rates of the kernels of exposures.
-const EXPOSED: &str = include_str!("shared/exposed.wgsl");
 
 /// All kernels.
 pub const SHADERS: &[Shader] = &[

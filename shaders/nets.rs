@@ -1,6 +1,7 @@
 //! The kernels of networks and of light along rays.
 
-use crate::{FAULTS, FLAT, MATH, Shader, TARGET};
+use crate::shader::Shader;
+use crate::shared::{FAULTS, FLAT, MATH, TARGET};
 
 /// Sizes of columns.
 const EXTENT: &str = include_str!("shared/extent.wgsl");
@@ -51,22 +52,6 @@ impl Limits {
         }
         head
     }
-}
-
-/// Rows of the array `found` of the kernel `compare`.
-pub mod found {
-    /// Slopes in the three log gains.
-    pub const GAIN: usize = 0;
-    /// Slopes in the three offsets.
-    pub const OFFSET: usize = 3;
-    /// Sum of squared errors.
-    pub const LOSS: usize = 6;
-    /// Slopes in the three channels of the ray's colour.
-    pub const SLOPE: usize = 7;
-    /// Slope times colour behind.
-    pub const TOWARDS: usize = 10;
-    /// Rows.
-    pub const LEN: usize = 11;
 }
 
 /// A tile of samples.

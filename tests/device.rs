@@ -128,3 +128,20 @@ fn a_nodes_own_device_wins_over_the_command_line() {
         .find(|event| event["event"] == "will_run" && event["node"] == "train");
     assert_eq!(field(train.unwrap(), "device"), "cpu");
 }
+
+#[test]
+fn libraries_print_nothing_where_there_is_no_window_system() {
+    let dir = tempfile::tempdir().unwrap();
+    marf(dir.path(), &["init"]).exits(0);
+    let planned = std::process::Command::new(env!("CARGO_BIN_EXE_marf"))
+        .current_dir(dir.path())
+        .arg("plan")
+        .env_remove("XDG_RUNTIME_DIR")
+        .output()
+        .unwrap();
+    let stderr = String::from_utf8_lossy(&planned.stderr);
+    assert!(
+        planned.status.success() && !stderr.contains("XDG_RUNTIME_DIR"),
+        "{stderr}"
+    );
+}

@@ -32,7 +32,7 @@ the results of stages that are declared to vary (COLMAP's cameras). A training b
 it ran.
 Exit codes of the answer: 0 every digest is equal, 3 the file was not made by marf, 5 something that is needed is not in the \
 store any more, 7 something came out otherwise, 9 nothing did, but not everything could be made again here (it ran on another \
-GPU, or failed).";
+GPU, or failed), 12 the run has no result to compare with.";
 
 /// `marf replay`: runs a run, a node or what made a file again, and compares digests.
 pub fn replay(global: &Global, args: ReplayArgs, context: &Context) -> Result<(), Error> {

@@ -47,6 +47,8 @@ pub enum Answer {
     Differs,
     /// A replay could not make everything again here, and what it made is equal.
     NotMade,
+    /// A replay of a run without any result, so that nothing was compared.
+    NoResult,
 }
 
 /// The text of an error: message, cause, hint.

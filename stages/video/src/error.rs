@@ -1,4 +1,4 @@
-use crate::{Codec, MAX_LONG_PX, MAX_SHORT_PX};
+use crate::codec::{Codec, MAX_LONG_PX, MAX_SHORT_PX};
 
 /// Why pictures did not become a video.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]

@@ -21,6 +21,7 @@
 
 #[cfg(feature = "av1")]
 mod av1;
+mod codec;
 mod encoder;
 mod error;
 #[cfg(feature = "h264")]
@@ -32,11 +33,12 @@ mod sample;
 mod settings;
 mod yuv;
 
+pub use codec::{Codec, MAX_LONG_PX, MAX_SHORT_PX};
 pub use encoder::Encoder;
 pub use error::VideoError;
 #[cfg(any(feature = "h264", feature = "av1"))]
 pub(crate) use settings::KEY_EVERY;
-pub use settings::{Codec, MAX_LONG_PX, MAX_SHORT_PX, QUANTIZERS, RATES, Settings, check_size};
+pub use settings::{QUANTIZERS, RATES, Settings, check_size};
 
 #[cfg(test)]
 mod tests {

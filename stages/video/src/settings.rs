@@ -1,11 +1,8 @@
 //! What pictures may be, and how they are encoded.
 
-use crate::VideoError;
+use crate::codec::{Codec, MAX_LONG_PX, MAX_SHORT_PX};
+use crate::error::VideoError;
 
-/// Most pixels along the longer side of a picture, and along the shorter one: what OpenH264 takes (rav1e takes more).
-pub const MAX_LONG_PX: u32 = 3840;
-/// See [`MAX_LONG_PX`].
-pub const MAX_SHORT_PX: u32 = 2160;
 /// Least and most pictures a second.
 pub const RATES: std::ops::RangeInclusive<u32> = 1..=240;
 /// Quantisers (QP of H.264) of both codecs, finest first; OpenH264 keeps to no finer one than 12. AV1 takes the nearest of its own.
@@ -14,27 +11,7 @@ pub const QUANTIZERS: std::ops::RangeInclusive<u32> = 12..=51;
 #[cfg(any(feature = "h264", feature = "av1"))]
 pub(crate) const KEY_EVERY: u32 = 48;
 
-/// What pictures are encoded as.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Codec {
-    /// H.264, constrained baseline, by OpenH264.
-    H264,
-    /// AV1, main profile, by rav1e.
-    Av1,
-}
-
 impl Codec {
-    /// Every codec, built in or not.
-    pub const ALL: [Self; 2] = [Self::H264, Self::Av1];
-
-    /// Returns the cargo feature that builds it in.
-    pub const fn feature(self) -> &'static str {
-        match self {
-            Self::H264 => "h264",
-            Self::Av1 => "av1",
-        }
-    }
-
     /// Checks that this build has it.
     ///
     /// # Errors
@@ -48,15 +25,6 @@ impl Codec {
             return Ok(());
         }
         Err(VideoError::NoEncoder { codec: self })
-    }
-}
-
-impl std::fmt::Display for Codec {
-    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        formatter.write_str(match self {
-            Self::H264 => "H.264",
-            Self::Av1 => "AV1",
-        })
     }
 }
 
