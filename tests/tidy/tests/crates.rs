@@ -277,7 +277,7 @@ const CRATES: [Crate; 35] = [
 ];
 
 /// Packages that only these crates may use.
-const RESTRICTED: [(&str, &[&str]); 19] = [
+const RESTRICTED: [(&str, &[&str]); 18] = [
     ("axum", &["marf-view"]),
     ("clap", &["marf", "marf-labs"]),
     ("clap_complete", &["marf"]),
@@ -285,7 +285,6 @@ const RESTRICTED: [(&str, &[&str]); 19] = [
     ("indicatif", &["marf"]),
     ("kamadak-exif", &["marf-pds"]),
     // The laboratory is no part of the released program.
-    ("marf-labs", &[]),
     ("marf-loopback", &["marf-labs"]),
     ("object_store", &["marf-remote"]),
     ("openh264", &["marf-video"]),
@@ -300,8 +299,9 @@ const RESTRICTED: [(&str, &[&str]); 19] = [
     ("wgpu", &["marf-field-gpu"]),
 ];
 
-/// Where `unsafe` may stand: detection of instruction sets, and the kernels written for them.
-const UNSAFE: [&str; 4] = [
+/// Where `unsafe` may stand: a variable set before any thread runs, detection of instruction sets, and the kernels written for them.
+const UNSAFE: [&str; 5] = [
+    "src/main.rs",
     "stages/numeric/src/instruction_set.rs",
     "stages/field/src/cpu/simd.rs",
     "stages/field/src/cpu/simd/",

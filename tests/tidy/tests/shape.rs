@@ -36,8 +36,8 @@ const fn limit(bar: Bar, now: usize, goal: usize) -> Limit {
 }
 
 static LIMITS: [Limit; 12] = [
-    limit(Bar::Code, 104_533, 97_000),
-    limit(Bar::CodeOfMarf, 2_991, 5_000),
+    limit(Bar::Code, 104_380, 97_000),
+    limit(Bar::CodeOfMarf, 3_016, 5_000),
     limit(Bar::CodeOfACrate, 7_712, 8_000),
     limit(Bar::Rule(Rule::LongFunctions), 0, 0),
     limit(Bar::Rule(Rule::LongFiles), 5, 0),
@@ -46,7 +46,7 @@ static LIMITS: [Limit; 12] = [
     limit(Bar::Rule(Rule::BooleanMatches), 0, 0),
     limit(Bar::Rule(Rule::Names), 0, 0),
     limit(Bar::Rule(Rule::States), 0, 0),
-    limit(Bar::Rule(Rule::Circles), 6, 0),
+    limit(Bar::Rule(Rule::Circles), 2, 0),
     limit(Bar::Rule(Rule::Terminal), 0, 0),
 ];
 
