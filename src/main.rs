@@ -5,6 +5,7 @@ use std::process::ExitCode;
 use marf_engine::Cancel;
 
 fn main() -> ExitCode {
+    quiet_mesa();
     let cancel = Cancel::default();
     let asked = cancel.clone();
     // The first Ctrl-C asks to stop at the next check; the second stops now, which the store survives.
@@ -21,4 +22,16 @@ fn main() -> ExitCode {
         ));
     }
     marf::cli::main(&cancel)
+}
+
+/// Keeps Mesa's device-select layer from looking for a window system, which it reports on stderr where there is none. `--device` chooses
+/// among all devices without it.
+fn quiet_mesa() {
+    let runtime = std::env::var_os("XDG_RUNTIME_DIR");
+    if !runtime.is_some_and(|folder| std::path::Path::new(&folder).is_dir()) {
+        #[allow(unsafe_code, reason = "no other thread runs yet, as `set_var` wants")]
+        unsafe {
+            std::env::set_var("NODEVICE_SELECT", "1");
+        }
+    }
 }

@@ -36,7 +36,7 @@ const GROUPS: [(&str, &[&str]); 6] = [
     ),
     ("Provenance", &["audit", "replay", "diff", "verify"]),
     ("Store and cluster", &["cache", "exec"]),
-    ("Setup", &["schema", "completions", "man", "bench"]),
+    ("Setup", &["schema", "completions", "man"]),
 ];
 
 /// Returns the form of `marf --help`, with the verbs in their groups.
@@ -113,15 +113,6 @@ pub enum Verb {
     Fit(super::fit::FitArgs),
     /// Measure what each parameter costs in time and gains in quality
     Trade(super::trade::TradeArgs),
-    /// Benchmark this program
-    Bench {
-        /// What to measure
-        #[command(subcommand)]
-        verb: super::bench::BenchVerb,
-        /// Options of all benchmarks.
-        #[command(flatten)]
-        options: super::global::Global,
-    },
     /// Write a manual page for each verb
     Man {
         /// Folder to write

@@ -28,6 +28,7 @@ fn answer_code(answer: Answer) -> u8 {
         Answer::Changed => 6,
         Answer::Differs => 7,
         Answer::NotMade => 9,
+        Answer::NoResult => 12,
     }
 }
 

@@ -2,7 +2,6 @@
 
 mod args;
 mod audit;
-mod bench;
 mod cache;
 mod calibrate;
 mod compare;
@@ -13,7 +12,6 @@ mod export;
 mod feedback;
 mod filter;
 mod fit;
-mod global;
 mod init;
 mod log;
 mod man;
@@ -113,7 +111,6 @@ fn dispatch(cli: Cli, cancel: &Cancel) -> Result<(), Error> {
         Verb::Calibrate(args) => calibrate::calibrate(args, context),
         Verb::Fit(args) => fit::fit(args, context),
         Verb::Trade(args) => trade::trade(args, context),
-        Verb::Bench { verb, options } => bench::bench(&options, &verb, &options.context(context)),
         Verb::Man { dir } => man::man(&dir),
         Verb::Completions { shell } => {
             let mut bytes = Vec::new();

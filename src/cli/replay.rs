@@ -32,7 +32,8 @@ const AFTER_HELP: &str = "\
 The replay contacts no server. It uses only the root of the run, the files that the run read from archives, and the results of stages \
 that are declared to vary (COLMAP's cameras). A training with a time limit is repeated by its recorded schedule.
 Exit codes: 0 all digests are equal, 3 the file was not written by marf, 5 the store no longer has something that is needed, 7 a digest \
-differs, 9 no digest differs, but something could not be repeated here (it ran on another GPU, or failed).";
+differs, 9 no digest differs, but something could not be repeated here (it ran on another GPU, or failed), 12 the run has no result to \
+compare with.";
 
 /// `marf replay`: runs a run, a node or what made a file again, and compares digests.
 pub fn replay(args: ReplayArgs, context: Context) -> Result<(), Error> {

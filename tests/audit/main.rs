@@ -213,6 +213,28 @@ fn a_script_without_our_code_computes_every_key_again() {
 }
 
 #[test]
+fn a_photo_was_read_and_not_made_and_what_it_went_into_is_listed() {
+    let dir = tempfile::tempdir().unwrap();
+    copy(
+        &common::photos().path().join("photos"),
+        &dir.path().join("photos"),
+    );
+    marf(dir.path(), &["filter", "photos", "--out", "verdicts.csv"]).exits(0);
+    let words = marf(dir.path(), &["audit", "photos/images/2.png"])
+        .exits(0)
+        .stdout;
+    for part in ["read by marf and unaltered", "used in run 1", "  read in run 1"] {
+        assert!(words.contains(part), "{part}: {words}");
+    }
+    assert!(!words.contains("made by marf"), "{words}");
+    let json = audit(dir.path(), "photos/images/2.png", &[], 0);
+    assert_eq!(json["uses"]["runs"][0]["run"], 1, "{json}");
+    // What marf made has no uses of this kind.
+    let made = audit(dir.path(), "verdicts.csv", &[], 0);
+    assert_eq!(made["uses"], Value::Null, "{made}");
+}
+
+#[test]
 fn what_was_collected_is_named_and_a_changed_archive_is_told() {
     let dir = tempfile::tempdir().unwrap();
     let photos = common::photos();

@@ -102,3 +102,18 @@ fn a_node_that_cannot_be_made_here_has_an_answer_of_its_own() {
         "{told}"
     );
 }
+
+/// A run whose first node failed has nothing to compare with.
+#[test]
+fn a_replay_of_a_run_without_results_is_not_a_success() {
+    let dir = tempfile::tempdir().unwrap();
+    let pipeline = "name = \"absent\"\n[archive.mine]\nkind = \"folder\"\npath = \"photos\"\n[node.extract]\narchive = \"mine\"\n";
+    std::fs::write(dir.path().join("pipeline.toml"), pipeline).unwrap();
+    marf(dir.path(), &["run"]).exits(1);
+    let replayed = marf(dir.path(), &["replay", "1"]).exits(12);
+    assert!(
+        replayed.stderr.contains("run 1 has no result to compare with"),
+        "{}",
+        replayed.stderr
+    );
+}

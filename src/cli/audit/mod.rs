@@ -1,11 +1,11 @@
 //! `marf audit`: who made a file, from which bytes; and what a product went into.
 
 mod tree;
+mod uses;
 
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use marf_provenance::taint::Tainted;
 use marf_run::audit::{self, AuditRequest};
 use marf_run::{Context, Error};
 
@@ -90,36 +90,7 @@ fn from(record: &RecordArgs, product: &str, context: &Context) -> Result<(), Err
     } else {
         uses.runs
             .iter()
-            .for_each(|tainted| print_line(&escape_control(&text(tainted))));
+            .for_each(|tainted| print_line(&escape_control(&uses::text(tainted))));
     }
     uses.is_whole()
 }
-
-fn text(tainted: &Tainted) -> String {
-    let mut lines = vec![format!("run {}: {}", tainted.run, tainted.command)];
-    for node in &tainted.nodes {
-        let outputs: Vec<&str> = node.outputs.keys().map(String::as_str).collect();
-        let shown = outputs.len().min(MOST_OUTPUTS);
-        let more = match outputs.len() - shown {
-            0 => String::new(),
-            more => format!(" and {more} more"),
-        };
-        lines.push(format!(
-            "  {:<22} through {:<16} into {}{more}",
-            node.node,
-            node.through.join(", "),
-            outputs[..shown].join(", ")
-        ));
-    }
-    match tainted.rejected_by.as_slice() {
-        [] => {}
-        by => lines.push(format!(
-            "  rejected by {}: what follows does not hold it",
-            by.join(", ")
-        )),
-    }
-    lines.join("\n")
-}
-
-/// Most outputs of a node that are named in its line.
-const MOST_OUTPUTS: usize = 4;

@@ -9,6 +9,8 @@ use marf_provenance::find::{Maker, Place};
 use marf_run::audit::identity::Identity;
 use marf_run::audit::{AuditReport, Changed, Origin, ProductLine, Products, Step};
 
+use super::uses;
+
 /// Writes into a string cannot fail.
 macro_rules! line {
     ($text:expr, $($rest:tt)*) => { let _ = writeln!($text, $($rest)*); };
@@ -18,6 +20,11 @@ macro_rules! line {
 pub(super) fn text(report: &AuditReport) -> String {
     let mut text = String::new();
     line!(text, "{}: {}", report.file.display(), verdict(&report.identity));
+    if let Some(found) = &report.uses {
+        for tainted in &found.runs {
+            line!(text, "used in {}", uses::text(tainted));
+        }
+    }
     for origin in &report.lineage {
         line!(text, "");
         add_origin(&mut text, origin);
@@ -61,7 +68,12 @@ fn verdict(identity: &Identity) -> String {
                 1 => String::new(),
                 count => format!("; {count} makers, all are named"),
             };
-            format!("made by marf and whole, blake3 {object}{several}")
+            let is = if identity.is_input() {
+                "read by marf and unaltered"
+            } else {
+                "made by marf and whole"
+            };
+            format!("{is}, blake3 {object}{several}")
         }
         Identity::Altered {
             content,
@@ -108,7 +120,9 @@ pub(super) fn place(place: &Place) -> String {
 
 fn add_origin(text: &mut String, origin: &Origin) {
     line!(text, "{}", place(&origin.maker.place));
+    let is_input = matches!(origin.maker.place, Place::Product { .. } | Place::File { .. });
     let by = match origin.maker.made_in {
+        _ if is_input => "read in",
         Some(_) => "made in",
         None => "the run that made it is gone; the oldest that has it is",
     };

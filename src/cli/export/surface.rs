@@ -93,16 +93,27 @@ impl SurfaceArgs {
     }
 }
 
-/// Says what the uncertainty of a surface is.
+/// Returns how far the retrainings, or the views, differ where that is known.
 fn uncertainty_text(report: &SurfaceReport) -> String {
     let uncertainty = &report.uncertainty;
-    let of = match uncertainty.of {
-        SpreadOf::Retrainings => format!("{} retrainings differ by", uncertainty.members),
-        SpreadOf::Views => "no bootstrap: the views of the field differ by".to_owned(),
+    let what = match uncertainty.of {
+        SpreadOf::Retrainings => format!("{} retrainings", uncertainty.members),
+        SpreadOf::Views => "no bootstrap: the views of the field".to_owned(),
+    };
+    let known = uncertainty.known_share;
+    if known == 0.0 {
+        return format!("{what} show no vertex: its uncertainty is not known");
+    }
+    let of_known = if known < 1.0 {
+        format!(" of the {:.1} % of the vertices where it is known", 100.0 * known)
+    } else {
+        " of the vertices".to_owned()
     };
     format!(
-        "{of} {:.4} at half of the vertices, {:.4} at 95 of 100 ({})",
-        uncertainty.median, uncertainty.scale_end, report.unit
+        "{what} differ by at most {:.4} ({unit}) at half{of_known}, by at most {:.4} at 95 %",
+        uncertainty.median,
+        uncertainty.scale_end,
+        unit = report.unit
     )
 }
 

@@ -22,7 +22,7 @@ pub const TEMPLATES: [Template; 6] = [
     },
     Template {
         name: "folder",
-        about: "photos in a folder, with cameras of another program",
+        about: "photos in a folder",
         text: include_str!("../../../pipelines/folder.toml"),
     },
     Template {

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use marf_cache::Store;
 use marf_config::{GlobalOptions, PipelineDocument, check_tree};
-use marf_engine::{NodeRun, Options, Purpose, RunRecord, RunSource};
+use marf_engine::{NodeRun, Options, Purpose, RunRecord, RunSource, action_at, differences};
 use marf_model::Run;
 use marf_provenance::replay::recorded;
 use serde_json::{Value, json};
@@ -83,17 +83,21 @@ pub fn run_nodes(
         ..options(&session)
     };
     let record = execute(&session, &options)?.done()?;
-    for name in made_otherwise(run, &record) {
+    for node in made_otherwise(run, &record) {
+        if options.to.contains(&node.name) {
+            continue; // It is the request itself, which may differ from an earlier one.
+        }
+        let changes = changes(&session.store, run.node(&node.name), node)?;
         context.warn(format!(
-            "this marf makes `{name}` in another way than run {}, and made it again: what is written is of the new result",
-            run.number
+            "`{}` was computed again, since its result in run {} is out of date ({changes}): the files are of the new result",
+            node.name, run.number
         ));
     }
     Ok(DerivedRun { session, record })
 }
 
 /// Returns the nodes whose results are others than those of a run before, and were to be: a stage has another version since.
-fn made_otherwise<'r>(before: &RunRecord, after: &'r RunRecord) -> Vec<&'r str> {
+fn made_otherwise<'r>(before: &RunRecord, after: &'r RunRecord) -> Vec<&'r NodeRun> {
     let is_other = |node: &&NodeRun| {
         let old = before.node(&node.name).filter(|old| old.state.is_good());
         old.is_some_and(|old| old.key != node.key && old.outputs != node.outputs)
@@ -102,7 +106,24 @@ fn made_otherwise<'r>(before: &RunRecord, after: &'r RunRecord) -> Vec<&'r str> 
         .nodes
         .iter()
         .filter(|node| node.parent.is_none() && node.state.is_good());
-    good.filter(is_other).map(|node| node.name.as_str()).collect()
+    good.filter(is_other).collect()
+}
+
+/// Returns what differs between the actions of two results of a node.
+fn changes(store: &Store, before: Option<&NodeRun>, after: &NodeRun) -> Result<String, Error> {
+    let action = |node: Option<&NodeRun>| match node.and_then(|node| node.key) {
+        Some(key) => action_at(store, &key),
+        None => Ok(None),
+    };
+    let Some((before, after)) = action(before)?.zip(action(Some(after))?) else {
+        return Ok("the action of one of them is not in the store".to_owned());
+    };
+    let changes = differences(&before, &after);
+    Ok(changes
+        .iter()
+        .map(ToString::to_string)
+        .collect::<Vec<_>>()
+        .join(", "))
 }
 
 #[cfg(test)]
@@ -128,7 +149,8 @@ mod tests {
     #[test]
     fn a_node_is_told_that_was_keyed_otherwise_and_gave_something_else() {
         let before = run("version 11", "a");
-        assert_eq!(made_otherwise(&before, &run("version 12", "b")), ["train"]);
+        let after = run("version 12", "b");
+        assert_eq!(made_otherwise(&before, &after)[0].name, "train");
         for same in [
             run("version 11", "a"),
             run("version 12", "a"),

@@ -47,6 +47,8 @@ pub enum Answer {
     Differs,
     /// A replay could not make everything again here, and what it made is equal.
     NotMade,
+    /// A replay of a run without any result, so that nothing was compared.
+    NoResult,
 }
 
 /// The text of an error: message, cause, hint.
@@ -118,6 +120,14 @@ impl Error {
             .map_or("stopped", |diagnostic| &diagnostic.message)
     }
 }
+
+impl std::fmt::Display for Error {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(self.message())
+    }
+}
+
+impl std::error::Error for Error {}
 
 impl From<LoadError> for Error {
     fn from(error: LoadError) -> Self {

@@ -9,7 +9,7 @@ use marf_stage::Verdict;
 
 use crate::context::Context;
 use crate::documents::{self, Documents};
-use crate::error::Error;
+use crate::error::{Diagnostic, Error};
 use crate::execute::{Extras, execute_with, options};
 use crate::session::Session;
 use crate::{folder, outputs, report, verdicts};
@@ -54,6 +54,7 @@ pub fn filter(
     };
     let execution = execute_with(&session, &options(&session), &extras)?;
     let by_node = verdicts::by_node(&session, &execution.record)?;
+    let merged = verdicts::merged(&by_node, &chain);
     let page = csv.with_extension("html");
     for (name, path) in [(document::VERDICTS, csv), (document::REPORT, &page)] {
         if let Some(document) = execution.record.documents.get(name) {
@@ -61,8 +62,14 @@ pub fn filter(
         }
     }
     execution.done()?;
+    if merged.is_empty() {
+        let diagnostic = Diagnostic::new(format!("{} has no photo", dir.display()));
+        return Err(Error::Failed(
+            diagnostic.hint("name the folder that holds the photos"),
+        ));
+    }
     let mut counts: BTreeMap<String, usize> = BTreeMap::new();
-    for verdict in verdicts::merged(&by_node, &chain) {
+    for verdict in merged {
         *counts.entry(verdict.verdict).or_default() += 1;
     }
     let calls_of = |name: &&str| {

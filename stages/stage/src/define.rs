@@ -3,7 +3,7 @@ use std::borrow::Cow;
 use schemars::{JsonSchema, Schema, generate::SchemaSettings};
 use serde::{Serialize, de::DeserializeOwned};
 
-use crate::{ArchiveContext, Stage, error::ParamError, located::LocatedJson};
+use crate::{ArchiveContext, Stage, error::ParamError};
 
 /// An input of a stage: the key that names the upstream node, and the output of that node that is read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -184,7 +184,12 @@ fn remove(json: &mut serde_json::Value, path: &str) {
 /// # Errors
 /// Names the key whose value cannot be read.
 pub fn from_json<P: DeserializeOwned>(params: serde_json::Value) -> Result<P, ParamError> {
-    P::deserialize(LocatedJson(params))
+    serde_path_to_error::deserialize(params).map_err(|error| {
+        ParamError::new(
+            error.path().to_string().trim_start_matches('.'),
+            error.inner().to_string(),
+        )
+    })
 }
 
 /// Defines a stage that holds its parameters. They implement [`Params`](crate::Params) and have a method `check`.

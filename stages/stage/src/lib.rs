@@ -10,7 +10,6 @@ mod define;
 mod document;
 mod error;
 pub mod harness;
-mod located;
 mod origin;
 mod set;
 mod sols;

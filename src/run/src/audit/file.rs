@@ -7,6 +7,7 @@ use marf_provenance::verify::{self, Verified};
 use serde::Serialize;
 
 use super::changed::{self, Changed};
+use super::from::{ProductUses, uses};
 use super::identity::{Identity, identify};
 use super::lineage::{Origin, origin_of};
 use crate::context::Context;
@@ -35,6 +36,9 @@ pub struct AuditReport {
     pub identity: Identity,
     /// From what each of its makers made it.
     pub lineage: Vec<Origin>,
+    /// The runs and nodes that a file of an archive went into; absent for a file that marf made.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub uses: Option<ProductUses>,
     /// What was verified.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub verified: Option<Verified>,
@@ -74,7 +78,12 @@ pub fn audit(context: &Context, request: &AuditRequest) -> Result<AuditReport, E
             changed.extend(changed::since(context, &whole, &nodes)?);
         }
     }
+    let uses = match &identity {
+        Identity::Whole { object, .. } if identity.is_input() => Some(uses(context, &object.to_string())?),
+        _ => None,
+    };
     Ok(AuditReport {
+        uses,
         file: file.clone(),
         answer: answer(&identity, &lineage, verified.as_ref(), &changed),
         identity,
@@ -114,8 +123,8 @@ pub fn is_whole(answer: Answer, file: &Path) -> Result<(), Error> {
     let file = file.display();
     let said = |message: String| Err(Error::Answered(answer, Diagnostic::new(message)));
     match answer {
-        // The last two are answers of a replay.
-        Answer::Whole | Answer::Differs | Answer::NotMade => Ok(()),
+        // The last three are answers of a replay.
+        Answer::Whole | Answer::Differs | Answer::NotMade | Answer::NoResult => Ok(()),
         Answer::NotOurs => said(format!("{file} was not made by a run of this store")),
         Answer::Altered => said(format!("{file}, or something that it was made from, was altered")),
         Answer::Incomplete => said(format!("not all of what {file} was made from is in the store")),

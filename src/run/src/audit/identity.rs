@@ -6,7 +6,7 @@ use marf_cache::{Digest, Store};
 use marf_engine::RunRecord;
 use marf_model::{product::set, unless_lost};
 use marf_provenance::{
-    find::{Maker, find},
+    find::{Maker, Place, find},
     nearest::{LEAST_SHARE, Outline},
     stamp::Stamp,
 };
@@ -60,6 +60,12 @@ impl Identity {
             Self::Whole { makers, .. } | Self::Altered { makers, .. } => makers,
             Self::Elsewhere { .. } | Self::NotOurs { .. } => &[],
         }
+    }
+
+    /// Returns whether runs read the file and none made it: a photo or label of an archive.
+    pub fn is_input(&self) -> bool {
+        let is_input = |maker: &Maker| matches!(maker.place, Place::Product { .. } | Place::File { .. });
+        matches!(self, Self::Whole { makers, .. } if makers.iter().all(is_input))
     }
 }
 

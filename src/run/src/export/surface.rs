@@ -5,7 +5,10 @@ use std::path::{Path, PathBuf};
 use marf_cache::Store;
 use marf_engine::{NodeRun, Purpose, RunRecord};
 use marf_model::select;
-use marf_schema::output::{DEPTH, MESH_GLB, MESH_PLY, POINTS, SPLAT_VIEWS, SPLATS, SURFACE_MAPS, WEIGHTS};
+use marf_scene::Scene;
+use marf_schema::output::{
+    DEPTH, MESH_GLB, MESH_PLY, POINTS, SCENE, SPLAT_VIEWS, SPLATS, SURFACE_MAPS, WEIGHTS,
+};
 use marf_schema::surface::{ColorBy, SurfaceParams, SurfaceReport};
 use marf_stage::Params;
 use serde::Serialize;
@@ -91,6 +94,7 @@ pub fn export(context: &Context, request: &SurfaceRequest) -> Result<SurfaceResu
     check_ending(kind, &request.out)?;
     let store = context.existing_store()?;
     let (trained, run) = trained(context, &store, request)?;
+    check_map(kind, &store, node_named(&run, &trained)?)?;
     let added = AddedNode {
         name: format!("surface-of-{trained}"),
         table: table(request, &run, &trained),
@@ -104,7 +108,7 @@ pub fn export(context: &Context, request: &SurfaceRequest) -> Result<SurfaceResu
     )?;
     let node = node_named(&record, &added.name)?;
     let surface: SurfaceReport = session.document(node)?;
-    has_map(kind, &surface)?;
+    check_surface(kind, &surface)?;
     let mut files = files_of(kind, node, &request.out);
     let pictures = request.pictures.as_deref();
     files.extend(
@@ -122,22 +126,42 @@ pub fn export(context: &Context, request: &SurfaceRequest) -> Result<SurfaceResu
     })
 }
 
-/// Refuses a map that the surface does not have.
-fn has_map(kind: SurfaceKind, report: &SurfaceReport) -> Result<(), Error> {
-    let is_map = matches!(kind, SurfaceKind::Height | SurfaceKind::Orthophoto);
-    let Some(why) = report.refused.get(SURFACE_MAPS).filter(|_| is_map) else {
-        return Ok(());
+/// What gives a scene a scale and an up direction.
+const METRES: &str = "cameras from labels (`method = \"sfm\"` or \"labels\" on photos with labels) give metres and an up direction";
+
+/// Refuses a map of a field whose scene has no metres or no up, before anything is computed.
+fn check_map(kind: SurfaceKind, store: &Store, trained: &NodeRun) -> Result<(), Error> {
+    let what = match kind {
+        SurfaceKind::Height => "the height map",
+        SurfaceKind::Orthophoto => "the orthophoto",
+        _ => return Ok(()),
     };
-    // Of a scene without scale all else is asked for in vain.
-    let hint = match (report.vertices, report.unit.as_str()) {
-        (0, "metres") => {
-            "lower --least-photos, or widen --most-spread or --cell: what few photos show alike is left out"
-        }
-        _ => {
-            "cameras from labels (`method = \"sfm\"` or \"labels\" on photos with labels) give metres and an up direction"
-        }
+    let scene = Scene::decode(&store.get(&digest(trained, SCENE)?)?);
+    let scene = scene.map_err(|error| Error::failed(format!("{SCENE} of `{}`: {error}", trained.name)))?;
+    let why = match (scene.metres_per_unit, scene.up) {
+        (None, _) => "the scene has no scale, so nothing is known in metres",
+        (_, None) => "the scene does not know where up is",
+        _ => return Ok(()),
     };
-    Err(Error::Failed(Diagnostic::new(why.clone()).hint(hint)))
+    Err(Error::Failed(
+        Diagnostic::new(format!("{what} cannot be made: {why}")).hint(METRES),
+    ))
+}
+
+/// Refuses a surface without a triangle or point, and a map that it does not have.
+fn check_surface(kind: SurfaceKind, report: &SurfaceReport) -> Result<(), Error> {
+    let missing = match kind {
+        SurfaceKind::Mesh if report.triangles == 0 => "the mesh has no triangle".to_owned(),
+        SurfaceKind::Points if report.points == 0 => "the cloud has no point".to_owned(),
+        SurfaceKind::Height | SurfaceKind::Orthophoto => match report.refused.get(SURFACE_MAPS) {
+            Some(why) => why.clone(),
+            None => return Ok(()),
+        },
+        _ => return Ok(()),
+    };
+    let hint =
+        "lower --least-photos, or widen --most-spread or --cell: what few photos show alike is left out";
+    Err(Error::Failed(Diagnostic::new(missing).hint(hint)))
 }
 
 /// Returns the node whose field is exported, and a run that has it.

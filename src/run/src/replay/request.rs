@@ -103,9 +103,14 @@ pub fn is_missing(node: &Replayed) -> bool {
 /// Returns an error unless everything came out as it was: a difference counts before what could not be made.
 ///
 /// # Errors
-/// [`Error::Answered`]: differs, or not made.
+/// [`Error::Answered`]: differs, not made, or nothing to compare.
 pub fn is_equal(report: &ReplayReport) -> Result<(), Error> {
     let first = |wanted: fn(&Replayed) -> bool| report.nodes.iter().find(|node| wanted(node));
+    if report.nodes.is_empty() {
+        let diagnostic = Diagnostic::new(format!("run {} has no result to compare with", report.run));
+        let hint = "`marf log` lists all runs; name one that has results";
+        return Err(Error::Answered(Answer::NoResult, diagnostic.hint(hint)));
+    }
     let (answer, said) = match (first(differs), first(is_missing)) {
         (Some(node), _) => (
             Answer::Differs,
@@ -149,7 +154,7 @@ mod tests {
         let missing = || node(&[], Some(NotMade::NotMade("out of memory".to_owned())));
         let differing = || node(&["field"], None);
         for (nodes, expected) in [
-            (vec![], None),
+            (vec![], Some(Answer::NoResult)),
             (vec![made(), taken_over()], None),
             (vec![made(), missing(), taken_over()], Some(Answer::NotMade)),
             (vec![missing(), differing(), made()], Some(Answer::Differs)),

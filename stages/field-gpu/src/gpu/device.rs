@@ -91,8 +91,6 @@ impl Gpu {
         if *wanted == Device::Cpu {
             return Ok(None);
         }
-        // Mesa's layer that orders devices looks for a window system and says so on stderr where XDG_RUNTIME_DIR is
-        // not set; only its own variable, NODEVICE_SELECT, keeps it from that.
         let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
         descriptor.backends = BACKENDS;
         descriptor.memory_budget_thresholds.for_resource_creation = Some(MEMORY_SHARE);
