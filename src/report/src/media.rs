@@ -18,6 +18,7 @@ pub struct File {
 }
 
 /// A page that is served with the files that it shows.
+#[derive(Default)]
 pub struct LinkedPage {
     /// The page.
     pub html: String,
@@ -44,14 +45,7 @@ pub(super) enum Media<'a> {
     /// In the page, as data URIs.
     Embedded,
     /// Next to it.
-    Linked(&'a LiveParts, RefCell<LinkedFiles>),
-}
-
-/// What a linked page shows so far.
-#[derive(Default)]
-pub(super) struct LinkedFiles {
-    pub(super) files: HashMap<Digest, File>,
-    pub(super) objects: BTreeSet<Digest>,
+    Linked(&'a LiveParts, RefCell<LinkedPage>),
 }
 
 impl<'a> Media<'a> {
@@ -72,10 +66,10 @@ impl<'a> Media<'a> {
     pub(super) fn made(&self, media: &'static str, bytes: &[u8]) -> String {
         match self {
             Self::Embedded => data_uri(media, bytes),
-            Self::Linked(live, linked) => {
+            Self::Linked(live, page) => {
                 let digest = Digest::from_content(bytes);
                 let bytes = bytes.into();
-                linked.borrow_mut().files.insert(digest, File { media, bytes });
+                page.borrow_mut().files.insert(digest, File { media, bytes });
                 address(live, &digest)
             }
         }
@@ -85,8 +79,8 @@ impl<'a> Media<'a> {
     pub(super) fn stored(&self, media: &str, digest: &Digest, bytes: &[u8]) -> String {
         match self {
             Self::Embedded => data_uri(media, bytes),
-            Self::Linked(live, linked) => {
-                linked.borrow_mut().objects.insert(*digest);
+            Self::Linked(live, page) => {
+                page.borrow_mut().objects.insert(*digest);
                 address(live, digest)
             }
         }
@@ -94,15 +88,11 @@ impl<'a> Media<'a> {
 
     /// Returns a page with the files that it shows.
     pub(super) fn with_files(self, html: String) -> LinkedPage {
-        let linked = match self {
-            Self::Embedded => LinkedFiles::default(),
-            Self::Linked(_, linked) => linked.into_inner(),
+        let page = match self {
+            Self::Embedded => LinkedPage::default(),
+            Self::Linked(_, page) => page.into_inner(),
         };
-        LinkedPage {
-            html,
-            files: linked.files,
-            objects: linked.objects,
-        }
+        LinkedPage { html, ..page }
     }
 }
 

@@ -72,6 +72,7 @@ impl Content {
             return Some(file.clone());
         }
         let is_named = self.objects.contains(digest) || pages().any(|page| page.objects.contains(digest));
+        drop(opened);
         let bytes = is_named.then(|| source.object(digest))??;
         Some(File {
             media: media(&bytes),
