@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use marf_cache::{Action, Digest, Record, Store, read_digest_list};
-use marf_engine::{LISTING, NodeRun, RunRecord, action_at, run_of, sets};
+use marf_engine::{LISTING, NodeRun, NodeState, RunRecord, action_at, run_of, sets};
 use marf_stage::{Document, PHOTOS, VERDICTS, Verdict};
 
 use crate::{
@@ -26,6 +26,10 @@ pub struct Run<'s> {
 pub struct RunNode {
     /// What the run root says of it: name, key, edges, inputs, outputs, times.
     pub run: NodeRun,
+    /// The earlier run that the result is of, where the run itself has none ([`Run::completed`]).
+    pub of_run: Option<u64>,
+    /// Wall time of the work in the run that the result is of, in seconds; none if that run found the result.
+    pub worked_s: Option<f64>,
     /// Everything its result depends on; none if the node has no result, or the store has lost the action.
     pub action: Option<Action>,
     /// Its record: outputs, needs, parts, children, device and time; none if it is not in the store.
@@ -51,12 +55,56 @@ impl<'s> Run<'s> {
             let record = run.key.map(|key| store.record(&key)).transpose()?;
             Ok(RunNode {
                 run: run.clone(),
+                of_run: None,
+                worked_s: (run.state == NodeState::Finished).then_some(run.seconds),
                 action: action.flatten(),
                 record: record.flatten(),
             })
         };
         let nodes = record.nodes.iter().map(node).collect::<Result<_, _>>()?;
         Ok(Self { store, record, nodes })
+    }
+
+    /// Returns the run with what an earlier run made of the nodes that have no result in it, and of those that it does not have.
+    /// What happened to a node in this run, and why, stays.
+    #[must_use]
+    pub fn completed(mut self, earlier: Self) -> Self {
+        let number = Some(earlier.record.number);
+        let (children, nodes): (Vec<RunNode>, Vec<RunNode>) =
+            earlier.nodes.into_iter().partition(RunNode::is_child);
+        let mut taken = BTreeSet::new();
+        for mut node in nodes {
+            let place = self.nodes.iter().position(|own| own.run.name == node.run.name);
+            let own = place.map(|place| &mut self.nodes[place]);
+            if own.as_ref().is_some_and(|own| own.run.state.is_good()) {
+                continue;
+            }
+            taken.insert(node.run.name.clone());
+            node.of_run = number;
+            if let Some(own) = own {
+                node.run.state = own.run.state;
+                node.run.reason.clone_from(&own.run.reason);
+                *own = node;
+            } else {
+                node.run.state = NodeState::Skipped;
+                "not part of this run".clone_into(&mut node.run.reason);
+                self.nodes.push(node);
+            }
+        }
+        let is_taken = |child: &RunNode| {
+            child
+                .run
+                .parent
+                .as_ref()
+                .is_some_and(|parent| taken.contains(parent))
+        };
+        self.nodes.retain(|node| !is_taken(node));
+        let children = children.into_iter().filter(is_taken);
+        self.nodes.extend(children.map(|child| RunNode {
+            of_run: number,
+            ..child
+        }));
+        self
     }
 
     /// Returns the store.
@@ -222,6 +270,22 @@ impl RunNode {
             key: self.run.key.unwrap_or_else(|| Digest::from_content(&[])),
         })?;
         parts_of(store, record)
+    }
+
+    /// Returns the digest of an output that it may not have.
+    pub fn digest(&self, output: &str) -> Option<&Digest> {
+        self.run.outputs.get(output).map(|output| &output.digest)
+    }
+
+    /// Returns the digests of the outputs whose names begin with a prefix, by the rest of their names.
+    pub fn outputs_under<'r>(&'r self, prefix: &'r str) -> impl Iterator<Item = (&'r str, &'r Digest)> {
+        let outputs = self.run.outputs.iter();
+        outputs.filter_map(move |(name, output)| Some((name.strip_prefix(prefix)?, &output.digest)))
+    }
+
+    /// Returns the names of the nodes that it reads.
+    pub fn upstream(&self) -> impl Iterator<Item = &str> {
+        self.run.edges.iter().map(|edge| edge.upstream.as_str())
     }
 
     /// Returns the digest of an output.

@@ -88,6 +88,22 @@ pub fn newest_with(
     })?)
 }
 
+/// Returns the newest run of the same pipeline that came before a run, which need not be stored yet, and has what is wanted.
+///
+/// # Errors
+/// As [`newest`].
+pub fn earlier(
+    store: &Store,
+    run: &RunRecord,
+    warn: impl Fn(String),
+    wanted: impl Fn(&RunRecord) -> bool,
+) -> Result<Option<RunRecord>, RunError> {
+    let is_earlier = |other: &RunRecord| run.number == 0 || other.number < run.number;
+    Ok(last_run_where(store, warn, |other| {
+        is_earlier(other) && other.pipeline == run.pipeline && other.source == run.source && wanted(other)
+    })?)
+}
+
 /// Returns the newest run of a subject in which every node of its own pipeline has a result. If there is none: the newest that was
 /// done, else the newest with any result.
 ///

@@ -3,13 +3,13 @@
 use std::collections::BTreeMap;
 
 use marf_cache::Digest;
+use marf_model::RunNode;
 use marf_scene::{Frame, Point, Scene};
 use marf_schema::{calibrate, output};
 use maud::{Markup, html};
 
 use super::axis::round_step;
 use super::format::{count, number, px};
-use super::input::NodeView;
 use super::json;
 use super::page::{Page, has_document, key};
 use super::quality::{figures, of_calibration};
@@ -41,10 +41,10 @@ const ERRORS_PX: [f64; 3] = [0.5, 1.0, 2.0];
 
 /// Every scene of the run once, with the nodes that hold it.
 pub(super) fn body(page: &Page<'_>) -> Markup {
-    let mut holders: BTreeMap<Digest, Vec<&NodeView>> = BTreeMap::new();
+    let mut holders: BTreeMap<Digest, Vec<&RunNode>> = BTreeMap::new();
     let mut order = Vec::new();
     for node in page.with_output(output::SCENE) {
-        if let Some(digest) = node.outputs.get(output::SCENE) {
+        if let Some(digest) = node.digest(output::SCENE) {
             if !holders.contains_key(digest) {
                 order.push(*digest);
             }
@@ -57,8 +57,8 @@ pub(super) fn body(page: &Page<'_>) -> Markup {
     html! { @for nodes in order.iter().filter_map(|digest| holders.get(digest)) { (of_nodes(page, nodes)) } }
 }
 
-fn of_nodes(page: &Page<'_>, nodes: &[&NodeView]) -> Markup {
-    let names: Vec<&str> = nodes.iter().map(|node| node.name.as_str()).collect();
+fn of_nodes(page: &Page<'_>, nodes: &[&RunNode]) -> Markup {
+    let names: Vec<&str> = nodes.iter().map(|node| node.run.name.as_str()).collect();
     let Some(first) = nodes.first() else {
         return html! {};
     };
@@ -72,13 +72,13 @@ fn of_nodes(page: &Page<'_>, nodes: &[&NodeView]) -> Markup {
     }
 }
 
-fn scene(page: &Page<'_>, node: &NodeView) -> Result<Scene, Missing> {
+fn scene(page: &Page<'_>, node: &RunNode) -> Result<Scene, Missing> {
     let bytes = page.bytes(node, output::SCENE)?;
     Scene::decode(&bytes).map_err(|error| unreadable(node, output::SCENE, &error))
 }
 
 /// Figures of the calibration itself.
-fn metrics(page: &Page<'_>, node: &NodeView) -> Markup {
+fn metrics(page: &Page<'_>, node: &RunNode) -> Markup {
     match page.document::<calibrate::Metrics>(node) {
         Ok(metrics) => html! {
             (figures(&of_calibration(&metrics)))
@@ -136,11 +136,11 @@ pub(super) struct Plan {
 impl Plan {
     /// Reads the scene of a node, or of one that it reads; none without a scene, or with one that cannot be read: the section on cameras
     /// says why.
-    pub(super) fn new(page: &Page<'_>, node: &NodeView) -> Option<Self> {
-        let upstream = node.upstream.iter().map(|(_, name)| name);
-        let read = upstream.filter_map(|name| page.input.nodes.iter().find(|node| node.name == *name));
+    pub(super) fn new(page: &Page<'_>, node: &RunNode) -> Option<Self> {
+        let upstream = page.report.upstream(node).into_iter();
+        let read = upstream.filter_map(|name| page.report.node(name));
         let mut holders = [node].into_iter().chain(read);
-        let holder = holders.find(|node| node.outputs.contains_key(output::SCENE))?;
+        let holder = holders.find(|node| node.digest(output::SCENE).is_some())?;
         let scene = scene(page, holder).ok()?;
         Some(Self { scene })
     }

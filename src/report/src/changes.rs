@@ -3,12 +3,12 @@
 use maud::{Markup, html};
 
 use super::format::count;
-use super::input::ChangedNode;
 use super::page::Page;
+use super::report::ChangedNode;
 
 /// Lists the nodes that differ from those of the last run with other results.
 pub(super) fn body(page: &Page<'_>) -> Markup {
-    let Some(changes) = &page.input.changes else {
+    let Some(changes) = &page.report.changes else {
         return html! { p { "No earlier run of this pipeline had other results." } };
     };
     html! {

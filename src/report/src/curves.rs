@@ -1,12 +1,12 @@
 //! Training: figures of merit and how they grew.
 
+use marf_model::RunNode;
 use marf_schema::train::{Curve, CurvePoint};
 use marf_schema::{evaluate, folds, scores::Scores, train};
 use maud::{Markup, html};
 
 use super::axis::{Chart, Scale};
 use super::format::number;
-use super::input::NodeView;
 use super::json;
 use super::page::Page;
 use super::quality::{figures, of_evaluation, of_folds, of_training};
@@ -15,20 +15,20 @@ use super::sizes;
 
 /// Shows metrics and curves of every training, and metrics of every evaluation.
 pub(super) fn body(page: &Page<'_>) -> Markup {
-    let trained: Vec<&NodeView> = page.with_document::<Curve>().collect();
-    let evaluated: Vec<&NodeView> = page.with_document::<evaluate::Metrics>().collect();
-    let folds: Vec<&NodeView> = page.with_document::<folds::Metrics>().collect();
+    let trained: Vec<&RunNode> = page.with_document::<Curve>().collect();
+    let evaluated: Vec<&RunNode> = page.with_document::<evaluate::Metrics>().collect();
+    let folds: Vec<&RunNode> = page.with_document::<folds::Metrics>().collect();
     if trained.is_empty() && folds.is_empty() && evaluated.is_empty() {
         return page.absent("training curves or metrics");
     }
     html! {
-        @for node in trained { h3 { (node.name) } (training(page, node)) (curves(page, node)) }
-        @for node in folds { h3 { (node.name) } (folded(page, node)) }
-        @for node in evaluated { h3 { (node.name) } (evaluation(page, node)) }
+        @for node in trained { h3 { (node.run.name) } (training(page, node)) (curves(page, node)) }
+        @for node in folds { h3 { (node.run.name) } (folded(page, node)) }
+        @for node in evaluated { h3 { (node.run.name) } (evaluation(page, node)) }
     }
 }
 
-fn training(page: &Page<'_>, node: &NodeView) -> Markup {
+fn training(page: &Page<'_>, node: &RunNode) -> Markup {
     let shown = |metrics: train::Metrics| {
         let scores = without_views(&metrics.scores);
         html! {
@@ -41,7 +41,7 @@ fn training(page: &Page<'_>, node: &NodeView) -> Markup {
 }
 
 /// Every photo of a small scene held out once, or why not.
-fn folded(page: &Page<'_>, node: &NodeView) -> Markup {
+fn folded(page: &Page<'_>, node: &RunNode) -> Markup {
     let metrics: folds::Metrics = match page.document(node) {
         Ok(metrics) => metrics,
         Err(missing) => return sentence(missing),
@@ -62,7 +62,7 @@ fn folded(page: &Page<'_>, node: &NodeView) -> Markup {
     }
 }
 
-fn evaluation(page: &Page<'_>, node: &NodeView) -> Markup {
+fn evaluation(page: &Page<'_>, node: &RunNode) -> Markup {
     let shown = |metrics: evaluate::Metrics| {
         let scores = without_views(&metrics.scores);
         html! {
@@ -85,13 +85,15 @@ fn without_views(scores: &Scores) -> Scores {
     }
 }
 
-fn curves(page: &Page<'_>, node: &NodeView) -> Markup {
+fn curves(page: &Page<'_>, node: &RunNode) -> Markup {
     let points = match page.document(node) {
         Ok(Curve(points)) => points,
         Err(missing) => return sentence(missing),
     };
     let steps: Vec<f64> = points.iter().map(|point| point.step as f64).collect();
-    let seconds = node.training_s.and_then(|whole_s| seconds(&points, whole_s));
+    let record = node.record.as_ref();
+    let training_s = record.and_then(|record| record.metadata.parts_s.get("training"));
+    let seconds = training_s.and_then(|whole_s| seconds(&points, *whole_s));
     let psnr = |title, x_label, along: &[f64]| Chart {
         title,
         x_label,

@@ -1,19 +1,19 @@
-//! Pictures as data URIs, small enough that the whole page stays light.
+//! Pictures and films of the page, small enough that the whole page stays light.
 
 use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
-use base64::{Engine, engine::general_purpose::STANDARD};
 use marf_cache::Digest;
 use marf_scene::{Image, Photo, Srgb, encode_jpeg, encode_png};
 use maud::{Markup, html};
-use serde::{Deserialize, Serialize};
 
 use super::format::megabytes;
-use super::input::ReportInput;
+use super::media::Media;
 use super::read::not_stored;
+use super::report::Report;
 
-/// Most bytes the data URIs of all pictures take together, and those of all films: with both, and half a
+/// Most bytes the data URIs of all pictures of a page take together, and those of all films: with both, and half a
 /// megabyte of text and drawings, the file stays below 15 MB.
 const PICTURE_BYTES: usize = 8_300_000;
 const FILM_BYTES: usize = 6_000_000;
@@ -32,28 +32,64 @@ pub(super) enum Form {
 }
 
 /// A picture ready for an `img`; kept in the store, so that a report after a new threshold decodes nothing.
-#[derive(Debug, Clone, Serialize, Deserialize)]
-struct Embedded {
-    uri: String,
+#[derive(Debug, Clone, PartialEq)]
+struct Picture {
     width: u32,
     height: u32,
+    /// A JPEG or PNG.
+    bytes: Arc<[u8]>,
 }
 
-/// Makes data URIs, each once, and keeps count of what they take.
-#[derive(Debug, Default)]
-pub(super) struct Pictures {
+impl Picture {
+    fn media(&self) -> &'static str {
+        if self.bytes.starts_with(b"\x89PNG") {
+            "image/png"
+        } else {
+            "image/jpeg"
+        }
+    }
+
+    /// Returns the memo: width and height, little-endian, then the picture.
+    fn encode(&self) -> Vec<u8> {
+        let size = [self.width.to_le_bytes(), self.height.to_le_bytes()];
+        [&size.concat()[..], &self.bytes[..]].concat()
+    }
+
+    fn decode(memo: &[u8]) -> Option<Self> {
+        let (width, rest) = memo.split_first_chunk()?;
+        let (height, bytes) = rest.split_first_chunk()?;
+        Some(Self {
+            width: u32::from_le_bytes(*width),
+            height: u32::from_le_bytes(*height),
+            bytes: bytes.into(),
+        })
+    }
+}
+
+/// Makes the pictures of a page, each once, and keeps count of what those in the page take.
+pub(super) struct Pictures<'a> {
+    media: &'a Media<'a>,
     picture_bytes: Cell<usize>,
     film_bytes: Cell<usize>,
-    made: RefCell<BTreeMap<(Digest, Form), Result<Embedded, String>>>,
+    made: RefCell<BTreeMap<(Digest, Form), Result<Picture, String>>>,
 }
 
-impl Pictures {
+impl<'a> Pictures<'a> {
+    pub(super) fn new(media: &'a Media<'a>) -> Self {
+        Self {
+            media,
+            picture_bytes: Cell::default(),
+            film_bytes: Cell::default(),
+            made: RefCell::default(),
+        }
+    }
+
     /// Shows a stored picture, or the reason why not.
-    pub(super) fn stored(&self, input: &ReportInput<'_>, digest: &Digest, form: Form, alt: &str) -> Markup {
+    pub(super) fn stored(&self, report: &Report<'_>, digest: &Digest, form: Form, alt: &str) -> Markup {
         let key = (*digest, form);
         let known = self.made.borrow().get(&key).cloned();
         let made = known.unwrap_or_else(|| {
-            let made = embed_stored(input, digest, form);
+            let made = scaled_of(report, digest, form);
             self.made.borrow_mut().insert(key, made.clone());
             made
         });
@@ -62,65 +98,70 @@ impl Pictures {
 
     /// Shows a picture made for the page.
     pub(super) fn own(&self, image: &Image<Srgb>, form: Form, alt: &str) -> Markup {
-        self.shown(embed(image, form), alt)
+        self.shown(scaled(image, form), alt)
     }
 
     /// Shows a film (MP4) as it is stored.
     ///
     /// # Errors
     /// The sentence that stands in its place.
-    pub(super) fn film(&self, input: &ReportInput<'_>, digest: &Digest, alt: &str) -> Result<Markup, String> {
-        let bytes = (input.read)(digest).ok_or_else(|| not_stored("The film", digest))?;
+    pub(super) fn film(&self, report: &Report<'_>, digest: &Digest, alt: &str) -> Result<Markup, String> {
+        let bytes = (report.read)(digest).ok_or_else(|| not_stored("The film", digest))?;
         if bytes.get(4..8) != Some(b"ftyp".as_slice()) {
             return Err("The film is no MP4 and is not shown.".to_owned());
         }
-        let used = self.film_bytes.get() + bytes.len() / 3 * 4;
-        if used > FILM_BYTES {
+        if !self.fits(&self.film_bytes, bytes.len() / 3 * 4, FILM_BYTES) {
             let (size, digest) = (megabytes(bytes.len()), digest.short());
             return Err(format!(
                 "The film has {size}, too much for this page; it is object {digest} of the store."
             ));
         }
-        self.film_bytes.set(used);
-        let uri = data_uri("video/mp4", &bytes);
-        Ok(html! { video src=(uri) controls loop muted playsinline aria-label=(alt) {} })
+        let address = self.media.stored("video/mp4", digest, &bytes);
+        Ok(html! { video src=(address) controls loop muted playsinline aria-label=(alt) {} })
     }
 
-    fn shown(&self, made: Result<Embedded, String>, alt: &str) -> Markup {
+    fn shown(&self, made: Result<Picture, String>, alt: &str) -> Markup {
         let picture = match made {
             Ok(picture) => picture,
             Err(why) => return words(&why),
         };
-        let used = self.picture_bytes.get() + picture.uri.len();
-        if used > PICTURE_BYTES {
+        let address = self.media.made(picture.media(), &picture.bytes);
+        if !self.fits(&self.picture_bytes, address.len(), PICTURE_BYTES) {
             return words("Not shown: this page holds as many pictures as it can.");
         }
-        self.picture_bytes.set(used);
-        html! { img src=(picture.uri) alt=(alt) width=(picture.width) height=(picture.height); }
+        let loading = self.media.live().map(|_| "lazy");
+        html! { img loading=[loading] src=(address) alt=(alt) width=(picture.width) height=(picture.height); }
+    }
+
+    /// Counts bytes of the page; tells whether they are still within a limit. What is linked takes none.
+    fn fits(&self, used: &Cell<usize>, bytes: usize, most: usize) -> bool {
+        let sum = used.get() + bytes;
+        let fits = self.media.live().is_some() || sum <= most;
+        if fits {
+            used.set(sum);
+        }
+        fits
     }
 }
 
-/// Version of the memos: to be raised when the same picture would be embedded as other bytes.
-const VERSION: u32 = 1;
+/// Version of the memos: to be raised when the same picture would be shown as other bytes.
+const VERSION: u32 = 2;
 
-/// Embeds a stored picture, or takes what an earlier report made of it.
-fn embed_stored(input: &ReportInput<'_>, digest: &Digest, form: Form) -> Result<Embedded, String> {
+/// Makes of a stored picture what is shown, or takes what an earlier report made of it.
+fn scaled_of(report: &Report<'_>, digest: &Digest, form: Form) -> Result<Picture, String> {
     let key = Digest::from_content(format!("picture {VERSION} {form:?} {digest}").as_bytes());
-    let known = input.memos.load(&key);
-    if let Some(known) = known.and_then(|bytes| serde_json::from_slice(&bytes).ok()) {
+    let known = report.memos.load(&key);
+    if let Some(known) = known.and_then(|memo| Picture::decode(&memo)) {
         return Ok(known);
     }
-    let made = decode(input, digest).and_then(|image| embed(&image, form))?;
-    // Strings and numbers always serialise; a table that is empty is made anew.
-    input
-        .memos
-        .save(&key, &serde_json::to_vec(&made).unwrap_or_default());
+    let made = decode(report, digest).and_then(|image| scaled(&image, form))?;
+    report.memos.save(&key, &made.encode());
     Ok(made)
 }
 
 /// Decodes a stored picture.
-pub(super) fn decode(input: &ReportInput<'_>, digest: &Digest) -> Result<Image<Srgb>, String> {
-    let bytes = (input.read)(digest).ok_or_else(|| not_stored("The picture", digest))?;
+pub(super) fn decode(report: &Report<'_>, digest: &Digest) -> Result<Image<Srgb>, String> {
+    let bytes = (report.read)(digest).ok_or_else(|| not_stored("The picture", digest))?;
     let photo =
         Photo::decode_validated(&bytes).map_err(|error| format!("The picture cannot be shown: {error}."))?;
     Ok(photo.image)
@@ -136,31 +177,27 @@ pub(super) fn words(why: &str) -> Markup {
     html! { span.missing { (why) } }
 }
 
-fn embed(image: &Image<Srgb>, form: Form) -> Result<Embedded, String> {
+fn scaled(image: &Image<Srgb>, form: Form) -> Result<Picture, String> {
     let (most_px, quality) = match form {
         Form::Thumb => (160, 80),
         Form::Photo => (480, 85),
         Form::Map => (480, 92),
     };
     let small = shrunk(image, most_px)?;
-    let jpeg = || {
-        let bytes = encode_jpeg(&small, quality).map_err(|error| error.to_string())?;
-        Ok::<_, String>(data_uri("image/jpeg", &bytes))
-    };
-    let uri = match form {
+    let jpeg = || encode_jpeg(&small, quality).map_err(|error| error.to_string());
+    let bytes = match form {
         Form::Thumb | Form::Photo => jpeg()?,
         Form::Map => match encode_png(&small) {
-            Ok(bytes) if bytes.len() <= MAP_BYTES => data_uri("image/png", &bytes),
+            Ok(bytes) if bytes.len() <= MAP_BYTES => bytes,
             Ok(_) => jpeg()?,
             Err(error) => return Err(error.to_string()),
         },
     };
-    let (width, height) = (small.width, small.height);
-    Ok(Embedded { uri, width, height })
-}
-
-fn data_uri(media: &str, bytes: &[u8]) -> String {
-    format!("data:{media};base64,{}", STANDARD.encode(bytes))
+    Ok(Picture {
+        width: small.width,
+        height: small.height,
+        bytes: bytes.into(),
+    })
 }
 
 #[cfg(test)]
@@ -176,18 +213,20 @@ mod tests {
     #[test]
     fn a_noisy_map_becomes_a_jpeg_and_a_plain_one_stays_exact() {
         let noise = |x: u32, y: u32| ((x * 7919 + y * 104_729).wrapping_mul(2_654_435_761) >> 13) as u8;
-        let uri = |image| embed(&image, Form::Map).unwrap().uri;
-        let plain = uri(Image::from_fn(480, 360, |x, _| [(x / 2) as u8; 3]));
-        assert!(plain.starts_with("data:image/png"), "{} bytes", plain.len());
-        let noisy = uri(Image::from_fn(480, 360, |x, y| {
+        let shown = |image| scaled(&image, Form::Map).unwrap();
+        let plain = shown(Image::from_fn(480, 360, |x, _| [(x / 2) as u8; 3]));
+        assert_eq!(plain.media(), "image/png", "{} bytes", plain.bytes.len());
+        let noisy = shown(Image::from_fn(480, 360, |x, y| {
             [noise(x, y), noise(y, x), noise(x + 9, y)]
         }));
-        assert!(noisy.starts_with("data:image/jpeg"), "{} bytes", noisy.len());
+        assert_eq!(noisy.media(), "image/jpeg", "{} bytes", noisy.bytes.len());
+        assert_eq!(Picture::decode(&noisy.encode()), Some(noisy));
+        assert_eq!(Picture::decode(&[0; 7]), None);
     }
 
     #[test]
     fn a_full_page_takes_no_further_picture() {
-        let pictures = Pictures::default();
+        let pictures = Pictures::new(&Media::Embedded);
         let image = Image::from_fn(8, 8, |x, _| [x as u8; 3]);
         assert!(
             pictures

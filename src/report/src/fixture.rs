@@ -2,19 +2,21 @@
 
 use std::collections::BTreeMap;
 use std::convert::Infallible;
-use std::sync::Arc;
+use std::sync::{Arc, LazyLock};
 
-use marf_cache::Digest;
 use marf_cache::manifest::{Leaf, LeafRef, Root, Row};
+use marf_cache::{Digest, Output};
+use marf_engine::{Edge, NodeRun, NodeState, RUN_FORMAT, RunRecord};
 use marf_field::Overrides;
+use marf_model::{Run, RunNode};
 use marf_scene::{Camera, Frame, Image, Nearest, PhotoFacts, Point, Pose, Scene, Unplaced, encode_png};
 use marf_schema::scores::{PhotoScores, Scores};
 use marf_schema::{output, train, tune};
 use marf_stage::{Document, PHOTOS, VERDICTS, Verdict};
-use serde_json::json;
+use serde_json::{Value, json};
 
 use super::fixture_documents::{calibration, spread, training, trial};
-use super::input::{ChangedNode, Changes, ChildView, NodeView, ReportInput, State};
+use super::report::{ChangedNode, Changes, Report};
 use super::write;
 
 /// A file name that would run a script if it reached the page as it is.
@@ -26,6 +28,32 @@ const NAMES: [&str; 5] = ["a.jpg", "b.jpg", "c.jpg", "d.jpg", "e.jpg"];
 #[derive(Default)]
 pub(super) struct Store {
     pub(super) blobs: BTreeMap<Digest, Arc<[u8]>>,
+    /// Parameters by node; of others a seed.
+    pub(super) params: BTreeMap<String, Value>,
+}
+
+/// A store on disk without objects.
+static EMPTY: LazyLock<(tempfile::TempDir, marf_cache::Store)> = LazyLock::new(|| {
+    let dir = tempfile::tempdir().unwrap();
+    let store = marf_cache::Store::open(dir.path().join("store")).unwrap();
+    (dir, store)
+});
+
+/// Returns a run without nodes.
+fn record() -> RunRecord {
+    let record = json!({
+        "format": RUN_FORMAT, "id": "a", "source": {"kind": "pipeline", "file": "p.toml"}, "pipeline": "made up",
+        "command": "marf run", "program": "marf 0.1.0", "started_unix_s": 0, "seconds": 1.0, "outcome": "done",
+        "digest": Digest::from_content(b""), "threads": 1, "nodes": [], "latest": {},
+    });
+    serde_json::from_value(record).unwrap()
+}
+
+/// Returns a run of these nodes.
+pub(super) fn run(nodes: &[RunNode]) -> Run<'static> {
+    let mut run = Run::new(&EMPTY.1, record()).unwrap();
+    run.nodes = nodes.to_vec();
+    run
 }
 
 impl Store {
@@ -68,20 +96,30 @@ impl Store {
     }
 
     /// Writes the report of these nodes.
-    pub(super) fn report(&self, nodes: &[NodeView]) -> String {
-        self.with_input(nodes, write)
+    pub(super) fn report(&self, nodes: &[RunNode]) -> String {
+        self.with_report(nodes, write)
     }
 
-    /// Does something with the input of a report of these nodes.
-    pub(super) fn with_input<T>(&self, nodes: &[NodeView], make: impl FnOnce(&ReportInput<'_>) -> T) -> T {
-        make(&ReportInput {
-            pipeline: "made up".to_owned(),
-            command: "marf run".to_owned(),
+    /// Does something with the report of these nodes.
+    pub(super) fn with_report<T>(&self, nodes: &[RunNode], make: impl FnOnce(&Report<'_>) -> T) -> T {
+        self.with_report_of(&run(nodes), make)
+    }
+
+    /// Does something with the report of a run.
+    pub(super) fn with_report_of<T>(&self, run: &Run<'_>, make: impl FnOnce(&Report<'_>) -> T) -> T {
+        let mut params = self.params.clone();
+        for node in &run.nodes {
+            params
+                .entry(node.run.name.clone())
+                .or_insert_with(|| json!({"seed": 3}));
+        }
+        make(&Report {
+            run,
             started: "2026-01-02T03:04:05Z".to_owned(),
-            program: "marf 0.1.0".to_owned(),
-            nodes: nodes.to_vec(),
-            whole: None,
+            scene: None,
+            nodes: run.nodes.iter().filter(|node| !node.is_child()).collect(),
             scenes: Vec::new(),
+            params: &params,
             changes: Some(Changes {
                 since: 3,
                 nodes: vec![
@@ -103,31 +141,47 @@ impl Store {
 }
 
 /// A node without outputs that ran for a second.
-pub(super) fn node(name: &str, upstream: &[&str]) -> NodeView {
-    NodeView {
-        name: name.to_owned(),
-        stage: name.to_owned(),
-        about: format!("does {name}"),
-        relax: None,
-        upstream: upstream
-            .iter()
-            .map(|from| ("input".to_owned(), (*from).to_owned()))
-            .collect(),
-        state: State::Ran,
+pub(super) fn node(name: &str, upstream: &[&str]) -> RunNode {
+    let edge = |from: &&str| Edge {
+        key: "input".to_owned(),
+        upstream: (*from).to_owned(),
+        part: None,
+    };
+    RunNode {
+        run: NodeRun {
+            name: name.to_owned(),
+            stage: name.to_owned(),
+            parent: None,
+            edges: upstream.iter().map(edge).collect(),
+            inputs: BTreeMap::new(),
+            key: None,
+            state: NodeState::Finished,
+            reason: "no record of this key".to_owned(),
+            seconds: 1.0,
+            started_unix_s: None,
+            outputs: BTreeMap::new(),
+            counts: BTreeMap::new(),
+        },
         of_run: None,
-        reason: "no record of this key".to_owned(),
-        seconds: Some(1.0),
-        training_s: None,
-        params: json!({"seed": 3}),
-        outputs: BTreeMap::new(),
-        children: Vec::new(),
+        worked_s: Some(1.0),
+        action: None,
+        record: None,
     }
 }
 
+/// A node that another one asked for.
+pub(super) fn child(parent: &RunNode, name: &str, state: NodeState, worked_s: Option<f64>) -> RunNode {
+    let mut child = node(name, &[]);
+    child.run.parent = Some(parent.run.name.clone());
+    (child.run.state, child.worked_s) = (state, worked_s);
+    child
+}
+
 /// A node with outputs.
-pub(super) fn giving<const N: usize>(mut node: NodeView, outputs: [(&str, Digest); N]) -> NodeView {
-    node.outputs
-        .extend(outputs.map(|(name, digest)| (name.to_owned(), digest)));
+pub(super) fn giving<const N: usize>(mut node: RunNode, outputs: [(&str, Digest); N]) -> RunNode {
+    let output = |digest| Output { digest, bytes: 1 };
+    let outputs = outputs.map(|(name, digest)| (name.to_owned(), output(digest)));
+    node.run.outputs.extend(outputs);
     node
 }
 
@@ -156,14 +210,14 @@ pub(super) fn row(store: &mut Store, id: &str, shade: u8) -> Row {
 }
 
 /// A pipeline in which every section has something to show and every text of the outside is hostile.
-pub(super) fn full() -> (Store, Vec<NodeView>) {
+pub(super) fn full() -> (Store, Vec<RunNode>) {
     let mut store = Store::default();
     let mut nodes = photo_nodes(&mut store);
     nodes.extend(field_nodes(&mut store));
     (store, nodes)
 }
 
-fn photo_nodes(store: &mut Store) -> Vec<NodeView> {
+fn photo_nodes(store: &mut Store) -> Vec<RunNode> {
     let all: Vec<&str> = NAMES.into_iter().chain([HOSTILE]).collect();
     let rows: Vec<Row> = all
         .iter()
@@ -204,20 +258,16 @@ fn photo_nodes(store: &mut Store) -> Vec<NodeView> {
     ]
 }
 
-fn field_nodes(store: &mut Store) -> Vec<NodeView> {
+fn field_nodes(store: &mut Store) -> Vec<RunNode> {
     let scene = store.put(&scene().encode().unwrap());
     let placed = store.document(&calibration(HOSTILE, 4, 0.4));
     let mut calibrate = giving(
         node("calibrate", &["duplicate"]),
         [(output::SCENE, scene), placed],
     );
-    calibrate.state = State::Reused;
-    let mut tune = node("tune", &["calibrate"]);
-    tune.children = vec![ChildView {
-        name: HOSTILE.to_owned(),
-        state: State::Ran,
-        seconds: None,
-    }];
+    calibrate.run.state = NodeState::Reused;
+    let tune = node("tune", &["calibrate"]);
+    let trial_node = child(&tune, HOSTILE, NodeState::Finished, None);
     let mut second = trial(1, 1, 21.0);
     second.params = Overrides([("levels".to_owned(), HOSTILE.into())].into());
     let scatter = tune::Scatter {
@@ -244,10 +294,12 @@ fn field_nodes(store: &mut Store) -> Vec<NodeView> {
     );
     let film = giving(node("video", &["render"]), [(output::VIDEO, video)]);
     let mut last = node("skipped<i>", &["render"]);
-    (last.state, last.reason, last.seconds) = (State::Skipped, format!("{HOSTILE} failed"), None);
+    last.run.state = NodeState::Skipped;
+    (last.run.reason, last.worked_s) = (format!("{HOSTILE} failed"), None);
     vec![
         calibrate,
         tune,
+        trial_node,
         train(store, scene),
         bootstrap(store),
         render,
@@ -256,7 +308,7 @@ fn field_nodes(store: &mut Store) -> Vec<NodeView> {
     ]
 }
 
-fn train(store: &mut Store, scene: Digest) -> NodeView {
+fn train(store: &mut Store, scene: Digest) -> RunNode {
     let metrics = training(Scores {
         psnr: 24.567,
         psnr_paper: Some(23.0),
@@ -297,7 +349,7 @@ fn train(store: &mut Store, scene: Digest) -> NodeView {
     giving(node("train", &["calibrate", "tune"]), outputs)
 }
 
-fn bootstrap(store: &mut Store) -> NodeView {
+fn bootstrap(store: &mut Store) -> RunNode {
     let outputs = [
         store.document(&spread(vec!["v1".to_owned()])),
         ("maps/v1-mean.png", store.put_picture(1)),

@@ -1,11 +1,12 @@
 //! How many photos went into each filter, and how many came out.
 
+use marf_model::RunNode;
 use maud::{Markup, html};
 
 use super::format::{count, cut, px};
 use super::gallery::not_shown;
-use super::input::NodeView;
 use super::page::{Page, key};
+use super::report::stage;
 use super::verdicts::{Judged, Summary};
 use crate::emptied;
 
@@ -31,14 +32,15 @@ pub(super) fn body(page: &Page<'_>) -> Markup {
         (drawing(&shown))
         @for (node, sum) in &shown { (emptied(node, sum)) }
         @for missing in missing.into_iter().chain(page.photos.missing()) { (missing) }
-        @for (node, sum) in &shown { @if node.upstream.is_empty() { (no_photos(sum)) } }
+        @for (node, sum) in &shown { @if node.run.edges.is_empty() { (no_photos(sum)) } }
     }
 }
 
 /// Says what keeps the photos of a filter that rejects all of them.
-fn emptied(node: &NodeView, sum: &Summary) -> Markup {
-    let relax = node.relax.filter(|_| sum.seen > 0 && sum.kept == 0);
-    html! { @if let Some(relax) = relax { p.missing { (emptied::sentence(&node.name, sum.seen as u64, relax)) } } }
+fn emptied(node: &RunNode, sum: &Summary) -> Markup {
+    let relax = stage(node).and_then(|stage| stage.relax);
+    let relax = relax.filter(|_| sum.seen > 0 && sum.kept == 0);
+    html! { @if let Some(relax) = relax { p.missing { (emptied::sentence(&node.run.name, sum.seen as u64, relax)) } } }
 }
 
 /// `7 in, 6 kept, 1 rejected (1 decode)`.
@@ -59,7 +61,7 @@ fn sentence(sum: &Summary) -> String {
     }
 }
 
-fn drawing(shown: &[(&NodeView, &Summary)]) -> Markup {
+fn drawing(shown: &[(&RunNode, &Summary)]) -> Markup {
     let most = shown.iter().map(|(_, sum)| sum.seen).max().unwrap_or(0).max(1);
     let height = shown.len() as f64 * PITCH;
     html! {
@@ -75,14 +77,14 @@ fn drawing(shown: &[(&NodeView, &Summary)]) -> Markup {
     }
 }
 
-fn bar(node: &NodeView, sum: &Summary, top: f64, px_each: f64) -> Markup {
+fn bar(node: &RunNode, sum: &Summary, top: f64, px_each: f64) -> Markup {
     let kept = sum.kept as f64 * px_each;
     let seen = sum.seen as f64 * px_each;
     let base = top + 15.0;
     html! {
         g {
-            title { (node.name) ": " (sentence(sum)) }
-            text.name x=(px(BAR_LEFT - 10.0)) y=(px(base)) text-anchor="end" { (cut(&node.name, 18)) }
+            title { (node.run.name) ": " (sentence(sum)) }
+            text.name x=(px(BAR_LEFT - 10.0)) y=(px(base)) text-anchor="end" { (cut(&node.run.name, 18)) }
             rect.rejected x=(px(BAR_LEFT + kept)) y=(px(top)) width=(px(seen - kept)) height=(px(BAR_HEIGHT)) {}
             rect.kept x=(px(BAR_LEFT)) y=(px(top)) width=(px(kept)) height=(px(BAR_HEIGHT)) {}
             text x=(px(BAR_LEFT + seen + 10.0)) y=(px(base)) { (sentence(sum)) }
@@ -118,10 +120,7 @@ mod tests {
 
     #[test]
     fn a_filter_that_rejects_all_says_what_keeps_them_and_others_say_nothing() {
-        let filter = NodeView {
-            relax: Some("`keep = \"all\"`"),
-            ..node("grayscale", &["size"])
-        };
+        let filter = node("grayscale", &["size"]);
         let sum = |kept| Summary {
             seen: 3,
             kept,
@@ -129,7 +128,7 @@ mod tests {
         };
         let said = emptied(&filter, &sum(0)).into_string();
         assert!(
-            said.contains("rejects all 3 photos") && said.contains("keep = &quot;all&quot;"),
+            said.contains("rejects all 3 photos") && said.contains("in `[node.grayscale]` keeps them"),
             "{said}"
         );
         for silent in [emptied(&filter, &sum(1)), emptied(&node("extract", &[]), &sum(0))] {

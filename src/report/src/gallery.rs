@@ -1,10 +1,10 @@
 //! Thumbnails of what the filters rejected, with their reasons, and of what stayed.
 
+use marf_model::RunNode;
 use marf_stage::Verdict;
 use maud::{Markup, html};
 
 use super::format::{count, number};
-use super::input::NodeView;
 use super::page::Page;
 use super::photos::Kept;
 use super::read::Missing;
@@ -17,7 +17,7 @@ pub(super) fn rejected(page: &Page<'_>) -> Markup {
     let galleries: Vec<Markup> = page
         .judged()
         // What a source rejects has become no photo.
-        .filter(|(node, _)| !node.upstream.is_empty())
+        .filter(|(node, _)| !node.run.edges.is_empty())
         .filter_map(|(node, sum)| rejected_by(page, node, sum))
         .collect();
     html! {
@@ -26,15 +26,15 @@ pub(super) fn rejected(page: &Page<'_>) -> Markup {
     }
 }
 
-fn rejected_by(page: &Page<'_>, node: &NodeView, sum: Result<&Summary, &Missing>) -> Option<Markup> {
+fn rejected_by(page: &Page<'_>, node: &RunNode, sum: Result<&Summary, &Missing>) -> Option<Markup> {
     let sum = match sum {
         Ok(sum) => sum,
-        Err(missing) => return Some(html! { h3 { (node.name) } (missing) }),
+        Err(missing) => return Some(html! { h3 { (node.run.name) } (missing) }),
     };
     let rejected = sum.seen - sum.kept;
     (rejected > 0).then(|| {
         html! {
-            h3 { (node.name) ": " (count(rejected, "photo")) " of " (sum.seen) }
+            h3 { (node.run.name) ": " (count(rejected, "photo")) " of " (sum.seen) }
             div.gallery { @for judged in &sum.first_rejected { (reject(page, &judged.verdict)) } }
             (not_shown(rejected, sum.first_rejected.len()))
         }
@@ -86,13 +86,13 @@ pub(super) fn kept(page: &Page<'_>) -> Markup {
     html! { @for (node, kept) in &page.kept { (kept_by(page, node, kept)) } }
 }
 
-fn kept_by(page: &Page<'_>, node: &NodeView, kept: &Result<Kept, Missing>) -> Markup {
+fn kept_by(page: &Page<'_>, node: &RunNode, kept: &Result<Kept, Missing>) -> Markup {
     let kept = match kept {
         Ok(kept) => kept,
         Err(missing) => return html! { (missing) },
     };
     html! {
-        p { (count(kept.count, "photo")) " after " (node.name) "." }
+        p { (count(kept.count, "photo")) " after " (node.run.name) "." }
         div.gallery.small {
             @for (_, id) in &kept.shown {
                 figure {

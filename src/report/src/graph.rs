@@ -2,11 +2,12 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use marf_model::RunNode;
 use maud::{Markup, html};
 
 use super::format::{count, cut, px, seconds};
-use super::input::{ChildView, NodeView, State};
 use super::page::{Page, key};
+use super::report::{FAILED, Report, SKIPPED, STATES, state};
 
 const BOX_WIDTH: f64 = 150.0;
 const BOX_HEIGHT: f64 = 54.0;
@@ -25,65 +26,61 @@ const MOST_COLUMNS: usize = 6;
 
 /// Draws the nodes and what flows between them.
 pub(super) fn body(page: &Page<'_>) -> Markup {
-    let nodes = &page.input.nodes;
+    let (report, nodes) = (page.report, &page.report.nodes);
     if nodes.is_empty() {
         return page.absent("a graph: it has no nodes");
     }
-    let layout = Layout::new(nodes);
+    let layout = Layout::new(report);
     html! {
         div.scroll {
             svg.graph viewBox={ "0 0 " (px(layout.width)) " " (px(layout.height)) }
                 width=(px(layout.width)) height=(px(layout.height)) role="img" aria-labelledby="graph-title" {
                 title id="graph-title" { "Graph of " (count(nodes.len(), "node")) ", inputs on the left" }
-                @for path in layout.paths(nodes) { path.edge d=(path) {} }
-                @for (node, place) in nodes.iter().zip(&layout.boxes) { (drawn(node, place)) }
+                @for path in layout.paths(report) { path.edge d=(path) {} }
+                @for (node, place) in nodes.iter().zip(&layout.boxes) { (drawn(report, node, place)) }
             }
         }
         p.legend {
-            @for state in [State::Ran, State::Reused, State::Failed, State::Skipped] {
-                (key(state.word(), state.word()))
-            }
+            @for word in STATES { (key(word, word)) }
         }
     }
 }
 
-fn drawn(node: &NodeView, place: &Place) -> Markup {
+fn drawn(report: &Report<'_>, node: &RunNode, place: &Place) -> Markup {
     let (x, y) = (place.x, place.y);
     html! {
-        g.node.(node.state.word()) {
-            title { (node.name) " (" (node.stage) "), " (node.state.word()) ": " (node.reason) }
+        g.node.(state(node)) {
+            title { (node.run.name) " (" (node.run.stage) "), " (state(node)) ": " (node.run.reason) }
             rect x=(px(x)) y=(px(y)) width=(px(BOX_WIDTH)) height=(px(BOX_HEIGHT)) rx="5" {}
-            text.name x=(px(x + 10.0)) y=(px(y + 18.0)) { (cut(&node.name, 16)) }
+            text.name x=(px(x + 10.0)) y=(px(y + 18.0)) { (cut(&node.run.name, 16)) }
             text x=(px(x + 10.0)) y=(px(y + 33.0)) { (state_line(node)) }
-            text x=(px(x + 10.0)) y=(px(y + 47.0)) { (third_line(node)) }
+            text x=(px(x + 10.0)) y=(px(y + 47.0)) { (third_line(report, node)) }
         }
     }
 }
 
-fn state_line(node: &NodeView) -> String {
-    match node.seconds {
-        Some(time) if matches!(node.state, State::Ran | State::Failed) => {
-            format!("{}, {}", node.state.word(), seconds(time))
-        }
-        _ => node.state.word().to_owned(),
+fn state_line(node: &RunNode) -> String {
+    match node.worked_s {
+        Some(time) if ["ran", FAILED].contains(&state(node)) => format!("{}, {}", state(node), seconds(time)),
+        _ => state(node).to_owned(),
     }
 }
 
-fn third_line(node: &NodeView) -> String {
-    if node.children.is_empty() {
-        return if node.stage == node.name {
+fn third_line(report: &Report<'_>, node: &RunNode) -> String {
+    let children: Vec<&RunNode> = report.run.children(&node.run.name).collect();
+    if children.is_empty() {
+        return if node.run.stage == node.run.name {
             String::new()
         } else {
-            cut(&node.stage, 22)
+            cut(&node.run.stage, 22)
         };
     }
-    let all = count(node.children.len(), "sub-node");
+    let all = count(children.len(), "sub-node");
     // Those of a skipped node ran in the run whose outputs are shown.
-    if node.state == State::Skipped {
+    if state(node) == SKIPPED {
         return all;
     }
-    let ran = |child: &&ChildView| child.state == State::Ran;
-    let ran = node.children.iter().filter(ran).count();
+    let ran = children.iter().filter(|child| state(child) == "ran").count();
     cut(&format!("{all}, {ran} ran"), 24)
 }
 
@@ -110,8 +107,8 @@ struct Layout {
 }
 
 impl Layout {
-    fn new(nodes: &[NodeView]) -> Self {
-        let edges = edges(nodes);
+    fn new(report: &Report<'_>) -> Self {
+        let (edges, nodes) = (edges(report), &report.nodes);
         let layers = layers(nodes.len(), &edges);
         let depth = layers.iter().max().map_or(0, |last| last + 1);
         let bands = depth.div_ceil(MOST_COLUMNS).max(1);
@@ -161,8 +158,8 @@ impl Layout {
     }
 
     /// One path for each edge; a line that leaves a band goes on at the left of the next.
-    fn paths(&self, nodes: &[NodeView]) -> BTreeSet<String> {
-        let edges = edges(nodes);
+    fn paths(&self, report: &Report<'_>) -> BTreeSet<String> {
+        let edges = edges(report);
         edges
             .iter()
             .flat_map(|(from, to)| self.path(*from, *to))
@@ -239,16 +236,14 @@ fn arrow(at: (f64, f64)) -> String {
 }
 
 /// (Producer, consumer) as places in the list; names that are not in it are left out.
-fn edges(nodes: &[NodeView]) -> BTreeSet<(usize, usize)> {
-    let places: BTreeMap<&str, usize> = nodes
-        .iter()
-        .enumerate()
-        .map(|(place, node)| (node.name.as_str(), place))
+fn edges(report: &Report<'_>) -> BTreeSet<(usize, usize)> {
+    let nodes = || report.nodes.iter().enumerate();
+    let places: BTreeMap<&str, usize> = nodes()
+        .map(|(place, node)| (node.run.name.as_str(), place))
         .collect();
-    let consumers = nodes.iter().enumerate();
-    consumers
-        .flat_map(|(to, node)| node.upstream.iter().map(move |(_, from)| (from, to)))
-        .filter_map(|(from, to)| Some((*places.get(from.as_str())?, to)))
+    nodes()
+        .flat_map(|(to, node)| report.upstream(node).into_iter().map(move |from| (from, to)))
+        .filter_map(|(from, to)| Some((*places.get(from)?, to)))
         .filter(|(from, to)| from != to)
         .collect()
 }
@@ -293,9 +288,10 @@ fn crossing(layers: &[usize], edges: &BTreeSet<(usize, usize)>) -> BTreeMap<usiz
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fixture::node;
+    use crate::fixture::{Store, child, node};
+    use marf_engine::NodeState;
 
-    fn diamond() -> Vec<NodeView> {
+    fn diamond() -> Vec<RunNode> {
         vec![
             node("a", &[]),
             node("b", &["a"]),
@@ -306,37 +302,33 @@ mod tests {
 
     #[test]
     fn a_layer_is_the_longest_way_from_an_input() {
-        let nodes = diamond();
-        assert_eq!(layers(nodes.len(), &edges(&nodes)), [0, 1, 2, 1]);
+        let found = Store::default().with_report(&diamond(), |report| layers(4, &edges(report)));
+        assert_eq!(found, [0, 1, 2, 1]);
     }
 
     #[test]
     fn sub_nodes_of_a_skipped_node_are_not_said_to_have_run() {
-        let mut parent = node("b", &[]);
-        let child = |state| ChildView {
-            name: "0".to_owned(),
-            state,
-            seconds: None,
+        let state_is = |state| {
+            let mut parent = node("b", &[]);
+            parent.run.state = state;
+            let children =
+                [NodeState::Finished, NodeState::Reused].map(|state| child(&parent, "0", state, None));
+            let nodes = [vec![parent], children.to_vec()].concat();
+            Store::default().with_report(&nodes, |report| third_line(report, report.nodes[0]))
         };
-        parent.children = vec![child(State::Ran), child(State::Reused)];
-        for (state, line) in [
-            (State::Ran, "2 sub-nodes, 1 ran"),
-            (State::Skipped, "2 sub-nodes"),
-        ] {
-            parent.state = state;
-            assert_eq!(third_line(&parent), line);
-        }
+        assert_eq!(state_is(NodeState::Finished), "2 sub-nodes, 1 ran");
+        assert_eq!(state_is(NodeState::Skipped), "2 sub-nodes");
     }
 
     #[test]
     fn boxes_never_overlap_and_lie_inside_the_drawing() {
-        let chain: Vec<NodeView> = (0..40)
+        let chain: Vec<RunNode> = (0..40)
             .map(|index: usize| {
                 let before = format!("n{}", index.saturating_sub(1 + index % 3));
                 node(&format!("n{index}"), &[&before])
             })
             .collect();
-        let layout = Layout::new(&chain);
+        let layout = Store::default().with_report(&chain, Layout::new);
         for (index, one) in layout.boxes.iter().enumerate() {
             assert!(one.x + BOX_WIDTH <= layout.width, "{index}: {one:?}");
             assert!(one.y + BOX_HEIGHT <= layout.height, "{index}: {one:?}");
@@ -350,6 +342,7 @@ mod tests {
     #[test]
     fn a_cycle_ends_in_a_drawing() {
         let nodes = [node("a", &["b"]), node("b", &["a"]), node("c", &["c"])];
-        assert_eq!(Layout::new(&nodes).boxes.len(), 3);
+        let layout = Store::default().with_report(&nodes, Layout::new);
+        assert_eq!(layout.boxes.len(), 3);
     }
 }

@@ -1,12 +1,12 @@
 //! One place at two times: what changed on the ground.
 
+use marf_model::RunNode;
 use marf_schema::changes::{ChangesReport, Patch, Time};
 use marf_schema::output::CHANGE_MAPS;
 use maud::{Markup, html};
 
 use super::embed::Form;
 use super::format::{count, decibels, number};
-use super::input::NodeView;
 use super::page::{Page, key};
 
 /// Most patches in the table.
@@ -21,10 +21,10 @@ pub(super) fn is_compared(page: &Page<'_>) -> bool {
 
 /// Maps and patches of every comparison.
 pub(super) fn body(page: &Page<'_>) -> Markup {
-    html! { @for node in page.with_document::<ChangesReport>() { h3 { (node.name) } (of_node(page, node)) } }
+    html! { @for node in page.with_document::<ChangesReport>() { h3 { (node.run.name) } (of_node(page, node)) } }
 }
 
-fn of_node(page: &Page<'_>, node: &NodeView) -> Markup {
+fn of_node(page: &Page<'_>, node: &RunNode) -> Markup {
     let report = match page.document::<ChangesReport>(node) {
         Ok(report) => report,
         Err(missing) => return html! { (missing) },
@@ -42,8 +42,8 @@ fn of_node(page: &Page<'_>, node: &NodeView) -> Markup {
         }
         div.charts {
             @for (name, title) in MAPS {
-                @if let Some(map) = node.outputs.get(&format!("{CHANGE_MAPS}{name}.png")) {
-                    figure { (page.pictures.stored(page.input, map, Form::Map, title)) figcaption { (title) } }
+                @if let Some(map) = node.digest(&format!("{CHANGE_MAPS}{name}.png")) {
+                    figure { (page.pictures.stored(page.report, map, Form::Map, title)) figcaption { (title) } }
                 }
             }
         }

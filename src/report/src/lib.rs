@@ -1,7 +1,7 @@
 //! report.html: what ran, what was kept, how good it is.
 //!
 //! One file, complete in itself: pictures as data URIs, charts as inline SVG, no script, no request to
-//! anywhere. Invariant: no text of the outside (file names, labels, reasons) reaches the page unescaped, and
+//! anywhere. Or a page that is served (`linked`): pictures, films and style are files under their digests. Invariant: no text of the outside (file names, labels, reasons) reaches the page unescaped, and
 //! a sentence stands in place of an output that is absent or unreadable.
 
 mod axis;
@@ -17,15 +17,16 @@ mod gallery;
 mod graph;
 mod ground;
 mod hardware;
-mod input;
 mod json;
 mod maps;
+mod media;
 mod nodes;
 mod page;
 mod photos;
 mod pictures;
 mod quality;
 mod read;
+mod report;
 mod review;
 mod scenes;
 mod sets;
@@ -47,50 +48,82 @@ mod real;
 #[cfg(test)]
 mod tests;
 
+use marf_model::RunNode;
 use marf_schema::scenes::{Scenes, ScenesParams};
 use marf_schema::ties::Ties;
 use marf_stage::Params;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
+use media::Media;
 use page::Page;
+use report::stage;
 
 pub use call::{Call, FACTORS, calls};
-pub use input::{ChangedNode, Changes, ChildView, NodeView, ReadBlob, ReportInput, SceneView, State};
+pub use media::{File, LinkedPage, LiveParts};
+pub use report::{ChangedNode, Changes, ReadBlob, Report, ScenePage};
 pub use review::percent;
 
-/// Writes the report as one HTML file. Equal input gives equal bytes; nothing in it can make it panic.
-pub fn write(input: &ReportInput<'_>) -> String {
-    let page = Page::new(input);
+/// The way from the page of a scene to that of all, on disk and where it is served.
+const ALL_SCENES: [&str; 2] = ["../report.html", "../"];
+
+/// Writes the report as one HTML file. The same report gives the same bytes; nothing in it can make it panic.
+pub fn write(report: &Report<'_>) -> String {
+    page_of(report, &Media::Embedded)
+}
+
+/// Writes the report as a page that is served: style, pictures and films have addresses of their own, and live parts are added.
+pub fn linked(report: &Report<'_>, live: &LiveParts) -> LinkedPage {
+    let media = Media::linked(live);
+    let page = page_of(report, &media);
+    media.with_files(page)
+}
+
+/// Writes a page of one sentence in the form of a linked report: while there is none.
+pub fn sentence_page(sentence: &str, live: &LiveParts) -> LinkedPage {
+    let media = Media::linked(live);
+    let body = html! {
+        header { h1 { "marf" } p.lead { (sentence) } nav aria-label="Contents" { (live.navigation) } }
+        main { (live.main) }
+    };
+    let page = document("marf", &body, &media);
+    media.with_files(page)
+}
+
+fn page_of(report: &Report<'_>, media: &Media<'_>) -> String {
+    let page = Page::new(report, media);
     let sections = sections(&page);
-    let title = format!("{}, marf report", input.pipeline);
+    let title = format!("{}, marf report", report.title());
     let body = html! {
-        (header(&page, &sections))
-        main { @for section in &sections { (section.shown()) } }
-        footer { (input.program) ", run started " (input.started) "." }
+        (header(report, &sections, media))
+        main {
+            @if let Some(live) = media.live() { (live.main) }
+            @for section in &sections { (section.shown()) }
+        }
+        footer { (report.run.record.program) ", run started " (report.started) "." }
     };
-    document(&title, &body)
+    document(&title, &body, media)
 }
 
-/// Writes a page of one sentence in the form of a report: for `marf view` while there is none.
-pub fn sentence_page(sentence: &str) -> String {
-    let body = html! {
-        header { h1 { "marf" } p.lead { (sentence) } nav aria-label="Contents" {} }
-        main {}
-    };
-    document("marf", &body)
-}
-
-fn document(title: &str, body: &Markup) -> String {
+fn document(title: &str, body: &Markup, media: &Media<'_>) -> String {
+    const STYLE: &str = include_str!("style.css");
     html! {
         (DOCTYPE)
         html lang="en" {
             head {
                 meta charset="utf-8";
-                meta http-equiv="Content-Security-Policy"
-                    content="default-src 'none'; img-src data:; media-src data:; style-src 'unsafe-inline'";
+                @if media.live().is_none() {
+                    meta http-equiv="Content-Security-Policy"
+                        content="default-src 'none'; img-src data:; media-src data:; style-src 'unsafe-inline'";
+                }
                 meta name="viewport" content="width=device-width";
                 title { (title) }
-                style { (PreEscaped(include_str!("style.css"))) }
+                @match media.live() {
+                    None => style { (PreEscaped(STYLE)) },
+                    Some(live) => {
+                        link rel="stylesheet" href=(media.made("text/css; charset=utf-8", STYLE.as_bytes()));
+                        (live.head)
+                    }
+                }
             }
             body { (body) }
         }
@@ -118,7 +151,7 @@ fn sections(page: &Page<'_>) -> Vec<Section> {
         section("nodes", "Nodes", nodes::body(page)),
         section("changes", "What changed", changes::body(page)),
     ];
-    if page.input.whole.is_none() {
+    if page.report.scene.is_none() {
         sections.extend([
             section("funnel", "Filters", funnel::body(page)),
             section("rejected", "Rejected photos", gallery::rejected(page)),
@@ -136,7 +169,7 @@ fn sections(page: &Page<'_>) -> Vec<Section> {
             section("ties", "How scenes lie to each other", ties::body(page)),
         );
     }
-    if filters_alone(page.input) {
+    if filters_alone(page.report) {
         return sections;
     }
     sections.extend([
@@ -158,33 +191,35 @@ fn sections(page: &Page<'_>) -> Vec<Section> {
             ground::body(page),
         ));
     }
-    let trade = page.input.trade.as_ref().map(trade::body);
+    let trade = page.report.trade.as_ref().map(trade::body);
     sections.extend(trade.map(|body| section("trade", "Time against quality", body)));
     sections
 }
 
 /// Tells whether the nodes shown only find, filter and split photos, so that there is no scene to show.
-fn filters_alone(input: &ReportInput<'_>) -> bool {
-    let stages = marf_stages::stages();
-    let judges = |node: &NodeView| {
-        let def = stages.iter().find(|def| def.name == node.stage);
-        let judges = def.is_some_and(|def| def.outputs.contains(&marf_stage::VERDICTS));
-        judges || node.stage == ScenesParams::STAGE
+fn filters_alone(report: &Report<'_>) -> bool {
+    let judges = |node: &&RunNode| {
+        let judges = stage(node).is_some_and(|def| def.outputs.contains(&marf_stage::VERDICTS));
+        judges || node.run.stage == ScenesParams::STAGE
     };
-    !input.nodes.is_empty() && input.nodes.iter().all(judges)
+    !report.nodes.is_empty() && report.nodes.iter().all(judges)
 }
 
-fn header(page: &Page<'_>, sections: &[Section]) -> Markup {
-    let input = page.input;
+fn header(report: &Report<'_>, sections: &[Section], media: &Media<'_>) -> Markup {
+    let [on_disk, served] = ALL_SCENES;
+    let record = &report.run.record;
     html! {
         header {
-            h1 { (input.pipeline) }
-            p.lead { (nodes::sentence(input)) }
-            p.quiet { code { (input.command) } ", started " (input.started) ", " (input.program) }
-            (nodes::failures(input))
-            (nodes::of_earlier_run(input))
+            h1 { (report.title()) }
+            p.lead { (nodes::sentence(report)) }
+            p.quiet { code { (record.command) } ", started " (report.started) ", " (record.program) }
+            (nodes::failures(report))
+            (nodes::of_earlier_run(report))
             nav aria-label="Contents" {
-                @if let Some(whole) = &input.whole { a href=(whole) { "All scenes" } " " }
+                @if let Some(live) = media.live() { (live.navigation) }
+                @if report.scene.is_some() {
+                    a href=(media.live().map_or(on_disk, |_| served)) { "All scenes" } " "
+                }
                 @for section in sections { a href={ "#" (section.id) } { (section.title) } " " }
             }
         }

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use marf_cache::Digest;
+use marf_model::RunNode;
 use marf_schema::bootstrap::{Calibration, HeldOut, Metrics, ViewReport};
 use marf_schema::output;
 use maud::{Markup, html};
@@ -10,7 +11,6 @@ use maud::{Markup, html};
 use super::axis::{Chart, Scale};
 use super::embed::Form;
 use super::format::{count, decibels, number};
-use super::input::NodeView;
 use super::json;
 use super::page::Page;
 use super::quality::{figures, of_bootstrap};
@@ -36,27 +36,28 @@ const KINDS: [(&str, &str); 12] = [
 
 /// Maps of every node that has some.
 pub(super) fn body(page: &Page<'_>) -> Markup {
-    let nodes: Vec<&NodeView> = page.with_outputs_under(output::MAPS).collect();
+    let nodes: Vec<&RunNode> = page.with_outputs_under(output::MAPS).collect();
     if nodes.is_empty() {
         return page.absent("maps of uncertainty");
     }
-    html! { @for node in nodes { h3 { (node.name) } (of_node(page, node)) } }
+    html! { @for node in nodes { h3 { (node.run.name) } (of_node(page, node)) } }
 }
 
 /// Returns the map of uncertainty of a view, with its heading, of a node that reads a training or what this reads; none where there
 /// is no such node, or it has not looked there.
 pub(super) fn uncertainty_of<'p>(
     page: &Page<'p>,
-    training: &NodeView,
+    training: &RunNode,
     view: &str,
 ) -> Option<(&'static str, &'p Digest)> {
-    let of_training: Vec<&String> = training.upstream.iter().map(|(_, name)| name).collect();
-    let is_of = |node: &&NodeView| {
-        let mut names = node.upstream.iter().map(|(_, name)| name);
-        names.any(|name| *name == training.name || of_training.contains(&name))
+    let of_training = page.report.upstream(training);
+    let is_of = |node: &&RunNode| {
+        let names = page.report.upstream(node);
+        names
+            .iter()
+            .any(|name| *name == training.run.name || of_training.contains(name))
     };
-    let map =
-        |node: &'p NodeView, kind: &str| node.outputs.get(&format!("{}{view}-{kind}.png", output::MAPS));
+    let map = |node: &'p RunNode, kind: &str| node.digest(&format!("{}{view}-{kind}.png", output::MAPS));
     let mut nodes = page.with_outputs_under(output::MAPS).filter(is_of);
     nodes.find_map(|node| {
         let kinds = KINDS.iter().filter(|(kind, _)| matches!(*kind, "total" | "std"));
@@ -66,7 +67,7 @@ pub(super) fn uncertainty_of<'p>(
     })
 }
 
-fn of_node(page: &Page<'_>, node: &NodeView) -> Markup {
+fn of_node(page: &Page<'_>, node: &RunNode) -> Markup {
     let pictures = by_view(node);
     let metrics = page.document::<Metrics>(node);
     let views = metrics.as_ref().map_or(&[][..], |metrics| &metrics.views);
@@ -242,7 +243,7 @@ fn row(
             div.row.maps {
                 @for (kind, digest) in maps.values() {
                     figure {
-                        (page.pictures.stored(page.input, digest, form(kind), &format!("{kind} at {name}")))
+                        (page.pictures.stored(page.report, digest, form(kind), &format!("{kind} at {name}")))
                         figcaption { (heading(kind)) }
                     }
                 }
@@ -268,13 +269,10 @@ fn heading(kind: &str) -> &str {
 }
 
 /// View to (column to (kind, picture)); endings that are not known come last.
-fn by_view(node: &NodeView) -> BTreeMap<&str, BTreeMap<usize, (&str, &Digest)>> {
+fn by_view(node: &RunNode) -> BTreeMap<&str, BTreeMap<usize, (&str, &Digest)>> {
     let mut views: BTreeMap<&str, BTreeMap<usize, (&str, &Digest)>> = BTreeMap::new();
-    for (output, digest) in &node.outputs {
-        let picture = output
-            .strip_prefix(output::MAPS)
-            .and_then(|name| name.strip_suffix(".png"));
-        let Some((view, column, kind)) = picture.and_then(split) else {
+    for (name, digest) in node.outputs_under(output::MAPS) {
+        let Some((view, column, kind)) = name.strip_suffix(".png").and_then(split) else {
             continue;
         };
         let maps = views.entry(view).or_default();

@@ -1,41 +1,43 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
+use marf_model::RunNode;
 use marf_stage::{Document, PHOTOS, VERDICTS};
 use maud::{Markup, html};
 
 use super::embed::Pictures;
-use super::input::{NodeView, ReportInput, State};
+use super::media::Media;
 use super::photos::{Kept, PhotoIndex, Spot, last_photo_nodes};
 use super::read::{Missing, read, unreadable};
+use super::report::{FAILED, Report, SKIPPED, state};
 use super::sets::Set;
 use super::verdicts::{ClosestCall, Summary, closest_calls};
 
-/// What all sections share: the input, the verdicts summed up, the photos that are shown, and the pictures embedded so far.
+/// What all sections share: the report, the verdicts summed up, the photos that are shown, and the pictures shown so far.
 pub(super) struct Page<'a> {
-    pub(super) input: &'a ReportInput<'a>,
+    pub(super) report: &'a Report<'a>,
     pub(super) photos: PhotoIndex,
-    pub(super) pictures: Pictures,
+    pub(super) pictures: Pictures<'a>,
     /// What stayed, by the nodes that no other node filters further.
-    pub(super) kept: Vec<(&'a NodeView, Result<Kept, Missing>)>,
+    pub(super) kept: Vec<(&'a RunNode, Result<Kept, Missing>)>,
     /// The closest call on each photo of `kept`.
     pub(super) closest: BTreeMap<String, ClosestCall<'a>>,
-    judged: Vec<(&'a NodeView, Result<Summary, Missing>)>,
+    judged: Vec<(&'a RunNode, Result<Summary, Missing>)>,
 }
 
 impl<'a> Page<'a> {
-    pub(super) fn new(input: &'a ReportInput<'a>) -> Self {
+    pub(super) fn new(report: &'a Report<'a>, media: &'a Media<'a>) -> Self {
         let open = |output| {
-            let nodes = input.nodes.iter();
-            nodes.filter_map(move |node| Some((node, Set::open(input, node, output)?)))
+            let nodes = report.nodes.iter().copied();
+            nodes.filter_map(move |node| Some((node, Set::open(report, node, output)?)))
         };
         let verdicts: Vec<_> = open(VERDICTS).collect();
-        let sum = |set: &Result<Set<'_>, Missing>| Summary::new(input, set.as_ref().map_err(Clone::clone)?);
+        let sum = |set: &Result<Set<'_>, Missing>| Summary::new(report, set.as_ref().map_err(Clone::clone)?);
         let judged: Vec<_> = verdicts.iter().map(|(node, set)| (*node, sum(set))).collect();
-        let last = last_photo_nodes(input);
+        let last = last_photo_nodes(report);
         let kept: Vec<_> = open(PHOTOS)
-            .filter(|(node, _)| last.contains(&node.name.as_str()))
-            .map(|(node, set)| (node, set.and_then(|set| Kept::new(input, &set))))
+            .filter(|(node, _)| last.contains(&node.run.name.as_str()))
+            .map(|(node, set)| (node, set.and_then(|set| Kept::new(report, &set))))
             .collect();
         let kept_spots: BTreeSet<Spot> = kept
             .iter()
@@ -48,57 +50,61 @@ impl<'a> Page<'a> {
             .chain(kept_spots.iter().cloned());
         Self {
             photos: PhotoIndex::new(open(PHOTOS).map(|(_, set)| set), spots),
-            pictures: Pictures::default(),
+            pictures: Pictures::new(media),
             closest: closest_calls(
                 verdicts.iter().filter_map(|(_, set)| set.as_ref().ok()),
                 &kept_spots,
             ),
             kept,
             judged,
-            input,
+            report,
         }
     }
 
     /// Returns the nodes that gave verdicts, with these summed up.
-    pub(super) fn judged(&self) -> impl Iterator<Item = (&'a NodeView, Result<&Summary, &Missing>)> {
+    pub(super) fn judged(&self) -> impl Iterator<Item = (&'a RunNode, Result<&Summary, &Missing>)> {
         self.judged.iter().map(|(node, sum)| (*node, sum.as_ref()))
     }
 
     /// Nodes that have an output of this name.
-    pub(super) fn with_output<'s>(&'s self, output: &'s str) -> impl Iterator<Item = &'a NodeView> + 's {
-        let nodes = &self.input.nodes;
-        nodes.iter().filter(move |node| node.outputs.contains_key(output))
+    pub(super) fn with_output<'s>(&'s self, output: &'s str) -> impl Iterator<Item = &'a RunNode> + 's {
+        let nodes = self.report.nodes.iter().copied();
+        nodes.filter(move |node| node.digest(output).is_some())
     }
 
     /// Nodes that have an output whose name starts so.
     pub(super) fn with_outputs_under<'s>(
         &'s self,
         prefix: &'s str,
-    ) -> impl Iterator<Item = &'a NodeView> + 's {
-        let under = move |node: &&NodeView| node.outputs.keys().any(|name| name.starts_with(prefix));
-        self.input.nodes.iter().filter(under)
+    ) -> impl Iterator<Item = &'a RunNode> + 's {
+        let nodes = self.report.nodes.iter().copied();
+        nodes.filter(move |node| node.outputs_under(prefix).next().is_some())
     }
 
     /// Reads an output.
-    pub(super) fn bytes(&self, node: &NodeView, output: &str) -> Result<Arc<[u8]>, Missing> {
-        read(self.input, node, output)
+    pub(super) fn bytes(&self, node: &RunNode, output: &str) -> Result<Arc<[u8]>, Missing> {
+        read(self.report, node, output)
     }
 
     /// Returns the nodes that have a document of this type.
-    pub(super) fn with_document<D: Document>(&self) -> impl Iterator<Item = &'a NodeView> {
-        self.input.nodes.iter().filter(|node| has_document::<D>(node))
+    pub(super) fn with_document<D: Document>(&self) -> impl Iterator<Item = &'a RunNode> {
+        let nodes = self.report.nodes.iter().copied();
+        nodes.filter(|node| has_document::<D>(node))
     }
 
     /// Reads a document of a node.
-    pub(super) fn document<D: Document>(&self, node: &NodeView) -> Result<D, Missing> {
+    pub(super) fn document<D: Document>(&self, node: &RunNode) -> Result<D, Missing> {
         let bytes = self.bytes(node, D::OUTPUT)?;
         D::decode(&bytes).map_err(|error| unreadable(node, D::OUTPUT, &error))
     }
 
     /// Returns a sentence that no node gave something, and which nodes stopped.
     pub(super) fn absent(&self, what: &str) -> Markup {
-        let stopped = |node: &&NodeView| matches!(node.state, State::Failed | State::Skipped);
-        let names: Vec<String> = self.input.nodes.iter().filter(stopped).map(stopped_as).collect();
+        let stopped = |node: &&&RunNode| [FAILED, SKIPPED].contains(&state(node));
+        let stopped = self.report.nodes.iter().filter(stopped);
+        let names: Vec<String> = stopped
+            .map(|node| format!("{} {}", node.run.name, state(node)))
+            .collect();
         html! {
             p.missing {
                 "No node of this run gave " (what) "."
@@ -109,12 +115,8 @@ impl<'a> Page<'a> {
 }
 
 /// Tells whether a node is of the stage that writes this document, and has it.
-pub(super) fn has_document<D: Document>(node: &NodeView) -> bool {
-    node.stage == D::STAGE && node.outputs.contains_key(D::OUTPUT)
-}
-
-fn stopped_as(node: &NodeView) -> String {
-    format!("{} {}", node.name, node.state.word())
+pub(super) fn has_document<D: Document>(node: &RunNode) -> bool {
+    node.run.stage == D::STAGE && node.digest(D::OUTPUT).is_some()
 }
 
 /// An entry of a legend, which no line break parts: a swatch of a class and what it means.

@@ -8,8 +8,8 @@ use marf_scene::PhotoFacts;
 use marf_stage::PHOTOS;
 use serde::{Serialize, de::DeserializeOwned};
 
-use super::input::ReportInput;
 use super::read::Missing;
+use super::report::Report;
 use super::sets::Set;
 
 /// Most photos of one node that are shown.
@@ -128,14 +128,14 @@ fn entry(row: &Row) -> PhotoEntry {
 }
 
 /// Names of the nodes whose photos no other node filters further.
-pub(super) fn last_photo_nodes<'a>(input: &'a ReportInput<'_>) -> Vec<&'a str> {
-    let nodes = input.nodes.iter();
-    let with_photos: Vec<_> = nodes.filter(|node| node.outputs.contains_key(PHOTOS)).collect();
+pub(super) fn last_photo_nodes<'a>(report: &'a Report<'_>) -> Vec<&'a str> {
+    let nodes = report.nodes.iter();
+    let with_photos: Vec<_> = nodes.filter(|node| node.digest(PHOTOS).is_some()).collect();
     let consumed: BTreeSet<&str> = with_photos
         .iter()
-        .flat_map(|node| node.upstream.iter().map(|(_, upstream)| upstream.as_str()))
+        .flat_map(|node| report.upstream(node))
         .collect();
-    let names = with_photos.iter().map(|node| node.name.as_str());
+    let names = with_photos.iter().map(|node| node.run.name.as_str());
     names.filter(|name| !consumed.contains(name)).collect()
 }
 
@@ -153,11 +153,11 @@ type Drawn = (Digest, Spot);
 
 impl Kept {
     /// Draws from a set, by what earlier reports have drawn from its blocks.
-    pub(super) fn new(input: &ReportInput<'_>, set: &Set<'_>) -> Result<Self, Missing> {
+    pub(super) fn new(report: &Report<'_>, set: &Set<'_>) -> Result<Self, Missing> {
         let mut drawn = Vec::new();
         for block in &set.blocks {
             let key = Digest::from_content(format!("sample {VERSION} {}", block.digest).as_bytes());
-            drawn.extend(remembered(input, &key, || sample(set, block))?);
+            drawn.extend(remembered(report, &key, || sample(set, block))?);
             drawn.sort();
             drawn.truncate(MOST_KEPT);
         }
@@ -183,17 +183,17 @@ fn sample(set: &Set<'_>, block: &BlockRef) -> Result<Vec<Drawn>, Missing> {
 
 /// Returns what an earlier report made of the same objects, or makes it.
 pub(super) fn remembered<T: Serialize + DeserializeOwned>(
-    input: &ReportInput<'_>,
+    report: &Report<'_>,
     key: &Digest,
     make: impl FnOnce() -> Result<T, Missing>,
 ) -> Result<T, Missing> {
-    let known = input.memos.load(key);
+    let known = report.memos.load(key);
     if let Some(known) = known.and_then(|bytes| serde_json::from_slice(&bytes).ok()) {
         return Ok(known);
     }
     let made = make()?;
     // Strings and finite numbers always serialise; a table that is empty is made anew.
-    input
+    report
         .memos
         .save(key, &serde_json::to_vec(&made).unwrap_or_default());
     Ok(made)
@@ -225,9 +225,9 @@ mod tests {
         let leaves = (0..sols).map(&mut leaf).collect();
         let Ok(root) = Root { leaves }.write(|bytes| Ok::<_, std::convert::Infallible>(store.put(bytes)));
         let nodes = [giving(node("extract", &[]), [(PHOTOS, root)])];
-        store.with_input(&nodes, |input| {
-            let set = Set::open(input, &input.nodes[0], PHOTOS).unwrap().ok().unwrap();
-            let kept = Kept::new(input, &set).ok().unwrap();
+        store.with_report(&nodes, |report| {
+            let set = Set::open(report, report.nodes[0], PHOTOS).unwrap().ok().unwrap();
+            let kept = Kept::new(report, &set).ok().unwrap();
             assert_eq!(kept.count, 10 * sols as usize);
             kept.shown.into_iter().collect()
         })

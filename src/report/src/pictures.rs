@@ -3,6 +3,7 @@
 use std::collections::BTreeSet;
 
 use marf_cache::Digest;
+use marf_model::RunNode;
 use marf_scene::{Image, Srgb};
 use marf_schema::scores::{PhotoScores, Scores};
 use marf_schema::{evaluate, folds, output, train};
@@ -11,7 +12,6 @@ use maud::{Markup, html};
 use super::cameras::Plan;
 use super::embed::{Form, decode, words};
 use super::format::count;
-use super::input::NodeView;
 use super::maps::uncertainty_of;
 use super::page::{Page, has_document};
 use super::quality::{by_distance, of_photo};
@@ -33,7 +33,7 @@ pub(super) fn held_out(page: &Page<'_>) -> Markup {
             if shown.insert(digests(node, output::HELDOUT)) {
                 views(page, node)
             } else {
-                html! { h3 { (node.name) } p { "The same renders as above." } }
+                html! { h3 { (node.run.name) } p { "The same renders as above." } }
             }
         })
         .collect();
@@ -46,25 +46,23 @@ pub(super) fn held_out(page: &Page<'_>) -> Markup {
     }
 }
 
-fn digests(node: &NodeView, prefix: &str) -> Vec<Digest> {
-    let under = node.outputs.iter().filter(|(name, _)| name.starts_with(prefix));
-    under.map(|(_, digest)| *digest).collect()
+fn digests(node: &RunNode, prefix: &str) -> Vec<Digest> {
+    node.outputs_under(prefix).map(|(_, digest)| *digest).collect()
 }
 
-fn views(page: &Page<'_>, node: &NodeView) -> Markup {
+fn views(page: &Page<'_>, node: &RunNode) -> Markup {
     let scores = scores(page, node);
     let views = scores.as_ref().map_or(&[][..], |scores| &scores.views);
     let view = |name: &str| views.iter().find(|view| view.name == name);
-    let mut names: Vec<&str> = node
-        .outputs
-        .keys()
-        .filter_map(|name| picture_name(name, output::HELDOUT))
+    let held_out = node.outputs_under(output::HELDOUT);
+    let mut names: Vec<&str> = held_out
+        .filter_map(|(name, _)| name.strip_suffix(".png"))
         .collect();
     // Ties, and views without a figure, keep the order of their names.
     let psnr = |name: &str| view(name).map_or(f64::MAX, |view| view.psnr);
     names.sort_by(|a, b| psnr(a).total_cmp(&psnr(b)));
     html! {
-        h3 { (node.name) ": " (count(names.len(), "view")) }
+        h3 { (node.run.name) ": " (count(names.len(), "view")) }
         @if let Err(missing) = &scores { (missing) }
         @if let Ok(scores) = &scores { (by_distance(scores)) }
         @let plan = Plan::new(page, node);
@@ -74,7 +72,7 @@ fn views(page: &Page<'_>, node: &NodeView) -> Markup {
 }
 
 /// Reads the scores of a training or an evaluation.
-fn scores(page: &Page<'_>, node: &NodeView) -> Result<Scores, Missing> {
+fn scores(page: &Page<'_>, node: &RunNode) -> Result<Scores, Missing> {
     if has_document::<evaluate::Metrics>(node) {
         return Ok(page.document::<evaluate::Metrics>(node)?.scores);
     }
@@ -85,14 +83,10 @@ fn scores(page: &Page<'_>, node: &NodeView) -> Result<Scores, Missing> {
     Ok(page.document::<train::Metrics>(node)?.scores)
 }
 
-fn picture_name<'n>(output: &'n str, prefix: &str) -> Option<&'n str> {
-    output.strip_prefix(prefix)?.strip_suffix(".png")
-}
-
 /// Photo, render, error, uncertainty and place in a row, with the figures of the view.
 fn judged(
     page: &Page<'_>,
-    node: &NodeView,
+    node: &RunNode,
     name: &str,
     scores: Option<&PhotoScores>,
     plan: Option<&Plan>,
@@ -101,12 +95,12 @@ fn judged(
         let nearest = scores.nearest.as_ref().map(|nearest| nearest.id.as_str());
         plan.whereabouts(&scores.id, nearest)
     });
-    let render = node.outputs.get(&format!("{}{name}.png", output::HELDOUT));
-    let photo = node.outputs.get(&format!("{}{name}.png", output::PHOTO));
+    let render = node.digest(&format!("{}{name}.png", output::HELDOUT));
+    let photo = node.digest(&format!("{}{name}.png", output::PHOTO));
     let stored = |digest: Option<&Digest>, what: &str| match digest {
         Some(digest) => page
             .pictures
-            .stored(page.input, digest, Form::Photo, &format!("{what} of {name}")),
+            .stored(page.report, digest, Form::Photo, &format!("{what} of {name}")),
         None => words(&format!("The node has no {what} of this view.")),
     };
     html! {
@@ -137,8 +131,8 @@ fn error_picture(page: &Page<'_>, render: Option<&Digest>, photo: Option<&Digest
     let (Some(render), Some(photo)) = (render, photo) else {
         return words("No error without both.");
     };
-    let made = decode(page.input, render)
-        .and_then(|render| decode(page.input, photo).map(|photo| (render, photo)))
+    let made = decode(page.report, render)
+        .and_then(|render| decode(page.report, photo).map(|photo| (render, photo)))
         .and_then(|(render, photo)| difference(&render, &photo));
     match made {
         Ok(image) => page
@@ -169,16 +163,16 @@ fn difference(a: &Image<Srgb>, b: &Image<Srgb>) -> Result<Image<Srgb>, String> {
 
 /// Films; single frames where a node has no film, or none that can be shown.
 pub(super) fn flights(page: &Page<'_>) -> Markup {
-    let nodes = &page.input.nodes;
-    let is_film = |node: &NodeView| node.outputs.contains_key(output::VIDEO);
+    let nodes = &page.report.nodes;
+    let is_film = |node: &RunNode| node.digest(output::VIDEO).is_some();
     let filmed: BTreeSet<&str> = nodes
         .iter()
         .filter(|node| is_film(node))
-        .flat_map(|node| node.upstream.iter().map(|(_, name)| name.as_str()))
+        .flat_map(|node| page.report.upstream(node))
         .collect();
     let flies =
-        |node: &&NodeView| is_film(node) || (has_frames(node) && !filmed.contains(node.name.as_str()));
-    let nodes: Vec<&NodeView> = nodes.iter().filter(flies).collect();
+        |node: &&RunNode| is_film(node) || (has_frames(node) && !filmed.contains(node.run.name.as_str()));
+    let nodes: Vec<&RunNode> = nodes.iter().copied().filter(flies).collect();
     if nodes.is_empty() {
         return page.absent("a fly-through");
     }
@@ -186,30 +180,27 @@ pub(super) fn flights(page: &Page<'_>) -> Markup {
 }
 
 /// Tells whether a node made the single pictures of a film.
-fn has_frames(node: &NodeView) -> bool {
-    node.outputs.keys().any(|name| frame_name(name).is_some())
+fn has_frames(node: &RunNode) -> bool {
+    frames(node).next().is_some()
 }
 
-/// Returns the name of a single picture of a film.
-fn frame_name(name: &str) -> Option<&str> {
-    picture_name(name, output::FRAMES)
+/// Returns the single pictures of a film by name.
+fn frames(node: &RunNode) -> impl Iterator<Item = (&str, &Digest)> {
+    let frames = node.outputs_under(output::FRAMES);
+    frames.filter_map(|(name, digest)| Some((name.strip_suffix(".png")?, digest)))
 }
 
-fn flight(page: &Page<'_>, node: &NodeView) -> Markup {
+fn flight(page: &Page<'_>, node: &RunNode) -> Markup {
     let frames = frames_of(page, node);
-    let alt = format!("fly-through by {}", node.name);
+    let alt = format!("fly-through by {}", node.run.name);
     let film = node
-        .outputs
-        .get(output::VIDEO)
-        .map(|digest| page.pictures.film(page.input, digest, &alt));
-    let has_uncertainty = frames
-        .outputs
-        .keys()
-        .any(|name| name.starts_with(output::UNCERTAINTY));
+        .digest(output::VIDEO)
+        .map(|digest| page.pictures.film(page.report, digest, &alt));
+    let has_uncertainty = frames.outputs_under(output::UNCERTAINTY).next().is_some();
     html! {
         h3 {
-            (node.name)
-            @if frames.name != node.name { " of " (frames.name) }
+            (node.run.name)
+            @if frames.run.name != node.run.name { " of " (frames.run.name) }
             @if has_uncertainty { ": with the uncertainty of the retrainings" }
         }
         @match film {
@@ -221,18 +212,14 @@ fn flight(page: &Page<'_>, node: &NodeView) -> Markup {
 }
 
 /// Returns the node that made the pictures of a film: the one that `video` reads, or the node itself.
-fn frames_of<'p>(page: &Page<'p>, node: &'p NodeView) -> &'p NodeView {
-    let upstream = node.upstream.iter().map(|(_, name)| name);
-    let mut nodes = upstream.filter_map(|name| page.input.nodes.iter().find(|node| node.name == *name));
+fn frames_of<'p>(page: &'p Page<'_>, node: &'p RunNode) -> &'p RunNode {
+    let upstream = page.report.upstream(node).into_iter();
+    let mut nodes = upstream.filter_map(|name| page.report.node(name));
     nodes.find(|node| has_frames(node)).unwrap_or(node)
 }
 
-fn single_frames(page: &Page<'_>, node: &NodeView) -> Markup {
-    let found = node
-        .outputs
-        .iter()
-        .filter_map(|(output, digest)| Some((frame_name(output)?, digest)));
-    let frames: Vec<(&str, &Digest)> = found.collect();
+fn single_frames(page: &Page<'_>, node: &RunNode) -> Markup {
+    let frames: Vec<(&str, &Digest)> = frames(node).collect();
     let shown = frames.len().min(MOST_FRAMES);
     html! {
         p.quiet { (shown) " of " (count(frames.len(), "frame")) "." }
@@ -240,7 +227,7 @@ fn single_frames(page: &Page<'_>, node: &NodeView) -> Markup {
             @for index in 0..shown {
                 @let (name, digest) = frames[index * frames.len() / shown];
                 figure {
-                    (page.pictures.stored(page.input, digest, Form::Thumb, &format!("frame {name}")))
+                    (page.pictures.stored(page.report, digest, Form::Thumb, &format!("frame {name}")))
                     figcaption { (name) }
                 }
             }

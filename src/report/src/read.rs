@@ -1,9 +1,10 @@
 use std::sync::Arc;
 
 use marf_cache::Digest;
+use marf_model::RunNode;
 use maud::{Markup, Render, html};
 
-use super::input::{NodeView, ReportInput};
+use super::report::Report;
 
 /// The sentence that stands in place of something that cannot be shown.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -15,20 +16,20 @@ impl Render for Missing {
     }
 }
 
-/// Reads an output of a node from the store of the input.
-pub(super) fn read(input: &ReportInput<'_>, node: &NodeView, output: &str) -> Result<Arc<[u8]>, Missing> {
-    let (name, outputs) = (&node.name, &node.outputs);
-    let digest = outputs
-        .get(output)
+/// Reads an output of a node from the store of the report.
+pub(super) fn read(report: &Report<'_>, node: &RunNode, output: &str) -> Result<Arc<[u8]>, Missing> {
+    let name = &node.run.name;
+    let digest = node
+        .digest(output)
         .ok_or_else(|| Missing(format!("Node {name} has no output {output}.")))?;
-    (input.read)(digest).ok_or_else(|| Missing(not_stored(&format!("{output} of {name}"), digest)))
+    (report.read)(digest).ok_or_else(|| Missing(not_stored(&format!("{output} of {name}"), digest)))
 }
 
 /// Returns the sentence for an output that cannot be decoded, such as one of an older version.
-pub(super) fn unreadable(node: &NodeView, output: &str, error: &dyn std::fmt::Display) -> Missing {
+pub(super) fn unreadable(node: &RunNode, output: &str, error: &dyn std::fmt::Display) -> Missing {
     Missing(format!(
         "{output} of {} cannot be read and is not shown: {error}.",
-        node.name
+        node.run.name
     ))
 }
 

@@ -6,6 +6,7 @@ use std::collections::BTreeMap;
 
 use marf_cache::Digest;
 use marf_cache::manifest::Row;
+use marf_engine::NodeState;
 use marf_field::Overrides;
 use marf_scene::{Camera, Frame, Nearest, Photo, PhotoFacts, Point, Pose, Scene, Unplaced, encode_png};
 use marf_schema::scores::{Apart, PhotoScores, Scores};
@@ -13,7 +14,7 @@ use marf_schema::{output, train, tune};
 use marf_stage::{PHOTOS, VERDICTS, Verdict};
 use serde_json::{Value, json};
 
-use super::fixture::{Store, giving, node, verdict};
+use super::fixture::{Store, child, giving, node, verdict};
 use super::fixture_documents::{calibration, spread, training, trial};
 use super::*;
 
@@ -54,7 +55,7 @@ fn rows(store: &mut Store) -> Vec<Row> {
 }
 
 /// A filter that rejects every `nth` photo; what it says is made up, the pictures are not.
-fn filter(store: &mut Store, name: &str, upstream: &str, rows: &mut Vec<Row>, nth: usize) -> NodeView {
+fn filter(store: &mut Store, name: &str, upstream: &str, rows: &mut Vec<Row>, nth: usize) -> RunNode {
     let judge = |(index, row): (usize, &Row)| match index % nth == nth - 1 {
         false => verdict(&row.id, "keep"),
         true => Verdict {
@@ -72,9 +73,10 @@ fn filter(store: &mut Store, name: &str, upstream: &str, rows: &mut Vec<Row>, nt
     let mut kept = verdicts.iter().map(Verdict::keeps);
     rows.retain(|_| kept.next().unwrap());
     let mut node = node(name, &[upstream]);
-    (node.state, node.seconds) = (State::Reused, Some(0.4));
-    node.reason = "same key as in an earlier run".to_owned();
-    node.params = json!({"threshold": 25.0, "rule": "laplacian"});
+    (node.run.state, node.worked_s) = (NodeState::Reused, Some(0.4));
+    node.run.reason = "same key as in an earlier run".to_owned();
+    let params = json!({"threshold": 25.0, "rule": "laplacian"});
+    store.params.insert(name.to_owned(), params);
     giving(
         node,
         [
@@ -171,10 +173,10 @@ fn scores(index: usize, id: &str) -> PhotoScores {
 }
 
 /// Photos beside a coarse copy of themselves, as a field of few steps would render them.
-fn train(store: &mut Store, rows: &[Row], scene: Digest) -> NodeView {
+fn train(store: &mut Store, rows: &[Row], scene: Digest) -> RunNode {
     let mut node = giving(node("train", &["calibrate", "tune"]), [(output::SCENE, scene)]);
-    node.upstream[1].0 = "params".to_owned();
-    node.seconds = Some(61.3);
+    node.run.edges[1].key = "params".to_owned();
+    node.worked_s = Some(61.3);
     for row in rows.iter().take(6) {
         let photo = Photo::decode(&store.blobs[&row.blobs["image"]])
             .unwrap()
@@ -183,14 +185,10 @@ fn train(store: &mut Store, rows: &[Row], scene: Digest) -> NodeView {
         let coarse =
             marf_scene::Image::from_fn(photo.width, photo.height, |x, y| photo.at(x / 5 * 5, y / 5 * 5));
         let stem = row.id.trim_end_matches(".jpg");
-        node.outputs.insert(
-            format!("{}{stem}.png", output::PHOTO),
-            store.put(&encode_png(&photo).unwrap()),
-        );
-        node.outputs.insert(
-            format!("{}{stem}.png", output::HELDOUT),
-            store.put(&encode_png(&coarse).unwrap()),
-        );
+        for (prefix, picture) in [(output::PHOTO, &photo), (output::HELDOUT, &coarse)] {
+            let digest = store.put(&encode_png(picture).unwrap());
+            node = giving(node, [(&format!("{prefix}{stem}.png"), digest)]);
+        }
     }
     let views = rows.iter().take(6).enumerate();
     let metrics = training(Scores {
@@ -222,23 +220,22 @@ fn train(store: &mut Store, rows: &[Row], scene: Digest) -> NodeView {
     giving(node, outputs)
 }
 
-fn bootstrap(store: &mut Store, train: &NodeView) -> NodeView {
+fn bootstrap(store: &mut Store, train: &RunNode) -> Vec<RunNode> {
     let mut maps = node("bootstrap", &["calibrate", "tune"]);
-    maps.children = (0..5)
-        .map(|index| ChildView {
-            name: format!("member-{index:02}"),
-            state: if index > 2 { State::Ran } else { State::Reused },
-            seconds: Some(58.0),
+    let states = [NodeState::Reused, NodeState::Finished];
+    let children: Vec<RunNode> = (0..5)
+        .map(|index| {
+            child(
+                &maps,
+                &format!("member-{index:02}"),
+                states[usize::from(index > 2)],
+                Some(58.0),
+            )
         })
         .collect();
     let mut names = Vec::new();
-    for (name, digest) in &train.outputs {
-        let Some(stem) = name
-            .strip_prefix(output::PHOTO)
-            .and_then(|name| name.strip_suffix(".png"))
-        else {
-            continue;
-        };
+    for (name, digest) in train.outputs_under(output::PHOTO) {
+        let stem = name.strip_suffix(".png").unwrap();
         names.push(stem.to_owned());
         let photo = Photo::decode(&store.blobs[digest]).unwrap().image;
         for (index, kind) in ["photo", "mean", "error", "std", "opacity", "total", "depth-std"]
@@ -248,24 +245,18 @@ fn bootstrap(store: &mut Store, train: &NodeView) -> NodeView {
             let picture = marf_scene::Image::from_fn(photo.width, photo.height, |x, y| {
                 photo.at(x, y).map(|value| value / (1 + index as u8))
             });
-            maps.outputs.insert(
-                format!("{}{stem}-{kind}.png", output::MAPS),
-                store.put(&encode_png(&picture).unwrap()),
-            );
+            let digest = store.put(&encode_png(&picture).unwrap());
+            maps = giving(maps, [(&format!("{}{stem}-{kind}.png", output::MAPS), digest)]);
         }
     }
     let metrics = store.document(&spread(names));
-    giving(maps, [metrics])
+    [vec![giving(maps, [metrics])], children].concat()
 }
 
-fn tune(store: &mut Store) -> NodeView {
-    let mut tune = node("tune", &["calibrate"]);
-    tune.children = (0..6)
-        .map(|index| ChildView {
-            name: format!("trial-{index:02}"),
-            state: State::Reused,
-            seconds: Some(21.0),
-        })
+fn tune(store: &mut Store) -> Vec<RunNode> {
+    let tune = node("tune", &["calibrate"]);
+    let children: Vec<RunNode> = (0..6)
+        .map(|index| child(&tune, &format!("trial-{index:02}"), NodeState::Reused, Some(21.0)))
         .collect();
     let trials = (0..6_u32).map(|index| {
         let place = (index + 3) % 6;
@@ -293,7 +284,7 @@ fn tune(store: &mut Store) -> NodeView {
         store.document(&scatter),
         store.document(&best),
     ];
-    giving(tune, outputs)
+    [vec![giving(tune, outputs)], children].concat()
 }
 
 fn film(store: &mut Store, rows: &[Row]) -> Digest {
@@ -312,7 +303,7 @@ fn film(store: &mut Store, rows: &[Row]) -> Digest {
     store.put(&film)
 }
 
-fn run_of_the_rover() -> (Store, Vec<NodeView>) {
+fn run_of_the_rover() -> (Store, Vec<RunNode>) {
     let mut store = Store::default();
     let mut rows = rows(&mut store);
     let mut seen: Vec<Verdict> = rows.iter().map(|row| verdict(&row.id, "keep")).collect();
@@ -327,7 +318,7 @@ fn run_of_the_rover() -> (Store, Vec<NodeView>) {
         (VERDICTS, store.put_verdicts(&seen)),
     ];
     let mut nodes = vec![giving(node("photos", &[]), outputs)];
-    nodes[0].stage = "extract".to_owned();
+    nodes[0].run.stage = "extract".to_owned();
     let mut upstream = "photos";
     for (name, nth) in [
         ("size", 40),
@@ -346,14 +337,16 @@ fn run_of_the_rover() -> (Store, Vec<NodeView>) {
         node("calibrate", &["blur"]),
         [(output::SCENE, scene), placed],
     ));
-    nodes.push(tune(&mut store));
-    nodes.push(train(&mut store, &rows, scene));
-    nodes.push(bootstrap(&mut store, &nodes[9].clone()));
+    nodes.extend(tune(&mut store));
+    let trained = train(&mut store, &rows, scene);
+    let maps = bootstrap(&mut store, &trained);
+    nodes.push(trained);
+    nodes.extend(maps);
     let film = film(&mut store, &rows);
     nodes.push(giving(node("flight", &["train"]), [(output::VIDEO, film)]));
     let mut failed = node("evaluate", &["train"]);
-    (failed.state, failed.reason) = (
-        State::Failed,
+    (failed.run.state, failed.run.reason) = (
+        NodeState::Failed,
         "views: `all` asks for 92 photos at 480 px: 3.1 GB, at most 2 GB".to_owned(),
     );
     nodes.push(failed);

@@ -13,7 +13,7 @@ use super::verdicts::{Judged, Summary};
 pub(super) fn body(page: &Page<'_>) -> Markup {
     let judged: Vec<(&str, &Summary)> = page
         .judged()
-        .filter_map(|(node, sum)| Some((node.name.as_str(), sum.ok()?)))
+        .filter_map(|(node, sum)| Some((node.run.name.as_str(), sum.ok()?)))
         .collect();
     if judged.iter().all(|(_, sum)| sum.calls == 0) {
         return page.absent("verdicts with a score and a threshold");

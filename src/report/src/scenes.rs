@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use marf_model::RunNode;
 use marf_schema::scenes::{PhotoGroup, Scenes, Stop};
 use marf_schema::{calibrate, train};
 use marf_stage::Document;
@@ -9,9 +10,8 @@ use maud::{Markup, html};
 
 use super::axis::round_step;
 use super::format::{count, decibels, number, px};
-use super::input::{NodeView, SceneView, State};
-use super::nodes::state_of;
 use super::page::{Page, key};
+use super::report::{FAILED, STATES, ScenePage, state, state_of_all};
 
 const WIDTH: f64 = 640.0;
 /// A map is at most and at least so high.
@@ -45,7 +45,7 @@ fn of_split(page: &Page<'_>, scenes: &Scenes) -> Markup {
     for stop in &scenes.stops {
         sites.entry(stop.site).or_default().push(stop);
     }
-    let views = &page.input.scenes;
+    let views = &page.report.scenes;
     let photos: usize = scenes.scenes.iter().map(|scene| scene.photos.len()).sum();
     html! {
         p {
@@ -61,9 +61,7 @@ fn of_split(page: &Page<'_>, scenes: &Scenes) -> Markup {
         @if sites.len() > MOST_MAPS { p.quiet { (sites.len() - MOST_MAPS) " other sites have no map here." } }
         @if !sites.is_empty() {
             p.legend {
-                @for state in [State::Ran, State::Reused, State::Failed, State::Skipped] {
-                    (key(state.word(), state.word()))
-                }
+                @for word in STATES { (key(word, word)) }
                 (key("none", "of no scene"))
             }
         }
@@ -80,14 +78,14 @@ fn of_split(page: &Page<'_>, scenes: &Scenes) -> Markup {
     }
 }
 
-fn view_of<'v>(views: &'v [SceneView], name: &str) -> Option<&'v SceneView> {
+fn view_of<'v>(views: &'v [ScenePage<'v>], name: &str) -> Option<&'v ScenePage<'v>> {
     views.iter().find(|view| view.name == name)
 }
 
-fn row(page: &Page<'_>, scene: &PhotoGroup, view: Option<&SceneView>) -> Markup {
-    let none: &[NodeView] = &[];
+fn row(page: &Page<'_>, scene: &PhotoGroup, view: Option<&ScenePage<'_>>) -> Markup {
+    let none: &[&RunNode] = &[];
     let nodes = view.map_or(none, |view| view.nodes.as_slice());
-    let document = |stage: &str| nodes.iter().find(|node| node.stage == stage);
+    let document = |stage: &str| nodes.iter().find(|node| node.run.stage == stage);
     let calibrated = document(<calibrate::Metrics as Document>::STAGE)
         .and_then(|node| page.document::<calibrate::Metrics>(node).ok());
     let placed = calibrated
@@ -97,11 +95,11 @@ fn row(page: &Page<'_>, scene: &PhotoGroup, view: Option<&SceneView>) -> Markup 
     let psnr = document(<train::Metrics as Document>::STAGE)
         .and_then(|node| page.document::<train::Metrics>(node).ok())
         .map(|metrics| decibels(metrics.scores.psnr));
-    let failed = nodes.iter().find(|node| node.state == State::Failed);
+    let failed = nodes.iter().find(|node| state(node) == FAILED);
     html! {
         tr {
             td { @match view { Some(view) => a href=(view.page) { (scene.name) }, None => (scene.name) } }
-            td { @if let Some(state) = state_of(nodes) { span.badge.(state.word()) { (state.word()) } } }
+            td { @if let Some(word) = state_of_all(nodes) { span.badge.(word) { (word) } } }
             td.number { (scene.photos.len()) }
             td { (ranges(&scene.sols)) }
             td.number { (scene.span_m.map_or_else(|| "–".to_owned(), number)) }
@@ -110,7 +108,7 @@ fn row(page: &Page<'_>, scene: &PhotoGroup, view: Option<&SceneView>) -> Markup 
             td.number { (psnr.unwrap_or_else(|| "–".to_owned())) }
             td.file {
                 (scene.reason)
-                @if let Some(failed) = failed { div { strong { (failed.name) " failed: " } (failed.reason) } }
+                @if let Some(failed) = failed { div { strong { (failed.run.name) " failed: " } (failed.run.reason) } }
             }
         }
     }
@@ -183,7 +181,7 @@ impl Fit {
 }
 
 /// Draws the stops of one site in the order of its drives.
-fn map(stops: &[&Stop], views: &[SceneView]) -> Markup {
+fn map(stops: &[&Stop], views: &[ScenePage<'_>]) -> Markup {
     let fit = Fit::new(stops);
     let places: Vec<(f64, f64)> = stops.iter().map(|stop| fit.place(stop.position_m)).collect();
     let traverse: Vec<String> = places
@@ -194,8 +192,7 @@ fn map(stops: &[&Stop], views: &[SceneView]) -> Markup {
     let radius = |photos: u64| 4.0 + 8.0 * (photos as f64 / most as f64).sqrt();
     let class = |stop: &Stop| {
         let mut of = stop.scenes.iter().filter_map(|name| view_of(views, name));
-        of.find_map(|view| state_of(&view.nodes))
-            .map_or("none", State::word)
+        of.find_map(|view| state_of_all(&view.nodes)).unwrap_or("none")
     };
     let mut scenes: BTreeMap<&str, Vec<(f64, f64)>> = BTreeMap::new();
     for (stop, place) in stops.iter().zip(&places) {

@@ -5,15 +5,16 @@ use std::sync::Arc;
 use marf_cache::Digest;
 use marf_cache::manifest::{BlockRef, Leaf, LeafRef, ManifestError, Root, Row, SHARDS_A_BLOCK};
 use marf_engine::sets;
+use marf_model::RunNode;
 use marf_stage::{PHOTOS, VERDICTS, Verdict};
 
-use super::input::{NodeView, ReportInput};
 use super::read::{Missing, not_stored, read, unreadable};
+use super::report::Report;
 
 /// An output of a node that is a set.
 pub(super) struct Set<'a> {
-    input: &'a ReportInput<'a>,
-    node: &'a NodeView,
+    report: &'a Report<'a>,
+    node: &'a RunNode,
     output: &'static str,
     /// Its blocks, sorted by number.
     pub(super) blocks: Vec<BlockRef>,
@@ -22,15 +23,15 @@ pub(super) struct Set<'a> {
 impl<'a> Set<'a> {
     /// Opens the photos or the verdicts of a node; nothing where it has none.
     pub(super) fn open(
-        input: &'a ReportInput<'a>,
-        node: &'a NodeView,
+        report: &'a Report<'a>,
+        node: &'a RunNode,
         output: &'static str,
     ) -> Option<Result<Self, Missing>> {
-        node.outputs.get(output)?;
-        let blocks = read(input, node, output)
+        node.digest(output)?;
+        let blocks = read(report, node, output)
             .and_then(|bytes| Root::blocks(&bytes).map_err(|error| unreadable(node, output, &error)));
         Some(blocks.map(|blocks| Self {
-            input,
+            report,
             node,
             output,
             blocks,
@@ -39,12 +40,12 @@ impl<'a> Set<'a> {
 
     /// Name of the node.
     pub(super) fn node(&self) -> &'a str {
-        &self.node.name
+        &self.node.run.name
     }
 
     /// Tells whether the node takes no photos of another node.
     pub(super) fn is_of_source(&self) -> bool {
-        self.node.upstream.is_empty()
+        self.node.run.edges.is_empty()
     }
 
     /// Number of photos or verdicts.
@@ -84,8 +85,8 @@ impl<'a> Set<'a> {
     }
 
     fn part(&self, digest: &Digest) -> Result<Arc<[u8]>, Missing> {
-        let what = || format!("A part of {} of {}", self.output, self.node.name);
-        (self.input.read)(digest).ok_or_else(|| Missing(not_stored(&what(), digest)))
+        let what = || format!("A part of {} of {}", self.output, self.node.run.name);
+        (self.report.read)(digest).ok_or_else(|| Missing(not_stored(&what(), digest)))
     }
 
     fn unreadable(&self, error: &ManifestError) -> Missing {

@@ -1,8 +1,9 @@
-use super::fixture::{HOSTILE, full, giving, node, verdict};
-use std::collections::BTreeMap;
+use super::fixture::{HOSTILE, full, giving, node, run, verdict};
 
 use super::*;
-use marf_cache::Digest;
+use marf_cache::{Digest, Output};
+use marf_engine::NodeState;
+use marf_model::Run;
 use marf_schema::{folds, masks, train};
 use marf_stage::{Document, PHOTOS, VERDICTS};
 
@@ -108,8 +109,11 @@ fn text_of_the_outside_never_becomes_a_tag() {
 fn a_quote_in_a_name_does_not_leave_its_attribute() {
     let hostile = "\" onload=\"alert(1)";
     let mut one = node(hostile, &[hostile]);
-    one.params = serde_json::json!({hostile: hostile});
-    let html = fixture::Store::default().report(&[one]);
+    one.run.reason = hostile.to_owned();
+    let mut store = fixture::Store::default();
+    let params = serde_json::json!({hostile: hostile});
+    store.params.insert(hostile.to_owned(), params);
+    let html = store.report(&[one]);
     assert!(!html.contains(hostile), "{html}");
     check_balance(&html);
 }
@@ -178,7 +182,8 @@ fn each_object_may_be_gone_on_its_own() {
 #[test]
 fn a_run_without_outputs_says_so_in_every_section() {
     let mut failed = node("train", &[]);
-    (failed.state, failed.reason) = (State::Failed, "step 31: loss is not finite".to_owned());
+    failed.run.state = NodeState::Failed;
+    failed.run.reason = "step 31: loss is not finite".to_owned();
     let html = fixture::Store::default().report(&[failed]);
     check_balance(&html);
     assert!(html.contains("1 node: 1 failed"), "{html}");
@@ -190,23 +195,39 @@ fn a_run_without_outputs_says_so_in_every_section() {
     check_balance(&fixture::Store::default().report(&[]));
 }
 
+/// A run in which the training failed, with what run 7 made.
+fn completed_run(nodes: Vec<RunNode>) -> Run<'static> {
+    let mut earlier = run(&nodes);
+    earlier.record.number = 7;
+    failed_run(nodes).completed(earlier)
+}
+
+fn failed_run(nodes: Vec<RunNode>) -> Run<'static> {
+    let mut failed = run(&nodes);
+    let mut nodes = failed.nodes.iter_mut();
+    let train = &mut nodes.find(|node| node.run.name == "train").unwrap().run;
+    (train.state, train.reason) = (NodeState::Failed, "disk full".to_owned());
+    train.outputs.clear();
+    failed.nodes.retain(|node| node.run.name != "video");
+    failed
+}
+
 #[test]
 fn what_an_earlier_run_made_is_shown_with_its_number() {
-    let (store, mut nodes) = full();
-    let train = nodes.iter_mut().find(|node| node.name == "train").unwrap();
-    let made = NodeView {
-        of_run: Some(7),
-        ..train.clone()
-    };
-    (train.state, train.reason, train.outputs) = (State::Failed, "disk full".to_owned(), BTreeMap::new());
-    assert!(!store.report(&nodes).contains("Of run"));
-    let train = nodes.iter_mut().find(|node| node.name == "train").unwrap();
-    train.show(made);
-    assert_eq!((train.state, train.reason.as_str()), (State::Failed, "disk full"));
-    let html = store.report(&nodes);
+    let (store, nodes) = full();
+    let failed = failed_run(nodes.clone());
+    assert!(!store.with_report_of(&failed, write).contains("Of run"));
+    let run = completed_run(nodes);
+    let train = run.node("train").unwrap();
+    assert_eq!(
+        (train.run.state, train.run.reason.as_str()),
+        (NodeState::Failed, "disk full")
+    );
+    let html = store.with_report_of(&run, write);
     check_balance(&html);
     for text in [
-        "Of run 7, the last whole one, as this run has not made them: train.",
+        "Of run 7, the last whole one, as this run has not made them: train, skipped&lt;i&gt;, video.",
+        "not part of this run",
         "outputs of run 7",
         "train failed:",
         "24.57 dB",
@@ -317,8 +338,15 @@ fn what_stands_still_is_shown_with_the_way_to_hide_it() {
 fn metrics_of_an_older_version_become_one_sentence_and_the_rest_is_shown() {
     let (mut store, mut nodes) = full();
     let older = store.put(br#"{"psnr": 24.5, "views": []}"#);
-    let trained = nodes.iter_mut().find(|node| node.name == "train").unwrap();
-    trained.outputs.insert(train::Metrics::OUTPUT.to_owned(), older);
+    let trained = nodes.iter_mut().find(|node| node.run.name == "train").unwrap();
+    let older = Output {
+        digest: older,
+        bytes: 1,
+    };
+    trained
+        .run
+        .outputs
+        .insert(train::Metrics::OUTPUT.to_owned(), older);
     let html = store.report(&nodes);
     check_balance(&html);
     for text in [
@@ -347,4 +375,44 @@ fn a_long_list_of_rejected_photos_is_cut_and_counted() {
         2,
         "rejected and kept"
     );
+}
+
+#[test]
+fn a_linked_report_has_addresses_in_place_of_pictures_films_and_style() {
+    let (store, nodes) = full();
+    let live = LiveParts {
+        up: "../",
+        head: html! { link rel="icon" href="icon.svg"; },
+        navigation: html! { a href="#live" { "Live" } },
+        main: html! { section #live {} },
+    };
+    let page = store.with_report(&nodes, |report| linked(report, &live));
+    check_balance(&page.html.replace("<link", "<meta"));
+    for gone in ["Content-Security-Policy", "<style", "data:", "<script", HOSTILE] {
+        assert!(!page.html.contains(gone), "{gone}");
+    }
+    assert!(
+        page.html
+            .contains("<nav aria-label=\"Contents\"><a href=\"#live\">Live</a>")
+    );
+    assert!(page.html.contains("<main><section id=\"live\"></section>"));
+    let pictures = page.html.matches("<img").count();
+    assert_eq!(
+        page.html
+            .matches("<img loading=\"lazy\" src=\"../object/")
+            .count(),
+        pictures
+    );
+    assert!(pictures > 10, "{pictures}");
+    let addresses: Vec<&str> = page.html.split("\"../object/").skip(1).collect();
+    for address in addresses {
+        let digest: Digest = address[..64].parse().unwrap();
+        let is_film = page.objects.contains(&digest) && store.blobs.contains_key(&digest);
+        assert!(is_film || page.files.contains_key(&digest), "{digest}");
+    }
+    assert_eq!(page.objects.len(), 1, "the film is not copied");
+    for (digest, file) in &page.files {
+        assert_eq!(Digest::from_content(&file.bytes), *digest);
+        assert!(["image/jpeg", "image/png", "text/css; charset=utf-8"].contains(&file.media));
+    }
 }

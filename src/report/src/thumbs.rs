@@ -15,7 +15,7 @@ pub(super) fn thumb(page: &Page<'_>, id: &str, what: &str) -> Markup {
     };
     let alt = format!("{what}: {}", photo.file);
     match &photo.image {
-        Some(image) => page.pictures.stored(page.input, image, Form::Thumb, &alt),
+        Some(image) => page.pictures.stored(page.report, image, Form::Thumb, &alt),
         None => words("The manifest names no image."),
     }
 }

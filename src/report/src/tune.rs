@@ -1,11 +1,11 @@
 //! Trials of the parameters: the chosen one marked, and why it was chosen.
 
+use marf_model::RunNode;
 use marf_schema::tune::{BestParams, Scatter, Trial, Trials};
 use maud::{Markup, html};
 use serde_json::Value;
 
 use super::format::{decibels, number, similarity};
-use super::input::NodeView;
 use super::json;
 use super::page::Page;
 
@@ -14,14 +14,14 @@ const SCORES: [&str; 6] = ["trial", "rank", "steps", "psnr", "psnr_paper", "ssim
 
 /// The table of trials of every node that has one.
 pub(super) fn body(page: &Page<'_>) -> Markup {
-    let nodes: Vec<&NodeView> = page.with_document::<Trials>().collect();
+    let nodes: Vec<&RunNode> = page.with_document::<Trials>().collect();
     if nodes.is_empty() {
         return page.absent("trials of parameters");
     }
-    html! { @for node in nodes { h3 { (node.name) } (of_node(page, node)) } }
+    html! { @for node in nodes { h3 { (node.run.name) } (of_node(page, node)) } }
 }
 
-fn of_node(page: &Page<'_>, node: &NodeView) -> Markup {
+fn of_node(page: &Page<'_>, node: &RunNode) -> Markup {
     let trials = match page.document(node) {
         Ok(Trials(trials)) => trials,
         Err(missing) => return html! { (missing) },

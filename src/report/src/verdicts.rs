@@ -9,9 +9,9 @@ use marf_stage::Verdict;
 use serde::{Deserialize, Serialize};
 
 use super::call::{Call, FACTORS};
-use super::input::ReportInput;
 use super::photos::{Spot, remembered};
 use super::read::Missing;
+use super::report::Report;
 use super::sets::Set;
 
 /// Most rejections of a node that are shown one by one.
@@ -57,11 +57,11 @@ pub(super) struct Summary {
 
 impl Summary {
     /// Sums up the verdicts of a set, from what earlier reports kept of its blocks.
-    pub(super) fn new(input: &ReportInput<'_>, set: &Set<'_>) -> Result<Self, Missing> {
+    pub(super) fn new(report: &Report<'_>, set: &Set<'_>) -> Result<Self, Missing> {
         let mut sum = Self::default();
         for block in &set.blocks {
             let key = Digest::from_content(format!("verdicts {VERSION} {}", block.digest).as_bytes());
-            sum.append(remembered(input, &key, || of_block(set, block))?);
+            sum.append(remembered(report, &key, || of_block(set, block))?);
         }
         Ok(sum)
     }

@@ -1,15 +1,18 @@
 //! The report of a run, and the pages of its scenes.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::sync::Arc;
 
 use marf_cache::{Digest, Store};
-use marf_engine::{NodeState, Purpose, RunRecord, document};
+use marf_config::scenes::scene_of;
+use marf_engine::{Outcome, Purpose, RunRecord, document};
 use marf_export::iso_time;
-use marf_model::{Run, select};
+use marf_model::{Run, RunNode, select};
 use marf_report::trade::Trade;
-use marf_report::{ChangedNode, Changes, ChildView, NodeView, ReportInput, SceneView, State};
+use marf_report::{ChangedNode, Changes, LinkedPage, LiveParts, Report, ScenePage};
 use marf_stage::Memos;
+use serde_json::Value;
 
 use crate::context::Context;
 use crate::diff::{self, RunNames};
@@ -47,8 +50,7 @@ pub fn documents(session: &Session, record: &RunRecord) -> Result<Documents, Err
     let all = session.scenes.iter().map(|scene| Some(scene.as_str()));
     let page = |scene: Option<&str>| {
         let name = scene.map_or(document::REPORT.to_owned(), scenes::page_name);
-        let is_shown = |node: &str| scene.is_none() || scenes::is_of(node, scene);
-        match documents::unchanged(session, record, &name, is_shown)? {
+        match documents::unchanged(session, record, &name, |node| is_on_page(node, scene))? {
             Some(kept) => Ok((name, kept)),
             None => documents::put(session, &name, page_of(session, record, scene)?.as_bytes()),
         }
@@ -66,101 +68,155 @@ pub fn page(session: &Session, record: &RunRecord) -> Result<String, Error> {
 
 /// Returns the report of a run: of one of its scenes, or of what all share with a list of the scenes.
 fn page_of(session: &Session, record: &RunRecord, scene: Option<&str>) -> Result<String, Error> {
+    session.check()?;
+    let params = session
+        .nodes
+        .iter()
+        .map(|node| (node.name.clone(), node.params.clone()));
+    let params: BTreeMap<String, Value> = params.collect();
+    let names: Vec<&String> = params.keys().collect();
+    let warn = || session.context.warnings();
+    let run = completed(&session.store, record, &names, warn())?;
     // Who wants to stop reads nothing any more, and what was read until then becomes no report.
     let read = |digest: &Digest| -> Option<Arc<[u8]>> {
         session.check().ok()?;
         session.store.get(digest).ok()
     };
     // Pictures of the page are kept as long as the last result it shows.
-    let maker = record
-        .nodes
-        .iter()
-        .rev()
-        .find_map(|node| node.key)
-        .unwrap_or_else(|| Digest::from_content(&[]));
-    let all = nodes(session, record)?;
-    let of = |scene: Option<&str>| -> Vec<NodeView> {
-        let shown = all.iter().filter(|node| scenes::is_of(&node.name, scene));
-        let linked = |node: &NodeView| match scene {
-            Some(_) => node.clone(),
-            None => linked_past_scenes(&all, node),
-        };
-        shown.map(linked).collect()
-    };
-    let listed = session.scenes.iter().filter(|_| scene.is_none());
-    let input = ReportInput {
-        pipeline: match scene {
-            None => record.pipeline.clone(),
-            Some(scene) => format!("{}, {scene}", record.pipeline),
-        },
-        command: record.command.clone(),
-        started: iso_time(record.started_unix_s),
-        program: record.program.clone(),
-        nodes: of(scene),
-        whole: scene.map(|_| format!("../{}", document::REPORT)),
-        scenes: listed
-            .map(|scene| SceneView {
-                name: scene.clone(),
-                page: scenes::page_name(scene),
-                nodes: of(Some(scene.as_str())),
-            })
-            .collect(),
-        changes: changes(session, record, |node| {
-            scene.is_none() || scenes::is_of(node, scene)
-        })?,
-        trade: trade(session, record)?.filter(|_| scene.is_none()),
+    let maker = record.nodes.iter().rev().find_map(|node| node.key);
+    let maker = maker.unwrap_or_else(|| Digest::from_content(&[]));
+    let report = Report {
+        changes: changes(&run, scene, warn())?,
+        trade: trade(&run, scene, warn())?,
         read: &read,
-        memos: &StoreMemos(&session.store, maker),
+        memos: &StoreMemos(&session.store, Some(maker)),
+        run: &run,
+        started: iso_time(record.started_unix_s),
+        scene,
+        nodes: nodes_of(&run, scene),
+        scenes: pages(&run, scene, &session.scenes),
+        params: &params,
     };
-    let page = marf_report::write(&input);
+    let page = marf_report::write(&report);
     session.check()?;
     session.store.commit()?;
     Ok(page)
 }
 
-/// Returns a node that all scenes share with what it reads of scenes replaced by what these read, which is on the same page.
-fn linked_past_scenes(all: &[NodeView], node: &NodeView) -> NodeView {
-    let mut upstream: Vec<(String, String)> = Vec::new();
-    let mut open: Vec<&(String, String)> = node.upstream.iter().rev().collect();
-    while let Some(edge) = open.pop() {
-        let of_scene = all
-            .iter()
-            .find(|one| one.name == edge.1 && !scenes::is_of(&one.name, None));
-        match of_scene {
-            Some(node) => open.extend(node.upstream.iter().rev()),
-            None if upstream.iter().all(|(_, name)| *name != edge.1) => upstream.push(edge.clone()),
-            None => {}
-        }
+/// Writes the report of a stored run, or the page of one of its scenes, as it is served.
+///
+/// # Errors
+/// A store that cannot be read; a scene that the run does not have.
+pub fn linked(
+    store: &Store,
+    record: &RunRecord,
+    scene: Option<&str>,
+    live: &LiveParts,
+) -> Result<LinkedPage, Error> {
+    let resolved = documents::resolved(store, record).unwrap_or_default();
+    let names: Vec<&String> = resolved["node"]
+        .as_object()
+        .into_iter()
+        .flat_map(|nodes| nodes.keys())
+        .collect();
+    let run = completed(store, record, &names, |_| {})?;
+    let params = run.nodes.iter();
+    let params =
+        params.filter_map(|node| Some((node.run.name.clone(), node.action.as_ref()?.params.clone())));
+    let names = run.nodes.iter().filter(|node| !node.is_child());
+    let listed: BTreeSet<String> = names
+        .filter_map(|node| scene_of(&node.run.name))
+        .map(str::to_owned)
+        .collect();
+    if scene.is_some_and(|scene| !listed.contains(scene)) {
+        return Err(Error::failed("the shown run has no such page"));
     }
-    NodeView {
-        upstream,
-        ..node.clone()
+    let report = Report {
+        changes: changes(&run, scene, |_| {})?,
+        trade: trade(&run, scene, |_| {})?,
+        read: &|digest| store.get(digest).ok(),
+        memos: &StoreMemos(store, None),
+        run: &run,
+        started: iso_time(record.started_unix_s),
+        scene,
+        nodes: nodes_of(&run, scene),
+        scenes: pages(&run, scene, &listed),
+        params: &params.collect(),
+    };
+    Ok(marf_report::linked(&report, live))
+}
+
+/// Returns a run; nodes of its pipeline that it has no result of are as the last run that has all of these has made them.
+///
+/// # Errors
+/// A store that cannot be read.
+fn completed<'s>(
+    store: &'s Store,
+    record: &RunRecord,
+    names: &[&String],
+    warn: impl Fn(String),
+) -> Result<Run<'s>, Error> {
+    let is_good = |run: &RunRecord, name: &str| run.node(name).is_some_and(|node| node.state.is_good());
+    let is_whole = |run: &RunRecord| names.iter().all(|name| is_good(run, name));
+    let run = Run::new(store, record.clone())?;
+    if is_whole(record) {
+        return Ok(run);
     }
+    Ok(match select::earlier(store, record, warn, is_whole)? {
+        Some(whole) => run.completed(Run::new(store, whole)?),
+        None => run,
+    })
+}
+
+/// Returns the nodes of a scene, or those that all scenes share, without those that other nodes asked for.
+fn nodes_of<'r>(run: &'r Run<'_>, scene: Option<&str>) -> Vec<&'r RunNode> {
+    let nodes = run.nodes.iter();
+    nodes
+        .filter(|node| !node.is_child() && scene_of(&node.run.name) == scene)
+        .collect()
+}
+
+/// Returns the pages of scenes that the report lists; that of a scene lists none.
+fn pages<'r>(
+    run: &'r Run<'_>,
+    scene: Option<&str>,
+    scenes: impl IntoIterator<Item = &'r String>,
+) -> Vec<ScenePage<'r>> {
+    let listed = scenes.into_iter().filter(|_| scene.is_none());
+    let page = |name: &'r String| ScenePage {
+        name,
+        page: scenes::page_name(name),
+        nodes: nodes_of(run, Some(name)),
+    };
+    listed.map(page).collect()
+}
+
+/// Returns whether a page tells of a node: the report tells of all, the page of a scene of its own.
+fn is_on_page(node: &str, scene: Option<&str>) -> bool {
+    scene.is_none() || scenes::is_of(node, scene)
 }
 
 /// Returns what changed since the last run of the pipeline with other results, so that a run that does nothing has what the one
 /// before it has; children of nodes are left out.
 ///
 /// # Errors
-/// A store that cannot be read, the wish to stop.
-fn changes(
-    session: &Session,
-    record: &RunRecord,
-    is_shown: impl Fn(&str) -> bool,
-) -> Result<Option<Changes>, Error> {
-    session.check()?;
-    let Some(before) = session.before(record)? else {
+/// A store that cannot be read.
+fn changes(run: &Run<'_>, scene: Option<&str>, warn: impl Fn(String)) -> Result<Option<Changes>, Error> {
+    let (store, record) = (run.store(), &run.record);
+    let before = select::earlier(store, record, warn, |before| {
+        before.outcome == Outcome::Done && !before.has_keys_of(record)
+    })?;
+    let Some(before) = before else {
         return Ok(None);
     };
     let since = before.number;
-    let parents = |run: RunRecord| -> Result<_, Error> {
-        let mut lineage = Run::new(&session.store, run)?;
-        lineage
-            .nodes
-            .retain(|node| !node.is_child() && is_shown(&node.run.name));
-        Ok(lineage)
+    let shown = |run: RunRecord| -> Result<_, Error> {
+        let mut run = Run::new(store, run)?;
+        run.nodes
+            .retain(|node| !node.is_child() && is_on_page(&node.run.name, scene));
+        Ok(run)
     };
-    let nodes = diff::compare(&parents(before)?, &parents(record.clone())?, diff::MOST)?;
+    let nodes = diff::compare(&shown(before)?, &shown(record.clone())?, diff::MOST)?;
     let runs = RunNames {
         first: format!("run {since}"),
         second: "this run".to_owned(),
@@ -175,24 +231,26 @@ fn changes(
     }))
 }
 
-/// Returns the last trade that was measured around the pipeline of a run.
+/// Returns the last trade that was measured around the pipeline of a run; none on the page of a scene.
 ///
 /// # Errors
 /// A store that cannot be read.
-fn trade(session: &Session, record: &RunRecord) -> Result<Option<Trade>, Error> {
-    let warnings = session.context.warnings();
-    let run = select::newest_derived(&session.store, record, Purpose::Trade, warnings, |run| {
+fn trade(run: &Run<'_>, scene: Option<&str>, warn: impl Fn(String)) -> Result<Option<Trade>, Error> {
+    if scene.is_some() {
+        return Ok(None);
+    }
+    let store = run.store();
+    let run = select::newest_derived(store, &run.record, Purpose::Trade, warn, |run| {
         run.documents.contains_key(document::TRADE)
     })?;
     let kept = run.and_then(|run| run.documents.get(document::TRADE).copied());
-    let bytes = kept.map(|kept| session.store.get(&kept.digest)).transpose()?;
-    let read = |bytes: Arc<[u8]>| serde_json::from_slice(&bytes);
-    let trade = bytes.map(read).transpose();
+    let bytes = kept.map(|kept| store.get(&kept.digest)).transpose()?;
+    let trade = bytes.map(|bytes| serde_json::from_slice(&bytes)).transpose();
     trade.map_err(|error| Error::failed(format!("{}: {error}", document::TRADE)))
 }
 
-/// Memos in the store, and the key they are kept for; a lost one costs only time.
-struct StoreMemos<'a>(&'a Store, Digest);
+/// Memos in the store, and the key they are kept for; none: they are read alone. A lost one costs only time.
+struct StoreMemos<'a>(&'a Store, Option<Digest>);
 
 impl Memos for StoreMemos<'_> {
     fn load(&self, key: &Digest) -> Option<Arc<[u8]>> {
@@ -201,93 +259,9 @@ impl Memos for StoreMemos<'_> {
     }
 
     fn save(&self, key: &Digest, table: &[u8]) {
-        if let Ok(blob) = self.0.put(table) {
-            self.0.put_memo(*key, blob, self.1);
+        let stored = self.1.and_then(|maker| Some((maker, self.0.put(table).ok()?)));
+        if let Some((maker, blob)) = stored {
+            self.0.put_memo(*key, blob, maker);
         }
-    }
-}
-
-/// Returns the nodes of a run; those of the pipeline that it has not made have what the last whole run made of them.
-///
-/// # Errors
-/// A store that cannot be read.
-fn nodes(session: &Session, record: &RunRecord) -> Result<Vec<NodeView>, Error> {
-    let mut views = nodes_of(session, record);
-    if session.is_whole(record) {
-        return Ok(views);
-    }
-    let whole = session.earlier(record, |run| session.is_whole(run))?;
-    for earlier in whole.iter().flat_map(|run| nodes_of(session, run)) {
-        let earlier = NodeView {
-            of_run: whole.as_ref().map(|run| run.number),
-            ..earlier
-        };
-        match views.iter_mut().find(|view| view.name == earlier.name) {
-            Some(view) if view.state.is_good() => {}
-            Some(view) => view.show(earlier),
-            None => views.push(NodeView {
-                state: State::Skipped,
-                reason: "not part of this run".to_owned(),
-                ..earlier
-            }),
-        }
-    }
-    Ok(views)
-}
-
-/// Returns the nodes of a run, without children.
-fn nodes_of(session: &Session, record: &RunRecord) -> Vec<NodeView> {
-    let parents = record.nodes.iter().filter(|node| node.parent.is_none());
-    let view = |node: &marf_engine::NodeRun| {
-        let info = session.nodes.iter().find(|info| info.name == node.name);
-        let children = record
-            .nodes
-            .iter()
-            .filter(|child| child.parent.as_deref() == Some(node.name.as_str()));
-        NodeView {
-            name: node.name.clone(),
-            stage: node.stage.clone(),
-            about: info.map(|info| info.about.to_owned()).unwrap_or_default(),
-            relax: info.and_then(|info| info.relax),
-            upstream: node
-                .edges
-                .iter()
-                .map(|edge| (edge.key.clone(), edge.upstream.clone()))
-                .collect(),
-            state: state(node.state),
-            reason: node.reason.clone(),
-            of_run: None,
-            seconds: (node.state == NodeState::Finished).then_some(node.seconds),
-            training_s: training_s(session, node),
-            params: info.map(|info| info.params.clone()).unwrap_or_default(),
-            outputs: node
-                .outputs
-                .iter()
-                .map(|(name, output)| (name.clone(), output.digest))
-                .collect(),
-            children: children
-                .map(|child| ChildView {
-                    name: child.name.clone(),
-                    state: state(child.state),
-                    seconds: (child.state == NodeState::Finished).then_some(child.seconds),
-                })
-                .collect(),
-        }
-    };
-    parents.map(view).collect()
-}
-
-/// Returns the seconds of a training's steps when it was made; none of other nodes.
-fn training_s(session: &Session, node: &marf_engine::NodeRun) -> Option<f64> {
-    let record = session.store.record(&node.key?).ok().flatten()?;
-    record.metadata.parts_s.get("training").copied()
-}
-
-fn state(state: NodeState) -> State {
-    match state {
-        NodeState::Reused => State::Reused,
-        NodeState::Finished => State::Ran,
-        NodeState::Failed => State::Failed,
-        NodeState::Skipped | NodeState::Cancelled => State::Skipped,
     }
 }

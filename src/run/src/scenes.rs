@@ -1,10 +1,8 @@
 //! Pipelines whose photos are split by place: which scenes there are, and what is asked of one.
 
-use std::collections::BTreeMap;
 use std::path::Path;
 
-use marf_cache::Digest;
-use marf_engine::{Options, Purpose, RunRecord};
+use marf_engine::{Options, Purpose};
 use marf_schema::scenes::{PhotoGroup, Scenes};
 
 use marf_config::scenes::scene_of;
@@ -144,14 +142,6 @@ pub fn page_name(scene: &str) -> String {
 /// Returns whether a document of a run is the page of a scene.
 pub fn is_page(document: &str) -> bool {
     Path::new(document).parent() == Some(Path::new(SCENE_PAGES))
-}
-
-/// Returns the pages of the scenes of a run by file name.
-pub fn pages(run: &RunRecord) -> BTreeMap<String, Digest> {
-    let pages = run.documents.iter().filter(|(name, _)| is_page(name));
-    let named = pages
-        .filter_map(|(name, page)| Some((Path::new(name).file_name()?.to_str()?.to_owned(), page.digest)));
-    named.collect()
 }
 
 /// Returns the node that a name in a run is of: children are `parent/child`.

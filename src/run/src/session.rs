@@ -6,7 +6,7 @@ use std::sync::Arc;
 use marf_cache::{Digest, Store};
 use marf_config::scenes::ByScene;
 use marf_config::{self as config, PipelineDocument, SharedStore};
-use marf_engine::{Graph, Listings, NodeDecl, NodeRun, Outcome, Purpose, RunRecord, RunSource};
+use marf_engine::{Graph, Listings, NodeDecl, NodeRun, Purpose, RunRecord, RunSource};
 use marf_model::select::Subject;
 use marf_schema::bootstrap;
 use marf_schema::scenes::Scenes;
@@ -231,38 +231,6 @@ impl Session {
     pub fn derived_source(&self, purpose: Purpose) -> Result<RunSource, Error> {
         let from = self.last()?.and_then(|run| run.root);
         Ok(RunSource::Derived { from, purpose })
-    }
-
-    /// Returns the last run of this pipeline that came before a run, which need not be stored yet, was done and has other keys.
-    ///
-    /// # Errors
-    /// A store that cannot be read.
-    pub fn before(&self, record: &RunRecord) -> Result<Option<RunRecord>, Error> {
-        self.earlier(record, |run| {
-            run.outcome == Outcome::Done && !run.has_keys_of(record)
-        })
-    }
-
-    /// Returns the last wanted run of this pipeline that came before a run, which need not be stored yet.
-    ///
-    /// # Errors
-    /// A store that cannot be read.
-    pub fn earlier(
-        &self,
-        record: &RunRecord,
-        wanted: impl Fn(&RunRecord) -> bool,
-    ) -> Result<Option<RunRecord>, Error> {
-        let is_earlier = |run: &RunRecord| record.number == 0 || run.number < record.number;
-        let is_own = |run: &RunRecord| run.pipeline == self.name && run.source == self.source;
-        let wanted = |run: &RunRecord| is_earlier(run) && is_own(run) && wanted(run);
-        let warnings = self.context.warnings();
-        Ok(marf_engine::last_run_where(&self.store, warnings, wanted)?)
-    }
-
-    /// Returns whether a run has made every node of this pipeline, or found it made.
-    pub fn is_whole(&self, run: &RunRecord) -> bool {
-        let has = |info: &NodeInfo| run.node(&info.name).is_some_and(|node| node.state.is_good());
-        self.nodes.iter().all(has)
     }
 }
 

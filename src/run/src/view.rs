@@ -1,24 +1,24 @@
 //! The store as the live page reads it.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::sync::Arc;
 
 use marf_cache::{Digest, Store};
-use marf_engine::{NodeRun, RunRecord, document, run_of};
+use marf_engine::{NodeRun, RunRecord, run_of};
 use marf_model::select::{self, Subject};
 use marf_progress::event_folder;
-use marf_report::sentence_page;
+use marf_report::{LinkedPage, LiveParts};
 use marf_schema::bootstrap::Metrics;
 use marf_schema::output::{SCENE, WEIGHTS};
 use marf_stage::Document;
-use marf_view::{DepthInterval, FieldSource, RunContent, Source};
+use marf_view::{DepthInterval, FieldSource, Source};
 use parking_lot::Mutex;
 
 use crate::choice::subject;
 use crate::context::Context;
 use crate::error::Error;
-use crate::scenes;
+use crate::report;
 use crate::session::bootstraps_of;
 
 /// The store as the page reads it.
@@ -47,16 +47,6 @@ impl StoreSource {
         })
     }
 
-    /// Returns the run to show: the one that the user named, or the newest in any state.
-    fn record(&self) -> Result<Option<RunRecord>, String> {
-        if let Some(number) = self.run {
-            let run = run_of(&self.store, number).map_err(|error| error.to_string())?;
-            return Ok(Some(run));
-        }
-        // A run that cannot be read is passed over here: `marf log` names it.
-        select::newest(&self.store, &self.subject, |_| {}).map_err(|error| error.to_string())
-    }
-
     /// Returns the last run of the same pipeline before a run that has a field.
     fn trained_before(&self, run: &RunRecord) -> Option<RunRecord> {
         let numbers = self.store.run_numbers().ok()?.into_iter().rev();
@@ -67,39 +57,18 @@ impl StoreSource {
         })
     }
 
-    /// Returns the digest of the report that a run has kept.
-    fn report(&self, run: &RunRecord) -> Option<Digest> {
-        let digest = run.documents.get(document::REPORT)?.digest;
-        self.store.contains(&digest).then_some(digest)
-    }
-
-    /// Returns a run as it is shown.
-    fn shown(&self, run: &RunRecord) -> Result<RunContent, String> {
-        let report = match self.report(run) {
-            Some(kept) => text(&self.store.get(&kept).map_err(|error| error.to_string())?)?,
-            None => sentence_page(&without_report(run)),
-        };
-        let (mut objects, mut fields) = (objects(run), self.fields(run));
-        if fields.is_empty()
-            && let Some(earlier) = self.trained_before(run)
-        {
-            objects.extend(self::objects(&earlier));
-            fields = self.fields(&earlier);
-            for field in &mut fields {
-                field.node = format!("{} of run {}", field.node, earlier.number);
-            }
+    /// Returns the run of a number, which an open page may still show.
+    fn shown(&self, number: u64) -> Result<RunRecord, String> {
+        if self.run.is_some_and(|named| named != number) {
+            return Err(format!(
+                "this page is of run {number}, and another is shown now: load it again"
+            ));
         }
-        Ok(RunContent {
-            number: Some(run.number),
-            report,
-            pages: scenes::pages(run),
-            objects,
-            fields,
-        })
+        run_of(&self.store, number).map_err(|error| error.to_string())
     }
 
     /// Returns the trained fields of a run with the retrainings of each.
-    fn fields(&self, run: &RunRecord) -> Vec<FieldSource> {
+    fn fields_of(&self, run: &RunRecord) -> Vec<FieldSource> {
         trained(run)
             .filter_map(|node| {
                 Some(FieldSource {
@@ -128,39 +97,49 @@ impl StoreSource {
 }
 
 impl Source for StoreSource {
-    fn newest(&self) -> Option<u64> {
+    fn newest(&self) -> Result<Option<u64>, String> {
+        if self.run.is_some() {
+            return Ok(self.run);
+        }
         // Asked several times a second: the runs are read only where there is another one.
-        let last = self.store.run_numbers().ok()?.into_iter().next_back();
+        let last = self.store.run_numbers().map_err(|error| error.to_string())?;
+        let last = last.into_iter().next_back();
         let mut newest = self.newest.lock();
         if newest.0 != last {
-            *newest = (last, self.record().ok().flatten().map(|run| run.number));
+            // A run that cannot be read is passed over here: `marf log` names it.
+            let run =
+                select::newest(&self.store, &self.subject, |_| {}).map_err(|error| error.to_string())?;
+            *newest = (last, run.map(|run| run.number));
         }
-        newest.1
+        Ok(newest.1)
     }
 
-    fn content(&self) -> Result<RunContent, String> {
-        let Some(run) = self.record()? else {
-            let sentence =
-                "No run of this store has ended with a report or a field yet. What runs now is shown here.";
-            return Ok(RunContent {
-                number: None,
-                report: sentence_page(sentence),
-                pages: BTreeMap::new(),
-                objects: BTreeSet::new(),
-                fields: Vec::new(),
-            });
-        };
-        self.shown(&run)
+    fn fields(&self, run: u64) -> Result<Vec<FieldSource>, String> {
+        let run = self.shown(run)?;
+        let mut fields = self.fields_of(&run);
+        if fields.is_empty()
+            && let Some(earlier) = self.trained_before(&run)
+        {
+            fields = self.fields_of(&earlier);
+            for field in &mut fields {
+                field.node = format!("{} of run {}", field.node, earlier.number);
+            }
+        }
+        Ok(fields)
     }
 
-    fn content_of(&self, run: u64) -> Result<RunContent, String> {
-        if self.run.is_some_and(|named| named != run) {
-            return Err(format!(
-                "this page is of run {run}, and another is shown now: load it again"
-            ));
+    fn objects(&self, run: u64) -> Result<BTreeSet<Digest>, String> {
+        let run = self.shown(run)?;
+        let mut objects = objects(&run);
+        if trained(&run).next().is_none() {
+            objects.extend(self.trained_before(&run).iter().flat_map(self::objects));
         }
-        let run = run_of(&self.store, run).map_err(|error| error.to_string())?;
-        self.shown(&run)
+        Ok(objects)
+    }
+
+    fn page(&self, run: u64, scene: Option<&str>, live: &LiveParts) -> Result<LinkedPage, String> {
+        let run = self.shown(run)?;
+        report::linked(&self.store, &run, scene, live).map_err(|error| error.message().to_owned())
     }
 
     fn object(&self, digest: &Digest) -> Option<Arc<[u8]>> {
@@ -170,15 +149,6 @@ impl Source for StoreSource {
     fn event_folder(&self) -> PathBuf {
         event_folder(&self.store)
     }
-}
-
-fn text(bytes: &[u8]) -> Result<String, String> {
-    String::from_utf8(bytes.to_vec()).map_err(|error| format!("the report is no text: {error}"))
-}
-
-/// Returns the sentence in place of a report: of `marf fit`, `marf calibrate` and runs that were stopped.
-fn without_report(run: &RunRecord) -> String {
-    format!("Run {} (`{}`) has kept no report.", run.number, run.command)
 }
 
 /// Returns what a run names: outputs of its nodes, and documents.

@@ -1,56 +1,63 @@
 //! A run as it is served: the live page, its files, and its fields, each read when it is first asked for.
 
-use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::collections::{BTreeSet, HashMap};
 use std::sync::Arc;
 
 use marf_cache::Digest;
 use marf_field::Device;
+use marf_report::{File, LinkedPage, sentence_page};
 use marf_scene::{Photo, encode_jpeg, shrunk};
 use parking_lot::Mutex;
 
 use crate::field::Field;
-use crate::file::File;
-use crate::page::{LivePage, below, live, live_parts};
-use crate::source::{FieldSource, RunContent, Source};
+use crate::page::{live_parts, scene_parts};
+use crate::source::{FieldSource, Source};
 
 /// Longest side of a photo beside its render, pixels, and its JPEG quality.
 const PHOTO_PX: u32 = 960;
 const PHOTO_QUALITY: u8 = 88;
+
+/// What is shown while there is no run.
+const NO_RUN: &str =
+    "No run of this store has ended with a report or a field yet. What runs now is shown here.";
 
 /// A run that is shown.
 pub struct Content {
     /// Its number; none if there is no run yet.
     pub number: Option<u64>,
     /// The page.
-    pub html: String,
-    files: HashMap<Digest, File>,
-    /// Pages of scenes by file name, and those that were asked for.
-    pages: BTreeMap<String, Digest>,
-    opened: Mutex<HashMap<String, Arc<LivePage>>>,
+    pub page: LinkedPage,
+    /// Pages of scenes that were asked for, by file name.
+    opened: Mutex<HashMap<String, Arc<LinkedPage>>>,
     objects: BTreeSet<Digest>,
     fields: Vec<(FieldSource, Mutex<Option<Arc<Field>>>)>,
 }
 
 impl Content {
-    /// Prepares a run.
+    /// Reads a run.
     ///
     /// # Errors
-    /// A report of another form.
-    pub fn new(run: RunContent) -> Result<Self, String> {
-        let names: Vec<&str> = run.fields.iter().map(|field| field.node.as_str()).collect();
-        let page = live(&run.report, &live_parts(run.number, &names)).ok_or_else(|| {
-            let number = run.number.unwrap_or_default();
-            format!("the report of run {number} has another form than this program writes; `marf report` writes it as it is")
-        })?;
+    /// One sentence: no such run, or one that cannot be read.
+    pub fn read(source: &dyn Source, number: Option<u64>) -> Result<Self, String> {
+        let fields = number
+            .map(|run| source.fields(run))
+            .transpose()?
+            .unwrap_or_default();
+        let names: Vec<&str> = fields.iter().map(|field| field.node.as_str()).collect();
+        let live = live_parts(number, &names);
+        let page = match number {
+            Some(run) => source.page(run, None, &live)?,
+            None => sentence_page(NO_RUN, &live),
+        };
         Ok(Self {
-            number: run.number,
-            html: page.html,
-            files: page.files,
-            pages: run.pages,
+            number,
+            page,
             opened: Mutex::default(),
-            objects: run.objects,
-            fields: run
-                .fields
+            objects: number
+                .map(|run| source.objects(run))
+                .transpose()?
+                .unwrap_or_default(),
+            fields: fields
                 .into_iter()
                 .map(|field| (field, Mutex::default()))
                 .collect(),
@@ -59,36 +66,31 @@ impl Content {
 
     /// Returns what the page shows under a digest, or an object that the run names.
     pub fn file(&self, source: &dyn Source, digest: &Digest) -> Option<File> {
-        if let Some(file) = self.files.get(digest) {
+        let opened = self.opened.lock();
+        let pages = || std::iter::once(&self.page).chain(opened.values().map(Arc::as_ref));
+        if let Some(file) = pages().find_map(|page| page.files.get(digest)) {
             return Some(file.clone());
         }
-        let opened = self
-            .opened
-            .lock()
-            .values()
-            .find_map(|page| page.files.get(digest).cloned());
-        if opened.is_some() {
-            return opened;
-        }
-        let bytes = self.objects.contains(digest).then(|| source.object(digest))??;
+        let is_named = self.objects.contains(digest) || pages().any(|page| page.objects.contains(digest));
+        drop(opened);
+        let bytes = is_named.then(|| source.object(digest))??;
         Some(File {
             media: media(&bytes),
             bytes,
         })
     }
 
-    /// Returns the page of a scene, which is read at the first call.
+    /// Returns the page of a scene, which is written at the first call.
     ///
     /// # Errors
-    /// One sentence: a name without a page, or a page that is lost.
-    pub fn page(&self, source: &dyn Source, name: &str) -> Result<Arc<LivePage>, String> {
+    /// One sentence: a name without a page, or a run that cannot be read.
+    pub fn scene_page(&self, source: &dyn Source, name: &str) -> Result<Arc<LinkedPage>, String> {
+        const NO_PAGE: &str = "the shown run has no such page";
         if let Some(page) = self.opened.lock().get(name) {
             return Ok(Arc::clone(page));
         }
-        let digest = self.pages.get(name).ok_or("the shown run has no such page")?;
-        let bytes = source.object(digest).ok_or("the store has lost this page")?;
-        let page = std::str::from_utf8(&bytes).ok().and_then(below);
-        let page = Arc::new(page.ok_or("this page has another form than this program writes")?);
+        let scene = name.strip_suffix(".html").ok_or(NO_PAGE)?;
+        let page = Arc::new(source.page(self.number.ok_or(NO_PAGE)?, Some(scene), &scene_parts())?);
         self.opened.lock().insert(name.to_owned(), Arc::clone(&page));
         Ok(page)
     }

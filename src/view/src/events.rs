@@ -52,7 +52,7 @@ pub fn follow(source: Arc<dyn Source>) -> mpsc::Receiver<Result<Event, std::conv
             let of = Arc::clone(&source);
             let polled = tokio::task::spawn_blocking(move || {
                 let messages = follower.poll();
-                (follower, messages, of.newest())
+                (follower, messages, of.newest().ok().flatten())
             });
             let Ok((back, mut messages, now)) = polled.await else {
                 return;

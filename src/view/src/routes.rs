@@ -11,6 +11,7 @@ use axum::response::sse::{KeepAlive, Sse};
 use axum::response::{IntoResponse as _, Response};
 use axum::routing::{get, post};
 use marf_cache::Digest;
+use marf_report::File;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
@@ -19,11 +20,10 @@ use crate::content::BYTES;
 use crate::difference::Reference;
 use crate::events::follow;
 use crate::field::SharedField;
-use crate::file::File;
 use crate::frames::{FrameError, Shown, View};
 use crate::measure::{distance, pick};
 use crate::range::part;
-use crate::server::Site;
+use crate::site::Site;
 use crate::stream::Received;
 
 /// Most bytes of a request: a view has some hundred.
@@ -126,7 +126,7 @@ fn entrance(site: &Site, request: &Request) -> Option<Response> {
 
 async fn page(State(site): State<Arc<Site>>) -> Response {
     match blocking(move || site.refreshed()).await {
-        Ok(content) => answer(HTML, content.html.clone()),
+        Ok(content) => answer(HTML, content.page.html.clone()),
         Err(message) => refusal(StatusCode::INTERNAL_SERVER_ERROR, &message),
     }
 }
@@ -136,7 +136,7 @@ async fn scene_page(State(site): State<Arc<Site>>, Path(name): Path<String>) -> 
         let pages = site
             .contents()
             .into_iter()
-            .map(|content| content.page(site.source.as_ref(), &name));
+            .map(|content| content.scene_page(site.source.as_ref(), &name));
         first_good(pages, "no run is shown")
     };
     match blocking(read).await {

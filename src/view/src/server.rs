@@ -6,14 +6,12 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use marf_field::Device;
-use parking_lot::Mutex;
 
 use crate::ViewError;
 use crate::access::Access;
-use crate::content::Content;
-use crate::field::SharedField;
 use crate::renderer::Renderer;
 use crate::routes::routes;
+use crate::site::Site;
 use crate::source::Source;
 
 /// How often the wish to stop is looked at.
@@ -46,70 +44,6 @@ pub struct Server {
     site: Arc<Site>,
 }
 
-/// What all requests share.
-pub struct Site {
-    /// The store.
-    pub source: Arc<dyn Source>,
-    /// Who may ask.
-    pub access: Access,
-    /// Renders pictures.
-    pub renderer: Renderer,
-    /// The run that is shown, then those that pages opened earlier still show, the last first.
-    contents: Mutex<Vec<Arc<Content>>>,
-    device: Device,
-}
-
-/// Runs that are kept for pages that show them still; another is read anew.
-const MOST_RUNS: usize = 3;
-
-impl Site {
-    /// Returns the runs that pages show, first the one that is shown now.
-    pub fn contents(&self) -> Vec<Arc<Content>> {
-        self.contents.lock().clone()
-    }
-
-    /// Returns the run to show now, which is read if it is another one.
-    ///
-    /// # Errors
-    /// One sentence.
-    pub fn refreshed(&self) -> Result<Arc<Content>, String> {
-        let newest = self.source.newest();
-        let mut contents = self.contents.lock();
-        let known = contents.iter().position(|content| content.number == newest);
-        let content = match known {
-            Some(place) => contents.remove(place),
-            None => Arc::new(Content::new(self.source.content()?)?),
-        };
-        contents.insert(0, Arc::clone(&content));
-        contents.truncate(MOST_RUNS);
-        Ok(content)
-    }
-
-    /// Returns a field of the run that a page shows, also where another run is shown by now.
-    ///
-    /// # Errors
-    /// One sentence: no such run; a field that is lost.
-    pub fn field(&self, run: u64, index: usize) -> Result<(Arc<Content>, SharedField), String> {
-        let content = self.content_of(run)?;
-        let field = content.field(index, self.source.as_ref(), &self.device)?;
-        Ok((content, field))
-    }
-
-    fn content_of(&self, run: u64) -> Result<Arc<Content>, String> {
-        let mut contents = self.contents.lock();
-        if let Some(content) = contents.iter().find(|content| content.number == Some(run)) {
-            return Ok(Arc::clone(content));
-        }
-        let content = Arc::new(Content::new(self.source.content_of(run)?)?);
-        contents.push(Arc::clone(&content));
-        if contents.len() > MOST_RUNS {
-            // The first is the one that is shown, the last the one that is asked for.
-            contents.remove(1);
-        }
-        Ok(content)
-    }
-}
-
 impl Server {
     /// Takes the port, and reads the run to show.
     ///
@@ -126,17 +60,9 @@ impl Server {
         let listener = TcpListener::bind((options.host.as_str(), options.port)).map_err(listen)?;
         let address = listener.local_addr().map_err(listen)?;
         listener.set_nonblocking(true).map_err(listen)?;
-        let content = source
-            .content()
-            .and_then(Content::new)
-            .map_err(ViewError::Content)?;
-        let site = Site {
-            source,
-            access,
-            renderer: Renderer::new(options.threads)?,
-            contents: Mutex::new(vec![Arc::new(content)]),
-            device: options.device.clone(),
-        };
+        let renderer = Renderer::new(options.threads)?;
+        let site = Site::new(source, access, renderer, options.device.clone());
+        site.refreshed().map_err(ViewError::Content)?;
         Ok(Self {
             listener,
             address,

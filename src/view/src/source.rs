@@ -1,47 +1,43 @@
 //! What the program gives the page.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::sync::Arc;
 
 use marf_cache::Digest;
+use marf_report::{LinkedPage, LiveParts};
 
 /// The store, as far as the page reads it.
 pub trait Source: Send + Sync {
     /// Returns the number of the run to show now; none if there is none.
-    fn newest(&self) -> Option<u64>;
-
-    /// Reads the run to show now.
     ///
     /// # Errors
-    /// One sentence.
-    fn content(&self) -> Result<RunContent, String>;
+    /// One sentence: a named run that is not there, or a store that cannot be read.
+    fn newest(&self) -> Result<Option<u64>, String>;
 
-    /// Reads the run of a number, which a page that is open elsewhere still shows.
+    /// Returns the trained fields of a run, or those of an earlier run.
     ///
     /// # Errors
     /// One sentence: no such run, or one that cannot be read.
-    fn content_of(&self, run: u64) -> Result<RunContent, String>;
+    fn fields(&self, run: u64) -> Result<Vec<FieldSource>, String>;
+
+    /// Returns the objects that a run and its fields name.
+    ///
+    /// # Errors
+    /// As [`Source::fields`].
+    fn objects(&self, run: u64) -> Result<BTreeSet<Digest>, String>;
+
+    /// Writes the report of a run, or the page of one of its scenes.
+    ///
+    /// # Errors
+    /// As [`Source::fields`]; no such scene.
+    fn page(&self, run: u64, scene: Option<&str>, live: &LiveParts) -> Result<LinkedPage, String>;
 
     /// Reads an object; none if the store does not have it.
     fn object(&self, digest: &Digest) -> Option<Arc<[u8]>>;
 
     /// Returns the folder in which running programs leave their events.
     fn event_folder(&self) -> PathBuf;
-}
-
-/// A run as it is shown.
-pub struct RunContent {
-    /// Its number; none if there is no run yet.
-    pub number: Option<u64>,
-    /// Its report, HTML as `report.html` has it.
-    pub report: String,
-    /// The pages of its scenes by file name, in the form of the report; the report links to them as `pages/NAME`.
-    pub pages: BTreeMap<String, Digest>,
-    /// The objects that it names.
-    pub objects: BTreeSet<Digest>,
-    /// Its trained fields, or those of an earlier run.
-    pub fields: Vec<FieldSource>,
 }
 
 /// A trained field of a run.

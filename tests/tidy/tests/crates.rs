@@ -199,13 +199,20 @@ const CRATES: [Crate; 35] = [
                 "marf-schema",
                 "marf-stages",
                 "marf-engine",
+                "marf-model",
             ],
         )
     },
     row(
         "src/view",
         "marf-view",
-        &["marf-cache", "marf-scene", "marf-field", "marf-field-gpu"],
+        &[
+            "marf-cache",
+            "marf-scene",
+            "marf-field",
+            "marf-field-gpu",
+            "marf-report",
+        ],
     ),
     row(
         "src/run",
