@@ -112,9 +112,9 @@ fn grayscale_counts_the_share_of_pixels_with_spread() {
     for (spread, keeps) in [(8, false), (9, true)] {
         let image = Image::from_fn(20, 10, |x, y| {
             if (x, y) == (3, 4) {
-                [50 + spread, 50, 50]
+                [90 + spread, 90, 90]
             } else {
-                [50; 3]
+                [90; 3]
             }
         });
         let mut photos = Photos::default();
