@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use marf_cache::{Digest, manifest::Row};
 use marf_pds::exif::{self, Lens};
 use marf_pds::{Label, ProductName, raw};
-use marf_scene::{Photo, PhotoFacts, thumbnail};
+use marf_scene::{DecodeError, Photo, PhotoFacts, thumbnail};
 use marf_stage::{Ctx, Fetched, FetchedMeasure, StageError, Verdict};
 use rayon::prelude::*;
 
@@ -27,6 +27,7 @@ pub(crate) fn fetch(
     files: &[ArchiveFile],
     shard: u32,
     wanted: &PhotoMeasures,
+    limit_bytes: u64,
 ) -> Result<Fetched, StageError> {
     let Sorted {
         products,
@@ -38,7 +39,7 @@ pub(crate) fn fetch(
         .par_iter()
         .map(|product| {
             ctx.check()?;
-            let outcome = one_product(ctx, product, shard, wanted)?;
+            let outcome = one_product(ctx, product, shard, wanted, limit_bytes)?;
             ctx.progress
                 .at(done.fetch_add(1, Ordering::Relaxed) + 1, total, "");
             Ok(outcome)
@@ -79,6 +80,7 @@ fn one_product(
     product: &Product,
     shard: u32,
     wanted: &PhotoMeasures,
+    limit_bytes: u64,
 ) -> Result<Outcome, StageError> {
     let mut outcome = Outcome::default();
     for file in &product.files {
@@ -92,7 +94,7 @@ fn one_product(
         }
         let bytes = file.keep(ctx)?;
         outcome.read.push(ReadFile::new(file, &bytes));
-        match decode(product, file, &bytes) {
+        match decode(product, file, &bytes, limit_bytes) {
             Ok(decoded) => {
                 outcome.verdicts.push(Verdict {
                     id: product.id.clone(),
@@ -145,13 +147,14 @@ struct Decoded {
     attached: Option<Label>,
 }
 
-fn decode(product: &Product, file: &ArchiveFile, bytes: &[u8]) -> Result<Decoded, String> {
+fn decode(product: &Product, file: &ArchiveFile, bytes: &[u8], limit_bytes: u64) -> Result<Decoded, String> {
     let (name, beside) = (
         product.name.as_ref(),
         product.label.as_ref().map(|label| &label.label),
     );
     if file.kind == Kind::Raw {
-        let developed = raw::develop(name, bytes, beside)?;
+        let developed = raw::develop_within(name, bytes, beside, limit_bytes);
+        let developed = developed.map_err(|error| with_key(&error, error.is_limit()))?;
         return Ok(Decoded {
             made: Some(raw::png(&developed.image)?),
             photo: developed.image.into(),
@@ -161,7 +164,8 @@ fn decode(product: &Product, file: &ArchiveFile, bytes: &[u8]) -> Result<Decoded
             attached: developed.attached,
         });
     }
-    let photo = Photo::decode(bytes).map_err(|error| error.to_string())?;
+    let photo = Photo::decode_within(bytes, limit_bytes)
+        .map_err(|error| with_key(&error, matches!(error, DecodeError::TooLarge(_))))?;
     let mosaic = name.is_some_and(ProductName::is_mosaic);
     let phase = beside.and_then(|label| label.mosaic.or(label.phase));
     let developed = if mosaic {
@@ -192,6 +196,15 @@ fn decode(product: &Product, file: &ArchiveFile, bytes: &[u8]) -> Result<Decoded
         made,
         attached: None,
     })
+}
+
+/// Returns an error in words, with the key that raises a limit.
+fn with_key(error: &dyn std::fmt::Display, is_limit: bool) -> String {
+    if is_limit {
+        format!("{error}: raise `max_decoded_mb` of the extract node")
+    } else {
+        error.to_string()
+    }
 }
 
 /// Stores the picture, its thumbnail and its label, and returns their digests.

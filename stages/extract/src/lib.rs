@@ -56,6 +56,7 @@ pub struct Extract<S = NoSurvey> {
 #[derive(serde::Serialize)]
 struct Reading {
     white_radiance: f64,
+    max_decoded_mb: u64,
 }
 
 impl<S: Survey> Stage for Extract<S> {
@@ -86,7 +87,8 @@ impl<S: Survey> Source for Extract<S> {
             ctx.put(&files.encode())?;
         }
         let shard_files = self.archive.files(ctx, shard)?;
-        let fetched = fetch::fetch(ctx, &shard_files.files, shard, &self.measures)?;
+        let limit_bytes = self.reading.max_decoded_mb.saturating_mul(1_000_000);
+        let fetched = fetch::fetch(ctx, &shard_files.files, shard, &self.measures, limit_bytes)?;
         Ok(Fetched {
             fingerprint: shard_files.fingerprint,
             warnings: shard_files.warnings,
@@ -99,7 +101,7 @@ impl<S: Survey> Define for Extract<S> {
     type Params = ExtractParams;
     const NAME: &'static str = "extract";
     const ABOUT: &'static str = "archives to photos with what their labels say of camera and place";
-    const VERSION: u32 = 5;
+    const VERSION: u32 = 6;
     const PORTS: &'static [Port] = &[];
     const OUTPUTS: &'static [&'static str] =
         &[marf_stage::PHOTOS, marf_stage::VERDICTS, marf_stage::COMPANIONS];
@@ -122,6 +124,7 @@ impl<S: Survey> Define for Extract<S> {
             archive,
             reading: Reading {
                 white_radiance: marf_pds::WHITE_RADIANCE,
+                max_decoded_mb: params.max_decoded_mb,
             },
             measures,
             survey: PhantomData,

@@ -18,6 +18,14 @@ pub struct ExtractParams {
     /// Name of an `[archive.*]` table.
     #[schemars(with = "String")]
     pub archive: ArchiveTable,
+    /// Memory for the decoded pixels of one photo, in MB; as many photos as threads are decoded at once. A photo of 8-bit colour takes 3 MB
+    /// a megapixel, one of 16 bits 6 MB. A larger photo is left out, with the reason.
+    #[serde(default = "max_decoded_mb")]
+    pub max_decoded_mb: u64,
+}
+
+fn max_decoded_mb() -> u64 {
+    marf_scene::MAX_DECODED_BYTES / 1_000_000
 }
 
 /// The `[archive.*]` table that a pipeline names: `kind` and the keys of that kind.

@@ -1,7 +1,7 @@
 //! Sorts the files of a shard into products: which file is the photo, which the label, which stays out and why.
 
 use std::cmp::Reverse;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use marf_cache::Digest;
 use marf_pds::{Label, ProductName, join_key};
@@ -132,16 +132,23 @@ fn labels(
     left_out: &mut Vec<Verdict>,
     read: &mut Vec<ReadFile>,
 ) -> Result<Labels, StageError> {
-    let is_label = |file: &&ArchiveFile| matches!(file.kind, Kind::Pds4 | Kind::Feed | Kind::Odl);
-    let files: Vec<&ArchiveFile> = files.iter().filter(is_label).collect();
-    let outcomes: Result<Vec<_>, StageError> =
-        files.into_par_iter().map(|file| one_label(ctx, file)).collect();
+    let is_label = |file: &ArchiveFile| matches!(file.kind, Kind::Pds4 | Kind::Feed | Kind::Odl);
+    let label_files: Vec<&ArchiveFile> = files.iter().filter(|file| is_label(file)).collect();
+    let outcomes: Result<Vec<_>, StageError> = label_files
+        .into_par_iter()
+        .map(|file| one_label(ctx, file))
+        .collect();
+    let photos: BTreeSet<String> = files
+        .iter()
+        .filter(|file| !is_label(file))
+        .map(|file| join_key(stem(&file.name)))
+        .collect();
     let mut labels = Labels::new();
     for (file, outcome) in outcomes? {
         read.push(file);
         match outcome {
             Ok(label) => labels
-                .entry(label_key(&label))
+                .entry(label_key(&label, &photos))
                 .or_default()
                 .push((Used::No, label)),
             Err(verdict) => left_out.push(verdict),
@@ -166,11 +173,16 @@ fn one_label(ctx: &Ctx<'_>, file: &ArchiveFile) -> Result<(ReadFile, Result<Deta
     Ok((ReadFile::new(file, &bytes), label))
 }
 
-/// A label is of the product that its file is named like.
-fn label_key(label: &Detached) -> String {
+/// A label is of the product that its file is named like, else of the file that it names.
+fn label_key(label: &Detached, photos: &BTreeSet<String>) -> String {
     let inner = stem(&label.name);
     let doubled = ["img", "png", "jpg", "jpeg"].contains(&extension(inner).as_str());
-    join_key(if doubled { stem(inner) } else { inner })
+    let own = join_key(if doubled { stem(inner) } else { inner });
+    let named = label.label.array.as_ref().and_then(|array| array.file.as_deref());
+    match named.map(|file| join_key(stem(file))) {
+        Some(named) if !photos.contains(&own) && photos.contains(&named) => named,
+        _ => own,
+    }
 }
 
 fn product(mut files: Vec<ArchiveFile>, labels: &mut Labels, left_out: &mut Vec<Verdict>) -> Product {

@@ -15,6 +15,11 @@ use crate::section::Guard;
 /// Rejects photos without colour: one band, or three equal ones within the noise of JPEG.
 pub struct Grayscale;
 
+/// Brightness, in 8-bit steps, below which a photo is dark: its colours differ by fewer steps than those of others.
+const DARK: usize = 64;
+/// Least brightness by which colours are enlarged, so that a single step is never colour: it may be rounding.
+const DARKEST: usize = 8;
+
 /// Which photos [`Grayscale`] keeps.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
@@ -32,7 +37,8 @@ pub struct GrayscaleParams {
     /// `color` keeps photos with colour, `all` keeps every photo (monochrome missions).
     pub keep: Keep,
     /// A pixel has colour if its largest and smallest channel differ by more than this, in 8-bit steps. JPEG
-    /// makes differences of a few steps in a gray photo.
+    /// makes differences of a few steps in a gray photo. In a photo whose brightest percent is below 64 the differences are
+    /// enlarged, as if it were 64.
     pub min_spread: u8,
     /// Smallest share of pixels with colour, in [0, 1].
     pub min_share: f64,
@@ -51,7 +57,8 @@ impl Default for GrayscaleParams {
     }
 }
 
-/// Histogram of the spread of the pixels of a photo: the difference of their largest and smallest channel.
+/// Histogram of the spread of the pixels of a photo: the difference of their largest and smallest channel, enlarged where the
+/// photo is dark.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ChannelSpread {
     /// Bands stored in the file.
@@ -87,7 +94,7 @@ impl Filter for Grayscale {
     const NAME: &'static str = "grayscale";
     const ABOUT: &'static str = "rejects photos without colour";
     const RELAX: &'static str = "`keep = \"all\"`, as for monochrome cameras";
-    const MEASURE_VERSION: u32 = 3;
+    const MEASURE_VERSION: u32 = 4;
     const DECISION_VERSION: u32 = 0;
     type Params = GrayscaleParams;
     type Measure<'a> = ChannelSpread;
@@ -99,8 +106,8 @@ impl Filter for Grayscale {
 
     #[cfg(test)]
     const GUARD: Guard = Guard {
-        measures: "3 506c7beb9c1e",
-        decisions: "3 4e119ff2c0a0",
+        measures: "4 506c7beb9c1e",
+        decisions: "4 4e119ff2c0a0",
     };
 
     fn by_hand(params: &GrayscaleParams) -> &ByHand {
@@ -142,17 +149,42 @@ impl Filter for Grayscale {
 /// Counts pixels by their spread.
 fn spread(pixels: impl Iterator<Item = [u8; 3]>) -> Vec<u32> {
     // Neighbours often have the same spread, and a count must be written before it can be read again: hence two of each.
-    let mut pairs = vec![[0_u32; 2]; 256];
+    let (mut pairs, mut bright) = ([[0_u32; 2]; 256], [[0_u32; 2]; 256]);
     for (at, [red, green, blue]) in pixels.enumerate() {
-        let spread = red.max(green).max(blue) - red.min(green).min(blue);
-        pairs[usize::from(spread)][at % 2] += 1;
+        let most = red.max(green).max(blue);
+        pairs[usize::from(most - red.min(green).min(blue))][at % 2] += 1;
+        bright[usize::from(most)][at % 2] += 1;
     }
-    let mut counts: Vec<u32> = pairs.into_iter().map(|pair| pair[0] + pair[1]).collect();
+    let sums = |pairs: [[u32; 2]; 256]| pairs.map(|pair| pair[0] + pair[1]);
+    let mut counts = enlarged(&sums(pairs), brightest(&sums(bright))).to_vec();
     let used = counts
         .iter()
         .rposition(|count| *count > 0)
         .map_or(0, |last| last + 1);
     counts.truncate(used);
+    counts
+}
+
+/// Returns the brightness that at most 1 % of the pixels exceed.
+fn brightest(pixels: &[u32; 256]) -> usize {
+    let all: u64 = pixels.iter().map(|count| u64::from(*count)).sum();
+    let mut above = 0;
+    let exceeds = |count: &u32| {
+        above += u64::from(*count);
+        100 * above > all
+    };
+    pixels.iter().rposition(exceeds).unwrap_or(0)
+}
+
+/// Returns the pixels by their spread in a photo of this brightness, enlarged as if it were [`DARK`] where it is darker.
+fn enlarged(pixels: &[u32; 256], brightness: usize) -> [u32; 256] {
+    if brightness >= DARK {
+        return *pixels;
+    }
+    let mut counts = [0; 256];
+    for (spread, count) in pixels.iter().enumerate() {
+        counts[(spread * DARK / brightness.max(DARKEST)).min(255)] += count;
+    }
     counts
 }
 

@@ -38,7 +38,10 @@ pub fn read(bytes: &[u8], longer_px: u32) -> Lens {
     }
     let mut reader = Reader::new();
     reader.continue_on_error(true);
-    let read = reader.read_from_container(&mut Cursor::new(bytes));
+    let read = match behind_prefix(bytes) {
+        Some(exif) => reader.read_raw(exif.to_vec()),
+        None => reader.read_from_container(&mut Cursor::new(bytes)),
+    };
     let whole = read.or_else(|error| {
         error.distill_partial_result(|errors| {
             let first = errors.first().map(ToString::to_string).unwrap_or_default();
@@ -67,6 +70,21 @@ pub fn read(bytes: &[u8], longer_px: u32) -> Lens {
         None => {}
     }
     lens
+}
+
+/// Returns the EXIF of a WebP behind the prefix `Exif\0\0`, which belongs to JPEG and which some programs write; `None` without
+/// the prefix.
+fn behind_prefix(bytes: &[u8]) -> Option<&[u8]> {
+    let mut rest = bytes.strip_prefix(b"RIFF")?.get(8..)?;
+    loop {
+        let (head, body) = rest.split_first_chunk::<8>()?;
+        let [name @ .., a, b, c, d] = head;
+        let size = u32::from_le_bytes([*a, *b, *c, *d]) as usize;
+        if name == b"EXIF" {
+            return body.get(..size)?.strip_prefix(b"Exif\0\0");
+        }
+        rest = body.get(size.checked_next_multiple_of(2)?..)?;
+    }
 }
 
 fn focal_px(exif: &Exif, longer_px: f64) -> Option<f64> {

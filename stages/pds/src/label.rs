@@ -32,7 +32,7 @@ pub struct Label {
     /// (width, height) of the photo the model is for.
     pub(crate) size: Option<(u32, u32)>,
     /// Where the pixels lie, if the label describes an array.
-    pub(crate) array: Option<Array>,
+    pub array: Option<Array>,
     /// Phase of the colour mosaic, if the pixels are not interpolated yet.
     pub mosaic: Option<BayerPhase>,
     /// Where on the detector the photo starts, for mosaics and other photos.
@@ -79,6 +79,37 @@ pub struct Array {
     pub companded_by: Option<String>,
     /// What the scaled value is.
     pub quantity: Quantity,
+    /// Where the first line is displayed.
+    pub lines: LineDirection,
+    /// Where the first sample of a line is displayed.
+    pub samples: SampleDirection,
+}
+
+/// Direction in which lines are displayed.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum LineDirection {
+    /// The first line is at the top.
+    #[default]
+    TopToBottom,
+    /// The first line is at the bottom.
+    BottomToTop,
+}
+
+/// Direction in which the samples of a line are displayed.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum SampleDirection {
+    /// The first sample is at the left.
+    #[default]
+    LeftToRight,
+    /// The first sample is at the right.
+    RightToLeft,
+}
+
+impl Array {
+    /// Tells whether pixels are displayed in the order in which they are stored.
+    pub fn is_upright(&self) -> bool {
+        (self.lines, self.samples) == (LineDirection::TopToBottom, SampleDirection::LeftToRight)
+    }
 }
 
 /// Nesting of bands, lines and samples; the last varies fastest.

@@ -2,8 +2,8 @@
 
 use crate::camera::{CameraError, RawEntrance, RawModel};
 use crate::label::{
-    Array, BandStorage, BayerPhase, FramePose, Label, Quantity, Sample, SampleKind, ordered_counter,
-    same_place,
+    Array, BandStorage, BayerPhase, FramePose, Label, LineDirection, Quantity, Sample, SampleDirection,
+    SampleKind, ordered_counter, same_place,
 };
 use crate::odl::{Group, Value};
 use crate::values;
@@ -238,8 +238,10 @@ fn frame_pose(odl: &Group, camera: &Group, frame: &str, notes: &mut Vec<String>)
 }
 
 fn array(odl: &Group) -> Option<Array> {
-    let image = odl.find(&["IMAGE"])?;
-    let (file, offset) = pointer(odl)?;
+    let described = described(odl);
+    let image = described.find(&["IMAGE"]).or_else(|| odl.find(&["IMAGE"]))?;
+    let (file, offset) = pointer(described)?;
+    let file = file.or_else(|| text(described, "FILE_NAME"));
     let bits = unsigned(image, "SAMPLE_BITS")?;
     let stored = sample(image.text("SAMPLE_TYPE")?, bits)?;
     let order = match text(image, "BAND_STORAGE_TYPE").as_deref() {
@@ -266,13 +268,23 @@ fn array(odl: &Group) -> Option<Array> {
         sample: stored,
         prefix_bytes: unsigned(image, "LINE_PREFIX_BYTES").unwrap_or(0),
         suffix_bytes: unsigned(image, "LINE_SUFFIX_BYTES").unwrap_or(0),
-        bits: image.text("SAMPLE_BIT_MASK").and_then(mask_bits),
+        bits: image.text("SAMPLE_BIT_MASK").and_then(values::mask_bits),
         scaling,
         missing: constants(image, &MISSING, stored),
         saturated: constants(image, &SATURATED, stored),
         companded_by: companded_by(odl),
         quantity: quantity(odl),
+        lines: LineDirection::default(),
+        samples: SampleDirection::default(),
     })
+}
+
+/// Returns the group that points to the image: the label itself, or an `OBJECT = FILE` (or `UNCOMPRESSED_FILE`) in it.
+fn described(odl: &Group) -> &Group {
+    let points = |group: &&Group| group.get("^IMAGE").is_some();
+    let mut files = odl.descendants();
+    files.retain(|group| ["FILE", "UNCOMPRESSED_FILE"].contains(&group.name.as_str()));
+    std::iter::once(odl).chain(files).find(points).unwrap_or(odl)
 }
 
 fn constants(image: &Group, names: &[&str], sample: Sample) -> Vec<f64> {
@@ -307,7 +319,7 @@ fn quantity(odl: &Group) -> Quantity {
     }
 }
 
-/// Returns file and offset of `^IMAGE = 15` (record from 1), `8641 <BYTES>` (byte from 1), `("F.IMG", 15)`, `"F.IMG"`.
+/// Returns file and offset of a group's `^IMAGE = 15` (record from 1), `8641 <BYTES>` (byte from 1), `("F.IMG", 15)`, `"F.IMG"`.
 fn pointer(odl: &Group) -> Option<(Option<String>, u64)> {
     let value = odl.get("^IMAGE")?;
     let items = value.items();
@@ -351,14 +363,6 @@ fn sample(kind: &str, bits: u32) -> Option<Sample> {
     })
 }
 
-/// Returns the number of bits of a mask: of `2#0000111111111111#` 12.
-fn mask_bits(mask: &str) -> Option<u32> {
-    let digits = mask.strip_prefix("2#")?.strip_suffix('#')?;
-    let binary = !digits.is_empty() && digits.bytes().all(|byte| matches!(byte, b'0' | b'1'));
-    let bits = digits.trim_start_matches('0').len();
-    (binary && (1..=32).contains(&bits)).then_some(bits as u32)
-}
-
 /// Returns the array that a VICAR label describes by its system items.
 fn vicar_array(odl: &Group) -> Option<Array> {
     let offset = u64::from(unsigned(odl, "LBLSIZE")?);
@@ -399,7 +403,7 @@ fn vicar_array(odl: &Group) -> Option<Array> {
         sample,
         prefix_bytes: unsigned(odl, "NBB").unwrap_or(0),
         suffix_bytes: 0,
-        bits: data.and_then(|group| mask_bits(group.text("SAMPLE_BIT_MASK")?)),
+        bits: data.and_then(|group| values::mask_bits(group.text("SAMPLE_BIT_MASK")?)),
         scaling: None,
         missing: data
             .map(|group| constants(group, &MISSING, sample))
@@ -409,6 +413,8 @@ fn vicar_array(odl: &Group) -> Option<Array> {
             .unwrap_or_default(),
         companded_by: companded_by(odl),
         quantity: quantity(odl),
+        lines: LineDirection::default(),
+        samples: SampleDirection::default(),
     })
 }
 

@@ -2,6 +2,7 @@
 //! would find the copies under commanded parameters).
 
 mod array;
+mod display;
 mod guard;
 mod node;
 
@@ -78,14 +79,11 @@ fn label(root: Node<'_, '_>) -> Label {
             .and_then(|node| number_at(node, &[(IMG, "Optical_Properties"), (IMG, "focal_length")]))
             .filter(|focal| *focal > 0.0),
         averaged: imaging.and_then(averaged).unwrap_or(1),
-        array: array::read(root),
         ..Label::default()
     };
+    label.array = array::read(root, &mut label.notes);
     if let Some(array) = &mut label.array {
-        let bits = imaging.and_then(|node| number_at(node, &[(IMG, "Sampling"), (IMG, "sample_bits")]));
-        array.bits = bits
-            .filter(|bits| (1.0..=32.0).contains(bits))
-            .map(|bits| bits as u32);
+        array.bits = imaging.and_then(bits);
         array.companded_by = imaging.and_then(companded_by);
     }
     label.size = label.array.as_ref().map(|array| (array.shape[2], array.shape[1]));
@@ -94,7 +92,21 @@ fn label(root: Node<'_, '_>) -> Label {
         Some(lander) => add_camera(lander, &mut label),
         None => label.notes.push("label has no camera".to_owned()),
     }
+    let turned = label.array.as_ref().is_some_and(|array| !array.is_upright());
+    if turned && label.prior.take().is_some() {
+        label.notes.push(
+            "label has no usable camera: it is for the pixels as stored, and they are displayed in another direction".into(),
+        );
+    }
     label
+}
+
+/// Returns the bits of a sample that are used.
+fn bits(imaging: Node<'_, '_>) -> Option<u32> {
+    let number = number_at(imaging, &[(IMG, "Sampling"), (IMG, "sample_bits")])
+        .filter(|bits| (1.0..=32.0).contains(bits))
+        .map(|bits| bits as u32);
+    number.or_else(|| values::mask_bits(&text_at(imaging, &[(IMG, "Sampling"), (IMG, "sample_bit_mask")])?))
 }
 
 fn product(root: Node<'_, '_>) -> Option<String> {

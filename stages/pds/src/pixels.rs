@@ -1,23 +1,27 @@
 //! Conversion of an array that a label describes to an 8-bit sRGB image.
 
-use marf_scene::{Image, Srgb};
+use marf_scene::{Image, Srgb, TooLarge};
 
 use crate::companding::Table;
 use crate::demosaic;
-use crate::label::{Array, BandStorage, BayerPhase, Quantity, Sample, SampleKind};
+use crate::label::{
+    Array, BandStorage, BayerPhase, LineDirection, Quantity, Sample, SampleDirection, SampleKind,
+};
 use crate::tone::{self, WHITE_RADIANCE};
 
-/// Longest side that is read, pixels.
-const MAX_SIDE: u32 = 20_000;
-/// Most pixels that are read; real products have up to 20 million.
-const MAX_PIXELS: u64 = 32 << 20;
+/// Bytes in memory of a pixel of the image, and of one that is interpolated from a mosaic.
+const PIXEL_BYTES: u64 = 3;
+const MOSAIC_BYTES: u64 = 19;
 
 /// An array that cannot be converted.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum PixelError {
-    /// A shape that is not a photo's, or too large.
-    #[error("an array of {} bands, {} lines, {} samples is not read (1 or 3 bands, up to {MAX_SIDE} a side)", .0[0], .0[1], .0[2])]
+    /// A shape that is not a photo's.
+    #[error("an array of {} bands, {} lines, {} samples is not read: a photo has 1 or 3 bands", .0[0], .0[1], .0[2])]
     Shape([u32; 3]),
+    /// More memory than the limit.
+    #[error(transparent)]
+    TooLarge(#[from] TooLarge),
     /// The file ends before the array.
     #[error("the file is cut short: its label describes {needed} bytes, it has {has}")]
     Short {
@@ -42,70 +46,93 @@ pub struct RenderedArray {
     pub notes: Vec<String>,
 }
 
-/// Returns the 8-bit sRGB image of an array.
+/// Returns the 8-bit sRGB image of an array, as it is displayed.
 ///
 /// The scaling is fixed, so that photos of one set stay comparable: spectral radiance by 0.125 W / (m2 sr nm) as white,
 /// I/F by 1, counts by the largest count of their bits, then the sRGB curve; 8-bit codes are taken as they are, or
-/// converted to counts by `table`. Colours are not balanced. Values that mean "missing" become black, values that mean
-/// "saturated" white.
+/// converted to counts by `table`. Colours are not balanced. A pixel becomes black where every band holds a value that means
+/// "missing": in one band alone, such a value may be light. Values that mean "saturated" become white.
 ///
 /// # Errors
-/// See [`PixelError`]; nothing is allocated before the file has been found long enough.
+/// See [`PixelError`]; nothing is allocated before the file has been found long enough, and the limit large enough.
 pub fn render(
     array: &Array,
     mosaic: Option<BayerPhase>,
     table: Option<Table>,
     bytes: &[u8],
+    limit_bytes: u64,
 ) -> Result<RenderedArray, PixelError> {
     let layout = Layout::new(array, bytes.len() as u64)?;
+    let pixel_bytes = if mosaic.is_some() {
+        MOSAIC_BYTES
+    } else {
+        PIXEL_BYTES
+    };
+    TooLarge::check(array.shape[2], array.shape[1], pixel_bytes, limit_bytes)?;
     let (scale, mut notes) = Scale::new(array, table)?;
     let (bands, lines, samples) = layout.shape;
-    let mut clipped = 0_u64;
-    let mut plane = |band: usize| {
-        let mut values = Vec::with_capacity(lines * samples);
-        for line in 0..lines {
-            for sample in 0..samples {
-                let (light, above) = scale.light(read(array.sample, bytes, layout.at(band, line, sample)));
-                clipped += u64::from(above);
-                values.push(light);
-            }
-        }
-        values
+    let stored = Stored {
+        sample: array.sample,
+        layout: &layout,
+        bytes,
     };
-    let rgb: Vec<[f32; 3]> = match (bands, mosaic) {
-        (3, _) => {
-            let [red, green, blue] = [plane(0), plane(1), plane(2)];
-            red.into_iter()
-                .zip(green)
-                .zip(blue)
-                .map(|((red, green), blue)| [red, green, blue])
-                .collect()
-        }
-        (_, None) => plane(0).into_iter().map(|light| [light; 3]).collect(),
+    let mut light = Light {
+        scale: &scale,
+        clipped: 0,
+        most: 0.0,
+    };
+    let places = (0..lines).flat_map(|line| (0..samples).map(move |sample| (line, sample)));
+    let code = |light: f32| scale.code(light);
+    let pixels: Vec<[u8; 3]> = match (bands, mosaic) {
+        (3, _) => places
+            .map(|(line, sample)| light.pixel([0, 1, 2].map(|band| stored.value(band, line, sample))))
+            .map(|pixel| pixel.map(code))
+            .collect(),
+        (_, None) => places
+            .map(|(line, sample)| light.pixel([stored.value(0, line, sample)]))
+            .map(|[gray]| [code(gray); 3])
+            .collect(),
         (_, Some(phase)) => {
+            let plane: Vec<f32> = places
+                .map(|(line, sample)| light.pixel([stored.value(0, line, sample)])[0])
+                .collect();
             notes.push("colour mosaic (RGGB) interpolated after Malvar, He and Cutler".to_owned());
-            demosaic::rggb(&plane(0), samples, lines, phase).ok_or(PixelError::Shape(array.shape))?
+            let rgb = demosaic::rggb(&plane, samples, lines, phase).ok_or(PixelError::Shape(array.shape))?;
+            rgb.into_iter().map(|pixel| pixel.map(code)).collect()
         }
     };
-    if clipped > 0 {
-        notes.push(format!("{clipped} samples above white are clipped"));
-    }
-    let code = |light: f32| {
-        if scale.curve == Curve::AsStored {
-            stored_code(light)
-        } else {
-            tone::code(light)
-        }
+    notes.extend(light.notes());
+    let mut image = Image {
+        width: array.shape[2],
+        height: array.shape[1],
+        pixels,
     };
+    notes.extend(display(array, &mut image));
     Ok(RenderedArray {
-        image: Image {
-            width: array.shape[2],
-            height: array.shape[1],
-            pixels: rgb.into_iter().map(|pixel| pixel.map(code)).collect(),
-        },
+        image,
         bands: if bands == 3 || mosaic.is_some() { 3 } else { 1 },
         notes,
     })
+}
+
+/// Turns stored pixels as they are displayed; returns a note if they were turned.
+fn display(array: &Array, image: &mut Image<Srgb>) -> Option<String> {
+    let mut turned = Vec::new();
+    if array.lines == LineDirection::BottomToTop {
+        image.pixels.reverse();
+        turned.push("from bottom to top");
+    }
+    // Reversing all pixels turns lines and samples.
+    let reversed = array.lines == LineDirection::BottomToTop;
+    let mirrored = array.samples == SampleDirection::RightToLeft;
+    if reversed != mirrored {
+        let width = image.width.max(1) as usize;
+        image.pixels.chunks_exact_mut(width).for_each(<[_]>::reverse);
+    }
+    if mirrored {
+        turned.push("from right to left");
+    }
+    (!turned.is_empty()).then(|| format!("displayed {}, by its label", turned.join(" and ")))
 }
 
 /// Returns an 8-bit code of a value in [0, 1] without a curve.
@@ -123,9 +150,7 @@ struct Layout {
 impl Layout {
     fn new(array: &Array, has: u64) -> Result<Self, PixelError> {
         let [bands, lines, samples] = array.shape;
-        let sides = [lines, samples].iter().all(|side| (1..=MAX_SIDE).contains(side));
-        let pixels = u64::from(lines) * u64::from(samples);
-        if !sides || !matches!(bands, 1 | 3) || pixels > MAX_PIXELS {
+        if lines == 0 || samples == 0 || !matches!(bands, 1 | 3) {
             return Err(PixelError::Shape(array.shape));
         }
         let size = u64::from(array.sample.bytes);
@@ -138,17 +163,17 @@ impl Layout {
             1
         };
         let record = samples * across * size + margin;
-        let strides = match array.order {
-            BandStorage::BandSequential => [lines * record, record, size],
-            BandStorage::LineInterleaved => [record, bands * record, size],
-            BandStorage::PixelInterleaved => [size, record, bands * size],
-        };
         let needed = array
             .offset
             .saturating_add((lines * bands / across).saturating_mul(record));
         if needed > has {
             return Err(PixelError::Short { needed, has });
         }
+        let strides = match array.order {
+            BandStorage::BandSequential => [lines * record, record, size],
+            BandStorage::LineInterleaved => [record, bands * record, size],
+            BandStorage::PixelInterleaved => [size, record, bands * size],
+        };
         Ok(Self {
             shape: (bands as usize, lines as usize, samples as usize),
             offset: (array.offset + u64::from(array.prefix_bytes)) as usize,
@@ -158,6 +183,60 @@ impl Layout {
 
     fn at(&self, band: usize, line: usize, sample: usize) -> usize {
         self.offset + band * self.strides[0] + line * self.strides[1] + sample * self.strides[2]
+    }
+}
+
+/// The stored values of an array.
+struct Stored<'a> {
+    sample: Sample,
+    layout: &'a Layout,
+    bytes: &'a [u8],
+}
+
+impl Stored<'_> {
+    fn value(&self, band: usize, line: usize, sample: usize) -> f64 {
+        read(self.sample, self.bytes, self.layout.at(band, line, sample))
+    }
+}
+
+/// Converts pixels to light.
+struct Light<'a> {
+    scale: &'a Scale<'a>,
+    /// Samples above white.
+    clipped: u64,
+    /// Most light of a sample.
+    most: f64,
+}
+
+impl Light<'_> {
+    /// Returns the light of the bands of a pixel, black where all of them are missing.
+    fn pixel<const N: usize>(&mut self, stored: [f64; N]) -> [f32; N] {
+        if stored.iter().all(|value| self.scale.is_missing(*value)) {
+            return [0.0; N];
+        }
+        stored.map(|value| {
+            let light = self.scale.light(value);
+            self.clipped += u64::from(light > 1.0 && !self.scale.is_saturated(value));
+            self.most = self.most.max(light);
+            light.clamp(0.0, 1.0) as f32
+        })
+    }
+
+    /// Returns what should be known of the tones.
+    fn notes(&self) -> Vec<String> {
+        let mut notes = Vec::new();
+        if self.clipped > 0 {
+            notes.push(format!("{} samples above white are clipped", self.clipped));
+        }
+        if let White::Doubtful(white) = self.scale.white
+            && self.most < DARK
+        {
+            let most = (self.most * white).round();
+            notes.push(format!(
+                "doubtful tones: the largest count is {most} and the label does not say how many bits are used; white is {white}"
+            ));
+        }
+        notes
     }
 }
 
@@ -193,8 +272,20 @@ enum Curve {
     AsStored,
 }
 
+/// Most light of counts that may have fewer bits than their type: of 12 bits in 16, it is below 1/16.
+const DARK: f64 = 1.0 / 15.0;
+
+/// Whether it is known which value is white.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum White {
+    Known,
+    /// The largest count of the type is taken.
+    Doubtful(f64),
+}
+
 /// Conversion of stored values to light in [0, 1].
 struct Scale<'a> {
+    white: White,
     factor: f64,
     offset: f64,
     missing: &'a [f64],
@@ -208,6 +299,7 @@ impl<'a> Scale<'a> {
         let (scaling, sample) = (array.scaling, array.sample);
         let with = |factor: f64, offset: f64, curve, note: String| {
             let scale = Scale {
+                white: White::Known,
                 factor,
                 offset,
                 missing: &array.missing,
@@ -260,35 +352,48 @@ impl<'a> Scale<'a> {
             _ => {
                 let whole = 8 * sample.bytes - u32::from(sample.kind == SampleKind::Signed);
                 // A mask of fewer bits describes the detector, not values that were scaled since.
-                let bits = array
-                    .bits
-                    .filter(|bits| scaling.is_none() && *bits <= whole)
-                    .unwrap_or(whole);
-                let white = (1_u64 << bits.min(63)) as f64 - 1.0;
-                with(
-                    1.0 / white,
-                    0.0,
-                    Curve::Srgb,
-                    format!("counts to sRGB, white at {white}"),
-                )
+                let bits = array.bits.filter(|bits| scaling.is_none() && *bits <= whole);
+                let white = (1_u64 << bits.unwrap_or(whole).min(63)) as f64 - 1.0;
+                let note = format!("counts to sRGB, white at {white}");
+                let (mut scale, notes) = with(1.0 / white, 0.0, Curve::Srgb, note)?;
+                if array.bits.is_none() {
+                    scale.white = White::Doubtful(white);
+                }
+                Ok((scale, notes))
             }
         }
     }
 
-    /// Returns the light, and whether it was above white.
-    fn light(&self, stored: f64) -> (f32, bool) {
-        if stored.is_nan() || self.missing.contains(&stored) {
-            return (0.0, false);
+    fn is_missing(&self, stored: f64) -> bool {
+        stored.is_nan() || self.missing.contains(&stored)
+    }
+
+    fn is_saturated(&self, stored: f64) -> bool {
+        self.saturated.contains(&stored)
+    }
+
+    /// Returns the light, which may be below 0 or above 1; 0 of NaN.
+    fn light(&self, stored: f64) -> f64 {
+        if stored.is_nan() {
+            return 0.0;
         }
-        if self.saturated.contains(&stored) {
-            return (1.0, false);
+        if self.is_saturated(stored) {
+            return 1.0;
         }
         let value = match self.table {
             Some(table) => f64::from(table.counts[stored.clamp(0.0, 255.0) as usize]),
             None => stored,
         };
-        let light = value * self.factor + self.offset;
-        (light.clamp(0.0, 1.0) as f32, light > 1.0)
+        value * self.factor + self.offset
+    }
+
+    /// Returns the 8-bit code of light in [0, 1].
+    fn code(&self, light: f32) -> u8 {
+        if self.curve == Curve::AsStored {
+            stored_code(light)
+        } else {
+            tone::code(light)
+        }
     }
 }
 

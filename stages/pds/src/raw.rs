@@ -1,6 +1,6 @@
 //! Products of raw pixels, described by an attached or a detached label.
 
-use marf_scene::{Image, Photo, Srgb, encode_png};
+use marf_scene::{Image, MAX_DECODED_BYTES, Photo, Srgb, encode_png};
 
 use crate::demosaic;
 use crate::label::{Array, BayerPhase, Label, MAX_LABEL_BYTES, Quantity};
@@ -40,6 +40,24 @@ pub fn head(bytes: &[u8]) -> Result<Label, String> {
     }
 }
 
+/// Why there is no image.
+#[derive(Debug, thiserror::Error)]
+pub enum DevelopError {
+    /// No label describes an array.
+    #[error("{0}")]
+    NoArray(String),
+    /// The array cannot be converted.
+    #[error(transparent)]
+    Pixels(#[from] pixels::PixelError),
+}
+
+impl DevelopError {
+    /// Tells whether a larger limit of memory would help.
+    pub fn is_limit(&self) -> bool {
+        matches!(self, Self::Pixels(pixels::PixelError::TooLarge(_)))
+    }
+}
+
 /// The image of a file of raw pixels.
 pub struct Developed {
     /// The image.
@@ -52,15 +70,28 @@ pub struct Developed {
     pub attached: Option<Label>,
 }
 
-/// Returns the image of a file's pixels by its attached label, else by the detached one.
+/// Returns the image of a file's pixels by its attached label, else by the detached one; at most [`MAX_DECODED_BYTES`].
 ///
 /// # Errors
-/// The reason if it cannot be done.
+/// See [`DevelopError`].
 pub fn develop(
     name: Option<&ProductName>,
     bytes: &[u8],
     beside: Option<&Label>,
-) -> Result<Developed, String> {
+) -> Result<Developed, DevelopError> {
+    develop_within(name, bytes, beside, MAX_DECODED_BYTES)
+}
+
+/// As [`develop`], where the image may take so many bytes in memory.
+///
+/// # Errors
+/// See [`DevelopError`].
+pub fn develop_within(
+    name: Option<&ProductName>,
+    bytes: &[u8],
+    beside: Option<&Label>,
+    limit_bytes: u64,
+) -> Result<Developed, DevelopError> {
     let (attached, reason) = match head(bytes) {
         Ok(label) => (
             Some(label),
@@ -73,7 +104,7 @@ pub fn develop(
         .or(beside)
         .and_then(|label| Some((label, label.array.as_ref()?)))
     else {
-        return Err(reason);
+        return Err(DevelopError::NoArray(reason));
     };
     let mut array = array.clone();
     if let Some(quantity) = name.and_then(|name| quantity(name, &array)) {
@@ -89,7 +120,7 @@ pub fn develop(
     let scheme = name.map(|name| name.scheme);
     let codes = array.companded_by.as_deref();
     let table = codes.and_then(|codes| companding::table(codes, scheme));
-    let mut made = pixels::render(&array, mosaic, table, bytes).map_err(|error| error.to_string())?;
+    let mut made = pixels::render(&array, mosaic, table, bytes, limit_bytes)?;
     made.notes
         .insert(0, format!("samples {}", describe::array(&array)));
     if label.mosaic.is_none() && array.shape[0] == 1 && name.is_some_and(ProductName::is_mosaic) {

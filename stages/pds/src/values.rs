@@ -29,6 +29,19 @@ pub(crate) fn constant(text: &str, sample: Sample) -> Option<f64> {
     Some(value).filter(|value| !value.is_nan())
 }
 
+/// Returns the number of bits up to the highest of a mask: of `2#0000111111111111#`, `16#FFF#` and `4095` 12.
+pub(crate) fn mask_bits(mask: &str) -> Option<u32> {
+    let mask = match mask.trim().split_once('#') {
+        Some((base, digits)) => {
+            let base = base.parse().ok().filter(|base| (2..=36).contains(base))?;
+            u64::from_str_radix(digits.strip_suffix('#')?, base).ok()?
+        }
+        None => mask.trim().parse().ok()?,
+    };
+    let bits = u64::BITS - mask.leading_zeros();
+    (1..=32).contains(&bits).then_some(bits)
+}
+
 /// Reads a whole number, also one written as `12.0`.
 pub(crate) fn integer(text: &str) -> Option<i64> {
     let text = text.trim();
@@ -104,6 +117,31 @@ mod tests {
             "16#FFFFFFFFF#",
         ] {
             assert_eq!(constant(bad, of(SampleKind::Float, 4)), None, "{bad}");
+        }
+    }
+
+    #[test]
+    fn a_mask_gives_its_bits_in_every_base() {
+        for (mask, bits) in [
+            ("2#0000111111111111#", 12),
+            ("2#11111111#", 8),
+            ("16#0FFF#", 12),
+            ("4095", 12),
+            (" 2#1111111111110000# ", 16),
+        ] {
+            assert_eq!(mask_bits(mask), Some(bits), "{mask}");
+        }
+        for bad in [
+            "",
+            "2##",
+            "16##",
+            "2#0000#",
+            "2#12#",
+            "NULL",
+            "0",
+            "16#FFFFFFFFF#",
+        ] {
+            assert_eq!(mask_bits(bad), None, "{bad}");
         }
     }
 

@@ -30,7 +30,7 @@ pub use facts::{CameraPrior, PhotoFacts};
 pub use image::{ColorSpace, Image, Linear, Srgb};
 pub use names::picture_names;
 pub use nearest::{Nearest, TrainedPhotos};
-pub use photo::{DecodeError, Photo, encode_png};
+pub use photo::{DecodeError, MAX_DECODED_BYTES, Photo, TooLarge, encode_png};
 pub use places::{PosedPhoto, folds, hold_out_more_places, hold_out_places, places_of};
 pub use pose::Pose;
 pub use scene::{Frame, Point, Scene, SceneError, SiteFrame, Unplaced};

@@ -2,11 +2,14 @@
 
 mod decode;
 mod decoded;
+mod foreign;
 mod jpeg;
 mod other;
 mod scan;
+mod tagged;
 #[cfg(test)]
 mod tests;
+mod tones;
 
 pub(crate) use decoded::damaged;
-pub use decoded::{DecodeError, Photo, encode_png};
+pub use decoded::{DecodeError, MAX_DECODED_BYTES, Photo, TooLarge, encode_png};

@@ -1,6 +1,7 @@
 //! What every archive gives: files by shard, each with its kind and digest.
 
 pub(crate) mod access;
+mod file_kind;
 pub(crate) mod kind;
 
 use std::fs::File;
@@ -12,8 +13,7 @@ use marf_cache::{Digest, Sha256};
 use marf_pds::{Label, ProductName, feed, pds4, raw};
 use marf_stage::{Ctx, Files, Keep, Listing, Origin, OriginKind, StageError};
 
-/// Largest file that is read: products have at most 64 MB.
-pub(crate) const MAX_FILE_BYTES: u64 = 128 << 20;
+pub(crate) use file_kind::{Kind, extension, folder, is_system_name, kind, stem};
 
 /// An archive, ready to be read.
 pub(crate) trait ArchiveFiles: Send + Sync {
@@ -81,31 +81,23 @@ impl ReadFile {
     }
 }
 
+/// A file on disk, and how it is read.
+#[derive(Debug, Clone)]
+pub(crate) struct LocalFile {
+    /// Where it is.
+    pub path: PathBuf,
+    /// How the store keeps its bytes.
+    pub keep: Keep,
+    /// Largest file that is read, bytes.
+    pub limit_bytes: u64,
+}
+
 #[derive(Debug, Clone)]
 enum Bytes {
     Memory(Arc<[u8]>),
-    Path(PathBuf, Keep),
+    Local(LocalFile),
     /// In the store, under the file's digest.
     Stored,
-}
-
-/// What a file is, by name and first bytes.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) enum Kind {
-    /// JPEG, PNG, WebP, GIF, TIFF or PNM, or a file that says it is a picture.
-    Photo,
-    /// A picture behind an attached label, or an array that a detached label describes.
-    Raw,
-    /// PDS4 label.
-    Pds4,
-    /// Record of a raw-image feed.
-    Feed,
-    /// PDS3 label without pixels.
-    Odl,
-    /// None of these, and why.
-    Other(String),
-    /// Cannot be read, and why.
-    Unreadable(String),
 }
 
 /// Why bytes were not read.
@@ -115,8 +107,14 @@ pub(crate) enum ReadError {
     #[error("cannot be read: {0}")]
     Io(std::io::ErrorKind),
     /// Too large.
-    #[error("larger than {} MB", MAX_FILE_BYTES >> 20)]
-    TooLarge,
+    #[error(
+        "more than {} MB: raise `max_file_mb` of the archive in pipeline.toml",
+        .limit_bytes / 1_000_000
+    )]
+    TooLarge {
+        /// Largest file that is read, bytes.
+        limit_bytes: u64,
+    },
 }
 
 impl ArchiveFile {
@@ -132,13 +130,13 @@ impl ArchiveFile {
         }
     }
 
-    /// Returns a file on disk whose kind, digest and sol are known, and how the store keeps its bytes.
-    pub fn on_disk(name: String, path: PathBuf, known: Known, keep: Keep) -> Self {
+    /// Returns a file on disk whose kind, digest and sol are known.
+    pub fn on_disk(name: String, file: LocalFile, known: Known) -> Self {
         Self {
             name,
             kind: known.kind,
             digest: known.digest,
-            bytes: Bytes::Path(path, keep),
+            bytes: Bytes::Local(file),
             fetched: None,
         }
     }
@@ -216,11 +214,11 @@ impl ArchiveFile {
                 ctx.put(&bytes)?;
                 Ok(bytes)
             }
-            Bytes::Path(path, keep) => match ctx.blobs.put_file(path, MAX_FILE_BYTES, *keep) {
+            Bytes::Local(file) => match ctx.blobs.put_file(&file.path, file.limit_bytes, file.keep) {
                 Ok((digest, bytes)) if digest == self.digest => Ok(bytes),
                 Ok(_) => Err(self.changed(OTHER_BYTES)),
                 // What cannot be read is the file's fault, all else the store's.
-                Err(error) => Err(match read_path(path) {
+                Err(error) => Err(match read_path(&file.path, file.limit_bytes) {
                     Err(unreadable) => self.changed(&unreadable.to_string()),
                     Ok(_) => error.into(),
                 }),
@@ -236,7 +234,10 @@ impl ArchiveFile {
         let bytes = match &self.bytes {
             Bytes::Memory(bytes) => bytes.to_vec(),
             Bytes::Stored => return Ok(ctx.get(&self.digest)?.to_vec()),
-            Bytes::Path(path, _) => read_path(path).map_err(|error| self.changed(&error.to_string()))?,
+            Bytes::Local(file) => {
+                let read = read_path(&file.path, file.limit_bytes);
+                read.map_err(|error| self.changed(&error.to_string()))?
+            }
         };
         if Digest::from_content(&bytes) == self.digest {
             Ok(bytes)
@@ -295,8 +296,8 @@ impl Known {
     ///
     /// # Errors
     /// Why it cannot be read.
-    pub fn read(name: &str, path: &std::path::Path) -> Result<Self, ReadError> {
-        let bytes = read_path(path)?;
+    pub fn read(name: &str, path: &std::path::Path, limit_bytes: u64) -> Result<Self, ReadError> {
+        let bytes = read_path(path, limit_bytes)?;
         let kind = kind(name, &bytes);
         Ok(Self {
             digest: Digest::from_content(&bytes),
@@ -304,24 +305,6 @@ impl Known {
             kind,
         })
     }
-}
-
-/// Returns the folder part of a relative name, without the slash.
-pub(crate) fn folder(name: &str) -> &str {
-    name.rsplit_once('/').map_or("", |(folder, _)| folder)
-}
-
-/// Returns a name's last part without its extension.
-pub(crate) fn stem(name: &str) -> &str {
-    let file = name.rsplit('/').next().unwrap_or(name);
-    file.rsplit_once('.').map_or(file, |(stem, _)| stem)
-}
-
-/// Returns a name's extension in lower case, empty if there is none.
-pub(crate) fn extension(name: &str) -> String {
-    let file = name.rsplit('/').next().unwrap_or(name);
-    file.rsplit_once('.')
-        .map_or_else(String::new, |(_, extension)| extension.to_ascii_lowercase())
 }
 
 /// Reads a label of any kind.
@@ -337,61 +320,17 @@ pub(crate) fn read_label(kind: &Kind, bytes: &[u8]) -> Result<Label, String> {
     }
 }
 
-fn read_path(path: &std::path::Path) -> Result<Vec<u8>, ReadError> {
+fn read_path(path: &std::path::Path, limit_bytes: u64) -> Result<Vec<u8>, ReadError> {
     let io = |error: std::io::Error| ReadError::Io(error.kind());
     let file = File::open(path).map_err(io)?;
     let mut bytes = Vec::new();
-    file.take(MAX_FILE_BYTES + 1)
+    file.take(limit_bytes.saturating_add(1))
         .read_to_end(&mut bytes)
         .map_err(io)?;
-    if bytes.len() as u64 > MAX_FILE_BYTES {
-        return Err(ReadError::TooLarge);
+    if bytes.len() as u64 > limit_bytes {
+        return Err(ReadError::TooLarge { limit_bytes });
     }
     Ok(bytes)
-}
-
-/// Extensions of undeveloped pixels as cameras write them.
-const CAMERA_RAW: [&str; 9] = ["3fr", "arw", "cr2", "dng", "iiq", "nef", "orf", "pef", "rw2"];
-
-/// Tells whether bytes begin as a PNM: `P5`, white space, and a number or a comment.
-fn is_pnm(bytes: &[u8]) -> bool {
-    matches!(bytes, [b'P', b'1'..=b'6', space, next, ..]
-        if space.is_ascii_whitespace() && (next.is_ascii_digit() || *next == b'#'))
-}
-
-/// Returns the kind of a file by its first bytes, else by its name.
-pub(crate) fn kind(name: &str, bytes: &[u8]) -> Kind {
-    let extension = extension(name);
-    if CAMERA_RAW.contains(&extension.as_str()) {
-        // They are TIFFs, whose first page is a thumbnail.
-        return Kind::Other(format!(
-            "undeveloped pixels of a camera (`.{extension}`): save them as TIFF, PNG or JPEG"
-        ));
-    }
-    let magic: [&[u8]; 6] = [
-        b"\xff\xd8\xff",
-        b"\x89PNG\r\n\x1a\n",
-        b"GIF8",
-        b"RIFF",
-        b"II*\0",
-        b"MM\0*",
-    ];
-    if magic.iter().any(|magic| bytes.starts_with(magic)) || is_pnm(bytes) {
-        return Kind::Photo;
-    }
-    match extension.as_str() {
-        "jpg" | "jpeg" | "png" | "webp" | "gif" | "tif" | "tiff" | "pnm" | "pbm" | "pgm" | "ppm" | "pam"
-        | "bmp" | "jp2" | "heic" | "avif" => Kind::Photo,
-        "img" | "vic" | "vicar" => Kind::Raw,
-        "xml" => Kind::Pds4,
-        "json" => Kind::Feed,
-        "lbl" => Kind::Odl,
-        "dat" => {
-            Kind::Other("compressed .DAT of MSL: take the decompressed product (DXXX, DRCX, DRCL)".into())
-        }
-        "" => Kind::Other("no photo and no label: unknown first bytes, no extension".into()),
-        other => Kind::Other(format!("no photo and no label: `.{other}`")),
-    }
 }
 
 /// Returns the sol by the name, or by the label that the file is or begins with.

@@ -112,15 +112,42 @@ fn grayscale_counts_the_share_of_pixels_with_spread() {
     for (spread, keeps) in [(8, false), (9, true)] {
         let image = Image::from_fn(20, 10, |x, y| {
             if (x, y) == (3, 4) {
-                [50 + spread, 50, 50]
+                [90 + spread, 90, 90]
             } else {
-                [50; 3]
+                [90; 3]
             }
         });
         let mut photos = Photos::default();
         photos.add("a", &png(&image));
         let verdict = &photos.judge("grayscale", defaults())["a"];
         assert_eq!(verdict.keeps(), keeps, "spread {spread}: {verdict:?}");
+    }
+}
+
+/// A photo of 6 % of the light has colours some steps apart. Noise of one step in a gray one is still none.
+#[test]
+fn grayscale_keeps_a_dark_photo_with_colour_and_rejects_a_dark_gray_one() {
+    let place = ground(3);
+    let at = |light: f64| {
+        recoloured(&place, |rgb| {
+            rgb.map(|channel| (f64::from(channel) * light).round() as u8)
+        })
+    };
+    let gray = |light: f64| {
+        recoloured(&place, |[red, ..]| {
+            let dark = (f64::from(red) * light).round() as u8;
+            [dark, dark + red % 2, dark]
+        })
+    };
+    for light in [1.0, 0.5, 0.25, 0.12, 0.06] {
+        let mut photos = Photos::default();
+        photos
+            .add("color", &png(&at(light)))
+            .add("gray", &png(&gray(light * 0.9)));
+        let verdicts = photos.judge("grayscale", defaults());
+        for (id, keeps) in [("color", true), ("gray", false)] {
+            assert_eq!(verdicts[id].keeps(), keeps, "{light}: {:?}", verdicts[id]);
+        }
     }
 }
 

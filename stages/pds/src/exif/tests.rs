@@ -144,3 +144,20 @@ fn exif_that_is_cut_or_damaged_anywhere_costs_no_photo() {
         "{lens:?}"
     );
 }
+
+/// As Pillow and several phones write it: the chunk has the prefix of a JPEG.
+#[test]
+fn exif_of_a_webp_is_read_with_and_without_a_prefix() {
+    let whole = jpeg(&[short(Tag::FocalLengthIn35mmFilm, 27)]);
+    // Behind the markers, the length and the prefix.
+    let tiff = &whole[12..whole.len() - 2];
+    for prefix in [&b"Exif\0\0"[..], b""] {
+        let body = [prefix, tiff].concat();
+        let size = (body.len() as u32).to_le_bytes();
+        let mut chunks = [b"WEBPVP8L\x01\0\0\0\x2f\0EXIF".as_slice(), &size, &body].concat();
+        chunks.resize(chunks.len().next_multiple_of(2), 0);
+        let webp = [b"RIFF".as_slice(), &(chunks.len() as u32).to_le_bytes(), &chunks].concat();
+        let lens = read(&webp, 4000);
+        assert_eq!(lens.focal_px, Some(3000.0), "{prefix:?}: {:?}", lens.notes);
+    }
+}

@@ -136,15 +136,6 @@ fn types_of_samples_are_read() {
 }
 
 #[test]
-fn a_mask_gives_its_bits() {
-    assert_eq!(mask_bits("2#0000111111111111#"), Some(12));
-    assert_eq!(mask_bits("2#11111111#"), Some(8));
-    for bad in ["", "2##", "16#FF#", "2#0000#", "2#12#", "NULL"] {
-        assert_eq!(mask_bits(bad), None, "{bad}");
-    }
-}
-
-#[test]
 fn labels_of_other_things_say_what_they_are() {
     let table = odl::parse(b"OBJECT = INDEX_TABLE\nROWS = 3\nEND_OBJECT\n").unwrap();
     assert!(no_photo(&table).unwrap().contains("INDEX_TABLE"));

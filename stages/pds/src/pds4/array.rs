@@ -2,8 +2,9 @@
 
 use roxmltree::Node;
 
+use super::display;
 use super::node::{PDS, child, children, number_at, text_at};
-use crate::label::{Array, BandStorage, Quantity, Sample, SampleKind};
+use crate::label::{Array, BandStorage, LineDirection, Quantity, Sample, SampleDirection, SampleKind};
 use crate::values;
 
 /// Keys of values that mean no light: no value, or less than can be stored.
@@ -23,12 +24,56 @@ const SATURATED: [&str; 3] = [
     "high_representation_saturation",
 ];
 
-/// Returns the first array of two or three dimensions; `None` if there is none that can be read.
-pub(super) fn read(root: Node<'_, '_>) -> Option<Array> {
-    let area = child(root, PDS, "File_Area_Observational")?;
-    let node = ["Array_2D_Image", "Array_3D_Image"]
-        .iter()
-        .find_map(|name| child(area, PDS, name))?;
+/// Elements that describe a photo, the usual ones first.
+const ARRAYS: [&[&str]; 2] = [
+    &["Array_2D_Image", "Array_3D_Image"],
+    &["Array_2D", "Array_3D", "Array"],
+];
+
+/// Returns the first array, in the order of the label, that can be read as a photo; `None` if there is none. A mask is taken only
+/// where there is nothing else.
+pub(super) fn read(root: Node<'_, '_>, notes: &mut Vec<String>) -> Option<Array> {
+    let areas = children(root, PDS, "File_Area_Observational");
+    let nodes: Vec<_> = areas.flat_map(|area| area.children()).collect();
+    let named = |names: &[&str]| -> Vec<Node<'_, '_>> {
+        let is_array = |node: &&Node<'_, '_>| names.iter().any(|name| node.has_tag_name((PDS, *name)));
+        nodes.iter().filter(is_array).copied().collect()
+    };
+    let arrays = ARRAYS.into_iter().flat_map(named);
+    let (masks, photos): (Vec<_>, Vec<_>) = arrays.partition(|node| is_mask(*node));
+    let all = photos.len() + masks.len();
+    let (node, mut array) = photos
+        .into_iter()
+        .chain(masks)
+        .find_map(|node| Some((node, one(node)?)))?;
+    if all > 1 {
+        let name = array_name(node).unwrap_or_else(|| "the first".to_owned());
+        notes.push(format!("label describes {all} arrays: {name} is read"));
+    }
+    (array.lines, array.samples) = display::directions(root, text_at(node, &[(PDS, "local_identifier")]));
+    Some(array)
+}
+
+fn array_name(node: Node<'_, '_>) -> Option<String> {
+    text_at(node, &[(PDS, "name")]).or_else(|| text_at(node, &[(PDS, "local_identifier")]))
+}
+
+/// Tells whether an array, or the file that holds it, is called a mask.
+fn is_mask(node: Node<'_, '_>) -> bool {
+    let file = node
+        .parent()
+        .and_then(|area| text_at(area, &[(PDS, "File"), (PDS, "file_name")]));
+    [array_name(node), file]
+        .into_iter()
+        .flatten()
+        .any(|name| name.to_ascii_lowercase().contains("mask"))
+}
+
+fn one(node: Node<'_, '_>) -> Option<Array> {
+    let order = text_at(node, &[(PDS, "axis_index_order")]);
+    if order.is_some_and(|order| !order.eq_ignore_ascii_case("Last Index Fastest")) {
+        return None;
+    }
     let element = child(node, PDS, "Element_Array")?;
     let sample = sample(&text_at(element, &[(PDS, "data_type")])?)?;
     let (shape, order) = axes(node)?;
@@ -39,7 +84,7 @@ pub(super) fn read(root: Node<'_, '_>) -> Option<Array> {
     );
     let constants = child(node, PDS, "Special_Constants");
     Some(Array {
-        file: text_at(area, &[(PDS, "File"), (PDS, "file_name")]),
+        file: text_at(node.parent()?, &[(PDS, "File"), (PDS, "file_name")]),
         offset: number_at(node, &[(PDS, "offset")]).filter(|offset| *offset >= 0.0)? as u64,
         shape,
         order,
@@ -56,6 +101,8 @@ pub(super) fn read(root: Node<'_, '_>) -> Option<Array> {
             .unwrap_or_default(),
         companded_by: None,
         quantity: Quantity::Counts,
+        lines: LineDirection::default(),
+        samples: SampleDirection::default(),
     })
 }
 

@@ -1,3 +1,5 @@
+use marf_scene::MAX_DECODED_BYTES;
+
 use super::*;
 
 fn array(shape: [u32; 3], kind: SampleKind, bytes: u32) -> Array {
@@ -19,6 +21,8 @@ fn array(shape: [u32; 3], kind: SampleKind, bytes: u32) -> Array {
         saturated: Vec::new(),
         companded_by: None,
         quantity: Quantity::Counts,
+        lines: LineDirection::default(),
+        samples: SampleDirection::default(),
     }
 }
 
@@ -71,7 +75,11 @@ fn the_three_orders_give_the_same_image() {
     ] {
         let mut array = array([3, 2, 4], SampleKind::Unsigned, 1);
         (array.order, array.prefix_bytes, array.offset) = (order, 1, 4);
-        images.push(render(&array, None, None, &bytes).unwrap().image);
+        images.push(
+            render(&array, None, None, &bytes, MAX_DECODED_BYTES)
+                .unwrap()
+                .image,
+        );
     }
     assert_eq!(images[0].at(3, 1), [13, 113, 213]);
     assert!(images[0] == images[1] && images[1] == images[2]);
@@ -90,7 +98,7 @@ fn radiance_counts_and_missing_values_have_fixed_codes() {
             .collect::<Vec<u8>>()
     };
     let codes = |array: &Array, values| {
-        let made = render(array, None, None, &stored(values)).unwrap();
+        let made = render(array, None, None, &stored(values), MAX_DECODED_BYTES).unwrap();
         made.image.pixels.iter().map(|pixel| pixel[0]).collect::<Vec<_>>()
     };
     // 25,000 x 5e-6 = 0.125 is white; a quarter of it is sRGB 137.
@@ -104,19 +112,17 @@ fn radiance_counts_and_missing_values_have_fixed_codes() {
 
 #[test]
 fn shapes_that_do_not_fit_are_refused_before_memory_is_taken() {
-    let refuse = |array: &Array, has: usize| render(array, None, None, &vec![0; has]).unwrap_err();
-    for shape in [
-        [0, 1, 1],
-        [1, 0, 5],
-        [5, 256, 256],
-        [1, 65_536, 1],
-        [1, 20_000, 20_000],
-        [1, u32::MAX, u32::MAX],
-    ] {
+    let refuse =
+        |array: &Array, has: usize| render(array, None, None, &vec![0; has], MAX_DECODED_BYTES).unwrap_err();
+    for shape in [[0, 1, 1], [1, 0, 5], [5, 256, 256]] {
         assert_eq!(
             refuse(&array(shape, SampleKind::Unsigned, 1), 10),
             PixelError::Shape(shape)
         );
+    }
+    for shape in [[1, 20_000, 20_000], [3, u32::MAX, u32::MAX]] {
+        let error = refuse(&array(shape, SampleKind::Unsigned, 8), 10);
+        assert!(matches!(error, PixelError::Short { .. }), "{error}");
     }
     let short = refuse(&array([1, 4, 4], SampleKind::Signed, 2), 31);
     assert_eq!(short, PixelError::Short { needed: 32, has: 31 });
@@ -151,7 +157,7 @@ fn codes_become_counts_by_their_table_whatever_they_are_stored_in() {
             .iter()
             .flat_map(|code| if bytes == 1 { vec![*code] } else { vec![0, *code] })
             .collect();
-        let made = |table| render(&codes, None, table, &stored).unwrap();
+        let made = |table| render(&codes, None, table, &stored, MAX_DECODED_BYTES).unwrap();
         let red = |made: &RenderedArray| made.image.pixels.iter().map(|pixel| pixel[0]).collect::<Vec<_>>();
         assert_eq!(red(&made(table)), [0, 141, 207, 255], "{bytes}");
         assert!(
@@ -178,7 +184,7 @@ fn special_constants_are_black_or_white() {
         .iter()
         .flat_map(|value| value.to_be_bytes())
         .collect();
-    let made = render(&special, None, None, &stored).unwrap();
+    let made = render(&special, None, None, &stored, MAX_DECODED_BYTES).unwrap();
     let red: Vec<u8> = made.image.pixels.iter().map(|pixel| pixel[0]).collect();
     assert_eq!(red, [0, 0, 255, 255, 0]);
     assert_eq!(made.notes.len(), 1, "saturated is not clipped: {:?}", made.notes);

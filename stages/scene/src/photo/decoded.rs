@@ -5,10 +5,8 @@ use image::{DynamicImage, ImageFormat};
 use crate::image::box_means;
 use crate::{Image, Srgb};
 
-/// Largest width or height that is decoded, in pixels.
-pub const MAX_SIDE: u32 = 20_000;
-/// Most memory one decode may take, in bytes.
-pub const MAX_DECODE_BYTES: u64 = 256 << 20;
+/// Bytes that the decoded samples of one photo may take unless another limit is given: 333 megapixels of 8-bit colour.
+pub const MAX_DECODED_BYTES: u64 = 1_000_000_000;
 
 /// A decoded photo: upright, three channels over black.
 #[derive(Debug, Clone, PartialEq)]
@@ -43,14 +41,58 @@ pub enum DecodeError {
     /// No bytes at all.
     #[error("an empty file")]
     Empty,
-    /// The header asks for more than the limits allow.
-    #[error("{width} x {height} pixels, at most {MAX_SIDE} a side and {} MB are decoded", MAX_DECODE_BYTES >> 20)]
-    TooLarge {
-        /// Width asked for.
-        width: u32,
-        /// Height asked for.
-        height: u32,
-    },
+    /// A format that is known and not read.
+    #[error("{0} is not read: save it as JPEG, PNG or TIFF")]
+    Foreign(&'static str),
+    /// The header asks for more memory than the limit.
+    #[error(transparent)]
+    TooLarge(#[from] TooLarge),
+}
+
+/// A photo whose decoded samples take more memory than the limit.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "{width} x {height} pixels take {} MB in memory; the limit is {} MB",
+    needed_bytes.div_ceil(1_000_000),
+    limit_bytes / 1_000_000
+)]
+pub struct TooLarge {
+    /// Pixels a row.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// Bytes of the decoded samples.
+    pub needed_bytes: u64,
+    /// Most bytes that are allowed.
+    pub limit_bytes: u64,
+}
+
+impl TooLarge {
+    /// Checks that the samples of a photo, so many bytes a pixel, fit in a limit.
+    ///
+    /// # Errors
+    /// The size and the limit if they do not.
+    pub fn check(width: u32, height: u32, pixel_bytes: u64, limit_bytes: u64) -> Result<(), Self> {
+        let needed_bytes = (u64::from(width) * u64::from(height)).saturating_mul(pixel_bytes);
+        if needed_bytes <= limit_bytes {
+            return Ok(());
+        }
+        Err(Self {
+            width,
+            height,
+            needed_bytes,
+            limit_bytes,
+        })
+    }
+}
+
+/// How colours of a file relate to their opacity.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Alpha {
+    /// Not yet blended.
+    Straight,
+    /// Blended over black already.
+    Premultiplied,
 }
 
 /// An opaque photo of three bands, as a PNG of the pixels decodes.
@@ -67,9 +109,12 @@ impl From<Image<Srgb>> for Photo {
 
 impl Photo {
     /// Returns the photo of a picture that is upright, with the notes of its decoding so far.
-    pub(super) fn from_upright(decoded: DynamicImage, mut notes: Vec<String>) -> Self {
+    pub(super) fn from_upright(decoded: DynamicImage, alpha: Alpha, mut notes: Vec<String>) -> Self {
         if decoded.color().has_alpha() {
-            notes.push("alpha blended over black".to_owned());
+            notes.push(match alpha {
+                Alpha::Straight => "alpha blended over black".to_owned(),
+                Alpha::Premultiplied => "alpha is blended over black in the file".to_owned(),
+            });
         }
         match decoded.color().bytes_per_pixel() / decoded.color().channel_count() {
             0 | 1 => {}
@@ -77,7 +122,7 @@ impl Photo {
             _ => notes.push("numbers from 0 to 1 reduced to 8 bits".to_owned()),
         }
         let bands = if decoded.color().has_color() { 3 } else { 1 };
-        let (image, alpha) = over_black(decoded);
+        let (image, alpha) = over_black(decoded, alpha);
         Self {
             image,
             alpha,
@@ -186,10 +231,14 @@ pub(crate) fn damaged(format: &'static str, error: &dyn std::fmt::Display) -> De
 
 /// Returns the pixels blended over black, and their alpha unless all are opaque; 8-bit colour without alpha is copied once and not
 /// converted.
-fn over_black(decoded: DynamicImage) -> (Image<Srgb>, Vec<u8>) {
+fn over_black(decoded: DynamicImage, stored: Alpha) -> (Image<Srgb>, Vec<u8>) {
     let (width, height) = (decoded.width(), decoded.height());
     let (pixels, alpha) = if decoded.color().has_alpha() {
-        let blend = |channel: u8, alpha: u8| ((u16::from(channel) * u16::from(alpha) + 127) / 255) as u8;
+        let blend = |channel: u8, alpha: u8| match stored {
+            Alpha::Straight => ((u16::from(channel) * u16::from(alpha) + 127) / 255) as u8,
+            // No colour can be brighter than its opacity.
+            Alpha::Premultiplied => channel.min(alpha),
+        };
         let pixels = decoded.into_rgba8();
         let over_black = |rgba: &image::Rgba<u8>| {
             let [r, g, b, alpha] = rgba.0;

@@ -8,31 +8,26 @@ use zune_core::options::DecoderOptions;
 use zune_jpeg::JpegDecoder;
 use zune_jpeg::errors::DecodeErrors;
 
-use super::decoded::{DecodeError, MAX_DECODE_BYTES, MAX_SIDE, Photo, damaged};
+use super::decoded::{Alpha, DecodeError, Photo, TooLarge, damaged};
 use super::other::upright;
 use super::scan;
 
 /// Decodes a JPEG strictly and requires its end marker: a file cut in half, or with a damaged scan, must not become
-/// training data. (The `image` crate decodes with the same library, but leniently.)
-pub(super) fn decode(bytes: &[u8]) -> Result<Photo, DecodeError> {
+/// training data. (The `image` crate decodes with the same library, but leniently.) What follows the end marker is not
+/// part of the picture: phones append a film, others a second picture or zeros.
+pub(super) fn decode(bytes: &[u8], limit_bytes: u64) -> Result<Photo, DecodeError> {
     let fail = |error: DecodeErrors| damaged("JPEG", &format!("{error:?}"));
-    let options = DecoderOptions::default()
-        .set_strict_mode(true)
-        .set_max_width(MAX_SIDE as usize)
-        .set_max_height(MAX_SIDE as usize);
+    let Some(end) = scan::end(bytes) else {
+        let message = "the end marker FF D9 is missing: the file is cut short";
+        return Err(damaged("JPEG", &message));
+    };
+    let bytes = bytes.get(..end).unwrap_or(bytes);
+    let options = options().set_strict_mode(true);
     let mut decoder = JpegDecoder::new_with_options(ZCursor::new(bytes), options);
     decoder.decode_headers().map_err(fail)?;
-    if !has_end(bytes) {
-        return Err(damaged(
-            "JPEG",
-            &"the end marker FF D9 is missing: the file is cut short",
-        ));
-    }
     let (width, height) = decoder.dimensions().unwrap_or_default();
     let (width, height) = (width as u32, height as u32);
-    if u64::from(width) * u64::from(height) * 3 > MAX_DECODE_BYTES {
-        return Err(DecodeError::TooLarge { width, height });
-    }
+    TooLarge::check(width, height, 3, limit_bytes)?;
     let grey = decoder.input_colorspace() == Some(ColorSpace::Luma);
     let kept = if grey { ColorSpace::Luma } else { ColorSpace::RGB };
     decoder.set_options(options.jpeg_set_out_colorspace(kept));
@@ -42,7 +37,7 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Photo, DecodeError> {
     let orientation = orientation.unwrap_or(Orientation::NoTransforms);
     let turned = |decoded: DynamicImage| {
         let (decoded, notes) = upright(decoded, orientation);
-        Photo::from_upright(decoded, notes)
+        Photo::from_upright(decoded, Alpha::Straight, notes)
     };
     let photo = if grey {
         let decoded = GrayImage::from_raw(width, height, pixels).map(DynamicImage::from);
@@ -56,20 +51,21 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Photo, DecodeError> {
     photo.ok_or_else(|| damaged("JPEG", &"fewer pixels than its header says"))
 }
 
-/// Returns whether a JPEG has its end marker within its last 4096 bytes.
-pub(super) fn has_end(bytes: &[u8]) -> bool {
-    bytes.windows(2).rev().take(4096).any(|pair| pair == [0xff, 0xd9])
+/// Returns options that leave the limits to [`TooLarge::check`].
+fn options() -> DecoderOptions {
+    DecoderOptions::default()
+        .set_max_width(usize::MAX)
+        .set_max_height(usize::MAX)
 }
 
 /// Decodes an upright JPEG of three channels straight into its pixels; `None` for anything else, errors included.
 ///
 /// The same decoder as in [`decode`], but without counting the units of the scan. Where it returns `None`, [`Photo::decode`] finds the error.
 pub(super) fn decode_plain(bytes: &[u8]) -> Option<Photo> {
-    let options = DecoderOptions::default()
+    let options = options()
         .set_strict_mode(false)
-        .set_max_width(MAX_SIDE as usize)
-        .set_max_height(MAX_SIDE as usize)
         .jpeg_set_out_colorspace(ColorSpace::RGB);
+    let bytes = bytes.get(..scan::end(bytes)?)?;
     let mut decoder = JpegDecoder::new_with_options(ZCursor::new(bytes), options);
     decoder.decode_headers().ok()?;
     let (width, height) = decoder.dimensions()?;
@@ -78,8 +74,11 @@ pub(super) fn decode_plain(bytes: &[u8]) -> Option<Photo> {
         .exif()
         .and_then(|exif| Orientation::from_exif_chunk(exif))
         .is_some_and(|orientation| orientation.to_exif() != 1);
-    if !colour || turned || (3 * width * height) as u64 > MAX_DECODE_BYTES {
+    if !colour || turned {
         return None;
     }
     Photo::from_pixels(width as u32, height as u32, decoder.decode().ok()?)
 }
+
+#[cfg(test)]
+mod tests;

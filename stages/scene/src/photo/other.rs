@@ -1,55 +1,46 @@
-//! Decoding of every format but JPEG, within limits of size and memory.
+//! Decoding of every format but JPEG, within a limit of memory.
 
 use std::io::Cursor;
 
 use image::metadata::Orientation;
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
-use tiff::tags::Tag;
 
-use super::decoded::{DecodeError, MAX_DECODE_BYTES, MAX_SIDE, Photo, damaged, format_name};
+use super::decoded::{DecodeError, TooLarge, damaged, format_name};
 
-/// Decodes a photo other than a JPEG with the `image` crate, within the limits of size and memory.
-pub(super) fn decode(bytes: &[u8], format: ImageFormat) -> Result<(DynamicImage, Vec<String>), DecodeError> {
+/// Decodes a photo other than a JPEG with the `image` crate, within a limit of memory.
+pub(super) fn decode(
+    bytes: &[u8],
+    format: ImageFormat,
+    limit_bytes: u64,
+) -> Result<(DynamicImage, Vec<String>), DecodeError> {
     let name = format_name(format).unwrap_or("image");
     let fail = |error: image::ImageError| damaged(name, &error);
     let mut reader = ImageReader::with_format(Cursor::new(bytes), format);
-    let mut limits = Limits::default();
-    limits.max_image_width = Some(MAX_SIDE);
-    limits.max_image_height = Some(MAX_SIDE);
-    limits.max_alloc = Some(MAX_DECODE_BYTES);
+    let mut limits = Limits::no_limits();
+    limits.max_alloc = Some(limit_bytes);
     reader.limits(limits);
     let mut decoder = reader.into_decoder().map_err(fail)?;
     let (width, height) = decoder.dimensions();
-    if decoder.total_bytes() > MAX_DECODE_BYTES {
-        return Err(DecodeError::TooLarge { width, height });
-    }
-    let orientation = decoder.orientation().map_err(fail)?;
+    TooLarge::check(
+        width,
+        height,
+        u64::from(decoder.color_type().bytes_per_pixel()),
+        limit_bytes,
+    )?;
+    let orientation = orientation(&mut decoder).map_err(fail)?;
     let decoded = DynamicImage::from_decoder(decoder).map_err(fail)?;
     Ok(upright(decoded, orientation))
 }
 
-/// Decodes the first page of a TIFF.
-///
-/// Planes of their own are refused before they are decoded: `image` 0.25.10 panics on some that have 16 bits.
-pub(super) fn decode_tiff(bytes: &[u8]) -> Result<Photo, DecodeError> {
-    let fail = |error: tiff::TiffError| damaged("TIFF", &error);
-    let mut decoder = tiff::decoder::Decoder::new(Cursor::new(bytes)).map_err(fail)?;
-    let planes = decoder
-        .find_tag_unsigned::<u16>(Tag::PlanarConfiguration)
-        .map_err(fail)?;
-    if planes.is_some_and(|planes| planes != CHUNKY) {
-        let message = "its colours lie in planes of their own (PlanarConfiguration 2), which are not read: save it with pixels in one plane";
-        return Err(damaged("TIFF", &message));
-    }
-    let (decoded, mut notes) = decode(bytes, ImageFormat::Tiff)?;
-    if decoder.more_images() {
-        notes.push("the first of several pages".to_owned());
-    }
-    Ok(Photo::from_upright(decoded, notes))
+/// Returns the EXIF orientation. The `image` crate does not find it behind the prefix `Exif\0\0`, which belongs to JPEG and
+/// which some programs write into WebP and PNG, too.
+fn orientation(decoder: &mut impl ImageDecoder) -> image::ImageResult<Orientation> {
+    let prefixed = decoder.exif_metadata()?.and_then(|exif| {
+        let exif = exif.strip_prefix(b"Exif\0\0")?;
+        Orientation::from_exif_chunk(exif)
+    });
+    prefixed.map_or_else(|| decoder.orientation(), Ok)
 }
-
-/// PlanarConfiguration of a TIFF whose pixels have their channels side by side.
-const CHUNKY: u16 = 1;
 
 /// Applies an EXIF orientation; returns the picture, and a note if it was turned.
 pub(super) fn upright(mut decoded: DynamicImage, orientation: Orientation) -> (DynamicImage, Vec<String>) {

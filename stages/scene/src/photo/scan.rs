@@ -26,6 +26,21 @@ pub(super) enum ScanError {
     LeftOver(usize),
 }
 
+/// Returns the position behind the end marker (EOI) of the picture that a JPEG begins with; `None` without one.
+///
+/// Segments are skipped by their length, so that a preview in one of them does not end the picture.
+pub(super) fn end(bytes: &[u8]) -> Option<usize> {
+    let mut at = 2;
+    loop {
+        let (marker, start) = next_marker(bytes, at)?;
+        at = match marker {
+            0xd9 => return Some(start),
+            0x01 | 0xd0..=0xd8 => start,
+            _ => start + usize::from(u16::from_be_bytes(*bytes.get(start..)?.first_chunk()?)).max(2),
+        };
+    }
+}
+
 /// Checks that every scan of a baseline JPEG has all its units.
 ///
 /// # Errors
@@ -174,8 +189,7 @@ impl Scan<'_> {
                 });
             }
         }
-        let end = next_marker(bytes, bits.at).map_or(bytes.len(), |(_, start)| start - 2);
-        match end.saturating_sub(bits.at) + bits.count as usize / 8 {
+        match bits.left_over() {
             left if left > MAX_LEFT_OVER => Err(ScanError::LeftOver(left)),
             _ => Ok(bits.at),
         }
@@ -356,12 +370,30 @@ impl Bits<'_> {
         (place <= 64).then_some(())
     }
 
-    /// Drops the rest of the last byte and skips the restart marker, if there is one.
+    /// Drops the rest of the last byte and skips the restart marker, if there is one, with the fill bytes before it.
     fn restart(&mut self) {
         self.fill();
         (self.held, self.count) = (0, 0);
-        if let (Some(0xff), Some(0xd0..=0xd7)) = (self.bytes.get(self.at), self.bytes.get(self.at + 1)) {
-            self.at += 2;
+        if let Some((0xd0..=0xd7, start)) = next_marker(self.bytes, self.at)
+            && self.bytes[self.at..start - 1].iter().all(|byte| *byte == 0xff)
+        {
+            self.at = start;
         }
+    }
+
+    /// Returns the number of bytes from here to the next marker that are neither fill bytes (FF) before it nor zeros
+    /// throughout, with which some encoders pad.
+    fn left_over(&self) -> usize {
+        let end = next_marker(self.bytes, self.at).map_or(self.bytes.len(), |(_, start)| start - 2);
+        let mut rest = self.bytes.get(self.at..end).unwrap_or_default();
+        while let [before @ .., 0xff] = rest {
+            rest = before;
+        }
+        let held = self.count / 8;
+        // The whole bytes among the bits that are held.
+        let first = self.held << (self.count % 8);
+        let is_zero =
+            (held == 0 || first >> (u64::BITS - 8 * held) == 0) && rest.iter().all(|byte| *byte == 0);
+        if is_zero { 0 } else { rest.len() + held as usize }
     }
 }

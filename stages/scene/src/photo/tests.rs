@@ -99,7 +99,7 @@ fn an_error_is_one_line() {
 }
 
 /// A little-endian TIFF: short values by tag, then strips or tiles, whose offsets and lengths stand in `offsets` and `lengths`.
-fn tiff_of(shorts: &[(u16, &[u16])], [offsets, lengths]: [u16; 2], parts: &[Vec<u8>]) -> Vec<u8> {
+pub(super) fn tiff_of(shorts: &[(u16, &[u16])], [offsets, lengths]: [u16; 2], parts: &[Vec<u8>]) -> Vec<u8> {
     let mut tags: Vec<(u16, u16, Vec<u8>)> = shorts
         .iter()
         .map(|(tag, values)| {
@@ -252,8 +252,8 @@ fn a_tiff_of_tiles_is_read_and_one_of_planes_is_refused_in_words() {
 }
 
 #[test]
-fn a_tiff_that_asks_for_more_than_the_limits_is_refused_before_it_is_decoded() {
-    for side in [20_001, 65_535] {
+fn a_tiff_that_asks_for_more_than_the_limit_is_refused_before_it_is_decoded() {
+    for (side, limit_mb, needed_mb) in [(20_001, 400, 401), (65_535, 1_000, 4_295)] {
         let bomb = tiff_of(
             &[
                 (256, &[side]),
@@ -267,10 +267,79 @@ fn a_tiff_that_asks_for_more_than_the_limits_is_refused_before_it_is_decoded() {
             [273, 279],
             &[vec![0; 16]],
         );
-        assert!(Photo::decode(&bomb).is_err(), "{side}");
+        let error = Photo::decode_within(&bomb, limit_mb * 1_000_000).unwrap_err();
+        assert_eq!(
+            error.to_string(),
+            format!("{side} x {side} pixels take {needed_mb} MB in memory; the limit is {limit_mb} MB")
+        );
     }
     assert!(Photo::decode(b"P5\n65535 65535\n255\n").is_err());
     assert!(Photo::decode(b"P5\n4 4\n255\n\x01\x02").is_err(), "cut short");
+}
+
+/// A photo is read up to the limit, whatever its format, and not above it.
+#[test]
+fn the_limit_of_memory_is_the_only_one() {
+    let eight = gradient();
+    let jpeg = jpeg(eight.pixels.as_flattened(), image::ExtendedColorType::Rgb8);
+    for bytes in [jpeg, encode_png(&eight).unwrap()] {
+        assert!(Photo::decode_within(&bytes, 3600).is_ok());
+        let error = Photo::decode_within(&bytes, 3599).unwrap_err();
+        assert!(matches!(error, DecodeError::TooLarge(_)), "{error}");
+    }
+    // 100 megapixels and sides beyond 20,000 pixels pass by default.
+    for (width, height) in [(11_656, 8_742), (60_000, 1_000)] {
+        assert_eq!(TooLarge::check(width, height, 6, MAX_DECODED_BYTES), Ok(()));
+    }
+    let wide = Photo::decode(&[b"P5\n60000 2\n255\n".to_vec(), vec![9; 120_000]].concat()).unwrap();
+    assert_eq!((wide.image.width, wide.image.at(59_999, 1)), (60_000, [9; 3]));
+}
+
+#[test]
+fn a_format_that_is_not_read_is_named_with_the_way_out() {
+    for (start, name) in [
+        (&b"\0\0\0\x18ftypheic\0\0\0\0mif1heic"[..], "HEIC"),
+        (b"\0\0\0\x18ftypmif1\0\0\0\0", "HEIF"),
+        (b"\0\0\0\x1cftypavif\0\0\0\0", "AVIF"),
+        (b"\0\0\0\x0cjP  \r\n\x87\n", "JPEG 2000"),
+        (b"\0\0\0\x0cJXL \r\n\x87\n", "JPEG XL"),
+        (b"\0\0\0\x18ftypisom\0\0\0\0", "a film (MP4, MOV)"),
+    ] {
+        let error = Photo::decode(start).unwrap_err().to_string();
+        assert_eq!(error, format!("{name} is not read: save it as JPEG, PNG or TIFF"));
+    }
+}
+
+/// Exif with orientation 6, as WebP has it and with the prefix that belongs to JPEG: 40 x 30 pixels become 30 x 40.
+#[test]
+fn a_webp_is_turned_by_exif_with_and_without_a_prefix() {
+    let exif = b"II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0\x06\0\0\0\0\0\0\0";
+    for format in [ImageFormat::WebP, ImageFormat::Png] {
+        for prefix in [&b"Exif\0\0"[..], b""] {
+            let (mut bytes, image) = (Vec::new(), gradient());
+            let exif = [prefix, exif].concat();
+            let pixels = image.pixels.as_flattened();
+            let color = image::ExtendedColorType::Rgb8;
+            use image::ImageEncoder;
+            if format == ImageFormat::WebP {
+                let mut encoder = image::codecs::webp::WebPEncoder::new_lossless(&mut bytes);
+                encoder.set_exif_metadata(exif).unwrap();
+                encoder.write_image(pixels, 40, 30, color).unwrap();
+            } else {
+                let mut encoder = image::codecs::png::PngEncoder::new(&mut bytes);
+                encoder.set_exif_metadata(exif).unwrap();
+                encoder.write_image(pixels, 40, 30, color).unwrap();
+            }
+            let turned = Photo::decode(&bytes).unwrap();
+            assert_eq!(
+                (turned.image.width, turned.image.height),
+                (30, 40),
+                "{format:?} {prefix:?}"
+            );
+            // The lower left corner comes to the upper left one.
+            assert_eq!(turned.image.at(0, 0), image.at(0, 29), "{format:?} {prefix:?}");
+        }
+    }
 }
 
 /// A file whose bytes were changed is decoded or refused: it never panics, and never takes long.

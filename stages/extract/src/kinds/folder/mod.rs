@@ -22,7 +22,7 @@ use parking_lot::Mutex;
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-use self::survey::{Reading, Survey};
+use self::survey::{Reading, Source, Survey};
 use self::walk::MAX_DEPTH;
 use crate::archive::access::{Local, LocalContext};
 use crate::archive::kind::ArchiveKind;
@@ -46,19 +46,24 @@ pub(crate) struct FolderParams {
     /// later edited or removed is lost to audits and replays. Takes effect when a photo is read.
     #[serde(default)]
     keep: Keep,
+    /// Largest file that is read, in MB; a larger one is left out, with the reason.
+    #[serde(default = "max_file_mb")]
+    max_file_mb: u64,
 }
 
 fn yes() -> bool {
     true
 }
 
+/// 333 megapixels of 16-bit colour.
+fn max_file_mb() -> u64 {
+    2_000
+}
+
 /// A folder, and which of its files are photos of the archive.
 pub(crate) struct Folder {
-    root: PathBuf,
+    source: Source,
     sols: Sols,
-    depth: usize,
-    reading: Reading,
-    keep: Keep,
     /// The last survey, so that fetching a shard reads what was listed. Files are checked by digest when read.
     last: Mutex<Option<Arc<Survey>>>,
 }
@@ -71,15 +76,18 @@ impl ArchiveKind for Folder {
 
     fn open(params: FolderParams, context: LocalContext) -> Result<Box<dyn ArchiveFiles>, ParamError> {
         Ok(Box::new(Self {
-            root: context.path(&params.path),
-            sols: params.sols.unwrap_or(Sols::All),
-            keep: params.keep,
-            depth: if params.recursive { MAX_DEPTH } else { 1 },
-            reading: if context.rehash() {
-                Reading::All
-            } else {
-                Reading::Changed
+            source: Source {
+                root: context.path(&params.path),
+                depth: if params.recursive { MAX_DEPTH } else { 1 },
+                reading: if context.rehash() {
+                    Reading::All
+                } else {
+                    Reading::Changed
+                },
+                keep: params.keep,
+                limit_bytes: params.max_file_mb.saturating_mul(1_000_000),
             },
+            sols: params.sols.unwrap_or(Sols::All),
             last: Mutex::new(None),
         }))
     }
@@ -89,7 +97,7 @@ impl Folder {
     /// Returns the files of the folder, of the sols asked for.
     fn survey(&self, ctx: &Ctx<'_>) -> Result<Arc<Survey>, StageError> {
         self.check_root()?;
-        let mut survey = Survey::new(ctx, &self.root, self.depth, self.reading)?;
+        let mut survey = Survey::new(ctx, &self.source)?;
         let mut files = survey.shards.values().flatten();
         // A folder of masks alone is for photos of another archive.
         if survey.companions.is_empty() && !files.any(|index| survey.is_photo(*index)) {
@@ -109,16 +117,19 @@ impl Folder {
 
     fn files_of<'a>(&self, survey: &'a Survey, shard: u32) -> Result<&'a [u32], StageError> {
         let files = survey.shards.get(&shard);
-        files
-            .map(Vec::as_slice)
-            .ok_or_else(|| StageError::new(format!("`{}` has no files of sol {shard}", self.root.display())))
+        files.map(Vec::as_slice).ok_or_else(|| {
+            StageError::new(format!(
+                "`{}` has no files of sol {shard}",
+                self.source.root.display()
+            ))
+        })
     }
 
     fn check_root(&self) -> Result<(), StageError> {
         let fail = |what: &str, hint: &str| {
-            Err(StageError::new(format!("`{}` {what}", self.root.display())).hint(hint.to_owned()))
+            Err(StageError::new(format!("`{}` {what}", self.source.root.display())).hint(hint.to_owned()))
         };
-        match std::fs::metadata(&self.root) {
+        match std::fs::metadata(&self.source.root) {
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => fail(
                 "does not exist",
                 "set `path` of the archive to the folder that holds the photos",
@@ -131,7 +142,7 @@ impl Folder {
                 "is a file, not a folder",
                 "set `path` of the archive to its folder",
             ),
-            Ok(_) => match std::fs::read_dir(&self.root) {
+            Ok(_) => match std::fs::read_dir(&self.source.root) {
                 Ok(_) => Ok(()),
                 Err(error) => fail(
                     &format!("cannot be read: {}", error.kind()),
@@ -142,7 +153,7 @@ impl Folder {
     }
 
     fn empty(&self, files: usize) -> StageError {
-        let path = self.root.display();
+        let path = self.source.root.display();
         let message = match files {
             0 => format!("`{path}` is empty"),
             _ => format!("`{path}` holds {files} files and no photo"),
@@ -167,7 +178,7 @@ impl Folder {
             let (first, last) = (present.first().unwrap_or(&0), present.last().unwrap_or(&0));
             return Err(StageError::new(format!(
                 "`{}` has no photo of the sols asked for; its photos are of {} sols from {first} to {last}",
-                self.root.display(),
+                self.source.root.display(),
                 present.len()
             ))
             .hint("change `sols` of the archive, or leave it out for all"));
@@ -182,7 +193,7 @@ impl ArchiveFiles for Folder {
         let survey = self.survey(ctx)?;
         let mut companions = BTreeMap::new();
         for index in &survey.companions {
-            let file = survey.file(&self.root, *index, self.keep);
+            let file = survey.file(&self.source, *index);
             if !ctx.blobs.contains(&file.digest) {
                 file.keep(ctx)?;
             }
@@ -208,9 +219,7 @@ impl ArchiveFiles for Folder {
         let survey = self.listed(ctx)?;
         let files = self.files_of(&survey, shard)?.iter();
         Ok(ShardFiles {
-            files: files
-                .map(|index| survey.file(&self.root, *index, self.keep))
-                .collect(),
+            files: files.map(|index| survey.file(&self.source, *index)).collect(),
             ..ShardFiles::default()
         })
     }

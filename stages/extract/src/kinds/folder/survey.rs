@@ -1,7 +1,7 @@
 //! The files of a folder: known from the table or read, and sorted into sols.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::Path;
+use std::path::PathBuf;
 
 use marf_cache::Digest;
 use marf_pds::{ProductName, join_key};
@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 use super::table::{self, Entry, EntryKind, Reader};
 use super::walk::{Names, Walk, walk};
-use crate::archive::{ArchiveFile, Known, MAX_FILE_BYTES, ReadError, extension, folder, stem};
+use crate::archive::{ArchiveFile, Known, LocalFile, ReadError, extension, folder, stem};
 use crate::stat::{FileState, now_ns};
 
 /// Cameras and points of other programs, kept for `calibrate`.
@@ -42,6 +42,21 @@ pub(super) enum Reading {
     All,
 }
 
+/// A folder, and how it is read.
+#[derive(Debug, Clone)]
+pub(super) struct Source {
+    /// The folder.
+    pub root: PathBuf,
+    /// Deepest folder in it that is entered, from 1.
+    pub depth: usize,
+    /// Which files are read.
+    pub reading: Reading,
+    /// How the store keeps the bytes of photos.
+    pub keep: Keep,
+    /// Largest file that is read, bytes.
+    pub limit_bytes: u64,
+}
+
 /// The files of a folder. One takes some 60 bytes and its name.
 pub(super) struct Survey {
     names: Names,
@@ -59,24 +74,24 @@ impl Survey {
     ///
     /// # Errors
     /// The wish to stop.
-    pub fn new(ctx: &Ctx<'_>, root: &Path, depth: usize, reading: Reading) -> Result<Self, StageError> {
-        Self::begun_at(now_ns(), ctx, root, depth, reading)
+    pub fn new(ctx: &Ctx<'_>, source: &Source) -> Result<Self, StageError> {
+        Self::begun_at(now_ns(), ctx, source)
     }
 
     /// As [`Survey::new`], begun at a time. Files that were written shortly before are read again by the next survey.
     ///
     /// # Errors
     /// The wish to stop.
-    pub fn begun_at(
-        began_ns: i64,
-        ctx: &Ctx<'_>,
-        root: &Path,
-        depth: usize,
-        reading: Reading,
-    ) -> Result<Self, StageError> {
-        let Walk { names, files } = walk(ctx, root, depth)?;
-        let table = table::path(ctx.scratch, root, depth);
-        let mut known = match (&table, reading) {
+    pub fn begun_at(began_ns: i64, ctx: &Ctx<'_>, source: &Source) -> Result<Self, StageError> {
+        let Walk { names, mut files } = walk(ctx, &source.root, source.depth)?;
+        let limit_bytes = source.limit_bytes;
+        for file in &mut files {
+            if file.as_ref().is_ok_and(|state| state.size > limit_bytes) {
+                *file = Err(ReadError::TooLarge { limit_bytes }.to_string());
+            }
+        }
+        let table = table::path(ctx.scratch, &source.root, source.depth);
+        let mut known = match (&table, source.reading) {
             (Some(table), Reading::Changed) => Reader::open(table),
             _ => Reader::default(),
         };
@@ -84,7 +99,7 @@ impl Survey {
             .map(|(index, file)| known.find(names.get(index), file.as_ref().ok()?))
             .collect();
         let (known, hits) = (known.count(), entries.iter().flatten().count());
-        let reasons = read_rest(ctx, root, &names, &files, &mut entries)?;
+        let reasons = read_rest(ctx, source, &names, &files, &mut entries)?;
         let entries: Vec<Entry> = entries.into_iter().flatten().collect();
         let kept = files
             .iter()
@@ -111,12 +126,19 @@ impl Survey {
         self.entry(index).is_some_and(Entry::is_photo)
     }
 
-    /// Returns a file by its number, to be kept in this way.
-    pub fn file(&self, root: &Path, index: u32, keep: Keep) -> ArchiveFile {
+    /// Returns a file by its number.
+    pub fn file(&self, source: &Source, index: u32) -> ArchiveFile {
         let name = self.names.get(index as usize);
         let known: Option<Known> = self.entry(index).and_then(|entry| entry.known(name));
         match known {
-            Some(known) => ArchiveFile::on_disk(name.to_owned(), root.join(name), known, keep),
+            Some(known) => {
+                let file = LocalFile {
+                    path: source.root.join(name),
+                    keep: source.keep,
+                    limit_bytes: source.limit_bytes,
+                };
+                ArchiveFile::on_disk(name.to_owned(), file, known)
+            }
             None => ArchiveFile::unreadable(name.to_owned(), self.reason(index)),
         }
     }
@@ -191,7 +213,7 @@ impl Survey {
 /// Reads the files that have no entry; returns the reasons of those that cannot be read.
 fn read_rest(
     ctx: &Ctx<'_>,
-    root: &Path,
+    source: &Source,
     names: &Names,
     files: &[Result<FileState, String>],
     entries: &mut [Option<Entry>],
@@ -202,7 +224,7 @@ fn read_rest(
     let read = |index: &usize| -> Result<Result<Entry, String>, StageError> {
         ctx.check()?;
         Ok(match &files[*index] {
-            Ok(state) => read_one(root, names.get(*index), state),
+            Ok(_) => read_one(source, names.get(*index)),
             Err(reason) => Err(reason.clone()),
         })
     };
@@ -227,10 +249,8 @@ fn read_rest(
     Ok(reasons)
 }
 
-fn read_one(root: &Path, name: &str, state: &FileState) -> Result<Entry, String> {
-    if state.size > MAX_FILE_BYTES {
-        return Err(ReadError::TooLarge.to_string());
-    }
-    let known = Known::read(name, &root.join(name)).map_err(|error| error.to_string())?;
+fn read_one(source: &Source, name: &str) -> Result<Entry, String> {
+    let known = Known::read(name, &source.root.join(name), source.limit_bytes);
+    let known = known.map_err(|error| error.to_string())?;
     Entry::from_known(&known).ok_or_else(|| "cannot be read".to_owned())
 }

@@ -6,12 +6,13 @@ use marf_cache::Digest;
 use marf_stage::harness::Harness;
 use marf_stage::{Ctx, Keep};
 
-use super::survey::{Reading, Survey};
+use super::survey::{Reading, Source, Survey};
 use super::table::{self, Entry, EntryKind, Reader};
 use super::walk::walk;
 use crate::stat::now_ns;
 
 const DEPTH: usize = 32;
+const LIMIT_BYTES: u64 = 2_000_000;
 /// A survey that begins so much later finds that all files of a test have rested.
 const REST_NS: i64 = 60_000_000_000;
 
@@ -30,14 +31,24 @@ fn archive(dir: &Path) -> std::path::PathBuf {
     root
 }
 
+fn source(root: &Path, reading: Reading) -> Source {
+    Source {
+        root: root.to_owned(),
+        depth: DEPTH,
+        reading,
+        keep: Keep::Copy,
+        limit_bytes: LIMIT_BYTES,
+    }
+}
+
 fn rested(ctx: &Ctx<'_>, root: &Path, reading: Reading) -> Survey {
-    Survey::begun_at(now_ns() + REST_NS, ctx, root, DEPTH, reading).unwrap()
+    Survey::begun_at(now_ns() + REST_NS, ctx, &source(root, reading)).unwrap()
 }
 
 fn digests(survey: &Survey, root: &Path) -> Vec<(String, Digest)> {
     let files = survey.shards.values().flatten();
     files
-        .map(|index| survey.file(root, *index, Keep::Copy))
+        .map(|index| survey.file(&source(root, Reading::All), *index))
         .map(|file| (file.name, file.digest))
         .collect()
 }
@@ -93,7 +104,7 @@ fn a_file_that_had_not_rested_is_read_again() {
     let dir = tempfile::tempdir().unwrap();
     let (root, harness) = (archive(dir.path()), harness(dir.path()));
     // The files were written just now: the survey keeps none of them, so what the table says can only be from elsewhere.
-    drop(Survey::begun_at(now_ns(), &harness.ctx(), &root, DEPTH, Reading::Changed).unwrap());
+    drop(Survey::begun_at(now_ns(), &harness.ctx(), &source(&root, Reading::Changed)).unwrap());
     let path = table::path(&harness.scratch, &root, DEPTH).unwrap();
     assert_eq!(Reader::open(&path).count(), 0);
     let rested = rested(&harness.ctx(), &root, Reading::Changed);
@@ -231,14 +242,14 @@ fn what_cannot_be_read_has_its_reason() {
     std::os::unix::fs::symlink("..", root.join("b/up")).unwrap();
     File::create(root.join("huge.img"))
         .unwrap()
-        .set_len(crate::archive::MAX_FILE_BYTES + 1)
+        .set_len(LIMIT_BYTES + 1)
         .unwrap();
     let survey = rested(&harness.ctx(), &root, Reading::Changed);
     let reasons: Vec<String> = survey
         .shards
         .values()
         .flatten()
-        .filter_map(|index| match survey.file(&root, *index, Keep::Copy) {
+        .filter_map(|index| match survey.file(&source(&root, Reading::All), *index) {
             file if matches!(file.kind, crate::archive::Kind::Unreadable(_)) => {
                 Some(format!("{} {:?}", file.name, file.kind))
             }
@@ -251,7 +262,7 @@ fn what_cannot_be_read_has_its_reason() {
         "{reasons:?}"
     );
     assert!(
-        reasons[1].contains("huge.img") && reasons[1].contains("larger than"),
+        reasons[1].contains("huge.img") && reasons[1].contains("more than 2 MB: raise `max_file_mb`"),
         "{reasons:?}"
     );
     assert!(

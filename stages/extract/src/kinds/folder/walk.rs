@@ -7,6 +7,7 @@ use marf_stage::{Ctx, StageError};
 use rayon::prelude::*;
 use walkdir::{DirEntry, WalkDir};
 
+use crate::archive::is_system_name;
 use crate::stat::FileState;
 
 /// Deepest folder that is entered.
@@ -63,13 +64,16 @@ impl Names {
     }
 }
 
-/// Walks a folder: hidden files and folders are left out, links are followed but not in circles.
+/// Walks a folder: hidden files and folders are left out, unless systems are known to leave them next to photos; links are
+/// followed but not in circles.
 ///
 /// # Errors
 /// The wish to stop.
 pub(super) fn walk(ctx: &Ctx<'_>, root: &Path, depth: usize) -> Result<Walk, StageError> {
-    let visible =
-        |entry: &DirEntry| entry.depth() == 0 || !entry.file_name().as_encoded_bytes().starts_with(b".");
+    let visible = |entry: &DirEntry| {
+        let is_hidden = entry.file_name().as_encoded_bytes().starts_with(b".");
+        entry.depth() == 0 || !is_hidden || entry.file_name().to_str().is_some_and(is_system_name)
+    };
     let entries = WalkDir::new(root).follow_links(true).max_depth(depth);
     let mut names = Names::default();
     // Few have one.

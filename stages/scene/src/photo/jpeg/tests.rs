@@ -1,0 +1,78 @@
+use super::*;
+use crate::{Image, encode_jpeg};
+
+fn whole() -> Vec<u8> {
+    let image = Image::from_fn(70, 50, |x, y| [(x * 3) as u8, (y * 5) as u8, (x * y % 200) as u8]);
+    encode_jpeg(&image, 90).unwrap()
+}
+
+/// The bytes of a JPEG before its end marker, then others, then the end marker.
+fn before_end(between: &[u8]) -> Vec<u8> {
+    let whole = whole();
+    [&whole[..whole.len() - 2], between, &[0xff, 0xd9]].concat()
+}
+
+/// Phones append a film, cameras a second JPEG or zeros. None of it is part of the picture.
+#[test]
+fn what_follows_the_end_marker_is_left_out() {
+    let whole = whole();
+    let expected = Photo::decode(&whole).unwrap();
+    let film = [b"\0\0\0\x18ftypmp42".as_slice(), &[0x5a; 9000]].concat();
+    for tail in [
+        film,
+        vec![0; 9000],
+        vec![0xff; 9000],
+        whole.clone(),
+        b"\xff\xd9".to_vec(),
+        b"x".to_vec(),
+    ] {
+        let bytes = [whole.as_slice(), &tail].concat();
+        assert_eq!(
+            Photo::decode(&bytes).as_ref(),
+            Ok(&expected),
+            "{} bytes",
+            tail.len()
+        );
+        assert_eq!(
+            Photo::decode_validated(&bytes).as_ref(),
+            Ok(&expected),
+            "{} bytes",
+            tail.len()
+        );
+    }
+}
+
+/// T.81, B.1.1.2: any marker may be preceded by any number of fill bytes FF. Some encoders pad with zeros.
+#[test]
+fn fill_bytes_and_zeros_before_the_end_marker_change_nothing() {
+    let expected = Photo::decode(&whole()).unwrap();
+    for between in [
+        vec![0xff],
+        vec![0xff; 100],
+        vec![0; 100],
+        [vec![0; 9], vec![0xff; 9]].concat(),
+    ] {
+        assert_eq!(
+            Photo::decode(&before_end(&between)).as_ref(),
+            Ok(&expected),
+            "{between:?}"
+        );
+    }
+}
+
+#[test]
+fn other_bytes_before_the_end_marker_are_damage() {
+    let error = Photo::decode(&before_end(&[0x5a; 100])).unwrap_err().to_string();
+    assert!(error.contains("left over"), "{error}");
+}
+
+/// A preview in a segment has an end marker of its own.
+#[test]
+fn the_end_marker_of_a_preview_is_not_that_of_the_picture() {
+    let (whole, preview) = (whole(), [0xff, 0xd8, 0xff, 0xd9]);
+    let length = (preview.len() as u16 + 2).to_be_bytes();
+    let segment = [&[0xff, 0xe1], length.as_slice(), &preview].concat();
+    let bytes = [&whole[..2], &segment, &whole[2..]].concat();
+    assert_eq!(Photo::decode(&bytes).unwrap(), Photo::decode(&whole).unwrap());
+    assert!(Photo::decode(&bytes[..bytes.len() - 2]).is_err());
+}
