@@ -12,6 +12,7 @@ mod export;
 pub mod import;
 mod labels;
 mod mask_files;
+mod orientation;
 mod masks;
 mod photos;
 mod resample;
