@@ -27,7 +27,7 @@ pub use colmap::{Model, read_colmap_binary, read_colmap_text, read_tracks};
 pub use distortion::{Distortion, Rational};
 pub use lens::{Focal, Lens};
 pub(crate) use ready::{as_it_is, placed};
-pub use transforms::{Transforms, read_transforms};
+pub use transforms::{Transforms, names_in_transforms, read_transforms};
 
 use crate::calibration::{Calibration, HeldOut, PlacedPhoto, mean_up};
 use crate::export::TrackPoint;

@@ -80,6 +80,14 @@ pub fn read_transforms(file: &str, bytes: &[u8]) -> Result<Transforms, ImportErr
     })
 }
 
+/// Returns the names of photos and masks in a transforms.json, as they are written; none of a file that is not one.
+pub fn names_in_transforms(bytes: &[u8]) -> Vec<String> {
+    let value = parse(bytes).unwrap_or_default();
+    let frames = value["frames"].as_array().map(Vec::as_slice).unwrap_or_default();
+    let names = frames.iter().flat_map(|frame| [&frame["file_path"], &frame["mask_path"]]);
+    names.filter_map(|name| Some(name.as_str()?.to_owned())).collect()
+}
+
 /// Parses JSON as Python writes it: NaN and infinities become texts.
 fn parse(bytes: &[u8]) -> Result<Value, serde_json::Error> {
     let bytes = bytes.strip_prefix(BYTE_ORDER_MARK).unwrap_or(bytes);
