@@ -16,8 +16,8 @@ use serde::Serialize;
 use crate::context::Context;
 use crate::documents::{self, Documents};
 use crate::error::Error;
-use crate::folder::PhotoFolder;
 use crate::execute::{Extras, execute_with, options};
+use crate::folder::PhotoFolder;
 use crate::session::{Session, node_named};
 use crate::{budget, outputs};
 

@@ -27,7 +27,11 @@ impl PhotoFolder {
     /// A file that is not a `transforms….json`.
     pub fn new(given: &Path) -> Result<Self, Error> {
         let (folder, file) = if given.is_file() {
-            let file = given.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            let file = given
+                .file_name()
+                .unwrap_or_default()
+                .to_string_lossy()
+                .into_owned();
             if !file.starts_with("transforms") || !file.ends_with(".json") {
                 let message = format!("{} is a file, not a folder with photos", given.display());
                 return Err(Error::Usage(Diagnostic::new(message).hint(
@@ -44,7 +48,11 @@ impl PhotoFolder {
             Some(photos) => (photos, Some(folder)),
             None => (folder, None),
         };
-        Ok(Self { photos, cameras, file })
+        Ok(Self {
+            photos,
+            cameras,
+            file,
+        })
     }
 
     /// Returns a pipeline that finds the cameras of the photos.
@@ -99,7 +107,11 @@ fn folder_elsewhere(folder: &Path, json: &Path) -> Option<PathBuf> {
     let own = folder.canonicalize().ok()?;
     let names = names_in_transforms(&std::fs::read(json).ok()?);
     let on_disk = |name: &String| folder.join(name.replace('\\', "/")).canonicalize().ok();
-    let files: Vec<PathBuf> = names.iter().filter_map(on_disk).filter(|file| file.is_file()).collect();
+    let files: Vec<PathBuf> = names
+        .iter()
+        .filter_map(on_disk)
+        .filter(|file| file.is_file())
+        .collect();
     let is_own = |file: &PathBuf| file.starts_with(&own);
     let elsewhere: Vec<&PathBuf> = files.iter().filter(|file| !is_own(file)).collect();
     let masks = own.join("masks");
@@ -154,8 +166,15 @@ mod tests {
             let found = PhotoFolder::new(&given).unwrap();
             assert_eq!(found.photos, a.canonicalize().unwrap());
             let text = found.training("fit");
-            assert!(text.contains("cameras = \"beside\"") && text.contains("method = \"auto\""), "{text}");
-            assert_eq!(text.contains("file = \"transforms.json\""), given.is_file(), "{text}");
+            assert!(
+                text.contains("cameras = \"beside\"") && text.contains("method = \"auto\""),
+                "{text}"
+            );
+            assert_eq!(
+                text.contains("file = \"transforms.json\""),
+                given.is_file(),
+                "{text}"
+            );
         }
         with_frames(&b, &[a.join("1.jpg").to_str().unwrap(), "/gone/2.jpg"]);
         assert_eq!(PhotoFolder::new(&b).unwrap().photos, a.canonicalize().unwrap());

@@ -117,7 +117,10 @@ fn named_masks(
         let Some(mask) = named_file(files, items, name) else {
             matched.missing.push(Missing {
                 file: name.clone(),
-                reason: format!("the mask of {} is not among the files beside the photos", view.file),
+                reason: format!(
+                    "the mask of {} is not among the files beside the photos",
+                    view.file
+                ),
             });
             continue;
         };
@@ -133,8 +136,14 @@ fn named_file(files: &BTreeMap<String, Digest>, items: &[InputPhoto], name: &str
         let file = composed(file);
         file == wanted || (name.starts_with('/') && wanted.ends_with(&format!("/{file}")))
     };
-    let named = files.iter().filter(|(file, _)| fits(file)).map(|(_, digest)| *digest);
-    let photos = items.iter().filter(|item| fits(&item.facts.file)).map(|item| item.image);
+    let named = files
+        .iter()
+        .filter(|(file, _)| fits(file))
+        .map(|(_, digest)| *digest);
+    let photos = items
+        .iter()
+        .filter(|item| fits(&item.facts.file))
+        .map(|item| item.image);
     let mut found = named.chain(photos);
     let first = found.next()?;
     found.all(|other| other == first).then_some(first)

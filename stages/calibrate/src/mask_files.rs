@@ -77,7 +77,11 @@ impl FoundMask {
         if let Some(digest) = &item.mask {
             let name = "mask_path".to_owned();
             let mask = decode(ctx, &name, digest)?;
-            return Ok(Some(Self { name, mask, is_own: true }));
+            return Ok(Some(Self {
+                name,
+                mask,
+                is_own: true,
+            }));
         }
         let Some(digest) = inputs.optional(COMPANIONS) else {
             return Ok(None);

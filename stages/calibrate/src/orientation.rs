@@ -17,13 +17,21 @@ impl Orientation {
 
     /// Returns the orientation from which a photo was turned, as the notes of its decoding tell.
     pub fn from_notes(notes: &[String]) -> Self {
-        let number = notes.iter().find_map(|note| note.strip_prefix(NOTE)?.parse().ok());
-        number.filter(|number| (1..=8).contains(number)).map_or(Self::UPRIGHT, Self)
+        let number = notes
+            .iter()
+            .find_map(|note| note.strip_prefix(NOTE)?.parse().ok());
+        number
+            .filter(|number| (1..=8).contains(number))
+            .map_or(Self::UPRIGHT, Self)
     }
 
     /// Returns the size of the stored pixels of an upright size, and the other way round.
     pub fn other_size(self, [width, height]: [u32; 2]) -> [u32; 2] {
-        if self.0 >= 5 { [height, width] } else { [width, height] }
+        if self.0 >= 5 {
+            [height, width]
+        } else {
+            [width, height]
+        }
     }
 
     /// Returns the stored pixels of an upright image.
@@ -77,7 +85,9 @@ mod tests {
     #[test]
     fn each_orientation_is_turned_upright_as_exif_says_and_back() {
         // Exif 2.32, table 6: where row 0 and column 0 of the stored pixels are seen.
-        let upright = ["abc/def", "cba/fed", "fed/cba", "def/abc", "ad/be/cf", "da/eb/fc", "fc/eb/da", "cf/be/ad"];
+        let upright = [
+            "abc/def", "cba/fed", "fed/cba", "def/abc", "ad/be/cf", "da/eb/fc", "fc/eb/da", "cf/be/ad",
+        ];
         for (number, expected) in (1..).zip(upright) {
             let note = format!("{NOTE}{number}");
             let orientation = Orientation::from_notes(&["other".to_owned(), note]);

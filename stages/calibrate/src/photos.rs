@@ -39,7 +39,9 @@ impl InputPhoto {
 
     /// Returns width and height of the pixels as the file has them, whatever its EXIF orientation.
     pub fn stored_size_px(&self) -> (u32, u32) {
-        let [width, height] = self.orientation().other_size([self.facts.width, self.facts.height]);
+        let [width, height] = self
+            .orientation()
+            .other_size([self.facts.width, self.facts.height]);
         (width, height)
     }
 }

@@ -98,7 +98,10 @@ impl Set for Calibrate {
         let outputs = [
             (SCENE, bytes),
             (Metrics::OUTPUT, metrics),
-            (TRANSFORMS, write_transforms(&scene, &beside, &|_| None).into_bytes()),
+            (
+                TRANSFORMS,
+                write_transforms(&scene, &beside, &|_| None).into_bytes(),
+            ),
             (POINTS, write_ply(&tracks)),
         ];
         let outputs = outputs.map(|(name, bytes)| (name.to_owned(), bytes));

@@ -102,8 +102,14 @@ impl<'r> CameraFiles<'r> {
             .iter()
             .filter_map(|(name, output)| Some((name.strip_prefix(CAMERAS)?, output.digest)));
         let (models, pictures): (Vec<_>, Vec<_>) = files.partition(|(name, _)| is_model(name));
-        let (masks, photos) = pictures.into_iter().partition(|(name, _)| name.starts_with(MASKS));
-        Self { models, masks, photos }
+        let (masks, photos) = pictures
+            .into_iter()
+            .partition(|(name, _)| name.starts_with(MASKS));
+        Self {
+            models,
+            masks,
+            photos,
+        }
     }
 
     /// Returns all files, models first.

@@ -13,9 +13,9 @@ use serde_json::Value;
 use super::truth::Truth;
 use crate::context::Context;
 use crate::error::{Diagnostic, Error};
-use crate::session::Session;
 use crate::folder::PhotoFolder;
 use crate::scenes;
+use crate::session::Session;
 
 /// What all points share: the pipeline as it is.
 pub struct Base {

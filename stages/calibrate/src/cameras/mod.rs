@@ -83,7 +83,12 @@ impl Set for ExportCameras {
 
 impl ExportCameras {
     /// Returns the folder `photos_at` if all photos of a scene lie there with these very bytes.
-    fn photos_there(&self, ctx: &Ctx<'_>, inputs: &Inputs, scene: &Scene) -> Result<Option<&str>, StageError> {
+    fn photos_there(
+        &self,
+        ctx: &Ctx<'_>,
+        inputs: &Inputs,
+        scene: &Scene,
+    ) -> Result<Option<&str>, StageError> {
         let (folder, set) = match (&self.0.photos_at, inputs.optional(PHOTOS)) {
             (None, _) => return Ok(None),
             (Some(folder), Some(set)) => (folder, set),

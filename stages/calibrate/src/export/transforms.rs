@@ -152,7 +152,11 @@ mod tests {
     #[test]
     fn points_come_back_to_the_same_pixels() {
         let scene = scene();
-        let read = read_transforms("transforms.json", write_transforms(&scene, &beside, &|_| None).as_bytes()).unwrap();
+        let read = read_transforms(
+            "transforms.json",
+            write_transforms(&scene, &beside, &|_| None).as_bytes(),
+        )
+        .unwrap();
         assert_eq!(read.points.as_deref(), Some("points.ply"));
         let written = write_ply(&Tracks::without_observations(&scene.points));
         let points = marf_scene::ply::read_points(&written).unwrap();

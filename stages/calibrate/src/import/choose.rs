@@ -73,7 +73,10 @@ pub(super) fn choose(files: &Files, wanted: Option<&str>) -> Result<Chosen, Stag
         .hint(format!("choose one, for example `file = \"{first}\"`")));
     }
     let source = named(files, first).ok_or_else(|| absent(files, first))?;
-    let passed: Vec<&String> = others.iter().filter(|name| is_json(name) == is_json(first)).collect();
+    let passed: Vec<&String> = others
+        .iter()
+        .filter(|name| is_json(name) == is_json(first))
+        .collect();
     let choice = (!passed.is_empty()).then(|| format!("not used: {}", listed(passed.iter().copied())));
     Ok(Chosen::new(source, choice))
 }
@@ -87,7 +90,10 @@ fn is_json(name: &str) -> bool {
 fn rank(name: &str) -> (bool, usize, usize, String) {
     const FIRST: [&str; 3] = ["", "sparse/0/", "sparse/"];
     let folder = folder(name);
-    let place = FIRST.iter().position(|first| *first == folder).unwrap_or(FIRST.len());
+    let place = FIRST
+        .iter()
+        .position(|first| *first == folder)
+        .unwrap_or(FIRST.len());
     (!is_json(name), place, name.matches('/').count(), name.to_owned())
 }
 
@@ -240,14 +246,19 @@ mod tests {
             "sparse/0/cameras.txt",
             "sparse/0/images.txt",
         ];
-        assert!(matches!(used(&model).source, Source::Binary([cameras, ..]) if cameras == "sparse/0/cameras.bin"));
+        assert!(
+            matches!(used(&model).source, Source::Binary([cameras, ..]) if cameras == "sparse/0/cameras.bin")
+        );
         let mut both = files(&model);
         both.extend(files(&["transforms.json"]));
         let chosen = choose(&both, None).unwrap();
         assert_eq!((chosen.source, chosen.choice), (one.source, None));
         let split = files(&["transforms.json", "transforms_train.json"]);
         let error = choose(&split, None).unwrap_err().to_string();
-        assert!(error.contains("`transforms.json`") && error.contains("`transforms_train.json`"), "{error}");
+        assert!(
+            error.contains("`transforms.json`") && error.contains("`transforms_train.json`"),
+            "{error}"
+        );
         for (wanted, text) in [
             ("sparse/0", false),
             ("sparse/0/images.txt", true),

@@ -163,7 +163,11 @@ impl Parts {
         let camera = lens.camera(width, height).ok()?;
         let distances = image.observations.iter().filter_map(|(seen, point)| {
             let point = self.points.get(point)?;
-            let pixel = project(lens, &camera, &cam_from_world.point(&Vector3::from(point.position)))?;
+            let pixel = project(
+                lens,
+                &camera,
+                &cam_from_world.point(&Vector3::from(point.position)),
+            )?;
             Some((pixel - Vector2::from(*seen)).norm())
         });
         let distances: Vec<f64> = distances.collect();

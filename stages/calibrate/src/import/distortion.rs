@@ -67,7 +67,11 @@ impl Distortion {
         match self {
             Self::Brown([k1, k2, ..]) => {
                 let numerator = [*k1, *k2, 0.0, 0.0];
-                Rational { numerator, ..Rational::default() }.radial(r2)
+                Rational {
+                    numerator,
+                    ..Rational::default()
+                }
+                .radial(r2)
             }
             Self::Rational(rational) => rational.radial(r2),
             Self::Fisheye(k) => {
@@ -89,7 +93,11 @@ impl Distortion {
         let [p1, p2] = match self {
             Self::Fisheye(_) => {
                 let angle = r.atan();
-                let factor = if r > 0.0 { self.radial(angle).0 * angle / r } else { 1.0 };
+                let factor = if r > 0.0 {
+                    self.radial(angle).0 * angle / r
+                } else {
+                    1.0
+                };
                 return plane * factor;
             }
             Self::Brown([_, _, p1, p2]) => [*p1, *p2],
@@ -127,7 +135,10 @@ mod tests {
     fn lenses_bend_as_computed_by_hand() {
         // r² = 1/4: N = 1.026296875, D = 1.01315625; 2 p1 x y = 0, p2 (r² + 2 x²) = 0.0015, p1 (r² + 2 y²) = 0.00025.
         let at = full().distort(&Vector2::new(0.5, 0.0));
-        assert!((at - Vector2::new(0.507_984_994_293_821_8, 0.000_25)).norm() < 1e-15, "{at}");
+        assert!(
+            (at - Vector2::new(0.507_984_994_293_821_8, 0.000_25)).norm() < 1e-15,
+            "{at}"
+        );
         let fourth = Rational {
             numerator: [0.1, 0.02, 0.003, 0.5],
             ..Rational::default()
@@ -138,7 +149,10 @@ mod tests {
         let fisheye = Distortion::Fisheye([0.1, -0.02, 0.003, -0.001]);
         let half = std::f64::consts::FRAC_1_SQRT_2;
         let at = fisheye.distort(&Vector2::new(half, half));
-        assert!((at - Vector2::repeat(0.585_702_092_878_775_7)).norm() < 1e-15, "{at}");
+        assert!(
+            (at - Vector2::repeat(0.585_702_092_878_775_7)).norm() < 1e-15,
+            "{at}"
+        );
         assert_eq!(fisheye.distort(&Vector2::zeros()), Vector2::zeros());
     }
 
@@ -157,12 +171,19 @@ mod tests {
 
     #[test]
     fn the_slope_is_that_of_central_differences_and_ends_the_reach() {
-        let lenses = [full(), Distortion::Fisheye([0.1, -0.02, 0.003, -0.001]), Distortion::Brown([0.1, -0.3, 0.0, 0.0])];
+        let lenses = [
+            full(),
+            Distortion::Fisheye([0.1, -0.02, 0.003, -0.001]),
+            Distortion::Brown([0.1, -0.3, 0.0, 0.0]),
+        ];
         for lens in lenses {
             for r in [1e-3, 0.3, 0.9] {
                 let at = |r: f64| r * lens.radial(r).0;
                 let difference = (at(r + 1e-6) - at(r - 1e-6)) / 2e-6;
-                assert!((lens.radial(r).1 - difference).abs() < 1e-8, "{lens:?} {r}: {difference}");
+                assert!(
+                    (lens.radial(r).1 - difference).abs() < 1e-8,
+                    "{lens:?} {r}: {difference}"
+                );
             }
         }
         // 1 - 3 r² = 0 at 0.57735.

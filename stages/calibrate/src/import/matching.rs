@@ -52,7 +52,10 @@ pub(super) fn match_views<'a>(source: &str, views: &'a [View], items: &[InputPho
         } else {
             conflicts.insert(
                 item,
-                format!("{source} has two different cameras for it, at {} and at {}", first.place, view.place),
+                format!(
+                    "{source} has two different cameras for it, at {} and at {}",
+                    first.place, view.place
+                ),
             );
         }
     }
@@ -60,7 +63,10 @@ pub(super) fn match_views<'a>(source: &str, views: &'a [View], items: &[InputPho
     let unplaced = (0..items.len()).filter_map(|index| {
         let reason = conflicts.get(&index).cloned();
         let reason = reason.or_else(|| folders.reason(index, &taken));
-        Some((index, reason.or_else(|| without_view(source, taken.get(&index).copied()))?))
+        Some((
+            index,
+            reason.or_else(|| without_view(source, taken.get(&index).copied()))?,
+        ))
     });
     let unplaced: Vec<(usize, String)> = unplaced.collect();
     let pairs = taken
@@ -135,19 +141,28 @@ impl Folders {
             let all: Vec<String> = fits.keys().map(|folder| shown(folder)).collect();
             format!("photos of {} ({why}) among {}", shown(chosen), all.join(", "))
         });
-        Self { chosen, choice, others }
+        Self {
+            chosen,
+            choice,
+            others,
+        }
     }
 
     /// Returns the photo of a view.
     fn photo(&self, view: &View, found: &Match, items: &[InputPhoto]) -> Result<usize, String> {
         let several = match found {
-            Match::Absent => return Err("not among the photos: filtered out, or not in the archive".to_owned()),
+            Match::Absent => {
+                return Err("not among the photos: filtered out, or not in the archive".to_owned());
+            }
             Match::One(index) => return Ok(*index),
             Match::Several(several) => several,
         };
         let is_chosen = |index: &&usize| self.chosen.as_ref() == Some(&prefix(view, &items[**index]));
         several.iter().find(is_chosen).copied().ok_or_else(|| {
-            let names: Vec<&str> = several.iter().map(|index| items[*index].facts.file.as_str()).collect();
+            let names: Vec<&str> = several
+                .iter()
+                .map(|index| items[*index].facts.file.as_str())
+                .collect();
             format!("several photos have this name: {}", names.join(", "))
         })
     }

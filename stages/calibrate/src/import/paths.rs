@@ -11,7 +11,11 @@ pub(super) fn path(folder: &str, text: &str) -> Option<String> {
     let text = text.replace('\\', "/");
     let has_drive = text.as_bytes().get(1) == Some(&b':');
     let mut is_elsewhere = text.starts_with('/') || has_drive;
-    let joined = if is_elsewhere { text } else { format!("{folder}{text}") };
+    let joined = if is_elsewhere {
+        text
+    } else {
+        format!("{folder}{text}")
+    };
     let mut parts: Vec<&str> = Vec::new();
     for part in joined.split('/') {
         match part {

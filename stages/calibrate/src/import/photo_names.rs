@@ -75,8 +75,12 @@ impl<'a> PhotoNames<'a> {
             let bare = without_extension(path(index));
             ends_with(bare, without_extension(file)) || ends_with(bare, file)
         };
-        let longest = candidates.iter().map(|index| shared_tail(path(*index), file)).max();
-        let shares_most = |index: usize| name.starts_with('/') && Some(shared_tail(path(index), file)) == longest;
+        let longest = candidates
+            .iter()
+            .map(|index| shared_tail(path(*index), file))
+            .max();
+        let shares_most =
+            |index: usize| name.starts_with('/') && Some(shared_tail(path(index), file)) == longest;
         let tests: [&dyn Fn(usize) -> bool; 4] = [&same, &ends, &ends_without, &shares_most];
         let found: Vec<Vec<usize>> = tests
             .iter()
@@ -149,7 +153,11 @@ mod tests {
                 file: (*file).to_owned(),
                 ..PhotoFacts::default()
             };
-            InputPhoto::new(base(file).to_uppercase(), Digest::from_content(file.as_bytes()), facts)
+            InputPhoto::new(
+                base(file).to_uppercase(),
+                Digest::from_content(file.as_bytes()),
+                facts,
+            )
         };
         files.iter().map(item).collect()
     }

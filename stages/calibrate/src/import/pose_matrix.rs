@@ -18,7 +18,10 @@ pub(super) fn pose(node: &JsonNode<'_>) -> Result<Pose, ImportError> {
     let rows = node.items()?;
     // Without the last row the matrix says the same.
     if !(3..=4).contains(&rows.len()) {
-        return Err(node.error(format!("{} rows, a transform has 3 or 4 of 4 numbers", rows.len())));
+        return Err(node.error(format!(
+            "{} rows, a transform has 3 or 4 of 4 numbers",
+            rows.len()
+        )));
     }
     let mut matrix = [[0.0; 4]; 4];
     matrix[3] = LAST_ROW;

@@ -123,7 +123,8 @@ impl Change {
             ..photo
         }
         .to_png();
-        let digest = ctx.put(&png.map_err(|error| StageError::new(format!("photo `{}`: {error}", item.id)))?)?;
+        let digest =
+            ctx.put(&png.map_err(|error| StageError::new(format!("photo `{}`: {error}", item.id)))?)?;
         ctx.memos.save(&key, digest.as_bytes());
         Ok(digest)
     }
@@ -140,14 +141,24 @@ impl Change {
     }
 
     /// Returns stored pixels without distortion.
-    fn changed(&self, ctx: &Ctx<'_>, stored: &Image<Srgb>, item: &InputPhoto) -> Result<Image<Srgb>, StageError> {
+    fn changed(
+        &self,
+        ctx: &Ctx<'_>,
+        stored: &Image<Srgb>,
+        item: &InputPhoto,
+    ) -> Result<Image<Srgb>, StageError> {
         let Some(undistorter) = &self.undistorter else {
             return Ok(stored.clone());
         };
-        undistorter.resample(stored, ctx.cancel).map_err(|pixel| match pixel {
-            Some(at) => StageError::new(format!("photo `{}`: its lens does not show ({}, {})", item.id, at.x, at.y)),
-            None => StageError::Cancelled,
-        })
+        undistorter
+            .resample(stored, ctx.cancel)
+            .map_err(|pixel| match pixel {
+                Some(at) => StageError::new(format!(
+                    "photo `{}`: its lens does not show ({}, {})",
+                    item.id, at.x, at.y
+                )),
+                None => StageError::Cancelled,
+            })
     }
 }
 

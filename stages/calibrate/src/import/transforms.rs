@@ -84,7 +84,9 @@ pub fn read_transforms(file: &str, bytes: &[u8]) -> Result<Transforms, ImportErr
 pub fn names_in_transforms(bytes: &[u8]) -> Vec<String> {
     let value = parse(bytes).unwrap_or_default();
     let frames = value["frames"].as_array().map(Vec::as_slice).unwrap_or_default();
-    let names = frames.iter().flat_map(|frame| [&frame["file_path"], &frame["mask_path"]]);
+    let names = frames
+        .iter()
+        .flat_map(|frame| [&frame["file_path"], &frame["mask_path"]]);
     names.filter_map(|name| Some(name.as_str()?.to_owned())).collect()
 }
 
@@ -102,7 +104,9 @@ fn quoted(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     let (mut rest, mut is_in_text) = (text, false);
     while let Some(letter) = rest.chars().next() {
-        let word = NO_NUMBERS.iter().find(|word| !is_in_text && rest.starts_with(**word));
+        let word = NO_NUMBERS
+            .iter()
+            .find(|word| !is_in_text && rest.starts_with(**word));
         let taken = match (word, letter) {
             (Some(word), _) => {
                 out.extend(["\"", word, "\""]);

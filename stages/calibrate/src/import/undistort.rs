@@ -60,7 +60,11 @@ impl Undistorter {
     ///
     /// # Errors
     /// A pixel of the pinhole that the lens does not see; `None` if `cancel` is set.
-    pub fn resample(&self, image: &Image<Srgb>, cancel: &Cancel) -> Result<Image<Srgb>, Option<Vector2<f64>>> {
+    pub fn resample(
+        &self,
+        image: &Image<Srgb>,
+        cancel: &Cancel,
+    ) -> Result<Image<Srgb>, Option<Vector2<f64>>> {
         let size_px = [self.pinhole.width, self.pinhole.height];
         resample_by(image, size_px, cancel, |pixel| {
             let seen = self.pixel(&direction(&self.pinhole, pixel).xy());
@@ -123,7 +127,10 @@ impl Undistorter {
     /// Returns where a place of the photo lies without distortion, pixels; infinite where no plane shows it.
     fn straight(&self, x: f64, y: f64) -> Result<Vector2<f64>, String> {
         let camera = &self.photo;
-        let seen = Vector2::new((x - camera.cx_px) / camera.fx_px, (y - camera.cy_px) / camera.fy_px);
+        let seen = Vector2::new(
+            (x - camera.cx_px) / camera.fx_px,
+            (y - camera.cy_px) / camera.fy_px,
+        );
         let no_inverse = || format!("its lens has no inverse at ({x}, {y}) px, {:?}", self.distortion);
         Ok(match self.undistort(&seen).ok_or_else(no_inverse)? {
             Sight::Plane(plane) => Vector2::new(
@@ -138,8 +145,16 @@ impl Undistorter {
     fn undistort(&self, seen: &Vector2<f64>) -> Option<Sight> {
         match self.distortion {
             Distortion::Fisheye(_) => self.angle(seen.norm()).map(|angle| {
-                let factor = if angle > 0.0 { angle.tan() / seen.norm() } else { 1.0 };
-                if angle < FRAC_PI_2 { Sight::Plane(seen * factor) } else { Sight::Aside }
+                let factor = if angle > 0.0 {
+                    angle.tan() / seen.norm()
+                } else {
+                    1.0
+                };
+                if angle < FRAC_PI_2 {
+                    Sight::Plane(seen * factor)
+                } else {
+                    Sight::Aside
+                }
             }),
             _ => self.newton(seen).map(Sight::Plane),
         }
@@ -155,7 +170,11 @@ impl Undistorter {
         // 60 halvings of π/2 end at 1e-18.
         for _ in 0..60 {
             let middle = f64::midpoint(low, high);
-            if radius(middle) < seen { low = middle } else { high = middle }
+            if radius(middle) < seen {
+                low = middle
+            } else {
+                high = middle
+            }
         }
         Some(low)
     }
@@ -170,7 +189,9 @@ impl Undistorter {
             if error.amax() < 1e-14 {
                 break;
             }
-            let along = |axis: Vector2<f64>| (lens(&(plane + axis * STEP)) - lens(&(plane - axis * STEP))) / (2.0 * STEP);
+            let along = |axis: Vector2<f64>| {
+                (lens(&(plane + axis * STEP)) - lens(&(plane - axis * STEP))) / (2.0 * STEP)
+            };
             let slope = Matrix2::from_columns(&[along(Vector2::x()), along(Vector2::y())]);
             plane -= slope.try_inverse()? * error;
         }
@@ -220,7 +241,9 @@ mod tests {
 
     #[test]
     fn straight_lines_are_straight_again() {
-        let grating = |plane: &Vector2<f64>| [(127.5 + 90.0 * ((plane.x + 0.3 * plane.y) * 9.0).sin()).round() as u8; 3];
+        let grating = |plane: &Vector2<f64>| {
+            [(127.5 + 90.0 * ((plane.x + 0.3 * plane.y) * 9.0).sin()).round() as u8; 3]
+        };
         for lens in lenses() {
             let undistorter = Undistorter::new(photo(), lens).unwrap();
             let taken = Image::from_fn(120, 90, |column, row| {
@@ -243,7 +266,10 @@ mod tests {
                     let expected = grating(&direction(&pinhole, &pixel).xy())[0];
                     let found = straight.at(column, row)[0];
                     // A wave of 45 pixels, met by a cubic, and rounded twice; outside, a fisheye packs it closer.
-                    assert!(found.abs_diff(expected) <= 6, "{lens:?} {column} {row}: {found} {expected}");
+                    assert!(
+                        found.abs_diff(expected) <= 6,
+                        "{lens:?} {column} {row}: {found} {expected}"
+                    );
                 }
             }
         }
@@ -252,14 +278,24 @@ mod tests {
     #[test]
     fn a_fisheye_of_more_than_a_half_space_ends_at_twice_the_photo() {
         // 38 px a radian: the left edge is 93° off the axis.
-        let wide = Camera { fx_px: 38.0, fy_px: 38.0, ..photo() };
+        let wide = Camera {
+            fx_px: 38.0,
+            fy_px: 38.0,
+            ..photo()
+        };
         let undistorter = Undistorter::new(wide, Distortion::Fisheye([0.0; 4])).unwrap();
-        assert_eq!((undistorter.pinhole.width, undistorter.pinhole.cx_px), (240, 124.0));
+        assert_eq!(
+            (undistorter.pinhole.width, undistorter.pinhole.cx_px),
+            (240, 124.0)
+        );
     }
 
     #[test]
     fn a_lens_that_folds_inside_the_photo_is_refused() {
-        let folds = Rational { numerator: [-1.0, 0.0, 0.001, 0.0], ..Rational::default() };
+        let folds = Rational {
+            numerator: [-1.0, 0.0, 0.001, 0.0],
+            ..Rational::default()
+        };
         let error = Undistorter::new(photo(), folds.simplest()).err().unwrap();
         assert!(error.contains("no inverse"), "{error}");
     }

@@ -372,7 +372,7 @@ fn the_version_is_raised_when_the_answer_changes() {
     assert_eq!(
         found,
         (
-            10,
+            11,
             "6e1d72d788cd 563ab5fcc1aa".to_owned(),
             "2d65d82fa689 d8f0f8b2add1".to_owned()
         )

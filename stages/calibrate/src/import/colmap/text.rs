@@ -26,7 +26,10 @@ impl<'a> Words<'a> {
     /// Returns the next word.
     fn word(&mut self, what: &str) -> Result<&'a str, ImportError> {
         let rest = self.rest.trim_ascii_start();
-        let (word, rest) = rest.split_at(rest.find(|letter: char| letter.is_ascii_whitespace()).unwrap_or(rest.len()));
+        let (word, rest) = rest.split_at(
+            rest.find(|letter: char| letter.is_ascii_whitespace())
+                .unwrap_or(rest.len()),
+        );
         self.rest = rest;
         let is_word = !word.is_empty();
         is_word

@@ -45,21 +45,36 @@ pub(super) fn lens(root: &JsonNode<'_>, frame: &JsonNode<'_>) -> Result<Lens, Im
 ///
 /// k4 of a lens that is neither a fisheye nor `FULL_OPENCV`, and has no k5 and k6, is nerfstudio's: a factor of r⁸.
 fn distortion<'a>(find: &impl Fn(&str) -> Option<JsonNode<'a>>) -> Result<Distortion, ImportError> {
-    let term = |key: &str| Ok::<f64, ImportError>(find(key).map(|node| node.number()).transpose()?.unwrap_or(0.0));
+    let term =
+        |key: &str| Ok::<f64, ImportError>(find(key).map(|node| node.number()).transpose()?.unwrap_or(0.0));
     let [k1, k2, k3, k4] = [term("k1")?, term("k2")?, term("k3")?, term("k4")?];
     let [k5, k6] = [term("k5")?, term("k6")?];
     let model = find("camera_model");
-    let name = model.as_ref().map(|node| node.text()).transpose()?.map(str::to_ascii_uppercase);
+    let name = model
+        .as_ref()
+        .map(|node| node.text())
+        .transpose()?
+        .map(str::to_ascii_uppercase);
     let name = name.as_deref().unwrap_or("OPENCV");
-    let is_fisheye = find("is_fisheye").map(|node| node.truth()).transpose()?.unwrap_or(false);
+    let is_fisheye = find("is_fisheye")
+        .map(|node| node.truth())
+        .transpose()?
+        .unwrap_or(false);
     if is_fisheye || FISHEYE.contains(&name) {
         return Ok(Distortion::Fisheye([k1, k2, k3, k4]));
     }
     if let Some(model) = model.filter(|_| !PERSPECTIVE.contains(&name)) {
-        return Err(model.error(unread_lens(model.text()?, &[&PERSPECTIVE[..], &FISHEYE[..]].concat())));
+        return Err(model.error(unread_lens(
+            model.text()?,
+            &[&PERSPECTIVE[..], &FISHEYE[..]].concat(),
+        )));
     }
     let is_fraction = name == "FULL_OPENCV" || [k5, k6] != [0.0; 2];
-    let (fourth, denominator) = if is_fraction { (0.0, [k4, k5, k6]) } else { (k4, [0.0; 3]) };
+    let (fourth, denominator) = if is_fraction {
+        (0.0, [k4, k5, k6])
+    } else {
+        (k4, [0.0; 3])
+    };
     let rational = Rational {
         numerator: [k1, k2, k3, fourth],
         denominator,
@@ -81,7 +96,10 @@ fn side(node: &JsonNode<'_>) -> Result<u32, ImportError> {
 }
 
 /// Returns the focal length of a frame. An angle of its own counts more than a focal length at the top.
-fn focal<'a>(frame: &JsonNode<'a>, find: &impl Fn(&str) -> Option<JsonNode<'a>>) -> Result<Focal, ImportError> {
+fn focal<'a>(
+    frame: &JsonNode<'a>,
+    find: &impl Fn(&str) -> Option<JsonNode<'a>>,
+) -> Result<Focal, ImportError> {
     let has = |key: &str| frame.get(key).is_some();
     let has_own_angle = has("camera_angle_x") && !has("fl_x") && !has("fl_y");
     let length = |key: &str| {

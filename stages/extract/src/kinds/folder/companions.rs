@@ -82,7 +82,13 @@ mod tests {
         ] {
             assert!(is_camera_file(path), "{path}");
         }
-        for path in ["metrics.json", "other/cameras.txt", "sol/0/images.bin", "sparse/1234/cameras.txt", "notes.txt"] {
+        for path in [
+            "metrics.json",
+            "other/cameras.txt",
+            "sol/0/images.bin",
+            "sparse/1234/cameras.txt",
+            "notes.txt",
+        ] {
             assert!(!is_camera_file(path), "{path}");
         }
     }
@@ -102,7 +108,13 @@ mod tests {
         ] {
             assert!(is_mask(mask, &exists), "{mask}");
         }
-        for photo in ["images/a.jpg", "unmasked/a.png", "images/c_mask.png", "images/c.jpg.png", "gas_mask.png"] {
+        for photo in [
+            "images/a.jpg",
+            "unmasked/a.png",
+            "images/c_mask.png",
+            "images/c.jpg.png",
+            "gas_mask.png",
+        ] {
             assert!(!is_mask(photo, &exists), "{photo}");
         }
     }

@@ -49,7 +49,9 @@ impl Names {
 
     /// Tells whether there is a file of this name; the names must be sorted.
     pub fn contains(&self, name: &str) -> bool {
-        self.spans.binary_search_by(|span| self.at(span).cmp(name)).is_ok()
+        self.spans
+            .binary_search_by(|span| self.at(span).cmp(name))
+            .is_ok()
     }
 
     fn at(&self, span: &Span) -> &str {
