@@ -22,6 +22,7 @@ use marf_scene::ply::read_points;
 use marf_stage::{COMPANIONS, Ctx, Inputs, StageError};
 use rayon::prelude::*;
 
+use cameras::refused;
 pub use cameras::{Cameras, ImportError, Role, View};
 pub use colmap::{Model, read_colmap_binary, read_colmap_text, read_tracks};
 pub use distortion::{Distortion, Rational};
@@ -181,12 +182,6 @@ pub(crate) fn has_cameras(ctx: &Ctx<'_>, inputs: &Inputs) -> Result<bool, StageE
         Some(_) => Ok(!candidates(&companions(ctx, inputs)?).is_empty()),
         None => Ok(false),
     }
-}
-
-/// Returns the error of a refused camera file.
-fn refused(error: ImportError) -> StageError {
-    StageError::new(error.to_string())
-        .hint("correct the file or write it again; no camera of it was used".to_owned())
 }
 
 /// Returns the files beside the photos.

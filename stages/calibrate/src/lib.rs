@@ -12,6 +12,7 @@ mod export;
 pub mod import;
 mod labels;
 mod mask_files;
+mod mask_names;
 mod masks;
 mod orientation;
 mod photos;

@@ -2,6 +2,7 @@
 
 use marf_scene::{Point, Pose};
 use marf_schema::calibrate::Missing;
+use marf_stage::StageError;
 
 use super::lens::Lens;
 
@@ -87,4 +88,10 @@ pub struct Cameras {
     pub points: Vec<Point>,
     /// Photos whose cameras cannot be used, with the reasons.
     pub rejected: Vec<Missing>,
+}
+
+/// Returns the error of a refused camera file.
+pub(super) fn refused(error: ImportError) -> StageError {
+    StageError::new(error.to_string())
+        .hint("correct the file or write it again; no camera of it was used".to_owned())
 }

@@ -5,9 +5,8 @@ use marf_scene::{Camera, Image, Photo, PhotoFacts, Srgb, encode_png};
 use marf_schema::calibrate::CalibrateParams;
 use marf_stage::{Ctx, Inputs, StageError};
 
-use super::cameras::{ImportError, Role, View};
+use super::cameras::{ImportError, Role, View, refused};
 use super::distortion::Distortion;
-use super::refused;
 use super::undistort::Undistorter;
 use crate::calibration::{HeldOut, PhotoStatistics, PlacedPhoto};
 use crate::mask_files::{blackened, stored_mask};

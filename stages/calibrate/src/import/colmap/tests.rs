@@ -93,7 +93,7 @@ fn the_text_form_is_read_to_the_last_number() {
     );
     // On the axis both points project to (50, 40): distances 0 and 0.5.
     assert_eq!(a.error_px, Some(0.25));
-    assert_eq!(a.lens.distortion, [0.1, -0.1, 0.001, 0.002]);
+    assert_eq!(a.lens.distortion, Distortion::Brown([0.1, -0.1, 0.001, 0.002]));
     assert_eq!(
         (b.file.as_str(), b.matches, b.error_px),
         ("sub/b c.png", Some(0), None)
