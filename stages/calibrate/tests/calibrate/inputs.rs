@@ -313,7 +313,7 @@ fn the_faulty_inputs_are_placed() {
         return;
     }
     for (folder, placed, masks, camera) in [
-        ("exif3-colmap", 8, 0, 320),
+        ("exif3-colmap", 8, 0, 240),
         ("exif6-colmap", 8, 0, 320),
         ("mip360-layout", 4, 0, 120),
         ("mask-path", 8, 8, 240),
