@@ -14,13 +14,14 @@ use crate::context::Context;
 use crate::error::{Diagnostic, Error};
 use crate::execute::{execute, options};
 use crate::export::cameras;
+use crate::folder::PhotoFolder;
 use crate::session::{Session, digest, node_named};
-use crate::{copies, files, folder, outputs};
+use crate::{copies, files, outputs};
 
 /// A folder whose cameras are wanted.
 #[derive(Debug, Clone)]
 pub struct CalibrateRequest {
-    /// The folder.
+    /// The folder, or a transforms.json.
     pub dir: PathBuf,
     /// transforms.json to write; models, metrics, points and photos that are resampled go next to it.
     pub out: PathBuf,
@@ -46,14 +47,9 @@ pub struct CalibrateResult {
 /// # Errors
 /// A folder that cannot be read or written, photos whose cameras are not found.
 pub fn calibrate(context: &Context, request: &CalibrateRequest) -> Result<CalibrateResult, Error> {
-    let photos_at = files::relative(folder_of(&request.out), &request.dir)?;
-    let text = folder::cameras(
-        "calibrate",
-        &request.dir,
-        &request.method,
-        &photos_at,
-        request.undistort,
-    );
+    let photos = PhotoFolder::new(&request.dir)?;
+    let photos_at = files::relative(folder_of(&request.out), &photos.photos)?;
+    let text = photos.cameras("calibrate", &request.method, &photos_at, request.undistort);
     let session = Session::implicit(context, &text, "calibrate", &request.dir).map_err(for_this_verb)?;
     let record = execute(&session, &options(&session))?
         .done()
@@ -90,7 +86,7 @@ fn write(store: &Store, record: &RunRecord, request: &CalibrateRequest) -> Resul
         written.extend((*name != cameras::TRANSFORMS).then_some(path));
     }
     outputs::one(store, record, &digest(node, Metrics::OUTPUT)?, &written[1])?;
-    for (name, digest) in &files.photos {
+    for (name, digest) in files.masks.iter().chain(&files.photos) {
         let path = request.out.with_file_name("").join(name);
         refuse_to_replace(&path, digest, &request.dir)?;
         outputs::one(store, record, digest, &path)?;

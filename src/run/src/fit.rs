@@ -17,13 +17,14 @@ use crate::context::Context;
 use crate::documents::{self, Documents};
 use crate::error::Error;
 use crate::execute::{Extras, execute_with, options};
+use crate::folder::PhotoFolder;
 use crate::session::{Session, node_named};
-use crate::{budget, folder, outputs};
+use crate::{budget, outputs};
 
 /// A folder to train on.
 #[derive(Debug, Clone)]
 pub struct FitRequest {
-    /// The folder.
+    /// The folder, or a transforms.json.
     pub dir: PathBuf,
     /// How long to train.
     pub time: FitTime,
@@ -115,10 +116,11 @@ pub fn fit(context: &Context, request: &FitRequest) -> Result<BTreeMap<String, F
         FitTime::Within(within) => std::slice::from_ref(within),
     };
     let times = times.iter().map(|text| budget::whole_seconds(text));
+    let photos = PhotoFolder::new(&request.dir)?;
     let (mut fitted, mut scores) = (BTreeMap::new(), BTreeMap::new());
     for seconds in times.collect::<Result<Vec<_>, _>>()? {
         let name = format!("{seconds}s");
-        let session = Session::implicit(context, &pipeline(request, seconds), "fit", &request.dir)?;
+        let session = Session::implicit(context, &pipeline(&photos, request, seconds), "fit", &request.dir)?;
         let extras = Extras {
             trace: None,
             documents: &|record| document(&session, record, &name, &fitted),
@@ -137,7 +139,7 @@ pub fn fit(context: &Context, request: &FitRequest) -> Result<BTreeMap<String, F
     Ok(scores)
 }
 
-fn pipeline(request: &FitRequest, seconds: u32) -> String {
+fn pipeline(photos: &PhotoFolder, request: &FitRequest, seconds: u32) -> String {
     let memory = request.memory.as_ref().map_or_else(String::new, |size| {
         format!("memory = {}\n", toml::Value::String(size.clone()))
     });
@@ -153,7 +155,7 @@ fn pipeline(request: &FitRequest, seconds: u32) -> String {
         .map_or_else(String::new, |psnr| format!("target_psnr = {psnr:?}\n"));
     format!(
         "{}{length} = \"{seconds}s\"\nseed = {}\nfit = \"{}\"\n{memory}{target}{folds}",
-        folder::training("fit", &request.dir),
+        photos.training("fit"),
         request.seed,
         request.fit
     )

@@ -15,6 +15,8 @@ pub(crate) struct PlacedPhoto {
     /// File name for people and exports: another extension if the photo was encoded anew.
     pub file: String,
     pub image: Digest,
+    /// Its mask before it is reduced, where the import names one or has made one.
+    pub mask: Option<Digest>,
     pub camera: Camera,
     pub cam_from_world: Pose,
     /// Whether the import holds it out, if it says so.

@@ -16,7 +16,8 @@ use rayon::prelude::*;
 use crate::calibration::{Calibration, PlacedPhoto, mean_up};
 use crate::import::{self, Model, read_colmap_binary};
 use crate::mask_files::mask_file;
-use crate::photos::{InputPhoto, decode};
+use crate::orientation::Orientation;
+use crate::photos::{InputPhoto, decode, size_px};
 use program::{Program, cannot_write};
 
 /// Up to this many photos every pair is matched; beyond, each with its neighbours by file name.
@@ -68,8 +69,9 @@ pub(crate) fn run(
     let placed = views
         .par_iter()
         .map(|(item, view)| {
-            let photo = import::sized_photo(ctx, FILES[1], view, &items[*item], params)?;
-            Ok(import::placed(*item, view, photo))
+            let upright_px = size_px(ctx, &items[*item])?;
+            let ready = import::as_it_is(FILES[1], view, &items[*item], upright_px)?;
+            import::placed(ctx, *item, view, &ready, params)
         })
         .collect::<Result<Vec<PlacedPhoto>, StageError>>()?;
     let found: BTreeSet<usize> = placed.iter().map(|one| one.item).collect();
@@ -127,11 +129,7 @@ fn write_inputs(
 /// Returns the photo's own bytes if COLMAP decodes them as we do: it reads JPEG and PNG, and ignores the orientation.
 fn upright(ctx: &Ctx<'_>, item: &InputPhoto) -> Result<(Vec<u8>, &'static str), StageError> {
     let bytes = ctx.get(&item.image)?;
-    let turned = item
-        .facts
-        .notes
-        .iter()
-        .any(|note| note.starts_with("turned upright"));
+    let turned = item.orientation() != Orientation::UPRIGHT;
     match bytes.get(..4) {
         Some([0xff, 0xd8, ..]) if !turned => Ok((bytes.to_vec(), "jpg")),
         Some(b"\x89PNG") if !turned => Ok((bytes.to_vec(), "png")),

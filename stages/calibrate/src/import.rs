@@ -4,37 +4,48 @@
 mod cameras;
 mod choose;
 mod colmap;
+mod distortion;
 mod json_node;
 mod lens;
+mod matching;
+mod paths;
 mod photo_names;
+mod pose_matrix;
+mod ready;
 mod transforms;
+mod undistort;
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use marf_cache::Digest;
-use marf_scene::{Camera, ply::read_points};
+use marf_scene::ply::read_points;
 use marf_stage::{COMPANIONS, Ctx, Inputs, StageError};
 use rayon::prelude::*;
 
+use cameras::refused;
 pub use cameras::{Cameras, ImportError, Role, View};
 pub use colmap::{Model, read_colmap_binary, read_colmap_text, read_tracks};
+pub use distortion::{Distortion, Rational};
 pub use lens::{Focal, Lens};
-pub use transforms::{Transforms, read_transforms};
+pub(crate) use ready::{as_it_is, placed};
+pub use transforms::{Transforms, names_in_transforms, read_transforms};
 
-use crate::calibration::{Calibration, HeldOut, PhotoStatistics, PlacedPhoto, mean_up};
+use crate::calibration::{Calibration, HeldOut, PlacedPhoto, mean_up};
 use crate::export::TrackPoint;
-use crate::photos::{InputPhoto, as_png, decode, reduced, reduction};
+use crate::photos::InputPhoto;
 use crate::sfm;
 use choose::{Source, candidates, choose};
 use marf_schema::calibrate::CalibrateParams;
 use marf_schema::calibrate::Missing;
-use photo_names::PhotoNames;
+use matching::{MatchedViews, match_views};
+use photo_names::composed;
+use ready::{ReadyPhoto, ready};
 use transforms::POINTS_KEY;
 
 /// Returns the cameras of the chosen file for the photos; the world is that of the file.
 ///
 /// Its unit is not known to be metres, so `metres_per_unit` stays empty; up is the mean of the cameras' up
-/// vectors unless they cancel.
+/// vectors unless they cancel. Cameras are for the pixels as they are stored, whatever a photo's EXIF orientation.
 pub(crate) fn run(
     ctx: &Ctx<'_>,
     inputs: &Inputs,
@@ -42,22 +53,34 @@ pub(crate) fn run(
     params: &CalibrateParams,
 ) -> Result<Calibration, StageError> {
     let files = companions(ctx, inputs)?;
-    let source = choose(&files, params.file.as_deref())?;
+    let chosen = choose(&files, params.file.as_deref())?;
+    let (source, name) = (chosen.source, chosen.source_name);
     let cameras = read(ctx, &files, &source)?;
-    let matched = match_views(&source, &cameras.views, items).map_err(refused)?;
-    let done = matched.pairs.par_iter().map(|(item, view)| {
+    let mut matched = match_views(&name, &cameras.views, items);
+    matched.missing.extend(cameras.rejected);
+    let masks = named_masks(&files, items, &mut matched);
+    let done = matched.pairs.par_iter().map(|(index, view)| {
         ctx.check()?;
-        let photo = sized_photo(ctx, &source.name(), view, &items[*item], params)?;
-        Ok(placed(*item, view, photo))
+        let item = InputPhoto {
+            mask: masks.get(index).copied(),
+            ..items[*index].clone()
+        };
+        let photo = ready(ctx, inputs, &name, view, &item)?;
+        let placed = placed(ctx, *index, view, &photo, params)?;
+        Ok(ImportedPhoto { ready: photo, placed })
     });
-    let mut placed = done.collect::<Result<Vec<PlacedPhoto>, StageError>>()?;
+    let mut imported = done.collect::<Result<Vec<ImportedPhoto>, StageError>>()?;
     let (mut points, mut tracks) = (cameras.points, Vec::new());
-    let mut method = format!("import of {}", source.name());
+    let mut method = format!("import of {name}");
+    for choice in [chosen.choice, matched.choice].into_iter().flatten() {
+        method += &format!("; {choice}");
+    }
     if points.is_empty() && params.find_points {
-        tracks = find_points(ctx, inputs, items, &mut placed, params)?;
+        tracks = find_points(ctx, inputs, &mut imported, params)?;
         points = tracks.iter().map(sfm::sparse).collect();
         method += &format!(", {} points found in the photos", points.len());
     }
+    let placed: Vec<PlacedPhoto> = imported.into_iter().map(|one| one.placed).collect();
     Ok(Calibration {
         up: mean_up(&placed),
         placed,
@@ -71,11 +94,60 @@ pub(crate) fn run(
         components: None,
         statistics: Vec::new(),
         cause: None,
-        hint: format!(
-            "check that the names in {} are those of the photos beside it",
-            source.name()
-        ),
+        hint: format!("check that the names in {name} are those of the photos beside it"),
     })
+}
+
+/// A photo with its camera, before and after it is reduced.
+struct ImportedPhoto {
+    ready: ReadyPhoto,
+    placed: PlacedPhoto,
+}
+
+/// Returns the masks that the file names, by photo; one that is not there is added to what is missing.
+fn named_masks(
+    files: &BTreeMap<String, Digest>,
+    items: &[InputPhoto],
+    matched: &mut MatchedViews<'_>,
+) -> BTreeMap<usize, Digest> {
+    let mut masks = BTreeMap::new();
+    for (index, view) in &matched.pairs {
+        let Some(name) = &view.mask else {
+            continue;
+        };
+        let Some(mask) = named_file(files, items, name) else {
+            matched.missing.push(Missing {
+                file: name.clone(),
+                reason: format!(
+                    "the mask of {} is not among the files beside the photos",
+                    view.file
+                ),
+            });
+            continue;
+        };
+        masks.insert(*index, mask);
+    }
+    masks
+}
+
+/// Returns the file of this name, or the only one whose path is the tail of it; a mask may have been taken for a photo.
+fn named_file(files: &BTreeMap<String, Digest>, items: &[InputPhoto], name: &str) -> Option<Digest> {
+    let wanted = composed(name);
+    let fits = |file: &str| {
+        let file = composed(file);
+        file == wanted || (name.starts_with('/') && wanted.ends_with(&format!("/{file}")))
+    };
+    let named = files
+        .iter()
+        .filter(|(file, _)| fits(file))
+        .map(|(_, digest)| *digest);
+    let photos = items
+        .iter()
+        .filter(|item| fits(&item.facts.file))
+        .map(|item| item.image);
+    let mut found = named.chain(photos);
+    let first = found.next()?;
+    found.all(|other| other == first).then_some(first)
 }
 
 /// Returns the points that the photos to train on show, and tells of each of these how far points lie from where it shows them.
@@ -84,23 +156,22 @@ pub(crate) fn run(
 fn find_points(
     ctx: &Ctx<'_>,
     inputs: &Inputs,
-    items: &[InputPhoto],
-    placed: &mut [PlacedPhoto],
+    imported: &mut [ImportedPhoto],
     params: &CalibrateParams,
 ) -> Result<Vec<TrackPoint>, StageError> {
-    let mut open: Vec<&mut PlacedPhoto> = placed
+    let mut open: Vec<&mut ImportedPhoto> = imported
         .iter_mut()
-        .filter(|one| one.held_out != Some(HeldOut::Yes))
+        .filter(|one| one.placed.held_out != Some(HeldOut::Yes))
         .collect();
-    let photos: Vec<InputPhoto> = open.iter().map(|one| items[one.item].clone()).collect();
-    let cameras: Vec<&PlacedPhoto> = open.iter().map(|one| &**one).collect();
+    let photos: Vec<InputPhoto> = open.iter().map(|one| one.ready.item.clone()).collect();
+    let cameras: Vec<&PlacedPhoto> = open.iter().map(|one| &one.placed).collect();
     let found = sfm::points_of_known(ctx, inputs, &photos, &cameras, params)?;
     let mut tracks = found.tracks;
     for observation in tracks.iter_mut().flat_map(|track| &mut track.observations) {
-        observation.frame = open[observation.frame as usize].item as u32;
+        observation.frame = open[observation.frame as usize].placed.item as u32;
     }
     for (one, statistics) in open.iter_mut().zip(found.statistics) {
-        one.statistics = statistics;
+        one.placed.statistics = statistics;
     }
     Ok(tracks)
 }
@@ -111,12 +182,6 @@ pub(crate) fn has_cameras(ctx: &Ctx<'_>, inputs: &Inputs) -> Result<bool, StageE
         Some(_) => Ok(!candidates(&companions(ctx, inputs)?).is_empty()),
         None => Ok(false),
     }
-}
-
-/// Returns the error of a refused camera file.
-fn refused(error: ImportError) -> StageError {
-    StageError::new(error.to_string())
-        .hint("correct the file or write it anew; no camera of it was used".to_owned())
 }
 
 /// Returns the files beside the photos.
@@ -146,6 +211,7 @@ fn read(ctx: &Ctx<'_>, files: &BTreeMap<String, Digest>, source: &Source) -> Res
             let mut clouds = BTreeSet::new();
             for (name, role) in names {
                 let read = read_transforms(name, &get(name)?).map_err(refused)?;
+                cameras.rejected.extend(read.rejected);
                 cameras.views.extend(read.views.into_iter().map(|view| View {
                     role: if view.role == Role::Open { *role } else { view.role },
                     ..view
@@ -153,7 +219,8 @@ fn read(ctx: &Ctx<'_>, files: &BTreeMap<String, Digest>, source: &Source) -> Res
                 // The parts of a split set may name the same points.
                 let cloud = read.points.filter(|cloud| clouds.insert(cloud.clone()));
                 if let Some(cloud) = cloud {
-                    let bytes = optional(&cloud)?.ok_or_else(|| no_points(name, &cloud))?;
+                    let digest = named_file(files, &[], &cloud).ok_or_else(|| no_points(name, &cloud))?;
+                    let bytes = ctx.get(&digest)?;
                     let points = read_points(&bytes)
                         .map_err(|error| ImportError::new(&cloud, error.place, error.problem))
                         .map_err(refused)?;
@@ -189,124 +256,4 @@ fn no_points(file: &str, points: &str) -> StageError {
     StageError::new(error.to_string()).hint(format!(
         "put the points there, or take `{POINTS_KEY}` out of {file} to go without them"
     ))
-}
-
-/// Photos with their views, and what has no partner.
-struct MatchedViews<'a> {
-    pairs: Vec<(usize, &'a View)>,
-    unplaced: Vec<(usize, String)>,
-    missing: Vec<Missing>,
-}
-
-/// Finds the photo of each view.
-fn match_views<'a>(
-    source: &Source,
-    views: &'a [View],
-    items: &[InputPhoto],
-) -> Result<MatchedViews<'a>, ImportError> {
-    let photos = PhotoNames::new(items);
-    let mut taken: BTreeMap<usize, &View> = BTreeMap::new();
-    let mut missing = Vec::new();
-    for view in views {
-        let Some(item) = photos.find(&view.file) else {
-            let reason = "not among the photos: filtered out, or not in the archive".to_owned();
-            missing.push(Missing {
-                file: view.file.clone(),
-                reason,
-            });
-            continue;
-        };
-        if let Some(first) = taken.insert(item, view) {
-            let problem = format!(
-                "the photo `{}` has a camera at {} already",
-                items[item].id, first.place
-            );
-            return Err(ImportError::new(&source.name(), &view.place, problem));
-        }
-    }
-    missing.sort_by(|a, b| a.file.cmp(&b.file));
-    let reason = |index: &usize| match taken.get(index) {
-        None => Some(format!("{} has no camera for it", source.name())),
-        Some(view) if view.role == Role::Unlisted => Some(format!(
-            "{} lists it neither for training nor for measuring",
-            source.name()
-        )),
-        Some(_) => None,
-    };
-    let unplaced: Vec<_> = (0..items.len())
-        .filter_map(|index| Some((index, reason(&index)?)))
-        .collect();
-    let pairs = taken
-        .into_iter()
-        .filter(|(_, view)| view.role != Role::Unlisted)
-        .collect();
-    Ok(MatchedViews {
-        pairs,
-        unplaced,
-        missing,
-    })
-}
-
-/// A photo at the size that the field is trained on, with its camera.
-pub(crate) struct SizedPhoto {
-    image: Digest,
-    file: String,
-    camera: Camera,
-}
-
-/// Returns a photo with the camera of its view; `file` is named in errors.
-pub(crate) fn sized_photo(
-    ctx: &Ctx<'_>,
-    file: &str,
-    view: &View,
-    item: &InputPhoto,
-    params: &CalibrateParams,
-) -> Result<SizedPhoto, StageError> {
-    let (width, height) = match (item.facts.width, item.facts.height) {
-        (0, _) | (_, 0) => {
-            let photo = decode(ctx, item)?.image;
-            (photo.width, photo.height)
-        }
-        size => size,
-    };
-    let camera = view.lens.camera(width, height).map_err(|problem| {
-        let problem = format!("photo `{}`: {problem}", item.id);
-        refused(ImportError::new(file, &view.place, problem))
-    })?;
-    let factor = reduction(camera.width, camera.height, params.longest_side_px);
-    if factor == 1 {
-        return Ok(SizedPhoto {
-            image: item.image,
-            file: item.facts.file.clone(),
-            camera,
-        });
-    }
-    let size_px = [camera.width, camera.height];
-    Ok(SizedPhoto {
-        image: reduced(ctx, &item.id, &item.image, size_px, factor)?,
-        file: as_png(&item.facts.file),
-        camera: camera.box_reduced(factor),
-    })
-}
-
-/// Returns a photo of the input set where its view has it.
-pub(crate) fn placed(item: usize, view: &View, photo: SizedPhoto) -> PlacedPhoto {
-    PlacedPhoto {
-        item,
-        file: photo.file,
-        image: photo.image,
-        camera: photo.camera,
-        cam_from_world: view.cam_from_world,
-        held_out: match view.role {
-            Role::Open => None,
-            Role::HeldOut => Some(HeldOut::Yes),
-            Role::Train | Role::Unlisted => Some(HeldOut::No),
-        },
-        statistics: PhotoStatistics {
-            matches: view.matches,
-            inliers: view.inliers,
-            error_px: view.error_px,
-            ..PhotoStatistics::default()
-        },
-    }
 }

@@ -356,6 +356,7 @@ fn place(item: usize, made: PinholePhoto) -> PlacedPhoto {
         item,
         file: made.file,
         image: made.image,
+        mask: None,
         camera: made.camera,
         cam_from_world: made.cam_from_site,
         held_out: None,

@@ -3,26 +3,30 @@
 use std::collections::BTreeMap;
 
 use marf_cache::Digest;
-use marf_scene::{Image, Photo, PhotoFacts, Srgb, encode_png};
+use marf_scene::{Image, Photo, Srgb, encode_png};
 use marf_schema::calibrate::{CalibrateParams, Method};
 use marf_stage::{COMPANIONS, Ctx, Inputs, StageError};
 use rayon::prelude::*;
 
 use crate::calibration::PlacedPhoto;
 use crate::labels::{Candidate, ideal_mask, of_one_site};
-use crate::photos::{InputPhoto, reduction, without_extension};
+use crate::mask_names::{camera_names, own_names};
+use crate::photos::{InputPhoto, reduction};
 
 /// What a mask leaves of a photo, and what it hides.
 pub(crate) const OPEN: [u8; 3] = [255; 3];
 pub(crate) const HIDDEN: [u8; 3] = [0; 3];
 
-/// Returns the mask of a photo, in its pixel grid: black is ignored. `None` if there is none, or `cameras` is not
+/// Returns the mask of a photo, in the pixel grid of the upright photo: black is ignored. `None` if there is none, or `cameras` is not
 /// connected.
 ///
-/// A photo's own mask is `masks/<name>.png`, with or without the extension of its name, in any folder above the
-/// photo; a folder `images` between them may be left out, and so may all. `masks/<instrument>-<width>x<height>.png`, or
+/// A photo's own mask is the one that the import names, else `masks/<name>.png`, with or without the extension of its name, in any folder
+/// above the photo; a folder `images` between them may be left out, and so may all. The folder may be `mask`, the file a JPEG, the name
+/// end in `_mask`; beside the photo `<name>.jpg.png` and `<name>_mask.png` are masks, too. `masks/<instrument>-<width>x<height>.png`, or
 /// `masks/<instrument>.png`, is for all photos of that instrument that have its size and no mask of their own, and
 /// `masks/<width>x<height>.png` for photos of no known instrument.
+///
+/// A mask in the size of the stored pixels of a photo with an EXIF orientation is turned with it.
 ///
 /// # Errors
 /// A mask that cannot be decoded, or of a photo's own that has another size.
@@ -31,29 +35,99 @@ pub(crate) fn mask_file(
     inputs: &Inputs,
     item: &InputPhoto,
 ) -> Result<Option<Image<Srgb>>, StageError> {
-    let Some(digest) = inputs.optional(COMPANIONS) else {
+    let Some(found) = FoundMask::read(ctx, inputs, item)? else {
         return Ok(None);
     };
-    let files: BTreeMap<String, Digest> = serde_json::from_slice(&ctx.get(digest)?)
-        .map_err(|error| StageError::new(format!("the list of files beside the photos: {error}")))?;
-    let (width, height) = (item.facts.width, item.facts.height);
-    let find = |names: Vec<String>| names.into_iter().find_map(|name| files.get_key_value(&name));
-    if let Some((name, digest)) = find(own_names(&item.facts.file)) {
+    let (upright, stored) = ((item.facts.width, item.facts.height), item.stored_size_px());
+    if found.size_px() != upright && found.size_px() == stored {
+        return Ok(Some(item.orientation().upright(&found.mask)));
+    }
+    found.of_size(upright, item)
+}
+
+/// Returns the mask of a photo, in the pixel grid in which the photo is stored; one in the size of the upright photo is turned.
+///
+/// # Errors
+/// As [`mask_file`].
+pub(crate) fn stored_mask(
+    ctx: &Ctx<'_>,
+    inputs: &Inputs,
+    item: &InputPhoto,
+) -> Result<Option<Image<Srgb>>, StageError> {
+    let Some(found) = FoundMask::read(ctx, inputs, item)? else {
+        return Ok(None);
+    };
+    let (upright, stored) = ((item.facts.width, item.facts.height), item.stored_size_px());
+    if found.size_px() != stored && found.size_px() == upright {
+        return Ok(Some(item.orientation().stored(&found.mask)));
+    }
+    found.of_size(stored, item)
+}
+
+/// A mask as its file has it.
+struct FoundMask {
+    name: String,
+    mask: Image<Srgb>,
+    /// Whether it is for one photo; else it is for all of a camera that have its size.
+    is_own: bool,
+}
+
+impl FoundMask {
+    /// Reads the mask that the import names, the photo's own, or that of its camera.
+    fn read(ctx: &Ctx<'_>, inputs: &Inputs, item: &InputPhoto) -> Result<Option<Self>, StageError> {
+        if let Some(digest) = &item.mask {
+            let name = "mask_path".to_owned();
+            let mask = decode(ctx, &name, digest)?;
+            return Ok(Some(Self {
+                name,
+                mask,
+                is_own: true,
+            }));
+        }
+        let Some(digest) = inputs.optional(COMPANIONS) else {
+            return Ok(None);
+        };
+        let files: BTreeMap<String, Digest> = serde_json::from_slice(&ctx.get(digest)?)
+            .map_err(|error| StageError::new(format!("the list of files beside the photos: {error}")))?;
+        let find = |names: Vec<String>| names.into_iter().find_map(|name| files.get_key_value(&name));
+        let own = find(own_names(&item.facts.file));
+        let Some((name, digest)) = own.or_else(|| find(camera_names(item))) else {
+            return Ok(None);
+        };
         let mask = decode(ctx, name, digest)?;
-        if (mask.width, mask.height) != (width, height) {
+        Ok(Some(Self {
+            name: name.clone(),
+            mask,
+            is_own: own.is_some(),
+        }))
+    }
+
+    fn size_px(&self) -> (u32, u32) {
+        (self.mask.width, self.mask.height)
+    }
+
+    /// Returns the mask if it has this size; none of another size if it is not the photo's own.
+    fn of_size(self, size_px: (u32, u32), item: &InputPhoto) -> Result<Option<Image<Srgb>>, StageError> {
+        if self.is_own && self.size_px() != size_px {
             let error = StageError::new(format!(
-                "`{name}` has {} x {} pixels, its photo `{}` {width} x {height}",
-                mask.width, mask.height, item.id
+                "`{}` has {} x {} pixels, its photo `{}` {} x {}",
+                self.name, self.mask.width, self.mask.height, item.id, size_px.0, size_px.1
             ));
             return Err(error.hint("write the mask in the size of its photo, or remove it"));
         }
-        return Ok(Some(mask));
+        Ok(Some(self.mask).filter(|mask| (mask.width, mask.height) == size_px))
     }
-    let Some((name, digest)) = find(camera_names(item)) else {
-        return Ok(None);
-    };
-    let mask = decode(ctx, name, digest)?;
-    Ok(Some(mask).filter(|mask| (mask.width, mask.height) == (width, height)))
+}
+
+/// Makes black what is not white: pixels at the rim of a mask that was resampled.
+pub(crate) fn blackened(mask: &mut Image<Srgb>) {
+    only_white(mask, |pixel| pixel == OPEN);
+}
+
+fn only_white(mask: &mut Image<Srgb>, is_open: impl Fn([u8; 3]) -> bool) {
+    for pixel in &mut mask.pixels {
+        *pixel = if is_open(*pixel) { OPEN } else { HIDDEN };
+    }
 }
 
 /// Returns the mask of a photo in the pixel grid that structure from motion and the field see: black is hidden, white is open, and
@@ -67,15 +141,10 @@ pub(crate) fn undistorted_mask(
     let Some(mut mask) = mask_file(ctx, inputs, item)? else {
         return Ok(None);
     };
-    let only_white = |mask: &mut Image<Srgb>, is_open: fn([u8; 3]) -> bool| {
-        for pixel in &mut mask.pixels {
-            *pixel = if is_open(*pixel) { OPEN } else { HIDDEN };
-        }
-    };
     only_white(&mut mask, |pixel| pixel != HIDDEN);
     if let Some(candidate) = candidate {
         mask = ideal_mask(ctx, mask, item, candidate)?;
-        only_white(&mut mask, |pixel| pixel == OPEN);
+        blackened(&mut mask);
     }
     Ok(Some(mask))
 }
@@ -98,7 +167,11 @@ pub(crate) fn field_masks(
     };
     let mask = |one: &PlacedPhoto| -> Result<Option<(usize, Digest)>, StageError> {
         let item = &items[one.item];
-        let Some(mask) = undistorted_mask(ctx, inputs, item, candidates[one.item].as_ref())? else {
+        let mask = match &one.mask {
+            Some(digest) => Some(black_or_white(ctx, digest)?),
+            None => undistorted_mask(ctx, inputs, item, candidates[one.item].as_ref())?,
+        };
+        let Some(mask) = mask else {
             return Ok(None);
         };
         let factor = reduction(mask.width, mask.height, params.longest_side_px);
@@ -119,6 +192,13 @@ pub(crate) fn field_masks(
     Ok(all?.into_iter().flatten().collect())
 }
 
+/// Returns the mask that an import names or has made.
+fn black_or_white(ctx: &Ctx<'_>, digest: &Digest) -> Result<Image<Srgb>, StageError> {
+    let mut mask = decode(ctx, "mask_path", digest)?;
+    only_white(&mut mask, |pixel| pixel != HIDDEN);
+    Ok(mask)
+}
+
 /// Returns a mask at 1 / `factor` of its size, hidden where any pixel of a block is.
 pub(crate) fn shrunk(mask: &Image<Srgb>, factor: u32) -> Image<Srgb> {
     Image::from_fn(mask.width / factor, mask.height / factor, |column, row| {
@@ -130,57 +210,18 @@ pub(crate) fn shrunk(mask: &Image<Srgb>, factor: u32) -> Image<Srgb> {
     })
 }
 
-/// Decodes a mask.
+/// Decodes a mask. In a JPEG black is not exactly 0: there the darker half is.
 fn decode(ctx: &Ctx<'_>, name: &str, digest: &Digest) -> Result<Image<Srgb>, StageError> {
-    let photo = Photo::decode(&ctx.get(digest)?);
+    let bytes = ctx.get(digest)?;
+    let photo = Photo::decode(&bytes);
     let photo = photo.map_err(|error| {
         StageError::new(format!("the mask `{name}`: {error}")).hint("write it as PNG, or remove it")
     })?;
-    Ok(photo.image)
-}
-
-/// Returns every folder above the file with its slash, the nearest first, the top ("") last.
-fn above(file: &str) -> impl Iterator<Item = &str> {
-    let slashes = file.rmatch_indices('/').map(|(at, _)| &file[..=at]);
-    slashes.chain([""])
-}
-
-/// Returns the names that a photo's own mask may have.
-fn own_names(file: &str) -> Vec<String> {
-    let base = file.rsplit('/').next().unwrap_or(file);
-    let mut names = Vec::new();
-    for folder in above(file) {
-        let rest = &file[folder.len()..];
-        for tail in [rest, rest.strip_prefix("images/").unwrap_or(rest), base] {
-            names.push(format!("{folder}masks/{tail}.png"));
-            names.push(format!("{folder}masks/{}.png", without_extension(tail)));
-        }
+    let mut mask = photo.image;
+    if bytes.starts_with(b"\xff\xd8") {
+        only_white(&mut mask, |pixel| pixel.into_iter().any(|channel| channel >= 128));
     }
-    names
-}
-
-/// Returns the names that a mask for all photos of a camera may have.
-fn camera_names(item: &InputPhoto) -> Vec<String> {
-    let instrument = item.facts.instrument.as_deref();
-    let names: Vec<String> = [Some(camera_name(&item.facts)), instrument.map(str::to_owned)]
-        .into_iter()
-        .flatten()
-        .collect();
-    let beside = above(&item.facts.file);
-    beside
-        .flat_map(|folder| names.iter().map(move |name| format!("{folder}masks/{name}.png")))
-        .collect()
-}
-
-/// Returns the name of the camera of a photo: `<instrument>-<width>x<height>`, or the size alone; other characters than letters,
-/// digits, `-` and `_` become `_`.
-pub(crate) fn camera_name(facts: &PhotoFacts) -> String {
-    let size = format!("{}x{}", facts.width, facts.height);
-    let plain = |letter: char| letter.is_ascii_alphanumeric() || letter == '-';
-    match &facts.instrument {
-        Some(instrument) => format!("{}-{size}", instrument.replace(|letter| !plain(letter), "_")),
-        None => size,
-    }
+    Ok(mask)
 }
 
 #[cfg(test)]
@@ -197,6 +238,8 @@ mod tests {
             id: file.to_owned(),
             image: Digest::from_content(b"image"),
             labelled: false,
+            developed: false,
+            mask: None,
             facts: PhotoFacts {
                 file: file.to_owned(),
                 width: 4,
@@ -296,6 +339,7 @@ mod tests {
             item: 0,
             file: String::new(),
             image: Digest::from_content(b"image"),
+            mask: None,
             camera,
             cam_from_world: Pose::identity(),
             held_out: None,
@@ -330,6 +374,12 @@ mod tests {
             ("sol7/images/a.jpg", "sol7/masks/a.png"),
             ("sol7/images/a.jpg", "masks/a.jpg.png"),
             ("any/ZL.jpg", "masks/NAVCAM_LEFT.png"),
+            ("images/a.jpg", "masks/a.jpg"),
+            ("images/a.jpg", "mask/a.png"),
+            ("images/a.jpg", "masks/a_mask.png"),
+            ("images/a.jpg", "images/a_mask.png"),
+            ("images/a.jpg", "images/a.jpg.png"),
+            ("images_2/a.jpg", "masks_2/a.png"),
         ] {
             let harness = Harness::default();
             let inputs = beside(&harness, &[(mask, 4, GREY), ("masks/other.png", 4, [0; 3])]);

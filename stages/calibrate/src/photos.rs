@@ -4,13 +4,46 @@ use marf_cache::{Digest, digest_of, manifest::Row};
 use marf_scene::{Photo, PhotoFacts, encode_png};
 use marf_stage::{Ctx, Inputs, PHOTOS, StageError, rows_of};
 
+use crate::orientation::Orientation;
+
 /// A photo of the input set.
 #[derive(Clone)]
 pub(crate) struct InputPhoto {
     pub id: String,
     pub image: Digest,
     pub labelled: bool,
+    /// Whether the image was made of the file: developed from raw numbers or from a mosaic.
+    pub developed: bool,
+    /// Its mask in the grid of the image, where the import names one or has made one.
+    pub mask: Option<Digest>,
     pub facts: PhotoFacts,
+}
+
+impl InputPhoto {
+    /// Returns a photo that is its file, without label.
+    pub fn new(id: String, image: Digest, facts: PhotoFacts) -> Self {
+        Self {
+            id,
+            image,
+            labelled: false,
+            developed: false,
+            mask: None,
+            facts,
+        }
+    }
+
+    /// Returns how the file's pixels are turned to be upright.
+    pub fn orientation(&self) -> Orientation {
+        Orientation::from_notes(&self.facts.notes)
+    }
+
+    /// Returns width and height of the pixels as the file has them, whatever its EXIF orientation.
+    pub fn stored_size_px(&self) -> (u32, u32) {
+        let [width, height] = self
+            .orientation()
+            .other_size([self.facts.width, self.facts.height]);
+        (width, height)
+    }
 }
 
 /// Returns the photos of the input set, in order of shard and id.
@@ -41,10 +74,9 @@ pub(crate) fn item(row: Row) -> Result<InputPhoto, StageError> {
         .get("image")
         .ok_or_else(|| StageError::new(format!("photo `{}` has no image", row.id)))?;
     Ok(InputPhoto {
-        image: *image,
         labelled: row.blobs.contains_key("label"),
-        facts,
-        id: row.id,
+        developed: row.blobs.contains_key("raw"),
+        ..InputPhoto::new(row.id, *image, facts)
     })
 }
 
@@ -52,6 +84,17 @@ pub(crate) fn item(row: Row) -> Result<InputPhoto, StageError> {
 pub(crate) fn decode(ctx: &Ctx<'_>, item: &InputPhoto) -> Result<Photo, StageError> {
     let bytes = ctx.get(&item.image)?;
     Photo::decode_validated(&bytes).map_err(|error| StageError::new(format!("photo `{}`: {error}", item.id)))
+}
+
+/// Returns the size of a photo upright, from its facts or, where these do not tell, from its pixels.
+pub(crate) fn size_px(ctx: &Ctx<'_>, item: &InputPhoto) -> Result<[u32; 2], StageError> {
+    match [item.facts.width, item.facts.height] {
+        [0, _] | [_, 0] => {
+            let photo = decode(ctx, item)?.image;
+            Ok([photo.width, photo.height])
+        }
+        size => Ok(size),
+    }
 }
 
 /// Returns the integer factor that reduces the longer side to at most `longest_side_px`.

@@ -11,7 +11,8 @@ use marf_stage::{COMPANIONS, Ctx, Document, Inputs, Outputs, PHOTOS, Port, Set, 
 use crate::calibration::{Calibration, HeldOut, PlacedPhoto};
 use crate::export::{TrackPoint, Tracks, beside, write_colmap, write_ply, write_transforms};
 use crate::mask_files::field_masks;
-use crate::photos::{InputPhoto, load};
+use crate::orientation::Orientation;
+use crate::photos::{InputPhoto, as_png, load, reduced, size_px};
 use crate::{colmap, import, labels, sfm};
 
 /// Returns the camera of each photo, as a scene.
@@ -23,8 +24,8 @@ use crate::{colmap, import, labels, sfm};
 ///   in photos and pairs is kept. `labels` decodes, resamples and encodes each photo once, at most 0.4 s a
 ///   megapixel and core for CAHVOR, 0.6 s for CAHVORE; `import` reads no photo unless points are sought in them or `longest_side_px` asks for
 ///   smaller ones; `colmap` as long as COLMAP takes.
-/// - Bad input: a photo that cannot be placed is listed with the reason; a camera file that is wrong anywhere
-///   is refused whole, with the field; too few photos placed stop the node.
+/// - Bad input: a photo that cannot be placed, or whose camera in a file cannot be used, is listed with the reason; a camera file that
+///   cannot be read is refused, with the field; too few photos placed stop the node.
 pub struct Calibrate(CalibrateParams);
 
 stage! {
@@ -32,7 +33,7 @@ stage! {
     Set,
     Threads::All,
     about: "photos to a calibrated scene: from what they show, from labels, or from imported cameras",
-    version: 10,
+    version: 11,
     ports: [
         Port::required("input", PHOTOS),
         Port::optional("cameras", COMPANIONS),
@@ -77,6 +78,9 @@ impl Set for Calibrate {
         );
         check_training(&found.placed)?;
         let metrics = metrics(&found, &items);
+        for one in &mut found.placed {
+            store_as_placed(ctx, one, &items[one.item])?;
+        }
         let tracks = std::mem::take(&mut found.tracks);
         let masks = field_masks(ctx, inputs, &items, &found.placed, params)?;
         let scene = scene(found, &items, &masks);
@@ -94,7 +98,10 @@ impl Set for Calibrate {
         let outputs = [
             (SCENE, bytes),
             (Metrics::OUTPUT, metrics),
-            (TRANSFORMS, write_transforms(&scene, &beside).into_bytes()),
+            (
+                TRANSFORMS,
+                write_transforms(&scene, &beside, &|_| None).into_bytes(),
+            ),
             (POINTS, write_ply(&tracks)),
         ];
         let outputs = outputs.map(|(name, bytes)| (name.to_owned(), bytes));
@@ -117,6 +124,22 @@ impl Calibrate {
             ..self.0.clone()
         })
     }
+}
+
+/// Makes the image of a photo one whose pixels every program opens as the camera has them: a photo with an EXIF orientation is stored
+/// upright as PNG, and one that was developed is named as the PNG that it is.
+fn store_as_placed(ctx: &Ctx<'_>, one: &mut PlacedPhoto, item: &InputPhoto) -> Result<(), StageError> {
+    if one.image != item.image {
+        return Ok(());
+    }
+    if item.orientation() != Orientation::UPRIGHT {
+        let size_px = size_px(ctx, item)?;
+        one.image = reduced(ctx, &item.id, &item.image, size_px, 1)?;
+        one.file = as_png(&one.file);
+    } else if item.developed {
+        one.file = as_png(&one.file);
+    }
+    Ok(())
 }
 
 /// Refuses a scene of too few photos, with the most common reason.

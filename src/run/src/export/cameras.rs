@@ -6,7 +6,7 @@ use marf_cache::Digest;
 use marf_engine::{NodeRun, Purpose};
 use marf_scene::Scene;
 use marf_schema::cameras::CamerasParams;
-use marf_schema::output::{CAMERAS, POINTS, SCENE, SPARSE};
+use marf_schema::output::{CAMERAS, MASKS, POINTS, SCENE, SPARSE};
 use marf_stage::Params;
 use serde::Serialize;
 use serde_json::json;
@@ -49,7 +49,7 @@ pub struct CamerasResult {
     pub metres_per_unit: Option<f64>,
 }
 
-/// Writes transforms.json, its points, COLMAP's model and the photos that they name, each where transforms.json says it is.
+/// Writes transforms.json, its points, COLMAP's model, and the photos and masks that they name, each where transforms.json says it is.
 ///
 /// # Errors
 /// A run without the node, a place that cannot be written.
@@ -70,15 +70,14 @@ pub fn export(context: &Context, request: &CamerasRequest) -> Result<CamerasResu
         std::slice::from_ref(&added),
     )?;
     let all = CameraFiles::from_node(node_named(&record, &added.name)?);
-    for (file, digest) in all.models.iter().chain(&all.photos) {
+    for (file, digest) in all.every() {
         session.check()?;
         outputs::one(&session.store, &record, digest, &request.out.join(file))?;
     }
-    let files = all.models.iter().chain(&all.photos);
     Ok(CamerasResult {
         run: record.number,
         folder: request.out.clone(),
-        files: files.map(|(file, _)| (*file).to_owned()).collect(),
+        files: all.every().map(|(file, _)| (*file).to_owned()).collect(),
         photos: all.photos.len(),
         metres_per_unit: scene.metres_per_unit,
     })
@@ -89,6 +88,8 @@ pub fn export(context: &Context, request: &CamerasRequest) -> Result<CamerasResu
 pub struct CameraFiles<'r> {
     /// The files that name photos, cameras and points.
     pub models: Vec<(&'r str, Digest)>,
+    /// The masks of photos.
+    pub masks: Vec<(&'r str, Digest)>,
     /// The photos.
     pub photos: Vec<(&'r str, Digest)>,
 }
@@ -100,8 +101,20 @@ impl<'r> CameraFiles<'r> {
             .outputs
             .iter()
             .filter_map(|(name, output)| Some((name.strip_prefix(CAMERAS)?, output.digest)));
-        let (models, photos) = files.partition(|(name, _)| is_model(name));
-        Self { models, photos }
+        let (models, pictures): (Vec<_>, Vec<_>) = files.partition(|(name, _)| is_model(name));
+        let (masks, photos) = pictures
+            .into_iter()
+            .partition(|(name, _)| name.starts_with(MASKS));
+        Self {
+            models,
+            masks,
+            photos,
+        }
+    }
+
+    /// Returns all files, models first.
+    fn every(&self) -> impl Iterator<Item = &(&'r str, Digest)> {
+        self.models.iter().chain(&self.masks).chain(&self.photos)
     }
 }
 

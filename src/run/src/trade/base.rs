@@ -13,8 +13,9 @@ use serde_json::Value;
 use super::truth::Truth;
 use crate::context::Context;
 use crate::error::{Diagnostic, Error};
+use crate::folder::PhotoFolder;
+use crate::scenes;
 use crate::session::Session;
-use crate::{folder, scenes};
 
 /// What all points share: the pipeline as it is.
 pub struct Base {
@@ -98,7 +99,7 @@ fn open(context: &Context, dir: Option<&Path>, sets: &[String]) -> Result<Sessio
         ..context.clone()
     };
     let mut session = match dir {
-        Some(dir) => Session::implicit(&context, &folder::training("trade", dir), "trade", dir)?,
+        Some(dir) => Session::implicit(&context, &PhotoFolder::new(dir)?.training("trade"), "trade", dir)?,
         None => Session::open(&context)?,
     };
     session.source = session.derived_source(Purpose::Trade)?;

@@ -4,10 +4,10 @@ mod undistort;
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use marf_cache::Digest;
+use marf_cache::{Digest, manifest::Row};
 use marf_scene::{Camera, Frame, Photo, Scene, encode_png};
 use marf_schema::cameras::CamerasParams;
-use marf_schema::output::{CAMERAS, POINTS, SCENE, SPARSE, SPARSE_IMAGES, SPARSE_POINTS};
+use marf_schema::output::{CAMERAS, MASKS, POINTS, SCENE, SPARSE, SPARSE_IMAGES, SPARSE_POINTS};
 use marf_stage::{
     Ctx, Inputs, Outputs, PHOTOS, Port, Set, StageError, Threads, TypedOutputs, rows_of, stage,
 };
@@ -16,13 +16,16 @@ use rayon::prelude::*;
 
 use crate::export::{Tracks, write_colmap, write_colmap_text, write_ply, write_transforms};
 use crate::import::read_tracks;
+use crate::mask_files::blackened;
 use crate::photos::as_png;
 use undistort::{ideal, undistort};
 
-/// Writes a calibrated scene as a folder: photos, transforms.json, COLMAP's model as binary and text, points.
+/// Writes a calibrated scene as a folder: photos, masks, transforms.json, COLMAP's model as binary and text, points.
 ///
 /// - In: the scene, and what COLMAP's model of it says of the observations; with `photos_at` the set of photos that lies there.
-/// - Out: `cameras/transforms.json` and what it names, from where it lies; `cameras/sparse/0/*.bin` and `*.txt`; `cameras/points.ply`.
+/// - Out: `cameras/transforms.json` and what it names, from where it lies; `cameras/masks/<photo>.png` of each photo with a mask, as COLMAP
+///   and nerfstudio read them; `cameras/sparse/0/*.bin` and `*.txt`; `cameras/points.ply`. Photos are named in `photos_at` if all of
+///   them lie there; else all are in `cameras/`.
 /// - Cost: without `undistort` no photo is decoded, and none is stored twice. With it each photo with a lens is decoded, resampled
 ///   (bicubic, as for labels) and encoded as PNG: about 0.4 s a megapixel and core.
 /// - Bad input: a lens without inverse at the rim of its photo stops the node with the photo's name.
@@ -34,7 +37,7 @@ stage! {
     Set,
     Threads::All,
     about: "writes cameras and photos as a folder for nerfstudio, instant-ngp and COLMAP, undistorted if asked",
-    version: 1,
+    version: 2,
     ports: [
         Port::required("input", SCENE),
         Port::required("input", SPARSE_IMAGES),
@@ -58,17 +61,14 @@ impl Set for ExportCameras {
         };
         let there = self.photos_there(ctx, inputs, &scene)?;
         let mut outputs = Outputs::new();
-        put_photos(&scene, &there, &mut outputs)?;
-        let folder = self.0.photos_at.as_deref().unwrap_or_default();
-        let path_of = |frame: &Frame| {
-            if there.contains(&frame.id) {
-                format!("{folder}/{}", frame.file)
-            } else {
-                frame.file.clone()
-            }
+        put_pictures(&scene, there, &mut outputs)?;
+        let path_of = |frame: &Frame| match there {
+            Some(folder) => format!("{folder}/{}", frame.file),
+            None => frame.file.clone(),
         };
+        let mask_of = |frame: &Frame| frame.mask.map(|_| mask_name(frame));
         let mut put = |name: String, bytes: &[u8]| outputs.put_bytes(ctx, CAMERAS.to_owned() + &name, bytes);
-        let transforms = write_transforms(&scene, &path_of);
+        let transforms = write_transforms(&scene, &path_of, &mask_of);
         put("transforms.json".to_owned(), transforms.as_bytes())?;
         put(POINTS.to_owned(), &write_ply(&tracks))?;
         for (name, bytes) in write_colmap(&scene, &tracks) {
@@ -82,16 +82,16 @@ impl Set for ExportCameras {
 }
 
 impl ExportCameras {
-    /// Returns the ids of those photos of a scene that lie in the folder `photos_at` with these very bytes.
+    /// Returns the folder `photos_at` if all photos of a scene lie there with these very bytes.
     fn photos_there(
         &self,
         ctx: &Ctx<'_>,
         inputs: &Inputs,
         scene: &Scene,
-    ) -> Result<BTreeSet<String>, StageError> {
-        let set = match (&self.0.photos_at, inputs.optional(PHOTOS)) {
-            (None, _) => return Ok(BTreeSet::new()),
-            (Some(_), Some(set)) => set,
+    ) -> Result<Option<&str>, StageError> {
+        let (folder, set) = match (&self.0.photos_at, inputs.optional(PHOTOS)) {
+            (None, _) => return Ok(None),
+            (Some(folder), Some(set)) => (folder, set),
             (Some(folder), None) => {
                 let error =
                     StageError::new(format!("which photos lie in `photos_at` ({folder}) is not known"));
@@ -99,28 +99,32 @@ impl ExportCameras {
             }
         };
         let rows = rows_of(ctx, set)?;
+        // What was developed from raw numbers or from a mosaic lies nowhere.
+        let is_file = |row: &&Row| !row.blobs.contains_key("raw");
         let images: BTreeMap<&str, Option<&Digest>> = rows
             .iter()
-            .map(|(_, row)| (row.id.as_str(), row.blobs.get("image")))
+            .map(|(_, row)| row)
+            .filter(is_file)
+            .map(|row| (row.id.as_str(), row.blobs.get("image")))
             .collect();
-        let is_there = |frame: &&Frame| images.get(frame.id.as_str()) == Some(&Some(&frame.image));
-        Ok(scene
-            .frames
-            .iter()
-            .filter(is_there)
-            .map(|frame| frame.id.clone())
-            .collect())
+        let is_there = |frame: &Frame| images.get(frame.id.as_str()) == Some(&Some(&frame.image));
+        Ok(scene.frames.iter().all(is_there).then_some(folder))
     }
+}
+
+/// Returns the name of a photo's mask: that of the photo with `.png` behind it, in `masks/`, as COLMAP's `mask_path` has it.
+fn mask_name(frame: &Frame) -> String {
+    format!("{MASKS}{}.png", frame.file)
 }
 
 fn failed(error: &dyn std::fmt::Display) -> StageError {
     StageError::new(error.to_string())
 }
 
-/// Lists each photo that lies nowhere else at the place that transforms.json names.
-fn put_photos(scene: &Scene, there: &BTreeSet<String>, outputs: &mut Outputs) -> Result<(), StageError> {
+/// Lists each mask, and each photo unless all lie elsewhere, at the place that transforms.json names.
+fn put_pictures(scene: &Scene, there: Option<&str>, outputs: &mut Outputs) -> Result<(), StageError> {
     let mut known = BTreeSet::new();
-    for frame in scene.frames.iter().filter(|frame| !there.contains(&frame.id)) {
+    for frame in &scene.frames {
         let is_plain = frame.file.split('/').all(|part| !matches!(part, "" | "." | ".."));
         if !is_plain || !known.insert(&frame.file) {
             return Err(StageError::new(format!(
@@ -129,7 +133,12 @@ fn put_photos(scene: &Scene, there: &BTreeSet<String>, outputs: &mut Outputs) ->
             ))
             .hint("rename one of the photos"));
         }
-        outputs.insert(format!("{CAMERAS}{}", frame.file), frame.image);
+        if there.is_none() {
+            outputs.insert(format!("{CAMERAS}{}", frame.file), frame.image);
+        }
+        if let Some(mask) = frame.mask {
+            outputs.insert(format!("{CAMERAS}{}", mask_name(frame)), mask);
+        }
     }
     Ok(())
 }
@@ -204,9 +213,23 @@ fn straight_frame(ctx: &Ctx<'_>, frame: &Frame) -> Result<Frame, StageError> {
     Ok(Frame {
         file: as_png(&frame.file),
         image: digest,
-        mask: None,
+        mask: straight_mask(ctx, frame, &pinhole)?,
         camera: pinhole,
         error_px: None,
         ..frame.clone()
     })
+}
+
+/// Returns the mask of a frame as the pinhole has it, black where a part of it is.
+fn straight_mask(ctx: &Ctx<'_>, frame: &Frame, pinhole: &Camera) -> Result<Option<Digest>, StageError> {
+    let Some(mask) = frame.mask else {
+        return Ok(None);
+    };
+    let named = |what: String| StageError::new(format!("the mask of photo `{}`: {what}", frame.id));
+    let mask = Photo::decode(&ctx.get(&mask)?).map_err(|error| named(error.to_string()))?;
+    let straight = undistort(&mask.image, &frame.camera, pinhole, ctx.cancel);
+    let mut straight = straight.map_err(|_| StageError::Cancelled)?;
+    blackened(&mut straight);
+    let png = encode_png(&straight).map_err(|error| named(error.to_string()))?;
+    Ok(Some(ctx.put(&png)?))
 }

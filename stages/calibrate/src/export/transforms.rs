@@ -22,6 +22,8 @@ struct Transforms {
 #[derive(Serialize)]
 struct Entry {
     file_path: String,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    mask_path: Option<String>,
     #[serde(flatten)]
     camera: Option<Lens>,
     transform_matrix: [[f64; 4]; 4],
@@ -64,9 +66,13 @@ impl Lens {
 ///
 /// One camera for all frames stands at the top, different ones stand with their frames. The world is the
 /// scene's own, neither rotated nor scaled. `path_of` tells where a photo lies as seen from
-/// where the file is put: [`Frame::file`] where photos lie beside it; photos that were encoded anew have the extension `.png` there. A scene with sparse points names
-/// [`POINTS`], which is put beside the file.
-pub fn write_transforms(scene: &Scene, path_of: &dyn Fn(&Frame) -> String) -> String {
+/// where the file is put: [`Frame::file`] where photos lie beside it; photos that were encoded anew have the extension `.png` there.
+/// `mask_of` tells where its mask lies, if it has one. A scene with sparse points names [`POINTS`], which is put beside the file.
+pub fn write_transforms(
+    scene: &Scene,
+    path_of: &dyn Fn(&Frame) -> String,
+    mask_of: &dyn Fn(&Frame) -> Option<String>,
+) -> String {
     let mut frames: Vec<&Frame> = scene.frames.iter().collect();
     frames.sort_by(|a, b| (&a.file, &a.id).cmp(&(&b.file, &b.id)));
     let shared = frames.first().map(|frame| frame.camera);
@@ -77,6 +83,7 @@ pub fn write_transforms(scene: &Scene, path_of: &dyn Fn(&Frame) -> String) -> St
     };
     let entries = frames.iter().map(|frame| Entry {
         file_path: path_of(frame),
+        mask_path: mask_of(frame),
         camera: shared.is_none().then(|| Lens::new(&frame.camera)),
         transform_matrix: opengl(&frame.cam_from_world),
     });
@@ -145,7 +152,11 @@ mod tests {
     #[test]
     fn points_come_back_to_the_same_pixels() {
         let scene = scene();
-        let read = read_transforms("transforms.json", write_transforms(&scene, &beside).as_bytes()).unwrap();
+        let read = read_transforms(
+            "transforms.json",
+            write_transforms(&scene, &beside, &|_| None).as_bytes(),
+        )
+        .unwrap();
         assert_eq!(read.points.as_deref(), Some("points.ply"));
         let written = write_ply(&Tracks::without_observations(&scene.points));
         let points = marf_scene::ply::read_points(&written).unwrap();
@@ -171,6 +182,6 @@ mod tests {
             points: Vec::new(),
             ..scene()
         };
-        assert!(!write_transforms(&bare, &beside).contains("ply_file_path"));
+        assert!(!write_transforms(&bare, &beside, &|_| None).contains("ply_file_path"));
     }
 }

@@ -1,6 +1,8 @@
 //! Cameras and points as a file has them, and why a file is refused.
 
 use marf_scene::{Point, Pose};
+use marf_schema::calibrate::Missing;
+use marf_stage::StageError;
 
 use super::lens::Lens;
 
@@ -39,8 +41,10 @@ impl ImportError {
 pub struct View {
     /// Where in the file it stands, for messages.
     pub place: String,
-    /// The photo's name relative to the archive, with `/`; the extension may be missing.
+    /// The photo's name relative to the archive, with `/`; the extension may be missing. A path from elsewhere starts with `/`.
     pub file: String,
+    /// The name of its mask in the same form, if the file tells.
+    pub mask: Option<String>,
     /// Its lens, before the photo's size is known.
     pub lens: Lens,
     /// Its pose: x right, y down, z forward.
@@ -53,6 +57,13 @@ pub struct View {
     pub inliers: Option<u32>,
     /// Their mean distance from their points' projections, pixels of this lens.
     pub error_px: Option<f64>,
+}
+
+impl View {
+    /// Tells whether another view has the same photo, lens and pose.
+    pub(super) fn is_repeated_by(&self, other: &Self) -> bool {
+        (self.lens, self.cam_from_world, &self.mask) == (other.lens, other.cam_from_world, &other.mask)
+    }
 }
 
 /// The purpose of a photo in the file.
@@ -75,4 +86,12 @@ pub struct Cameras {
     pub views: Vec<View>,
     /// Sparse points, sorted by the file's own number, or in its order.
     pub points: Vec<Point>,
+    /// Photos whose cameras cannot be used, with the reasons.
+    pub rejected: Vec<Missing>,
+}
+
+/// Returns the error of a refused camera file.
+pub(super) fn refused(error: ImportError) -> StageError {
+    StageError::new(error.to_string())
+        .hint("correct the file or write it again; no camera of it was used".to_owned())
 }

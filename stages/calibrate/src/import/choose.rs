@@ -31,26 +31,70 @@ impl Source {
 /// Names and digests of the files beside the photos.
 type Files = BTreeMap<String, Digest>;
 
-/// Chooses the named file, or the only one there is, or the only JSON beside COLMAP models: programs that write both
-/// write them of one solution.
-pub(super) fn choose(files: &Files, wanted: Option<&str>) -> Result<Source, StageError> {
-    let candidates = candidates(files);
+/// The source that is used.
+#[derive(Debug)]
+pub(super) struct Chosen {
+    pub source: Source,
+    /// The file that names the photos.
+    pub source_name: String,
+    /// What else could have been used, where a model was preferred to others.
+    pub choice: Option<String>,
+}
+
+impl Chosen {
+    fn new(source: Source, choice: Option<String>) -> Self {
+        Self {
+            source_name: source.name(),
+            source,
+            choice,
+        }
+    }
+}
+
+/// Chooses the named file, or the first by [`rank`]: of programs that write a JSON and a model both are of one solution.
+pub(super) fn choose(files: &Files, wanted: Option<&str>) -> Result<Chosen, StageError> {
+    let mut candidates = candidates(files);
     if let Some(wanted) = wanted {
         let wanted = wanted.trim_start_matches("./").trim_end_matches('/');
-        return named(files, wanted).ok_or_else(|| absent(files, wanted));
+        let source = named(files, wanted).ok_or_else(|| absent(files, wanted))?;
+        return Ok(Chosen::new(source, None));
     }
-    let is_json = |name: &&String| name.ends_with(".json");
-    let json: Vec<String> = candidates.iter().filter(is_json).cloned().collect();
-    match (candidates.as_slice(), json.as_slice()) {
-        ([one], _) | (_, [one]) => named(files, one).ok_or_else(|| absent(files, one)),
-        ([], _) => Err(none(files)),
-        ([first, ..], _) => Err(StageError::new(format!(
+    candidates.sort_by_key(|name| rank(name));
+    let [first, others @ ..] = candidates.as_slice() else {
+        return Err(none(files));
+    };
+    let equals = |name: &&String| is_json(first) && is_json(name) && folder(name) == folder(first);
+    if others.iter().any(|name| equals(&name)) {
+        return Err(StageError::new(format!(
             "{} files hold cameras: {}",
             candidates.len(),
             listed(candidates.iter())
         ))
-        .hint(format!("choose one, for example `file = \"{first}\"`"))),
+        .hint(format!("choose one, for example `file = \"{first}\"`")));
     }
+    let source = named(files, first).ok_or_else(|| absent(files, first))?;
+    let passed: Vec<&String> = others
+        .iter()
+        .filter(|name| is_json(name) == is_json(first))
+        .collect();
+    let choice = (!passed.is_empty()).then(|| format!("not used: {}", listed(passed.iter().copied())));
+    Ok(Chosen::new(source, choice))
+}
+
+fn is_json(name: &str) -> bool {
+    name.ends_with(".json")
+}
+
+/// Returns the place of a file among others, the first is used: a JSON before models, then those at the top, in `sparse/0` and in
+/// `sparse`, then those in fewer folders, then by name.
+fn rank(name: &str) -> (bool, usize, usize, String) {
+    const FIRST: [&str; 3] = ["", "sparse/0/", "sparse/"];
+    let folder = folder(name);
+    let place = FIRST
+        .iter()
+        .position(|first| *first == folder)
+        .unwrap_or(FIRST.len());
+    (!is_json(name), place, name.matches('/').count(), name.to_owned())
 }
 
 /// Returns the error if no file has cameras.
@@ -64,7 +108,8 @@ fn none(files: &Files) -> StageError {
         )
     };
     StageError::new(what).hint(
-        "put a transforms.json, or cameras and images of a COLMAP model (.bin or .txt), into the archive's folder; \
+        "put a transforms.json, or cameras and images of a COLMAP model (.bin or .txt, also in sparse/0, colmap/sparse/0 and the like), \
+         into the archive's folder; \
          `marf calibrate DIR` finds the cameras of photos that have none, as `method = \"sfm\"` does",
     )
 }
@@ -184,12 +229,15 @@ mod tests {
             .collect()
     }
 
+    fn used(names: &[&str]) -> Chosen {
+        choose(&files(names), None).unwrap()
+    }
+
     #[test]
-    fn the_only_file_is_taken_and_of_several_the_only_json() {
-        let one = files(&["transforms.json", "notes.txt"]);
-        let source = choose(&one, None).unwrap();
+    fn the_only_file_is_taken_and_of_several_the_json() {
+        let one = used(&["transforms.json", "notes.txt"]);
         assert_eq!(
-            source,
+            one.source,
             Source::Transforms(vec![("transforms.json".to_owned(), Role::Open)])
         );
         let model = [
@@ -199,16 +247,16 @@ mod tests {
             "sparse/0/images.txt",
         ];
         assert!(
-            matches!(choose(&files(&model), None), Ok(Source::Binary([cameras, ..])) if cameras == "sparse/0/cameras.bin")
+            matches!(used(&model).source, Source::Binary([cameras, ..]) if cameras == "sparse/0/cameras.bin")
         );
         let mut both = files(&model);
-        both.extend(one);
-        assert_eq!(choose(&both, None).unwrap(), source);
-        let mut two = both.clone();
-        two.extend(files(&["sparse/transforms.json"]));
-        let error = choose(&two, None).unwrap_err().to_string();
+        both.extend(files(&["transforms.json"]));
+        let chosen = choose(&both, None).unwrap();
+        assert_eq!((chosen.source, chosen.choice), (one.source, None));
+        let split = files(&["transforms.json", "transforms_train.json"]);
+        let error = choose(&split, None).unwrap_err().to_string();
         assert!(
-            error.contains("`transforms.json`") && error.contains("`sparse/0/cameras.bin`"),
+            error.contains("`transforms.json`") && error.contains("`transforms_train.json`"),
             "{error}"
         );
         for (wanted, text) in [
@@ -216,9 +264,34 @@ mod tests {
             ("sparse/0/images.txt", true),
             ("./sparse/0/", false),
         ] {
-            let source = choose(&both, Some(wanted)).unwrap();
+            let source = choose(&both, Some(wanted)).unwrap().source;
             assert_eq!(matches!(source, Source::Text(_)), text, "{wanted}");
         }
+    }
+
+    #[test]
+    fn of_several_models_the_usual_one_is_used_and_the_others_are_named() {
+        let model = |folders: &[&str]| {
+            let both = |folder: &&str| [format!("{folder}cameras.txt"), format!("{folder}images.txt")];
+            let names: Vec<String> = folders.iter().flat_map(both).collect();
+            used(&names.iter().map(String::as_str).collect::<Vec<_>>())
+        };
+        for (folders, expected) in [
+            (&["colmap/sparse/0/"][..], "colmap/sparse/0/"),
+            (&["colmap_text/"], "colmap_text/"),
+            (&["dense/sparse/", "sparse/0/", "sparse/1/"], "sparse/0/"),
+            (&["colmap/sparse/0/", "colmap/sparse/1/"], "colmap/sparse/0/"),
+            (&["distorted/sparse/0/", "sparse/"], "sparse/"),
+        ] {
+            let chosen = model(folders);
+            assert_eq!(chosen.source_name, format!("{expected}images.txt"));
+            assert_eq!(chosen.choice.is_some(), folders.len() > 1, "{chosen:?}");
+        }
+        let choice = model(&["sparse/1/", "sparse/0/"]).choice.unwrap();
+        assert_eq!(choice, "not used: `sparse/1/cameras.txt`");
+        let chosen = used(&["transforms.json", "colmap/transforms.json"]);
+        assert_eq!(chosen.source_name, "transforms.json");
+        assert_eq!(chosen.choice.unwrap(), "not used: `colmap/transforms.json`");
     }
 
     #[test]
@@ -240,12 +313,12 @@ mod tests {
             "transforms_train.json",
             "transforms_val.json",
         ]);
-        let Source::Transforms(parts) = choose(&set, None).unwrap() else {
+        let Source::Transforms(parts) = choose(&set, None).unwrap().source else {
             panic!("no transforms");
         };
         let roles: Vec<Role> = parts.iter().map(|part| part.1).collect();
         assert_eq!(roles, [Role::Train, Role::HeldOut, Role::HeldOut]);
-        let alone = choose(&files(&["transforms_train.json"]), None).unwrap();
+        let alone = used(&["transforms_train.json"]).source;
         assert_eq!(
             alone,
             Source::Transforms(vec![("transforms_train.json".to_owned(), Role::Open)])

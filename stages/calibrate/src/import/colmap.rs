@@ -9,11 +9,13 @@ mod text;
 
 use std::collections::BTreeMap;
 
-use marf_scene::{Point, Pose, Scene};
+use marf_scene::{Camera, Point, Pose, Scene};
 use nalgebra::{Matrix3, Quaternion, Vector2, Vector3};
 
 use super::cameras::{Cameras, ImportError, Role, View};
+use super::distortion::Distortion;
 use super::lens::Lens;
+use super::paths::path;
 use crate::export::{Observation, TrackPoint, Tracks};
 use record::Image;
 
@@ -32,7 +34,7 @@ pub struct Model<'a> {
 
 /// Reads cameras.bin, images.bin and points3D.bin.
 ///
-/// Lenses SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL and OPENCV. Names of images are taken relative to the
+/// All lenses up to number 10 but FOV and THIN_PRISM_FISHEYE. Names of images are taken relative to the
 /// archive's `images` folder or to any folder that makes them unique. All points are kept, sorted by number;
 /// each image's error is the mean distance of its observations from their points' projections.
 ///
@@ -130,6 +132,7 @@ impl Parts {
         Ok(Cameras {
             views: views?,
             points: self.points.into_values().collect(),
+            rejected: Vec::new(),
         })
     }
 
@@ -140,13 +143,11 @@ impl Parts {
         let lens =
             lens.ok_or_else(|| fail(format!("camera {} is not in {}", image.camera, model.names[0])))?;
         let cam_from_world = pose(image).map_err(fail)?;
-        let parts: Vec<&str> = image.name.split('/').collect();
-        if image.name.starts_with('/') || parts.iter().any(|part| matches!(*part, "" | "." | "..")) {
-            return Err(fail(format!("`{}` is no plain relative name", image.name)));
-        }
+        let file = path("", &image.name).ok_or_else(|| fail(format!("`{}` names no file", image.name)))?;
         Ok(View {
             place: image.place.clone(),
-            file: image.name.clone(),
+            file,
+            mask: None,
             lens: *lens,
             cam_from_world,
             role: Role::Open,
@@ -162,13 +163,32 @@ impl Parts {
         let camera = lens.camera(width, height).ok()?;
         let distances = image.observations.iter().filter_map(|(seen, point)| {
             let point = self.points.get(point)?;
-            let pixel = camera.project(&cam_from_world.point(&Vector3::from(point.position)))?;
+            let pixel = project(
+                lens,
+                &camera,
+                &cam_from_world.point(&Vector3::from(point.position)),
+            )?;
             Some((pixel - Vector2::from(*seen)).norm())
         });
         let distances: Vec<f64> = distances.collect();
         let mean = distances.iter().sum::<f64>() / distances.len() as f64;
         mean.is_finite().then_some(mean)
     }
+}
+
+/// Returns the pixel of a point of the camera frame through a lens, of which [`Camera`] may lack the distortion.
+fn project(lens: &Lens, camera: &Camera, point: &Vector3<f64>) -> Option<Vector2<f64>> {
+    if let Distortion::Brown(_) = lens.distortion {
+        return camera.project(point);
+    }
+    let ideal = Vector2::new(point.x / point.z, point.y / point.z);
+    let seen = lens.distortion.distort(&ideal);
+    (point.z > 0.0).then(|| {
+        Vector2::new(
+            camera.fx_px * seen.x + camera.cx_px,
+            camera.fy_px * seen.y + camera.cy_px,
+        )
+    })
 }
 
 /// Returns the pose of an image; an error for numbers that are no pose.

@@ -2,6 +2,8 @@
 
 use marf_scene::Camera;
 
+use super::distortion::Distortion;
+
 /// Largest width or height a camera may have, pixels.
 pub(super) const MAX_SIDE_PX: u32 = 100_000;
 
@@ -16,8 +18,8 @@ pub struct Lens {
     pub cx_px: Option<f64>,
     /// Principal point, pixels from the top edge; without it the middle.
     pub cy_px: Option<f64>,
-    /// k1, k2, p1, p2 of OpenCV.
-    pub distortion: [f64; 4],
+    /// How it bends the picture.
+    pub distortion: Distortion,
 }
 
 /// A focal length, one way or the other.
@@ -30,7 +32,7 @@ pub enum Focal {
 }
 
 impl Lens {
-    /// Returns the camera of a photo of this size.
+    /// Returns the camera of a photo of this size; without the distortion where [`Camera`] does not have it.
     ///
     /// A photo whose size differs from the lens's is taken as enlarged or reduced if its sides have the same
     /// ratio within one pixel.
@@ -54,7 +56,10 @@ impl Lens {
                 (fx_px, y.map_or(fx_px, |y| own[1] / 2.0 / tan(y / 2.0)))
             }
         };
-        let [k1, k2, p1, p2] = self.distortion;
+        let [k1, k2, p1, p2] = match self.distortion {
+            Distortion::Brown(terms) => terms,
+            Distortion::Rational(_) | Distortion::Fisheye(_) => [0.0; 4],
+        };
         let camera = Camera {
             width: w,
             height: h,
@@ -77,6 +82,14 @@ impl Lens {
             .then_some(camera)
             .ok_or_else(|| format!("no camera: {camera:?}"))
     }
+}
+
+/// Returns why a lens model is not read, and what to do.
+pub(super) fn unread_lens(name: &str, read: &[&str]) -> String {
+    format!(
+        "the lens `{name}` is not read; these are: {}; `colmap image_undistorter` writes photos and cameras without distortion",
+        read.join(", ")
+    )
 }
 
 /// Returns the tangent of an angle in (0, π/2), from + - * / alone: focal lengths end in digests, and `tan` differs in its
@@ -102,7 +115,7 @@ mod tests {
             focal: Focal::Px(1453.0, 1451.0),
             cx_px: Some(721.0),
             cy_px: Some(934.0),
-            distortion: [0.09, -0.13, 0.001, 0.0],
+            distortion: Distortion::Brown([0.09, -0.13, 0.001, 0.0]),
         }
     }
 
@@ -147,7 +160,7 @@ mod tests {
             focal: Focal::Angle(0.691_111_207_008_361_8, None),
             cx_px: None,
             cy_px: None,
-            distortion: [0.0; 4],
+            distortion: Distortion::Brown([0.0; 4]),
         };
         let camera = lens.camera(400, 400).unwrap();
         // 200 / tan(0.3455556): the 555.5 px for 400 that the lego set is known for.

@@ -11,7 +11,8 @@ use marf_schema::output::{MASKS, OVERLAY};
 use marf_stage::{COMPANIONS, Ctx, Document, Inputs, Outputs, PHOTOS, Port, Set, StageError, Threads, stage};
 use rayon::prelude::*;
 
-use crate::mask_files::{HIDDEN, OPEN, camera_name, shrunk, undistorted_mask};
+use crate::mask_files::{HIDDEN, OPEN, shrunk, undistorted_mask};
+use crate::mask_names::camera_name;
 use crate::photos::{InputPhoto, decode, load, reduction};
 use stationary::{Gray, LEAST_PAIRS, StationaryParts, grown_by};
 

@@ -122,6 +122,8 @@ mod tests {
             id: format!("p{index}"),
             image: Digest::from_content(&[]),
             labelled: false,
+            developed: false,
+            mask: None,
             facts: PhotoFacts {
                 file: format!("a/IMG {index}.jpg"),
                 ..PhotoFacts::default()

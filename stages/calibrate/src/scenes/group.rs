@@ -167,6 +167,8 @@ mod tests {
             id: format!("p{index}"),
             image: Digest::from_content(&[]),
             labelled: true,
+            developed: false,
+            mask: None,
             facts: PhotoFacts {
                 file: format!("{index}.png"),
                 sol: Some(index / 2),

@@ -184,6 +184,7 @@ fn frame(
         item: photo,
         file,
         image,
+        mask: None,
         camera: full_size(reconstruction, model, photo).box_reduced(factor),
         cam_from_world: model.poses[photo].unwrap_or_else(Pose::identity),
         held_out: None,

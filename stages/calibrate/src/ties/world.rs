@@ -53,17 +53,16 @@ impl World {
     /// Returns the features of a photo, found now or before.
     pub(super) fn features(&self, ctx: &Ctx<'_>, photo: usize) -> Result<PhotoFeatures, StageError> {
         let frame = &self.scene.frames[photo];
-        let item = InputPhoto {
-            id: frame.id.clone(),
-            image: frame.image,
-            labelled: false,
-            facts: PhotoFacts {
+        let item = InputPhoto::new(
+            frame.id.clone(),
+            frame.image,
+            PhotoFacts {
                 file: frame.file.clone(),
                 width: frame.camera.width,
                 height: frame.camera.height,
                 ..PhotoFacts::default()
             },
-        };
+        );
         let mask = frame.mask.map(|mask| {
             Photo::decode_validated(&ctx.get(&mask)?)
                 .map_err(|error| StageError::new(format!("the mask of photo `{}`: {error}", frame.id)))

@@ -136,6 +136,55 @@ fn without_distortion_a_point_is_seen_where_the_pinhole_shows_it() {
 }
 
 #[test]
+fn masks_are_written_and_named_as_colmap_and_nerfstudio_read_them() {
+    let (mut input, _) = calibrated();
+    let mask: Image<Srgb> = Image::from_fn(64, 48, |column, _| if column < 20 { [0; 3] } else { [255; 3] });
+    input.companion("masks/a.png", &encode_png(&mask).unwrap());
+    let stage = marf_calibrate::Calibrate::new(serde_json::from_value(json!({"method": "import"})).unwrap());
+    let scene = input.outputs_of(&stage.unwrap());
+    let decoded = |outputs: &Outputs, name: &str| {
+        Photo::decode(&input.harness.get(&outputs[name]).unwrap())
+            .unwrap()
+            .image
+    };
+    let plain = exported(&input, &scene, &json!({})).unwrap();
+    assert_eq!(decoded(&plain, "cameras/masks/a.png.png"), mask);
+    let json: Value = serde_json::from_str(&text(&input, &plain, "transforms.json")).unwrap();
+    assert_eq!(json["frames"][0]["mask_path"], "masks/a.png.png");
+    assert_eq!(json["frames"][1]["mask_path"], Value::Null);
+    let straight = exported(&input, &scene, &json!({"undistort": true})).unwrap();
+    let (photo, mask) = (
+        decoded(&straight, "cameras/a.png"),
+        decoded(&straight, "cameras/masks/a.png.png"),
+    );
+    assert_eq!((mask.width, mask.height), (photo.width, photo.height));
+    assert!(mask.at(2, 20) == [0; 3] && mask.at(mask.width - 2, 20) == [255; 3]);
+}
+
+#[test]
+fn a_developed_photo_is_named_and_written_as_the_png_that_it_is() {
+    let (mut input, _) = calibrated();
+    let image: Image<Srgb> = Image::from_fn(64, 48, |x, y| [x as u8, y as u8, 7]);
+    let png = encode_png(&image).unwrap();
+    input.plain("c.IMG", &png);
+    input.developed("c.IMG");
+    input.companion(
+        "sparse/0/images.txt",
+        b"1 1 0 0 0 0 0 0 1 a.png\n\n2 1 0 0 0 -0.5 0 0 1 b.jpg\n\n3 1 0 0 0 -1 0 0 1 c.IMG\n\n",
+    );
+    let stage = marf_calibrate::Calibrate::new(serde_json::from_value(json!({"method": "import"})).unwrap());
+    let scene = input.outputs_of(&stage.unwrap());
+    // It lies nowhere: so that the folder is whole, all photos are written.
+    let outputs = exported(&input, &scene, &json!({"photos_at": "../photos"})).unwrap();
+    assert!(text(&input, &outputs, "transforms.json").contains("\"file_path\": \"c.png\""));
+    assert_eq!(
+        input.harness.get(&outputs["cameras/c.png"]).unwrap().to_vec(),
+        png
+    );
+    assert!(outputs.contains_key("cameras/a.png") && !outputs.contains_key("cameras/c.IMG"));
+}
+
+#[test]
 fn where_photos_lie_is_not_guessed() {
     let (input, scene) = calibrated();
     let stage = ExportCameras::new(serde_json::from_value(json!({"photos_at": "x"})).unwrap()).unwrap();
@@ -167,6 +216,6 @@ fn the_answer_belongs_to_the_version() {
         ExportCameras::VERSION,
         Digest::from_content(all.join("\n").as_bytes()).short(),
     );
-    assert_eq!(found, (1, "779efbaf5f66".to_owned()));
+    assert_eq!(found, (2, "779efbaf5f66".to_owned()));
     assert_eq!(define::<ExportCameras>().version, ExportCameras::VERSION);
 }

@@ -47,6 +47,26 @@ impl Input {
         self.rows.push((facts.sol.unwrap_or(0), row));
     }
 
+    /// A photo as it decodes, with its notes.
+    pub fn decoded(&mut self, file: &str, bytes: &[u8]) {
+        let photo = Photo::decode(bytes).unwrap();
+        let facts = PhotoFacts {
+            file: file.to_owned(),
+            width: photo.image.width,
+            height: photo.image.height,
+            notes: photo.notes,
+            ..PhotoFacts::default()
+        };
+        self.photo(file, bytes, facts);
+    }
+
+    /// Makes a photo one that was developed from another file.
+    pub fn developed(&mut self, id: &str) {
+        let raw = self.harness.put(b"raw numbers");
+        let row = self.rows.iter_mut().find(|(_, row)| row.id == id);
+        row.unwrap().1.blobs.insert("raw".to_owned(), raw);
+    }
+
     /// A photo without a label.
     pub fn plain(&mut self, file: &str, bytes: &[u8]) {
         let (width, height) = Photo::size_px(bytes).unwrap();

@@ -7,6 +7,7 @@ mod cameras;
 mod colmap;
 mod common;
 mod feed;
+mod inputs;
 mod masks;
 mod model;
 mod real_data;

@@ -1,6 +1,7 @@
 //! Records that both forms of a COLMAP model share.
 
-use crate::import::lens::{Focal, Lens, MAX_SIDE_PX};
+use crate::import::distortion::{Distortion, Rational};
+use crate::import::lens::{Focal, Lens, MAX_SIDE_PX, unread_lens};
 
 /// An image's record.
 pub(super) struct Image {
@@ -29,15 +30,31 @@ pub(super) const LENSES: [(&str, usize); 11] = [
     ("RADIAL_FISHEYE", 5),
     ("THIN_PRISM_FISHEYE", 12),
 ];
+/// Those of them that are not read.
+const UNREAD: [&str; 2] = ["FOV", "THIN_PRISM_FISHEYE"];
 
-/// Returns the lens of a COLMAP camera model and its parameters.
+/// Returns the lens of a COLMAP camera model and its parameters, in the order of `src/colmap/sensor/models.h`.
 pub(super) fn lens(name: &str, size: [u64; 2], params: &[f64]) -> Result<Lens, String> {
+    let brown = Distortion::Brown;
     let (fx, fy, cx, cy, distortion) = match (name, params) {
-        ("SIMPLE_PINHOLE", [f, cx, cy]) => (f, f, cx, cy, [0.0; 4]),
-        ("PINHOLE", [fx, fy, cx, cy]) => (fx, fy, cx, cy, [0.0; 4]),
-        ("SIMPLE_RADIAL", [f, cx, cy, k]) => (f, f, cx, cy, [*k, 0.0, 0.0, 0.0]),
-        ("RADIAL", [f, cx, cy, k1, k2]) => (f, f, cx, cy, [*k1, *k2, 0.0, 0.0]),
-        ("OPENCV", [fx, fy, cx, cy, k1, k2, p1, p2]) => (fx, fy, cx, cy, [*k1, *k2, *p1, *p2]),
+        ("SIMPLE_PINHOLE", [f, cx, cy]) => (f, f, cx, cy, brown([0.0; 4])),
+        ("PINHOLE", [fx, fy, cx, cy]) => (fx, fy, cx, cy, brown([0.0; 4])),
+        ("SIMPLE_RADIAL", [f, cx, cy, k]) => (f, f, cx, cy, brown([*k, 0.0, 0.0, 0.0])),
+        ("RADIAL", [f, cx, cy, k1, k2]) => (f, f, cx, cy, brown([*k1, *k2, 0.0, 0.0])),
+        ("OPENCV", [fx, fy, cx, cy, k1, k2, p1, p2]) => (fx, fy, cx, cy, brown([*k1, *k2, *p1, *p2])),
+        ("FULL_OPENCV", [fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6]) => {
+            let rational = Rational {
+                numerator: [*k1, *k2, *k3, 0.0],
+                denominator: [*k4, *k5, *k6],
+                tangential: [*p1, *p2],
+            };
+            (fx, fy, cx, cy, rational.simplest())
+        }
+        ("OPENCV_FISHEYE", [fx, fy, cx, cy, k1, k2, k3, k4]) => {
+            (fx, fy, cx, cy, Distortion::Fisheye([*k1, *k2, *k3, *k4]))
+        }
+        ("SIMPLE_RADIAL_FISHEYE", [f, cx, cy, k]) => (f, f, cx, cy, Distortion::Fisheye([*k, 0.0, 0.0, 0.0])),
+        ("RADIAL_FISHEYE", [f, cx, cy, k1, k2]) => (f, f, cx, cy, Distortion::Fisheye([*k1, *k2, 0.0, 0.0])),
         _ => return Err(unread(name, params.len())),
     };
     if let Some(bad) = params.iter().find(|number| !number.is_finite()) {
@@ -63,13 +80,10 @@ pub(super) fn lens(name: &str, size: [u64; 2], params: &[f64]) -> Result<Lens, S
 
 /// Returns why a camera model is not read.
 fn unread(name: &str, given: usize) -> String {
-    let read = LENSES[..5]
-        .iter()
-        .map(|lens| lens.0)
-        .collect::<Vec<_>>()
-        .join(", ");
-    match LENSES[..5].iter().find(|lens| lens.0 == name) {
+    let is_read = |lens: &&(&str, usize)| !UNREAD.contains(&lens.0);
+    let mut read = LENSES.iter().filter(is_read);
+    match read.clone().find(|lens| lens.0 == name) {
         Some((_, needed)) => format!("the lens {name} has {needed} parameters, {given} are given"),
-        None => format!("the lens `{name}` is not read; these are: {read}"),
+        None => unread_lens(name, &read.by_ref().map(|lens| lens.0).collect::<Vec<_>>()),
     }
 }

@@ -8,12 +8,13 @@ use marf_scene::Point;
 use super::record::{Image, lens};
 use crate::import::cameras::ImportError;
 use crate::import::lens::Lens;
+use crate::import::paths::BYTE_ORDER_MARK;
 
 /// The words of a line.
 struct Words<'a> {
     file: &'a str,
     place: String,
-    words: std::str::SplitAsciiWhitespace<'a>,
+    rest: &'a str,
 }
 
 impl<'a> Words<'a> {
@@ -24,8 +25,15 @@ impl<'a> Words<'a> {
 
     /// Returns the next word.
     fn word(&mut self, what: &str) -> Result<&'a str, ImportError> {
-        self.words
-            .next()
+        let rest = self.rest.trim_ascii_start();
+        let (word, rest) = rest.split_at(
+            rest.find(|letter: char| letter.is_ascii_whitespace())
+                .unwrap_or(rest.len()),
+        );
+        self.rest = rest;
+        let is_word = !word.is_empty();
+        is_word
+            .then_some(word)
             .ok_or_else(|| self.fail(format!("the line ends before {what}")))
     }
 
@@ -47,6 +55,7 @@ impl<'a> Words<'a> {
 
 /// Lines without comments, with their numbers.
 fn lines<'a>(file: &'a str, bytes: &'a [u8]) -> Result<impl Iterator<Item = Words<'a>>, ImportError> {
+    let bytes = bytes.strip_prefix(BYTE_ORDER_MARK).unwrap_or(bytes);
     let text = std::str::from_utf8(bytes).map_err(|_| ImportError::new(file, "", "no UTF-8 text"))?;
     let records = text
         .lines()
@@ -55,12 +64,12 @@ fn lines<'a>(file: &'a str, bytes: &'a [u8]) -> Result<impl Iterator<Item = Word
     Ok(records.map(move |(index, line)| Words {
         file,
         place: format!("line {}", index + 1),
-        words: line.split_ascii_whitespace(),
+        rest: line,
     }))
 }
 
 fn is_blank(line: &Words<'_>) -> bool {
-    line.words.clone().next().is_none()
+    line.rest.trim_ascii().is_empty()
 }
 
 /// Reads cameras.txt.
@@ -93,7 +102,8 @@ pub(super) fn images(file: &str, bytes: &[u8]) -> Result<Vec<Image>, ImportError
         line.number::<u32>("the image's number")?;
         let (quaternion, translation) = (line.floats("the rotation")?, line.floats("the translation")?);
         let camera = line.number("the camera's number")?;
-        let name = line.words.by_ref().collect::<Vec<_>>().join(" ");
+        // To the end of the line: a name may hold blanks, also several in a row.
+        let name = line.rest.trim_ascii().to_owned();
         if name.is_empty() {
             return Err(line.fail("the line ends before the name"));
         }
@@ -146,7 +156,7 @@ pub(super) fn points(file: &str, bytes: &[u8]) -> Result<BTreeMap<u64, Point>, I
         let point = Point {
             position,
             color: Some(color),
-            views: (line.words.count() / 2) as u32,
+            views: (line.rest.split_ascii_whitespace().count() / 2) as u32,
         };
         points.insert(id, point);
     }

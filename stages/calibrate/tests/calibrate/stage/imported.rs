@@ -123,12 +123,20 @@ fn cameras_for_none_of_the_photos_are_an_error() {
 }
 
 #[test]
-fn two_cameras_for_one_photo_are_an_error_with_both_places() {
-    let complaint = imported(&["a.png", "b.png"], &transforms(&["a", "b", "a.png"]))
-        .complaint(&json!({"method": "import"}));
-    assert!(
-        complaint.starts_with("`transforms.json` /frames/2: the photo `a.png` has a camera at /frames/0"),
-        "{complaint}"
+fn a_repeated_frame_is_used_once_and_two_cameras_of_one_photo_are_not() {
+    let json = transforms(&["a", "b", "c", "a.png"]);
+    let photos = ["a.png", "b.png", "c.png"];
+    let import = json!({"method": "import"});
+    let output = imported(&photos, &json).run(&import).unwrap();
+    assert_eq!(output.metrics.totals.registered, 3);
+    assert_eq!(output.metrics.missing[0].reason, "/frames/3 repeats /frames/0");
+    let other = json.replacen("[[1,0,0,0]", "[[1,0,0,5]", 1);
+    let output = imported(&photos, &other).run(&import).unwrap();
+    assert_eq!(output.metrics.totals.registered, 2);
+    let reason = &output.scene.unplaced[0].reason;
+    assert_eq!(
+        reason,
+        "transforms.json has two different cameras for it, at /frames/0 and at /frames/3"
     );
 }
 

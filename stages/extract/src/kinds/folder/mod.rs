@@ -1,11 +1,13 @@
 //! An archive in a folder: photos with or without labels, feed records and companions, in any layout.
 //!
 //! ```text
-//! walk.rs     every file, by name, with its state
-//! table.rs    what is known of files from earlier runs
-//! survey.rs   both together, sorted into sols
+//! walk.rs        every file, by name, with its state
+//! table.rs       what is known of files from earlier runs
+//! companions.rs  which files are cameras and masks beside photos
+//! survey.rs      all together, sorted into sols
 //! ```
 
+mod companions;
 mod survey;
 mod table;
 #[cfg(test)]

@@ -8,30 +8,11 @@ use marf_pds::{ProductName, join_key};
 use marf_stage::{Ctx, Files, Keep, StageError};
 use rayon::prelude::*;
 
+use super::companions::{is_camera_file, is_mask};
 use super::table::{self, Entry, EntryKind, Reader};
 use super::walk::{Names, Walk, walk};
-use crate::archive::{ArchiveFile, Known, LocalFile, ReadError, extension, folder, stem};
+use crate::archive::{ArchiveFile, Known, LocalFile, ReadError, extension, stem};
 use crate::stat::{FileState, now_ns};
-
-/// Cameras and points of other programs, kept for `calibrate`.
-const COMPANIONS: [&str; 12] = [
-    "transforms.json",
-    "transforms_train.json",
-    "transforms_val.json",
-    "transforms_test.json",
-    "cameras.bin",
-    "cameras.txt",
-    "images.bin",
-    "images.txt",
-    "points3D.bin",
-    "points3D.txt",
-    "points.ply",
-    "sparse_pc.ply",
-];
-/// Folder of pictures that hide parts of photos; they are companions, not photos.
-const MASKS: &str = "masks";
-/// Folders in which companions are looked for.
-const COMPANION_FOLDERS: [&str; 3] = ["", "sparse", "sparse/0"];
 
 /// Whether files are read though nothing says that they changed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -193,13 +174,10 @@ impl Survey {
 
     fn is_companion(&self, index: u32) -> bool {
         let path = self.names.get(index as usize);
-        let name = path.rsplit('/').next().unwrap_or_default();
         let entry = self.entry(index);
         let readable = entry.is_some_and(|entry| !matches!(entry.kind, EntryKind::Unreadable(_)));
-        let cameras = COMPANIONS.contains(&name) && COMPANION_FOLDERS.contains(&folder(path));
-        let mask = entry.is_some_and(|entry| entry.kind == EntryKind::Photo)
-            && folder(path).split('/').any(|part| part == MASKS);
-        readable && (cameras || mask)
+        let is_picture = entry.is_some_and(|entry| entry.kind == EntryKind::Photo);
+        readable && (is_camera_file(path) || (is_picture && is_mask(path, &|name| self.names.contains(name))))
     }
 
     fn product_key(&self, index: u32) -> String {

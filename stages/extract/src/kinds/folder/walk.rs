@@ -48,6 +48,13 @@ impl Names {
         self.spans.get(index).map_or("", |span| self.at(span))
     }
 
+    /// Tells whether there is a file of this name; the names must be sorted.
+    pub fn contains(&self, name: &str) -> bool {
+        self.spans
+            .binary_search_by(|span| self.at(span).cmp(name))
+            .is_ok()
+    }
+
     fn at(&self, span: &Span) -> &str {
         let start = span.start as usize;
         self.text
