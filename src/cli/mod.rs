@@ -82,7 +82,7 @@ fn dispatch(cli: Cli, cancel: &Cancel) -> Result<(), Error> {
         Verb::Render(args) => render::render(global, args, context),
         Verb::Compare(args) => compare::compare(global, args, context),
         Verb::Export { verb } => export::export(global, verb, context),
-        Verb::Verify(args) => verify::verify(global, args),
+        Verb::Verify(args) => verify::verify(global, args, context),
         Verb::Audit(args) => audit::audit(global, args, context),
         Verb::Diff(args) => diff::diff(global, &args, context),
         Verb::Replay(args) => replay::replay(global, args, context),

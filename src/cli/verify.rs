@@ -4,8 +4,8 @@ use std::path::PathBuf;
 
 use clap::Args;
 use marf_export::verify::{Report, Signature};
-use marf_run::Error;
 use marf_run::export::{VerifyRequest, VerifyResult, verify_path, without_faults};
+use marf_run::{Context, Error};
 
 use super::global::Global;
 use super::output::print_json;
@@ -26,13 +26,13 @@ pub struct VerifyArgs {
 }
 
 /// `marf verify`.
-pub fn verify(global: &Global, args: VerifyArgs) -> Result<(), Error> {
+pub fn verify(global: &Global, args: VerifyArgs, context: &Context) -> Result<(), Error> {
     let request = VerifyRequest {
         path: args.path,
         key: args.key,
         subjects: args.subject,
     };
-    match verify_path(&request)? {
+    match verify_path(&request, &context.cancel)? {
         VerifyResult::Crate(report) => {
             if global.json {
                 print_json(&report)?;

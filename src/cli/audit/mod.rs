@@ -6,6 +6,7 @@ mod uses;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use marf_engine::Cancel;
 use marf_run::audit::{self, AuditRequest};
 use marf_run::{Context, Error};
 use serde_json::json;
@@ -46,7 +47,7 @@ the store any more, 6 an archive has changed a product since.";
 /// `marf audit`: who made a file, from which bytes.
 pub fn audit(global: &Global, args: AuditArgs, context: &Context) -> Result<(), Error> {
     match (args.path, args.in_crate, args.from) {
-        (Some(file), Some(folder), _) => in_crate(global, &file, &folder),
+        (Some(file), Some(folder), _) => in_crate(global, &file, &folder, &context.cancel),
         (Some(file), None, _) => {
             let request = AuditRequest {
                 file,
@@ -71,8 +72,8 @@ fn audit_file(global: &Global, request: &AuditRequest, context: &Context) -> Res
 }
 
 /// Prints what the run of a crate says of a file.
-fn in_crate(global: &Global, file: &Path, folder: &Path) -> Result<(), Error> {
-    let trace = audit::trace(file, folder)?;
+fn in_crate(global: &Global, file: &Path, folder: &Path, cancel: &Cancel) -> Result<(), Error> {
+    let trace = audit::trace(file, folder, cancel)?;
     if global.json {
         return print_json(&trace);
     }

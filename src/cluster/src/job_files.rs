@@ -6,6 +6,7 @@ use std::{
 };
 
 use marf_cache::Digest;
+use marf_cache::file::{self, FileKind, Links};
 
 use crate::job_result::JobProgress;
 
@@ -54,7 +55,7 @@ impl JobFiles {
 
     /// Returns the end of the log, on one line.
     pub(crate) fn log_tail(&self) -> Option<String> {
-        let log = fs::read(&self.log).ok()?;
+        let log = file::read(&self.log, FileKind::Document, Links::Refused).ok()?;
         let tail = &log[log.len().saturating_sub(LOG_TAIL_BYTES)..];
         let text = String::from_utf8_lossy(tail);
         let lines: Vec<&str> = text
