@@ -64,7 +64,8 @@ pub struct Global {
 impl Global {
     /// Returns what these options say to a request.
     pub fn context(&self, cancel: &Cancel) -> Context {
-        let words: Vec<String> = std::env::args().skip(1).collect();
+        let words = std::env::args_os().skip(1);
+        let words: Vec<String> = words.map(|word| word.to_string_lossy().into_owned()).collect();
         let terminal = if self.json {
             Terminal::with_json_lines()
         } else {
@@ -76,7 +77,7 @@ impl Global {
             sets: self.sets.clone(),
             threads: self.threads,
             config: self.config(),
-            command: format!("marf {}", words.join(" ")),
+            command: format!("marf {}", marf_engine::recorded_command(&words, &self.file)),
             commit: option_env!("MARF_COMMIT"),
             feedback: Arc::new(terminal),
             cancel: cancel.clone(),

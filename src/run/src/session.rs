@@ -6,7 +6,10 @@ use std::sync::Arc;
 use marf_cache::{Digest, Store};
 use marf_config::scenes::ByScene;
 use marf_config::{self as config, Loaded, SharedStore};
-use marf_engine::{Graph, Listings, NodeDecl, NodeRun, Outcome, Purpose, RunRecord, RunSource};
+use marf_engine::{
+    Graph, Listings, NodeDecl, NodeRun, Outcome, Purpose, RunRecord, RunSource, forget_folders,
+    without_archive_folders,
+};
 use marf_model::select::Subject;
 use marf_schema::bootstrap;
 use marf_schema::scenes::Scenes;
@@ -111,11 +114,22 @@ impl Session {
         listings: Listings,
     ) -> Result<Self, Error> {
         let pipeline = loaded.pipeline;
-        let info = |node: &config::Node| NodeInfo {
-            name: node.name.clone(),
-            about: node.def.about,
-            relax: node.def.relax,
-            params: node.params.clone(),
+        let mut tree = pipeline.tree.clone();
+        let written = without_archive_folders(&loaded.text, &tree["archive"], &context.file);
+        if let Some(archives) = tree.get_mut("archive") {
+            forget_folders(archives, &context.file);
+        }
+        let info = |node: &config::Node| {
+            let mut params = node.params.clone();
+            if let Some(archive) = params.get_mut("archive") {
+                forget_folders(archive, &context.file);
+            }
+            NodeInfo {
+                name: node.name.clone(),
+                about: node.def.about,
+                relax: node.def.relax,
+                params,
+            }
         };
         let nodes = pipeline.nodes.iter().map(info).collect();
         let by_scene = ByScene::from_pipeline(&pipeline);
@@ -126,8 +140,8 @@ impl Session {
             graph,
             store,
             nodes,
-            written: loaded.text,
-            tree: pipeline.tree,
+            written,
+            tree,
             shared: pipeline.shared,
             by_scene,
             scenes: Vec::new(),
