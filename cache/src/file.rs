@@ -34,7 +34,7 @@ impl FileKind {
     pub const fn max_bytes(self) -> u64 {
         match self {
             Self::Key => 64 << 10,
-            Self::Settings => 16 << 20,
+            Self::Settings => 64 << 20,
             Self::Document => 256 << 20,
             Self::State => 16 << 30,
         }
