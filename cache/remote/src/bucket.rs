@@ -246,7 +246,8 @@ impl Bucket {
         let Some(folder) = self.folder.clone() else {
             return Ok(Some(0));
         };
-        let path = name.to_owned();
+        // As it is in the file system: some characters are encoded.
+        let path = self.path(name).as_ref().to_owned();
         let opened = unblocked(FOLDER_PATIENCE, move || {
             let file = file::open(&file::below(&folder, &path)?, Links::Refused)?;
             Ok::<u64, std::io::Error>(file.metadata()?.len())
