@@ -6,6 +6,7 @@ use marf_engine::Cancel;
 
 fn main() -> ExitCode {
     quiet_mesa();
+    survive_file_limit();
     let cancel = Cancel::default();
     let asked = cancel.clone();
     // The first Ctrl-C asks to stop at the next check; the second stops now, which the store survives.
@@ -35,3 +36,21 @@ fn quiet_mesa() {
         }
     }
 }
+
+/// Keeps the signal of a limit on the size of files from ending the program: the write fails, and its error names the file. A handler, unlike
+/// a signal that is ignored, is not passed on to the programs that this one starts.
+#[cfg(unix)]
+fn survive_file_limit() {
+    extern "C" fn do_nothing(_signal: libc::c_int) {}
+    let handler: extern "C" fn(libc::c_int) = do_nothing;
+    #[allow(
+        unsafe_code,
+        reason = "the handler does nothing, which is safe in any thread at any time"
+    )]
+    unsafe {
+        libc::signal(libc::SIGXFSZ, handler as libc::sighandler_t);
+    }
+}
+
+#[cfg(not(unix))]
+fn survive_file_limit() {}

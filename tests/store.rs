@@ -256,3 +256,76 @@ fn photos_may_stay_outside_the_store_with_equal_results_and_an_edited_one_is_rea
     }
     assert_eq!(set(copied.path()), set(referenced.path()));
 }
+
+#[test]
+fn a_whole_store_lacks_nothing_that_a_collection_warns_of() {
+    let dir = pipeline();
+    marf(dir.path(), &["run"]).exits(0);
+    let collected = marf(dir.path(), &["cache", "gc", "--dry-run"]).exits(0);
+    assert!(!collected.stderr.contains("missing"), "{}", collected.stderr);
+}
+
+/// The signal of the limit ends a program that does not expect it.
+#[cfg(unix)]
+#[test]
+fn a_limit_on_the_size_of_files_is_an_error_that_names_the_file() {
+    let dir = pipeline();
+    let limited = std::process::Command::new("sh")
+        .args([
+            "-c",
+            "ulimit -f 20; exec \"$@\"",
+            "sh",
+            env!("CARGO_BIN_EXE_marf"),
+            "run",
+        ])
+        .current_dir(dir.path())
+        .output()
+        .unwrap();
+    let stderr = String::from_utf8_lossy(&limited.stderr);
+    assert_eq!(limited.status.code(), Some(1), "{stderr}");
+    let named = stderr
+        .lines()
+        .any(|line| line.contains("cannot write `") && line.contains("File too large"));
+    assert!(named, "{stderr}");
+    marf(dir.path(), &["run"]).exits(0);
+}
+
+#[test]
+fn only_a_value_that_changed_is_a_change() {
+    let dir = pipeline();
+    marf(dir.path(), &["run"]).exits(0);
+    let why = |value: &str| {
+        let text = marf(dir.path(), &["why", "blur", "--set", value]).exits(0).stdout;
+        text.matches(" -> ").count()
+    };
+    for own in [
+        "blur.min_share=0.55",
+        "blur.floor_ratio=3",
+        "blur.floor_ratio=3.0",
+    ] {
+        assert_eq!(why(own), 0, "{own}");
+    }
+    assert_eq!(why("blur.min_share=0.6"), 1);
+}
+
+/// A record and a report name no folder of the machine.
+#[test]
+fn absolute_paths_are_recorded_from_the_folder_of_the_pipeline() {
+    let dir = pipeline();
+    let here = dir.path().canonicalize().unwrap();
+    let (file, crate_dir) = (here.join("pipeline.toml"), here.join("crate"));
+    marf(dir.path(), &["--file", file.to_str().unwrap(), "run"]).exits(0);
+    marf(dir.path(), &["export", "crate", crate_dir.to_str().unwrap()]).exits(0);
+    for entry in walkdir::WalkDir::new(&crate_dir) {
+        let entry = entry.unwrap();
+        if entry.file_type().is_file() {
+            let bytes = std::fs::read(entry.path()).unwrap();
+            let text = String::from_utf8_lossy(&bytes);
+            assert!(
+                !text.contains(here.to_str().unwrap()),
+                "{}",
+                entry.path().display()
+            );
+        }
+    }
+}

@@ -10,6 +10,12 @@ use crate::{Digest, canonical_json};
 /// Version of the form of actions; the first field of each.
 pub const ACTION_FORMAT: u32 = 2;
 
+/// Name of the input of a part that stands for something outside the store: what an archive holds of a shard.
+pub const FINGERPRINT: &str = "fingerprint";
+
+/// Name of the input of a source: the set of its shards, whose leaves are fingerprints.
+pub const LISTING: &str = "listing";
+
 /// Everything that a result depends on: which stage at which version computes it, from what, where.
 ///
 /// [`Action::encode`] gives its one form as bytes, which the store keeps like any blob. The key of a result is the blake3

@@ -52,7 +52,10 @@ impl Digest {
 impl Sha256 {
     /// Returns the digest of a byte string.
     pub fn from_content(bytes: &[u8]) -> Self {
-        let digest = ring::digest::digest(&ring::digest::SHA256, bytes);
+        Self::from_ring(&ring::digest::digest(&ring::digest::SHA256, bytes))
+    }
+
+    fn from_ring(digest: &ring::digest::Digest) -> Self {
         let mut whole = [0; 32];
         whole.copy_from_slice(digest.as_ref());
         Self(whole)
@@ -61,6 +64,35 @@ impl Sha256 {
     /// Returns the 32 bytes.
     pub const fn as_bytes(&self) -> &[u8; 32] {
         &self.0
+    }
+}
+
+/// A reader that gives the digest of what was read through it.
+pub struct Sha256Reader<R> {
+    reader: R,
+    context: ring::digest::Context,
+}
+
+impl<R: io::Read> Sha256Reader<R> {
+    /// Returns a reader that gives what this one gives.
+    pub fn new(reader: R) -> Self {
+        Self {
+            reader,
+            context: ring::digest::Context::new(&ring::digest::SHA256),
+        }
+    }
+
+    /// Returns the digest of all that was read.
+    pub fn finish(self) -> Sha256 {
+        Sha256::from_ring(&self.context.finish())
+    }
+}
+
+impl<R: io::Read> io::Read for Sha256Reader<R> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let count = self.reader.read(buffer)?;
+        self.context.update(&buffer[..count]);
+        Ok(count)
     }
 }
 
@@ -138,6 +170,9 @@ mod tests {
         let abc = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
         assert_eq!(Sha256::from_content(b"abc").to_string(), abc);
         assert_eq!(abc.parse(), Ok(Sha256::from_content(b"abc")));
+        let mut reader = Sha256Reader::new(b"abc".as_slice());
+        assert_eq!(io::copy(&mut reader, &mut io::sink()).unwrap(), 3);
+        assert_eq!(reader.finish().to_string(), abc);
     }
 
     #[test]

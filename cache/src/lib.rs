@@ -6,13 +6,14 @@
 mod action;
 mod content_hash;
 mod digest;
+pub mod file;
 mod json;
 pub mod manifest;
 mod store;
 
-pub use action::{ACTION_FORMAT, Action, ActionError, ChildVersion};
+pub use action::{ACTION_FORMAT, Action, ActionError, ChildVersion, FINGERPRINT, LISTING};
 pub use content_hash::{Bytes, ContentHash, ContentHasher, digest_of};
-pub use digest::{Digest, ParseDigestError, Sha256};
+pub use digest::{Digest, ParseDigestError, Sha256, Sha256Reader};
 pub use json::canonical_json;
 pub use store::{
     Belongings, Closure, Conflict, Fault, FsckOptions, FsckReport, GcPlan, GcReport, LostDocument,

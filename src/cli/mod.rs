@@ -100,7 +100,7 @@ fn dispatch(cli: Cli, cancel: &Cancel) -> Result<(), Error> {
         Verb::Render(args) => render::render(args, context),
         Verb::Compare(args) => compare::compare(args, context),
         Verb::Export { verb } => export::export(verb, context),
-        Verb::Verify(args) => verify::verify(&args),
+        Verb::Verify(args) => verify::verify(&args, &context.cancel),
         Verb::Audit(args) => audit::audit(args, context),
         Verb::Diff(args) => diff::diff(args, context),
         Verb::Replay(args) => replay::replay(args, context),

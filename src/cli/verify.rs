@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use marf_export::verify::{Report, Signature};
+use marf_engine::Cancel;
 use marf_run::Error;
 use marf_run::export::{Statement, VerifyResult, verify_path, without_faults};
 
@@ -28,8 +29,8 @@ pub struct VerifyArgs {
 }
 
 /// `marf verify`.
-pub fn verify(args: &VerifyArgs) -> Result<(), Error> {
-    match verify_path(&args.path, args.key.as_deref(), &args.subject)? {
+pub fn verify(args: &VerifyArgs, cancel: &Cancel) -> Result<(), Error> {
+    match verify_path(&args.path, args.key.as_deref(), &args.subject, cancel)? {
         VerifyResult::Crate(report) => {
             if args.json {
                 print_json(&report)?;

@@ -1,18 +1,24 @@
 //! Requests: what is read and written behind an address, each as one object by its name.
 
 use std::{
+    future::Future,
+    io::ErrorKind,
     ops::Range,
+    path::PathBuf,
     sync::atomic::{AtomicU64, Ordering},
     time::SystemTime,
 };
 
 use bytes::Bytes;
 use futures_util::TryStreamExt;
-use marf_cache::Digest;
+use marf_cache::{
+    Digest,
+    file::{self, Links},
+};
 use object_store::{
     Error, ObjectMeta, ObjectStore, ObjectStoreExt, PutMode, PutOptions, PutPayload, path::Path,
 };
-use tokio::sync::Mutex;
+use tokio::{sync::Mutex, time::timeout};
 
 use crate::{
     address::{Address, Patience},
@@ -20,6 +26,7 @@ use crate::{
     kept_indexes::KeptIndexes,
     names,
     pack::{Catalogue, Pack},
+    threads::{FOLDER_PATIENCE, folder_patience, unblocked},
     trust::Trust,
 };
 
@@ -51,6 +58,8 @@ pub(crate) struct Bucket {
     pub(crate) trust: Trust,
     root: Path,
     objects: Box<dyn ObjectStore>,
+    /// The folder that it is, if it is one.
+    folder: Option<PathBuf>,
     /// Where indexes of its packs are kept beyond this process; they are not if absent.
     pub(crate) kept_indexes: Option<KeptIndexes>,
     /// What is known of its packs.
@@ -69,6 +78,10 @@ impl Bucket {
             trust,
             root,
             objects,
+            folder: match address {
+                Address::Folder(folder) => Some(folder),
+                Address::S3 { .. } => None,
+            },
             kept_indexes: None,
             catalogue: Mutex::default(),
             requests: AtomicU64::new(0),
@@ -103,8 +116,12 @@ impl Bucket {
     /// Returns the bytes of an object; none if there is none.
     pub(crate) async fn get(&self, name: &str) -> Result<Option<Bytes>, RemoteError> {
         self.count(0);
-        let read = async { self.objects.get(&self.path(name)).await?.bytes().await };
-        let bytes = self.there("read", name, read.await)?;
+        let Some(size) = self.readable_bytes(name).await? else {
+            return Ok(None);
+        };
+        let path = self.path(name);
+        let read = async { self.objects.get(&path).await?.bytes().await };
+        let bytes = self.there("read", name, self.within(size, read).await)?;
         self.received(bytes.as_ref().map_or(0, Bytes::len));
         Ok(bytes)
     }
@@ -116,7 +133,11 @@ impl Bucket {
         ranges: &[Range<u64>],
     ) -> Result<Option<Vec<Bytes>>, RemoteError> {
         self.count(0);
-        let read = self.objects.get_ranges(&self.path(name), ranges).await;
+        let Some(size) = self.readable_bytes(name).await? else {
+            return Ok(None);
+        };
+        let path = self.path(name);
+        let read = self.within(size, self.objects.get_ranges(&path, ranges)).await;
         let parts = self.there("read", name, read)?;
         self.received(parts.iter().flatten().map(Bytes::len).sum());
         Ok(parts)
@@ -125,7 +146,7 @@ impl Bucket {
     /// Returns length and time of an object; none if there is none.
     pub(crate) async fn find(&self, name: &str) -> Result<Option<StoredObject>, RemoteError> {
         self.count(0);
-        let found = self.objects.head(&self.path(name)).await;
+        let found = self.within(0, self.objects.head(&self.path(name))).await;
         let listed = |meta: ObjectMeta| StoredObject {
             name: name.to_owned(),
             bytes: meta.size,
@@ -137,8 +158,10 @@ impl Bucket {
     /// Writes an object, in place of one that is there.
     pub(crate) async fn put(&self, name: &str, bytes: Bytes) -> Result<(), RemoteError> {
         self.count(bytes.len());
-        let written = self.objects.put(&self.path(name), PutPayload::from(bytes)).await;
-        written
+        let (path, size) = (self.path(name), bytes.len() as u64);
+        let written = self.objects.put(&path, PutPayload::from(bytes));
+        self.within(size, written)
+            .await
             .map(drop)
             .map_err(|error| self.error("write", name, &error))
     }
@@ -147,11 +170,9 @@ impl Bucket {
     pub(crate) async fn put_new(&self, name: &str, bytes: Bytes) -> Result<bool, RemoteError> {
         self.count(bytes.len());
         let options = PutOptions::from(PutMode::Create);
-        let written = self
-            .objects
-            .put_opts(&self.path(name), PutPayload::from(bytes), options)
-            .await;
-        match written {
+        let (path, size) = (self.path(name), bytes.len() as u64);
+        let written = self.objects.put_opts(&path, PutPayload::from(bytes), options);
+        match self.within(size, written).await {
             Ok(_) => Ok(true),
             Err(Error::AlreadyExists { .. } | Error::Precondition { .. }) => Ok(false),
             Err(error) => Err(self.error("write", name, &error)),
@@ -168,15 +189,18 @@ impl Bucket {
     /// Removes an object; one that is not there is no error.
     pub(crate) async fn remove(&self, name: &str) -> Result<(), RemoteError> {
         self.count(0);
-        let removed = self.objects.delete(&self.path(name)).await;
+        let removed = self.within(0, self.objects.delete(&self.path(name))).await;
         self.there("remove", name, removed).map(drop)
     }
 
     /// Returns the objects in a folder and below it, 1,000 a request.
     pub(crate) async fn list(&self, folder: &str) -> Result<Vec<StoredObject>, RemoteError> {
         let path = self.path(folder);
-        let listed: Result<Vec<_>, Error> = self.objects.list(Some(&path)).try_collect().await;
-        let listed = self.there("list", folder, listed)?.unwrap_or_default();
+        let mut found = self.objects.list(Some(&path));
+        let mut listed = Vec::new();
+        while let Some(Some(meta)) = self.there("list", folder, self.within(0, found.try_next()).await)? {
+            listed.push(meta);
+        }
         self.requests
             .fetch_add(listed.len() as u64 / 1_000 + 1, Ordering::Relaxed);
         let depth = self.root.parts().count();
@@ -196,6 +220,53 @@ impl Bucket {
                 }
             })
             .collect())
+    }
+
+    /// Waits for the answer to a request that moves at most so many bytes: of a folder as long as a file system that works may take;
+    /// servers have limits of their own.
+    async fn within<T>(
+        &self,
+        bytes: u64,
+        request: impl Future<Output = Result<T, Error>>,
+    ) -> Result<T, Error> {
+        if self.folder.is_none() {
+            return request.await;
+        }
+        let patience = folder_patience(bytes);
+        let silent = |_| Error::Generic {
+            store: "folder",
+            source: format!("no answer within {} s", patience.as_secs()).into(),
+        };
+        timeout(patience, request).await.map_err(silent)?
+    }
+
+    /// Returns the size of an object that may be read, none if it is not there; of a server 0. In a folder it must be a regular file: a
+    /// pipe would never end, and a link may lead anywhere.
+    async fn readable_bytes(&self, name: &str) -> Result<Option<u64>, RemoteError> {
+        let Some(folder) = self.folder.clone() else {
+            return Ok(Some(0));
+        };
+        // As it is in the file system: some characters are encoded.
+        let path = self.path(name).as_ref().to_owned();
+        let opened = unblocked(FOLDER_PATIENCE, move || {
+            let file = file::open(&file::below(&folder, &path)?, Links::Refused)?;
+            Ok::<u64, std::io::Error>(file.metadata()?.len())
+        });
+        let (place, doing, object) = (self.place.clone(), "read", name.to_owned());
+        match opened.await.flatten() {
+            Ok(bytes) => Ok(Some(bytes)),
+            Err(error) => match error.kind() {
+                ErrorKind::NotFound => Ok(None),
+                ErrorKind::InvalidInput => Err(self.damaged(name, &error.to_string())),
+                ErrorKind::PermissionDenied => Err(RemoteError::Denied { place, doing, object }),
+                _ => Err(RemoteError::Failed {
+                    place,
+                    doing,
+                    object,
+                    cause: error.to_string(),
+                }),
+            },
+        }
     }
 
     /// Returns an answer; none where it is that there is no such object.

@@ -9,6 +9,7 @@ use std::{
 };
 
 use marf_cache::Digest;
+use marf_cache::file::{self, FileKind, Links};
 
 /// A folder with indexes, a file each. What cannot be read or written there costs a request, never a result.
 #[derive(Debug)]
@@ -22,7 +23,7 @@ impl KeptIndexes {
 
     /// Returns the bytes of an index, whole or not; none if it is not there.
     pub(crate) fn read(&self, pack: &Digest) -> Option<Vec<u8>> {
-        fs::read(self.file(pack)).ok()
+        file::read(&self.file(pack), FileKind::Document, Links::Followed).ok()
     }
 
     /// Keeps an index; others see it whole or not at all.

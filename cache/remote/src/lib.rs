@@ -53,6 +53,7 @@ mod results;
 mod sealed;
 mod sharing;
 mod survey;
+mod threads;
 mod trust;
 
 pub use address::{Patience, check_address};

@@ -11,7 +11,6 @@ use std::{
 use bytes::Bytes;
 use futures_util::future::{Either, select};
 use marf_cache::{Digest, Store};
-use tokio::runtime::{Builder, Runtime};
 
 use crate::{
     address::Patience,
@@ -26,6 +25,7 @@ use crate::{
     pull::{self, PullReport},
     push::{self, PushReport},
     sealed::RemoteRun,
+    threads::{FOLDER_PATIENCE, Threads, unblocked},
     trust::Trust,
 };
 
@@ -33,9 +33,6 @@ use crate::{
 const FORMAT: u32 = 1;
 /// What the object that tells the form begins with.
 const FORMAT_WORDS: &str = "marf shared store ";
-
-/// Threads that read and write a folder: each has memory of its own that is not given back.
-const FOLDER_THREADS: usize = 4;
 
 /// Longest wait for the end of a lease: the user may have asked to stop.
 const RELEASE_PATIENCE: Duration = Duration::from_secs(1);
@@ -45,7 +42,7 @@ pub struct Remote {
     pub(crate) bucket: Bucket,
     /// Whether its form was found to be the known one.
     is_checked: AtomicBool,
-    runtime: Runtime,
+    threads: Threads,
 }
 
 impl Remote {
@@ -55,16 +52,20 @@ impl Remote {
     /// # Errors
     /// A bad address, or an environment without credentials.
     pub fn open(url: &str, patience: Patience, trust: Trust) -> Result<Self, RemoteError> {
-        let runtime = Builder::new_multi_thread()
-            .worker_threads(2)
-            .max_blocking_threads(FOLDER_THREADS)
-            .enable_all()
-            .build()
-            .map_err(RemoteError::Threads)?;
+        let threads = Threads::new().map_err(RemoteError::Threads)?;
+        let place = url.to_owned();
+        let open = move || Bucket::open(&place, patience, trust);
+        let opened = threads.block_on(unblocked(FOLDER_PATIENCE, open));
+        let silent = |error: std::io::Error| RemoteError::Failed {
+            place: url.to_owned(),
+            doing: "open",
+            object: "format".to_owned(),
+            cause: error.to_string(),
+        };
         Ok(Self {
-            bucket: Bucket::open(url, patience, trust)?,
+            bucket: opened.map_err(silent)??,
             is_checked: AtomicBool::new(false),
-            runtime,
+            threads,
         })
     }
 
@@ -248,7 +249,7 @@ impl Remote {
         observer: &dyn Observer,
         work: impl Future<Output = Result<T, RemoteError>>,
     ) -> Result<T, RemoteError> {
-        self.runtime.block_on(until_stopped(observer, work))
+        self.threads.block_on(until_stopped(observer, work))
     }
 
     /// Waits for work as [`Remote::waiting`], under a lease that is renewed meanwhile and released in any case.
@@ -263,7 +264,7 @@ impl Remote {
             lease.take(bucket).await?;
             work.await
         };
-        self.runtime.block_on(async {
+        self.threads.block_on(async {
             let work = pin!(until_stopped(observer, work));
             let done = match select(work, pin!(lease.renew(bucket))).await {
                 Either::Left((done, _)) => done,

@@ -13,7 +13,7 @@ use super::{
     record::Record,
 };
 use crate::{
-    Action, Digest,
+    Action, Digest, FINGERPRINT, LISTING,
     manifest::{Leaf, LeafRef, Root},
 };
 
@@ -25,7 +25,7 @@ const LEAF_START: &[u8] = b"{\"id\":";
 enum Walk {
     /// Leaves are blobs that an output consists of.
     Output,
-    /// Leaves are blobs, or digests of what is not stored (fingerprints of a listing).
+    /// Leaves are blobs, or digests of what need not be stored: fingerprints of a listing, what a process has looked at.
     Input,
     /// Leaves are keys of parts.
     Parts,
@@ -62,7 +62,7 @@ pub(super) struct Marker<'a> {
     tasks: Vec<Task>,
     steps: Option<Vec<Step>>,
     missing: Vec<MissingObject>,
-    listed: HashSet<(Digest, Role)>,
+    listed: HashSet<(Kind, Digest)>,
     bytes: u64,
 }
 
@@ -202,8 +202,13 @@ impl<'a> Marker<'a> {
         Ok(visited == Some(true))
     }
 
+    /// Lists an object that is missing, once, as what it was first found to be named.
     fn miss(&mut self, digest: &Digest, role: Role, owner: &Digest) {
-        if self.listed.insert((*digest, role)) {
+        let kind = match role {
+            Role::Record | Role::Part | Role::Child => Kind::Record,
+            _ => Kind::Blob,
+        };
+        if self.listed.insert((kind, *digest)) {
             self.missing.push(MissingObject {
                 digest: *digest,
                 role,
@@ -324,12 +329,22 @@ impl<'a> Marker<'a> {
         }
         let bytes = self.read(key, Role::Action, key)?;
         let action = bytes.and_then(|bytes| Action::decode(&bytes).ok());
-        for input in action.iter().flat_map(|action| action.inputs.values()) {
-            self.blob(input, Role::Input, key)?;
+        for (name, input) in action.iter().flat_map(|action| &action.inputs) {
+            let is_missing = self.visit(Kind::Blob, input)?.is_none();
+            // A chain of steps begins with the digest of nothing, which nobody stores.
+            let is_outside = name == FINGERPRINT || *input == Digest::from_content(&[]);
+            if is_missing && !is_outside {
+                self.miss(input, Role::Input, key);
+            }
+            let walk = if name == LISTING {
+                Walk::Input
+            } else {
+                Walk::Output
+            };
             self.tasks.push(Task::Set {
                 root: *input,
                 owner: *key,
-                walk: Walk::Input,
+                walk,
             });
         }
         Ok(())

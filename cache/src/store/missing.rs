@@ -9,7 +9,7 @@ pub enum Role {
     Record,
     /// The action of a key.
     Action,
-    /// What an action reads; a digest that stands for something outside the store is none of its objects.
+    /// What an action reads, unless it is a [`crate::FINGERPRINT`].
     Input,
     /// An output of a record.
     Output,

@@ -6,6 +6,7 @@ mod uses;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use marf_engine::Cancel;
 use marf_run::audit::{self, AuditRequest};
 use marf_run::{Context, Error};
 
@@ -48,7 +49,7 @@ archive has changed a product since.";
 pub fn audit(args: AuditArgs, context: Context) -> Result<(), Error> {
     let (context, record) = (&args.record.store.context(context), &args.record);
     match (args.path, args.in_crate, args.from) {
-        (Some(file), Some(folder), _) => in_crate(record, &file, &folder),
+        (Some(file), Some(folder), _) => in_crate(record, &file, &folder, &context.cancel),
         (Some(file), None, _) => {
             let request = AuditRequest {
                 file,
@@ -73,8 +74,8 @@ fn audit_file(record: &RecordArgs, request: &AuditRequest, context: &Context) ->
 }
 
 /// Prints what the run of a crate says of a file.
-fn in_crate(record: &RecordArgs, file: &Path, folder: &Path) -> Result<(), Error> {
-    let trace = audit::trace(file, folder)?;
+fn in_crate(record: &RecordArgs, file: &Path, folder: &Path, cancel: &Cancel) -> Result<(), Error> {
+    let trace = audit::trace(file, folder, cancel)?;
     if record.json {
         return print_json(&trace);
     }

@@ -9,6 +9,7 @@ use std::{
 };
 
 use marf_cache::Digest;
+use marf_cache::file::{self, FileKind, Links};
 use marf_engine::{Order, PartOrder};
 use marf_stage::{StageError, Threads};
 
@@ -80,7 +81,7 @@ impl<'a> Arrays<'a> {
     /// Takes over the tasks that an earlier run has submitted; returns the keys of their parts.
     fn adopt(&mut self, wanted: &[&PartOrder]) -> BTreeSet<Digest> {
         let wanted: BTreeSet<Digest> = wanted.iter().map(|part| part.key).collect();
-        let plan: Plan = fs::read(self.plan_path())
+        let plan: Plan = file::read(&self.plan_path(), FileKind::Document, Links::Refused)
             .ok()
             .and_then(|bytes| serde_json::from_slice(&bytes).ok())
             .unwrap_or_default();
@@ -97,7 +98,7 @@ impl<'a> Arrays<'a> {
         }
         let mut taken = BTreeSet::new();
         for (key, (array, index)) in places {
-            let Ok(actions) = fs::read(self.files(&key).action) else {
+            let Ok(actions) = file::read(&self.files(&key).action, FileKind::Document, Links::Refused) else {
                 continue;
             };
             let parts: Vec<Digest> = actions

@@ -82,10 +82,10 @@ impl Commands {
         let printed = run(&self.submit, "{script}", script)?;
         // Slurm adds `;cluster` on sites with several.
         let id = printed.split([';', '\n']).next().unwrap_or_default().trim();
-        if id.is_empty() {
-            Err(format!("`{}` printed no id", self.submit[0]))
-        } else {
+        if is_id(id) {
             Ok(id.to_owned())
+        } else {
+            Err(format!("`{}` printed no id of a job: {id:?}", self.submit[0]))
         }
     }
 
@@ -110,11 +110,19 @@ impl Commands {
     }
 }
 
+/// Tells whether a text can be the id of a job: commands of a site file may hand it to a shell.
+fn is_id(text: &str) -> bool {
+    !text.is_empty()
+        && text
+            .chars()
+            .all(|char| char.is_ascii_alphanumeric() || "._-+:@%,[]".contains(char))
+}
+
 /// Reads a line `id|name|state|reason`.
 fn listed(line: &str) -> Option<(String, ListedJob)> {
     let mut parts = line.trim().splitn(4, '|');
     let mut next = || parts.next().map(|part| part.trim().to_owned());
-    let (id, name, state) = (next()?, next()?, next()?);
+    let (id, name, state) = (next().filter(|id| is_id(id))?, next()?, next()?);
     let reason = next().unwrap_or_default();
     let listed = ListedJob {
         id,

@@ -2,15 +2,17 @@
 
 use std::{
     fs,
+    io::{Read as _, Seek as _, SeekFrom},
     path::{Path, PathBuf},
 };
 
 use marf_cache::Digest;
+use marf_cache::file::{self, Links};
 
 use crate::job_result::JobProgress;
 
 /// Bytes at the end of a log that an error shows.
-const LOG_TAIL_BYTES: usize = 400;
+const LOG_TAIL_BYTES: u64 = 400;
 
 /// The files of a job.
 pub(crate) struct JobFiles {
@@ -54,9 +56,12 @@ impl JobFiles {
 
     /// Returns the end of the log, on one line.
     pub(crate) fn log_tail(&self) -> Option<String> {
-        let log = fs::read(&self.log).ok()?;
-        let tail = &log[log.len().saturating_sub(LOG_TAIL_BYTES)..];
-        let text = String::from_utf8_lossy(tail);
+        let mut log = file::open(&self.log, Links::Refused).ok()?;
+        let length = log.metadata().ok()?.len().min(LOG_TAIL_BYTES);
+        let mut tail = vec![0; length as usize];
+        log.seek(SeekFrom::End(-(length as i64))).ok()?;
+        log.read_exact(&mut tail).ok()?;
+        let text = String::from_utf8_lossy(&tail);
         let lines: Vec<&str> = text
             .lines()
             .map(str::trim)

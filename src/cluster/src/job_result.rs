@@ -7,7 +7,8 @@ use std::{
 };
 
 use marf_cache::Digest;
-use serde::{Deserialize, Serialize};
+use marf_cache::file::{self, FileKind, Links};
+use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 /// How a job ended.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -56,7 +57,7 @@ impl JobResult {
 
     /// Reads the result of a key; none if it is not there, or not whole, or of another key.
     pub(crate) fn read(path: &Path, key: &Digest) -> Option<Self> {
-        let result: Self = serde_json::from_slice(&fs::read(path).ok()?).ok()?;
+        let result: Self = read_json(path)?;
         (result.key == *key).then_some(result)
     }
 }
@@ -89,8 +90,14 @@ impl JobProgress {
 
     /// Reads the progress of a job; none if it has told none.
     pub(crate) fn read(path: &Path) -> Option<Self> {
-        serde_json::from_slice(&fs::read(path).ok()?).ok()
+        read_json(path)
     }
+}
+
+/// Reads what a job wrote; none if it is not there or not whole.
+fn read_json<T: DeserializeOwned>(path: &Path) -> Option<T> {
+    let bytes = file::read(path, FileKind::Document, Links::Refused).ok()?;
+    serde_json::from_slice(&bytes).ok()
 }
 
 /// Writes a file whole or not at all.

@@ -63,41 +63,47 @@ pub(crate) fn check(template: &str, options: &[String]) -> Result<(), String> {
 
 /// Returns a script with its placeholders filled; what stands in a command line is quoted for the shell.
 pub(crate) fn filled(template: &str, filling: &Filling<'_>) -> String {
-    let path = |path: &Path| path.display().to_string();
     let pairs = [
         ("{name}", filling.name.to_owned()),
         (TASK, filling.task.to_owned()),
         ("{action}", filling.action.clone()),
         ("{store}", shell_quoted(filling.store)),
         ("{marf}", quoted_path(filling.marf)),
-        ("{log}", path(filling.log)),
+        ("{log}", quoted_path(filling.log)),
         ("{result}", filling.result.clone()),
         ("{scratch}", filling.scratch.clone()),
         ("{cores}", filling.cores.to_string()),
         ("{memory_mb}", filling.memory_mb.to_string()),
         ("{minutes}", filling.minutes.to_string()),
     ];
-    let with_values = |line: &str| {
-        pairs.iter().fold(line.to_owned(), |line, (placeholder, value)| {
-            line.replace(placeholder, value)
-        })
-    };
     let lines = template.lines().flat_map(|line| {
-        let line = with_values(line);
         if line.contains(OPTIONS) {
-            filling
-                .options
-                .iter()
-                .map(|option| line.replace(OPTIONS, option))
-                .collect()
+            let options = filling.options.iter();
+            let pairs = options.map(|option| [pairs.as_slice(), &[(OPTIONS, option.clone())]].concat());
+            pairs.map(|pairs| with_values(line, &pairs)).collect()
         } else {
-            vec![line]
+            vec![with_values(line, &pairs)]
         }
     });
     lines
         .filter(|line| !line.is_empty())
         .map(|line| line + "\n")
         .collect()
+}
+
+/// Replaces the placeholders of a line. A value is not looked at again: a placeholder in it stays.
+fn with_values(line: &str, pairs: &[(&str, String)]) -> String {
+    let (mut filled, mut rest) = (String::new(), line);
+    while let Some(start) = rest.find('{') {
+        let (before, from) = rest.split_at(start);
+        let pair = pairs
+            .iter()
+            .find(|(placeholder, _)| from.starts_with(placeholder));
+        let (length, value) = pair.map_or((1, "{"), |(placeholder, value)| (placeholder.len(), value));
+        filled.extend([before, value]);
+        rest = &from[length..];
+    }
+    filled + rest
 }
 
 /// Returns a word of a shell command that stands for this path.
@@ -168,6 +174,32 @@ mod tests {
         );
         assert!(!bare.contains("\n\n"), "{bare}");
         assert_eq!(shell_quoted(""), "''");
+    }
+
+    #[test]
+    fn values_are_words_in_every_line_and_placeholders_in_them_stay() {
+        let filling = Filling {
+            name: "marf-ab",
+            task: "",
+            action: quoted_path(Path::new("/a b/{store}")),
+            store: "file:///x'; touch y; '{marf}",
+            marf: Path::new("/$(touch z)/marf"),
+            log: Path::new("/a b/{store}.log"),
+            result: String::new(),
+            scratch: String::new(),
+            cores: 2,
+            memory_mb: 900,
+            minutes: 30,
+            options: &["--comment={name}".to_owned()],
+        };
+        let script = filled(SLURM, &filling);
+        for line in [
+            "#SBATCH --output='/a b/{store}.log'",
+            "#SBATCH --comment={name}",
+            r"exec '/$(touch z)/marf' exec '/a b/{store}' --store 'file:///x'\''; touch y; '\''{marf}' --result  --scratch  --threads 2",
+        ] {
+            assert!(script.lines().any(|found| found == line), "{line}: {script}");
+        }
     }
 
     #[test]

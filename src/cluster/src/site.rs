@@ -5,6 +5,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
+use marf_cache::file::{self, FileKind, Links};
 use serde::Deserialize;
 
 use crate::{commands::Commands, script};
@@ -199,16 +200,16 @@ impl Site {
     /// A file that is not there or is no site, a value that no site can have.
     pub fn read(path: &Path) -> Result<Self, SiteError> {
         let read = |path: &Path| {
-            std::fs::read_to_string(path).map_err(|source| SiteError::Read {
+            file::read_text(path, FileKind::Settings, Links::Followed).map_err(|source| SiteError::Read {
                 path: path.to_owned(),
                 source,
             })
         };
-        let file: File = toml::from_str(&read(path)?).map_err(|error| SiteError::Syntax {
+        let settings: File = toml::from_str(&read(path)?).map_err(|error| SiteError::Syntax {
             path: path.to_owned(),
             message: error.to_string().trim_end().to_owned(),
         })?;
-        let site = file.executor;
+        let site = settings.executor;
         site.check().map_err(|(key, message)| SiteError::Value {
             path: path.to_owned(),
             key,
@@ -233,6 +234,7 @@ impl Site {
         positive("minutes", self.minutes > 0)?;
         positive("poll_s", self.poll_s.is_finite() && self.poll_s > 0.0)?;
         positive("patience_s", self.patience_s.is_finite() && self.patience_s > 0.0)?;
+        self.check_texts()?;
         if !self.folder.is_absolute() {
             let message = format!(
                 "`{}`: machines of jobs need the whole path",
@@ -250,6 +252,36 @@ impl Site {
         self.commands.check()
     }
 
+    /// Refuses texts that would be something else in a script than one value: with a line feed they would be a line of it.
+    fn check_texts(&self) -> Result<(), (&'static str, String)> {
+        let paths = [("folder", Some(&self.folder)), ("marf", self.marf.as_ref())];
+        let paths = paths
+            .into_iter()
+            .filter_map(|(key, path)| Some((key, path?.to_string_lossy())));
+        let lists = [
+            ("options", &self.options),
+            ("gpu_options", &self.gpu_options),
+            ("array_options", &self.array_options),
+        ];
+        let lists = lists.into_iter();
+        let options = lists.flat_map(|(key, list)| list.iter().map(move |text| (key, text.into())));
+        let mut texts = paths
+            .chain([("store", self.store.as_str().into())])
+            .chain(options);
+        if let Some((key, text)) = texts.find(|(_, text)| text.contains(char::is_control)) {
+            return Err((key, format!("{text:?}: a control character")));
+        }
+        let is_letter = |char: char| char.is_ascii_alphabetic() || char == '_';
+        let is_name = |text: &str| text.chars().all(|char| is_letter(char) || char.is_ascii_digit());
+        if !self.array_index.starts_with(is_letter) || !is_name(&self.array_index) {
+            return Err((
+                "array_index",
+                format!("{:?}: not the name of a variable", self.array_index),
+            ));
+        }
+        Ok(())
+    }
+
     /// Returns the script of jobs, with its placeholders.
     ///
     /// # Errors
@@ -258,10 +290,11 @@ impl Site {
         let Some(path) = &self.template else {
             return Ok(script::SLURM.to_owned());
         };
-        let template = std::fs::read_to_string(path).map_err(|source| SiteError::Read {
-            path: path.clone(),
-            source,
-        })?;
+        let template =
+            file::read_text(path, FileKind::Settings, Links::Followed).map_err(|source| SiteError::Read {
+                path: path.clone(),
+                source,
+            })?;
         let of_gpu = self.gpu_options.iter().filter(|_| self.device != CPU);
         let options: Vec<String> = self.options.iter().chain(of_gpu).cloned().collect();
         match script::check(&template, &options) {
@@ -315,11 +348,39 @@ mod tests {
             ("stages = []", "executor.stages: no stage: nothing would be a job"),
             ("commands.submit = []", "executor.commands.submit: no program"),
             ("pace = 3", "unknown field `pace`"),
+            (
+                "options = [\"-q long\", \"x\\ntouch y\"]",
+                "executor.options: \"x\\ntouch y\": a control character",
+            ),
+            (
+                "gpu_options = [\"\\u001b\"]",
+                "executor.gpu_options: \"\\u{1b}\": a control character",
+            ),
+            (
+                "array_options = [\"\\r\"]",
+                "executor.array_options: \"\\r\": a control character",
+            ),
+            (
+                "marf = \"/a\\nb\"",
+                "executor.marf: \"/a\\nb\": a control character",
+            ),
+            (
+                "array_index = \"A[$(touch y)]\"",
+                "executor.array_index: \"A[$(touch y)]\": not the name of a variable",
+            ),
         ] {
             let error = read(&format!("{LEAST}{line}\n")).unwrap_err();
             assert!(error.contains(expected), "{line}: {error}");
         }
         let relative = read("[executor]\nstore = \"file:///s\"\nfolder = \"jobs\"\n").unwrap_err();
         assert!(relative.contains("whole path"), "{relative}");
+        for (text, key) in [
+            ("store = \"file:///s\"\nfolder = \"/x\\ntouch y\\n#\"\n", "folder"),
+            ("store = \"file:///s\\n\"\nfolder = \"/x\"\n", "store"),
+        ] {
+            let error = read(&format!("[executor]\n{text}")).unwrap_err();
+            assert!(error.contains(&format!("executor.{key}: ")), "{error}");
+            assert!(error.contains("a control character"), "{error}");
+        }
     }
 }

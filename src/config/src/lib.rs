@@ -19,6 +19,7 @@ use std::path::{Path, PathBuf};
 
 pub use error::{ConfigError, Origin};
 pub use manual_lists::entries as manual_entries;
+use marf_cache::file::{FileKind, Links, read_text};
 pub use options::GlobalOptions;
 pub use resolve::{Node, Pipeline};
 pub use schema::schema;
@@ -48,7 +49,7 @@ pub struct LoadError {
 /// # Errors
 /// A file that cannot be read, and every [`ConfigError`].
 pub fn load(file: &Path, sets: &[String], options: &GlobalOptions) -> Result<PipelineDocument, LoadError> {
-    let text = std::fs::read_to_string(file).map_err(|error| LoadError {
+    let text = read_text(file, FileKind::Settings, Links::Followed).map_err(|error| LoadError {
         message: format!("{}: {error}", file.display()),
         hint: Some("write one with `marf init`, or name another with `--file`".to_owned()),
     })?;

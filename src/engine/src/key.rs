@@ -2,7 +2,7 @@
 
 use std::{collections::BTreeMap, fmt};
 
-use marf_cache::{ACTION_FORMAT, Action, ChildVersion, Digest, Store, StoreError};
+use marf_cache::{ACTION_FORMAT, Action, ChildVersion, Digest, LISTING, Store, StoreError, canonical_json};
 use marf_stage::{EARLIER, Inputs, Stage, StageDef, StageError, Work};
 use serde::Serialize;
 use serde_json::Value;
@@ -108,9 +108,6 @@ pub struct Change {
     pub new: Option<String>,
 }
 
-/// Name of the input of a source that holds the fingerprints of its shards.
-pub const LISTING: &str = "listing";
-
 const SHARDS: &str = "listing.";
 const FILES: &str = "files.";
 const PHOTOS_OF: &str = "photos.";
@@ -173,14 +170,15 @@ fn add_leaves(path: String, value: &Value, leaves: &mut BTreeMap<String, String>
         }
     };
     match value {
-        Value::Object(table) => table
+        Value::Object(table) if !table.is_empty() => table
             .iter()
             .for_each(|(name, value)| add_leaves(below(name), value, leaves)),
         Value::Array(values) if !values.is_empty() => (0..)
             .zip(values)
             .for_each(|(index, value)| add_leaves(below(&index.to_string()), value, leaves)),
         Value::String(text) if is_digest_path(&path) => drop(leaves.insert(path, text.clone())),
-        leaf => drop(leaves.insert(path, leaf.to_string())),
+        // In the form of keys, so that 3 and 3.0 are one value.
+        leaf => drop(leaves.insert(path, String::from_utf8_lossy(&canonical_json(leaf)).into_owned())),
     }
 }
 
@@ -240,6 +238,7 @@ impl Change {
 
 #[cfg(test)]
 mod tests {
+    use proptest::prelude::*;
     use serde_json::json;
 
     use super::*;
@@ -310,5 +309,61 @@ mod tests {
             assert_eq!(changes[0].to_string(), expected);
         }
         assert_eq!(differences(&action(), &action()), vec![]);
+    }
+
+    /// Parameters as a stage gives them: whole numbers as floats, empty lists and tables among them.
+    fn params() -> impl Strategy<Value = Value> {
+        let leaf = prop_oneof![
+            Just(Value::Null),
+            any::<bool>().prop_map(Value::from),
+            any::<i64>().prop_map(Value::from),
+            any::<u64>().prop_map(Value::from),
+            (-1e9..1e9_f64).prop_map(|number| json!(number.trunc())),
+            any::<f32>().prop_map(|number| json!(number)),
+            any::<f64>().prop_map(|number| json!(number)),
+            ".{0,4}".prop_map(Value::from),
+        ];
+        let value = leaf.prop_recursive(3, 16, 4, |inner| {
+            prop_oneof![
+                prop::collection::vec(inner.clone(), 0..4).prop_map(Value::from),
+                prop::collection::btree_map("[a-z]{1,3}", inner, 0..4).prop_map(|table| json!(table)),
+            ]
+        });
+        prop::collection::btree_map("[a-z]{1,3}", value, 1..6).prop_map(|table| json!(table))
+    }
+
+    /// Returns the pointers of all values without values below them.
+    fn pointers(value: &Value, path: &str, found: &mut Vec<String>) {
+        match value {
+            Value::Object(table) if !table.is_empty() => table
+                .iter()
+                .for_each(|(name, value)| pointers(value, &format!("{path}/{name}"), found)),
+            Value::Array(values) if !values.is_empty() => (0..)
+                .zip(values)
+                .for_each(|(at, value): (usize, _)| pointers(value, &format!("{path}/{at}"), found)),
+            _ => found.push(path.to_owned()),
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn parameters_that_a_key_holds_do_not_differ_from_themselves(params in params()) {
+            let now = Action { params, ..action() };
+            let stored = Action::decode(&now.encode()).unwrap();
+            prop_assert_eq!(differences(&stored, &now), vec![]);
+        }
+
+        #[test]
+        fn one_value_that_changed_is_the_one_difference(params in params(), pick: prop::sample::Index) {
+            let stored = Action::decode(&Action { params: params.clone(), ..action() }.encode()).unwrap();
+            let mut paths = Vec::new();
+            pointers(&params, "", &mut paths);
+            let path = pick.get(&paths);
+            let mut changed = params.clone();
+            *changed.pointer_mut(path).unwrap() = json!("another value");
+            let found = differences(&stored, &Action { params: changed, ..action() });
+            let paths: Vec<String> = found.into_iter().map(|change| change.path).collect();
+            prop_assert_eq!(paths, [format!("params{}", path.replace('/', "."))]);
+        }
     }
 }

@@ -4,6 +4,7 @@
 //! cancellation and history change only which nodes run.
 
 mod check;
+mod command;
 mod earlier;
 mod errors;
 mod event;
@@ -27,11 +28,13 @@ mod stage_io;
 mod work;
 
 pub use check::{Edge, GraphError, NodeShape, check};
+pub use command::{forget_folders, recorded_command, without_archive_folders};
 pub use event::{Event, Listener, SilentListener};
 pub use executor::{Executor, Machine, Order, PartOrder};
 pub use graph::{Graph, NodeDecl, NodeView};
-pub use key::{Change, LISTING, action_at, changes, differences};
+pub use key::{Change, action_at, changes, differences};
 pub use listing::Listings;
+pub use marf_cache::LISTING;
 pub use marf_stage::Cancel;
 pub use needs::Needs;
 pub use photo_changes::photo_changes;

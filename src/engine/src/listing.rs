@@ -10,7 +10,7 @@ use std::{
 };
 
 use marf_cache::{
-    Action, Digest, Store, canonical_json,
+    Action, Digest, LISTING, Store, canonical_json,
     manifest::{LeafRef, Root},
 };
 use marf_stage::{
@@ -21,7 +21,7 @@ use parking_lot::Mutex;
 
 use crate::{
     errors::{contract_violation, panicked},
-    key::{Change, LISTING, changes_between, file_path, shard_path},
+    key::{Change, changes_between, file_path, shard_path},
     stage_io::{StoreBlobs, load_memo},
 };
 

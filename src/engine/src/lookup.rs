@@ -2,11 +2,11 @@
 
 use std::collections::BTreeMap;
 
-use marf_cache::{Digest, Record, Store, StoreError};
+use marf_cache::{Digest, LISTING, Record, Store, StoreError};
 use marf_stage::Outputs;
 
 use crate::{
-    key::{Change, Key, LISTING, action_at, differences},
+    key::{Change, Key, action_at, differences},
     listing::SourceListing,
     record::{NodeState, RunRecord},
 };

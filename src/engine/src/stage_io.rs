@@ -9,7 +9,10 @@ use std::{
     time::Duration,
 };
 
-use marf_cache::{Digest, Store};
+use marf_cache::{
+    Digest, Store,
+    file::{self, FileKind, Links},
+};
 use marf_stage::{BlobError, Blobs, Cancel, Checkpoints, Keep, Memos, StageError};
 use parking_lot::Mutex;
 
@@ -115,7 +118,7 @@ impl<'a> FileCheckpoints<'a> {
 
 impl Checkpoints for FileCheckpoints<'_> {
     fn load(&self, part: &str) -> Option<Vec<u8>> {
-        let bytes = fs::read(self.path(part)).ok()?;
+        let bytes = file::read(&self.path(part), FileKind::State, Links::Refused).ok()?;
         let (checksum, state) = bytes.split_at_checked(32)?;
         (Digest::from_content(state).as_bytes() == checksum).then(|| state.to_vec())
     }

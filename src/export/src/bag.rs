@@ -7,5 +7,5 @@ mod write;
 
 pub use form::{FileDigest, MANIFEST, PAYLOAD};
 pub use path::{decode_path, encode_path, is_safe};
-pub use read::{Bag, BagFault};
+pub use read::{Bag, BagFault, read_member};
 pub use write::BagWriter;

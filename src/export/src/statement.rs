@@ -11,7 +11,7 @@ use crate::bag::FileDigest;
 use crate::contents::{object, read_action};
 use crate::error::ExportError;
 use crate::run::check_finished;
-use crate::time::{end_of, iso_time};
+use crate::time::{end_of, known_time};
 
 /// Type of a statement.
 const STATEMENT_TYPE: &str = "https://in-toto.io/Statement/v1";
@@ -125,9 +125,10 @@ pub fn subjects_of(
 /// Returns which run it was, and when the work began and ended if that is known.
 fn metadata(run: &Run<'_>, started_unix_s: Option<u64>, seconds: f64) -> Value {
     let mut metadata = json!({ "invocationId": run.record.id });
-    if let Some(started_unix_s) = started_unix_s {
-        metadata["startedOn"] = iso_time(started_unix_s).into();
-        metadata["finishedOn"] = iso_time(end_of(started_unix_s, seconds)).into();
+    let started_unix_s = started_unix_s.unwrap_or(0);
+    if let Some(started) = known_time(started_unix_s) {
+        metadata["startedOn"] = started.into();
+        metadata["finishedOn"] = known_time(end_of(started_unix_s, seconds)).into();
     }
     metadata
 }

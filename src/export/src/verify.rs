@@ -18,6 +18,7 @@ mod trace;
 use std::path::Path;
 
 use marf_cache::{Digest, Sha256};
+use marf_engine::Cancel;
 use serde::Serialize;
 
 use marf_keys::PublicKey;
@@ -52,14 +53,18 @@ pub struct Report {
 /// Checks a crate: all of it, and the signature against a key if one is given.
 ///
 /// # Errors
-/// A folder that is no crate of ours, or one of a newer form. Anything else that is wrong is a fault of the report.
-pub fn verify(folder: &Path, key: Option<&PublicKey>) -> Result<Report, OpenError> {
-    let opened = OpenCrate::open(folder)?;
+/// A folder that is no crate of ours, or one of a newer form; the wish of the user to stop. Anything else that is wrong is a fault of
+/// the report.
+pub fn verify(folder: &Path, key: Option<&PublicKey>, cancel: &Cancel) -> Result<Report, OpenError> {
+    let opened = OpenCrate::open(folder, cancel)?;
     let mut faults: Vec<String> = opened.bag.faults.iter().map(ToString::to_string).collect();
     faults.extend(entities::check(&opened));
     let actions = actions::check(&opened, &mut faults);
     let photos = lineage::check(&opened, &mut faults);
     let signature = signature::check(&opened, key, &mut faults);
+    if cancel.is_set() {
+        return Err(OpenError::Stopped);
+    }
     Ok(Report {
         run: opened.run.id.clone(),
         root: Digest::from_content(&opened.root),

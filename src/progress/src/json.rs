@@ -7,7 +7,7 @@ use serde::Serialize;
 /// A line of the output of `--json`.
 #[derive(Debug, Serialize, JsonSchema)]
 pub struct Line<'a> {
-    /// When it happened, as RFC 3339 in UTC with milliseconds.
+    /// When it happened, as RFC 3339 in UTC with milliseconds; `unknown` by a clock before 1970.
     time: String,
     /// Name of the run, as in its record.
     run: &'a str,
@@ -19,8 +19,16 @@ pub struct Line<'a> {
 impl<'a> Line<'a> {
     /// Returns the line of an event that happens now.
     pub fn now(run: &'a str, event: &'a Event) -> Self {
-        let time = humantime::format_rfc3339_millis(SystemTime::now()).to_string();
+        let time = time_text(SystemTime::now());
         Self { time, run, event }
+    }
+}
+
+fn time_text(time: SystemTime) -> String {
+    if time < SystemTime::UNIX_EPOCH {
+        "unknown".to_owned()
+    } else {
+        humantime::format_rfc3339_millis(time).to_string()
     }
 }
 
@@ -50,6 +58,16 @@ mod tests {
         assert_eq!(
             serde_json::to_string(&line).unwrap(),
             r#"{"time":"2026-11-22T08:00:00.000Z","run":"0a","event":"skipped","node":"blur","reason":"size failed"}"#
+        );
+    }
+
+    #[test]
+    fn a_time_before_1970_is_unknown() {
+        let second = std::time::Duration::from_secs(1);
+        assert_eq!(time_text(SystemTime::UNIX_EPOCH - second), "unknown");
+        assert_eq!(
+            time_text(SystemTime::UNIX_EPOCH + second),
+            "1970-01-01T00:00:01.000Z"
         );
     }
 

@@ -81,9 +81,7 @@ pub fn verify(run: &Run<'_>, nodes: &[&RunNode], check: &FsckReport) -> Result<V
     for (object, (file, what)) in damaged.iter().filter(|(object, _)| is_named(object)) {
         verified.fault(Some(*object), file, *what);
     }
-    // Inputs of parts stand for what archives hold; those of nodes are looked for below.
-    let is_lost =
-        |missing: &&MissingObject| missing.role != Role::Input && !damaged.contains_key(&missing.digest);
+    let is_lost = |missing: &&MissingObject| !damaged.contains_key(&missing.digest);
     verified.missing = closure
         .missing
         .iter()
@@ -92,13 +90,6 @@ pub fn verify(run: &Run<'_>, nodes: &[&RunNode], check: &FsckReport) -> Result<V
         .collect();
     for node in nodes {
         statements(node, &mut verified);
-        let inputs = node.run.inputs.values().map(|input| input.digest);
-        let lost = inputs.filter(|input| !store.contains(input) && !damaged.contains_key(input));
-        verified.missing.extend(lost.map(|digest| Lost {
-            digest,
-            role: role(Role::Input),
-            of: node.run.name.clone(),
-        }));
     }
     for source in nodes.iter().filter(|node| node.is_source()) {
         files(store, source, &damaged, &mut verified)?;

@@ -6,7 +6,9 @@ use std::sync::Arc;
 use marf_cache::{Digest, Store};
 use marf_config::scenes::ByScene;
 use marf_config::{self as config, PipelineDocument, SharedStore};
-use marf_engine::{Graph, Listings, NodeDecl, NodeRun, Purpose, RunRecord, RunSource};
+use marf_engine::{
+    Graph, Listings, NodeDecl, NodeRun, Purpose, RunRecord, RunSource, forget_folders, without_archive_folders,
+};
 use marf_model::select::Subject;
 use marf_schema::bootstrap;
 use marf_schema::scenes::Scenes;
@@ -100,11 +102,22 @@ impl Session {
     ) -> Result<Self, Error> {
         let PipelineDocument { pipeline, text } = document;
         let listings = Listings::default();
-        let info = |node: &config::Node| NodeInfo {
-            name: node.name.clone(),
-            about: node.def.about,
-            relax: node.def.relax,
-            params: node.params.clone(),
+        let mut tree = pipeline.tree.clone();
+        let written = without_archive_folders(&text, &tree["archive"], &context.file);
+        if let Some(archives) = tree.get_mut("archive") {
+            forget_folders(archives, &context.file);
+        }
+        let info = |node: &config::Node| {
+            let mut params = node.params.clone();
+            if let Some(archive) = params.get_mut("archive") {
+                forget_folders(archive, &context.file);
+            }
+            NodeInfo {
+                name: node.name.clone(),
+                about: node.def.about,
+                relax: node.def.relax,
+                params,
+            }
         };
         let nodes = pipeline.nodes.iter().map(info).collect();
         let by_scene = ByScene::from_pipeline(&pipeline);
@@ -115,8 +128,8 @@ impl Session {
             graph,
             store,
             nodes,
-            written: text,
-            tree: pipeline.tree,
+            written,
+            tree,
             shared: pipeline.shared,
             by_scene,
             scenes: Vec::new(),

@@ -19,6 +19,11 @@ const TERMINAL_CRATES: [&str; 4] = ["clap", "clap_complete", "clap_mangen", "ind
 /// Names of `std::io` that reach the terminal.
 const TERMINAL_NAMES: [&str; 5] = ["Stderr", "Stdout", "IsTerminal", "stderr", "stdout"];
 
+/// Where files are opened: for everybody, and for the objects of the store.
+const READERS: [&str; 2] = ["cache/src/file.rs", "cache/src/store/"];
+/// Functions of the standard library that open a file whatever it is.
+const READ_PATHS: [[&str; 2]; 3] = [["fs", "read"], ["fs", "read_to_string"], ["File", "open"]];
+
 /// Files of a package that all use each other, directly or through others.
 #[derive(Debug, Clone)]
 pub struct Circle {
@@ -180,24 +185,40 @@ fn measure_file(package: &Package, source: &Source, scan: &Scan, measure: &mut M
     let may_print = package.name == "marf"
         || package.folder.split('/').any(|name| name == "labs")
         || source.path.rsplit('/').next() == Some("build.rs");
-    let findings = scan.findings.iter().cloned();
-    measure
-        .findings
-        .extend(findings.filter(|finding| finding.rule != Rule::Terminal || !may_print));
-    if !may_print {
-        let paths = scan.modules.values().flat_map(terminal_paths);
-        measure.findings.extend(paths.map(|(path, line)| Finding {
-            rule: Rule::Terminal,
+    let may_read = READERS.iter().any(|reader| source.path.starts_with(reader));
+    let holds = |rule: Rule| match rule {
+        Rule::Terminal => may_print,
+        Rule::Reads => may_read,
+        _ => false,
+    };
+    let paths = scan.modules.values().flat_map(paths);
+    let named = paths.filter_map(|(path, line)| {
+        Some(Finding {
+            rule: rule_of(path)?,
             file: source.path.clone(),
             line,
             number: 1,
             text: path.join("::"),
-        }));
+        })
+    });
+    let findings = scan.findings.iter().cloned().chain(named);
+    measure
+        .findings
+        .extend(findings.filter(|finding| !holds(finding.rule)));
+}
+
+/// Returns the rule that a path may break.
+fn rule_of(path: &[String]) -> Option<Rule> {
+    let is_read = |pair: &[String]| READ_PATHS.iter().any(|read| pair == read);
+    if is_terminal(path) {
+        Some(Rule::Terminal)
+    } else {
+        path.windows(2).any(is_read).then_some(Rule::Reads)
     }
 }
 
-/// Returns the paths of a module that mean clap, indicatif or the terminal, with their lines.
-fn terminal_paths(module: &ModuleText) -> Vec<(&[String], usize)> {
+/// Returns the paths that a module mentions or imports, with their lines.
+fn paths(module: &ModuleText) -> impl Iterator<Item = (&[String], usize)> {
     let mentions = module
         .mentions
         .iter()
@@ -206,10 +227,7 @@ fn terminal_paths(module: &ModuleText) -> Vec<(&[String], usize)> {
         .imports
         .iter()
         .map(|Import { path, line, .. }| (path.as_slice(), *line));
-    mentions
-        .chain(imports)
-        .filter(|(path, _)| is_terminal(path))
-        .collect()
+    mentions.chain(imports)
 }
 
 fn is_terminal(path: &[String]) -> bool {

@@ -25,11 +25,13 @@ pub enum Rule {
     Circles,
     /// clap, indicatif and output to the terminal outside the package marf.
     Terminal,
+    /// Files that are read by other functions than those of `marf_cache::file`, which refuse what has no end.
+    Reads,
 }
 
 impl Rule {
     /// Every rule, in the order of the table.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 12] = [
         Self::LongFunctions,
         Self::LongFiles,
         Self::Arguments,
@@ -41,6 +43,7 @@ impl Rule {
         Self::States,
         Self::Circles,
         Self::Terminal,
+        Self::Reads,
     ];
 
     /// Returns the name of the rule on the command line.
@@ -58,6 +61,7 @@ impl Rule {
             Self::States => "states",
             Self::Circles => "circles",
             Self::Terminal => "terminal",
+            Self::Reads => "reads",
         }
     }
 

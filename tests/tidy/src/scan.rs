@@ -11,6 +11,8 @@ use crate::source::{Source, is_punct};
 
 /// Macros that print to the terminal.
 const PRINT: [&str; 4] = ["eprint", "eprintln", "print", "println"];
+/// Methods that read to the end of whatever it is.
+const READS: [&str; 2] = ["read_to_end", "read_to_string"];
 
 /// A `mod` declaration.
 pub(crate) struct Declaration {
@@ -125,6 +127,7 @@ impl Scan {
         if at > 0 && is_punct(trees.get(at - 1), ':') && at > 1 && is_punct(trees.get(at - 2), ':') {
             return 1;
         }
+        let before = at.checked_sub(1).and_then(|before| trees.get(before));
         match (word.as_str(), trees.get(at + 1)) {
             ("use", next) if !is_punct(next, '<') => {
                 let length = trees[at..]
@@ -149,6 +152,15 @@ impl Scan {
                 number: 1,
                 text: format!("{name}!"),
             }),
+            (name, Some(TokenTree::Group(_))) if READS.contains(&name) && is_punct(before, '.') => {
+                self.findings.push(Finding {
+                    rule: Rule::Reads,
+                    file: source.path.clone(),
+                    line: trees[at].span().start().line,
+                    number: 1,
+                    text: format!(".{name}()"),
+                })
+            }
             _ => {}
         }
         let module = self.module(place);

@@ -156,6 +156,7 @@ const CRATES: [Crate; 35] = [
         "src/config",
         "marf-config",
         &[
+            "marf-cache",
             "marf-remote",
             "marf-stage",
             "marf-field",
@@ -306,7 +307,8 @@ const RESTRICTED: [(&str, &[&str]); 18] = [
     ("wgpu", &["marf-field-gpu"]),
 ];
 
-/// Where `unsafe` may stand: a variable set before any thread runs, detection of instruction sets, and the kernels written for them.
+/// Where `unsafe` may stand: a variable set before any thread runs, a handler of a signal that does nothing, detection of instruction sets,
+/// and the kernels written for them.
 const UNSAFE: [&str; 5] = [
     "src/main.rs",
     "stages/numeric/src/instruction_set.rs",
@@ -342,11 +344,8 @@ fn is_ours(package: &str) -> bool {
 fn rust_files(root: &Path, folder: &Path, found: &mut Vec<String>) {
     for entry in std::fs::read_dir(folder).unwrap() {
         let path = entry.unwrap().path();
-        let name = path
-            .file_name()
-            .unwrap_or_default()
-            .to_string_lossy()
-            .into_owned();
+        let name = path.file_name().unwrap_or_default();
+        let name = name.to_string_lossy().into_owned();
         if path.is_dir() && !name.starts_with('.') && name != "target" && name != "out" {
             rust_files(root, &path, found);
         } else if path.extension().is_some_and(|extension| extension == "rs") {

@@ -259,3 +259,14 @@ fn a_file_that_is_not_rust_is_an_error_with_its_line() {
     let error = Checkout::from_texts(&texts).map(|_| ()).unwrap_err();
     assert!(error.file.starts_with("src/lib.rs:"), "{error}");
 }
+
+#[test]
+fn reads_of_whatever_it_is_are_found_in_each_form() {
+    let text = "use std::fs::{self, File, read};\n\
+        fn a() { fs::read(p); std::fs::read_to_string(p); File::open(p); f.read_to_end(&mut b); f.read_to_string(&mut s); }\n\
+        fn b() { file::read(p); read_to_end(p); fs::read_dir(p); fs::read_link(p); }\n\
+        #[cfg(test)]\nmod tests { fn c() { fs::read(p); f.read_to_end(&mut b); } }\n";
+    let found_in = |path: &str| found(&measure(&[(path, text)]), Rule::Reads).len();
+    assert_eq!(found_in("src/lib.rs"), 6);
+    assert_eq!(found_in("tests/a.rs"), 0);
+}

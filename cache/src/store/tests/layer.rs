@@ -79,15 +79,30 @@ impl Faulty {
         }
     }
 
-    /// Takes away what was not synced.
+    /// Takes away what was not synced. A disk may have written some of it, in any order: of every file none, half or all of its bytes,
+    /// of every folder its first changes. What it had written follows from the call of the crash; at every fourth it is nothing.
     pub(super) fn lose_unsynced(&self) {
         let mut unsynced = self.unsynced.lock();
-        for (path, synced) in std::mem::take(&mut unsynced.bytes) {
+        for (file, (path, synced)) in std::mem::take(&mut unsynced.bytes).into_iter().enumerate() {
             let Ok(bytes) = fs::read(&path) else { continue };
-            let kept = synced as usize + bytes.len().saturating_sub(synced as usize) / 2;
+            let written = bytes.len().saturating_sub(synced as usize);
+            let kept = synced as usize + written * self.draw(file, 3) / 2;
             replace(&path, &bytes[..kept]);
         }
-        for change in std::mem::take(&mut unsynced.changes).into_iter().rev() {
+        let changes = std::mem::take(&mut unsynced.changes);
+        let mut by_folder: BTreeMap<PathBuf, usize> = BTreeMap::new();
+        for change in &changes {
+            *by_folder.entry(change.folder().unwrap().to_owned()).or_default() += 1;
+        }
+        for (folder, number) in by_folder.values_mut().enumerate() {
+            *number -= self.draw(folder, *number + 1);
+        }
+        for change in changes.into_iter().rev() {
+            let lost = by_folder.get_mut(change.folder().unwrap()).unwrap();
+            if *lost == 0 {
+                continue;
+            }
+            *lost -= 1;
             match change {
                 Change::Created(path) if path.is_dir() => drop(fs::remove_dir_all(path)),
                 Change::Created(path) => drop(fs::remove_file(path)),
@@ -95,6 +110,15 @@ impl Faulty {
                 Change::Removed(path, saved) => drop(fs::hard_link(saved, path)),
             }
         }
+    }
+
+    /// Returns a number below `end` that follows from the call of the crash and the number of a file; 0 at every fourth call.
+    fn draw(&self, file: usize, end: usize) -> usize {
+        if self.at.is_multiple_of(4) {
+            return 0;
+        }
+        let drawn = Digest::from_content(format!("{} {file}", self.at).as_bytes());
+        usize::from(drawn.as_bytes()[0]) % end
     }
 
     fn changed(&self, change: Change) {

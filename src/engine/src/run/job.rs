@@ -3,11 +3,15 @@
 use std::{
     collections::BTreeMap,
     panic::{AssertUnwindSafe, catch_unwind},
+    path::Path,
     sync::Arc,
     time::{Instant, SystemTime},
 };
 
-use marf_cache::{Digest, Output, Record, RunMetadata, StoreError};
+use marf_cache::{
+    Digest, Output, Record, RunMetadata, StoreError,
+    file::{FileKind, Links, read_text},
+};
 use marf_stage::{Checkpoints, Ctx, NodeSpec, Outputs, Stage, StageDef, StageError, Work};
 
 use super::{context::RunContext, task::RunInputs};
@@ -381,7 +385,8 @@ pub(super) fn unix_seconds() -> u64 {
 
 /// Returns the peak memory of this program in MB; 0 where the system does not tell.
 fn peak_mb() -> u64 {
-    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let status = Path::new("/proc/self/status");
+    let status = read_text(status, FileKind::Settings, Links::Refused).unwrap_or_default();
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
     let kb = line.and_then(|line| line.trim().trim_end_matches("kB").trim().parse::<u64>().ok());
     kb.unwrap_or(0) / 1024

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use marf_cache::{Digest, manifest::LeafRef};
+use marf_cache::{Digest, FINGERPRINT, manifest::LeafRef};
 use marf_stage::{COMPANIONS, Origin, Shard, Source, StageError};
 
 use super::{
@@ -16,9 +16,6 @@ use crate::{
     listing::{SourceListing, companions},
     stage_io::StoreBlobs,
 };
-
-/// Name of the input of a part that stands for everything its fetch reads.
-const FINGERPRINT: &str = "fingerprint";
 
 /// Fetches the shards that have no record, and joins all shards to one set.
 ///

@@ -1,6 +1,9 @@
 //! Names and digests of the files of a bag.
 
-use marf_cache::{Digest, Sha256};
+use std::io;
+
+use marf_cache::{Digest, Sha256, Sha256Reader};
+use marf_engine::Cancel;
 
 /// Folder of the payload.
 pub const PAYLOAD: &str = "data";
@@ -33,5 +36,35 @@ impl FileDigest {
             sha256: Sha256::from_content(bytes),
             blake3: Digest::from_content(bytes),
         }
+    }
+
+    /// Returns length and digests of all that a reader gives, without holding it.
+    ///
+    /// # Errors
+    /// What the reader cannot read; the wish of the user to stop.
+    pub fn from_reader(reader: impl io::Read, cancel: &Cancel) -> io::Result<Self> {
+        let mut reader = Sha256Reader::new(Stoppable { reader, cancel });
+        let (blake3, bytes) = Digest::from_reader(&mut reader)?;
+        Ok(Self {
+            bytes,
+            sha256: reader.finish(),
+            blake3,
+        })
+    }
+}
+
+/// A reader that ends with an error if the user wants to stop.
+struct Stoppable<'a, R> {
+    reader: R,
+    cancel: &'a Cancel,
+}
+
+impl<R: io::Read> io::Read for Stoppable<'_, R> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        if self.cancel.is_set() {
+            // `Interrupted` would be tried again.
+            return Err(io::Error::other("stopped"));
+        }
+        self.reader.read(buffer)
     }
 }

@@ -1,10 +1,12 @@
 //! Reading a bag: every file against the manifests, strictly.
 
 use std::collections::BTreeMap;
-use std::fs;
+use std::io;
 use std::path::{Path, PathBuf};
 
 use marf_cache::Sha256;
+use marf_cache::file::{self, FileKind, Links};
+use marf_engine::Cancel;
 
 use super::form::{DECLARATION, DECLARATION_TEXT, FileDigest, INFO, MANIFEST, PAYLOAD, TAG_MANIFEST};
 use super::path::{decode_path, is_safe};
@@ -13,6 +15,7 @@ use super::path::{decode_path, is_safe};
 #[derive(Debug)]
 pub struct Bag {
     folder: PathBuf,
+    cancel: Cancel,
     /// Length and digests of the files of the payload that are listed and there, by their paths in it.
     pub payload: BTreeMap<String, FileDigest>,
     /// All that is wrong with it.
@@ -77,10 +80,12 @@ pub enum BagFault {
 }
 
 impl Bag {
-    /// Reads every file of a bag once and compares it with the manifests.
-    pub fn read(folder: &Path) -> Self {
+    /// Reads every file of a bag once and compares it with the manifests. If the user wants to stop, the files that are not read by
+    /// then are faults.
+    pub fn read(folder: &Path, cancel: &Cancel) -> Self {
         let mut bag = Self {
             folder: folder.to_owned(),
+            cancel: cancel.clone(),
             payload: BTreeMap::new(),
             faults: Vec::new(),
         };
@@ -97,21 +102,24 @@ impl Bag {
     /// Returns the bytes of a file of the payload.
     ///
     /// # Errors
-    /// A file that cannot be read.
-    pub fn get(&self, path: &str) -> std::io::Result<Vec<u8>> {
-        fs::read(self.folder.join(PAYLOAD).join(path))
+    /// A file that cannot be read; the wish of the user to stop.
+    pub fn get(&self, path: &str) -> io::Result<Vec<u8>> {
+        if self.cancel.is_set() {
+            return Err(io::Error::other("stopped"));
+        }
+        read_member(&self.folder, &format!("{PAYLOAD}/{path}"))
     }
 
-    /// Returns the bytes of a file beside the payload; none if it is not there.
+    /// Returns the bytes of a file beside the payload; none if it cannot be read.
     pub fn tag(&self, name: &str) -> Option<Vec<u8>> {
-        fs::read(self.folder.join(name)).ok()
+        read_member(&self.folder, name).ok()
     }
 
     fn check_tags(&mut self, tags: &Listed) {
         for (file, listed) in tags {
             self.compare(file, listed);
         }
-        match self.read_or_fault(DECLARATION) {
+        match self.or_fault(DECLARATION, read_member(&self.folder, DECLARATION)) {
             Some(bytes) if bytes != DECLARATION_TEXT.as_bytes() => self.faults.push(BagFault::Declaration),
             _ => {}
         }
@@ -131,7 +139,9 @@ impl Bag {
 
     /// Reads a file and compares it; its digests if it could be read, altered or not.
     fn compare(&mut self, file: &str, listed: &Sha256) -> Option<FileDigest> {
-        let digest = FileDigest::new(&self.read_or_fault(file)?);
+        let member = file::below(&self.folder, file).and_then(|path| file::open(&path, Links::Refused));
+        let digest = member.and_then(|member| FileDigest::from_reader(member, &self.cancel));
+        let digest = self.or_fault(file, digest)?;
         if digest.sha256 != *listed {
             self.faults.push(BagFault::Altered {
                 file: file.to_owned(),
@@ -142,9 +152,9 @@ impl Bag {
         Some(digest)
     }
 
-    fn read_or_fault(&mut self, file: &str) -> Option<Vec<u8>> {
-        match fs::read(self.folder.join(file)) {
-            Ok(bytes) => Some(bytes),
+    fn or_fault<T>(&mut self, file: &str, read: io::Result<T>) -> Option<T> {
+        match read {
+            Ok(found) => Some(found),
             Err(error) => {
                 self.faults.push(BagFault::Unreadable {
                     file: file.to_owned(),
@@ -157,7 +167,8 @@ impl Bag {
 
     /// Returns the digests that a manifest lists, by file.
     fn manifest(&mut self, name: &str) -> Listed {
-        let bytes = self.read_or_fault(name).unwrap_or_default();
+        let read = read_member(&self.folder, name);
+        let bytes = self.or_fault(name, read).unwrap_or_default();
         let mut listed = Listed::new();
         let text = String::from_utf8_lossy(&bytes);
         for (line, text) in (1..).zip(text.lines()) {
@@ -208,6 +219,15 @@ impl Bag {
     }
 }
 
+/// Reads a file of a bag by its path in it.
+///
+/// # Errors
+/// A file that is absent, no regular file, too large, or behind a link.
+pub fn read_member(folder: &Path, file: &str) -> io::Result<Vec<u8>> {
+    let path = file::below(folder, file)?;
+    file::read(&path, FileKind::Document, Links::Refused)
+}
+
 /// Reads a line of a manifest: a digest in small letters, two spaces, the path of a file in the bag.
 fn manifest_line(line: &str) -> Option<(String, Sha256)> {
     let (text, path) = line.split_once("  ")?;
@@ -218,8 +238,14 @@ fn manifest_line(line: &str) -> Option<(String, Sha256)> {
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use super::*;
     use crate::bag::BagWriter;
+
+    fn read(folder: &Path) -> Bag {
+        Bag::read(folder, &Cancel::default())
+    }
 
     /// A bag of two files in a new folder.
     fn bag() -> (tempfile::TempDir, PathBuf) {
@@ -236,7 +262,7 @@ mod tests {
     #[test]
     fn a_bag_is_read_as_it_was_written() {
         let (_dir, folder) = bag();
-        let read = Bag::read(&folder);
+        let read = read(&folder);
         assert_eq!(read.faults, []);
         let paths: Vec<&str> = read.payload.keys().map(String::as_str).collect();
         assert_eq!(paths, ["a.txt", "sub/100% b\n.txt"]);
@@ -262,12 +288,12 @@ mod tests {
                 let mut bytes = whole.clone();
                 bytes[place] ^= 1 << (place % 8);
                 fs::write(&file, &bytes).unwrap();
-                let faults = Bag::read(&folder).faults;
+                let faults = read(&folder).faults;
                 assert!(!faults.is_empty(), "{} byte {place}", file.display());
             }
             fs::write(&file, &whole).unwrap();
         }
-        assert_eq!(Bag::read(&folder).faults, []);
+        assert_eq!(read(&folder).faults, []);
     }
 
     #[test]
@@ -276,11 +302,7 @@ mod tests {
         fs::write(folder.join("data/new.txt"), b"x").unwrap();
         fs::write(folder.join("note.txt"), b"x").unwrap();
         fs::remove_file(folder.join("data/a.txt")).unwrap();
-        let faults: Vec<String> = Bag::read(&folder)
-            .faults
-            .iter()
-            .map(ToString::to_string)
-            .collect();
+        let faults: Vec<String> = read(&folder).faults.iter().map(ToString::to_string).collect();
         let text = faults.join("\n");
         for expected in [
             "`data/a.txt` is missing",
@@ -299,7 +321,7 @@ mod tests {
         fs::write(dir.path().join("secret"), b"one").unwrap();
         let line = format!("{}  data/../../secret\n", Sha256::from_content(b"one"));
         fs::write(folder.join(MANIFEST), line).unwrap();
-        let faults = Bag::read(&folder).faults;
+        let faults = read(&folder).faults;
         assert!(
             faults.contains(&BagFault::BadLine {
                 file: MANIFEST.to_owned(),
@@ -307,5 +329,65 @@ mod tests {
             }),
             "{faults:?}"
         );
+    }
+
+    /// Replaces each file by something else that has, or would have, its name.
+    #[cfg(unix)]
+    #[test]
+    fn links_pipes_and_devices_are_faults_and_are_not_read() {
+        let (dir, folder) = bag();
+        let pipe = dir.path().join("pipe");
+        let made = std::process::Command::new("mkfifo").arg(&pipe).status();
+        assert!(made.unwrap().success());
+        let files = [
+            "bagit.txt",
+            "bag-info.txt",
+            "manifest-sha256.txt",
+            "tagmanifest-sha256.txt",
+            "data/a.txt",
+        ];
+        for file in files {
+            let (path, copy) = (folder.join(file), dir.path().join("copy"));
+            fs::rename(&path, &copy).unwrap();
+            for (target, expected) in [
+                (&copy, "it is a link"),
+                (&"/dev/zero".into(), "it is a link"),
+                (&pipe, "it is a link"),
+            ] {
+                std::os::unix::fs::symlink(target, &path).unwrap();
+                let faults = read(&folder).faults;
+                let is_named = |fault: &BagFault| matches!(fault, BagFault::Unreadable { file: named, cause } if named == file && cause == expected);
+                assert!(faults.iter().any(is_named), "{file}: {faults:?}");
+                fs::remove_file(&path).unwrap();
+            }
+            fs::hard_link(&pipe, &path).unwrap();
+            let faults = read(&folder).faults;
+            let is_named = |fault: &BagFault| matches!(fault, BagFault::Unreadable { file: named, cause } if named == file && cause == "it is not a regular file");
+            assert!(faults.iter().any(is_named), "{file}: {faults:?}");
+            fs::remove_file(&path).unwrap();
+            fs::rename(&copy, &path).unwrap();
+        }
+        let (inside, outside) = (folder.join("data/sub"), dir.path().join("sub"));
+        fs::rename(&inside, &outside).unwrap();
+        std::os::unix::fs::symlink(&outside, &inside).unwrap();
+        let faults = read(&folder).faults;
+        assert!(!faults.is_empty(), "a folder that is a link");
+    }
+
+    #[test]
+    fn a_stop_ends_the_reading_of_a_file() {
+        let (_dir, folder) = bag();
+        let cancel = Cancel::default();
+        let large = fs::File::create(folder.join("data/a.txt")).unwrap();
+        large.set_len(1 << 40).unwrap();
+        let asked = cancel.clone();
+        let stop = std::thread::spawn(move || {
+            std::thread::sleep(std::time::Duration::from_millis(100));
+            asked.set();
+        });
+        let began = std::time::Instant::now();
+        assert!(!Bag::read(&folder, &cancel).faults.is_empty());
+        assert!(began.elapsed().as_secs() < 10, "{:?}", began.elapsed());
+        stop.join().unwrap();
     }
 }

@@ -7,7 +7,7 @@ use super::context::Context;
 use super::entity::{Entity, PROGRAM, id_of};
 use super::tools::{Role, slot_id, tool_id};
 use crate::contents::ItemVerdict;
-use crate::time::{end_of, iso_time};
+use crate::time::{end_of, known_time};
 
 pub(super) fn entities(context: &Context<'_>) -> Vec<Value> {
     let run = context.run();
@@ -54,8 +54,8 @@ fn run_action(context: &Context<'_>) -> Value {
         .with_ids("instrument", [context.pipeline()])
         .with_ids("object", once(inputs))
         .with_ids("result", once(results))
-        .with("startTime", iso_time(run.started_unix_s))
-        .with("endTime", iso_time(end_of(run.started_unix_s, run.seconds)))
+        .with("startTime", known_time(run.started_unix_s))
+        .with("endTime", known_time(end_of(run.started_unix_s, run.seconds)))
         .into_value()
 }
 
@@ -86,8 +86,8 @@ fn organize(context: &Context<'_>) -> Value {
         .with_ids("instrument", [PROGRAM])
         .with_ids("object", nodes.chain(items))
         .with_ids("result", ["#run"])
-        .with("startTime", iso_time(run.started_unix_s))
-        .with("endTime", iso_time(end_of(run.started_unix_s, run.seconds)))
+        .with("startTime", known_time(run.started_unix_s))
+        .with("endTime", known_time(end_of(run.started_unix_s, run.seconds)))
         .into_value()
 }
 
@@ -136,8 +136,8 @@ fn with_times(entity: Entity, context: &Context<'_>, node: &RunNode) -> Entity {
     let by = by.as_deref().unwrap_or("a program that left no name");
     entity
         .with("description", format!("made by {by} in {when}"))
-        .with("startTime", iso_time(started))
-        .with("endTime", iso_time(ended))
+        .with("startTime", known_time(started))
+        .with("endTime", known_time(ended))
 }
 
 /// Returns the parameters of a node with the ids of their values.

@@ -23,9 +23,12 @@ impl Entity {
         Self(fields)
     }
 
-    /// Adds a field, or replaces it.
+    /// Adds a field, or replaces it; leaves it out if its value is not known.
     pub(super) fn with(mut self, name: &str, value: impl Into<Value>) -> Self {
-        self.0.insert(name.to_owned(), value.into());
+        let value = value.into();
+        if !value.is_null() {
+            self.0.insert(name.to_owned(), value);
+        }
         self
     }
 

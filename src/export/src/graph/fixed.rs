@@ -7,7 +7,7 @@ use super::context::Context;
 use super::entity::{Entity, FORMAL_PARAMETER, LANGUAGE, PROGRAM};
 use super::input::{CRATE_FORMAT, CRATE_PROFILE, METADATA, PREVIEW, root_name};
 use crate::contents::OBJECTS;
-use crate::time::{end_of, iso_time};
+use crate::time::{end_of, known_time};
 
 const RO_CRATE: &str = "https://w3id.org/ro/crate/1.1";
 const WORKFLOW_RO_CRATE: &str = "https://w3id.org/workflowhub/workflow-ro-crate/1.0";
@@ -56,7 +56,7 @@ fn root(context: &Context<'_>) -> Value {
                 run.pipeline
             ),
         )
-        .with("datePublished", iso_time(ended))
+        .with("datePublished", known_time(ended))
         .with("identifier", root_name(run))
         .with_ids("license", [license_id(context.input.license)])
         .with_ids("mainEntity", [context.pipeline()])

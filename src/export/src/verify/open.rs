@@ -6,11 +6,11 @@ use std::sync::Arc;
 
 use marf_cache::manifest::Row;
 use marf_cache::{Action, Digest};
-use marf_engine::{NodeRun, RunRecord};
+use marf_engine::{Cancel, NodeRun, RunRecord};
 use marf_stage::PHOTOS;
 use serde_json::Value;
 
-use crate::bag::{Bag, FileDigest};
+use crate::bag::{Bag, FileDigest, PAYLOAD, read_member};
 use crate::contents::{RUN_ROOT, rows};
 use crate::error::ExportError;
 use crate::graph::{CRATE_FORMAT, CRATE_PROFILE, METADATA, ids};
@@ -63,24 +63,30 @@ pub enum OpenError {
         /// What is wrong with it.
         cause: ExportError,
     },
+    /// The user wants to stop.
+    #[error("stopped")]
+    Stopped,
 }
 
 impl OpenCrate {
     /// Reads a crate. Every file is read once and compared with the bag's manifests.
     ///
     /// # Errors
-    /// A folder without a graph or a run root that can be read, or a crate of a newer form.
-    pub fn open(folder: &Path) -> Result<Self, OpenError> {
+    /// A folder without a graph or a run root that can be read, or a crate of a newer form; the wish of the user to stop.
+    pub fn open(folder: &Path, cancel: &Cancel) -> Result<Self, OpenError> {
         let path = || folder.to_owned();
         let no_crate = |cause: String| OpenError::NoCrate { path: path(), cause };
-        let metadata = folder.join(crate::bag::PAYLOAD).join(METADATA);
-        let bytes =
-            std::fs::read(&metadata).map_err(|error| no_crate(format!("{}: {error}", metadata.display())))?;
+        let metadata = format!("{PAYLOAD}/{METADATA}");
+        let bytes = read_member(folder, &metadata)
+            .map_err(|error| no_crate(format!("{}: {error}", folder.join(&metadata).display())))?;
         let graph: Value = serde_json::from_slice(&bytes)
             .map_err(|error| no_crate(format!("`{METADATA}` is damaged: {error}")))?;
         let entities = graph["@graph"].as_array().cloned().unwrap_or_default();
         check_version(folder, &entities)?;
-        let bag = Bag::read(folder);
+        let bag = Bag::read(folder, cancel);
+        if cancel.is_set() {
+            return Err(OpenError::Stopped);
+        }
         let root = bag
             .get(RUN_ROOT)
             .map_err(|error| no_crate(format!("`{RUN_ROOT}`: {error}")))?;

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use marf_engine::Cancel;
 use marf_export::CrateOptions;
 use marf_export::Photos;
 use marf_export::verify::{OpenError, verify};
@@ -70,7 +71,8 @@ fn one_bit_in_any_kind_of_file_is_found() {
             bytes[place] ^= 1;
             std::fs::write(&path, &bytes).unwrap();
             // A graph or a root that cannot be read is an error instead.
-            let found = verify(&folder, None).map_or(true, |report| !report.faults.is_empty());
+            let found =
+                verify(&folder, None, &Cancel::default()).map_or(true, |report| !report.faults.is_empty());
             assert!(found, "{kind}, byte {place}");
         }
         std::fs::write(&path, &whole).unwrap();
@@ -94,7 +96,8 @@ fn one_bit_under_a_new_manifest_is_found() {
         std::fs::write(&path, &bytes).unwrap();
         rebag(&folder);
         let key = public_key();
-        let found = |key| verify(&folder, key).map_or(true, |report| !report.faults.is_empty());
+        let found =
+            |key| verify(&folder, key, &Cancel::default()).map_or(true, |report| !report.faults.is_empty());
         assert!(found(Some(&key)), "{kind}, with the key");
         // The page is for people, and a name in the graph is a name: only the signature protects them.
         let is_protected = !kind.starts_with("ro-crate-");
@@ -103,7 +106,9 @@ fn one_bit_under_a_new_manifest_is_found() {
         rebag(&folder);
     }
     assert_eq!(
-        verify(&folder, Some(&public_key())).unwrap().faults,
+        verify(&folder, Some(&public_key()), &Cancel::default())
+            .unwrap()
+            .faults,
         Vec::<String>::new()
     );
 }
@@ -199,12 +204,18 @@ fn a_newer_crate_and_a_stranger_s_are_refused_by_name() {
     let path = folder.join("data/ro-crate-metadata.json");
     let text = std::fs::read_to_string(&path).unwrap();
     std::fs::write(&path, text.replace("urn:x-marf:crate:1", "urn:x-marf:crate:2")).unwrap();
-    let error = verify(&folder, None).unwrap_err();
+    let error = verify(&folder, None, &Cancel::default()).unwrap_err();
     assert!(
         matches!(&error, OpenError::Newer { found, .. } if found == "2"),
         "{error}"
     );
     std::fs::write(&path, text.replace("urn:x-marf:crate:1", "urn:other")).unwrap();
-    assert!(matches!(verify(&folder, None), Err(OpenError::Foreign { .. })));
-    assert!(matches!(verify(dir.path(), None), Err(OpenError::NoCrate { .. })));
+    assert!(matches!(
+        verify(&folder, None, &Cancel::default()),
+        Err(OpenError::Foreign { .. })
+    ));
+    assert!(matches!(
+        verify(dir.path(), None, &Cancel::default()),
+        Err(OpenError::NoCrate { .. })
+    ));
 }

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use marf_cache::manifest::{Leaf, LeafRef, Root, Row};
 use marf_cache::{ACTION_FORMAT, Action, Digest, Output, Record, RunMetadata, Sha256, Store};
+use marf_engine::Cancel;
 use marf_export::bag::{Bag, BagWriter};
 use marf_export::verify::{Report, verify};
 use marf_export::{CrateOptions, Data, Photos, write_crate};
@@ -290,7 +291,7 @@ pub fn options() -> CrateOptions<'static> {
 }
 
 pub fn check(folder: &Path) -> Report {
-    verify(folder, None).unwrap()
+    verify(folder, None, &Cancel::default()).unwrap()
 }
 
 /// Makes the bag anew from whatever is in its payload, as a forger would who knows BagIt.
@@ -324,7 +325,7 @@ pub fn rebag(folder: &Path) {
     bag.finish(&info).unwrap();
     std::fs::remove_dir_all(folder).unwrap();
     std::fs::rename(&target, folder).unwrap();
-    assert_eq!(Bag::read(folder).faults, []);
+    assert_eq!(Bag::read(folder, &Cancel::default()).faults, []);
 }
 
 /// Changes the graph of a crate and makes the bag anew.

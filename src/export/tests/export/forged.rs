@@ -1,6 +1,7 @@
 //! Crates of runs that cannot have been: each is well-formed, and its lineage has a gap.
 
 use marf_cache::Digest;
+use marf_engine::Cancel;
 use marf_export::CrateOptions;
 use marf_export::verify::verify;
 use serde_json::json;
@@ -47,7 +48,7 @@ fn a_photo_that_no_file_gave_is_found() {
 fn a_crate_signed_by_another_or_by_nobody_is_found() {
     let dir = tempfile::tempdir().unwrap();
     let folder = world().write(dir.path(), &options());
-    let report = verify(&folder, Some(&public_key())).unwrap();
+    let report = verify(&folder, Some(&public_key()), &Cancel::default()).unwrap();
     assert_eq!(report.faults, ["it is not signed"]);
 
     // A signature that was taken from another crate is good, and about something else.
@@ -66,7 +67,9 @@ fn a_crate_signed_by_another_or_by_nobody_is_found() {
     )
     .unwrap();
     super::fixture::rebag(&folder);
-    let faults = verify(&folder, Some(&public_key())).unwrap().faults;
+    let faults = verify(&folder, Some(&public_key()), &Cancel::default())
+        .unwrap()
+        .faults;
     assert_eq!(
         faults,
         ["`attestation.dsse.json` is signed, but not about this `manifest-sha256.txt`"]

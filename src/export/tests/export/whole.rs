@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use marf_cache::{Digest, Sha256};
+use marf_engine::Cancel;
 use marf_export::verify::{OpenCrate, Role, Signature, verify};
 use marf_export::{CrateOptions, Data, ExportError, Photos, subjects_in, write_crate};
 use marf_model::Run;
@@ -161,7 +162,7 @@ fn a_signed_crate_is_signed_over_its_manifest() {
         ..options()
     };
     let folder = world().write(dir.path(), &signed);
-    let report = verify(&folder, Some(&public_key())).unwrap();
+    let report = verify(&folder, Some(&public_key()), &Cancel::default()).unwrap();
     assert_eq!(report.faults, Vec::<String>::new());
     assert_eq!(report.signature, Signature::Good);
     assert_eq!(check(&folder).signature, Signature::NotChecked);
@@ -198,7 +199,7 @@ fn a_statement_names_results_and_everything_they_depend_on() {
 fn a_crate_tells_where_its_bytes_came_from() {
     let dir = tempfile::tempdir().unwrap();
     let folder = world().write(dir.path(), &options());
-    let opened = OpenCrate::open(&folder).unwrap();
+    let opened = OpenCrate::open(&folder, &Cancel::default()).unwrap();
     let trace = opened.trace(&Digest::from_content(b"weights")).unwrap().unwrap();
     let output = Role::Output {
         node: "fit".to_owned(),

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use marf_cache::Digest;
+use marf_engine::Cancel;
 use marf_export::verify::Trace;
 use marf_provenance::stamp::Stamp;
 
@@ -14,18 +15,18 @@ use crate::export::{open_crate, verify_crate};
 ///
 /// # Errors
 /// A file or a crate that cannot be read; the answers "altered", of the file or of the crate, and "not ours".
-pub fn trace(file: &Path, folder: &Path) -> Result<Trace, Error> {
+pub fn trace(file: &Path, folder: &Path, cancel: &Cancel) -> Result<Trace, Error> {
     let bytes = std::fs::read(file)
         .map_err(|error| Error::failed(format!("cannot read {}: {error}", file.display())))?;
     let answered = |answer, message: String| Error::Answered(answer, Diagnostic::new(message));
-    verify_crate(folder)?;
+    verify_crate(folder, cancel)?;
     let named = Stamp::take_from(&bytes).map(|(_, stamp)| stamp.object);
     let digest = Digest::from_content(&object_of(bytes));
     if named.is_some_and(|object| object != digest) {
         let message = format!("{} is not what its mark says: it was altered", file.display());
         return Err(answered(Answer::Altered, message));
     }
-    let trace = open_crate(folder)?.trace(&digest);
+    let trace = open_crate(folder, cancel)?.trace(&digest);
     let trace =
         trace.map_err(|cause| answered(Answer::Incomplete, format!("{}: {cause}", folder.display())))?;
     trace.ok_or_else(|| {

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use marf_engine::Cancel;
 use marf_export::dsse::Envelope;
 use marf_export::subjects_in;
 use marf_export::verify::{OpenCrate, OpenError, Report, verify};
@@ -36,7 +37,12 @@ pub struct Statement {
 ///
 /// # Errors
 /// Something that is neither; a statement that does not hold.
-pub fn verify_path(path: &Path, key: Option<&Path>, subjects: &[PathBuf]) -> Result<VerifyResult, Error> {
+pub fn verify_path(
+    path: &Path,
+    key: Option<&Path>,
+    subjects: &[PathBuf],
+    cancel: &Cancel,
+) -> Result<VerifyResult, Error> {
     let key = key.map(public_key).transpose()?;
     if path.is_file() {
         let key = key.ok_or_else(|| {
@@ -52,7 +58,7 @@ pub fn verify_path(path: &Path, key: Option<&Path>, subjects: &[PathBuf]) -> Res
     if !subjects.is_empty() {
         return Err(Error::usage("--subject goes with a statement, not with a crate"));
     }
-    let report = verify(path, key.as_ref()).map_err(open_error)?;
+    let report = verify(path, key.as_ref(), cancel).map_err(open_error)?;
     Ok(VerifyResult::Crate(report))
 }
 
@@ -60,16 +66,16 @@ pub fn verify_path(path: &Path, key: Option<&Path>, subjects: &[PathBuf]) -> Res
 ///
 /// # Errors
 /// A folder that is no crate; a crate that does not hold.
-pub fn verify_crate(folder: &Path) -> Result<(), Error> {
-    without_faults(folder, &verify(folder, None).map_err(open_error)?)
+pub fn verify_crate(folder: &Path, cancel: &Cancel) -> Result<(), Error> {
+    without_faults(folder, &verify(folder, None, cancel).map_err(open_error)?)
 }
 
 /// Opens a crate.
 ///
 /// # Errors
 /// A folder that is no crate, or one of a newer form.
-pub fn open_crate(folder: &Path) -> Result<OpenCrate, Error> {
-    OpenCrate::open(folder).map_err(open_error)
+pub fn open_crate(folder: &Path, cancel: &Cancel) -> Result<OpenCrate, Error> {
+    OpenCrate::open(folder, cancel).map_err(open_error)
 }
 
 /// Returns an error if a report has faults.
@@ -94,6 +100,7 @@ fn open_error(error: OpenError) -> Error {
             Error::Usage(diagnostic.hint("`marf export crate` writes crates"))
         }
         OpenError::BadRun { .. } => Error::altered(diagnostic),
+        OpenError::Stopped => Error::Interrupted,
     }
 }
 

@@ -377,6 +377,12 @@ fn is_page(bytes: &[u8]) -> bool {
     start.starts_with(b"<!doctype html") || start.starts_with(b"<html")
 }
 
+/// Returns the time of the clock; `unknown` before 1970.
 fn now() -> String {
-    humantime::format_rfc3339_seconds(SystemTime::now()).to_string()
+    let now = SystemTime::now();
+    if now < SystemTime::UNIX_EPOCH {
+        "unknown".to_owned()
+    } else {
+        humantime::format_rfc3339_seconds(now).to_string()
+    }
 }

@@ -1,0 +1,225 @@
+//! How files are opened that others may have made. Only regular files are read, and no more of them than their kind has.
+
+use std::{
+    fmt,
+    fs::{self, File, Metadata, OpenOptions},
+    io::{self, ErrorKind, Read as _},
+    path::{Component, Path, PathBuf},
+};
+
+/// What a file is read as: it decides how large it may be.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum FileKind {
+    /// A private or public key.
+    Key,
+    /// A pipeline, a site, a lock file: what people write.
+    Settings,
+    /// A manifest, a graph, a record, a result.
+    Document,
+    /// What this program left for itself: a checkpoint.
+    State,
+}
+
+/// What happens with a symbolic link.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Links {
+    /// It is an error: in what others hand over.
+    Refused,
+    /// A link to a regular file is that file: in the user's own folders.
+    Followed,
+}
+
+impl FileKind {
+    /// Returns the largest size, bytes.
+    pub const fn max_bytes(self) -> u64 {
+        match self {
+            Self::Key => 64 << 10,
+            Self::Settings => 64 << 20,
+            Self::Document => 256 << 20,
+            Self::State => 16 << 30,
+        }
+    }
+}
+
+/// Reads a file.
+///
+/// # Errors
+/// A file that is absent, no regular file, too large for its kind, or a link where links are refused.
+pub fn read(path: &Path, kind: FileKind, links: Links) -> io::Result<Vec<u8>> {
+    let limit = kind.max_bytes();
+    let mut file = open(path, links)?;
+    let too_large = |bytes: u64| refused(format!("it has {bytes} bytes; the limit is {limit}"));
+    let length = file.metadata()?.len();
+    if length > limit {
+        return Err(too_large(length));
+    }
+    let mut bytes = Vec::with_capacity(length as usize);
+    // It may grow meanwhile.
+    file.by_ref().take(limit + 1).read_to_end(&mut bytes)?;
+    if bytes.len() as u64 > limit {
+        return Err(too_large(bytes.len() as u64));
+    }
+    Ok(bytes)
+}
+
+/// Reads a file of UTF-8 text.
+///
+/// # Errors
+/// As [`read`], and bytes that are not UTF-8.
+pub fn read_text(path: &Path, kind: FileKind, links: Links) -> io::Result<String> {
+    let bytes = read(path, kind, links)?;
+    String::from_utf8(bytes).map_err(|error| io::Error::new(ErrorKind::InvalidData, error.utf8_error()))
+}
+
+/// Opens a file for reading. Nothing else than a regular file is opened: a pipe would block, a device may have no end.
+///
+/// # Errors
+/// A file that is absent, no regular file, or a link where links are refused.
+pub fn open(path: &Path, links: Links) -> io::Result<File> {
+    let found = match links {
+        Links::Refused => fs::symlink_metadata(path),
+        Links::Followed => fs::metadata(path),
+    };
+    check_regular(&found?)?;
+    let mut options = OpenOptions::new();
+    options.read(true);
+    // Another file may have taken its place since.
+    #[cfg(unix)]
+    std::os::unix::fs::OpenOptionsExt::custom_flags(&mut options, flags(links));
+    let file = options.open(path)?;
+    check_regular(&file.metadata()?)?;
+    Ok(file)
+}
+
+#[cfg(unix)]
+fn flags(links: Links) -> i32 {
+    match links {
+        Links::Refused => libc::O_NONBLOCK | libc::O_NOFOLLOW,
+        Links::Followed => libc::O_NONBLOCK,
+    }
+}
+
+/// Returns the path of a file below a folder that others may have filled: none of its parts is a link.
+///
+/// # Errors
+/// A link among the parts, a part that leads out of the folder, an absent file.
+pub fn below(folder: &Path, relative: &str) -> io::Result<PathBuf> {
+    let mut path = folder.to_owned();
+    for part in Path::new(relative).components() {
+        let Component::Normal(part) = part else {
+            return Err(refused("it is outside the folder"));
+        };
+        path.push(part);
+        if fs::symlink_metadata(&path)?.is_symlink() {
+            return Err(refused("it is a link"));
+        }
+    }
+    Ok(path)
+}
+
+fn check_regular(found: &Metadata) -> io::Result<()> {
+    if found.is_symlink() {
+        return Err(refused("it is a link"));
+    }
+    if found.is_file() {
+        Ok(())
+    } else {
+        Err(refused("it is not a regular file"))
+    }
+}
+
+fn refused(what: impl fmt::Display) -> io::Error {
+    io::Error::new(ErrorKind::InvalidInput, what.to_string())
+}
+
+#[cfg(all(test, unix))]
+mod tests {
+    use std::{os::unix::fs::symlink, process::Command};
+
+    use super::*;
+
+    fn fault(path: &Path, links: Links) -> String {
+        read(path, FileKind::Key, links).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn only_regular_files_are_read_and_links_where_they_are_followed() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = |name: &str| dir.path().join(name);
+        fs::write(path("file"), b"bytes").unwrap();
+        assert!(
+            Command::new("mkfifo")
+                .arg(path("pipe"))
+                .status()
+                .unwrap()
+                .success()
+        );
+        for (link, target) in [
+            ("link", path("file")),
+            ("to pipe", path("pipe")),
+            ("zero", "/dev/zero".into()),
+            ("self", path("self")),
+            ("nowhere", path("absent")),
+        ] {
+            symlink(target, path(link)).unwrap();
+        }
+        let regular = "it is not a regular file";
+        for links in [Links::Refused, Links::Followed] {
+            assert_eq!(read(&path("file"), FileKind::Key, links).unwrap(), b"bytes");
+            assert_eq!(fault(&path("pipe"), links), regular);
+            assert_eq!(fault(Path::new("/dev/zero"), links), regular);
+            assert_eq!(fault(dir.path(), links), regular);
+            let absent = read(&path("absent"), FileKind::Key, links).unwrap_err();
+            assert_eq!(absent.kind(), ErrorKind::NotFound);
+        }
+        for link in ["link", "to pipe", "zero", "self", "nowhere"] {
+            assert_eq!(fault(&path(link), Links::Refused), "it is a link");
+        }
+        assert_eq!(
+            read(&path("link"), FileKind::Key, Links::Followed).unwrap(),
+            b"bytes"
+        );
+        assert_eq!(fault(&path("zero"), Links::Followed), regular);
+        assert_eq!(fault(&path("to pipe"), Links::Followed), regular);
+        assert!(read(&path("self"), FileKind::Key, Links::Followed).is_err());
+    }
+
+    #[test]
+    fn a_file_is_as_large_as_its_kind_at_most() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("key");
+        let file = File::create(&path).unwrap();
+        for (bytes, is_read) in [(65_536, true), (65_537, false), (1 << 40, false)] {
+            file.set_len(bytes).unwrap();
+            assert_eq!(
+                read(&path, FileKind::Key, Links::Refused).is_ok(),
+                is_read,
+                "{bytes}"
+            );
+        }
+        assert_eq!(
+            fault(&path, Links::Refused),
+            "it has 1099511627776 bytes; the limit is 65536"
+        );
+    }
+
+    #[test]
+    fn no_part_of_a_path_below_a_folder_is_a_link() {
+        let dir = tempfile::tempdir().unwrap();
+        let folder = dir.path().join("crate");
+        fs::create_dir_all(folder.join("data/a")).unwrap();
+        fs::write(folder.join("data/a/x"), b"x").unwrap();
+        symlink(folder.join("data/a"), folder.join("data/b")).unwrap();
+        assert_eq!(below(&folder, "data/a/x").unwrap(), folder.join("data/a/x"));
+        for (path, expected) in [
+            ("data/b/x", "it is a link"),
+            ("../crate/data/a/x", "it is outside the folder"),
+            ("/etc/passwd", "it is outside the folder"),
+        ] {
+            assert_eq!(below(&folder, path).unwrap_err().to_string(), expected);
+        }
+        // The folder itself is named by the user.
+        symlink(&folder, dir.path().join("link")).unwrap();
+        assert!(below(&dir.path().join("link"), "data/a/x").is_ok());
+    }
+}
