@@ -6,7 +6,7 @@ use clap::Args;
 use marf_engine::{Cancel, Options};
 use marf_run::budget::whole_seconds;
 use marf_run::execute::{execute, options};
-use marf_run::folder;
+use marf_run::folder::PhotoFolder;
 use marf_run::session::{Session, node_named};
 use marf_schema::train::{Metrics, TrainParams};
 use marf_stage::Params;
@@ -87,7 +87,7 @@ fn row(args: &Table1Args, budget_s: u32, cancel: &Cancel) -> Result<Row> {
     context.sets.push(format!("{name}.budget={budget_s}s"));
     let session = Session::implicit(
         &context,
-        &folder::training("table1", &args.dir),
+        &PhotoFolder::new(&args.dir)?.training("table1"),
         "table1",
         &args.dir,
     )?;

@@ -31,6 +31,7 @@ mod traffic;
 mod verify;
 mod view;
 
+use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
 
@@ -68,14 +69,14 @@ pub fn main(cancel: &Cancel) -> ExitCode {
 
 /// Returns the context of a verb without options; progress goes to stderr.
 fn context(cancel: &Cancel) -> Context {
-    let words: Vec<String> = std::env::args().skip(1).collect();
+    let file = PathBuf::from("pipeline.toml");
     Context {
-        file: "pipeline.toml".into(),
+        command: options::command(&file),
+        file,
         store: None,
         sets: Vec::new(),
         threads: None,
         config: GlobalOptions::default(),
-        command: format!("marf {}", words.join(" ")),
         commit: option_env!("MARF_COMMIT"),
         feedback: Arc::new(Terminal::with_progress()),
         cancel: cancel.clone(),

@@ -1,7 +1,7 @@
 //! Groups of options that several verbs have. A verb has those that it reads, and puts them into its [`Context`].
 
 use std::num::NonZero;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 use marf_field::Device;
@@ -148,12 +148,20 @@ impl From<SelectionArgs> for Selection {
     }
 }
 
+/// Returns the command line as a run records it: without the folders of this machine.
+pub fn command(file: &Path) -> String {
+    let words = std::env::args_os().skip(1);
+    let words: Vec<String> = words.map(|word| word.to_string_lossy().into_owned()).collect();
+    format!("marf {}", marf_engine::recorded_command(&words, file))
+}
+
 impl StoreArgs {
     /// Sets pipeline and store of a context.
     pub fn context(&self, context: Context) -> Context {
         Context {
             file: self.file.clone(),
             store: self.store.clone(),
+            command: command(&self.file),
             ..context
         }
     }

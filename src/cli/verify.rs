@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use marf_export::verify::{Report, Signature};
 use marf_engine::Cancel;
+use marf_export::verify::{Report, Signature};
 use marf_run::Error;
 use marf_run::export::{Statement, VerifyResult, verify_path, without_faults};
 

@@ -17,8 +17,9 @@ use marf_cache::Digest;
 use marf_engine::{Cancel, Options};
 use marf_field::{Config, Device, OpenSizes, Overrides, Pilot, Trainer, steps_in};
 use marf_run::execute::{execute, options};
+use marf_run::folder::PhotoFolder;
 use marf_run::session::{Session, node_named};
-use marf_run::{Error, budget, files, folder};
+use marf_run::{Error, budget, files};
 use marf_scene::{Scene, encode_png, metrics};
 use marf_schema::calibrate::CalibrateParams;
 use marf_schema::output;
@@ -96,7 +97,7 @@ pub fn train(args: &TrainArgs, cancel: &Cancel) -> Result {
     let context = args.options.context(cancel);
     let session = Session::implicit(
         &context,
-        &folder::training("bench", &args.dir),
+        &PhotoFolder::new(&args.dir)?.training("bench"),
         "bench",
         &args.dir,
     )?;

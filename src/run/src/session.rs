@@ -7,7 +7,8 @@ use marf_cache::{Digest, Store};
 use marf_config::scenes::ByScene;
 use marf_config::{self as config, PipelineDocument, SharedStore};
 use marf_engine::{
-    Graph, Listings, NodeDecl, NodeRun, Purpose, RunRecord, RunSource, forget_folders, without_archive_folders,
+    Graph, Listings, NodeDecl, NodeRun, Purpose, RunRecord, RunSource, forget_folders,
+    without_archive_folders,
 };
 use marf_model::select::Subject;
 use marf_schema::bootstrap;

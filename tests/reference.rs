@@ -1,0 +1,156 @@
+//! The reference pages of the book are what the program itself says: `docs/reference/cli.md` and `docs/reference/pipeline.md`.
+//!
+//! `UPDATE_REFERENCE=1 cargo test --release --config tests/checks.toml --test reference` writes them.
+#![allow(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    reason = "a test that cannot go on should stop; a skipped test says so"
+)]
+
+mod common;
+
+use std::fmt::Write as _;
+use std::path::Path;
+
+use common::marf;
+use serde_json::Value;
+
+/// Compares a page of the book with what it should be, or writes it.
+fn is_current(page: &str, expected: &str) {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("docs/reference")
+        .join(page);
+    if std::env::var_os("UPDATE_REFERENCE").is_some() {
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        std::fs::write(&path, expected).unwrap();
+        return;
+    }
+    let found = std::fs::read_to_string(&path).unwrap_or_default();
+    let differ = found
+        .lines()
+        .zip(expected.lines())
+        .find(|(found, expected)| found != expected);
+    assert!(
+        found == expected,
+        "docs/reference/{page} is out of date, first at {differ:?}: UPDATE_REFERENCE=1 writes it"
+    );
+}
+
+#[test]
+fn the_reference_of_the_command_line_is_current() {
+    let dir = tempfile::tempdir().unwrap();
+    marf(dir.path(), &["man", "pages"]).exits(0);
+    let pages = std::fs::read_dir(dir.path().join("pages")).unwrap();
+    let mut names: Vec<String> = pages
+        .map(|page| {
+            page.unwrap()
+                .path()
+                .file_stem()
+                .unwrap()
+                .to_string_lossy()
+                .into_owned()
+        })
+        .collect();
+    names.sort();
+    let mut text = "# Command line\n\nThis page is generated from `--help`.\n".to_owned();
+    for name in names {
+        let mut words: Vec<&str> = name.split('-').skip(1).collect();
+        words.push("--help");
+        let help = marf(dir.path(), &words).exits(0).stdout;
+        let verb = name.replace('-', " ");
+        write!(text, "\n## `{verb}`\n\n```text\n{}\n```\n", help.trim_end()).unwrap();
+    }
+    is_current("cli.md", &text);
+}
+
+#[test]
+fn the_reference_of_the_pipeline_file_is_current() {
+    let schema = marf(Path::new("."), &["schema"]).exits(0).stdout;
+    let schema: Value = serde_json::from_str(&schema).unwrap();
+    let definitions = schema["$defs"].as_object().unwrap();
+    let mut text = "# pipeline.toml\n\nThis page is generated from `marf schema`. An empty default means that the key has none.\n".to_owned();
+    for title in ["Archives", "Stages"] {
+        write!(text, "\n## {title}\n").unwrap();
+        for (name, definition) in definitions {
+            let archive = name.strip_prefix("archive.");
+            if archive.is_some() == (title == "Archives") {
+                add_table(&mut text, archive.unwrap_or(name), definition, definitions);
+            }
+        }
+    }
+    text += "\n## Other keys\n";
+    for (name, definition) in schema["properties"].as_object().unwrap() {
+        if !["archive", "node"].contains(&name.as_str()) {
+            add_table(&mut text, name, definition, definitions);
+        }
+    }
+    is_current("pipeline.md", &text);
+}
+
+/// Adds a table of the file with its keys.
+fn add_table(text: &mut String, name: &str, definition: &Value, all: &serde_json::Map<String, Value>) {
+    write!(text, "\n### `{name}`\n\n{}.\n", sentence(definition)).unwrap();
+    let mut rows = Vec::new();
+    add_rows(definition, "", all, &mut rows);
+    if !rows.is_empty() {
+        write!(
+            text,
+            "\n| key | default | meaning |\n|---|---|---|\n{}\n",
+            rows.join("\n")
+        )
+        .unwrap();
+    }
+}
+
+/// A description in one line, as a sentence without its full stop.
+fn sentence(definition: &Value) -> String {
+    let words: Vec<&str> = definition["description"]
+        .as_str()
+        .unwrap_or_default()
+        .split_whitespace()
+        .collect();
+    let text = words.join(" ");
+    let text = text.trim_end_matches('.').replace('|', "\\|");
+    let mut letters = text.chars();
+    letters
+        .next()
+        .map(|first| first.to_uppercase().chain(letters).collect())
+        .unwrap_or_default()
+}
+
+/// Adds a row for each key of a table, those of tables in it as `table.key`.
+fn add_rows(table: &Value, prefix: &str, all: &serde_json::Map<String, Value>, rows: &mut Vec<String>) {
+    for (key, definition) in table["properties"].as_object().into_iter().flatten() {
+        let named = definition["$ref"]
+            .as_str()
+            .and_then(|name| all.get(name.trim_start_matches("#/$defs/")));
+        let target = named.unwrap_or(definition);
+        let default = match &definition["default"] {
+            Value::Null | Value::Object(_) => String::new(),
+            default => format!("`{default}`"),
+        };
+        let meaning = [sentence(definition), sentence(target)]
+            .into_iter()
+            .find(|text| !text.is_empty());
+        let values = values(target);
+        rows.push(format!(
+            "| `{prefix}{key}` | {default} | {}.{values} |",
+            meaning.unwrap_or_default()
+        ));
+        if target["properties"].is_object() {
+            add_rows(target, &format!("{prefix}{key}."), all, rows);
+        }
+    }
+}
+
+/// The values of a choice.
+fn values(definition: &Value) -> String {
+    let choices = definition["oneOf"].as_array().into_iter().flatten();
+    let named: Vec<String> = choices
+        .filter_map(|choice| Some(format!("`{}`: {}", choice["const"].as_str()?, sentence(choice))))
+        .collect();
+    if named.is_empty() {
+        return String::new();
+    }
+    format!(" {}.", named.join(", "))
+}
