@@ -132,7 +132,8 @@ fn refused(what: impl fmt::Display) -> io::Error {
     io::Error::new(ErrorKind::InvalidInput, what.to_string())
 }
 
-#[cfg(all(test, unix))]
+#[cfg(test)]
+#[cfg(unix)]
 mod tests {
     use std::{os::unix::fs::symlink, process::Command};
 

@@ -146,6 +146,10 @@ impl Bucket {
     /// Returns length and time of an object; none if there is none.
     pub(crate) async fn find(&self, name: &str) -> Result<Option<StoredObject>, RemoteError> {
         self.count(0);
+        // To look at a file is to open it.
+        if self.readable_bytes(name).await?.is_none() {
+            return Ok(None);
+        }
         let found = self.within(0, self.objects.head(&self.path(name))).await;
         let listed = |meta: ObjectMeta| StoredObject {
             name: name.to_owned(),

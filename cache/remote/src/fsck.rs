@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet, HashSet};
 
+use bytes::Bytes;
 use futures_util::{StreamExt, TryStreamExt, stream};
 use marf_cache::Digest;
 use serde::Serialize;
@@ -100,6 +101,14 @@ pub(crate) async fn check(bucket: &Bucket, options: FsckOptions) -> Result<Remot
     })
 }
 
+/// Returns the bytes of an object, none of one that is gone or is no file: they have not its digest.
+async fn bytes_of(bucket: &Bucket, name: &str) -> Result<Bytes, RemoteError> {
+    match bucket.get(name).await {
+        Err(RemoteError::Damaged { .. }) => Ok(Bytes::new()),
+        found => Ok(found?.unwrap_or_default()),
+    }
+}
+
 impl Check<'_> {
     fn fault(&mut self, object: String, what: impl Into<String>) {
         self.faults.entry(object).or_insert_with(|| what.into());
@@ -111,14 +120,12 @@ impl Check<'_> {
             return Ok(());
         }
         let bucket = self.bucket;
-        let mut read =
-            stream::iter(listed)
-                .map(|(digest, object)| async move {
-                    Ok::<_, RemoteError>((digest, bucket.get(&object.name).await?))
-                })
-                .buffer_unordered(IN_FLIGHT);
+        let mut read = stream::iter(listed)
+            .map(|(digest, object)| async move {
+                Ok::<_, RemoteError>((digest, bytes_of(bucket, &object.name).await?))
+            })
+            .buffer_unordered(IN_FLIGHT);
         while let Some((digest, bytes)) = read.try_next().await? {
-            let bytes = bytes.unwrap_or_default();
             self.read_bytes += bytes.len() as u64;
             if Digest::from_content(&bytes) != *digest {
                 self.blobs.remove(digest);
@@ -161,7 +168,7 @@ impl Check<'_> {
             return Ok(Err("the pack is not as long as its index says"));
         }
         if self.options.read_data {
-            let bytes = self.bucket.get(&pack.name).await?.unwrap_or_default();
+            let bytes = bytes_of(self.bucket, &pack.name).await?;
             self.read_bytes += bytes.len() as u64;
             if Digest::from_content(&bytes) != *id {
                 return Ok(Err("the bytes of the pack have another digest"));
