@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Asks a running `marf view` for the distances of pairs of points whose true distance is known.
 
-    cargo run --release -p marf-demo --example true_pairs -- out/train/scene.json 100 5 > pairs.jsonl
+    cargo run --release -p marf-labs -- true-pairs out/train/scene.json 100 5 > pairs.jsonl
     marf view --port 8460 &
     python3 benches/distances.py http://127.0.0.1:8460/ RUN pairs.jsonl
 

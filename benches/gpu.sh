@@ -5,7 +5,7 @@
 #   PACK/gpu.sh run PACK [first|second]        there: measures, each call in less than 9 minutes (without a word: first)
 #   benches/gpu.sh collect OUT                 here: what was found as Markdown, beside what the model expects
 #
-# DIR: folders as `marf bench train` takes them, two at least; one with a transforms_train.json and photos beside it (the
+# DIR: folders as `marf-labs train` takes them, two at least; one with a transforms_train.json and photos beside it (the
 # layout of NeRF's synthetic scenes) gets every tenth photo held out. The first folder is trained twice for one digest.
 #
 # PACK            folder of the pack, inside the repository and ignored there (target/gpu-pack); 64 MB at most
@@ -76,7 +76,7 @@ pack() {
     local pack=${PACK:-$here/../target/gpu-pack} build scene bytes
     build=$(mktemp -d)
     mkdir "$build/data"
-    strip -o "$build/marf" "$(built build --release -p marf --bin marf)"
+    strip -o "$build/labs" "$(built build --release -p marf-labs)"
     strip -o "$build/bench" "$(built bench --no-run -p marf-field-gpu --bench gpu)"
     strip -o "$build/tests" "$(built test --release --config "$here/../tests/checks.toml" --no-run -p marf-field-gpu --lib)"
     pack_loader "$build/lib"
@@ -157,7 +157,7 @@ tests() {
 train() {
     local scene=$1 to=$2
     shift 2
-    "$work/marf" bench train "$work/data/$scene" --device "$gpu" --out "${VIEWS:-$work/views}/$scene" "$@" |
+    "$work/labs" train "$work/data/$scene" --device "$gpu" --out "${VIEWS:-$work/views}/$scene" "$@" |
         sed "s/^{/{\"scene\":\"$scene\",/" >> "$out/$to.jsonl"
 }
 

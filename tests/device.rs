@@ -15,8 +15,8 @@ use common::{marf, photos};
 fn adapter(folder: &Path) -> Option<String> {
     let asked = std::env::var("MARF_TEST_GPU").ok();
     let name = format!("gpu:{}", asked.as_deref().unwrap_or("llvmpipe"));
-    let verb = ["bench", "train", "photos", "--steps", "1", "--out", "probe"];
-    let ran = marf(folder, &[&verb[..], &["--device", &name]].concat());
+    std::fs::write(folder.join("pipeline.toml"), PIPELINE).unwrap();
+    let ran = marf(folder, &["run", "--device", &name, "--store", "probe"]);
     if ran.code == 0 {
         return Some(name);
     }
@@ -58,7 +58,6 @@ fn the_adapter_stands_in_the_log_and_in_the_key_and_two_stores_get_the_same_byte
     let Some(device) = adapter(dir.path()) else {
         return;
     };
-    std::fs::write(dir.path().join("pipeline.toml"), PIPELINE).unwrap();
     let on = |device: &str, store: &str| {
         let words = ["run", "--device", device, "--store", store, "--json"];
         marf(dir.path(), &words).exits(0)

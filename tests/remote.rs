@@ -10,7 +10,7 @@ use common::{Ran, marf};
 /// Filters and cameras of the built-in Mars, in a second.
 const PIPELINE: &str = concat!(
     "name = \"shared\"\n[archive.photos]\nkind = \"demo\"\nsols = \"1\"\nwidth = 160\n",
-    include_str!("../src/cli/bench/five_nodes.toml"),
+    include_str!("../labs/five_nodes.toml"),
     "[node.calibrate]\ninput = \"blur\"\nmethod = \"labels\"\n",
 );
 

@@ -25,7 +25,7 @@ const SECRET: &str = "do-not-show-this";
 const PIPELINE: &str = concat!(
     "name = \"shared\"\n[store]\nremote = \"s3://mars/team/results\"\n",
     "[archive.photos]\nkind = \"demo\"\nsols = \"1\"\nwidth = 160\n",
-    include_str!("../src/cli/bench/five_nodes.toml"),
+    include_str!("../labs/five_nodes.toml"),
 );
 
 fn machine() -> tempfile::TempDir {

@@ -81,12 +81,6 @@ pub enum Verb {
     Fit(super::fit::FitArgs),
     /// Measure what each knob costs in time and gains in quality
     Trade(super::trade::TradeArgs),
-    /// Benchmark this program
-    Bench {
-        /// What to measure
-        #[command(subcommand)]
-        verb: super::bench::BenchVerb,
-    },
     /// Write manual pages, one a verb
     Man {
         /// Folder to write

@@ -2,7 +2,6 @@
 
 mod args;
 mod audit;
-mod bench;
 mod cache;
 mod calibrate;
 mod compare;
@@ -94,7 +93,6 @@ fn dispatch(cli: Cli, cancel: &Cancel) -> Result<(), Error> {
         Verb::Calibrate(args) => calibrate::calibrate(global, args, context),
         Verb::Fit(args) => fit::fit(global, args, context),
         Verb::Trade(args) => trade::trade(global, args, context),
-        Verb::Bench { verb } => bench::bench(global, &verb, context),
         Verb::Man { dir } => man::man(&dir),
         Verb::Completions { shell } => {
             let mut bytes = Vec::new();

@@ -2,15 +2,20 @@
 #![allow(
     dead_code,
     clippy::print_stdout,
+    unused_imports,
     reason = "each test file uses a part; a skipped test says so"
 )]
 
+mod photos;
+mod ran;
 pub mod tools;
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
 use std::sync::{Mutex, PoisonError};
+
+pub use photos::photos;
+pub use ran::Ran;
 
 /// The default pipeline at a quarter of its pixels and a handful of steps.
 pub const SMALL_DEMO: [&str; 14] = [
@@ -50,60 +55,9 @@ steps = 200
 scale = 2
 "#;
 
-/// What a run of the binary left.
-pub struct Ran {
-    /// Exit code; -1 if killed.
-    pub code: i32,
-    /// What it printed to stdout.
-    pub stdout: String,
-    /// What it printed to stderr.
-    pub stderr: String,
-}
-
 /// Runs `marf ARGS` in a folder, without a terminal and at a line width of 100.
 pub fn marf(folder: &Path, args: &[&str]) -> Ran {
-    let output = Command::new(env!("CARGO_BIN_EXE_marf"))
-        .current_dir(folder)
-        .args(args)
-        .stdin(Stdio::null())
-        .env("COLUMNS", "100")
-        .output()
-        .unwrap();
-    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
-    Ran {
-        code: output.status.code().unwrap_or(-1),
-        stdout: text(&output.stdout),
-        stderr: text(&output.stderr),
-    }
-}
-
-impl Ran {
-    /// Panics with everything that was printed unless the code is as expected.
-    #[track_caller]
-    pub fn exits(self, code: i32) -> Self {
-        assert_eq!(
-            self.code, code,
-            "\nstdout: {}\nstderr: {}",
-            self.stdout, self.stderr
-        );
-        self
-    }
-
-    /// The JSON lines of `--json`.
-    pub fn events(&self) -> Vec<serde_json::Value> {
-        self.stdout
-            .lines()
-            .map(|line| serde_json::from_str(line).unwrap_or_else(|_| panic!("{line}")))
-            .collect()
-    }
-
-    /// Names of the nodes with this event, in order.
-    pub fn nodes(&self, event: &str) -> Vec<String> {
-        let events = self.events().into_iter().filter(|json| json["event"] == event);
-        events
-            .map(|json| json["node"].as_str().unwrap_or_default().to_owned())
-            .collect()
-    }
+    Ran::new(env!("CARGO_BIN_EXE_marf"), folder, args)
 }
 
 /// Returns a folder in which a pipeline has run, as it was left: a copy of one run that all tests of a file share.
@@ -150,30 +104,4 @@ pub fn shared(set: &str) -> Option<PathBuf> {
     }
     println!("skipped: needs ../shared/data/{set}");
     None
-}
-
-/// Four photos in a row; the last is a test photo.
-pub fn photos() -> tempfile::TempDir {
-    let dir = tempfile::tempdir().unwrap();
-    let folder = dir.path().join("photos/images");
-    std::fs::create_dir_all(&folder).unwrap();
-    for number in 0..4_u32 {
-        let picture = image::RgbImage::from_fn(32, 24, |x, y| {
-            image::Rgb([x * 7 + number, y * 10, x * y % 256].map(|value| value as u8))
-        });
-        picture.save(folder.join(format!("{number}.png"))).unwrap();
-    }
-    let name = |number: u32| format!("images/{number}.png");
-    let frame = |number: u32| {
-        let matrix = [[1, 0, 0, number], [0, 1, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]];
-        serde_json::json!({"file_path": name(number), "transform_matrix": matrix})
-    };
-    let transforms = serde_json::json!({
-        "w": 32, "h": 24, "fl_x": 30.5, "fl_y": 31.0, "cx": 16.0, "cy": 12.0,
-        "frames": [frame(0), frame(1), frame(2), frame(3)],
-        "train_filenames": [name(0), name(1), name(2)], "test_filenames": [name(3)],
-    });
-    let path = dir.path().join("photos/transforms.json");
-    std::fs::write(path, transforms.to_string()).unwrap();
-    dir
 }

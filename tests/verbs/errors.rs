@@ -1,5 +1,6 @@
 //! The errors of a bad pipeline.toml.
 
+use super::common::{marf, photos};
 use super::{assert_transcript, with_pipeline};
 
 const HEAD: &str = "[archive.demo]\nkind = \"demo\"\n\n[node.extract]\narchive = \"demo\"\n\n";
@@ -59,4 +60,25 @@ fn error_of_an_argument() {
 fn error_without_a_pipeline() {
     let dir = tempfile::tempdir().unwrap();
     assert_transcript!(dir.path(), &[&["plan"], &["plan", "--file", "other.toml"]]);
+}
+
+#[test]
+fn a_memory_that_cannot_do_is_refused_with_the_one_that_can() {
+    let dir = photos();
+    let fit = "fit photos --budget 1s --memory 90MB --set train.field.log2_table=10 --set train.field.density_width=16 \
+               --set train.field.color_width=16 --set train.field.batch_samples=1024 --set train.field.cone=0.2";
+    let ran = marf(dir.path(), &fit.split(' ').collect::<Vec<_>>()).exits(1);
+    for part in [
+        "training on 3 photos needs",
+        "`memory` is 90MB",
+        "hint: set `memory = \"",
+    ] {
+        assert!(ran.stderr.contains(part), "`{part}` is not in\n{}", ran.stderr);
+    }
+    let ran = marf(dir.path(), &["fit", "photos", "--memory", "lots"]).exits(2);
+    assert!(
+        ran.stderr.contains("`lots` is no memory; write `2GB`"),
+        "{}",
+        ran.stderr
+    );
 }

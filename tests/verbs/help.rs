@@ -47,12 +47,6 @@ help_of! {
     help_calibrate: "calibrate", "--help";
     help_fit: "fit", "--help";
     help_trade: "trade", "--help";
-    help_bench: "bench", "--help";
-    help_bench_train: "bench", "train", "--help";
-    help_bench_table1: "bench", "table1", "--help";
-    help_bench_engine: "bench", "engine", "--help";
-    help_bench_items: "bench", "items", "--help";
-    help_bench_faults: "bench", "faults", "--help";
     help_man: "man", "--help";
     help_completions: "completions", "--help";
 }

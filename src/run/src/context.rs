@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use marf_cache::Store;
 use marf_config::GlobalOptions;
-use marf_engine::{Cancel, Listener};
+use marf_engine::{Cancel, Listener, SilentListener};
 use marf_progress::RunProgress;
 
 use crate::error::{Diagnostic, Error};
@@ -46,17 +46,19 @@ pub trait Feedback: Send + Sync {
     fn follow(&self, run: &str) -> Box<dyn RunFeedback>;
 
     /// Receives how much of a transfer is done.
-    fn on_transfer(&self, name: &str, moved: marf_remote::Progress);
+    fn on_transfer(&self, _name: &str, _moved: marf_remote::Progress) {}
 }
 
 /// Receives the events of one run.
 pub trait RunFeedback: Listener + Send {
     /// Receives the names of the devices that the run computes on.
-    fn on_devices(&self, devices: &str);
+    fn on_devices(&self, _devices: &str) {}
 
     /// Receives how far the whole run is.
-    fn on_run_progress(&self, standing: &RunProgress);
+    fn on_run_progress(&self, _standing: &RunProgress) {}
 }
+
+impl RunFeedback for SilentListener {}
 
 impl Context {
     /// Reports a fault that the request survives.

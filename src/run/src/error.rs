@@ -121,6 +121,14 @@ impl Error {
     }
 }
 
+impl std::fmt::Display for Error {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(self.message())
+    }
+}
+
+impl std::error::Error for Error {}
+
 impl From<LoadError> for Error {
     fn from(error: LoadError) -> Self {
         Self::Usage(Diagnostic::with_hint(error.message, error.hint))

@@ -73,13 +73,13 @@ impl Demo {
         let share = f64::from(index) / f64::from(count.saturating_sub(1).max(1));
         let above = height_m((1.0 - share) * OCTAVES);
         let (sin, cos) = sin_cos(f64::from(index) * TURN_DEG * DEGREE);
-        let (x, y) = (OUTCROP.0, OUTCROP.1);
+        let [x, y] = OUTCROP;
         let ground = v3(x, y, -self.world(1).height(x, y));
         let eye = ground + v3(ASIDE * above * cos, ASIDE * above * sin, -above);
         let forward = (ground - eye).unit();
         let right = forward.cross(v3(-sin, cos, 0.0)).unit();
-        let size_px = (self.options.width_px, self.options.height_px);
-        let focal_px = FOCAL_WIDTHS * f64::from(size_px.0);
+        let size_px = [self.options.width_px, self.options.height_px];
+        let focal_px = FOCAL_WIDTHS * f64::from(size_px[0]);
         Lens {
             r: [0.0; 3],
             ..Lens::new(eye, forward, right, size_px, focal_px)
@@ -93,12 +93,8 @@ impl Demo {
             let (cam_from_site, camera) = pinhole_of(&self.descent_shot(index, count).lens, width, height);
             let (rotation, centre) = (cam_from_site.rotation, cam_from_site.centre());
             let row = |axis: usize| {
-                [
-                    rotation[(0, axis)],
-                    -rotation[(1, axis)],
-                    -rotation[(2, axis)],
-                    centre[axis],
-                ]
+                let column = rotation.column(axis);
+                [column[0], -column[1], -column[2], centre[axis]]
             };
             let matrix = [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]];
             json!({
@@ -107,17 +103,12 @@ impl Demo {
             })
         };
         let is_held_out = |index: &u32| index % HELD_OUT_EVERY == HELD_OUT_EVERY / 2;
-        let (held_out, training): (Vec<_>, Vec<_>) = (0..count).partition(is_held_out);
-        let names = |indices: &[u32]| {
-            indices
-                .iter()
-                .map(|index| descent_file(*index))
-                .collect::<Vec<_>>()
-        };
+        let (held_out, training): (Vec<u32>, Vec<u32>) = (0..count).partition(is_held_out);
+        let names = |indices: Vec<u32>| indices.into_iter().map(descent_file).collect::<Vec<_>>();
         json!({
             "camera_model": "PINHOLE",
-            "train_filenames": names(&training),
-            "test_filenames": names(&held_out),
+            "train_filenames": names(training),
+            "test_filenames": names(held_out),
             "frames": (0..count).map(frame).collect::<Vec<_>>(),
         })
     }
@@ -158,7 +149,7 @@ mod tests {
         assert_eq!(files.len(), 10);
         let cameras: Value = serde_json::from_slice(&files[9].bytes).unwrap();
         assert_eq!(cameras["test_filenames"], json!(["images/004.png"]));
-        let (x, y) = (OUTCROP.0, OUTCROP.1);
+        let [x, y] = OUTCROP;
         let place = [x, y, -demo.world(1).height(x, y)];
         for (index, frame) in cameras["frames"].as_array().unwrap().iter().enumerate() {
             let number = |row: usize, column: usize| frame["transform_matrix"][row][column].as_f64().unwrap();

@@ -1,8 +1,6 @@
 //! The images of products as files.
 
-use std::io::Cursor;
-
-use image::{ExtendedColorType, ImageEncoder, codecs::jpeg::JpegEncoder, codecs::png::PngEncoder};
+use image::{ExtendedColorType, ImageEncoder, codecs::png::PngEncoder};
 use marf_scene::{Image, Srgb};
 
 use super::{
@@ -61,16 +59,8 @@ fn mono_png(product: &Product, image: &Image<Srgb>) -> Result<EncodedImage, Demo
 }
 
 fn jpeg(product: &Product, image: &Image<Srgb>, quality: u8) -> Result<EncodedImage, DemoError> {
-    let mut bytes = Cursor::new(Vec::new());
-    JpegEncoder::new_with_quality(&mut bytes, quality)
-        .write_image(
-            image.pixels.as_flattened(),
-            image.width,
-            image.height,
-            ExtendedColorType::Rgb8,
-        )
-        .map_err(|error| failed(product, &error))?;
-    Ok(encoded(image, 3, bytes.into_inner()))
+    let bytes = marf_scene::encode_jpeg(image, quality).map_err(|error| failed(product, &error))?;
+    Ok(encoded(image, 3, bytes))
 }
 
 fn encoded(image: &Image<Srgb>, bands: u32, bytes: Vec<u8>) -> EncodedImage {

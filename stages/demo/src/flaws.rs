@@ -36,47 +36,33 @@ pub fn narrow_band(image: &Image<Srgb>, filter: u8) -> Image<Srgb> {
 }
 
 pub fn defocused(image: &Image<Srgb>) -> Image<Srgb> {
-    let radius = (BOX * image.width as usize / 640).max(1);
-    let mut image = image.clone();
-    for _ in 0..PASSES {
-        image = box_blurred(&image, radius as i64, 1, 0);
-        image = box_blurred(&image, radius as i64, 0, 1);
-    }
-    image
-}
-
-/// Returns the mean of 2 radius + 1 pixels along a step; the border is repeated.
-fn box_blurred(image: &Image<Srgb>, radius: i64, step_x: i64, step_y: i64) -> Image<Srgb> {
-    let count = (2 * radius + 1) as u32;
-    Image::from_fn(image.width, image.height, |x, y| {
-        let mut sum = [0_u32; 3];
-        for k in -radius..=radius {
-            let at = clamped(image, i64::from(x) + k * step_x, i64::from(y) + k * step_y);
-            sum.iter_mut()
-                .zip(at)
-                .for_each(|(sum, channel)| *sum += u32::from(channel));
-        }
-        sum.map(|sum| ((sum + count / 2) / count) as u8)
-    })
-}
-
-fn clamped(image: &Image<Srgb>, x: i64, y: i64) -> [u8; 3] {
-    let within = |at: i64, side: u32| at.clamp(0, i64::from(side) - 1) as u32;
-    image.at(within(x, image.width), within(y, image.height))
+    let radius = (BOX * image.width as usize / 640).max(1) as i64;
+    let along_x: Vec<[i64; 2]> = (-radius..=radius).map(|k| [k, 0]).collect();
+    let along_y: Vec<[i64; 2]> = (-radius..=radius).map(|k| [0, k]).collect();
+    (0..PASSES).fold(image.clone(), |image, _| mean(&mean(&image, &along_x), &along_y))
 }
 
 /// Blurs along a line that descends one pixel in three.
 pub fn smeared(image: &Image<Srgb>) -> Image<Srgb> {
-    let length = (SMEAR * image.width / 640).max(3);
+    let length = i64::from((SMEAR * image.width / 640).max(3));
+    let line: Vec<[i64; 2]> = (0..length).map(|k| [k, k / 3]).collect();
+    mean(image, &line)
+}
+
+/// Returns the mean of the pixels at these offsets; the border is repeated.
+fn mean(image: &Image<Srgb>, offsets: &[[i64; 2]]) -> Image<Srgb> {
+    let count = offsets.len() as u32;
+    let within = |at: i64, side: u32| at.clamp(0, i64::from(side) - 1) as u32;
     Image::from_fn(image.width, image.height, |x, y| {
         let mut sum = [0_u32; 3];
-        for k in 0..i64::from(length) {
-            let at = clamped(image, i64::from(x) + k, i64::from(y) + k / 3);
-            sum.iter_mut()
-                .zip(at)
-                .for_each(|(sum, channel)| *sum += u32::from(channel));
+        for [dx, dy] in offsets {
+            let (x, y) = (i64::from(x) + dx, i64::from(y) + dy);
+            let pixel = image.at(within(x, image.width), within(y, image.height));
+            for (sum, channel) in sum.iter_mut().zip(pixel) {
+                *sum += u32::from(channel);
+            }
         }
-        sum.map(|sum| ((sum + length / 2) / length) as u8)
+        sum.map(|sum| ((sum + count / 2) / count) as u8)
     })
 }
 
@@ -93,9 +79,8 @@ pub fn colour_blocks(width: u32, height: u32, salt: u32) -> Image<Srgb> {
         let block = cell_bits(i64::from(x / side), i64::from(y / side), salt);
         let grain = cell_bits(i64::from(x), i64::from(y), salt ^ 1);
         std::array::from_fn(|k| {
-            let base = if block >> k & 1 == 1 { 255 } else { 0 };
             let ripple = (grain >> (8 * k) & 15) as u8;
-            if base == 0 { ripple } else { 255 - ripple }
+            if block >> k & 1 == 1 { 255 - ripple } else { ripple }
         })
     })
 }

@@ -8,7 +8,7 @@ use super::{
 };
 
 /// Centre of the outcrop and of all grids, metres in the site.
-pub const OUTCROP: (f64, f64) = (7.0, 3.0);
+pub const OUTCROP: [f64; 2] = [7.0, 3.0];
 /// Half the side of the finest grid, metres.
 const FINE_M: f64 = 20.48;
 /// The grids: nodes per side, metres between them. The first has ripples and lumps, the others the large forms only.
@@ -164,7 +164,7 @@ impl Ground {
 
     /// Reads from the finest grid that holds a point; beyond the last grid, its border is repeated.
     fn at<T>(&self, x: f64, y: f64, read: impl Fn(&Grid, &Spot) -> T) -> T {
-        let (x, y) = (x - OUTCROP.0, y - OUTCROP.1);
+        let (x, y) = (x - OUTCROP[0], y - OUTCROP[1]);
         let far = x.abs().max(y.abs());
         let holds = |grid: &&Grid| far < grid.half_m();
         let last = &self.grids[self.grids.len() - 1];
@@ -199,8 +199,8 @@ impl Lattice {
     fn place(&self, index: usize) -> (f64, f64) {
         let middle = (self.side / 2) as f64;
         (
-            OUTCROP.0 + ((index % self.side) as f64 - middle) * self.step_m,
-            OUTCROP.1 + ((index / self.side) as f64 - middle) * self.step_m,
+            OUTCROP[0] + ((index % self.side) as f64 - middle) * self.step_m,
+            OUTCROP[1] + ((index / self.side) as f64 - middle) * self.step_m,
         )
     }
 
@@ -230,7 +230,7 @@ impl Lattice {
         let top = rock.half.z.min(wide);
         let middle = (side / 2) as f64;
         let index = |offset: f64| (offset / step_m + middle).clamp(0.0, (side - 1) as f64) as usize;
-        let (x, y) = (rock.centre.x - OUTCROP.0, rock.centre.y - OUTCROP.1);
+        let (x, y) = (rock.centre.x - OUTCROP[0], rock.centre.y - OUTCROP[1]);
         for row in index(y - reach)..=index(y + reach) {
             for column in index(x - reach)..=index(x + reach) {
                 let (dx, dy) = (
@@ -297,7 +297,7 @@ impl Grid {
 /// Returns the height of the large forms: swells of the plain, and the rise below the outcrop.
 pub fn plain(x: f64, y: f64, salt: u32) -> f64 {
     let swell = |size: f64, salt: u32| noise2(x / size + 0.37, y / size + 0.11, salt).0;
-    let (dx, dy) = (x - OUTCROP.0, y - OUTCROP.1);
+    let (dx, dy) = (x - OUTCROP[0], y - OUTCROP[1]);
     let from_outcrop = (dx * dx + dy * dy).sqrt();
     let rise = 0.34 * smoothstep(3.6, 0.4, from_outcrop + 0.5 * swell(1.7, salt ^ 9));
     let far = smoothstep(20.0, 90.0, from_outcrop);
@@ -318,7 +318,7 @@ fn ripple(phase: f64) -> f64 {
 }
 
 fn height_without_rocks(x: f64, y: f64, salt: u32) -> f64 {
-    let (dx, dy) = (x - OUTCROP.0, y - OUTCROP.1);
+    let (dx, dy) = (x - OUTCROP[0], y - OUTCROP[1]);
     let inside = smoothstep(FINE_M - 0.5, FINE_M - 6.0, (dx * dx + dy * dy).sqrt());
     if inside == 0.0 {
         return plain(x, y, salt);

@@ -185,34 +185,23 @@ fn camera(facts: &Facts<'_>) -> String {
 }
 
 fn counters(facts: &Facts<'_>) -> [u32; 10] {
-    let site = plan::site(facts.sol);
-    [
-        site,
-        facts.stop.drive,
-        0,
-        0,
-        0,
-        0,
-        facts.view.pointing.rsm,
-        0,
-        0,
-        0,
-    ]
+    let mut counters = [0; 10];
+    counters[0] = plan::site(facts.sol);
+    counters[1] = facts.stop.drive;
+    counters[6] = facts.view.pointing.rsm;
+    counters
 }
 
 fn indices(facts: &Facts<'_>, element: &str, count: usize) -> String {
-    let line = |(name, value): (&str, u32)| {
+    let counters = counters(facts);
+    let line = |index: usize| {
+        let (name, value) = (COUNTERS[index], counters[index]);
         format!(
             "                <geom:{element}><geom:index_id>{name}</geom:index_id>\
              <geom:index_value_number>{value}</geom:index_value_number></geom:{element}>\n"
         )
     };
-    COUNTERS
-        .into_iter()
-        .zip(counters(facts))
-        .take(count)
-        .map(line)
-        .collect()
+    (0..count).map(line).collect()
 }
 
 fn space(frame: &str, indices: &str) -> String {
@@ -271,19 +260,18 @@ fn imaging(facts: &Facts<'_>) -> String {
 }
 
 fn file_area(facts: &Facts<'_>) -> String {
-    let axis = |(number, (name, elements)): (usize, (&str, u32))| {
+    let axis = |number: u32, name: &str, elements: u32| {
         format!(
             "      <Axis_Array><axis_name>{name}</axis_name><elements>{elements}</elements>\
-             <sequence_number>{}</sequence_number></Axis_Array>\n",
-            number + 1
+             <sequence_number>{number}</sequence_number></Axis_Array>\n"
         )
     };
     let axes = [
-        ("Band", facts.bands),
-        ("Line", facts.height),
-        ("Sample", facts.width),
+        axis(1, "Band", facts.bands),
+        axis(2, "Line", facts.height),
+        axis(3, "Sample", facts.width),
     ];
-    let axes: String = axes.into_iter().enumerate().map(axis).collect();
+    let axes = axes.concat();
     format!(
         "  <File_Area_Observational>
     <File>

@@ -21,13 +21,13 @@ const OPTICAL_TILT: (f64, f64) = (0.006, -0.004);
 
 impl Lens {
     /// Returns a camera at `c` that looks along `forward`, with `right` along its rows.
-    pub fn new(c: V3, forward: V3, right: V3, size_px: (u32, u32), focal_px: f64) -> Self {
+    pub fn new(c: V3, forward: V3, right: V3, size_px: [u32; 2], focal_px: f64) -> Self {
         let down = forward.cross(right);
         let centre = |side: u32| (f64::from(side) - 1.0) / 2.0;
         // The principal point is off centre, as that of every real camera.
         let (hc, vc) = (
-            centre(size_px.0) + 0.008 * focal_px,
-            centre(size_px.1) - 0.005 * focal_px,
+            centre(size_px[0]) + 0.008 * focal_px,
+            centre(size_px[1]) - 0.005 * focal_px,
         );
         Self {
             c,
@@ -203,7 +203,7 @@ mod tests {
             v3(1.0, 2.0, -2.0),
             v3(0.8, 0.0, 0.6),
             v3(0.0, 1.0, 0.0),
-            (640, 480),
+            [640, 480],
             656.0,
         );
         for (x, y) in [(0.0, 0.0), (639.0, 479.0), (320.0, 240.0), (10.0, 470.0)] {

@@ -90,7 +90,7 @@ impl Default for DemoOptions {
 /// A file of the demo's archive.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct DemoFile {
-    /// Name, without a folder (ground truth of [`Demo::archive`] is under `truth/`).
+    /// Name; photos of a descent are below `images/`.
     pub name: String,
     /// Contents.
     pub bytes: Vec<u8>,
@@ -270,28 +270,6 @@ impl Demo {
         Ok(shot.photo(&SrgbEncoder::new()))
     }
 
-    /// Returns an archive folder of several sols: images and labels side by side, and under `truth/` one JSON
-    /// per sol. Nothing is written to disk.
-    ///
-    /// # Errors
-    /// As [`Demo::files`].
-    pub fn archive(
-        &self,
-        sols: RangeInclusive<u32>,
-        progress: OnProgress<'_>,
-        cancelled: IsCancelled<'_>,
-    ) -> Result<Vec<DemoFile>, DemoError> {
-        let mut all = Vec::new();
-        for sol in sols {
-            all.extend(self.files(sol, progress, cancelled)?);
-            all.push(DemoFile {
-                name: format!("truth/sol_{sol:04}.json"),
-                bytes: format!("{:#}\n", self.ground_truth(sol)?.to_json()).into_bytes(),
-            });
-        }
-        Ok(all)
-    }
-
     /// Returns what is seen from straight above a place (x and y in the site frame, metres) on a sol.
     ///
     /// # Errors
@@ -348,7 +326,7 @@ impl Demo {
     }
 
     fn taken(&self, tour: &Tour, view: &View) -> Capture {
-        let size_px = (self.options.width_px, self.options.height_px);
+        let size_px = [self.options.width_px, self.options.height_px];
         let stop = &tour.stops[view.pointing.stop];
         tour::take(
             stop,

@@ -163,10 +163,9 @@ fn copies(pair: usize, eye: Eye) -> &'static [Option<FlawKind>] {
 }
 
 fn product(sol: u32, slot: u32, drive: u32, eye: Eye, flaw: Option<FlawKind>) -> Product {
-    let filter = if let Some(FlawKind::NarrowBand(filter)) = flaw {
-        filter
-    } else {
-        0
+    let filter = match flaw {
+        Some(FlawKind::NarrowBand(filter)) => filter,
+        _ => 0,
     };
     let side = if eye == Eye::Left { 'L' } else { 'R' };
     let size = if flaw == Some(FlawKind::Thumbnail) {

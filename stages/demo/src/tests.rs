@@ -377,25 +377,6 @@ fn a_picture_shows_what_the_photo_shows_at_its_axis() {
     ));
 }
 
-#[test]
-fn an_archive_has_its_truth_beside_it() {
-    let demo = Demo::new(DemoOptions {
-        width_px: 16,
-        height_px: 16,
-        seed: 1,
-    })
-    .unwrap();
-    let files = demo.archive(1..=2, &|_, _| (), &never).unwrap();
-    let truths: Vec<&DemoFile> = files
-        .iter()
-        .filter(|file| file.name.starts_with("truth/"))
-        .collect();
-    assert_eq!(truths.len(), 2);
-    let truth: serde_json::Value = serde_json::from_slice(&truths[1].bytes).unwrap();
-    assert_eq!(truth["photos"].as_array().unwrap().len(), 20);
-    assert!(truth["flaws"].as_array().unwrap().len() >= 13);
-}
-
 /// The whole change is what the comparison of two times has to find.
 #[test]
 fn a_change_is_there_from_its_sol_on_at_its_site_alone() {

@@ -59,17 +59,17 @@ pub fn stops(world: &World, seed: u64, sol: u32) -> Vec<Stop> {
                 world,
                 &mut rng,
                 20 + step * 3,
-                (OUTCROP.0 + radius * cos, OUTCROP.1 + radius * sin),
+                [OUTCROP[0] + radius * cos, OUTCROP[1] + radius * sin],
             )
         })
         .collect()
 }
 
-fn stop(world: &World, rng: &mut Rng, drive: u32, at: (f64, f64)) -> Stop {
+fn stop(world: &World, rng: &mut Rng, drive: u32, [x, y]: [f64; 2]) -> Stop {
     // The rover points past the outcrop, so that its mast has to turn.
-    let (dx, dy) = (OUTCROP.0 - at.0, OUTCROP.1 - at.1);
+    let (dx, dy) = (OUTCROP[0] - x, OUTCROP[1] - y);
     let facing = angle(dx, dy) + rng.within(-14.0, 14.0) * DEGREE;
-    let (slope_x, slope_y) = world.slope(at.0, at.1);
+    let (slope_x, slope_y) = world.slope(x, y);
     let (sin, cos) = sin_cos(facing);
     let (pitch, roll) = (
         (slope_x * cos + slope_y * sin) / 1.8,
@@ -78,7 +78,7 @@ fn stop(world: &World, rng: &mut Rng, drive: u32, at: (f64, f64)) -> Stop {
     let attitude = Quaternion::about(v3(0.0, 0.0, 1.0), facing)
         .after(Quaternion::about(v3(0.0, 1.0, 0.0), pitch))
         .after(Quaternion::about(v3(1.0, 0.0, 0.0), roll));
-    let place = v3(at.0, at.1, -world.height(at.0, at.1));
+    let place = v3(x, y, -world.height(x, y));
     let slip = v3(rng.normal() * 0.010, rng.normal() * 0.010, rng.normal() * 0.006);
     let labelled = tilted(rng, 0.06).after(attitude);
     Stop {
@@ -181,19 +181,19 @@ pub struct Capture {
 }
 
 /// Returns the camera of one eye after the mast has been pointed.
-pub fn take(stop: &Stop, pointing: &Pointing, eye: Eye, size_px: (u32, u32), seed: u64) -> Capture {
+pub fn take(stop: &Stop, pointing: &Pointing, eye: Eye, size_px: [u32; 2], seed: u64) -> Capture {
     let RoverPose { attitude, place } = stop.site_from_rover;
     let columns = attitude.columns();
     // The direction from the mast to the outcrop, in the rover frame.
     let head = rotate(&columns, MAST) + place;
-    let to = v3(OUTCROP.0, OUTCROP.1, head.z) - head;
+    let to = v3(OUTCROP[0], OUTCROP[1], head.z) - head;
     let azimuth = angle(columns[0].dot(to), columns[1].dot(to)) + pointing.pan_deg * DEGREE;
     let mast = Quaternion::about(v3(0.0, 0.0, 1.0), azimuth)
         .after(Quaternion::about(v3(0.0, 1.0, 0.0), pointing.tilt_deg * DEGREE));
     let [forward, right, down] = mast.columns();
     let side = if eye == Eye::Left { -0.5 } else { 0.5 };
     let centre = MAST + forward * 0.06 + right * (side * BASELINE_M) + down * 0.02;
-    let rover = Lens::new(centre, forward, right, size_px, focal_px(size_px.0));
+    let rover = Lens::new(centre, forward, right, size_px, focal_px(size_px[0]));
     // Backlash of the mast's joints: the same for both eyes.
     let mut rng = Rng::new(
         seed,

@@ -2,7 +2,6 @@
 
 use marf_scene::{Cahvor, Camera, Pose};
 use nalgebra::{Matrix3, Vector3};
-use serde_json::json;
 
 use super::{
     lens::{Lens, RoverPose},
@@ -91,32 +90,4 @@ pub fn pinhole_of(lens: &Lens, width: u32, height: u32) -> (Pose, Camera) {
         },
         camera,
     )
-}
-
-impl Truth {
-    /// Returns it as JSON: cameras, and every flaw with the filters that should reject it.
-    pub fn to_json(&self) -> serde_json::Value {
-        let photo = |photo: &TruePhoto| {
-            json!({
-                "file": photo.file,
-                "rover_model": photo.rover_model,
-                "site_from_rover": photo.site_from_rover,
-                "site_model": photo.site_model,
-                "cam_from_site": photo.cam_from_site,
-                "pinhole": photo.pinhole,
-            })
-        };
-        let flaw = |flaw: &Flaw| {
-            json!({
-                "file": flaw.file,
-                "kind": format!("{:?}", flaw.kind),
-                "expected": flaw.kind.expected(),
-                "twin": flaw.twin,
-            })
-        };
-        json!({
-            "photos": self.photos.iter().map(photo).collect::<Vec<_>>(),
-            "flaws": self.flaws.iter().map(flaw).collect::<Vec<_>>(),
-        })
-    }
 }

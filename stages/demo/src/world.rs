@@ -160,7 +160,7 @@ impl World {
     }
 }
 
-/// Tells whether a place lies on the strip from which dust is gone after the change.
+/// Returns whether a place is on the strip from which dust is gone after the change.
 fn is_bared(x: f64, y: f64) -> bool {
     let (middle, along, half) = STRIP;
     let (dx, dy) = (x - middle.0, y - middle.1);
@@ -186,7 +186,7 @@ fn places(seed: u64, salt: u32) -> Vec<Place> {
     for _ in 0..1500 {
         let (x, y) = (rng.normal() * 2.3, rng.normal() * 2.3);
         let size = power_law(&mut rng, 0.018, 0.20);
-        all.extend(stone(&mut rng, (OUTCROP.0 + x, OUTCROP.1 + y), size, salt));
+        all.extend(stone(&mut rng, [OUTCROP[0] + x, OUTCROP[1] + y], size, salt));
     }
     for _ in 0..7000 {
         let at = disc(&mut rng, 0.0, 17.0);
@@ -206,10 +206,10 @@ fn power_law(rng: &mut Rng, least_m: f64, most_m: f64) -> f64 {
     (least_m / rng.within(0.0, 1.0).max(1e-9).sqrt()).min(most_m)
 }
 
-fn disc(rng: &mut Rng, from_m: f64, to_m: f64) -> (f64, f64) {
+fn disc(rng: &mut Rng, from_m: f64, to_m: f64) -> [f64; 2] {
     let radius = rng.within(from_m * from_m, to_m * to_m).sqrt();
     let (sin, cos) = sin_cos(rng.within(0.0, TURN));
-    (OUTCROP.0 + radius * cos, OUTCROP.1 + radius * sin)
+    [OUTCROP[0] + radius * cos, OUTCROP[1] + radius * sin]
 }
 
 /// Returns the outcrop: broken, tilted slabs and blocks.
@@ -218,7 +218,7 @@ fn outcrop(rng: &mut Rng, salt: u32) -> Vec<Place> {
     for index in 0..26 {
         let spread = if index < 12 { 0.75 } else { 1.5 };
         let (x, y) = (rng.normal() * spread, rng.normal() * spread);
-        let at = (OUTCROP.0 + x, OUTCROP.1 + y);
+        let at = [OUTCROP[0] + x, OUTCROP[1] + y];
         let wide = rng.within(0.22, 0.58) * if index < 12 { 1.0 } else { 0.75 };
         let slab = index % 3 != 0;
         let flat = if slab {
@@ -241,11 +241,11 @@ fn buried_share(index: usize) -> f64 {
 }
 
 /// Returns a stone of the plain; none where sand has drifted, unless it is large.
-fn stone(rng: &mut Rng, at: (f64, f64), size: f64, salt: u32) -> Option<Place> {
+fn stone(rng: &mut Rng, at: [f64; 2], size: f64, salt: u32) -> Option<Place> {
     let half = v3(size, size * rng.within(0.6, 0.95), size * rng.within(0.4, 0.8));
     let tilt = (rng.within(-0.25, 0.25), rng.within(-0.25, 0.25));
     let bury = rng.within(0.1, 0.6);
-    let buried_by_sand = rng.within(0.0, 1.0) < ground::sandiness(at.0, at.1, salt) * 0.94 && size < 0.11;
+    let buried_by_sand = rng.within(0.0, 1.0) < ground::sandiness(at[0], at[1], salt) * 0.94 && size < 0.11;
     let stone = Place {
         tilt,
         ..place(rng, at, half, bury, salt)
@@ -254,10 +254,10 @@ fn stone(rng: &mut Rng, at: (f64, f64), size: f64, salt: u32) -> Option<Place> {
 }
 
 /// Returns an upright rock that is turned at random and buried by a share of its height.
-fn place(rng: &mut Rng, at: (f64, f64), half: V3, bury: f64, salt: u32) -> Place {
-    let ground_z = ground::plain(at.0, at.1, salt);
+fn place(rng: &mut Rng, at: [f64; 2], half: V3, bury: f64, salt: u32) -> Place {
+    let ground_z = ground::plain(at[0], at[1], salt);
     Place {
-        centre: v3(at.0, at.1, ground_z + half.z * (1.0 - 2.0 * bury)),
+        centre: v3(at[0], at[1], ground_z + half.z * (1.0 - 2.0 * bury)),
         half,
         yaw_rad: rng.within(0.0, TURN),
         tilt: (0.0, 0.0),

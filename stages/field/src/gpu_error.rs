@@ -67,7 +67,7 @@ pub enum GpuError {
         message: String,
     },
     /// An adapter whose kernels cannot be timed.
-    #[error("`{adapter}` has no timestamp queries: time whole trainings with `marf bench train`")]
+    #[error("`{adapter}` has no timestamp queries: time whole trainings with `marf-labs train`")]
     NoTimestamps {
         /// The adapter.
         adapter: String,

@@ -28,14 +28,14 @@ const fn row(folder: &'static str, package: &'static str, uses: &'static [&'stat
 }
 
 /// From the lowest to the highest: a crate uses only crates above its row.
-const CRATES: [Crate; 34] = [
+const CRATES: [Crate; 35] = [
     row("tests/tidy", "marf-tidy", &[]),
     row("shaders", "marf-shaders", &[]),
     row("cache", "marf-cache", &[]),
     row("cache/keys", "marf-keys", &["marf-cache"]),
     row("cache/remote", "marf-remote", &["marf-cache", "marf-keys"]),
     row("stages/numeric", "marf-numeric", &[]),
-    row("stages/loopback", "marf-loopback", &[]),
+    row("labs/loopback", "marf-loopback", &[]),
     row("stages/stage", "marf-stage", &["marf-cache"]),
     row("stages/scene", "marf-scene", &["marf-cache", "marf-numeric"]),
     Crate {
@@ -233,7 +233,7 @@ const CRATES: [Crate; 34] = [
         ],
     ),
     Crate {
-        tests_use: &["marf-video"],
+        tests_use: &["marf-loopback", "marf-video"],
         ..row(
             "",
             "marf",
@@ -243,10 +243,7 @@ const CRATES: [Crate; 34] = [
                 "marf-stage",
                 "marf-scene",
                 "marf-field",
-                "marf-field-gpu",
-                "marf-loopback",
                 "marf-schema",
-                "marf-stages",
                 "marf-engine",
                 "marf-config",
                 "marf-progress",
@@ -258,16 +255,37 @@ const CRATES: [Crate; 34] = [
             ],
         )
     },
+    row(
+        "labs",
+        "marf-labs",
+        &[
+            "marf-cache",
+            "marf-numeric",
+            "marf-loopback",
+            "marf-stage",
+            "marf-scene",
+            "marf-demo",
+            "marf-field",
+            "marf-field-gpu",
+            "marf-schema",
+            "marf-stages",
+            "marf-engine",
+            "marf-config",
+            "marf-run",
+        ],
+    ),
 ];
 
 /// Packages that only these crates may use.
-const RESTRICTED: [(&str, &[&str]); 17] = [
+const RESTRICTED: [(&str, &[&str]); 18] = [
     ("axum", &["marf-view"]),
-    ("clap", &["marf"]),
+    ("clap", &["marf", "marf-labs"]),
     ("clap_complete", &["marf"]),
     ("clap_mangen", &["marf"]),
     ("indicatif", &["marf"]),
     ("kamadak-exif", &["marf-pds"]),
+    // The laboratory is no part of the released program.
+    ("marf-loopback", &["marf-labs"]),
     ("object_store", &["marf-remote"]),
     ("openh264", &["marf-video"]),
     ("petgraph", &["marf-engine"]),
@@ -277,12 +295,13 @@ const RESTRICTED: [(&str, &[&str]); 17] = [
     ("ring", &["marf-cache", "marf-keys"]),
     ("rusqlite", &["marf-cache"]),
     ("rustls", &["marf-extract", "marf-remote"]),
-    ("tokio", &["marf-extract", "marf-remote", "marf-view", "marf"]),
+    ("tokio", &["marf-extract", "marf-remote", "marf-view"]),
     ("wgpu", &["marf-field-gpu"]),
 ];
 
-/// Where `unsafe` may stand: detection of instruction sets, and the kernels written for them.
-const UNSAFE: [&str; 4] = [
+/// Where `unsafe` may stand: a variable set before any thread runs, detection of instruction sets, and the kernels written for them.
+const UNSAFE: [&str; 5] = [
+    "src/main.rs",
     "stages/numeric/src/instruction_set.rs",
     "stages/field/src/cpu/simd.rs",
     "stages/field/src/cpu/simd/",

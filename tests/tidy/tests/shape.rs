@@ -36,18 +36,18 @@ const fn limit(bar: Bar, now: usize, goal: usize) -> Limit {
 }
 
 static LIMITS: [Limit; 12] = [
-    limit(Bar::Code, 104_800, 97_000),
-    limit(Bar::CodeOfMarf, 5_680, 5_000),
+    limit(Bar::Code, 104_380, 97_000),
+    limit(Bar::CodeOfMarf, 3_016, 5_000),
     limit(Bar::CodeOfACrate, 7_712, 8_000),
     limit(Bar::Rule(Rule::LongFunctions), 0, 0),
     limit(Bar::Rule(Rule::LongFiles), 5, 0),
     limit(Bar::Rule(Rule::Arguments), 0, 0),
-    limit(Bar::Rule(Rule::TupleParameters), 4, 0),
-    limit(Bar::Rule(Rule::BooleanMatches), 1, 0),
+    limit(Bar::Rule(Rule::TupleParameters), 0, 0),
+    limit(Bar::Rule(Rule::BooleanMatches), 0, 0),
     limit(Bar::Rule(Rule::Names), 0, 0),
     limit(Bar::Rule(Rule::States), 0, 0),
-    limit(Bar::Rule(Rule::Circles), 20, 0),
-    limit(Bar::Rule(Rule::Terminal), 7, 0),
+    limit(Bar::Rule(Rule::Circles), 2, 0),
+    limit(Bar::Rule(Rule::Terminal), 0, 0),
 ];
 
 static REPORT: LazyLock<Report> = LazyLock::new(|| {
@@ -143,6 +143,6 @@ fn no_crate_has_a_circle_of_files() {
 }
 
 #[test]
-fn only_the_package_marf_knows_clap_and_the_terminal() {
+fn only_marf_and_the_laboratory_know_clap_and_the_terminal() {
     check(Rule::Terminal);
 }

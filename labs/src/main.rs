@@ -1,0 +1,84 @@
+//! The laboratory: benchmarks, fault programmes, and the truth of the built-in Mars. No part of the released program.
+
+mod engine;
+#[cfg(unix)]
+mod faults;
+mod items;
+mod mars;
+mod options;
+mod output;
+mod process;
+mod synthetic;
+mod table1;
+mod training;
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+use marf_engine::Cancel;
+
+use output::Result;
+
+/// Measure marf on this machine, break it on purpose, and compare it with the built-in Mars.
+#[derive(Debug, Parser)]
+#[command(
+    name = "marf-labs",
+    version,
+    max_term_width = 100,
+    arg_required_else_help = true
+)]
+struct Labs {
+    #[command(subcommand)]
+    program: Program,
+}
+
+/// Programs of the laboratory.
+#[derive(Debug, Subcommand)]
+enum Program {
+    /// Train on a folder's photos for so many seconds and score the test views: one JSON line a budget
+    Train(training::TrainArgs),
+    /// Print Table 1 of the MaRF paper for a folder's photos, next to the paper's
+    Table1(table1::Table1Args),
+    /// Make a synthetic archive and run folder, filters and store on it: cold, without a change, with new sols; one JSON
+    /// line a phase
+    Engine(engine::EngineArgs),
+    /// Run engine, store and two filters on rows without photos: what a million items cost when nothing changes; one JSON
+    /// line a phase
+    Items(items::ItemsArgs),
+    /// Kill, stop, damage and starve runs of a small pipeline, and compare every digest; one JSON line a fault
+    #[cfg(unix)]
+    Faults(faults::FaultsArgs),
+    #[command(flatten)]
+    Mars(mars::MarsProgram),
+}
+
+fn main() -> ExitCode {
+    let labs = match Labs::try_parse() {
+        Ok(labs) => labs,
+        Err(error) => {
+            let _ = error.print(); // help to stdout, usage errors to stderr
+            return ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(2));
+        }
+    };
+    let cancel = Cancel::default();
+    let stop = cancel.clone();
+    let ended = ctrlc::set_handler(move || stop.set())
+        .map_err(Into::into)
+        .and_then(|()| run(labs.program, &cancel));
+    match ended {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => output::print_error(error.as_ref()),
+    }
+}
+
+fn run(program: Program, cancel: &Cancel) -> Result {
+    match program {
+        Program::Train(args) => training::train(&args, cancel),
+        Program::Table1(args) => table1::table1(&args, cancel),
+        Program::Engine(args) => engine::engine(&args, cancel),
+        Program::Items(args) => items::items(&args, cancel),
+        #[cfg(unix)]
+        Program::Faults(args) => faults::faults(&args, cancel),
+        Program::Mars(program) => mars::run(program),
+    }
+}

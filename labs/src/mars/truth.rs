@@ -1,0 +1,144 @@
+//! The true photos of the built-in Mars with the distance that each pixel shows, and where they are in a scene's world.
+
+use std::{fs, path::Path};
+
+use marf_demo::{Demo, DemoOptions, RangeMap, TruePhoto};
+use marf_scene::{Pose, Scene};
+use nalgebra::{Matrix3, Vector2, Vector3};
+
+use crate::output::Result;
+
+/// A true photo with its ranges.
+pub struct Known {
+    pub photo: TruePhoto,
+    pub ranges: RangeMap,
+}
+
+/// Distances from the centre of a camera, metres.
+pub struct Distances {
+    /// Of a place.
+    pub place_m: f64,
+    /// Of what the photo shows in its direction; infinite for the sky.
+    pub shown_m: f64,
+}
+
+impl Known {
+    /// Returns the distances of a place (metres in the site) and of what the photo shows there; none outside the photo.
+    pub fn distances(&self, place: &Vector3<f64>) -> Option<Distances> {
+        // In labels whole numbers are centres of pixels.
+        let pixel = self.photo.site_model.project(place)?;
+        let (column, row, map) = (pixel.x.round(), pixel.y.round(), &self.ranges);
+        let inside =
+            column >= 0.0 && row >= 0.0 && column < f64::from(map.width) && row < f64::from(map.height);
+        inside.then(|| Distances {
+            place_m: (place - self.photo.cam_from_site.centre()).norm(),
+            shown_m: self.range_m(column as u32, row as u32),
+        })
+    }
+
+    /// Returns the point that a pixel shows, metres in the site; none for the sky and for what is farther than `reach_m`.
+    pub fn point(&self, column: u32, row: u32, reach_m: f64) -> Option<Vector3<f64>> {
+        let range_m = self.range_m(column, row);
+        let pixel = Vector2::new(f64::from(column), f64::from(row));
+        let ray = self.photo.site_model.unproject(&pixel)?;
+        (range_m <= reach_m && range_m.is_finite()).then(|| ray.origin + ray.direction * range_m)
+    }
+
+    fn range_m(&self, column: u32, row: u32) -> f64 {
+        f64::from(self.ranges.range_m[row as usize * self.ranges.width as usize + column as usize])
+    }
+}
+
+/// A scene of a run of the built-in Mars, and its truth.
+pub struct KnownScene {
+    pub demo: Demo,
+    pub scene: Scene,
+    /// The true photos of the frames of the scene, in their order.
+    pub photos: Vec<Known>,
+}
+
+impl KnownScene {
+    /// Reads a scene.json.
+    pub fn read(path: &Path) -> Result<Self> {
+        let scene = Scene::decode(&fs::read(path)?)?;
+        let demo = Demo::new(DemoOptions::default())?;
+        let mut photos = Vec::new();
+        for frame in &scene.frames {
+            let file = frame.file.rsplit('/').next().unwrap_or_default();
+            let sol = sol_of(file).ok_or("no sol in the name")?;
+            let truth = demo.ground_truth(sol)?.photos;
+            let stem = file.rsplit_once('.').map_or(file, |(stem, _)| stem);
+            let photo = truth.into_iter().find(|photo| photo.file.starts_with(stem));
+            let photo = photo.ok_or_else(|| format!("{file} is not a photo of the demo"))?;
+            let ranges = demo.ranges(sol, &photo.file)?;
+            photos.push(Known { photo, ranges });
+        }
+        Ok(Self { demo, scene, photos })
+    }
+
+    /// Returns the similarity that carries the camera centres of the scene to the true ones (Umeyama, Least-squares estimation of
+    /// transformation parameters between two point patterns, PAMI 1991).
+    pub fn alignment(&self) -> Similarity {
+        let ours = self
+            .scene
+            .frames
+            .iter()
+            .map(|frame| frame.cam_from_world.centre());
+        let ours: Vec<Vector3<f64>> = ours.collect();
+        let truth = self.photos.iter().map(|known| known.photo.cam_from_site.centre());
+        let truth: Vec<Vector3<f64>> = truth.collect();
+        let mean = |all: &[Vector3<f64>]| all.iter().sum::<Vector3<f64>>() / all.len() as f64;
+        let (from, to) = (mean(&ours), mean(&truth));
+        let pairs = ours.iter().zip(&truth);
+        let covariance: Matrix3<f64> = pairs.map(|(a, b)| (b - to) * (a - from).transpose()).sum();
+        let spread: f64 = ours.iter().map(|a| (a - from).norm_squared()).sum();
+        let svd = covariance.svd(true, true);
+        let (Some(u), Some(v_t)) = (svd.u, svd.v_t) else {
+            return Similarity::identity();
+        };
+        let sign = (u.determinant() * v_t.determinant()).signum();
+        let signs = Vector3::new(1.0, 1.0, sign);
+        let rotation = u * Matrix3::from_diagonal(&signs) * v_t;
+        let scaled = rotation * (svd.singular_values.dot(&signs) / spread);
+        Similarity {
+            scaled,
+            shift: to - scaled * from,
+        }
+    }
+}
+
+/// Returns the sol of a product id such as `ZL0_0003_..`.
+pub fn sol_of(name: &str) -> Option<u32> {
+    name.get(4..8)?.parse().ok()
+}
+
+/// A similarity from the world of a scene to the site.
+pub struct Similarity {
+    /// Rotation with scale.
+    pub scaled: Matrix3<f64>,
+    pub shift: Vector3<f64>,
+}
+
+impl Similarity {
+    pub fn identity() -> Self {
+        Self {
+            scaled: Matrix3::identity(),
+            shift: Vector3::zeros(),
+        }
+    }
+
+    /// Returns a place of the world in the site.
+    pub fn point(&self, place: &Vector3<f64>) -> Vector3<f64> {
+        self.scaled * place + self.shift
+    }
+
+    /// Returns the pose in the site of a camera of the world.
+    pub fn pose(&self, cam_from_world: &Pose) -> Pose {
+        let scale = self.scaled.determinant().cbrt();
+        let rotation = cam_from_world.rotation * (self.scaled / scale).transpose();
+        Pose {
+            rotation,
+            translation: -(rotation * self.point(&cam_from_world.centre())),
+        }
+    }
+}
