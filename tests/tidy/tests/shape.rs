@@ -36,8 +36,8 @@ const fn limit(bar: Bar, now: usize, goal: usize) -> Limit {
 }
 
 static LIMITS: [Limit; 12] = [
-    limit(Bar::Code, 104_380, 97_000),
-    limit(Bar::CodeOfMarf, 3_016, 5_000),
+    limit(Bar::Code, 104_440, 97_000),
+    limit(Bar::CodeOfMarf, 3_040, 5_000),
     limit(Bar::CodeOfACrate, 7_712, 8_000),
     limit(Bar::Rule(Rule::LongFunctions), 0, 0),
     limit(Bar::Rule(Rule::LongFiles), 5, 0),
