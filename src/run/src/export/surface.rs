@@ -108,7 +108,7 @@ pub fn export(context: &Context, request: &SurfaceRequest) -> Result<SurfaceResu
     )?;
     let node = node_named(&record, &added.name)?;
     let surface: SurfaceReport = session.document(node)?;
-    check_surface(kind, &surface)?;
+    check_surface(context, kind, &surface)?;
     let mut files = files_of(kind, node, &request.out);
     let pictures = request.pictures.as_deref();
     files.extend(
@@ -148,20 +148,24 @@ fn check_map(kind: SurfaceKind, store: &Store, trained: &NodeRun) -> Result<(), 
     ))
 }
 
-/// Refuses a surface without a triangle or point, and a map that it does not have.
-fn check_surface(kind: SurfaceKind, report: &SurfaceReport) -> Result<(), Error> {
-    let missing = match kind {
-        SurfaceKind::Mesh if report.triangles == 0 => "the mesh has no triangle".to_owned(),
-        SurfaceKind::Points if report.points == 0 => "the cloud has no point".to_owned(),
-        SurfaceKind::Height | SurfaceKind::Orthophoto => match report.refused.get(SURFACE_MAPS) {
-            Some(why) => why.clone(),
-            None => return Ok(()),
-        },
-        _ => return Ok(()),
-    };
-    let hint =
-        "lower --least-photos, or widen --most-spread or --cell: what few photos show alike is left out";
-    Err(Error::Failed(Diagnostic::new(missing).hint(hint)))
+/// What leaves a surface empty.
+const EMPTY: &str =
+    "lower --least-photos, or widen --most-spread or --cell: what few photos show alike is left out";
+
+/// Refuses a map that the surface does not have, and warns of a surface without a triangle or point.
+fn check_surface(context: &Context, kind: SurfaceKind, report: &SurfaceReport) -> Result<(), Error> {
+    let is_map = matches!(kind, SurfaceKind::Height | SurfaceKind::Orthophoto);
+    if let Some(why) = report.refused.get(SURFACE_MAPS).filter(|_| is_map) {
+        return Err(Error::Failed(Diagnostic::new(why.clone()).hint(EMPTY)));
+    }
+    match kind {
+        SurfaceKind::Mesh if report.triangles == 0 => {
+            context.warn(format!("the mesh has no triangle: {EMPTY}"))
+        }
+        SurfaceKind::Points if report.points == 0 => context.warn(format!("the cloud has no point: {EMPTY}")),
+        _ => {}
+    }
+    Ok(())
 }
 
 /// Returns the node whose field is exported, and a run that has it.
