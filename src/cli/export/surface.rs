@@ -102,7 +102,7 @@ fn uncertainty_text(report: &SurfaceReport) -> String {
     };
     let known = uncertainty.known_share;
     if known == 0.0 {
-        return format!("{what} show no vertex: its uncertainty is not known");
+        return format!("{what} show none of the vertices: the uncertainty is not known");
     }
     let of_known = if known < 1.0 {
         format!(" of the {:.1} % of the vertices where it is known", 100.0 * known)

@@ -156,7 +156,13 @@ const EMPTY: &str =
 fn check_surface(context: &Context, kind: SurfaceKind, report: &SurfaceReport) -> Result<(), Error> {
     let is_map = matches!(kind, SurfaceKind::Height | SurfaceKind::Orthophoto);
     if let Some(why) = report.refused.get(SURFACE_MAPS).filter(|_| is_map) {
-        return Err(Error::Failed(Diagnostic::new(why.clone()).hint(EMPTY)));
+        let diagnostic = Diagnostic::new(why.clone());
+        let is_empty = report.triangles == 0;
+        return Err(Error::Failed(if is_empty {
+            diagnostic.hint(EMPTY)
+        } else {
+            diagnostic
+        }));
     }
     match kind {
         SurfaceKind::Mesh if report.triangles == 0 => {
