@@ -1,7 +1,7 @@
 //! What time buys: the points of a trade, the best for each time, and what each knob is worth.
 
 use marf_cache::Digest;
-use maud::{Markup, PreEscaped, html};
+use maud::{Markup, html};
 use serde::{Deserialize, Serialize};
 
 use super::axis::linear_ticks;
@@ -274,11 +274,13 @@ const ROW: f64 = 20.0;
 const STYLE: &str = "svg.trade{font:12px system-ui,sans-serif;background:#fdfcfa;color:#23201c}\
     @media(prefers-color-scheme:dark){svg.trade{background:#191715;color:#e9e4dc}}";
 
-/// Returns a drawing as a file of its own.
+/// Returns a drawing as a file of its own, with its style.
 pub fn file(drawing: &Markup) -> String {
+    let style = format!("><style>{STYLE}</style>");
     drawing
         .0
         .replacen("<svg ", "<svg xmlns=\"http://www.w3.org/2000/svg\" ", 1)
+        .replacen('>', &style, 1)
 }
 
 /// Height of a row of the list below the front.
@@ -329,7 +331,6 @@ pub fn front(trade: &Trade) -> Markup {
     html! {
         svg.trade viewBox={ "0 0 " (px(WIDTH)) " " (px(height)) } width=(px(WIDTH))
             height=(px(height)) role="img" aria-label="PSNR against time" {
-            style { (PreEscaped(STYLE)) }
             @for time in times {
                 line x1=(px(x_of(time))) x2=(px(x_of(time))) y1=(px(TOP)) y2=(px(HEIGHT - BOTTOM)) stroke="currentColor" stroke-opacity="0.15" {}
                 text x=(px(x_of(time))) y=(px(HEIGHT - BOTTOM + 16.0)) text-anchor="middle" fill="currentColor" { (seconds(time)) }
@@ -398,7 +399,6 @@ pub fn effects(trade: &Trade) -> Markup {
     html! {
         svg.trade viewBox={ "0 0 " (px(WIDTH)) " " (px(height)) } width=(px(WIDTH)) height=(px(height))
             role="img" aria-label="What each setting gains" {
-            style { (PreEscaped(STYLE)) }
             line x1=(px(x_of(0.0))) x2=(px(x_of(0.0))) y1=(px(TOP)) y2=(px(height - ROW)) stroke="currentColor" stroke-opacity="0.4" {}
             @for (row, effect) in trade.effects.iter().enumerate() {
                 @let y = TOP + ROW * (row as f64 + 0.5);

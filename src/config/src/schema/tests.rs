@@ -145,7 +145,7 @@ fn the_shipped_pipelines_are_valid() {
 
 /// A table of each kind with all of its keys: the schema allows it, and so does the kind.
 const ARCHIVES: [&str; 4] = [
-    "kind = 'folder'\npath = 'photos'\nsols = 3\nrecursive = false\nkeep = 'reference'",
+    "kind = 'folder'\npath = 'photos'\nsols = 3\nrecursive = false\nkeep = 'reference'\nmax_file_mb = 100",
     "kind = 'demo'\nsols = '1..=2'\nseed = 7\nwidth = 320\nchange = 2",
     "kind = 'pds'\nmission = 'perseverance'\ninstrument = 'mastcam-z'\nsols = 'latest'\nlevel = 'edr'\npixels = 'img'\n\
      products = ['EBY']\ndiscover = 'inventory'\nbase = ['https://a.example']\n\

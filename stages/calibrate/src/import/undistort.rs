@@ -26,7 +26,7 @@ pub(crate) struct Undistorter {
 }
 
 /// Direction of a place in the photo.
-enum Sight {
+enum Direction {
     /// Place in the plane z = 1.
     Plane(Vector2<f64>),
     /// 90° and more off the axis: no plane shows it.
@@ -133,16 +133,16 @@ impl Undistorter {
         );
         let no_inverse = || format!("its lens has no inverse at ({x}, {y}) px, {:?}", self.distortion);
         Ok(match self.undistort(&seen).ok_or_else(no_inverse)? {
-            Sight::Plane(plane) => Vector2::new(
+            Direction::Plane(plane) => Vector2::new(
                 camera.fx_px * plane.x + camera.cx_px,
                 camera.fy_px * plane.y + camera.cy_px,
             ),
-            Sight::Aside => seen.map(|side| if side == 0.0 { 0.0 } else { side * f64::INFINITY }),
+            Direction::Aside => seen.map(|side| if side == 0.0 { 0.0 } else { side * f64::INFINITY }),
         })
     }
 
     /// Inverts [`Distortion::distort`]; `None` where it has no inverse.
-    fn undistort(&self, seen: &Vector2<f64>) -> Option<Sight> {
+    fn undistort(&self, seen: &Vector2<f64>) -> Option<Direction> {
         match self.distortion {
             Distortion::Fisheye(_) => self.angle(seen.norm()).map(|angle| {
                 let factor = if angle > 0.0 {
@@ -151,12 +151,12 @@ impl Undistorter {
                     1.0
                 };
                 if angle < FRAC_PI_2 {
-                    Sight::Plane(seen * factor)
+                    Direction::Plane(seen * factor)
                 } else {
-                    Sight::Aside
+                    Direction::Aside
                 }
             }),
-            _ => self.newton(seen).map(Sight::Plane),
+            _ => self.newton(seen).map(Direction::Plane),
         }
     }
 
@@ -231,7 +231,7 @@ mod tests {
             let undistorter = Undistorter::new(photo(), lens).unwrap();
             for (x, y) in [(0.0, 0.0), (0.3, -0.2), (-0.7, 0.5), (1e-9, 0.0)] {
                 let plane = Vector2::new(x, y);
-                let Some(Sight::Plane(again)) = undistorter.undistort(&lens.distort(&plane)) else {
+                let Some(Direction::Plane(again)) = undistorter.undistort(&lens.distort(&plane)) else {
                     panic!("{lens:?} has no inverse at {plane}");
                 };
                 assert!((again - plane).norm() < 1e-9, "{lens:?} {plane} {again}");
@@ -253,7 +253,7 @@ mod tests {
                     (f64::from(row) + 0.5 - camera.cy_px) / camera.fy_px,
                 );
                 match undistorter.undistort(&seen) {
-                    Some(Sight::Plane(plane)) => grating(&plane),
+                    Some(Direction::Plane(plane)) => grating(&plane),
                     _ => [0; 3],
                 }
             });

@@ -1,6 +1,6 @@
 //! Which files beside photos are cameras and points of other programs, and which are masks.
 
-use crate::archive::{folder, stem};
+use crate::archive::folder;
 
 /// Cameras and points of other programs, kept for `calibrate`; so is every `transforms….json`.
 const CAMERA_FILES: [&str; 8] = [
@@ -54,7 +54,7 @@ pub(super) fn is_mask(path: &str, exists: &dyn Fn(&str) -> bool) -> bool {
     if folder(path).to_ascii_lowercase().split('/').any(in_masks) {
         return true;
     }
-    let bare = stem(path);
+    let bare = path.rsplit_once('.').map_or(path, |(bare, _)| bare);
     if PHOTO_ENDS.iter().any(|end| bare.ends_with(&format!(".{end}"))) && exists(bare) {
         return true;
     }
