@@ -22,7 +22,7 @@ pub(crate) struct DemoParams {
     seed: u64,
     /// Width of a photo, pixels.
     width: u32,
-    /// The sol from which on its site is changed: a stone lies there, and dust is gone from a strip.
+    /// The sol from which on its site is changed: a stone is added, and dust is gone from a strip.
     change: Option<u32>,
 }
 

@@ -57,13 +57,13 @@ impl From<NetError> for StageError {
 /// The cause of a failed try.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum NetErrorKind {
-    /// A status that is no answer.
+    /// A status that does not answer the request.
     #[error("answers status {0}")]
     Status(u16),
-    /// A `Retry-After` beyond what is waited.
+    /// A `Retry-After` beyond the longest accepted wait.
     #[error("asks to wait {} s; at most {} s are waited", .wait.as_secs(), LONGEST_RETRY_AFTER.as_secs())]
     Later {
-        /// What is left of the wait.
+        /// The remaining wait.
         wait: Duration,
     },
     /// No connection, or it broke.
@@ -150,7 +150,7 @@ pub(crate) enum NetErrorKind {
 }
 
 impl NetErrorKind {
-    /// Tells whether the next try may succeed.
+    /// Whether the next try may succeed.
     pub(super) fn worth_another_try(&self) -> bool {
         match self {
             Self::Broken(_)
@@ -163,7 +163,7 @@ impl NetErrorKind {
         }
     }
 
-    /// Tells whether another run may succeed.
+    /// Whether another run may succeed.
     pub(super) fn worth_another_run(&self) -> bool {
         self.worth_another_try()
             || matches!(

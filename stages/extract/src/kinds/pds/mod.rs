@@ -5,7 +5,7 @@
 //! layout.rs     where the archive keeps the products of each camera
 //! listing.rs    products found by folder pages
 //! tables.rs     products found by inventories and index tables
-//! products.rs   which of the found products are taken
+//! products.rs   choice among the found products
 //! ```
 
 mod layout;

@@ -168,7 +168,7 @@ fn drips_and_silence_are_given_up() {
     );
 }
 
-/// HTTP takes as many bytes as announced; what is sent beyond is no body, and no answer to the next request either.
+/// HTTP reads as many bytes as announced. Bytes beyond belong neither to the body nor to the next answer.
 #[test]
 fn bytes_beyond_the_announced_are_never_an_answer() {
     let server = Server::start().unwrap();
@@ -199,7 +199,7 @@ fn an_encoded_body_is_refused() {
     assert_eq!(server.requests()[0].header("accept-encoding"), Some("identity"));
 }
 
-/// Whether a page is what was wanted is for the caller to see.
+/// The caller checks whether a page is the wanted file.
 #[test]
 fn a_firewall_page_that_calls_itself_a_success_is_a_body() {
     let server = Server::start().unwrap();
