@@ -86,7 +86,7 @@ fn one_product(
     for file in &product.files {
         if let Some(row) = &outcome.row {
             let reason = format!(
-                "another file of product {}, of which a better one is taken",
+                "another file of product {}: a better one is taken",
                 row.id
             );
             outcome.verdicts.push(left(&file.name, "skipped", reason));

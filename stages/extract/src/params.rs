@@ -40,7 +40,7 @@ impl ArchiveTable {
             let known: Vec<&str> = ARCHIVES.iter().map(|def| def.kind).collect();
             ParamError::new(
                 KIND,
-                format!("{kind} is no kind of archive; there are {}", known.join(", ")),
+                format!("unknown kind of archive {kind}: known kinds are {}", known.join(", ")),
             )
         })?;
         (def.open)(Value::Object(self.0), context)

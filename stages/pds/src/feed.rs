@@ -19,7 +19,7 @@ pub enum FeedError {
     #[error("JSON without `imageid`: no record of a raw-image feed")]
     NoRecord,
     /// A page of many records.
-    #[error("a page of {0} feed records; one record a file is read, named like its photo")]
+    #[error("a page of {0} feed records: one record a file is read, named like its photo")]
     Page(usize),
 }
 

@@ -26,7 +26,7 @@ impl Label {
         }
         undo_missing_average(self, name, &mut prior, notes);
         let Some((label_width, label_height)) = self.size else {
-            notes.push("label does not tell the size its camera is for; taken as the photo's".to_owned());
+            notes.push("label does not give the size its camera is for: taken as the photo's".to_owned());
             return Some(prior);
         };
         if (label_width, label_height) == (width, height) {
@@ -145,6 +145,6 @@ mod tests {
         };
         let mut notes = Vec::new();
         assert!(label.fit_camera(None, 10, 10, &mut notes).is_some());
-        assert!(notes[0].contains("does not tell the size"), "{notes:?}");
+        assert!(notes[0].contains("does not give the size"), "{notes:?}");
     }
 }

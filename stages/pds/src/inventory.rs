@@ -86,7 +86,7 @@ fn member(line: &[u8]) -> Result<Member, &'static str> {
     let lidvid = unquoted(lidvid)?;
     let (lid, version) = lidvid.split_once("::").unwrap_or((lidvid, ""));
     if !is_lid(lid) {
-        return Err("the second column is no identifier of a product");
+        return Err("the second column is not a product identifier");
     }
     let whole = version
         .split_once('.')

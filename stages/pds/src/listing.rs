@@ -35,7 +35,7 @@ pub enum ListingError {
     #[error("a page of {0} bytes, at most {MAX_PAGE_BYTES} are read")]
     TooLarge(usize),
     /// Another page: a firewall's, an error's, none.
-    #[error("a page of {0} bytes that is no folder listing: no `Index of`, no columns to sort by")]
+    #[error("a page of {0} bytes that is not a folder listing: no `Index of`, no columns to sort by")]
     NoListing(usize),
     /// The transfer broke off.
     #[error("a folder listing of {0} bytes that is cut short: its table does not end")]

@@ -54,7 +54,7 @@ pub fn no_photo(odl: &Group) -> Option<String> {
             .map(|group| group.name.as_str())
             .take(3)
             .collect();
-        return Some(format!("a label without an image; it describes {objects:?}"));
+        return Some(format!("a label without an image: it describes {objects:?}"));
     }
     let derived = odl
         .find(&["DERIVED_IMAGE_PARMS"])

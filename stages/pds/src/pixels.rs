@@ -233,7 +233,7 @@ impl Light<'_> {
         {
             let most = (self.most * white).round();
             notes.push(format!(
-                "doubtful tones: the largest count is {most} and the label does not say how many bits are used; white is {white}"
+                "doubtful tones: the largest count is {most} and the label does not say how many bits are used. White is {white}"
             ));
         }
         notes

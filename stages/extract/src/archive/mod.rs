@@ -316,7 +316,7 @@ pub(crate) fn read_label(kind: &Kind, bytes: &[u8]) -> Result<Label, String> {
         Kind::Pds4 => pds4::read(bytes).map_err(|error| error.to_string()),
         Kind::Feed => feed::read(bytes).map_err(|error| error.to_string()),
         Kind::Odl | Kind::Raw => raw::head(bytes),
-        other => Err(format!("{other:?} is no label")),
+        other => Err(format!("{other:?} is not a label")),
     }
 }
 

@@ -53,7 +53,7 @@ impl ArchiveKind for Demo {
         let refuse = |message: String| ParamError::new("sols", message);
         if params.sols == Sols::Latest {
             return Err(refuse(
-                "the demo has no latest sol; write a range, e.g. \"1..=3\"".to_owned(),
+                "the demo has no latest sol: write a range, e.g. \"1..=3\"".to_owned(),
             ));
         }
         let sols = params.sols.choose(&SOLS.collect());

@@ -50,13 +50,13 @@ impl Origin {
             text: cut(text),
             reason,
         };
-        let url = Url::parse(text).map_err(|_| error("it is no address"))?;
+        let url = Url::parse(text).map_err(|_| error("it is not an address"))?;
         if has_user(&url) {
             return Err(error("it holds a user name or password"));
         }
         let origin = Self::from_url(&url).ok_or_else(|| error("it is neither https nor http with a host"))?;
         if !origin.secure && !origin.is_loopback() {
-            return Err(error("http is taken for a loopback host alone; use https"));
+            return Err(error("http is taken for a loopback host alone: use https"));
         }
         Ok(origin)
     }
@@ -173,7 +173,7 @@ pub(super) fn redirected(allowed: &[Origin], from: &Url, location: &str) -> Resu
     };
     let mut to = from
         .join(location)
-        .map_err(|_| refused(cut(location), "it is no address"))?;
+        .map_err(|_| refused(cut(location), "it is not an address"))?;
     let name = shown(&to);
     let origin = Origin::from_url(&to)
         .ok_or_else(|| refused(name.clone(), "it is neither https nor http with a host"))?;

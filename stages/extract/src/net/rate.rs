@@ -49,7 +49,7 @@ mod tests {
         assert_eq!(
             pace.came(64 << 20, seconds(60)),
             None,
-            "a fast beginning is no credit"
+            "a fast beginning gives no credit"
         );
         assert_eq!(pace.came(29, seconds(90)), None);
         assert_eq!(pace.came(29, seconds(120)), Some(0));

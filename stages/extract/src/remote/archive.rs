@@ -258,7 +258,7 @@ impl RemoteArchive {
         };
         let listing = survey.sols.get(&sol).ok_or_else(|| {
             StageError::new(format!("archive `{}` has no sol {sol} any more", self.name()))
-                .hint("run again: it is listed anew")
+                .hint("run again to list it again")
         })?;
         let written = survey.lock.pins(sol)?;
         let pins = written
@@ -332,7 +332,7 @@ impl RemoteArchive {
                 "record `{name}` of sol {sol} is not what `{LOCK_FILE}` pins"
             ))
             .cause("the feed gives it with other content now, or no longer")
-            .hint("run without --locked to take what the feed gives now")
+            .hint("run without --locked to take the current record of the feed")
         };
         let mut state = self.state.lock();
         let pages = self.pages(ctx, &mut state);

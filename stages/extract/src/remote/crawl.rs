@@ -155,7 +155,7 @@ impl Crawl<'_> {
                 validators,
             } => {
                 let entries = listing::read(&bytes).map_err(|error| {
-                    StageError::new(format!("`{url}` is no listing of folder `{path}`"))
+                    StageError::new(format!("`{url}` is not a listing of folder `{path}`"))
                         .cause(error.to_string())
                         .hint("a firewall or another server may have answered: open the address in a browser, or set `base`")
                 })?;
@@ -173,7 +173,7 @@ impl Crawl<'_> {
 pub(crate) fn urls(bases: &[String], path: &str) -> Result<Vec<Url>, StageError> {
     let address = |base: &String| {
         let text = format!("{}/{path}", base.trim_end_matches('/'));
-        Url::parse(&text).map_err(|error| StageError::new(format!("`{text}` is no address: {error}")))
+        Url::parse(&text).map_err(|error| StageError::new(format!("`{text}` is not an address: {error}")))
     };
     bases.iter().map(address).collect()
 }

@@ -118,7 +118,7 @@ impl Sol<'_> {
         );
         Err(StageError::new(message)
             .cause(format!("`{}`: {}", first.name, first.cause))
-            .hint("run again: what is here stays, and half a download goes on"))
+            .hint("run again: fetched files stay, and partial downloads continue"))
     }
 
     /// Returns the selection that the sol is complete for. Under a lock it is unchanged.
@@ -200,7 +200,7 @@ impl Sol<'_> {
             let note = meter.note(began.elapsed(), done, bytes);
             let traffic = client.traffic();
             let note = format!(
-                "sol {}, {note}; {} requests, {} tried again",
+                "sol {}, {note}, {} requests, {} tried again",
                 self.sol, traffic.requests, traffic.retries
             );
             self.ctx.progress.at(done, wanted.len() as u64, &note);
@@ -341,9 +341,9 @@ impl Sol<'_> {
         let changed = self.pins.files.iter().flat_map(|(name, pin)| {
             pin.others.iter().map(move |other| {
                 let reason = match pin.url.as_str() {
-                    lock::WITH_LISTING => format!("the feed has revised this record since (blake3 {other} before); both are kept"),
+                    lock::WITH_LISTING => format!("the feed has revised this record since (blake3 {other} before): both are kept"),
                     _ => format!(
-                        "alarm: the archive also gave other bytes under this name (blake3 {other}); both are kept, those \
+                        "alarm: the archive also gave other bytes under this name (blake3 {other}). Both are kept, those \
                          fetched first are used"
                     ),
                 };

@@ -40,7 +40,7 @@ impl<'a> ComparedPhoto<'a> {
             Ok(descriptor) => ViewDescriptor::decode(descriptor),
             Err(reason) => return Ok(Err(undecodable(item.row, &facts, reason))),
         };
-        let descriptor = descriptor.ok_or_else(|| unreadable(item.row, "it is no descriptor"))?;
+        let descriptor = descriptor.ok_or_else(|| unreadable(item.row, "it is not a descriptor"))?;
         Ok(Ok(Self {
             row: item.row,
             keys: PhotoKeys {

@@ -168,6 +168,6 @@ fn a_cluster_of_500_is_found_whole_before_and_after_tables_are_made() {
             left -= 1;
             left > 0
         });
-        assert_eq!(left, 0, "it goes on after it was told to stop");
+        assert_eq!(left, 0, "it continues after a request to stop");
     }
 }

@@ -53,7 +53,7 @@ fn the_film_equivalent_goes_before_the_sensor() {
     assert_eq!(
         focal(&sensor[..1]),
         None,
-        "without a resolution there are no pixels"
+        "the size of a pixel is unknown without a resolution"
     );
 }
 

@@ -29,7 +29,7 @@ pub enum BundleError {
         count: usize,
     },
     /// A number is not finite or out of range.
-    #[error("{what} {index} is no valid one")]
+    #[error("{what} {index} is not valid")]
     Invalid {
         /// The list.
         what: &'static str,

@@ -413,7 +413,7 @@ struct Picture {
 /// Returns the sols to request. `latest` becomes a run of sols, since the feed's latest sol is that of any camera.
 fn wanted(sols: &Sols, newest: Option<u32>) -> Result<BTreeSet<u32>, StageError> {
     let unknown = || {
-        StageError::new("the feed does not tell its latest sol")
+        StageError::new("the feed does not report its latest sol")
             .hint("write the sols as a range, e.g. \"1..=5\"")
     };
     match sols {

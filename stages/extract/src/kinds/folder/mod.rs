@@ -74,7 +74,7 @@ impl ArchiveKind for Folder {
     type Params = FolderParams;
     type Location = Local;
     const KIND: &'static str = "folder";
-    const ABOUT: &'static str = "a folder of photos, with or without labels beside them";
+    const ABOUT: &'static str = "a folder of photos, with or without labels next to them";
 
     fn open(params: FolderParams, context: LocalContext) -> Result<Box<dyn ArchiveFiles>, ParamError> {
         Ok(Box::new(Self {
@@ -161,7 +161,7 @@ impl Folder {
             _ => format!("`{path}` holds {files} files and no photo"),
         };
         StageError::new(message)
-            .hint("a photo is a JPEG, PNG, WebP, GIF, TIFF, PNM or .IMG; hidden files are not read")
+            .hint("a photo is a JPEG, PNG, WebP, GIF, TIFF, PNM or .IMG. Hidden files are not read")
     }
 
     /// Leaves the shards of the sols asked for.
@@ -179,7 +179,7 @@ impl Folder {
         if wanted.is_empty() {
             let (first, last) = (present.first().unwrap_or(&0), present.last().unwrap_or(&0));
             return Err(StageError::new(format!(
-                "`{}` has no photo of the sols asked for; its photos are of {} sols from {first} to {last}",
+                "`{}` has no photo of the sols asked for: its photos are of {} sols from {first} to {last}",
                 self.source.root.display(),
                 present.len()
             ))

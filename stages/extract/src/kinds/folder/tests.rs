@@ -95,7 +95,7 @@ fn a_file_whose_state_is_known_is_not_read_unless_asked_for() {
     assert_eq!(
         truth,
         digests(&rested(&harness.ctx(), &root, Reading::Changed), &root),
-        "reading all mends the table"
+        "reading all repairs the table"
     );
 }
 

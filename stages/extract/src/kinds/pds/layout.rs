@@ -57,7 +57,7 @@ impl CameraLayout {
             (Mission::Curiosity, Instrument::Navcam) => curiosity_navcam(archive)?,
             (mission, instrument) => {
                 let message = format!("{mission:?} has no {instrument:?}").to_lowercase();
-                let hint = "perseverance: mastcam-z, navcam; ingenuity: helicam; curiosity: mastcam, navcam";
+                let hint = "perseverance has mastcam-z and navcam, ingenuity helicam, curiosity mastcam and navcam";
                 return Err(ParamError::new("instrument", format!("{message} ({hint})")));
             }
         };
@@ -86,7 +86,7 @@ impl CameraLayout {
             .position(|wanted| wanted == kind || wanted == "*");
         place.ok_or_else(|| {
             if name.is_of_series() {
-                format!("{kind} is a frame of a video or a stack; name it in `products` to take it")
+                format!("{kind} is a frame of a video or a stack: name it in `products` to take it")
             } else {
                 format!("product type {kind} is not asked for")
             }

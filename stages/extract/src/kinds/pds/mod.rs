@@ -119,11 +119,11 @@ fn check(discover: Discover, layout: &CameraLayout) -> Result<(), ParamError> {
     match discover {
         Discover::Inventory if layout.collection.is_none() => Err(ParamError::new(
             "discover",
-            "this camera's archive has no inventory; use \"listing\" or \"index\"",
+            "this camera's archive has no inventory: use \"listing\" or \"index\"",
         )),
         Discover::Index if !trees.all(|tree| tree.volumes.is_some()) => Err(ParamError::new(
             "discover",
-            "this camera's archive has no index tables; use \"listing\" or \"inventory\"",
+            "this camera's archive has no index tables: use \"listing\" or \"inventory\"",
         )),
         _ => Ok(()),
     }

@@ -98,7 +98,7 @@ fn absent_is_what_no_mirror_has() {
     first.script("/a", vec![Reply::status(500).always()]);
     let error = kind(one(&client, &both));
     assert!(
-        error.to_string().contains("before it http://127.0.0.1"),
+        error.to_string().contains("Before that, http://127.0.0.1"),
         "{error}"
     );
     assert!(error.before[0].contains("status 500"), "{error}");
@@ -283,7 +283,7 @@ fn retry_after_is_waited_up_to_ten_minutes() {
         server.script("/a", vec![Reply::with(503, "Retry-After", value)]);
         let error = kind(one(&client, &download(&server, "/a")));
         assert!(
-            error.retryable && error.to_string().contains("at most 600 s are waited"),
+            error.retryable && error.to_string().contains("marf waits at most 600 s"),
             "{error}"
         );
         let other = kind(one(&client, &download(&server, "/b")));
