@@ -46,7 +46,7 @@ fn found(index: &HashIndex, hash: u64) -> Vec<u32> {
     found
 }
 
-/// Returns what is found for each of many hashes at once.
+/// Returns the results of a search for many hashes at once.
 fn found_together(index: &HashIndex, hashes: &[u64]) -> Vec<Vec<u32>> {
     let numbered: Vec<(u32, u64)> = (0..).zip(hashes.iter().copied()).collect();
     let mut found = vec![Vec::new(); hashes.len()];
