@@ -85,10 +85,7 @@ fn one_product(
     let mut outcome = Outcome::default();
     for file in &product.files {
         if let Some(row) = &outcome.row {
-            let reason = format!(
-                "another file of product {}: a better one is taken",
-                row.id
-            );
+            let reason = format!("another file of product {}: a better one is taken", row.id);
             outcome.verdicts.push(left(&file.name, "skipped", reason));
             continue;
         }

@@ -40,7 +40,10 @@ impl ArchiveTable {
             let known: Vec<&str> = ARCHIVES.iter().map(|def| def.kind).collect();
             ParamError::new(
                 KIND,
-                format!("unknown kind of archive {kind}: known kinds are {}", known.join(", ")),
+                format!(
+                    "unknown kind of archive {kind}: known kinds are {}",
+                    known.join(", ")
+                ),
             )
         })?;
         (def.open)(Value::Object(self.0), context)

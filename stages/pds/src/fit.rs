@@ -11,7 +11,7 @@ const MASTCAM_PIXEL_MM: f64 = 7.4e-3;
 const FOCAL_TOLERANCE: f64 = 0.05;
 
 impl Label {
-    /// Returns the label's camera for the pixels of the decoded photo; `None`, with a note, if it cannot be used.
+    /// Returns the label's camera for the pixels of the decoded photo. `None`, with a note, if it cannot be used.
     pub fn fit_camera(
         &self,
         name: Option<&ProductName>,
@@ -49,7 +49,7 @@ impl Label {
 }
 
 /// Scales down models that were shifted to their subframe but not reduced like its pixels, as those of MSL thumbnails
-/// are; the focal length of the lens shows which.
+/// are. The focal length of the lens shows which.
 fn undo_missing_average(
     label: &Label,
     name: Option<&ProductName>,

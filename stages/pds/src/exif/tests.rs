@@ -46,7 +46,7 @@ fn the_film_equivalent_goes_before_the_sensor() {
     ];
     assert_eq!(focal(std::slice::from_ref(&film)), Some(3000.0));
     assert_eq!(focal(&[film, sensor[0].clone(), sensor[1].clone()]), Some(3000.0));
-    // 0 stands for unknown: 5 mm x 10000 a inch / 25.4 mm.
+    // 0 means unknown: 5 mm x 10000 a inch / 25.4 mm.
     let unknown = short(Tag::FocalLengthIn35mmFilm, 0);
     let focal_px = focal(&[unknown, sensor[0].clone(), sensor[1].clone()]).unwrap();
     assert!((focal_px - 50_000.0 / 25.4).abs() < 1e-9, "{focal_px}");

@@ -57,7 +57,8 @@ impl CameraLayout {
             (Mission::Curiosity, Instrument::Navcam) => curiosity_navcam(archive)?,
             (mission, instrument) => {
                 let message = format!("{mission:?} has no {instrument:?}").to_lowercase();
-                let hint = "perseverance has mastcam-z and navcam, ingenuity helicam, curiosity mastcam and navcam";
+                let hint =
+                    "perseverance has mastcam-z and navcam, ingenuity helicam, curiosity mastcam and navcam";
                 return Err(ParamError::new("instrument", format!("{message} ({hint})")));
             }
         };
