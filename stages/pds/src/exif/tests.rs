@@ -130,7 +130,7 @@ fn exif_that_is_cut_or_damaged_anywhere_costs_no_photo() {
             sound(read(&bytes, 4000), &format!("bit {bit} of byte {at}"));
         }
     }
-    // The count of fields says 255: what is there is read, the rest is noted.
+    // With a count of 255 fields, the existing ones are read and a note reports the damage.
     let mut bytes = whole.clone();
     let count = bytes
         .windows(4)
