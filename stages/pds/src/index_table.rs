@@ -143,7 +143,7 @@ impl Column {
                 bytes,
             }),
             None => Err(IndexError::Label(format!(
-                "column `{name:.40}` does not lie in a row of {row_bytes} bytes"
+                "column `{name:.40}` does not fit a row of {row_bytes} bytes"
             ))),
         }
     }

@@ -43,7 +43,7 @@ pub enum BundleError {
         index: usize,
     },
     /// The width of a loss is out of range.
-    #[error("width of a loss must lie in [1e-12, 1e12)")]
+    #[error("width of a loss must be in [1e-12, 1e12)")]
     Loss,
 }
 
