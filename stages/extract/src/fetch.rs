@@ -14,14 +14,14 @@ use crate::archive::{ArchiveFile, Kind, ReadFile};
 use crate::products::{Product, Sorted, left, sort};
 use crate::survey::PhotoMeasures;
 
-/// Smallest image, in bytes, of which a thumbnail is made: a smaller one is shown as it is.
+/// Smallest image that gets a thumbnail, in bytes. A smaller one is shown as it is.
 const MIN_THUMBNAIL_BYTES: usize = 64 << 10;
 
-/// Decodes the files of one shard and stores them: a row for each photo, with the measures that are wanted of it, a verdict
-/// for each file, and where each came from.
+/// Decodes the files of one shard and stores them. Each photo gets a row with the requested measures, each file gets
+/// a verdict and its origin.
 ///
 /// # Errors
-/// The store, the wish to stop, or a file that changed; a bad file is a verdict.
+/// The store, a requested stop, or a file that changed. A bad file is a verdict.
 pub(crate) fn fetch(
     ctx: &Ctx<'_>,
     files: &[ArchiveFile],
@@ -74,7 +74,7 @@ struct Outcome {
     read: Vec<ReadFile>,
 }
 
-/// Takes the first file of a product that can be decoded; the others get a verdict each.
+/// Takes the first file of a product that can be decoded. Each of the others gets a verdict.
 fn one_product(
     ctx: &Ctx<'_>,
     product: &Product,
@@ -85,10 +85,7 @@ fn one_product(
     let mut outcome = Outcome::default();
     for file in &product.files {
         if let Some(row) = &outcome.row {
-            let reason = format!(
-                "another file of product {}, of which a better one is taken",
-                row.id
-            );
+            let reason = format!("another file of product {}: a better one is taken", row.id);
             outcome.verdicts.push(left(&file.name, "skipped", reason));
             continue;
         }
@@ -252,7 +249,7 @@ fn facts(
     let name = product.name.as_ref();
     let detached = product.label.as_ref().map(|label| &label.label);
     let attached = decoded.attached.as_ref();
-    // The label in the file is of this very file; a label beside it may be of another rendition.
+    // The attached label belongs to exactly this file. A detached label may be of another rendition.
     let first =
         |get: &dyn Fn(&Label) -> Option<String>| attached.and_then(get).or_else(|| detached.and_then(get));
     let with_camera = [attached, detached]

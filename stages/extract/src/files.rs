@@ -12,7 +12,7 @@ use marf_cache::Digest;
 /// End of the names of files that are not finished. They begin with a dot.
 const UNFINISHED: &str = ".new";
 
-/// Replaces a file; after a power cut it may be empty.
+/// Replaces a file. After a power cut it may be empty.
 pub(crate) fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
     NewFile::write(path, bytes)?.finish()
 }
@@ -22,13 +22,13 @@ pub(crate) fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
 pub(crate) struct Batch(Vec<NewFile>);
 
 impl Batch {
-    /// Writes the new bytes of a file beside it.
+    /// Writes the new bytes of a file next to it.
     pub fn add(&mut self, path: &Path, bytes: &[u8]) -> io::Result<()> {
         self.0.push(NewFile::write(path, bytes)?);
         Ok(())
     }
 
-    /// Puts the new bytes in place of the old ones, when all are on the disk.
+    /// Replaces the old bytes by the new ones, once all are on the disk.
     pub fn finish(self) -> io::Result<()> {
         for new in &self.0 {
             // Opened for writing: some systems flush nothing through a handle that only reads.
@@ -73,7 +73,7 @@ pub(crate) fn remove_unfinished(folder: &Path) -> io::Result<()> {
     Ok(())
 }
 
-/// Reads a file that [`write_checked`] wrote; `None` where it is absent or damaged.
+/// Reads a file that [`write_checked`] wrote. `None` if it is absent or damaged.
 pub(crate) fn read_checked(path: &Path) -> Option<Vec<u8>> {
     let mut bytes = fs::read(path).ok()?;
     let length = bytes.len().checked_sub(32)?;
@@ -82,8 +82,8 @@ pub(crate) fn read_checked(path: &Path) -> Option<Vec<u8>> {
     whole.then_some(bytes)
 }
 
-/// Writes a file that costs only time where it is lost, with the digest of its bytes at the end; a folder that cannot be
-/// written is left as it is.
+/// Writes a cache file, followed by the digest of its bytes. Its loss costs only time, so errors of writing are
+/// ignored.
 pub(crate) fn write_checked(path: &Path, mut bytes: Vec<u8>) {
     let digest = Digest::from_content(&bytes);
     bytes.extend_from_slice(digest.as_bytes());
@@ -137,7 +137,7 @@ fn unfinished(target: &Path) -> io::Result<(PathBuf, File)> {
     }
 }
 
-/// Returns a path beside another that this process has not used yet.
+/// Returns a path in the same folder that this process has not used yet.
 pub(crate) fn unfinished_path(target: &Path) -> PathBuf {
     static NUMBER: AtomicU64 = AtomicU64::new(0);
     let name = target.file_name().unwrap_or_default().to_string_lossy();

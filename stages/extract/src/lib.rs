@@ -6,12 +6,12 @@
 //!
 //! ```text
 //! kinds/    the table of kinds of archives: one file and one row a kind
-//! archive/  what a kind declares and what it may reach; files by shard
-//! remote/   what archives on servers share: catalogs, marf.lock, downloads
+//! archive/  declaration and context of a kind, files by shard
+//! remote/   common to archives on servers: catalogs, marf.lock, downloads
 //! net/      the HTTP client
-//! recorded.rs  an archive as an earlier run met it
+//! recorded.rs  an archive as an earlier run recorded it
 //! fetch.rs  from the files of a shard to rows, verdicts and measures
-//! survey.rs what is measured of photos while they are decoded
+//! survey.rs measures of photos while they are decoded
 //! ```
 
 mod archive;
@@ -41,10 +41,10 @@ pub use survey::{MeasurePhoto, NoSurvey, Survey};
 
 /// Brings photos in from an archive.
 ///
-/// Outputs `photos` (rows of [`marf_scene::PhotoFacts`]; blob `image` is what every later stage decodes, `raw` the
-/// original bytes where they differ, `label` the label's, `thumbnail` a small JPEG of an image of 64 KiB and more),
-/// `verdicts` and `companions`. What [`ArchiveContext::measures`] asks for is measured by the survey `S` from the decode
-/// that checks the photo; it changes no row.
+/// Outputs `photos`, `verdicts` and `companions`. The rows of `photos` are [`marf_scene::PhotoFacts`]. Blob `image`
+/// is the one that every later stage decodes, `raw` has the original bytes where they differ, `label` those of the
+/// label, and `thumbnail` a small JPEG of an image of 64 KiB and more. The survey `S` takes the measures of
+/// [`ArchiveContext::measures`] from the decode that checks the photo. It changes no row.
 pub struct Extract<S = NoSurvey> {
     archive: Box<dyn archive::ArchiveFiles>,
     reading: Reading,
@@ -52,7 +52,7 @@ pub struct Extract<S = NoSurvey> {
     survey: PhantomData<fn() -> S>,
 }
 
-/// The parameters that enter the key. The archive's do not: what they choose is in the fingerprints of its shards.
+/// The parameters that enter the key. The archive's do not: their effect is in the fingerprints of its shards.
 #[derive(serde::Serialize)]
 struct Reading {
     white_radiance: f64,

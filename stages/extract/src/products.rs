@@ -16,9 +16,9 @@ pub(crate) struct Product {
     pub id: String,
     /// What the name says, if it follows a scheme.
     pub name: Option<ProductName>,
-    /// Candidates; the first that can be decoded is the photo.
+    /// Candidates. The first that can be decoded is the photo.
     pub files: Vec<ArchiveFile>,
-    /// Its label, where it lies in a file of its own.
+    /// Its label, if it is in a file of its own.
     pub label: Option<Detached>,
 }
 
@@ -157,7 +157,7 @@ fn labels(
     Ok(labels)
 }
 
-/// Reads and stores a label; one that cannot be understood is stored too, so that its verdict can be checked.
+/// Reads and stores a label. An unreadable label is stored too, so that its verdict can be checked.
 fn one_label(ctx: &Ctx<'_>, file: &ArchiveFile) -> Result<(ReadFile, Result<Detached, Verdict>), StageError> {
     ctx.check()?;
     let bytes = file.read(ctx)?;
@@ -211,8 +211,8 @@ fn product(mut files: Vec<ArchiveFile>, labels: &mut Labels, left_out: &mut Vec<
     }
 }
 
-/// Sorts candidates: the newest version, the raw pixels before pictures made of them, lossless before lossy,
-/// whole size before what a feed reduced (whose names are longer).
+/// Sorts candidates: the newest version, raw pixels before pictures made of them, lossless before lossy, full size
+/// before pictures that a feed reduced (which have longer names).
 fn rank(file: &ArchiveFile) -> (Reverse<String>, u8, usize, String) {
     let quality = match (&file.kind, extension(&file.name).as_str()) {
         (Kind::Raw, _) => 0,

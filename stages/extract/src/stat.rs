@@ -5,8 +5,8 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use serde::{Deserialize, Serialize};
 
-/// Time for which a file must not have changed before its state can stand for its bytes, ns. The coarsest clocks of file
-/// systems tick every 2 s; within one tick a second change would not show.
+/// Time for which a file must not have changed before its state can identify its bytes, ns. The coarsest clocks of
+/// file systems tick every 2 s. Within one tick a second change would not show.
 const TICK_NS: i64 = 2_000_000_000;
 
 /// The state of a file. While it is the same, the file was not written.
@@ -52,14 +52,14 @@ impl FileState {
         }
     }
 
-    /// Tells whether the file had rested for a tick of the coarsest clocks before `now_ns`. One that had not may be written
-    /// again without a trace in its state, so bytes that were read at that time must not be remembered by it.
+    /// Whether the file had rested for a tick of the coarsest clocks before `now_ns`. Otherwise it may be written
+    /// again without a trace in its state, so bytes read at that time must not be cached by it.
     pub fn rested(&self, now_ns: i64) -> bool {
         self.mtime_ns.max(self.ctime_ns).saturating_add(TICK_NS) <= now_ns
     }
 }
 
-/// Returns the time, ns since 1970. It decides what is read again, never what the result is.
+/// Returns the time, ns since 1970. It decides which files are read again but never enters a result.
 pub(crate) fn now_ns() -> i64 {
     since_1970_ns(SystemTime::now())
 }

@@ -11,8 +11,8 @@ pub trait Survey: Send + Sync + 'static {
     /// Returns the tables that can be filled.
     fn tables() -> Vec<Table>;
 
-    /// Measures a photo: returns what [`marf_stage::Measure::measure`] of the stages that read the tables returns for a row
-    /// whose blob `image` decodes to this photo. Fails only where the whole shard does.
+    /// Measures a photo. Returns the results of [`marf_stage::Measure::measure`] of the stages that read the tables,
+    /// for a row whose blob `image` decodes to this photo. Fails only if the whole shard does.
     const MEASURE: MeasurePhoto;
 }
 

@@ -117,7 +117,7 @@ fn count_files(path: &Path) -> usize {
         .sum()
 }
 
-/// Most memory this process has held, kB, where the system tells.
+/// Peak memory of this process, kB, if the system reports it.
 fn peak_kb() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find(|line| line.starts_with("VmHWM"))?;

@@ -404,7 +404,7 @@ fn a_scaled_photo_has_a_scaled_camera_and_a_cut_one_none() {
         (facts.prior.map(|prior| prior.model.h), facts.notes)
     };
     assert_eq!(prior(16, 12).0, Some([8.0, 20.0, 0.0]));
-    // x = 8 is the centre of pixel 8; at half the size its corner 8.5 becomes 4.25, its centre 3.75.
+    // x = 8 is the centre of pixel 8. At half the size its corner 8.5 becomes 4.25, its centre 3.75.
     let (half, notes) = prior(8, 6);
     assert_eq!(half, Some([3.75, 10.0, 0.0]));
     assert!(notes[0].contains("scaled from 16x12"), "{notes:?}");

@@ -76,7 +76,7 @@ fn a_photo_beyond_a_limit_says_which_key_raises_it() {
     );
 }
 
-/// What systems leave next to photos is no photo, whatever its bytes are: a row with the reason.
+/// A file that a system left next to photos is not a photo, even if its bytes are: it gets a row with the reason.
 #[test]
 fn files_of_systems_are_skipped_with_the_reason() {
     let dir = tempfile::tempdir().unwrap();

@@ -1,4 +1,4 @@
-//! What is made of photos while they are decoded: measures that are wanted, and thumbnails.
+//! Products of decoding photos: requested measures, and thumbnails.
 #![allow(
     clippy::unwrap_used,
     clippy::print_stdout,

@@ -1,10 +1,10 @@
 //! How near duplicates are found among many photos: the index on hashes against a BK-tree and against comparing all, and
 //! the fold of `duplicate` over sols of 1,000 photos.
 //!
-//! usage: cargo bench -p marf-filter --bench fold [-- index | fold [PHOTOS...]]; default: all, 10,000 to 1,000,000 photos.
-//! The hashes are synthetic: 70 % drawn, 30 % in clusters of up to 500 within 6 bits of a centre, spread over all sols. The
-//! planes of a cluster differ by noise, so that its photos are duplicates of the first one. Nothing is written to disk:
-//! descriptors and planes are made when they are asked for.
+//! usage: cargo bench -p marf-filter --bench fold [-- index | fold [PHOTOS...]]. Default: all, 10,000 to 1,000,000
+//! photos. The hashes are synthetic: 70 % drawn, 30 % in clusters of up to 500 within 6 bits of a centre, spread over
+//! all sols. The planes of a cluster differ by noise, so that its photos are duplicates of the first one. Nothing is
+//! written to disk: descriptors and planes are generated on request.
 #![allow(
     clippy::print_stdout,
     clippy::unwrap_used,
@@ -91,7 +91,7 @@ fn hash_of(photo: usize, photos: usize) -> u64 {
     })
 }
 
-/// Seconds of CPU of this thread, where the system tells them; else of the clock.
+/// CPU seconds of this thread, or wall time if the system does not report them.
 struct Clock {
     wall: Instant,
     on_core_ns: Option<u64>,
@@ -118,7 +118,7 @@ fn on_core_ns() -> Option<u64> {
     text.split_whitespace().next()?.parse().ok()
 }
 
-/// Returns the memory that the process holds, in megabytes; 0 where the system does not tell.
+/// Returns the resident memory of the process in megabytes, 0 if the system does not report it.
 fn resident_mb() -> f64 {
     let status = fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"));
@@ -217,14 +217,14 @@ fn compare_indexes(photos: usize) {
     );
 }
 
-/// A store that makes the planes of a photo from their digest, and keeps what is put.
+/// A store that generates the planes of a photo from their digest and keeps written blobs.
 struct Store {
     put: Mutex<BTreeMap<Digest, Arc<[u8]>>>,
     planes_read: Mutex<u64>,
 }
 
 impl Store {
-    /// Returns the digest that stands for the planes of a photo.
+    /// Returns the digest that identifies the planes of a photo.
     fn planes_digest(photo: usize, cluster: u64) -> Digest {
         let mut bytes = [0; 32];
         bytes[..8].copy_from_slice(&(photo as u64).to_le_bytes());

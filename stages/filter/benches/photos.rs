@@ -1,6 +1,6 @@
 //! CPU time a photo, on one thread: decoding, the measure of each filter, and all of it from one decode.
 //!
-//! usage: cargo bench -p marf-filter --bench photos [-- FOLDER...]; default: photos of 1440 x 1920 made here.
+//! usage: cargo bench -p marf-filter --bench photos [-- FOLDER...]. Default: synthetic photos of 1440 x 1920.
 #![allow(
     clippy::print_stdout,
     clippy::unwrap_used,
@@ -41,7 +41,7 @@ fn main() {
     }
 }
 
-/// A clock of the CPU time of this thread, where the system has one (Linux); else of the wall time.
+/// CPU time of this thread where the system reports it (Linux), or wall time.
 struct Clock {
     wall: Instant,
     on_core_ns: Option<u64>,
@@ -75,7 +75,7 @@ fn report(name: &str, photos: &[Vec<u8>]) {
         drop(black_box(measure_photo(&harness.ctx(), photo, wanted).unwrap()));
     };
     println!(
-        "{name}: {} photos, {ROUNDS} rounds, one thread; ms a photo, min / median / max",
+        "{name}: {} photos, {ROUNDS} rounds, one thread, ms a photo: min / median / max",
         photos.len()
     );
     let time = |what: &str, work: &dyn Fn(usize)| {

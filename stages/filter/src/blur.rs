@@ -35,12 +35,12 @@ pub struct BlurParams {
     pub rule: BlurRule,
     /// Smallest reblur ratio where fewer than `min_set` photos of the instrument are known.
     pub min_ratio: f64,
-    /// With `min_set` photos and more the smallest ratio at each size is this share of the median of the other photos of the
-    /// instrument at that size, but never below `floor_ratio` nor above `ceiling_ratio`.
+    /// With `min_set` photos and more, the smallest ratio at each size is this share of the median of the
+    /// instrument's other photos at that size. It is never below `floor_ratio` nor above `ceiling_ratio`.
     pub min_share: f64,
-    /// A photo with a smaller ratio is blurred, whatever the other photos are.
+    /// A photo with a smaller ratio is always blurred.
     pub floor_ratio: f64,
-    /// A photo with a larger ratio is not blurred, whatever the other photos are.
+    /// A photo with a larger ratio is never blurred.
     pub ceiling_ratio: f64,
     /// Fewest photos of one instrument that are compared with each other.
     pub min_set: u32,
@@ -50,7 +50,7 @@ pub struct BlurParams {
     pub max_multiple: f64,
     /// Smallest variance of the Laplacian in squared 8-bit steps, for `rule = "laplacian"`.
     pub tau: f64,
-    /// Photos kept or rejected by hand; filled from `[keep]` and `[reject]` of the pipeline.
+    /// Photos kept or rejected by hand, filled from `[keep]` and `[reject]` of the pipeline.
     pub by_hand: ByHand,
 }
 
@@ -76,7 +76,7 @@ impl Default for BlurParams {
 pub struct Sharpness {
     /// Variance of the 4-neighbour Laplacian, squared 8-bit steps.
     laplacian: f64,
-    /// Full, half and quarter size; the first `sizes` are measured.
+    /// Full, half and quarter size. The first `sizes` are measured.
     octaves: [Octave; OCTAVES],
     /// How many sizes have 3 pixels on both sides.
     sizes: usize,
@@ -188,12 +188,12 @@ fn sharpness(decoded: &DecodedPhoto<'_>) -> Sharpness {
     sharpness
 }
 
-/// Bins of reblur ratios, 0.8 to 1.6 % wide: medians are half a bin off at the most, and the median of 10,000 photos stays in
-/// its bin when 100 more come.
+/// Bins of reblur ratios, 0.8 to 1.6 % wide. Medians are at most half a bin off, and the median of 10,000 photos
+/// stays in its bin when 100 more come.
 const RATIOS: LogBins = LogBins { bits: 6 };
 
-/// The limits of reblur ratios where the photos of an instrument are compared with each other, by the ratio of the photo that
-/// is decided on, which is left out of the medians.
+/// The limits of reblur ratios where the photos of an instrument are compared with each other. They depend on the
+/// ratio of the photo under decision, which is left out of the medians.
 pub struct RatioLimits {
     /// Of the smaller ratio of both axes, by number of halvings.
     least: [Steps; OCTAVES],
@@ -274,7 +274,7 @@ impl Pass<Blur> for RatiosPass {
     }
 }
 
-/// Returns the smallest ratio that a photo of this `ratio` needs after so many halvings.
+/// Returns the smallest ratio that a photo of this `ratio` needs after this number of halvings.
 fn min_ratio(params: &BlurParams, limits: Option<&RatioLimits>, halvings: usize, ratio: f64) -> f64 {
     limits.map_or(params.min_ratio, |limits| {
         limits.least[halvings].at(RATIOS.bin(ratio))

@@ -8,17 +8,17 @@ use serde::{Deserialize, Serialize};
 
 use crate::decision::Decision;
 
-/// Photos that a person keeps or rejects; these decisions override the filter.
+/// Photos that a person keeps or rejects. These decisions override the filter.
 ///
-/// Each entry is a product id, or the name of a file as its archive has it. The lists are parameters, hence part
-/// of the key of every filter they are given to; no measure depends on them. A photo kept by hand still counts where a
-/// filter compares photos with each other, and of a group of duplicates it is the one that is kept.
+/// Each entry is a product id, or the name of a file as its archive has it. The lists are parameters, hence part of
+/// the key of every filter that gets them. No measure depends on them. A photo kept by hand still counts where a
+/// filter compares photos with each other, and it is the kept one of a group of duplicates.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ByHand {
-    /// Kept, whatever the score.
+    /// Kept at any score.
     pub keep: BTreeSet<String>,
-    /// Rejected, whatever the score.
+    /// Rejected at any score.
     pub reject: BTreeSet<String>,
 }
 
@@ -37,7 +37,7 @@ impl ByHand {
         }
     }
 
-    /// Returns whether the photo is kept by hand.
+    /// Whether the photo is kept by hand.
     pub(crate) fn keeps(&self, id: &str, file: &str) -> bool {
         self.keep.contains(id) || self.keep.contains(file)
     }

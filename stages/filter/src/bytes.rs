@@ -1,6 +1,6 @@
 //! Reading and writing of kept bytes: numbers, and parts behind their length.
 
-/// Removes `N` bytes from the front; `None` if there are fewer.
+/// Removes `N` bytes from the front. `None` if there are fewer.
 pub(crate) fn take<const N: usize>(bytes: &mut &[u8]) -> Option<[u8; N]> {
     let (front, rest) = bytes.split_first_chunk::<N>()?;
     *bytes = rest;
@@ -16,7 +16,7 @@ pub(crate) fn put_number(bytes: &mut Vec<u8>, mut number: u64) {
     bytes.push(number as u8);
 }
 
-/// Removes what [`put_number`] wrote from the front; `None` if it is cut short or above `u64::MAX`.
+/// Removes a number of [`put_number`] from the front. `None` if it is cut short or above `u64::MAX`.
 pub(crate) fn take_number(bytes: &mut &[u8]) -> Option<u64> {
     let mut number = 0;
     for shift in (0..u64::BITS).step_by(7) {
@@ -39,7 +39,7 @@ pub(crate) fn put_part(bytes: &mut Vec<u8>, part: &[u8]) {
     bytes.extend(part);
 }
 
-/// Removes what [`put_part`] wrote from the front; `None` if it is cut short.
+/// Removes a part of [`put_part`] from the front. `None` if it is cut short.
 pub(crate) fn take_part<'a>(bytes: &mut &'a [u8]) -> Option<&'a [u8]> {
     let length = usize::try_from(take_number(bytes)?).ok()?;
     let (part, rest) = bytes.split_at_checked(length)?;
@@ -55,7 +55,7 @@ pub(crate) fn put_text(bytes: &mut Vec<u8>, text: Option<&str>) {
     }
 }
 
-/// Removes what [`put_text`] wrote from the front; the outer `None` if it is cut short or no text.
+/// Removes a text of [`put_text`] from the front. The outer `None` if it is cut short or not a text.
 pub(crate) fn take_text<'a>(bytes: &mut &'a [u8]) -> Option<Option<&'a str>> {
     match take(bytes)? {
         [0] => Some(None),
@@ -64,12 +64,12 @@ pub(crate) fn take_text<'a>(bytes: &mut &'a [u8]) -> Option<Option<&'a str>> {
     }
 }
 
-/// A value that is kept as bytes; it may borrow them.
+/// A value that is kept as bytes and may borrow them.
 pub trait Stored<'a>: Sized {
     /// Returns the value as bytes, the same on every machine.
     fn encode(&self) -> Vec<u8>;
 
-    /// Reads what [`Stored::encode`] returned; `None` if the bytes are not that.
+    /// Reads the bytes of [`Stored::encode`]. `None` for other bytes.
     fn decode(bytes: &'a [u8]) -> Option<Self>;
 }
 

@@ -21,7 +21,7 @@ pub(crate) struct PhotoKeys {
     pub(crate) relation: RelationKeys,
 }
 
-/// Photos by what they are found by, each at the position of its insertion.
+/// Search keys of photos, each at the position of its insertion.
 ///
 /// Of 1,000,000 photos with one hash each the tables take 57 bytes a photo, and 16 more where names are known.
 pub(crate) struct Candidates {
@@ -74,8 +74,8 @@ impl Candidates {
         }
     }
 
-    /// Returns the positions of all photos that are near by a hash, or may be related, in ascending order; those of another
-    /// shape are left out.
+    /// Returns the positions of all photos that are near by a hash, or may be related, in ascending order. Photos of
+    /// another shape are left out.
     pub(crate) fn find(&self, keys: &PhotoKeys) -> Vec<u32> {
         let mut found = Vec::new();
         keys.hashes
@@ -84,8 +84,8 @@ impl Candidates {
         self.with_related(keys, found)
     }
 
-    /// Returns what [`Candidates::find`] returns for each of many photos; `None` if there are more than
-    /// [`MOST_CANDIDATES`] for all of them together, which are better found one by one.
+    /// Returns the results of [`Candidates::find`] for many photos. `None` if there are more than [`MOST_CANDIDATES`]
+    /// for all of them together. These are better found one by one.
     pub(crate) fn find_many(&self, photos: &[&PhotoKeys]) -> Option<Vec<Vec<u32>>> {
         let hashes = (0..)
             .zip(photos)
@@ -106,7 +106,7 @@ impl Candidates {
         (left > 0).then(|| all.collect())
     }
 
-    /// Adds the photos that may be related, and sorts; those of another shape are left out.
+    /// Adds the photos that may be related, and sorts. Photos of another shape are left out.
     fn with_related(&self, keys: &PhotoKeys, mut found: Vec<u32>) -> Vec<u32> {
         if let Some(exposure) = keys.relation.exposure {
             self.related.find(exposure, &mut found);
@@ -124,8 +124,8 @@ impl Candidates {
         found
     }
 
-    /// Calls `accept` with distance and position of photos by the hash of their brightness, the nearest first, of equals
-    /// the first position first, until it returns true or an error; those of another shape are left out.
+    /// Calls `accept` with distance and position of photos by the hash of their brightness, the nearest first, ties
+    /// by position, until it returns true or an error. Photos of another shape are left out.
     ///
     /// # Errors
     /// The error of `accept`.
@@ -143,7 +143,7 @@ impl Candidates {
         })
     }
 
-    /// Returns whether the photo at a position may have an aspect ratio of this class.
+    /// Whether the photo at a position may have an aspect ratio of this class.
     fn has_aspect(&self, position: u32, class: u8) -> bool {
         let own = self.aspects.get(position as usize);
         own.is_some_and(|own| own.abs_diff(class) <= 1)

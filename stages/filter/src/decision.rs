@@ -19,7 +19,7 @@ pub struct Decision {
     pub threshold: Option<f64>,
     /// Of a duplicate, the photo that is kept instead.
     pub twin: Option<String>,
-    /// One sentence; may be empty for a kept photo.
+    /// One sentence. May be empty for a kept photo.
     pub reason: String,
 }
 

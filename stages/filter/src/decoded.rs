@@ -39,7 +39,7 @@ impl<'a> DecodedPhoto<'a> {
 
     /// Returns a sample of pixels: each k-th pixel of each k-th row, 2^18 pixels and more of a larger photo.
     ///
-    /// So many measure a share of 0.5 %; k is odd, so that every position of a Bayer mosaic occurs.
+    /// This number measures a share of 0.5 %. k is odd, so that every position of a Bayer mosaic occurs.
     pub fn sample(&self) -> impl Iterator<Item = [u8; 3]> + '_ {
         let image = &self.photo.image;
         let step = step(image.pixels.len());

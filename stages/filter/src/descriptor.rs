@@ -8,16 +8,16 @@ use crate::decoded::DecodedPhoto;
 use crate::hash::{self, SIDE};
 use crate::luma::luma;
 
-/// Cells a side of the small images that are compared: at 64 video neighbours of the rover set correlate up to
-/// 0.94 and copies at least 0.99; at 48 neighbours reach 0.96.
+/// Cells a side of the small images that are compared. At 64, video neighbours of the rover set correlate up to 0.94
+/// and copies at least 0.99. At 48, neighbours reach 0.96.
 pub(crate) const CELLS: usize = 64;
-/// Steps a unit of relative gradient; a gradient of 2.65 and more is 255.
+/// Steps a unit of relative gradient. A gradient of 2.65 and more is 255.
 const GRADIENT_STEPS: f64 = 96.0;
 /// Added to the mean brightness a gradient is divided by, in 8-bit steps, so that noise in black stays small.
 const DARK: f64 = 4.0;
 
-/// A summary of a photo from which two photos of the same view are recognised; the images that are compared are a blob of
-/// their own, so that only those of candidates are read.
+/// A summary of a photo that recognises two photos of the same view. The compared images are a blob of their own, so
+/// that only those of candidates are read.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct ViewDescriptor {
     /// Size of the upright photo.
@@ -25,11 +25,11 @@ pub(crate) struct ViewDescriptor {
     /// Laplacian energy inside the blocks of JPEG times the squared number of pixels: scaled copies are compared in
     /// units of the scene, and block edges do not count as detail.
     pub(crate) sharpness: f64,
-    /// How far colours differ inside the photo, in [0, 1]; near 0 it is gray or seen through one narrow band.
+    /// Mean difference of colours inside the photo, in [0, 1]. Near 0 it is gray or seen through one narrow band.
     pub(crate) colour: f64,
     /// Perceptual hashes, each once: of the brightness, then of each band.
     pub(crate) hashes: Vec<u64>,
-    /// Digest of the gradient magnitudes by band, `CELLS * CELLS` bytes each; one band where the file has one.
+    /// Digest of the gradient magnitudes by band, `CELLS * CELLS` bytes each. One band if the file has one.
     pub(crate) planes: Digest,
 }
 
@@ -80,7 +80,7 @@ impl ViewDescriptor {
         bytes
     }
 
-    /// Reads what [`ViewDescriptor::encode`] wrote; `None` if it is not that.
+    /// Reads the bytes of [`ViewDescriptor::encode`]. `None` for other bytes.
     pub(crate) fn decode(mut bytes: &[u8]) -> Option<Self> {
         let descriptor = Self {
             size: PixelSize::take(&mut bytes)?,
@@ -115,7 +115,7 @@ pub(crate) fn put_hashes(bytes: &mut Vec<u8>, hashes: &[u64]) {
     hashes.iter().for_each(|hash| bytes.extend(hash.to_le_bytes()));
 }
 
-/// Removes what [`put_hashes`] wrote from the front; `None` if it is cut short or empty.
+/// Removes the hashes of [`put_hashes`] from the front. `None` if they are cut short or empty.
 pub(crate) fn take_hashes(bytes: &mut &[u8]) -> Option<Vec<u64>> {
     let [count] = take(bytes)?;
     let hashes: Option<Vec<u64>> = (0..count)
@@ -124,7 +124,7 @@ pub(crate) fn take_hashes(bytes: &mut &[u8]) -> Option<Vec<u64>> {
     hashes.filter(|hashes| !hashes.is_empty())
 }
 
-/// The means of an image over `CELLS * CELLS` cells, whatever its shape.
+/// The means of an image over `CELLS * CELLS` cells, for any aspect ratio.
 struct Grid {
     /// `[CELLS * CELLS]` means by band in steps of 1/16, in [0, 4080].
     cells: Vec<[u32; 3]>,
@@ -180,7 +180,7 @@ impl Grid {
         hash::dct(&values)
     }
 
-    /// Returns the cell at an offset from (x, y); beyond the edge, the edge.
+    /// Returns the cell at an offset from (x, y), clamped to the edge.
     fn neighbour(&self, x: usize, y: usize, dx: isize, dy: isize) -> [u32; 3] {
         let clamp = |at: usize, by: isize| at.saturating_add_signed(by).min(CELLS - 1);
         self.cells[clamp(y, dy) * CELLS + clamp(x, dx)]
@@ -201,12 +201,12 @@ impl Grid {
         let sum: i64 = (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| at(dx, dy))).sum();
         let mean = sum as f64 / 9.0 + 16.0 * DARK;
         let magnitude = ((across * across + down * down) as f64).sqrt();
-        // Positive, so that adding a half and truncating rounds; `as` saturates at 255.
+        // Positive, so that adding a half and truncating rounds. `as` saturates at 255.
         (GRADIENT_STEPS * magnitude / mean + 0.5) as u8
     }
 
-    /// Returns the mean of |r - b| / (r + b) over the cells, red and blue each scaled to mean 1: 0 for gray photos and
-    /// for one band with any tint.
+    /// Returns the mean of |r - b| / (r + b) over the cells, with red and blue each scaled to mean 1. It is 0 for
+    /// gray photos and for one band with any tint.
     fn colour(&self) -> f64 {
         let sum = |band: usize| self.cells.iter().map(|cell| u64::from(cell[band])).sum::<u64>();
         let (reds, blues) = (sum(0), sum(2));
@@ -223,7 +223,7 @@ impl Grid {
     }
 }
 
-/// Returns the range `[from, to)` of pixels along one side that a cell covers; at least one pixel.
+/// Returns the range `[from, to)` of pixels along one side that a cell covers, at least one pixel.
 fn bounds(cell: usize, side: usize, pixels: usize) -> (usize, usize) {
     let from = cell * pixels / side;
     (from, ((cell + 1) * pixels / side).max(from + 1))

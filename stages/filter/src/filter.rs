@@ -19,24 +19,25 @@ use crate::section::damaged;
 
 /// A rule that keeps or rejects photos by thresholds on a measure of each photo.
 pub trait Filter: Send + Sync + Sized + 'static {
-    /// Name in pipeline.toml and in keys, and of the table of its measures; also the verdict of the photos it rejects.
+    /// Name in pipeline.toml and in keys, of the table of its measures, and the verdict of the photos it rejects.
     const NAME: &'static str;
     /// One line of help.
     const ABOUT: &'static str;
     /// What to write in its table so that photos which it rejects are kept, for people.
     const RELAX: &'static str;
-    /// Version of the measure, raised by hand when [`Filter::MEASURE`] may return something else for a photo; this
-    /// measure of all photos is then computed again. 0 where there is no measure.
+    /// Version of the measure, raised by hand when [`Filter::MEASURE`] may return another value for a photo. This
+    /// measure of all photos is then computed again. 0 without a measure.
     const MEASURE_VERSION: u32;
-    /// Version of the decision, raised by hand when `decide` may answer differently; the kept measures stay.
+    /// Version of the decision, raised by hand when `decide` may answer differently. The kept measures stay.
     const DECISION_VERSION: u32;
     /// Version of the stage, part of the key of its nodes: raising either of the two above gives it a new value.
     const VERSION: u32 = Self::MEASURE_VERSION + Self::DECISION_VERSION;
-    /// Thresholds and choice of rule; the doc comments of its fields are the help text.
+    /// Thresholds and choice of rule. The doc comments of its fields are the help text.
     type Params: Serialize + DeserializeOwned + JsonSchema + Send + Sync + 'static;
     /// What is measured of a photo.
     type Measure<'a>: Stored<'a>;
-    /// What decisions compare the photos of an instrument with; `()` where they look at the photo alone.
+    /// The statistics that decisions compare the photos of an instrument with. `()` if a decision needs its photo
+    /// alone.
     type Context: for<'a> Stored<'a>;
 
     /// Checks the thresholds.
@@ -48,23 +49,24 @@ pub trait Filter: Send + Sync + Sized + 'static {
     /// Returns the photos on which a person has decided.
     fn by_hand(params: &Self::Params) -> &ByHand;
 
-    /// Returns the passes over all photos that find [`Filter::Context`], in order; none where a decision looks at its photo
-    /// alone.
+    /// Returns the passes over all photos that find [`Filter::Context`], in order. Empty if a decision needs its
+    /// photo alone.
     fn passes(_params: &Self::Params) -> &'static [&'static dyn AnyPass<Self>] {
         &[]
     }
 
-    /// Measures one photo, as a pure function of its pixels; facts may change while the bytes stay, so they are read
-    /// in `decide`. `None` where the facts are enough; `Measure` is then `()`.
+    /// Measures one photo, as a pure function of its pixels. Facts may change while the bytes stay, so they are read
+    /// in `decide`. `None` if the facts are enough, with `()` as `Measure`.
     ///
     /// One decode serves all filters that lack a measure of a photo (`survey.rs`).
     const MEASURE: Option<fn(&DecodedPhoto<'_>) -> Self::Measure<'static>>;
 
-    /// Digests of the filter's answers on fixed photos, beside the versions they belong to.
+    /// Digests of the filter's answers on fixed photos, with the versions they belong to.
     #[cfg(test)]
     const GUARD: Guard;
 
-    /// Returns the decision on a photo. `context` is what its instrument is compared with; `None` where it is not.
+    /// Returns the decision on a photo. `context` holds the statistics of its instrument, `None` without a
+    /// comparison.
     fn decide<'a>(
         params: &Self::Params,
         context: Option<&Self::Context>,
@@ -96,23 +98,24 @@ pub(crate) fn check_range(key: &str, value: f64, low: f64, high: f64) -> Result<
 
 /// A pass over all photos of an instrument, which finds what decisions compare a photo with, or a part of that.
 ///
-/// Summaries are of sols, and no parameter changes one; what comes of them must not depend on how photos are spread over sols.
+/// Summaries are per sol, and no parameter changes one. Their total must not depend on how photos are spread over
+/// sols.
 pub trait Pass<F: Filter>: Sync {
     /// Name of the pass, in the keys of its summaries.
     const NAME: &'static str;
     /// All summaries together.
     type Total: Default;
 
-    /// Returns the summary of some photos: bytes, the same for any order of the photos. `before` is what the pass before has
-    /// found; `None` in the first.
+    /// Returns the summary of some photos: bytes, the same for any order of the photos. `before` is the result of the
+    /// previous pass, `None` in the first.
     fn summarise<'a>(before: Option<&F::Context>, photos: &[&MeasuredPhoto<'a, F::Measure<'a>>]) -> Vec<u8>;
 
-    /// Adds a summary to others, in any order; `None` if the bytes are not what `summarise` returned.
+    /// Adds a summary to others, in any order. `None` if the bytes are not those of `summarise`.
     fn add(total: &mut Self::Total, summary: &[u8]) -> Option<()>;
 
-    /// Returns what the pass has found; `None` where photos are not compared with each other, because they are too few.
+    /// Returns the result of the pass. `None` if the photos are too few to be compared with each other.
     ///
-    /// It holds only what a later pass or a decision can depend on: where it comes out equal, no photo is decided again.
+    /// It holds only the inputs of later passes and decisions: if it comes out equal, no photo is decided again.
     fn conclude(params: &F::Params, before: Option<F::Context>, total: Self::Total) -> Option<F::Context>;
 }
 
@@ -121,18 +124,18 @@ pub trait AnyPass<F: Filter>: Sync {
     /// Returns [`Pass::NAME`].
     fn name(&self) -> &'static str;
 
-    /// Returns the summaries of some photos by instrument. `before` is `None` in the first pass; an instrument that is not in
-    /// it is left out in a later one.
+    /// Returns the summaries of some photos by instrument. `before` is `None` in the first pass. In a later one, an
+    /// instrument that it lacks is left out.
     fn summarise<'a>(
         &self,
         before: Option<&Contexts<F>>,
         photos: &[MeasuredPhoto<'a, F::Measure<'a>>],
     ) -> Vec<u8>;
 
-    /// Returns what the pass has found of each instrument.
+    /// Returns the result of the pass for each instrument.
     ///
     /// # Errors
-    /// The first error of `summaries`, and bytes that are no summary.
+    /// The first error of `summaries`, and bytes that are not a summary.
     fn conclude(
         &self,
         params: &F::Params,
@@ -188,16 +191,16 @@ impl<F: Filter, P: Pass<F>> AnyPass<F> for P {
     }
 }
 
-/// What the photos of each instrument are compared with; none of an instrument whose photos are not.
+/// Statistics of each instrument whose photos are compared with each other.
 pub struct Contexts<F: Filter>(BTreeMap<Option<String>, F::Context>);
 
 impl<F: Filter> Contexts<F> {
-    /// Returns what the photos of an instrument are compared with.
+    /// Returns the statistics of an instrument.
     pub(crate) fn get(&self, instrument: Option<&str>) -> Option<&F::Context> {
         self.0.get(&instrument.map(str::to_owned))
     }
 
-    /// Returns the bytes, equal for equal contexts; none of no instrument.
+    /// Returns the bytes, equal for equal contexts. Empty without instruments.
     pub(crate) fn encode(&self) -> Vec<u8> {
         let mut bytes = Vec::new();
         for (instrument, context) in &self.0 {
@@ -222,7 +225,8 @@ impl<F: Filter> Contexts<F> {
     }
 }
 
-/// Calls a function with each instrument and the bytes behind it; `None` if they are cut short or the function says so.
+/// Calls a function with each instrument and the bytes behind it. `None` if they are cut short or the function
+/// returns it.
 fn each_part(mut bytes: &[u8], mut found: impl FnMut(Option<String>, &[u8]) -> Option<()>) -> Option<()> {
     while !bytes.is_empty() {
         let instrument = take_text(&mut bytes)?;

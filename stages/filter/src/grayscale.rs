@@ -42,7 +42,7 @@ pub struct GrayscaleParams {
     pub min_spread: u8,
     /// Smallest share of pixels with colour, in [0, 1].
     pub min_share: f64,
-    /// Photos kept or rejected by hand; filled from `[keep]` and `[reject]` of the pipeline.
+    /// Photos kept or rejected by hand, filled from `[keep]` and `[reject]` of the pipeline.
     pub by_hand: ByHand,
 }
 
@@ -63,7 +63,7 @@ impl Default for GrayscaleParams {
 pub struct ChannelSpread {
     /// Bands stored in the file.
     bands: u8,
-    /// Pixels of a sample by their spread; trailing zeros are left out.
+    /// Pixels of a sample by their spread, without trailing zeros.
     pixels: Vec<u32>,
 }
 

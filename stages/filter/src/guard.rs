@@ -7,7 +7,7 @@ use crate::common::{Photos, bind, defaults, mixed};
 use crate::section::{Guarded, measured};
 use crate::survey::GUARDS;
 
-/// Returns the photos of the guards; the length of an encoded PNG belongs to the encoder, not to the filters.
+/// Returns the photos of the guards, all of one file size: the length of an encoded PNG depends on the encoder.
 fn photos() -> Photos {
     let mut photos = mixed();
     for row in &mut photos.rows {

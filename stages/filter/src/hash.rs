@@ -1,7 +1,7 @@
 //! The perceptual hash: which low frequencies of a picture are stronger than their median.
 //!
-//! The hash is that of the crate `image_hasher`. The transform behind it is our own, in integers: that of the library is in
-//! floats, which round differently from platform to platform, and the bits of hashes are kept in stores.
+//! The hash is that of the crate `image_hasher`. The transform is our own, in integers. That of the library is in
+//! floats, which round differently from platform to platform, but the bits of hashes are kept in stores.
 
 /// Cells along a side of the transformed picture.
 pub(crate) const SIDE: usize = 32;
@@ -58,11 +58,11 @@ fn cosine(k: usize) -> i64 {
     }
 }
 
-/// Returns the 64-bit DCT hash of `[SIDE * SIDE]` values in [0, 255], row-major: bit `8 v + u` tells whether
-/// frequency (u, v) of the DCT-II is above the median of the 64 lowest (pHash; the `imagehash` of the paper's code
+/// Returns the 64-bit DCT hash of `[SIDE * SIDE]` values in [0, 255], row-major. Bit `8 v + u` is set if frequency
+/// (u, v) of the DCT-II is above the median of the 64 lowest (pHash, where the `imagehash` of the paper's code
 /// transforms 32 x 32 as well). In integers: the same bits on every machine.
 ///
-/// Extremes: a flat picture has its mean alone, hence bit 0 alone; black has no bit.
+/// Extremes: a flat picture has its mean alone, hence bit 0 alone. Black has no bit.
 pub(crate) fn dct(values: &[i64; SIDE * SIDE]) -> u64 {
     // By column of cells: frequencies along y. At most 32 * 255 * 2^30 = 2^43.
     let mut down = [[0_i64; SIDE]; LOW];
@@ -86,7 +86,7 @@ pub(crate) fn dct(values: &[i64; SIDE * SIDE]) -> u64 {
     }
     let mut sorted = found;
     sorted.sort_unstable();
-    // The median of 64 lies between the two in the middle; compared twice as large it stays an integer.
+    // The median of 64 lies between the two in the middle. Compared twice as large it stays an integer.
     let median = sorted[LOW * LOW / 2 - 1] + sorted[LOW * LOW / 2];
     let bits = found.iter().enumerate().filter(|(_, value)| 2 * **value > median);
     bits.fold(0, |hash, (at, _)| hash | 1 << at)
@@ -108,7 +108,7 @@ mod tests {
         }
     }
 
-    /// By hand: one wave along x is frequency (1, 0) alone, beside the mean (0, 0).
+    /// By hand: one wave along x is frequency (1, 0) alone, in addition to the mean (0, 0).
     #[test]
     fn one_wave_is_one_bit() {
         let wave = |at: usize| 128 + ((cosine(2 * (at % SIDE) + 1) * 100) >> 30);

@@ -58,8 +58,8 @@ impl Filter for Histogram {
         }
     }
 
-    /// What photos are compared with changes with nearly every new photo, so that most new sols decide all sols again: of
-    /// 1,000,000 photos from 0.6 GB of kept measures, a window at a time.
+    /// The statistics change with nearly every new photo, so most new sols decide all sols again. For 1,000,000
+    /// photos this reads 0.6 GB of kept measures, a window at a time.
     fn decide<'a>(
         params: &HistogramParams,
         usual: Option<&UsualHistogram>,

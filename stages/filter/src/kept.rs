@@ -1,7 +1,8 @@
 //! The photos that `duplicate` has kept of earlier sols, as each sol added them.
 //!
-//! What a sol adds is kept in two parts. [`Added`] holds what its photos are found by, and is read whole by every later run;
-//! blobs that it names hold what photos are compared by, and are read when one of theirs is a candidate.
+//! The data a sol adds is kept in two parts. [`Added`] holds the search keys of its photos, and every later run reads
+//! it whole. It names blobs with the data to compare photos by, which are read when one of their photos is a
+//! candidate.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -31,7 +32,7 @@ pub(crate) struct KeptPhoto<'a> {
 }
 
 impl<'a> KeptPhoto<'a> {
-    /// Returns what relates it to photos of later sols.
+    /// Returns the facts that relate it to photos of later sols.
     pub(crate) fn relative(&self) -> Relative<'a> {
         Relative {
             id: self.id,
@@ -81,7 +82,7 @@ pub(crate) struct Added {
 }
 
 impl Added {
-    /// Stores what photos are compared by, and returns what is added; no bytes for no photos.
+    /// Stores the data to compare photos by, and returns the bytes of [`Added`]. Empty for no photos.
     ///
     /// # Errors
     /// A store that cannot be written.
@@ -200,7 +201,7 @@ const GROUPS_BYTES: usize = 8 << 20;
 /// Most bytes of planes that are held: those of 500 photos of three bands.
 const PLANES_BYTES: usize = 16 << 20;
 
-/// Reads what photos are compared by, and holds what was used last.
+/// Reads the data to compare photos by, and caches the most recently used.
 pub(crate) struct Reader {
     groups: Recent<Digest, GroupPhotos>,
     planes: Recent<Digest, Planes>,
@@ -244,7 +245,7 @@ impl Reader {
     }
 }
 
-/// Values by key, of which the ones used last are held.
+/// A cache of the most recently used values by key.
 struct Recent<K, V> {
     values: BTreeMap<K, (u64, Arc<V>, usize)>,
     by_use: BTreeMap<u64, K>,

@@ -1,10 +1,10 @@
 //! The filters: each photo is kept or rejected, with the score and the reason.
 //!
-//! A filter is a file of this folder that implements [`Filter`], declared by `mod`, and one row of the `filters!` table
-//! in `survey.rs`. Its section in pipeline.toml, its help text, its keys and its place in `marf filter` come from there. All
-//! filters measure a photo together, from one decode, and the engine keeps the measures, each filter's in a table of its
-//! own; decisions by thresholds are cheap and always made again. Invariant: no verdict depends on the order of the photos,
-//! and no threshold changes a measure.
+//! A filter is a file of this folder that implements [`Filter`], declared by `mod`, and one row of the `filters!`
+//! table in `survey.rs`. Its section in pipeline.toml, its help text, its keys and its place in `marf filter` come
+//! from there. All filters measure a photo together, from one decode. The engine keeps the measures of each filter in
+//! a table of its own. Decisions by thresholds are cheap and always made again. Invariant: no verdict depends on the
+//! order of the photos, and no threshold changes a measure.
 
 mod blur;
 mod by_hand;

@@ -16,10 +16,10 @@ pub struct Luma {
 /// Statistics of the Laplacian of the brightness at full size, in squared 8-bit steps.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Laplacian {
-    /// Variance of the 4-neighbour Laplacian over all inner pixels; 0 where a side is below 3.
+    /// Variance of the 4-neighbour Laplacian over all inner pixels. 0 if a side is below 3.
     pub(crate) variance: f64,
-    /// Mean square over pixels whose neighbours lie in the same 8 x 8 block, because a copy of low JPEG quality has
-    /// its sharpest steps between blocks. 0 where no block is whole.
+    /// Mean square over pixels whose neighbours are in the same 8 x 8 block, because a copy of low JPEG quality has
+    /// its sharpest steps between blocks. 0 if no block is whole.
     pub(crate) detail: f64,
 }
 
@@ -43,10 +43,10 @@ impl Luma {
         &self.values[y * self.width..(y + 1) * self.width]
     }
 
-    /// Returns the statistics of the Laplacian, in one pass; sums are exact integers.
+    /// Returns the statistics of the Laplacian, in one pass. Sums are exact integers.
     pub(crate) fn laplacian(&self) -> Laplacian {
         let inner = self.width.saturating_sub(2);
-        // Whether the pixel and all its neighbours lie in one block, by column.
+        // Whether the pixel and all its neighbours are in one block, by column.
         let whole: Vec<i32> = (1..=inner)
             .map(|x| i32::from((1..7).contains(&(x % 8))))
             .collect();
@@ -86,7 +86,7 @@ impl Luma {
         }
     }
 
-    /// Returns the picture at half size, means over 2 x 2 pixels; a last odd row or column is left out. `None` where a
+    /// Returns the picture at half size, means over 2 x 2 pixels. A last odd row or column is left out. `None` if a
     /// side is below 2.
     pub(crate) fn halved(&self) -> Option<Plane> {
         halved(self.width, self.height, |y| self.row(y), |sum| (sum << 6) as u16)
@@ -130,7 +130,7 @@ impl Plane {
     }
 }
 
-/// Returns a picture at half size; `mean` divides the sum of four values.
+/// Returns a picture at half size. `mean` divides the sum of four values.
 fn halved<'a, T: Copy + Into<u32> + 'a>(
     width: usize,
     height: usize,
@@ -179,8 +179,8 @@ mod tests {
         assert_eq!(step().laplacian().variance, 5000.0);
     }
 
-    /// By hand: of the inner pixels of an 8 x 8 image all but those at its own edge lie in the block: 36 in all, of
-    /// which one point of 10 has a Laplacian of -40 and its four neighbours 10.
+    /// By hand: all 36 inner pixels of an 8 x 8 image lie inside the block. One point of 10 has a Laplacian of -40
+    /// and its four neighbours 10.
     #[test]
     fn detail_is_the_mean_over_the_inside_of_blocks() {
         let image = Image::from_fn(8, 8, |x, y| if (x, y) == (3, 3) { [10; 3] } else { [0; 3] });

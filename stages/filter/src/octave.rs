@@ -5,7 +5,7 @@ use crate::luma::{Luma, Plane};
 
 /// Rows of one band.
 const BAND: usize = 32;
-/// Pixels from which sharpness is measured at least; a larger picture is measured in bands from top to bottom.
+/// Pixels from which sharpness is measured at least. A larger picture is measured in bands from top to bottom.
 const MIN_PIXELS: usize = 1 << 18;
 /// Fewest bands, so that sky, horizon and ground all count.
 const MIN_BANDS: usize = 8;
@@ -46,7 +46,7 @@ impl Octave {
         numbers.into_iter().for_each(|number| put_number(bytes, number));
     }
 
-    /// Removes what [`Octave::put`] wrote from the front; `None` if it is cut short.
+    /// Removes the bytes of [`Octave::put`] from the front. `None` if they are cut short.
     pub(crate) fn take(bytes: &mut &[u8]) -> Option<Self> {
         Some(Self {
             pixels: take_number(bytes)?,
@@ -89,8 +89,8 @@ impl Octave {
         }
     }
 
-    /// Returns the reblur ratio along rows (0) or columns (1): the sum before the blur over the sum after it; 1 for a flat
-    /// picture.
+    /// Returns the reblur ratio along rows (0) or columns (1): the sum before the blur over the sum after it. 1 for a
+    /// flat picture.
     pub(crate) fn ratio(&self, axis: usize) -> f64 {
         // One step of 1/256 a pixel on both sides: below rounding, and flat photos get 1 instead of 0 / 0.
         (self.before[axis] + self.pixels) as f64 / (self.after[axis] + self.pixels) as f64
@@ -125,7 +125,7 @@ fn bands(width: usize, height: usize) -> Vec<(usize, usize)> {
         .collect()
 }
 
-/// A value of a picture: 8 bits at full size, steps of 1/256 at reduced size. Both give the same numbers; those of 8 bits take
+/// A value of a picture: 8 bits at full size, steps of 1/256 at reduced size. Both give the same numbers, 8 bits in
 /// half the time.
 trait Sample: Copy + Default {
     /// Writes the means of nine slices, each at least as long as `out`, weighted by the binomial of order 8, in steps of
@@ -198,8 +198,8 @@ struct Band<'a, S> {
 }
 
 impl<S: Sample> Band<'_, S> {
-    /// Blurs rows `[from, to)` by the binomial of order 8 (1 8 28 56 70 56 28 8 1) along both axes: a Gaussian
-    /// of sigma 1.41 in integers, the same on every machine. Edges of the picture repeat.
+    /// Blurs rows `[from, to)` by the binomial of order 8 (1 8 28 56 70 56 28 8 1) along both axes. This is a
+    /// Gaussian of sigma 1.41 in integers, the same on every machine. Edges of the picture repeat.
     fn blurred(&self, from: usize, to: usize) -> Vec<u16> {
         let mut along = vec![0; self.rows.len()];
         let mut padded = vec![S::default(); self.width + 2 * REACH];
@@ -222,10 +222,10 @@ impl<S: Sample> Band<'_, S> {
     }
 }
 
-/// Returns the sums of squared second differences over all inner pixels, along rows and along columns; 0 where a side is
+/// Returns the sums of squared second differences over all inner pixels, along rows and along columns. 0 if a side is
 /// below 3.
 ///
-/// At most 2^18 to 2^19 pixels of (4 * 65280)² fit in 56 bits; a picture of one very large band saturates.
+/// At most 2^18 to 2^19 pixels of (4 * 65280)² fit in 56 bits. A picture of one very large band saturates.
 fn second_differences<S: Sample>(width: usize, rows: &[S]) -> [u64; 2] {
     let mut sums = [0_u64; 2];
     let inner = width.saturating_sub(2);
@@ -249,7 +249,7 @@ mod tests {
         Luma::from_image(&Image::from_fn(width, height, |x, y| [value(x, y); 3]))
     }
 
-    /// By hand: two inner rows of 100² + 100² in steps of 1/256; nothing changes along columns.
+    /// By hand: two inner rows of 100² + 100² in steps of 1/256. Nothing changes along columns.
     #[test]
     fn a_vertical_step_has_second_differences_along_rows_only() {
         let octave = Octave::from_luma(&luma(6, 4, |x, _| if x < 3 { 0 } else { 100 }));
@@ -303,7 +303,7 @@ mod tests {
         assert_eq!(bands(0, 0), [(0, 0)]);
     }
 
-    /// What is measured of 8 bits is what is measured of the same picture in steps of 1/256.
+    /// The measures of 8 bits equal those of the same picture in steps of 1/256.
     #[test]
     fn both_depths_give_the_same_numbers() {
         for (width, height) in [(1, 1), (3, 3), (2, 40), (61, 47), (700, 600)] {

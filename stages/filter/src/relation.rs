@@ -19,14 +19,14 @@ pub(crate) enum Relation {
     SameExposure,
     /// One pointing through two colour filters.
     SamePointing,
-    /// One camera on one sol through two colour filters; the pointing is unknown.
+    /// One camera on one sol through two colour filters, with unknown pointing.
     SameCamera,
     /// None of these.
     Unknown,
 }
 
 impl Relation {
-    /// Returns the end of the sentence that says why a photo is a duplicate; empty for [`Relation::Unknown`].
+    /// Returns the end of the sentence that says why a photo is a duplicate. Empty for [`Relation::Unknown`].
     pub(crate) fn reason_suffix(self) -> &'static str {
         match self {
             Self::SameExposure => ", another version of one exposure by name",
@@ -48,12 +48,12 @@ pub(crate) struct Relative<'a> {
     pub(crate) filter: Option<&'a str>,
     /// Sol.
     pub(crate) sol: Option<u32>,
-    /// Its row, whose facts may hold the camera of its label; none of a photo of an earlier sol.
+    /// Its row, whose facts may hold the camera of its label. `None` for a photo of an earlier sol.
     pub(crate) row: Option<&'a Row>,
 }
 
 impl<'a> Relative<'a> {
-    /// Returns what relates the photo of a row.
+    /// Returns the facts that relate the photo of a row to others.
     pub(crate) fn from_row(row: &'a Row, facts: &Facts<'a>) -> Self {
         Self {
             id: &row.id,
@@ -85,10 +85,10 @@ impl<'a> Relative<'a> {
     }
 }
 
-/// Keys by which related photos are found; equal keys may also belong to photos that are not related.
+/// Keys to find related photos by. Equal keys may also belong to photos that are not related.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct RelationKeys {
-    /// Equal for versions of one exposure; of photos with a name of Mars 2020.
+    /// Equal for versions of one exposure. `None` without a name of Mars 2020.
     pub(crate) exposure: Option<u32>,
     /// Equal for photos of one camera on one sol, and a key of the filter: the photo is related to those with another one.
     pub(crate) camera: Option<(u32, u32)>,
@@ -125,7 +125,7 @@ pub(crate) fn relation_between(a: &Relative<'_>, b: &Relative<'_>) -> Relation {
     }
 }
 
-/// Returns the rank of a product's processing level; of two versions of one exposure the lower rank is kept.
+/// Returns the rank of a product's processing level. Of two versions of one exposure, the lower rank is kept.
 ///
 /// Calibrated radiance is 0, so that the same kind of product is kept throughout the set.
 pub(crate) fn processing_rank(id: &str) -> u8 {
@@ -137,14 +137,14 @@ pub(crate) fn processing_rank(id: &str) -> u8 {
     }
 }
 
-/// Returns whether one camera took both photos on one sol through different filters, by the archive's facts.
+/// Whether one camera took both photos on one sol through different filters, by the archive's facts.
 fn differ_in_filter(a: &Relative<'_>, b: &Relative<'_>) -> bool {
     let same = a.instrument.is_some() && a.instrument == b.instrument && a.sol == b.sol;
     same && a.filter.is_some() && b.filter.is_some() && a.filter != b.filter
 }
 
-/// Returns whether the labels of two photos give the same pointing; `None` where a label has no camera, or the labels
-/// are in different frames.
+/// Whether the labels of two photos give the same pointing. `None` if a label has no camera, or the labels are in
+/// different frames.
 fn same_pointing(a: &PhotoFacts, b: &PhotoFacts) -> Option<bool> {
     let (first, second) = (a.prior.as_ref()?, b.prior.as_ref()?);
     let rover_pose = |prior: &CameraPrior| prior.motion_counter.iter().copied().take(3).collect::<Vec<i64>>();
@@ -192,7 +192,7 @@ mod tests {
         }
     }
 
-    /// Returns how two photos are related; whatever is related is found by its keys.
+    /// Returns how two photos are related. Asserts that related photos are found by their keys.
     fn relation_between(a: (&str, &PhotoFacts), b: (&str, &PhotoFacts)) -> Relation {
         let rows = (row(a.0, a.1), row(b.0, b.1));
         let (a, b) = (
@@ -311,7 +311,7 @@ mod tests {
             prior: Some(camera(turn)),
             ..facts(id)
         };
-        // 33 px of 1648 are 2 %; 4600 px a radian.
+        // 33 px of 1648 are 2 %, at 4600 px a radian.
         for (turn, expected) in [
             (0.0, Relation::SamePointing),
             (0.006, Relation::SamePointing),

@@ -7,22 +7,22 @@ use marf_stage::{Ctx, StageError, Table};
 
 use crate::decoded::DecodedPhoto;
 
-/// First byte of the measure of a photo that cannot be decoded; the reason follows.
+/// First byte of the measure of a photo that cannot be decoded, followed by the reason.
 pub(crate) const REFUSED: u8 = 0;
-/// First byte of the measure of a decoded photo; what the filter measured follows.
+/// First byte of the measure of a decoded photo, followed by the filter's measure.
 pub(crate) const MEASURED: u8 = 1;
 
 /// The part of a survey that belongs to one filter.
 pub(crate) struct Section {
     /// Where the measures are kept: the name of the filter and the version of its measure.
     pub(crate) table: Table,
-    /// Measures a photo; only the filter itself reads the bytes.
+    /// Measures a photo. Only the filter itself reads the bytes.
     pub(crate) measure: fn(&Ctx<'_>, &DecodedPhoto<'_>) -> Result<Vec<u8>, StageError>,
 }
 
 /// A stage of the table of filters.
 pub(crate) trait Surveyed {
-    /// What it adds to a survey; `None` for a filter that needs the facts alone.
+    /// Its part of a survey. `None` for a filter that needs the facts alone.
     const SECTION: Option<Section>;
     /// Digests of its answers on fixed photos.
     #[cfg(test)]
@@ -35,7 +35,7 @@ pub(crate) trait Surveyed {
 #[cfg(test)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Guard {
-    /// MEASURE_VERSION, and the digest of the measures; empty for a filter without a measure.
+    /// MEASURE_VERSION, and the digest of the measures. Empty for a filter without a measure.
     pub measures: &'static str,
     /// VERSION, and the digest of the verdicts.
     pub decisions: &'static str,
@@ -65,10 +65,10 @@ impl Guarded {
     }
 }
 
-/// Returns what a filter measured of a photo, or why the photo could not be decoded.
+/// Returns a filter's measure of a photo, or the reason why the photo could not be decoded.
 ///
 /// # Errors
-/// Bytes that are no measure.
+/// Bytes that are not a measure.
 pub(crate) fn measured<'a>(measure: &'a [u8], row: &Row) -> Result<Result<&'a [u8], String>, StageError> {
     match measure.split_first() {
         Some((&REFUSED, reason)) => Ok(Err(String::from_utf8_lossy(reason).into_owned())),
@@ -77,7 +77,7 @@ pub(crate) fn measured<'a>(measure: &'a [u8], row: &Row) -> Result<Result<&'a [u
     }
 }
 
-/// Returns the error of a kept measure that is not what was written.
+/// Returns the error of a kept measure that differs from the written one.
 pub(crate) fn unreadable(row: &Row, cause: impl std::fmt::Display) -> StageError {
     damaged(format!("measure of `{}` cannot be read", row.id)).cause(cause.to_string())
 }

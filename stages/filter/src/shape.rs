@@ -26,15 +26,15 @@ pub struct ShapeParams {
     pub min_width: u32,
     /// Fewest rows. The paper asks for 1,000.
     pub min_height: u32,
-    /// Smallest short side as a share of the median short side among photos of the same instrument; 0 turns it
-    /// off. Half-size copies have 0.5; the 8 to 16 pixels by which tiles of one camera differ do not matter.
+    /// Smallest short side as a share of the median short side among photos of the same instrument. 0 turns it off.
+    /// Half-size copies have 0.5. The 8 to 16 pixels by which tiles of one camera differ do not matter.
     pub min_share: f64,
-    /// A size that at least this share of the photos of an instrument has, and two photos at the least, is one of its
-    /// formats (tiles, strips), to which `min_share` does not apply.
+    /// A size of at least this share of an instrument's photos, and of at least two, is one of its formats (tiles,
+    /// strips). `min_share` does not apply to formats.
     pub common_share: f64,
     /// Fewest photos of one instrument that are compared with each other.
     pub min_set: u32,
-    /// Photos kept or rejected by hand; filled from `[keep]` and `[reject]` of the pipeline.
+    /// Photos kept or rejected by hand, filled from `[keep]` and `[reject]` of the pipeline.
     pub by_hand: ByHand,
 }
 
@@ -181,7 +181,7 @@ impl Pass<Shape> for SizesPass {
     }
 }
 
-/// Returns the lower median of the short sides; 0 of no photos.
+/// Returns the lower median of the short sides. 0 without photos.
 fn median_short(sizes: &BTreeMap<Sides, u64>, photos: u64) -> u32 {
     let mut below = 0;
     for ((short, _), count) in sizes {

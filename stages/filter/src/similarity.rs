@@ -13,14 +13,14 @@ const ASPECT_TOLERANCE: f64 = 0.05;
 
 /// Returns the smallest Hamming distance between the hashes of two photos, over pairs of bands, in bits.
 ///
-/// A narrow-band copy has the hash of its own band, not of the brightness: a blue one lies 4 to 16 bits from
-/// the brightness and 0 to 2 from the blue band of its original.
+/// A narrow-band copy has the hash of its own band, not of the brightness. A blue one is 4 to 16 bits from the
+/// brightness and 0 to 2 from the blue band of its original.
 pub(crate) fn hash_distance(a: &[u64], b: &[u64]) -> u32 {
     let pairs = a.iter().flat_map(|x| b.iter().map(move |y| (x ^ y).count_ones()));
     pairs.min().unwrap_or(u64::BITS)
 }
 
-/// Returns whether two photos have the same aspect ratio, whatever their size.
+/// Whether two photos of any size have the same aspect ratio.
 pub(crate) fn same_aspect(a: PixelSize, b: PixelSize) -> bool {
     let (first, second) = (
         f64::from(a.width) * f64::from(b.height),
@@ -29,11 +29,11 @@ pub(crate) fn same_aspect(a: PixelSize, b: PixelSize) -> bool {
     (first - second).abs() <= ASPECT_TOLERANCE * first.max(second)
 }
 
-/// Returns the class of an aspect ratio, at most 1 from that of every ratio that is the same by [`same_aspect`]: those
-/// differ by 0.0513 in their logarithm, and classes are 0.08 wide.
+/// Returns the class of an aspect ratio. It differs by at most 1 from that of every ratio that [`same_aspect`]
+/// accepts: those differ by 0.0513 in their logarithm, and classes are 0.08 wide.
 pub(crate) fn aspect_class(size: PixelSize) -> u8 {
     let ratio = f64::from(size.width.max(1)) / f64::from(size.height.max(1));
-    // Sides have at most 32 bits: from -277.3 to 277.3; sides of up to 20,000 pixels keep to 4 to 252.
+    // Sides have at most 32 bits: from -277.3 to 277.3. Sides of up to 20,000 pixels keep to 4 to 252.
     (ratio.ln() / 0.08 + 128.0).clamp(0.0, 255.0) as u8
 }
 
@@ -44,8 +44,8 @@ pub(crate) struct Planes(Vec<Plane>);
 struct Plane {
     /// `[PADDED * PADDED]` values in [0, 255], row-major, zero at the margin.
     cells: Vec<i16>,
-    /// Sum of the values, variance times the squared count, and its root, of each part that a shift leaves: all but the
-    /// first, no, or all but the last column and row.
+    /// Sum of the values, variance times the squared count, and its root, of each part that remains after a shift:
+    /// all but the first, no, or all but the last column and row.
     parts: [[Part; SHIFTS]; SHIFTS],
 }
 
@@ -58,7 +58,7 @@ struct Part {
 }
 
 impl Planes {
-    /// Reads planes of `CELLS * CELLS` bytes; `None` if the bytes are no whole number of them, or none.
+    /// Reads planes of `CELLS * CELLS` bytes. `None` if the bytes are empty or hold a partial plane.
     pub(crate) fn read(bytes: &[u8]) -> Option<Self> {
         let whole = !bytes.is_empty() && bytes.len().is_multiple_of(CELLS * CELLS);
         whole.then(|| Self(bytes.chunks_exact(CELLS * CELLS).map(Plane::new).collect()))
@@ -142,8 +142,8 @@ impl Plane {
         self.cells[PADDED * top + left..].first_chunk()
     }
 
-    /// Returns the sum of the products with another plane, shifted by (`right`, `down`) - 1 cells, where they overlap; the
-    /// margin adds zeros.
+    /// Returns the sum of the products with another plane, shifted by (`right`, `down`) - 1 cells, where they
+    /// overlap. The margin adds zeros.
     fn products(&self, other: &Self, right: usize, down: usize) -> i64 {
         let rows =
             (0..CELLS).filter_map(|row| self.row(1, row + 1).zip(other.row(2 - right, row + 2 - down)));

@@ -20,10 +20,10 @@ pub struct Size;
 pub struct SizeParams {
     /// Fewest bytes of the image as stored in the archive. The paper asks for 100,000, of photos of 2 megapixels.
     pub min_bytes: u64,
-    /// Fewest stored bits per pixel; 0 turns it off. JPEG at the lowest quality takes 0.15 to 0.17, real photos of
+    /// Fewest stored bits per pixel. 0 turns it off. JPEG at the lowest quality takes 0.15 to 0.17, real photos of
     /// Perseverance take 0.7 and more.
     pub min_bits_per_pixel: f64,
-    /// Photos kept or rejected by hand; filled from `[keep]` and `[reject]` of the pipeline.
+    /// Photos kept or rejected by hand, filled from `[keep]` and `[reject]` of the pipeline.
     pub by_hand: ByHand,
 }
 

@@ -114,12 +114,12 @@ impl<F: Filter> Comparison for FilterStage<F> {
     }
 }
 
-/// Reads the contexts before a pass; none before the first.
+/// Reads the contexts before a pass. `None` before the first.
 fn before<F: Filter>(pass: usize, context: &[u8]) -> Result<Option<Contexts<F>>, StageError> {
     (pass > 0).then(|| Contexts::decode(context)).transpose()
 }
 
-/// Reads a photo with its facts and its measure; the inner error is the verdict on one that could not be decoded.
+/// Reads a photo with its facts and its measure. The inner error is the verdict on one that could not be decoded.
 fn read<'a, F: Filter>(
     item: &Measured<'a>,
 ) -> Result<Result<MeasuredPhoto<'a, F::Measure<'a>>, Verdict>, StageError> {
@@ -134,7 +134,7 @@ fn read<'a, F: Filter>(
     })
 }
 
-/// Reads the measure of one filter; the inner error says why the photo could not be decoded.
+/// Reads the measure of one filter. The inner error says why the photo could not be decoded.
 fn read_measure<'a, F: Filter>(item: &Measured<'a>) -> Result<Result<F::Measure<'a>, String>, StageError> {
     let part = match F::MEASURE {
         None => Ok(item.measure),

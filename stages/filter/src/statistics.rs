@@ -13,13 +13,13 @@ pub(crate) struct LogBins {
 }
 
 impl LogBins {
-    /// Returns the bin of a value; one below 0 counts as 0, one that is infinite as the largest. `None` of what is no number.
+    /// Returns the bin of a value. A value below 0 counts as 0, an infinite one as the largest. `None` for NaN.
     pub(crate) fn bin(self, value: f64) -> Option<u32> {
         let bits = value.clamp(0.0, f64::MAX).to_bits() & !(1 << 63);
         (!value.is_nan()).then_some((bits >> (f64::MANTISSA_DIGITS - 1 - self.bits)) as u32)
     }
 
-    /// Returns the value in the middle of a bin; 0 of the first.
+    /// Returns the value in the middle of a bin. 0 for the first.
     pub(crate) fn middle(self, bin: u32) -> f64 {
         let dropped = f64::MANTISSA_DIGITS - 1 - self.bits;
         match bin {
@@ -29,8 +29,8 @@ impl LogBins {
     }
 }
 
-/// Appends the bins of values: how many differ, then each as its distance from the one before, twice and with 1 added where
-/// the number of values in it follows, which is 1 otherwise.
+/// Appends the bins of values: the number of different bins, then each as its distance from the one before, doubled.
+/// If a bin has more than one value, 1 is added and the number of its values follows.
 pub(crate) fn put_bins(bytes: &mut Vec<u8>, mut bins: Vec<u32>) {
     bins.sort_unstable();
     let runs = bins.chunk_by(|a, b| a == b);
@@ -45,8 +45,8 @@ pub(crate) fn put_bins(bytes: &mut Vec<u8>, mut bins: Vec<u32>) {
     }
 }
 
-/// Removes what [`put_bins`] wrote from the front and passes on each bin and the number of values in it, ascending; `None` if it
-/// is cut short or something else.
+/// Removes the bins of [`put_bins`] from the front and passes on each bin and the number of values in it, ascending.
+/// `None` if the bytes are cut short or something else.
 pub(crate) fn take_bins(bytes: &mut &[u8], mut found: impl FnMut(u32, u64) -> Option<()>) -> Option<()> {
     let mut bin = 0;
     for _ in 0..take_number(bytes)? {
@@ -65,7 +65,7 @@ pub(crate) fn take_bins(bytes: &mut &[u8], mut found: impl FnMut(u32, u64) -> Op
 pub(crate) struct BinCounts(BTreeMap<u32, u64>);
 
 impl BinCounts {
-    /// Adds what [`put_bins`] wrote, and removes it from the front; `None` as of [`take_bins`].
+    /// Adds the bins of [`put_bins`] and removes them from the front. `None` as of [`take_bins`].
     pub(crate) fn take(&mut self, bytes: &mut &[u8]) -> Option<()> {
         take_bins(bytes, |bin, count| {
             let total = self.0.entry(bin).or_default();
@@ -101,8 +101,8 @@ impl Quantile {
     };
 }
 
-/// Returns a quantile of all values but one, for each bin that this one may be in: linear between neighbours, 0 if no value is
-/// left. `bins` ascend, each with the number of its values; `value` is that of a bin.
+/// Returns a quantile of all values but one, for each bin that this one may be in: linear between neighbours, 0 if no
+/// value remains. `bins` ascend, each with the number of its values. `value` is that of a bin.
 pub(crate) fn quantile_without(
     bins: impl Iterator<Item = (u32, u64)> + Clone,
     quantile: Quantile,
@@ -132,7 +132,7 @@ pub(crate) fn quantile_without(
     )
 }
 
-/// Returns the bins of the values at three ascending ranks, counted from 0; each is below the number of values.
+/// Returns the bins of the values at three ascending ranks, counted from 0. Each rank is below the number of values.
 fn at_ranks(bins: impl Iterator<Item = (u32, u64)>, ranks: [u64; 3]) -> [u32; 3] {
     let (mut found, mut next, mut below) = ([0; 3], 0, 0);
     for (bin, count) in bins {
@@ -150,7 +150,7 @@ fn at_ranks(bins: impl Iterator<Item = (u32, u64)>, ranks: [u64; 3]) -> [u32; 3]
 pub(crate) struct Steps {
     /// The values below the first step, from it on, from the second step on.
     values: [f64; 3],
-    /// The bins of the steps; [`Steps::NEVER`] of those there are not, which change no value.
+    /// The bins of the steps. [`Steps::NEVER`] marks absent ones, which change no value.
     from: [u32; 2],
 }
 
@@ -185,7 +185,7 @@ impl Steps {
         }
     }
 
-    /// Returns the number of a bin; that of the highest for `None`.
+    /// Returns the number of a bin. `None` is the highest bin.
     pub(crate) fn at(&self, bin: Option<u32>) -> f64 {
         let bin = bin.unwrap_or(Self::NEVER - 1);
         self.values[self.from.iter().filter(|from| bin >= **from).count()]
@@ -208,7 +208,7 @@ impl Steps {
         }
     }
 
-    /// Removes what [`Steps::put`] wrote from the front; `None` if it is cut short or something else.
+    /// Removes the bytes of [`Steps::put`] from the front. `None` if they are cut short or something else.
     pub(crate) fn take(bytes: &mut &[u8]) -> Option<Self> {
         let count = take_number(bytes)?;
         let mut steps = Self::constant(f64::from_le_bytes(take(bytes)?));

@@ -64,8 +64,8 @@ pub enum CameraError {
 
 /// Returns the model with A, H and V divided by |A| together, and O by |O|.
 ///
-/// Six-digit labels leave |A| - 1 of about 8e-6; dividing A alone would move pixels by 0.01. The result is
-/// exact to rounding of f64.
+/// Six-digit labels leave |A| - 1 of about 8e-6. Dividing A alone would move pixels by 0.01. The result is exact to
+/// rounding of f64.
 ///
 /// # Errors
 /// See [`CameraError`].
@@ -98,7 +98,7 @@ pub fn focal_px(model: &Cahvor) -> (f64, f64) {
     (norm(cross(model.a, model.h)), norm(cross(model.a, model.v)))
 }
 
-/// Returns the model for a photo scaled by `scale`; integer coordinates stay pixel centres.
+/// Returns the model for a photo scaled by `scale`. Integer coordinates stay pixel centres.
 ///
 /// The pixel corner x + 0.5 scales, hence x' = s (x + 0.5) - 0.5, and H' = s H + (s - 1)/2 A.
 pub fn rescaled(model: &Cahvor, scale: f64) -> Cahvor {

@@ -15,7 +15,7 @@ pub struct Table {
     pub white: u16,
 }
 
-/// Returns the table of a name as labels write it (`MMM_LUT0`, `ilut/M20_LUT2_v2a.txt`); `None` for those that are
+/// Returns the table of a name as labels write it (`MMM_LUT0`, `ilut/M20_LUT2_v2a.txt`). `None` for those that are
 /// not public (the Mastcam-Z ones).
 pub fn table(name: &str, scheme: Option<Scheme>) -> Option<Table> {
     let upper = name.to_ascii_uppercase();

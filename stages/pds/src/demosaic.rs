@@ -5,12 +5,12 @@ use crate::label::BayerPhase;
 /// Interpolates an RGGB mosaic (Malvar, He, Cutler, ICASSP 2004: gradient-corrected bilinear, 5 x 5).
 ///
 /// - `plane`: `[height * width]`, any unit in proportion to light (or display codes).
-/// - `phase`: first line and sample on the detector; an odd origin flips the pattern.
-/// - Returns `[height * width]` of RGB in the same unit, not below 0; the site's own channel is kept exactly.
+/// - `phase`: first line and sample on the detector. An odd origin flips the pattern.
+/// - Returns `[height * width]` of RGB in the same unit, not below 0. The site's own channel is kept exactly.
 ///
 /// # Extremes
-/// Borders are mirrored about the outermost pixel, which keeps the pattern; below 3 pixels a side there is nothing
-/// to mirror and `None` is returned. Sums are taken in one order: same bits everywhere.
+/// Borders are mirrored about the outermost pixel, which keeps the pattern. Below 3 pixels a side there is nothing to
+/// mirror and `None` is returned. Sums are taken in one order: same bits everywhere.
 pub fn rggb(plane: &[f32], width: usize, height: usize, phase: BayerPhase) -> Option<Vec<[f32; 3]>> {
     if width < 3 || height < 3 || plane.len() != width * height {
         return None;

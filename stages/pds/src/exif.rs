@@ -24,13 +24,13 @@ pub struct Lens {
 
 /// Reads the EXIF of a JPEG, PNG or WebP of this many pixels along its longer side.
 ///
-/// The focal length is f₃₅ / 36 × longer side from FocalLengthIn35mmFilm; where that is absent or 0 (which
-/// stands for unknown) it is FocalLength × FocalPlaneXResolution, scaled by the longer side over that of
-/// PixelXDimension and PixelYDimension, as those resolutions are of the photo as taken.
+/// The focal length is f₃₅ / 36 × longer side from FocalLengthIn35mmFilm. If that is absent or 0 (unknown), it is
+/// FocalLength × FocalPlaneXResolution, scaled by the longer side over that of PixelXDimension and PixelYDimension.
+/// Those resolutions are of the photo as taken.
 ///
 /// # Extremes
-/// A photo without EXIF gives no facts. EXIF that is damaged, or a number that is 0, infinite or no focal length
-/// between 0.1 and 50 longer sides, is left out with a note; it is never an error.
+/// A photo without EXIF gives no facts. Damaged EXIF is left out with a note, never an error. The same holds for a
+/// number that is 0, infinite or not a focal length between 0.1 and 50 longer sides.
 pub fn read(bytes: &[u8], longer_px: u32) -> Lens {
     let mut lens = Lens::default();
     if bytes.starts_with(b"GIF8") {
@@ -72,8 +72,8 @@ pub fn read(bytes: &[u8], longer_px: u32) -> Lens {
     lens
 }
 
-/// Returns the EXIF of a WebP behind the prefix `Exif\0\0`, which belongs to JPEG and which some programs write; `None` without
-/// the prefix.
+/// Returns the EXIF of a WebP behind the prefix `Exif\0\0`, which belongs to JPEG and which some programs write.
+/// `None` without the prefix.
 fn behind_prefix(bytes: &[u8]) -> Option<&[u8]> {
     let mut rest = bytes.strip_prefix(b"RIFF")?.get(8..)?;
     loop {
@@ -111,7 +111,7 @@ fn focal_px(exif: &Exif, longer_px: f64) -> Option<f64> {
     Some(number(Tag::FocalLength)? * number(Tag::FocalPlaneXResolution)? / unit_mm * scale)
 }
 
-/// Returns a number above 0; a fraction over 0 is none, and 0 stands for unknown.
+/// Returns a finite number above 0. A fraction over 0 is `None`, and so is 0, which means unknown.
 fn positive(field: &Field) -> Option<f64> {
     let number = match &field.value {
         exif::Value::Rational(all) => all.first()?.to_f64(),

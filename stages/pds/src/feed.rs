@@ -19,14 +19,14 @@ pub enum FeedError {
     #[error("JSON without `imageid`: no record of a raw-image feed")]
     NoRecord,
     /// A page of many records.
-    #[error("a page of {0} feed records; one record a file is read, named like its photo")]
+    #[error("a page of {0} feed records: one record a file is read, named like its photo")]
     Page(usize),
 }
 
 /// Reads one record as a label.
 ///
 /// # Errors
-/// See [`FeedError`]; a record without a usable camera is no error but a note.
+/// See [`FeedError`]. A record without a usable camera is not an error but a note.
 pub fn read(bytes: &[u8]) -> Result<Label, FeedError> {
     if bytes.len() > MAX_LABEL_BYTES {
         return Err(FeedError::TooLarge(bytes.len()));
@@ -104,7 +104,7 @@ impl Record<'_> {
         }
     }
 
-    /// Site and drive; feeds have no further counters.
+    /// Site and drive. Feeds have no further counters.
     fn counter(&self) -> Vec<i64> {
         let number = |key| self.text(key).and_then(|text| values::integer(&text));
         match (number("site"), number("drive")) {
@@ -128,7 +128,7 @@ fn add_camera(record: &Record<'_>, label: &mut Label) {
     }
 }
 
-/// Feeds name no frame; for rovers the numbers are in ROVER_NAV: C is at the mast head, 2 m up.
+/// Feeds name no frame. For rovers the numbers are in ROVER_NAV: C is at the mast head, 2 m up.
 fn frame(label: &mut Label) -> String {
     if !label
         .instrument

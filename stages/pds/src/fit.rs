@@ -11,7 +11,7 @@ const MASTCAM_PIXEL_MM: f64 = 7.4e-3;
 const FOCAL_TOLERANCE: f64 = 0.05;
 
 impl Label {
-    /// Returns the label's camera for the pixels of the decoded photo; `None`, with a note, if it cannot be used.
+    /// Returns the label's camera for the pixels of the decoded photo. `None`, with a note, if it cannot be used.
     pub fn fit_camera(
         &self,
         name: Option<&ProductName>,
@@ -26,7 +26,7 @@ impl Label {
         }
         undo_missing_average(self, name, &mut prior, notes);
         let Some((label_width, label_height)) = self.size else {
-            notes.push("label does not tell the size its camera is for; taken as the photo's".to_owned());
+            notes.push("label does not give the size its camera is for: taken as the photo's".to_owned());
             return Some(prior);
         };
         if (label_width, label_height) == (width, height) {
@@ -49,7 +49,7 @@ impl Label {
 }
 
 /// Scales down models that were shifted to their subframe but not reduced like its pixels, as those of MSL thumbnails
-/// are; the focal length of the lens shows which.
+/// are. The focal length of the lens shows which.
 fn undo_missing_average(
     label: &Label,
     name: Option<&ProductName>,
@@ -145,6 +145,6 @@ mod tests {
         };
         let mut notes = Vec::new();
         assert!(label.fit_camera(None, 10, 10, &mut notes).is_some());
-        assert!(notes[0].contains("does not tell the size"), "{notes:?}");
+        assert!(notes[0].contains("does not give the size"), "{notes:?}");
     }
 }

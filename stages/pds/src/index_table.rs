@@ -7,7 +7,7 @@ use crate::listing::is_plain;
 use crate::odl::{self, Group, OdlError};
 use crate::values;
 
-/// Longest row that is read, bytes; the longest known has some thousand.
+/// Longest row that is read, bytes. The longest known row has some thousand.
 const MAX_ROW_BYTES: usize = 1 << 16;
 /// Most columns.
 const MAX_COLUMNS: usize = 2_000;
@@ -111,9 +111,9 @@ impl Index {
         })
     }
 
-    /// Reads a table row by row; it may be larger than memory.
+    /// Reads a table row by row. It may be larger than memory.
     ///
-    /// After the first error there are no more rows. A table of fewer or more rows than its label says is an error
+    /// After the first error there are no more rows. A table with fewer or more rows than in its label is an error
     /// after the last one.
     pub fn rows<R: Read>(&self, table: R) -> Rows<'_, R> {
         Rows {
@@ -143,7 +143,7 @@ impl Column {
                 bytes,
             }),
             None => Err(IndexError::Label(format!(
-                "column `{name:.40}` does not lie in a row of {row_bytes} bytes"
+                "column `{name:.40}` does not fit a row of {row_bytes} bytes"
             ))),
         }
     }
@@ -231,7 +231,7 @@ pub struct Row<'a> {
 pub struct ProductLocation {
     /// Volume.
     pub volume: Option<String>,
-    /// Folder in the volume, parts joined by `/`, without `/` at either end; each part is a plain name.
+    /// Folder in the volume, parts joined by `/`, without `/` at either end. Each part is a plain name.
     pub path: Option<String>,
     /// File name, a plain name.
     pub file: Option<String>,
@@ -244,7 +244,7 @@ pub struct ProductLocation {
 }
 
 impl Row<'_> {
-    /// Returns a column without the blanks and quotes around it; `None` if the label has no such column.
+    /// Returns a column without the blanks and quotes around it. `None` if the label has no such column.
     pub fn text(&self, column: &str) -> Option<&str> {
         let column = self.index.column(column)?;
         let cell = self.text.get(column.start..column.start + column.bytes)?.trim();

@@ -8,7 +8,7 @@ const MAX_BYTES: usize = 128 << 20;
 const MAX_MEMBERS: usize = 2_000_000;
 /// Longest identifier, bytes (PDS4 Standards Reference, 6D.2).
 const MAX_LID: usize = 255;
-/// Number of version suffixes that are tried beside the identifier's own version.
+/// Number of version suffixes that are tried in addition to the identifier's own version.
 const TRIED_VERSIONS: u32 = 9;
 
 /// A product of a collection.
@@ -16,9 +16,9 @@ const TRIED_VERSIONS: u32 = 9;
 pub struct Member {
     /// Logical identifier, `urn:nasa:pds:bundle:collection:product`.
     pub lid: String,
-    /// Version, `1.0`; empty where a secondary member names none.
+    /// Version, `1.0`. Empty if a secondary member names none.
     pub version: String,
-    /// Primary member (`P`); else secondary (`S`): primary in another collection.
+    /// Whether the member is primary (`P`). A secondary one (`S`) is primary in another collection.
     pub primary: bool,
 }
 
@@ -86,7 +86,7 @@ fn member(line: &[u8]) -> Result<Member, &'static str> {
     let lidvid = unquoted(lidvid)?;
     let (lid, version) = lidvid.split_once("::").unwrap_or((lidvid, ""));
     if !is_lid(lid) {
-        return Err("the second column is no identifier of a product");
+        return Err("the second column is not a product identifier");
     }
     let whole = version
         .split_once('.')
@@ -110,7 +110,7 @@ fn unquoted(cell: &str) -> Result<&str, &'static str> {
     }
 }
 
-/// Returns whether a text is `urn:agency:archive:bundle:collection:product` with no part empty.
+/// Whether a text is `urn:agency:archive:bundle:collection:product` with no part empty.
 fn is_lid(lid: &str) -> bool {
     let plain = |byte: u8| byte.is_ascii_alphanumeric() || b"_.-".contains(&byte);
     let parts: Vec<&str> = lid.splitn(7, ':').collect();
@@ -134,8 +134,8 @@ pub fn stem(member: &Member) -> Option<String> {
     (name.id.len() == tail.len() && name.version.len() < 2).then_some(tail)
 }
 
-/// Returns the names its files may have, likeliest first: for Mars 2020 the stem with the identifier's version as two
-/// characters, then the first nine versions, newest first; for other schemes the stem.
+/// Returns the possible names of its files, likeliest first. For Mars 2020 these are the stem with the identifier's
+/// version as two characters, then the first nine versions, newest first. For other schemes it is the stem.
 pub fn file_stems(member: &Member) -> Vec<String> {
     let Some(stem) = stem(member) else {
         return Vec::new();
@@ -229,7 +229,7 @@ mod tests {
         assert_eq!(read(b""), Err(InventoryError::Empty));
     }
 
-    /// The identifier and the file name of the label that lies in the data folder.
+    /// The identifier and the file name of the label in the data folder.
     #[test]
     fn an_identifier_gives_the_name_of_its_file() {
         let member = one(&format!("P,{ZLF}::1.0"));

@@ -106,13 +106,13 @@ pub enum SampleDirection {
 }
 
 impl Array {
-    /// Tells whether pixels are displayed in the order in which they are stored.
+    /// Whether pixels are displayed in the order in which they are stored.
     pub fn is_upright(&self) -> bool {
         (self.lines, self.samples) == (LineDirection::TopToBottom, SampleDirection::LeftToRight)
     }
 }
 
-/// Nesting of bands, lines and samples; the last varies fastest.
+/// Nesting of bands, lines and samples. The last varies fastest.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum BandStorage {
     /// Band, line, sample.
@@ -190,7 +190,7 @@ impl Label {
 pub enum FramePose {
     /// The camera is in the site's frame.
     IsSite,
-    /// v_site = R(q) v_frame + offset; q scalar first.
+    /// v_site = R(q) v_frame + offset, with q scalar first.
     Given {
         /// Scalar first.
         quaternion: [f64; 4],
@@ -246,8 +246,8 @@ pub fn pose(quaternion: [f64; 4], offset: [f64; 3]) -> Option<Pose> {
     })
 }
 
-/// Returns counters in the order of [`CameraPrior`]: SITE, DRIVE and POSE first, then the others in the label's order;
-/// none without SITE, as the first number would be read as SITE.
+/// Returns counters in the order of [`CameraPrior`]: SITE, DRIVE and POSE first, then the others in the label's
+/// order. Empty without SITE, as the first number would be read as SITE.
 pub fn ordered_counter(entries: &[(String, i64)]) -> Vec<i64> {
     const FIRST: [&str; 3] = ["SITE", "DRIVE", "POSE"];
     let of = |name: &str| {
@@ -268,7 +268,7 @@ pub fn ordered_counter(entries: &[(String, i64)]) -> Vec<i64> {
     first.chain(others.map(|(_, value)| *value)).collect()
 }
 
-/// Returns whether all of SITE, DRIVE and POSE that both sets have are equal.
+/// Whether all of SITE, DRIVE and POSE that both sets have are equal.
 pub fn same_place(a: &[(String, i64)], b: &[(String, i64)]) -> bool {
     ["SITE", "DRIVE", "POSE"].iter().all(|name| {
         let of = |entries: &[(String, i64)]| entries.iter().find(|(own, _)| own == name).map(|entry| entry.1);

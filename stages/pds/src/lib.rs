@@ -1,8 +1,8 @@
-//! Readers of what NASA's archives of rover photos hold: labels (ODL, PDS3, PDS4, VICAR, records of the raw-image
-//! feeds), arrays of pixels, product names, index tables, inventories of collections, and folder pages.
+//! Readers of NASA's archives of rover photos: labels (ODL, PDS3, PDS4, VICAR, records of the raw-image feeds),
+//! arrays of pixels, product names, index tables, inventories of collections, and folder pages.
 //!
 //! Every reader takes bytes and returns typed values: no file, network, clock or random number is used. The bytes are
-//! not trusted: each reader bounds the memory it takes, and returns an error for what it cannot read.
+//! not trusted: each reader bounds the memory it takes, and returns an error for unreadable bytes.
 
 mod camera;
 mod companding;

@@ -1,6 +1,6 @@
 //! Folder pages of an archive's web server (Apache's autoindex, as a table or as `<pre>` lines).
 //!
-//! The page is not trusted: nothing is taken from it but relative names of plain letters and the times beside them.
+//! The page is not trusted: only relative names of plain letters and the times next to them are used.
 
 use std::collections::BTreeMap;
 
@@ -10,7 +10,7 @@ mod time;
 use html::{Tag, Token};
 use serde::{Deserialize, Serialize};
 
-/// Largest page that is read; one sol folder of an archive is one page of some megabytes.
+/// Largest page that is read. One sol folder of an archive is one page of some megabytes.
 const MAX_PAGE_BYTES: usize = 16 << 20;
 /// Most names of one page.
 const MAX_ENTRIES: usize = 100_000;
@@ -35,7 +35,7 @@ pub enum ListingError {
     #[error("a page of {0} bytes, at most {MAX_PAGE_BYTES} are read")]
     TooLarge(usize),
     /// Another page: a firewall's, an error's, none.
-    #[error("a page of {0} bytes that is no folder listing: no `Index of`, no columns to sort by")]
+    #[error("a page of {0} bytes that is not a folder listing: no `Index of`, no columns to sort by")]
     NoListing(usize),
     /// The transfer broke off.
     #[error("a folder listing of {0} bytes that is cut short: its table does not end")]
@@ -51,7 +51,7 @@ pub enum ListingError {
 /// entities. The text of a link is ignored (servers cut it).
 ///
 /// # Errors
-/// See [`ListingError`]; a listing without entries is no error.
+/// See [`ListingError`]. A listing without entries is not an error.
 pub fn read(html: &[u8]) -> Result<Vec<Entry>, ListingError> {
     if html.len() > MAX_PAGE_BYTES {
         return Err(ListingError::TooLarge(html.len()));
@@ -73,7 +73,7 @@ pub fn read(html: &[u8]) -> Result<Vec<Entry>, ListingError> {
     Ok(page.entries.into_values().collect())
 }
 
-/// Returns whether a name consists of letters, digits, `_`, `.` and `-`, and is neither `.` nor `..`.
+/// Whether a name consists of letters, digits, `_`, `.` and `-`, and is neither `.` nor `..`.
 pub fn is_plain(name: &[u8]) -> bool {
     let plain = |byte: &u8| byte.is_ascii_alphanumeric() || b"_.-".contains(byte);
     (1..=MAX_NAME).contains(&name.len()) && name.iter().all(plain) && !matches!(name, b"." | b"..")

@@ -26,9 +26,9 @@ pub struct ProductName {
     pub thumbnail: bool,
     /// Type of product (`RAD`, `ECM`, `DRCL`).
     pub product_type: String,
-    /// Version; the highest supersedes the others. Empty where the name has none (feeds).
+    /// Version. The highest supersedes the others. Empty if the name has none (feeds).
     pub version: String,
-    /// Factor by which the detector's pixels were averaged; 1 where the name has none.
+    /// Factor by which the detector's pixels were averaged. 1 if the name has none.
     pub downsampling: u32,
 }
 
@@ -45,8 +45,8 @@ pub enum Scheme {
     Mer,
 }
 
-/// Product types of Mars 2020 and of the engineering cameras that are no photo: reference pixels, sums,
-/// histograms, depth, coordinates, ranges, normals, disparity, reachability, roughness, slopes.
+/// Product types of Mars 2020 and of the engineering cameras that are not photos: reference pixels, sums, histograms,
+/// depth, coordinates, ranges, normals, disparity, reachability, roughness, slopes.
 const NO_PICTURE: [&str; 21] = [
     "EDM", "ERP", "ERS", "ECS", "EHG", "ETH", "XYZ", "XYM", "XYR", "XYE", "RNG", "RNM", "RNR", "RNE", "UVW",
     "MXY", "DSP", "DSR", "ARM", "RUF", "SLP",
@@ -56,7 +56,7 @@ const NO_PICTURE: [&str; 21] = [
 const SERIES: [&str; 6] = ["ECV", "EVD", "ECZ", "EZS", "ECR", "ERD"];
 
 impl ProductName {
-    /// Reads a file name without its extension; `None` if it follows no known scheme.
+    /// Reads a file name without its extension. `None` if it follows no known scheme.
     pub fn read(stem: &str) -> Option<Self> {
         if !stem.is_ascii() {
             return None;
@@ -70,7 +70,7 @@ impl ProductName {
         Some(name)
     }
 
-    /// Returns whether the product is a frame of a video or of a stack of focus: one exposure, many products.
+    /// Whether the product is a frame of a video or of a stack of focus: one exposure, many products.
     pub fn is_of_series(&self) -> bool {
         SERIES.contains(&self.product_type.as_str())
     }
@@ -87,13 +87,13 @@ impl ProductName {
         }
     }
 
-    /// Returns the reason if a file of this name is no photo.
+    /// Returns the reason if a file of this name is not a photo.
     pub fn no_photo(&self) -> Option<String> {
         (self.scheme != Scheme::MslScience && NO_PICTURE.contains(&self.product_type.as_str()))
             .then(|| format!("product type {} holds no photo", self.product_type))
     }
 
-    /// Returns whether the pixels are as the camera sent them; such pixels may still be codes of a look-up table.
+    /// Whether the pixels are as the camera sent them. Such pixels may still be codes of a look-up table.
     pub fn is_as_received(&self) -> bool {
         let kinds: &[&str] = match self.scheme {
             Scheme::M2020 => &["ECM", "ECV", "ECZ", "ECR"],
@@ -103,7 +103,7 @@ impl ProductName {
         kinds.contains(&self.product_type.as_str())
     }
 
-    /// Returns whether, by the name alone, pixels in one band are a colour mosaic that is not interpolated yet.
+    /// Whether, by the name alone, pixels in one band are a colour mosaic that is not interpolated yet.
     pub fn is_mosaic(&self) -> bool {
         let raw =
             ["ECM", "EDR", "ECV", "EVD", "ECZ", "EZS", "ECR", "ERD"].contains(&self.product_type.as_str());

@@ -2,13 +2,13 @@
 
 /// Deepest nesting of groups, and of lists in lists.
 const MAX_DEPTH: usize = 16;
-/// Most statements of one label; real ones have some hundred.
+/// Most statements of one label. Real ones have some hundred.
 const MAX_STATEMENTS: usize = 50_000;
 
 /// A group or object with its contents.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Group {
-    /// Name, upper case; empty for the whole label.
+    /// Name, upper case. Empty for the whole label.
     pub name: String,
     /// Keys in order, upper case, without a mission's prefix (`MSL:`).
     pub entries: Vec<(String, Value)>,
@@ -19,7 +19,7 @@ pub struct Group {
 /// A value.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Value {
-    /// A word, number or quoted text; units are in [`Value::Unit`].
+    /// A word, number or quoted text. Units are in [`Value::Unit`].
     Text(String),
     /// A value with its unit.
     Unit(String, String),
@@ -116,7 +116,7 @@ pub fn parse(bytes: &[u8]) -> Result<Group, OdlError> {
             return Err(reader.error("groups nested too deeply"));
         }
     }
-    // Labels that were cut end inside a group: what was read is kept.
+    // Truncated labels end inside a group: its part that was read is kept.
     while open.len() > 1 {
         close(&mut open);
     }
@@ -205,7 +205,7 @@ impl Reader<'_> {
         }
     }
 
-    /// Reads a key in upper case, without its prefix; `None` at the end.
+    /// Reads a key in upper case, without its prefix. `None` at the end.
     fn key(&mut self) -> Result<Option<String>, OdlError> {
         let start = self.at;
         let part = |byte: u8| byte.is_ascii_alphanumeric() || b"_^:-".contains(&byte);
@@ -273,7 +273,7 @@ impl Reader<'_> {
         }
     }
 
-    /// Reads quoted text; runs of white space become one blank.
+    /// Reads quoted text. Runs of white space become one blank.
     fn quoted(&mut self, quote: u8) -> Result<String, OdlError> {
         self.at += 1;
         let rest = &self.bytes[self.at..];

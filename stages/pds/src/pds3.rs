@@ -22,7 +22,7 @@ const MISSING: [&str; 8] = [
 /// Keys of values that mean more light than can be stored.
 const SATURATED: [&str; 2] = ["HIGH_INSTR_SATURATION", "HIGH_REPR_SATURATION"];
 
-/// Returns the contents of a label. Sizes come from OBJECT = IMAGE only: elsewhere `LINES` is what was requested.
+/// Returns the contents of a label. Sizes come from OBJECT = IMAGE only: elsewhere `LINES` is the requested number.
 pub fn label(odl: &Group) -> Label {
     let state = odl.find(&["INSTRUMENT_STATE_PARMS"]);
     let mut label = Label {
@@ -54,7 +54,7 @@ pub fn no_photo(odl: &Group) -> Option<String> {
             .map(|group| group.name.as_str())
             .take(3)
             .collect();
-        return Some(format!("a label without an image; it describes {objects:?}"));
+        return Some(format!("a label without an image: it describes {objects:?}"));
     }
     let derived = odl
         .find(&["DERIVED_IMAGE_PARMS"])
@@ -64,7 +64,7 @@ pub fn no_photo(odl: &Group) -> Option<String> {
         .map(|kind| format!("a product of type {kind} holds no photo"))
 }
 
-/// Returns the value of a key of the label itself; VICAR has those in a property.
+/// Returns the value of a key of the label itself. VICAR has those in a property.
 fn identification<'a>(odl: &'a Group, key: &str) -> Option<&'a Value> {
     odl.get(key).or_else(|| odl.find(&["IDENTIFICATION"])?.get(key))
 }
@@ -175,7 +175,7 @@ fn entrance(group: &Group, terms: [f64; 3]) -> Result<RawEntrance, CameraError> 
     })
 }
 
-/// Returns the rover's counters by name; without names, in the order of all labels: SITE, DRIVE, POSE, …
+/// Returns the rover's counters by name. Without names, in the order of all labels: SITE, DRIVE, POSE, …
 fn motion_counter(odl: &Group) -> Vec<(String, i64)> {
     let values = identification(odl, "ROVER_MOTION_COUNTER");
     let names = identification(odl, "ROVER_MOTION_COUNTER_NAME");
@@ -292,7 +292,7 @@ fn constants(image: &Group, names: &[&str], sample: Sample) -> Vec<f64> {
     names.iter().filter_map(constant).collect()
 }
 
-/// Returns the look-up table whose codes the pixels are; with `HARDWARE_INVERTED` and the like they are counts again.
+/// Returns the look-up table whose codes the pixels are. With `HARDWARE_INVERTED` and the like they are counts again.
 fn companded_by(odl: &Group) -> Option<String> {
     let all = odl.descendants();
     let places = all.iter().filter(|group| !group.name.contains("REQUEST"));

@@ -19,10 +19,10 @@ const MSN: &str = "http://pds.nasa.gov/pds4/msn/v1";
 const MARS2020: &str = "http://pds.nasa.gov/pds4/mission/mars2020/v1";
 /// Real labels have up to 4,000 nodes.
 const MAX_NODES: u32 = 200_000;
-/// Most attributes of one element; real labels have up to 30. The parser compares each with all others.
+/// Most attributes of one element. Real labels have up to 30. The parser compares each with all others.
 const MAX_ATTRIBUTES: usize = 1_000;
 
-/// XML that is no PDS4 label of an observation.
+/// XML that is not a PDS4 label of an observation.
 #[derive(Debug, thiserror::Error)]
 pub enum Pds4Error {
     /// Larger than any label.
@@ -34,7 +34,7 @@ pub enum Pds4Error {
     /// Not well-formed, with a document type, or of too many nodes.
     #[error("XML is refused: {0}")]
     Malformed(#[from] roxmltree::Error),
-    /// An element with so many attributes that it would keep the parser busy.
+    /// An element whose number of attributes would keep the parser busy.
     #[error("XML is refused: an element has more than {MAX_ATTRIBUTES} attributes")]
     Attributes,
     /// Another document.
@@ -45,7 +45,7 @@ pub enum Pds4Error {
 /// Reads a PDS4 label.
 ///
 /// # Errors
-/// See [`Pds4Error`]; a label without a usable camera is no error but a note.
+/// See [`Pds4Error`]. A label without a usable camera is not an error but a note.
 pub fn read(bytes: &[u8]) -> Result<Label, Pds4Error> {
     if bytes.len() > MAX_LABEL_BYTES {
         return Err(Pds4Error::TooLarge(bytes.len()));
@@ -163,7 +163,7 @@ fn averaged(imaging: Node<'_, '_>) -> Option<u32> {
         .map(|side| side as u32)
 }
 
-/// Returns the look-up table whose codes the pixels are; copies under commanded parameters are ignored.
+/// Returns the look-up table whose codes the pixels are. Copies under commanded parameters are ignored.
 fn companded_by(imaging: Node<'_, '_>) -> Option<String> {
     let companding = at(imaging, &[(IMG, "Sampling"), (IMG, "Companding")])?;
     let state = text_at(companding, &[(IMG, "companding_state")])?;
@@ -195,7 +195,7 @@ fn mosaic(imaging: Node<'_, '_>, notes: &mut Vec<String>) -> Option<BayerPhase> 
     }
 }
 
-/// Returns the first geometry of a lander that has a camera model; further ones are refined solutions.
+/// Returns the first geometry of a lander that has a camera model. Further ones are refined solutions.
 fn geometry<'a, 'd>(discipline: Node<'a, 'd>) -> Option<Node<'a, 'd>> {
     let geometry = child(discipline, GEOM, "Geometry")?;
     children(geometry, GEOM, "Geometry_Lander")
@@ -329,7 +329,7 @@ fn present(definition: Node<'_, '_>) -> Option<Space> {
     })
 }
 
-/// Returns counters by name; older labels call the name `index_name`.
+/// Returns counters by name. Older labels call the name `index_name`.
 fn index(node: Node<'_, '_>, element: &str) -> Vec<(String, i64)> {
     let read = |entry: Node<'_, '_>| {
         let name =
@@ -386,7 +386,7 @@ fn definition_pose(definition: Node<'_, '_>) -> Option<FramePose> {
     Some(FramePose::Given { quaternion, offset })
 }
 
-/// Returns the rover's counters at the photo; if they differ from those of the camera's frame, the latter.
+/// Returns the rover's counters at the photo, or those of the camera's frame if they differ.
 fn counter(lander: Node<'_, '_>, reference: &Space, notes: &mut Vec<String>) -> Vec<i64> {
     let whole = child(lander, GEOM, "Motion_Counter").map(|node| index(node, "Motion_Counter_Index"));
     let whole = whole.unwrap_or_default();

@@ -48,13 +48,14 @@ pub struct RenderedArray {
 
 /// Returns the 8-bit sRGB image of an array, as it is displayed.
 ///
-/// The scaling is fixed, so that photos of one set stay comparable: spectral radiance by 0.125 W / (m2 sr nm) as white,
-/// I/F by 1, counts by the largest count of their bits, then the sRGB curve; 8-bit codes are taken as they are, or
-/// converted to counts by `table`. Colours are not balanced. A pixel becomes black where every band holds a value that means
-/// "missing": in one band alone, such a value may be light. Values that mean "saturated" become white.
+/// The scaling is fixed, so that photos of one set stay comparable. White is 0.125 W / (m2 sr nm) for spectral
+/// radiance, 1 for I/F, and the largest count of their bits for counts, followed by the sRGB curve. 8-bit codes are
+/// taken as they are, or converted to counts by `table`. Colours are not balanced. A pixel becomes black where every
+/// band holds a value that means "missing": in one band alone, such a value may be light. Values that mean
+/// "saturated" become white.
 ///
 /// # Errors
-/// See [`PixelError`]; nothing is allocated before the file has been found long enough, and the limit large enough.
+/// See [`PixelError`]. Memory is allocated only after the length of the file and the limit have been checked.
 pub fn render(
     array: &Array,
     mosaic: Option<BayerPhase>,
@@ -115,7 +116,7 @@ pub fn render(
     })
 }
 
-/// Turns stored pixels as they are displayed; returns a note if they were turned.
+/// Turns stored pixels as they are displayed. Returns a note if they were turned.
 fn display(array: &Array, image: &mut Image<Srgb>) -> Option<String> {
     let mut turned = Vec::new();
     if array.lines == LineDirection::BottomToTop {
@@ -222,7 +223,7 @@ impl Light<'_> {
         })
     }
 
-    /// Returns what should be known of the tones.
+    /// Returns notes on the tones.
     fn notes(&self) -> Vec<String> {
         let mut notes = Vec::new();
         if self.clipped > 0 {
@@ -233,14 +234,14 @@ impl Light<'_> {
         {
             let most = (self.most * white).round();
             notes.push(format!(
-                "doubtful tones: the largest count is {most} and the label does not say how many bits are used; white is {white}"
+                "doubtful tones: the largest count is {most} and the label does not say how many bits are used. White is {white}"
             ));
         }
         notes
     }
 }
 
-/// Reads one stored value; the layout has been checked to lie in the file.
+/// Reads one stored value. The layout has been checked to fit the file.
 fn read(sample: Sample, bytes: &[u8], at: usize) -> f64 {
     let size = sample.bytes as usize;
     let Some(stored) = bytes.get(at..at + size) else {
@@ -372,7 +373,7 @@ impl<'a> Scale<'a> {
         self.saturated.contains(&stored)
     }
 
-    /// Returns the light, which may be below 0 or above 1; 0 of NaN.
+    /// Returns the light, which may be below 0 or above 1. 0 for NaN.
     fn light(&self, stored: f64) -> f64 {
         if stored.is_nan() {
             return 0.0;

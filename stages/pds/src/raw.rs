@@ -40,7 +40,7 @@ pub fn head(bytes: &[u8]) -> Result<Label, String> {
     }
 }
 
-/// Why there is no image.
+/// The reason why there is no image.
 #[derive(Debug, thiserror::Error)]
 pub enum DevelopError {
     /// No label describes an array.
@@ -52,7 +52,7 @@ pub enum DevelopError {
 }
 
 impl DevelopError {
-    /// Tells whether a larger limit of memory would help.
+    /// Whether a larger limit of memory would help.
     pub fn is_limit(&self) -> bool {
         matches!(self, Self::Pixels(pixels::PixelError::TooLarge(_)))
     }
@@ -70,7 +70,8 @@ pub struct Developed {
     pub attached: Option<Label>,
 }
 
-/// Returns the image of a file's pixels by its attached label, else by the detached one; at most [`MAX_DECODED_BYTES`].
+/// Returns the image of a file's pixels by its attached label, else by the detached one, of at most
+/// [`MAX_DECODED_BYTES`].
 ///
 /// # Errors
 /// See [`DevelopError`].
@@ -82,7 +83,7 @@ pub fn develop(
     develop_within(name, bytes, beside, MAX_DECODED_BYTES)
 }
 
-/// As [`develop`], where the image may take so many bytes in memory.
+/// As [`develop`], for an image of at most `limit_bytes` in memory.
 ///
 /// # Errors
 /// See [`DevelopError`].

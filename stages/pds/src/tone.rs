@@ -4,12 +4,12 @@ use std::sync::OnceLock;
 
 /// Spectral radiance that becomes white, W / (m2 sr nm).
 ///
-/// Half the radiance of a white surface under the mean sun of Mars at 550 nm, and above that of the brightest dust,
-/// which reflects a third of the light in the red. In the Mastcam-Z scenes measured, 99.5 % of the samples lie below
+/// Half the radiance of a white surface under the mean sun of Mars at 550 nm. It is above that of the brightest dust,
+/// which reflects a third of the light in the red. In the Mastcam-Z scenes measured, 99.5 % of the samples are below
 /// 0.055, on the calibration target in the sun 93 % below 0.1.
 pub const WHITE_RADIANCE: f64 = 0.125;
 
-/// Returns the sRGB code of light in [0, 1]; below and NaN is 0, above 255.
+/// Returns the sRGB code of light in [0, 1]. Below and NaN is 0, above 255.
 ///
 /// Rounds half up in code space, by comparison with 255 thresholds: no transcendental function, same code everywhere.
 pub fn code(light: f32) -> u8 {

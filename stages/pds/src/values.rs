@@ -5,7 +5,7 @@ use crate::label::{Sample, SampleKind};
 /// Magnitudes from here on mean "unknown" (labels write 1.0e+30).
 const SENTINEL: f64 = 1e29;
 
-/// Reads a finite decimal number; `UNK`, `NULL`, `NaN`, infinities, 1e30 and anything else are `None`.
+/// Reads a finite decimal number. `UNK`, `NULL`, `NaN`, infinities, 1e30 and anything else are `None`.
 pub(crate) fn number(text: &str) -> Option<f64> {
     let value: f64 = text.trim().parse().ok()?;
     (value.is_finite() && value.abs() < SENTINEL).then_some(value)
@@ -65,7 +65,7 @@ pub(crate) fn tuple<const N: usize>(text: &str) -> Option<[f64; N]> {
     numbers?.try_into().ok()
 }
 
-/// Returns the trimmed text; `None` if it means "no value" (`UNK`, `N/A` and the like).
+/// Returns the trimmed text. `None` if it means "no value" (`UNK`, `N/A` and the like).
 pub fn known(text: &str) -> Option<String> {
     let text = text.trim();
     let unknown = ["", "UNK", "UNKNOWN", "NULL", "N/A", "NONE", "NONE AVAILABLE"];

@@ -50,7 +50,7 @@ fn end_label<'a>(label: &Group, bytes: &'a [u8], size: usize) -> Option<&'a [u8]
     rest.get(..length.min(rest.len()).min(MAX_LABEL))
 }
 
-/// Adds items to `label`; `PROPERTY='X'` and `TASK='X'` begin a group.
+/// Adds items to `label`. `PROPERTY='X'` and `TASK='X'` begin a group.
 fn read(text: &[u8], label: &mut Group) {
     let mut reader = Reader { text, at: 0 };
     let mut group = std::mem::take(label);
@@ -99,7 +99,7 @@ impl Reader<'_> {
         }
     }
 
-    /// Reads one `KEY=value`; `None` at the end or where there is no item.
+    /// Reads one `KEY=value`. `None` at the end or without an item.
     fn item(&mut self) -> Option<(String, Value)> {
         self.skip_blank();
         let start = self.at;

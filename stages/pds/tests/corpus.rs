@@ -19,7 +19,7 @@ fn corpus(target: &str) -> Vec<(PathBuf, Vec<u8>)> {
     paths.into_iter().map(read).collect()
 }
 
-/// No panic, and at least one file of each corpus is read as what it is.
+/// No panic, and at least one file of each corpus is accepted by its reader.
 #[test]
 fn every_file_of_a_corpus_is_read_or_refused() {
     for (name, target) in TARGETS {
@@ -50,7 +50,7 @@ fn every_cut_and_every_changed_byte_is_read_or_refused() {
 fn changed(target: Target, bytes: &[u8]) {
     let mut copy = bytes.to_vec();
     for (index, byte) in bytes.iter().enumerate() {
-        // A sign that ends things, a digit more or less, a byte that is no text.
+        // A sign that ends things, a digit more or less, a byte that is not text.
         for other in [b'"', byte.wrapping_add(1), 0xff] {
             copy[index] = other;
             target(&copy);

@@ -95,7 +95,7 @@ fn settings_of_another_array_turn_nothing() {
     assert_eq!((of("photo"), of("quality")), (40, 10));
 }
 
-/// GDAL takes the first array of the label, of two or of three dimensions. A mask is no photo.
+/// GDAL takes the first array of the label, of two or of three dimensions. A mask is not a photo.
 #[test]
 fn of_several_arrays_the_first_that_is_no_mask_is_read() {
     let bytes = [&[255; 6][..], &STORED].concat();
@@ -221,7 +221,7 @@ fn an_image_beyond_the_limit_is_refused_with_both_numbers() {
     );
 }
 
-/// A folder of the faults that were reported; `None`, with a line of output, if it is absent.
+/// A folder of the reported faults. `None`, with a line of output, if it is absent.
 fn shared(name: &str) -> Option<PathBuf> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data/input-faults");
     let path = path.join(name);

@@ -90,15 +90,15 @@ fn names_of_the_real_data_have_the_properties() {
     }
 }
 
-/// Fields of a Mars 2020 name that tell its exposure: instrument, filter, flag, sol, clock, site, drive, sequence,
-/// camera settings.
+/// Fields of a Mars 2020 name that identify its exposure: instrument, filter, flag, sol, clock, site, drive,
+/// sequence, camera settings.
 fn exposure() -> impl Strategy<Value = (String, String)> {
     let head = "(ZL|ZR|NL|NR|FL|HN)[0-7EF_]_[0-9]{4}_[0-9]{10}_[0-9]{3}";
     let tail = "[TN][0-9]{3}[0-9]{4}[A-Z]{4}[0-9]{5}[0-9_]{4}";
     (head, tail)
 }
 
-/// Fields that only tell the product: type, geometry, and downsampling with compression and producer.
+/// Fields that identify only the product: type, geometry, and downsampling with compression and producer.
 fn product() -> impl Strategy<Value = (String, String)> {
     ("(RAD|ECM|EBY|IOF|RZD|XYZ)[_L]", "[0-3](LM|01|85)[JA]")
 }

@@ -1,4 +1,4 @@
-//! Dot products of descriptors by hand-written instructions; the only file of this crate with `unsafe`.
+//! Dot products of descriptors by hand-written instructions. The only file of this crate with `unsafe`.
 //!
 //! The instruction set is chosen by [`marf_numeric::InstructionSet`]. Every set gives the same bits: nothing is
 //! computed with fused multiply-add, and the dot products are integers.
@@ -36,12 +36,12 @@ pub(crate) struct RowBlock {
 #[repr(C, align(64))]
 pub(crate) struct ColumnBlock {
     quads: [[[u8; 4]; COLUMNS]; QUADS],
-    /// 128 times the sum of each descriptor: what the signed rows lack.
+    /// 128 times the sum of each descriptor, which the signed rows lack.
     bias: [i32; COLUMNS],
 }
 
 impl RowBlock {
-    /// Takes up to eight descriptors; rows that are missing are zero.
+    /// Takes up to eight descriptors. Missing rows are zero.
     pub(crate) fn new(descriptors: &[[u8; 128]]) -> Self {
         let mut bytes = [[[0; 4]; QUADS]; ROWS];
         for (row, descriptor) in bytes.iter_mut().zip(descriptors) {
@@ -61,7 +61,7 @@ impl RowBlock {
 }
 
 impl ColumnBlock {
-    /// Takes up to sixteen descriptors; columns that are missing are zero.
+    /// Takes up to sixteen descriptors. Missing columns are zero.
     pub(crate) fn new(descriptors: &[[u8; 128]]) -> Self {
         let mut block = Self {
             quads: [[[0; 4]; COLUMNS]; QUADS],
@@ -85,8 +85,8 @@ pub(crate) trait Lanes: Copy {
 
 /// A computation that is compiled once for each instruction set.
 ///
-/// `run` and all it calls should be `#[inline(always)]`, so that its loops over independent lanes are compiled with the
-/// instructions of the set; what is not inlined is slower, never different.
+/// `run` and all it calls should be `#[inline(always)]`, so that its loops over independent lanes are compiled with
+/// the instructions of the set. Code that is not inlined is slower, never different.
 pub(crate) trait Kernel {
     /// What the computation returns.
     type Output;
@@ -146,7 +146,7 @@ impl Lanes for Avx2 {
         let mut dots = [[0; COLUMNS]; ROWS];
         // Four rows at a time: 8 sums, 4 factors of the columns and 2 of the row fit the 16 registers.
         for (half, out) in dots.as_chunks_mut::<4>().0.iter_mut().enumerate() {
-            // SAFETY: self proves AVX2; a group of 16 columns is 64 bytes, a row of sums 64 bytes.
+            // SAFETY: self proves AVX2. A group of 16 columns is 64 bytes, a row of sums 64 bytes.
             unsafe {
                 let low = _mm256_set1_epi16(0xff);
                 let mut sums = [[_mm256_setzero_si256(); 2]; 4];
@@ -181,7 +181,7 @@ impl Lanes for Avx512 {
     #[inline(always)]
     fn dots(self, rows: &RowBlock, columns: &ColumnBlock) -> Dots {
         let mut dots = [[0; COLUMNS]; ROWS];
-        // SAFETY: self proves AVX-512 F and VNNI; groups, biases and rows of sums are 64 bytes each.
+        // SAFETY: self proves AVX-512 F and VNNI. Groups, biases and rows of sums are 64 bytes each.
         unsafe {
             let mut sums = [_mm512_loadu_si512(columns.bias.as_ptr().cast()); ROWS];
             for quad in 0..QUADS {

@@ -9,7 +9,7 @@ use marf_sfm::bundle::{BundleOptions, Loss, PoseFreedom, Problem, Solver, adjust
 
 use bundle_scene::{RingSize, add_noise, perturb, ring};
 
-/// Returns a perturbed problem of which the first `free` poses are free.
+/// Returns a perturbed problem whose first `free` poses are free.
 fn problem(poses: usize, points: usize, free: usize) -> Problem {
     let size = RingSize {
         poses,

@@ -6,13 +6,13 @@ use serde::de::DeserializeOwned;
 
 /// Returns a state as bytes.
 ///
-/// - `form`: eight letters that name what is written and how it is used.
-/// - `fingerprint`: that of the task of which this is a state.
+/// - `form`: eight letters that name the content and its use.
+/// - `fingerprint`: that of the task that the state belongs to.
 pub(crate) fn encode(form: &[u8; 8], fingerprint: u64, state: &impl Serialize) -> Vec<u8> {
     to_bytes(&(form, fingerprint, state))
 }
 
-/// Reads what [`encode`] wrote; `None` if it is cut, has another form or is a state of another task.
+/// Reads the bytes of [`encode`]. `None` if they are cut, have another form or are a state of another task.
 pub(crate) fn decode<T: DeserializeOwned>(bytes: &[u8], form: &[u8; 8], fingerprint: u64) -> Option<T> {
     let bytes = bytes.strip_prefix(form)?;
     let ((found, state), rest) = postcard::take_from_bytes::<(u64, T)>(bytes).ok()?;

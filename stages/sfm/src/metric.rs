@@ -24,7 +24,7 @@ const ATTITUDE_SIGMA_RAD: f64 = 0.3 * std::f64::consts::PI / 180.0;
 /// Error of the calibration of a rigid stereo pair.
 const STEREO_SIGMA_M: f64 = 0.001;
 const STEREO_SIGMA_RAD: f64 = 0.05 * std::f64::consts::PI / 180.0;
-/// Baseline of a stereo pair, metres; a larger one is another instrument.
+/// Baseline of a stereo pair, metres. A larger one is of another instrument.
 const STEREO_BASELINE_M: std::ops::Range<f64> = 0.01..1.0;
 /// Labels farther off than this are rejected: six sigma.
 const TOLERANCE: Tolerance = Tolerance {
@@ -43,11 +43,11 @@ pub struct RejectedLabel {
     pub angle_rad: f64,
 }
 
-/// Aligns a model with the frame of its labels and adjusts it with them; returns the labels that were rejected.
+/// Aligns a model with the frame of its labels and adjusts it with them. Returns the rejected labels.
 ///
-/// The labels with which most photos agree give scale, rotation and translation; they are then priors (5 cm, 0.3 degrees,
-/// stereo pairs 1 mm and 0.05 degrees) of a last adjustment. `None`, and the model unchanged, if fewer than two labels
-/// agree, or fewer than half of those of the model.
+/// The labels with which most photos agree give scale, rotation and translation. They are then priors (5 cm, 0.3
+/// degrees, stereo pairs 1 mm and 0.05 degrees) of a last adjustment. `None`, and the model unchanged, if fewer than
+/// two labels agree, or fewer than half of those of the model.
 pub fn align_to_labels(
     input: &MapperInput<'_>,
     model: &mut Model,
@@ -76,7 +76,7 @@ fn labelled(model: &Model, labels: &[Option<LabelPose>]) -> (Vec<usize>, Vec<Pos
     both.unzip()
 }
 
-/// Returns priors for the trusted labels; poses are named by their rank among the model's photos.
+/// Returns priors for the trusted labels. Poses are named by their rank among the model's photos.
 fn priors(model: &Model, labels: &[Option<LabelPose>], trusted: &[usize]) -> Vec<Prior> {
     let ranks: Vec<usize> = model.photos().collect();
     let rank = |photo: usize| ranks.partition_point(|&other| other < photo) as u32;
@@ -110,7 +110,7 @@ fn priors(model: &Model, labels: &[Option<LabelPose>], trusted: &[usize]) -> Vec
     priors
 }
 
-/// Tells whether two photos are a stereo pair taken at once.
+/// Whether two photos are a stereo pair taken at once.
 fn is_stereo_pair(a: &LabelPose, b: &LabelPose) -> bool {
     let apart: Vector3<f64> = a.cam_from_site.centre() - b.cam_from_site.centre();
     !a.motion_counter.is_empty()

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 /// What a long computation asks of its caller. Invariant: no answer changes a result.
 pub trait Supervisor: Sync {
-    /// Returns whether to stop; once true, it stays so.
+    /// Returns whether to stop. Once true, it stays so.
     fn stop(&self) -> bool;
 
     /// Returns the time since something was saved.
@@ -12,12 +12,12 @@ pub trait Supervisor: Sync {
         Duration::ZERO
     }
 
-    /// Returns what was last saved under this name (letters, digits and `-`); none if it is damaged.
+    /// Returns the last saved state of this name (letters, digits and `-`). `None` if it is missing or damaged.
     fn load(&self, _part: &str) -> Option<Vec<u8>> {
         None
     }
 
-    /// Replaces what is saved under a name.
+    /// Replaces the saved state of this name.
     fn save(&self, _part: &str, _state: &[u8]) {}
 }
 
@@ -41,7 +41,7 @@ pub(crate) mod testing {
 
     use super::*;
 
-    /// Keeps what is saved in memory, saves at every opportunity, and stops after a number of questions.
+    /// Keeps saved states in memory, saves at every opportunity, and stops after a number of polls.
     #[derive(Default)]
     pub(crate) struct Stopping {
         parts: Mutex<BTreeMap<String, Vec<u8>>>,
@@ -49,7 +49,7 @@ pub(crate) mod testing {
     }
 
     impl Stopping {
-        /// Stops after so many more questions.
+        /// Stops after this many more polls.
         pub(crate) fn after(&self, questions: u64) -> &Self {
             self.questions_left.store(questions, Ordering::Relaxed);
             self

@@ -1,7 +1,7 @@
 //! What an archive may reach: the machine it runs on, or servers.
 //!
-//! A [`NetworkPermit`] is the only way to a [`crate::net::Client`], a [`RemoteContext`] the only way to a permit, and
-//! the table of kinds gives a context to those kinds alone that are declared [`Remote`]. None is given under
+//! A [`NetworkPermit`] is the only way to a [`crate::net::Client`], and a [`RemoteContext`] is the only way to a
+//! permit. The table of kinds gives a context only to kinds that are declared [`Remote`], and never under
 //! `--offline`.
 
 use std::path::{Path, PathBuf};
@@ -11,7 +11,7 @@ use marf_stage::{Access, ArchiveContext, ParamError, StageError};
 /// The archive lies on this machine: it is opened without access to the network.
 pub(crate) enum Local {}
 
-/// The archive lies on servers: it obeys `--locked` and `--offline`, and what it gave is pinned in marf.lock.
+/// The archive is on servers. It obeys `--locked` and `--offline`, and marf.lock pins the files it served.
 pub(crate) enum Remote {}
 
 /// Where the files of a kind of archive lie: [`Local`] or [`Remote`].
@@ -25,7 +25,7 @@ pub(super) mod sealed {
 
     /// The part of [`super::Location`] that kinds can neither implement nor call.
     pub trait Sealed {
-        /// What a kind is opened with beside its parameters.
+        /// Context that a kind is opened with, in addition to its parameters.
         type Context;
         /// Whether connections are opened.
         const REMOTE: bool;
@@ -72,12 +72,12 @@ pub(crate) struct LocalContext {
 }
 
 impl LocalContext {
-    /// Returns a path of the archive's table; a relative one is meant from the folder of pipeline.toml.
+    /// Resolves a path of the archive's table. A relative path starts at the folder of pipeline.toml.
     pub fn path(&self, path: &Path) -> PathBuf {
         self.folder.join(path)
     }
 
-    /// Tells whether files are read again though nothing says that they changed.
+    /// Whether files are read again even if nothing indicates a change.
     pub fn rehash(&self) -> bool {
         self.rehash
     }
@@ -101,7 +101,7 @@ impl RemoteContext {
         &self.lock
     }
 
-    /// Returns what may be asked of the network.
+    /// Returns the permitted use of the network.
     pub fn access(&self) -> Access {
         self.access
     }

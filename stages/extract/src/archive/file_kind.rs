@@ -59,7 +59,7 @@ const SYSTEM_FILES: [(&str, &str); 5] = [
 /// Start of the names of files that hold what macOS could not store with `NAME`.
 const APPLE_DOUBLE: &str = "._";
 
-/// Returns what a file is that a system left, and no photo; `None` for any other.
+/// Describes a file that an operating system or device left next to photos. `None` for any other file.
 pub(crate) fn left_by_a_system(name: &str) -> Option<&'static str> {
     let known = |table: &'static [(&str, &str)], part: &str| {
         table
@@ -77,7 +77,7 @@ pub(crate) fn left_by_a_system(name: &str) -> Option<&'static str> {
         })
 }
 
-/// Tells whether a hidden file or folder is known, so that it is reported.
+/// Whether a hidden file or folder is one that systems are known to leave, so that it is reported.
 pub(crate) fn is_system_name(part: &str) -> bool {
     let is = |table: &[(&str, &str)]| table.iter().any(|(known, _)| part.eq_ignore_ascii_case(known));
     part.starts_with(APPLE_DOUBLE) || is(&SYSTEM_FOLDERS) || is(&SYSTEM_FILES)
@@ -86,7 +86,7 @@ pub(crate) fn is_system_name(part: &str) -> bool {
 /// Extensions of undeveloped pixels as cameras write them.
 const CAMERA_RAW: [&str; 9] = ["3fr", "arw", "cr2", "dng", "iiq", "nef", "orf", "pef", "rw2"];
 
-/// Tells whether bytes begin as a PNM: `P5`, white space, and a number or a comment.
+/// Whether bytes begin as a PNM: `P1` to `P6`, white space, and a number or a comment.
 fn is_pnm(bytes: &[u8]) -> bool {
     matches!(bytes, [b'P', b'1'..=b'6', space, next, ..]
         if space.is_ascii_whitespace() && (next.is_ascii_digit() || *next == b'#'))

@@ -1,4 +1,4 @@
-//! Kinds of archives: what a kind must declare, and its row in the table.
+//! Kinds of archives: the declaration of a kind, and its row in the table.
 
 use marf_stage::{ArchiveContext, ParamError, from_json, schema_of};
 use schemars::{JsonSchema, Schema};
@@ -10,7 +10,7 @@ use super::access::{Location, sealed};
 
 /// A kind of archive as a type.
 pub(crate) trait ArchiveKind {
-    /// The keys of its `[archive.*]` table beside `kind`; doc comments of its fields become the help text. Needs
+    /// The keys of its `[archive.*]` table except `kind`. Doc comments of its fields become the help text. Needs
     /// `#[serde(deny_unknown_fields)]`.
     type Params: DeserializeOwned + JsonSchema;
     /// [`Local`](super::access::Local) or [`Remote`](super::access::Remote): decides whether [`ArchiveKind::open`]
@@ -21,7 +21,7 @@ pub(crate) trait ArchiveKind {
     /// One line for people.
     const ABOUT: &'static str;
 
-    /// Checks the parameters and returns the archive; nothing is read and nobody is asked yet.
+    /// Checks the parameters and returns the archive. Reads no file and sends no request.
     ///
     /// # Errors
     /// Names the key whose value cannot be used.
@@ -40,9 +40,9 @@ pub struct ArchiveDef {
     pub about: &'static str,
     /// Whether its files lie on servers: such an archive obeys `--locked` and `--offline`.
     pub remote: bool,
-    /// JSON schema of its keys beside `kind`.
+    /// JSON schema of its keys except `kind`.
     pub schema: fn() -> Schema,
-    /// Checks the keys beside `kind` and returns the archive.
+    /// Checks the keys except `kind` and returns the archive.
     pub(crate) open: fn(Value, ArchiveContext) -> Result<Box<dyn ArchiveFiles>, ParamError>,
 }
 

@@ -23,7 +23,7 @@ pub(crate) trait ArchiveFiles: Send + Sync {
     fn digests(&self, _ctx: &Ctx<'_>, _shard: u32) -> Result<Option<Files>, StageError> {
         Ok(None)
     }
-    /// Returns the files of one listed shard; those on servers are downloaded.
+    /// Returns the files of one listed shard. Files on servers are downloaded.
     fn files(&self, ctx: &Ctx<'_>, shard: u32) -> Result<ShardFiles, StageError>;
 }
 
@@ -45,17 +45,17 @@ pub(crate) struct ArchiveFile {
     pub name: String,
     /// Its kind.
     pub kind: Kind,
-    /// Digest of its bytes; of the reason where it cannot be read.
+    /// Digest of its bytes, or of the reason why it cannot be read.
     pub digest: Digest,
     bytes: Bytes,
-    /// Where it came from; none for a file of this machine.
+    /// Where it came from. `None` for a local file.
     fetched: Option<FetchedFrom>,
 }
 
 /// Where a file came from.
 #[derive(Debug, Clone)]
 pub(crate) struct FetchedFrom {
-    /// The address that gave it; none where it came with the listing.
+    /// The address that served it. `None` if it came with the listing.
     pub url: Option<String>,
     /// The time, as `YYYY-MM-DDTHH:MM:SSZ`.
     pub time: String,
@@ -141,7 +141,7 @@ impl ArchiveFile {
         }
     }
 
-    /// Returns a file whose bytes are in the store; its kind is by its name alone.
+    /// Returns a file whose bytes are in the store. Its kind follows from its name alone.
     pub fn stored(name: String, digest: Digest, fetched: FetchedFrom) -> Self {
         Self {
             kind: kind(&name, &[]),
@@ -152,7 +152,7 @@ impl ArchiveFile {
         }
     }
 
-    /// Returns a file as an earlier run met it; its bytes are in the store if it was read then.
+    /// Returns a file as an earlier run recorded it. Its bytes are in the store if that run read it.
     pub fn recorded(origin: Origin) -> Self {
         let reason = || origin.reason.clone().unwrap_or_default();
         let kind = match origin.kind {
@@ -246,7 +246,7 @@ impl ArchiveFile {
         }
     }
 
-    /// Returns what is told of the file beside the result; `read` is what it was read as, if it was.
+    /// Returns the origin of the file, stored next to the result. `read` is its content, if it was read.
     pub fn origin(&self, read: Option<&ReadFile>) -> Origin {
         let (kind, reason) = match &self.kind {
             Kind::Photo => (OriginKind::Photo, None),
@@ -280,7 +280,7 @@ impl ArchiveFile {
 /// Why a file is not the listed one.
 const OTHER_BYTES: &str = "its bytes differ from those that were listed";
 
-/// What is known of a file from its name and its bytes.
+/// Facts about a file from its name and its bytes.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Known {
     /// Its kind.
@@ -310,13 +310,13 @@ impl Known {
 /// Reads a label of any kind.
 ///
 /// # Errors
-/// Why the bytes are no label of that kind.
+/// The reason why the bytes are not a label of that kind.
 pub(crate) fn read_label(kind: &Kind, bytes: &[u8]) -> Result<Label, String> {
     match kind {
         Kind::Pds4 => pds4::read(bytes).map_err(|error| error.to_string()),
         Kind::Feed => feed::read(bytes).map_err(|error| error.to_string()),
         Kind::Odl | Kind::Raw => raw::head(bytes),
-        other => Err(format!("{other:?} is no label")),
+        other => Err(format!("{other:?} is not a label")),
     }
 }
 

@@ -22,7 +22,7 @@ pub(crate) struct DemoParams {
     seed: u64,
     /// Width of a photo, pixels.
     width: u32,
-    /// The sol from which on its site is changed: a stone lies there, and dust is gone from a strip.
+    /// The sol from which on its site is changed: a stone is added, and dust is gone from a strip.
     change: Option<u32>,
 }
 
@@ -53,7 +53,7 @@ impl ArchiveKind for Demo {
         let refuse = |message: String| ParamError::new("sols", message);
         if params.sols == Sols::Latest {
             return Err(refuse(
-                "the demo has no latest sol; write a range, e.g. \"1..=3\"".to_owned(),
+                "the demo has no latest sol: write a range, e.g. \"1..=3\"".to_owned(),
             ));
         }
         let sols = params.sols.choose(&SOLS.collect());

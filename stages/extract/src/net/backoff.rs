@@ -26,8 +26,8 @@ pub(super) fn random() -> u64 {
     RandomState::new().hash_one(0_u8)
 }
 
-/// Reads `Retry-After`: seconds, or an HTTP date, which is held against the answer's own `Date` (`now` where it has
-/// none), so that a wrong clock on either side does not matter. A date that has passed is no wait.
+/// Reads `Retry-After`: seconds, or an HTTP date. A date is compared with the answer's own `Date` (`now` if it has
+/// none), so that a wrong clock on either side does not matter. A past date means no wait.
 pub(super) fn retry_after(value: &str, date: Option<&str>, now: SystemTime) -> Option<Duration> {
     let value = value.trim();
     if !value.is_empty() && value.bytes().all(|byte| byte.is_ascii_digit()) {

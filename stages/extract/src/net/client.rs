@@ -29,7 +29,7 @@ const IDLE: Duration = Duration::from_secs(4);
 /// Threads of the runtime: they wait, copy and hash.
 const WORKERS: usize = 2;
 
-/// Downloads files, few at a time from one host. Dropping it ends what is under way; parts stay.
+/// Downloads files, few at a time from one host. Dropping it cancels running downloads. Their parts stay.
 #[derive(Debug)]
 pub(crate) struct Client {
     shared: Arc<Shared>,
@@ -37,7 +37,7 @@ pub(crate) struct Client {
 }
 
 impl Client {
-    /// Makes a client; no request is sent.
+    /// Makes a client. No request is sent.
     ///
     /// # Errors
     /// A system without certificates to trust, threads that cannot be started.
@@ -63,13 +63,13 @@ impl Client {
         })
     }
 
-    /// Asks for all, at most `per_host` at a time a host; `done(index, answer)` is called on the caller's thread as
-    /// each ends, in the order they end. What one download costs in memory, `cap_bytes`, may be held `per_host` times a
+    /// Downloads all, at most `per_host` at a time a host. `done(index, answer)` is called on the caller's thread as
+    /// each ends, in the order they end. The memory of one download is `cap_bytes`. It may be held `per_host` times a
     /// host, and once more in `done`.
     ///
     /// # Errors
-    /// [`StageError::Cancelled`] within 2 s of the wish to stop, what `done` says, two downloads with one part. Parts of
-    /// what was under way stay, and the next call goes on from them. A download that fails is no error here.
+    /// [`StageError::Cancelled`] within 2 s of a requested stop, errors of `done`, two downloads with one part. Parts
+    /// of running downloads stay, and the next call continues them. A download that fails is not an error here.
     pub(crate) fn get_all(
         &self,
         ctx: &Ctx<'_>,
@@ -94,7 +94,7 @@ impl Client {
         ctx.check()
     }
 
-    /// Returns what was asked since the client was made.
+    /// Returns the traffic since the client was made.
     pub(crate) fn traffic(&self) -> Traffic {
         self.shared.counters.read()
     }
@@ -111,7 +111,7 @@ impl Drop for Client {
 
 type Reported = (usize, Result<Answer, NetError>);
 
-/// One call of `get_all`: what waits, by the host it asks first, and what is under way.
+/// One call of `get_all`: waiting downloads by the host of their first request, and running downloads.
 struct Batch<'a> {
     shared: &'a Arc<Shared>,
     runtime: &'a Runtime,
@@ -176,7 +176,7 @@ impl<'a> Batch<'a> {
     }
 }
 
-/// Stops what is under way and waits, for a while, until its parts are finished.
+/// Stops running downloads and waits, for a while, until their parts are finished.
 impl Drop for Batch<'_> {
     fn drop(&mut self) {
         self.under_way.values().for_each(|(_, task)| task.abort());

@@ -36,7 +36,7 @@ impl fmt::Display for NetError {
         }
         self.before
             .iter()
-            .try_for_each(|line| write!(f, "; before it {line}"))
+            .try_for_each(|line| write!(f, ". Before that, {line}"))
     }
 }
 
@@ -46,9 +46,9 @@ impl From<NetError> for StageError {
         match &*error.kind {
             NetErrorKind::Part { .. } => failed.hint("free space or choose another folder, and run again"),
             NetErrorKind::Redirect(_) | NetErrorKind::NotAllowed => {
-                failed.hint("check the archive's `base` addresses; only their hosts are asked")
+                failed.hint("check the archive's `base` addresses: only their hosts are contacted")
             }
-            _ if error.retryable => failed.hint("run again later: what has come is kept"),
+            _ if error.retryable => failed.hint("run again later: partial downloads are kept"),
             _ => failed,
         }
     }
@@ -57,13 +57,13 @@ impl From<NetError> for StageError {
 /// The cause of a failed try.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum NetErrorKind {
-    /// A status that is no answer.
+    /// A status that does not answer the request.
     #[error("answers status {0}")]
     Status(u16),
-    /// A `Retry-After` beyond what is waited.
-    #[error("asks to wait {} s; at most {} s are waited", .wait.as_secs(), LONGEST_RETRY_AFTER.as_secs())]
+    /// A `Retry-After` beyond the longest accepted wait.
+    #[error("asks to wait {} s: marf waits at most {} s", .wait.as_secs(), LONGEST_RETRY_AFTER.as_secs())]
     Later {
-        /// What is left of the wait.
+        /// The remaining wait.
         wait: Duration,
     },
     /// No connection, or it broke.
@@ -105,7 +105,7 @@ pub(crate) enum NetErrorKind {
         came: u64,
     },
     /// A 206 that is not the rest that was asked for.
-    #[error("the rest does not fit what is kept: {0}")]
+    #[error("the rest does not fit the kept part: {0}")]
     Rest(String),
     /// A body in an encoding that was not asked for.
     #[error("the body is encoded as `{0}`, which was not asked for")]
@@ -150,7 +150,7 @@ pub(crate) enum NetErrorKind {
 }
 
 impl NetErrorKind {
-    /// Tells whether the next try may succeed.
+    /// Whether the next try may succeed.
     pub(super) fn worth_another_try(&self) -> bool {
         match self {
             Self::Broken(_)
@@ -163,7 +163,7 @@ impl NetErrorKind {
         }
     }
 
-    /// Tells whether another run may succeed.
+    /// Whether another run may succeed.
     pub(super) fn worth_another_run(&self) -> bool {
         self.worth_another_try()
             || matches!(
@@ -217,7 +217,7 @@ mod tests {
         };
         assert_eq!(
             error.to_string(),
-            "https://a.example/x: answers status 503 (5 tries in 12.3 s); before it https://b.example/x: answers status 500"
+            "https://a.example/x: answers status 503 (5 tries in 12.3 s). Before that, https://b.example/x: answers status 500"
         );
         let StageError::Failed { hint, .. } = error.clone().into() else {
             panic!("{error}")
@@ -229,7 +229,7 @@ mod tests {
         };
         assert_eq!(
             error.to_string(),
-            "https://a.example/x: asks to wait 3600 s; at most 600 s are waited"
+            "https://a.example/x: asks to wait 3600 s: marf waits at most 600 s"
         );
     }
 

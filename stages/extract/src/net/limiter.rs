@@ -124,7 +124,7 @@ impl HostLimiter {
 
     /// Starts no request before the end of a pause that the host asked for.
     pub(super) fn pause(&self, wait: Duration) {
-        // A year stands for all that no clock can hold.
+        // At most a year, since a clock may not hold more.
         let wait = wait.min(Duration::from_secs(365 * 86_400));
         let mut state = self.state.lock();
         state.next = state.next.max(Instant::now().checked_add(wait));

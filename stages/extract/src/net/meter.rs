@@ -8,7 +8,7 @@ const WINDOW: Duration = Duration::from_secs(20);
 /// Time after which the remaining time is estimated.
 const FIRST_GUESS: Duration = Duration::from_secs(3);
 
-/// Measures the rate of downloads; the caller passes the time.
+/// Measures the rate of downloads. The caller passes the time.
 #[derive(Debug)]
 pub(crate) struct Meter {
     total: u64,

@@ -1,20 +1,23 @@
-//! A polite, bounded HTTP client for archives; the only module that opens a socket.
+//! A polite, bounded HTTP client for archives. The only module that opens a socket.
 //!
 //! ```text
 //! client.rs    the blocking interface: many downloads, few connections, one caller
 //! transfer.rs  one download: mirrors, tries, redirects, the body
-//! limiter.rs   one host: how many requests at once, how far apart, when no more are sent
+//! limiter.rs   one host: requests at once, time between them, when to stop
 //! part.rs      an unfinished body, kept on disk and continued
 //! status.rs backoff.rs origin.rs range.rs rate.rs meter.rs   decisions without a socket
 //! ```
 //!
-//! Invariants: no request leaves for an origin that the configuration does not name, redirects included; nothing is
-//! read past its cap; every wait has an end; what was asked, how often and how long it took reaches no result.
+//! Invariants:
+//! - No request goes to an origin that the configuration does not name, redirects included.
+//! - Nothing is read beyond its cap.
+//! - Every wait has an end.
+//! - Requests, their number and their duration do not enter any result.
 //!
 //! - HTTP/1.1 only, no cookies, no decompression (`Accept-Encoding: identity`), redirects followed by hand.
-//! - TLS is rustls on ring; certificates are checked by what the system trusts.
-//! - `HTTPS_PROXY`, `ALL_PROXY` and `NO_PROXY` of the environment hold for https; the proxy settings of macOS and
-//!   Windows are not read. A loopback origin is always asked directly.
+//! - TLS is rustls on ring. Certificates are checked against the system's trust store.
+//! - `HTTPS_PROXY`, `ALL_PROXY` and `NO_PROXY` of the environment apply to https. The proxy settings of macOS and
+//!   Windows are not read. A loopback origin is always reached directly.
 
 mod backoff;
 mod client;
@@ -52,9 +55,9 @@ pub(crate) struct ClientSettings {
     pub per_host: usize,
     /// Time between the starts of two requests to one host.
     pub delay: Duration,
-    /// Tries an address, the first included; at least 1.
+    /// Tries an address, the first included. At least 1.
     pub tries: u32,
-    /// Longest wait before the second try; it doubles with each further one.
+    /// Longest wait before the second try. It doubles with each further one.
     pub first_wait: Duration,
     /// Longest of these waits. A host's own `Retry-After` may ask for more, up to 10 minutes.
     pub longest_wait: Duration,
@@ -62,7 +65,7 @@ pub(crate) struct ClientSettings {
     pub stall: Duration,
     /// Window over which the mean rate of a body is taken.
     pub slow_after: Duration,
-    /// Smallest mean rate over a window, bytes a second; a body that drips slower is given up.
+    /// Smallest mean rate over a window, bytes a second. A slower body is given up.
     pub slowest: u64,
     /// The `User-Agent`: program, version, contact.
     pub agent: String,
@@ -90,7 +93,7 @@ impl ClientSettings {
     }
 }
 
-/// What a host said of the version of a body; sent back, it asks whether the body is still the same.
+/// Version of a body as the host reported it. Sent back, it asks whether the body is still the same.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Validators {
     /// `ETag`, with its quotes.
@@ -104,21 +107,21 @@ pub(crate) struct Validators {
 /// One file to download.
 #[derive(Debug, Clone)]
 pub(crate) struct Download {
-    /// Its address on each mirror, in order of preference; the one that an unfinished part came from goes first.
+    /// Its address on each mirror, in order of preference. The address that an unfinished part came from goes first.
     pub urls: Vec<Url>,
     /// Largest body that is taken, bytes.
     pub cap_bytes: u64,
-    /// What the first address said last time; that address alone is asked whether the file changed since.
+    /// Validators of the last answer of the first address. Only that address is asked whether the file changed since.
     pub known: Option<Validators>,
-    /// Where an unfinished body is kept, with a sidecar `PART.json` beside it; no two downloads share one.
+    /// Path of an unfinished body, with a sidecar `PART.json` next to it. No two downloads share one.
     pub part: Option<PathBuf>,
 }
 
 /// How a download ended.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum Answer {
-    /// The body. The caller checks what it is: a firewall's page is a body too. Its part stays, complete, until
-    /// [`forget`]: a process that ends before then leaves it to the next, which needs no request.
+    /// The body. The caller checks its content: a firewall's page is a body too. Its part stays, complete, until
+    /// [`forget`]. If the process ends before then, the next one uses the part without a request.
     Whole {
         /// The body, `cap_bytes` at most.
         bytes: Vec<u8>,

@@ -41,7 +41,7 @@ pub(crate) struct Refused {
 }
 
 impl Origin {
-    /// Reads the origin of an address that the configuration names; its path is ignored.
+    /// Reads the origin of an address that the configuration names. Its path is ignored.
     ///
     /// # Errors
     /// No https (http is taken for a loopback host alone), a user name, no host.
@@ -50,13 +50,13 @@ impl Origin {
             text: cut(text),
             reason,
         };
-        let url = Url::parse(text).map_err(|_| error("it is no address"))?;
+        let url = Url::parse(text).map_err(|_| error("it is not an address"))?;
         if has_user(&url) {
             return Err(error("it holds a user name or password"));
         }
         let origin = Self::from_url(&url).ok_or_else(|| error("it is neither https nor http with a host"))?;
         if !origin.secure && !origin.is_loopback() {
-            return Err(error("http is taken for a loopback host alone; use https"));
+            return Err(error("http is taken for a loopback host alone: use https"));
         }
         Ok(origin)
     }
@@ -76,7 +76,7 @@ impl Origin {
         })
     }
 
-    /// Tells whether it is asked over TLS.
+    /// Whether it is reached over TLS.
     pub(crate) fn is_secure(&self) -> bool {
         self.secure
     }
@@ -101,7 +101,7 @@ impl Origin {
         }
     }
 
-    /// Tells whether it names a machine or a network that the public internet does not reach.
+    /// Whether it names a machine or a network that the public internet does not reach.
     fn is_private(&self) -> bool {
         match self.address() {
             Some(IpAddr::V4(address)) => private_v4(address),
@@ -121,7 +121,7 @@ impl fmt::Display for Origin {
     }
 }
 
-/// Tells whether an address is in a range of RFC 6890 that is not globally reachable, or multicast.
+/// Whether an address is in a range of RFC 6890 that is not globally reachable, or multicast.
 fn private_v4(address: Ipv4Addr) -> bool {
     let [a, b, c, _] = address.octets();
     address.is_private()
@@ -136,7 +136,7 @@ fn private_v4(address: Ipv4Addr) -> bool {
         || (a == 198 && (b == 18 || b == 19))
 }
 
-/// As [`private_v4`]; addresses that wrap one of version 4 are judged by it.
+/// As [`private_v4`]. Addresses that wrap one of version 4 are judged by it.
 fn private_v6(address: Ipv6Addr) -> bool {
     let segments = address.segments();
     if let Some(inner) = address.to_ipv4() {
@@ -153,7 +153,7 @@ fn private_v6(address: Ipv6Addr) -> bool {
     }
 }
 
-/// Tells whether the first request may go there.
+/// Whether the first request may go there.
 pub(super) fn may_ask(allowed: &[Origin], url: &Url) -> bool {
     !has_user(url) && Origin::from_url(url).is_some_and(|origin| allowed.contains(&origin))
 }
@@ -163,8 +163,8 @@ pub(super) fn may_ask(allowed: &[Origin], url: &Url) -> bool {
 /// A private or loopback address is followed only from such an address, even where the configuration names it.
 ///
 /// # Errors
-/// A text that is no address, another scheme, https to http, a user name, a private address, an origin that is not
-/// allowed; names both ends.
+/// Names both ends of the redirect. Refused are: a text that is not an address, another scheme, https to http, a user
+/// name, a private address, an origin that is not allowed.
 pub(super) fn redirected(allowed: &[Origin], from: &Url, location: &str) -> Result<Url, Refused> {
     let refused = |to: String, reason| Refused {
         from: shown(from),
@@ -173,7 +173,7 @@ pub(super) fn redirected(allowed: &[Origin], from: &Url, location: &str) -> Resu
     };
     let mut to = from
         .join(location)
-        .map_err(|_| refused(cut(location), "it is no address"))?;
+        .map_err(|_| refused(cut(location), "it is not an address"))?;
     let name = shown(&to);
     let origin = Origin::from_url(&to)
         .ok_or_else(|| refused(name.clone(), "it is neither https nor http with a host"))?;
@@ -198,7 +198,7 @@ fn has_user(url: &Url) -> bool {
     !url.username().is_empty() || url.password().is_some()
 }
 
-/// Returns scheme, host and path of an address, for people; no user, no query.
+/// Returns scheme, host and path of an address for display, without user and query.
 pub(super) fn shown(url: &Url) -> String {
     match url.host_str() {
         Some(host) => {

@@ -1,8 +1,8 @@
 //! An unfinished body: in memory, and in a part on disk from which a later run goes on.
 //!
-//! Beside `PART` lies `PART.json`: the address, its validators, the length, how many bytes are good and their blake3.
-//! Only bytes with the sidecar's digest are taken from a part, so neither file needs a sync: what a crash spoils
-//! does not verify and is fetched again. A part that another process holds is left to it.
+//! The sidecar `PART.json` of `PART` holds the address, its validators, the length, the number of good bytes and
+//! their blake3. Only bytes with the sidecar's digest are taken from a part, so neither file needs a sync: bytes that
+//! a crash spoils do not verify and are fetched again. A part that another process holds is left to it.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{Read, Seek, SeekFrom, Write};
@@ -70,7 +70,7 @@ pub(super) struct PartialDownload {
 }
 
 impl PartialDownload {
-    /// Opens the part that an earlier try or run has left; what does not verify is dropped.
+    /// Opens the part of an earlier try or run. Bytes that do not verify are dropped.
     ///
     /// # Errors
     /// A part that cannot be opened or read.
@@ -88,7 +88,7 @@ impl PartialDownload {
         let mut file = opened(path).map_err(|error| in_part(path, &error))?;
         match file.try_lock() {
             Ok(()) => {}
-            // Another process fetches the same thing; ours stays in memory.
+            // Another process fetches the same file. Ours stays in memory.
             Err(fs::TryLockError::WouldBlock) => return Ok(partial),
             Err(fs::TryLockError::Error(error)) => return Err(in_part(path, &error)),
         }
@@ -108,7 +108,7 @@ impl PartialDownload {
         self.body.as_ref()
     }
 
-    /// Tells whether the body is complete.
+    /// Whether the body is complete.
     pub(super) fn is_complete(&self) -> bool {
         self.complete
     }
@@ -207,7 +207,7 @@ impl PartialDownload {
     /// Ends the body and returns its bytes, if they are as many as announced.
     ///
     /// # Errors
-    /// Another length; a part that cannot be written.
+    /// Another length, or a part that cannot be written.
     pub(super) fn finish(&mut self) -> Result<(Head, Vec<u8>), NetErrorKind> {
         let body = self.body.as_mut().ok_or(NetErrorKind::Lost)?;
         let came = body.len();
@@ -220,7 +220,7 @@ impl PartialDownload {
         self.taken().ok_or(NetErrorKind::Lost)
     }
 
-    /// Takes the body out; the part stays as it is.
+    /// Takes the body out. The part stays as it is.
     pub(super) fn taken(&mut self) -> Option<(Head, Vec<u8>)> {
         let body = self.body.take()?;
         Some((body.head, body.bytes))
@@ -262,7 +262,7 @@ impl PartialDownload {
     }
 }
 
-/// An unfinished download keeps what has come; where that fails, it costs only time.
+/// An unfinished download keeps the bytes received so far. If that fails, it costs only time.
 impl Drop for PartialDownload {
     fn drop(&mut self) {
         if !self.complete {

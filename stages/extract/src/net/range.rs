@@ -20,8 +20,7 @@ pub(super) fn if_range(validators: &Validators) -> Option<&str> {
     etag.or_else(|| validators.modified.as_deref().filter(dated))
 }
 
-/// Tells whether the answer is of another version than the one that is kept; a validator that either side lacks
-/// says nothing.
+/// Whether the answer is of another version than the kept one. A validator that either side lacks is not compared.
 pub(super) fn differs(kept: &Validators, answer: &Validators) -> bool {
     let other = |a: &Option<String>, b: &Option<String>| a.is_some() && b.is_some() && a != b;
     other(&kept.etag, &answer.etag) || other(&kept.modified, &answer.modified)

@@ -12,7 +12,7 @@ pub(super) struct RateMonitor {
 }
 
 impl RateMonitor {
-    /// Begins at time 0 of the body; `slowest` in bytes a second over each `window`.
+    /// Begins at time 0 of the body. `slowest` is in bytes a second over each `window`.
     pub(super) fn new(window: Duration, slowest: u64) -> Self {
         Self {
             window,
@@ -22,7 +22,7 @@ impl RateMonitor {
         }
     }
 
-    /// Adds bytes that came at `now` since the body began; returns the rate, bytes a second, if it is too slow.
+    /// Adds bytes that came at `now` since the body began. Returns the rate, bytes a second, if it is too slow.
     pub(super) fn came(&mut self, bytes: u64, now: Duration) -> Option<u64> {
         self.bytes += bytes;
         let span = now.saturating_sub(self.began);
@@ -49,7 +49,7 @@ mod tests {
         assert_eq!(
             pace.came(64 << 20, seconds(60)),
             None,
-            "a fast beginning is no credit"
+            "a fast beginning gives no credit"
         );
         assert_eq!(pace.came(29, seconds(90)), None);
         assert_eq!(pace.came(29, seconds(120)), Some(0));

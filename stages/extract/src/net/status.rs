@@ -1,6 +1,6 @@
 //! What an HTTP status means.
 
-/// What a request asked beside the body.
+/// Parts of a request that decide the meaning of a status.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Asked {
     /// It asked for the rest of a body.
@@ -18,7 +18,7 @@ pub(super) enum StatusClass {
     Rest,
     /// The file did not change.
     Unchanged,
-    /// There is no such file here.
+    /// The file does not exist here.
     Absent,
     /// The rest cannot be sent: ask for the whole.
     Restart,
@@ -32,10 +32,10 @@ pub(super) enum StatusClass {
     Final,
 }
 
-/// Returns what a status means.
+/// Classifies a status.
 ///
-/// 408, 425, 429, every 5xx, and answers to questions that were not asked are worth another try; 403 and other 4xx
-/// are final for this address.
+/// 408, 425, 429, every 5xx, and answers that do not fit the request are worth another try. 403 and other 4xx are
+/// final for this address.
 pub(super) fn classify(status: u16, asked: Asked) -> StatusClass {
     match status {
         200 => StatusClass::Whole,

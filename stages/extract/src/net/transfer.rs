@@ -28,7 +28,7 @@ const DRAIN_TIME: Duration = Duration::from_secs(2);
 pub(super) struct Shared {
     pub settings: ClientSettings,
     pub limiters: HostLimiters,
-    /// Asks loopback origins; knows neither proxies nor TLS.
+    /// For loopback origins, without proxies and TLS.
     pub plain: reqwest::Client,
     /// Asks everything else.
     pub secure: Option<reqwest::Client>,
@@ -104,7 +104,7 @@ impl Shared {
         self.mirrors(download, &mut partial).await
     }
 
-    /// Asks one mirror after the other; the one that the part came from goes first.
+    /// Tries one mirror after the other. The one that the part came from goes first.
     async fn mirrors(&self, download: &Download, partial: &mut PartialDownload) -> Result<Answer, NetError> {
         let begun = partial.body().map(|body| body.head.asked.clone());
         let mut order: Vec<usize> = (0..download.urls.len()).collect();
@@ -250,7 +250,7 @@ impl Shared {
         Ok((request, about))
     }
 
-    /// Returns the answer of a response that is no redirect.
+    /// Returns the answer of a response that is not a redirect.
     async fn answer(
         &self,
         asked: &Url,
@@ -348,7 +348,7 @@ fn whole(head: Head, bytes: Vec<u8>) -> Answer {
     }
 }
 
-/// Returns the failure of a status; a wait that is too long ends the tries.
+/// Returns the failure of a status. A wait that is too long ends the tries.
 fn refusal(status: u16, wait: Option<Duration>) -> Failure {
     match wait.filter(|wait| *wait > backoff::LONGEST_RETRY_AFTER) {
         Some(wait) => NetErrorKind::Later { wait }.into(),
@@ -395,7 +395,7 @@ fn elsewhere(settings: &ClientSettings, from: &Url, response: &Response) -> Resu
     Ok(redirected(&settings.allowed, from, location)?)
 }
 
-/// Tells whether a 206 is the rest of what is held.
+/// Checks that a 206 is the rest of the held body.
 fn check_rest(response: &Response, partial: &mut PartialDownload) -> Result<(), NetErrorKind> {
     let body = partial.body().ok_or(NetErrorKind::Lost)?;
     if range::differs(&body.head.validators, &validators(response)) {
@@ -411,7 +411,7 @@ fn asked_wait(response: &Response) -> Option<Duration> {
     backoff::retry_after(value, text(response, DATE), SystemTime::now())
 }
 
-/// Reads a small body to its end, so that its connection can be used again; a large or slow one is cut.
+/// Reads a small body to its end, so that its connection can be used again. A large or slow one is cut.
 async fn drain(mut response: Response, stall: Duration) {
     let mut read = 0;
     let all = async {

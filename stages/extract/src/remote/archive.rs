@@ -53,7 +53,7 @@ struct Survey {
     lock: OpenLock,
 }
 
-/// A sol that is to be brought.
+/// A sol to fetch.
 pub(super) struct SolWork {
     /// What it has.
     pub files: SolFiles,
@@ -64,7 +64,7 @@ pub(super) struct SolWork {
 }
 
 impl RemoteArchive {
-    /// Makes the archive; nobody is asked yet.
+    /// Makes the archive. No request is sent.
     ///
     /// # Errors
     /// Names the key of `network` that is out of range, or the address that cannot be asked.
@@ -93,7 +93,7 @@ impl RemoteArchive {
         self.context.name()
     }
 
-    /// Returns what may be asked of the network.
+    /// Returns the permitted use of the network.
     pub(super) fn access(&self) -> Access {
         self.context.access()
     }
@@ -178,7 +178,7 @@ impl RemoteArchive {
         Ok((listing, Survey { sols, lock }))
     }
 
-    /// Asks the server, and compares what it has with what is pinned.
+    /// Lists the archive on the server and compares it with the pins.
     fn list_online(&self, ctx: &Ctx<'_>) -> Result<(Listing, Survey), StageError> {
         let lock = self.lock.open()?;
         let summaries = self.summaries(ctx, &lock);
@@ -232,7 +232,7 @@ impl RemoteArchive {
         state.pages.get_or_insert_with(|| Pages::open(ctx.scratch, &name))
     }
 
-    /// Returns what a listed sol has, and its pins.
+    /// Returns the files of a listed sol and its pins.
     ///
     /// # Errors
     /// Pins that cannot be read, a server that cannot be asked, a sol that is not there.
@@ -258,7 +258,7 @@ impl RemoteArchive {
         };
         let listing = survey.sols.get(&sol).ok_or_else(|| {
             StageError::new(format!("archive `{}` has no sol {sol} any more", self.name()))
-                .hint("run again: it is listed anew")
+                .hint("run again to list it again")
         })?;
         let written = survey.lock.pins(sol)?;
         let pins = written
@@ -332,7 +332,7 @@ impl RemoteArchive {
                 "record `{name}` of sol {sol} is not what `{LOCK_FILE}` pins"
             ))
             .cause("the feed gives it with other content now, or no longer")
-            .hint("run without --locked to take what the feed gives now")
+            .hint("run without --locked to take the current record of the feed")
         };
         let mut state = self.state.lock();
         let pages = self.pages(ctx, &mut state);
@@ -371,7 +371,7 @@ impl RemoteArchive {
             .hint("run once without --locked and --offline")
     }
 
-    /// Returns the error that no product of the sols asked for is there; `who` is what lists the present ones.
+    /// Returns the error that the requested sols have no product. `who` is the source that lists the present ones.
     fn nothing(&self, present: &BTreeSet<u32>, who: &str) -> StageError {
         let there = match (present.first(), present.last()) {
             (Some(first), Some(last)) => format!("{who} {} sols from {first} to {last}", present.len()),

@@ -41,7 +41,7 @@ pub(crate) struct Catalog {
     pub present: BTreeSet<u32>,
 }
 
-/// Where it is listed what a sol has.
+/// Source of the file list of a sol.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum SolListing {
     /// Pages that name its products.
@@ -50,7 +50,7 @@ pub(crate) enum SolListing {
     Pinned,
 }
 
-/// What is asked of a catalog.
+/// A request to a catalog.
 #[derive(Clone, Copy)]
 pub(crate) struct Question<'a> {
     /// The context of the stage.
@@ -59,28 +59,29 @@ pub(crate) struct Question<'a> {
     pub client: &'a Client,
     /// The sols.
     pub sols: &'a Sols,
-    /// Tells whether everything that a sol had is pinned.
+    /// Whether everything of a sol is pinned.
     pub is_pinned: &'a dyn Fn(u32) -> bool,
 }
 
-/// A server that can be asked what it has.
+/// A server that lists its sols and files.
 pub(crate) trait CatalogSource: Send + Sync {
-    /// Returns in words which of the products of a sol are taken; a sol that is pinned for other words is listed again.
+    /// Describes the selected products of a sol. A sol that is pinned for another text is listed again.
     fn selection(&self) -> String;
 
-    /// Returns what tells the pages of this source from those of others in the scratch folder.
+    /// Returns the text that identifies the pages of this source in the scratch folder.
     fn name(&self) -> String;
 
-    /// Asks the server which sols there are; what cannot have changed is taken from `pages`, what came is put there.
+    /// Requests the list of sols from the server. Unchangeable pages are taken from `pages`, and new pages are put
+    /// there.
     ///
     /// # Errors
     /// A server that cannot be asked or understood, the wish to stop.
     fn catalog(&self, question: Question<'_>, pages: &mut Pages) -> Result<Catalog, StageError>;
 
-    /// Returns the files of a sol from the pages that list it; `None` where one of them is lost.
+    /// Returns the files of a sol from the pages that list it. `None` if one of them is lost.
     ///
     /// # Errors
-    /// An address that is none.
+    /// An invalid address.
     fn files(&self, pages: &Pages, sol: u32, listing: &[String]) -> Result<Option<SolFiles>, StageError>;
 }
 
@@ -93,7 +94,7 @@ struct Seen<'a> {
     others: Vec<Digest>,
     /// The listing says that it changed since it was fetched.
     changed: Option<&'a str>,
-    /// The server answered this status in place of the file.
+    /// The server answered this status instead of the file.
     gone: Option<u64>,
 }
 
@@ -111,7 +112,7 @@ impl ContentHash for Seen<'_> {
 }
 
 impl SolListing {
-    /// Returns the digest of what is listed; the digest of nothing where that is unknown.
+    /// Returns the digest of the listing, or a fixed digest if the sol is pinned and was not listed.
     pub fn digest(&self, pages: &Pages) -> Digest {
         let Self::Pages(paths) = self else {
             return Digest::from_content(b"pinned");
@@ -122,12 +123,12 @@ impl SolListing {
 }
 
 impl SolFiles {
-    /// Tells whether neither a wanted nor an unwanted file is known.
+    /// Whether neither a wanted nor an unwanted file is known.
     pub fn is_empty(&self) -> bool {
         self.files.is_empty() && self.left_out.is_empty()
     }
 
-    /// Adds what is known from earlier: products that were fetched or left out and are listed no more.
+    /// Adds earlier products: those that were fetched or left out and are no longer listed.
     pub fn with_history(mut self, pins: &SolPins) -> Self {
         let listed = |name: &String| self.files.contains_key(name) || self.left_out.contains_key(name);
         let gone = |name: &String| (name.clone(), "the archive lists it no longer".to_owned());
@@ -150,7 +151,7 @@ impl SolFiles {
         self
     }
 
-    /// Returns what the lock names of a sol.
+    /// Returns the files that the lock names for a sol.
     pub fn from_pins(pins: &SolPins) -> Self {
         let file = |pin: &Pin| RemoteFile {
             urls: Url::parse(&pin.url).into_iter().collect(),
@@ -173,9 +174,9 @@ impl SolFiles {
             .count()
     }
 
-    /// Returns the digest of everything that decides whether the sol is brought again: names and, where they are known, the
-    /// bytes that are used; never addresses. Once everything is pinned and the listing says nothing new, it is the digest
-    /// that the pins alone give.
+    /// Returns the digest of everything that decides whether the sol is fetched again: names and, where known, the
+    /// bytes in use, but never addresses. Once everything is pinned and the listing has no news, it is the digest of
+    /// the pins alone.
     pub fn fingerprint(&self, pins: &SolPins) -> Digest {
         let listed = self.files.iter().map(|(name, file)| {
             let pin = pins.files.get(name);
@@ -214,7 +215,7 @@ impl SolFiles {
     }
 }
 
-/// Returns the listing's date, if it is another than that of what was fetched.
+/// Returns the listing's date, if it differs from that of the fetched file.
 pub(super) fn changed<'a>(fetched: Option<&str>, listed: Option<&'a str>) -> Option<&'a str> {
     match (fetched, listed) {
         (Some(fetched), Some(listed)) if fetched != listed => Some(listed),

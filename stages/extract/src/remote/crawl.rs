@@ -28,8 +28,8 @@ pub(crate) struct Folder {
     pub path: String,
     /// It is too old to change: once it was listed as such, it is not asked for again.
     pub settled: bool,
-    /// What another page says of its version, if that tells of every change in it: a folder that was listed in this
-    /// version is not asked for again.
+    /// Its version on another page, if that page shows every change in the folder. A folder that was listed in this
+    /// version is not requested again.
     pub version: Option<String>,
 }
 
@@ -52,18 +52,17 @@ impl Folder {
         }
     }
 
-    /// Tells whether the last listing still holds.
+    /// Whether the last listing still holds.
     fn holds(&self, page: &PageState) -> bool {
         (self.settled && page.settled) || (self.version.is_some() && self.version == page.version)
     }
 }
 
 impl Crawl<'_> {
-    /// Lists folders whose last listing may not hold any more; afterwards [`Pages`] has them all, also those that are not
-    /// there.
+    /// Lists folders whose last listing may be out of date. Afterwards [`Pages`] has all of them, also missing ones.
     ///
     /// # Errors
-    /// A server that cannot be asked, a page that is no listing, the wish to stop.
+    /// An unreachable server, a page that is not a listing, a requested stop.
     pub fn folders(&mut self, folders: &[Folder]) -> Result<(), StageError> {
         self.ask(folders, Failing::Stops)
     }
@@ -108,7 +107,7 @@ impl Crawl<'_> {
         })
     }
 
-    /// Lists one folder, whatever is known of it; `None` stands for one that is not there.
+    /// Lists one folder even if it is known. `None` if it does not exist.
     ///
     /// # Errors
     /// As [`Crawl::folders`].
@@ -117,7 +116,7 @@ impl Crawl<'_> {
         Ok(self.entries(path))
     }
 
-    /// Returns what a folder had when it was last listed; `None` stands for one that is not there.
+    /// Returns the entries of a folder when it was last listed. `None` if it did not exist.
     pub fn entries(&self, path: &str) -> Option<Vec<Entry>> {
         self.pages.content(path)
     }
@@ -125,7 +124,7 @@ impl Crawl<'_> {
     /// Returns the question for a file or a folder page that is kept under `path`.
     ///
     /// # Errors
-    /// A base that is no address.
+    /// A base that is not an address.
     pub fn want(&self, address: &str, path: &str, cap_bytes: u64) -> Result<Download, StageError> {
         Ok(Download {
             urls: urls(self.bases, address)?,
@@ -156,7 +155,7 @@ impl Crawl<'_> {
                 validators,
             } => {
                 let entries = listing::read(&bytes).map_err(|error| {
-                    StageError::new(format!("`{url}` is no listing of folder `{path}`"))
+                    StageError::new(format!("`{url}` is not a listing of folder `{path}`"))
                         .cause(error.to_string())
                         .hint("a firewall or another server may have answered: open the address in a browser, or set `base`")
                 })?;
@@ -170,11 +169,11 @@ impl Crawl<'_> {
 /// Returns the addresses of a path on each mirror.
 ///
 /// # Errors
-/// A base that is no address.
+/// A base that is not an address.
 pub(crate) fn urls(bases: &[String], path: &str) -> Result<Vec<Url>, StageError> {
     let address = |base: &String| {
         let text = format!("{}/{path}", base.trim_end_matches('/'));
-        Url::parse(&text).map_err(|error| StageError::new(format!("`{text}` is no address: {error}")))
+        Url::parse(&text).map_err(|error| StageError::new(format!("`{text}` is not an address: {error}")))
     };
     bases.iter().map(address).collect()
 }

@@ -1,4 +1,4 @@
-//! Fetches the files of one sol: what is pinned and in the store stays, the rest is downloaded, checked and pinned.
+//! Fetches the files of one sol. Pinned files in the store stay, the rest is downloaded, checked and pinned.
 
 use std::path::PathBuf;
 use std::time::{Duration, Instant, SystemTime};
@@ -12,7 +12,7 @@ use super::lock::{self, Change, Pin, SolPins};
 use crate::archive::{ArchiveFile, FetchedFrom, ShardFiles};
 use crate::net::{self, Answer, Download, Meter, NetErrorKind, Validators};
 
-/// How often what was fetched is made durable: the blobs first, then the pins.
+/// Interval at which fetched files are made durable: the blobs first, then the pins.
 const SAVE_EVERY: Duration = Duration::from_secs(10);
 /// How often what another process pinned of the same sol meanwhile is brought too.
 const MERGES: usize = 3;
@@ -118,10 +118,10 @@ impl Sol<'_> {
         );
         Err(StageError::new(message)
             .cause(format!("`{}`: {}", first.name, first.cause))
-            .hint("run again: what is here stays, and half a download goes on"))
+            .hint("run again: fetched files stay, and partial downloads continue"))
     }
 
-    /// Returns what the sol is complete for: under a lock what it was.
+    /// Returns the selection that the sol is complete for. Under a lock it is unchanged.
     fn complete(&self) -> Option<String> {
         match self.archive.access() {
             Access::Online => Some(self.archive.selection()),
@@ -200,7 +200,7 @@ impl Sol<'_> {
             let note = meter.note(began.elapsed(), done, bytes);
             let traffic = client.traffic();
             let note = format!(
-                "sol {}, {note}; {} requests, {} tried again",
+                "sol {}, {note}, {} requests, {} tried again",
                 self.sol, traffic.requests, traffic.retries
             );
             self.ctx.progress.at(done, wanted.len() as u64, &note);
@@ -215,7 +215,7 @@ impl Sol<'_> {
 
     fn want(&self, name: &str, file: &RemoteFile) -> Download {
         let pin = self.pins.files.get(name);
-        // A pin whose bytes are here is asked for on condition; one whose bytes are lost is asked for whole.
+        // A pin with its bytes in the store is requested conditionally, one without them in full.
         let here = pin.filter(|pin| self.ctx.get(&pin.blake3).is_ok());
         // The one part of a server's name that reaches the disk is its digest.
         let key = Digest::from_content(name.as_bytes());
@@ -227,7 +227,7 @@ impl Sol<'_> {
         }
     }
 
-    /// Stores and pins what a download gave. The inner error is of this one file.
+    /// Stores and pins the file of a download. The inner error is of this one file.
     fn take(
         &mut self,
         name: &str,
@@ -271,7 +271,7 @@ impl Sol<'_> {
         Ok(Ok(()))
     }
 
-    /// Pins new bytes; those that differ from pinned ones are kept beside them and never used.
+    /// Pins new bytes. If they differ from pinned ones, they are kept with the pin and never used.
     fn pin(&mut self, name: &str, fresh: Pin) -> Result<Result<(), String>, StageError> {
         self.pins.gone.remove(name);
         let Some(old) = self.pins.files.get_mut(name) else {
@@ -304,8 +304,8 @@ impl Sol<'_> {
         )))
     }
 
-    /// Makes what came durable, writes its pins, then deletes the parts of the downloads. Tells whether another process had
-    /// pinned other things meanwhile, which are now among the pins.
+    /// Makes fetched files durable, writes their pins, then deletes the parts of the downloads. Returns whether
+    /// another process had pinned other files meanwhile, which are now among the pins.
     fn save(&mut self) -> Result<bool, StageError> {
         let online = self.archive.access() == Access::Online;
         let changed = online && self.pins != self.written;
@@ -341,9 +341,9 @@ impl Sol<'_> {
         let changed = self.pins.files.iter().flat_map(|(name, pin)| {
             pin.others.iter().map(move |other| {
                 let reason = match pin.url.as_str() {
-                    lock::WITH_LISTING => format!("the feed has revised this record since (blake3 {other} before); both are kept"),
+                    lock::WITH_LISTING => format!("the feed has revised this record since (blake3 {other} before): both are kept"),
                     _ => format!(
-                        "alarm: the archive also gave other bytes under this name (blake3 {other}); both are kept, those \
+                        "alarm: the archive also gave other bytes under this name (blake3 {other}). Both are kept, those \
                          fetched first are used"
                     ),
                 };
@@ -370,14 +370,14 @@ fn length(answer: &Answer) -> u64 {
     }
 }
 
-/// Tells whether the bytes are a web page: what a firewall answers with status 200 in place of a file.
+/// Whether the bytes are a web page, as a firewall sends with status 200 instead of a file.
 fn is_page(bytes: &[u8]) -> bool {
     let start: Vec<u8> = bytes.iter().take(64).map(u8::to_ascii_lowercase).collect();
     let start = start.trim_ascii_start();
     start.starts_with(b"<!doctype html") || start.starts_with(b"<html")
 }
 
-/// Returns the time of the clock; `unknown` before 1970.
+/// Returns the current time, `unknown` before 1970.
 fn now() -> String {
     let now = SystemTime::now();
     if now < SystemTime::UNIX_EPOCH {

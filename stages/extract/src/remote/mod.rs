@@ -1,16 +1,16 @@
-//! Archives on servers: what they list, what is pinned in marf.lock, what is fetched. Kinds of archives build on it.
+//! Archives on servers: their listings, pins in marf.lock, downloads. Kinds of archives build on it.
 //!
 //! ```text
 //! online:          catalog (listings of the server, cached) ─┐
 //! locked, offline: marf.lock ────────────────────────────────┴─ shards ─ fetch what the store lacks ─ pins ─ marf.lock
 //! ```
-//! A shard's fingerprint holds names and the digests of the pinned bytes, never addresses: the same products from another
-//! mirror are the same sol, and a pin that changed is another. What is not pinned yet enters as such; the fetch then
-//! returns the fingerprint with the pins it made, under which the result is kept and which the next listing gives.
+//! A shard's fingerprint holds names and the digests of the pinned bytes, never addresses. The same products from
+//! another mirror are the same sol, and a changed pin is another. A product without a pin enters as such. The fetch
+//! then returns the fingerprint with the new pins, which is the key of the result and which the next listing returns.
 //!
-//! A run with nothing new reads no pins and no pages: summaries in the scratch folder hold what they gave, under the state
-//! of each sol's file in marf.lock and the digest of what is listed. The pins of each sol are also kept in the store, so
-//! that a lost marf.lock is written again as it was.
+//! A run with nothing new reads no pins and no pages. Summaries in the scratch folder hold their results, under the
+//! state of each sol's file in marf.lock and the digest of the listing. The pins of each sol are also kept in the
+//! store, so that a lost marf.lock is written again as it was.
 
 mod archive;
 pub(crate) mod catalog;

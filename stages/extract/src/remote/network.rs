@@ -21,7 +21,7 @@ pub(crate) struct Network {
     /// How often a request is tried, 1 to 10.
     #[schemars(range(min = 1, max = 10))]
     pub tries: u32,
-    /// First wait before another try, ms; it doubles, up to a minute.
+    /// First wait before another try, ms. It doubles, up to a minute.
     #[schemars(range(min = 1, max = 60_000))]
     pub retry_ms: u64,
     /// Longest silence of a server, s.
@@ -30,7 +30,7 @@ pub(crate) struct Network {
     /// Sols younger than the newest by less than this are looked at again: products arrive late. Older ones are not, once
     /// they are wholly pinned.
     pub relist_sols: u32,
-    /// Address for those who look after the server; goes into the User-Agent.
+    /// Address for the server's administrators, sent in the User-Agent.
     pub contact: Option<String>,
 }
 

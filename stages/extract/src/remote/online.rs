@@ -1,4 +1,4 @@
-//! What a server has, compared with what is pinned, sol by sol.
+//! Compares a server's listing with the pins, sol by sol.
 
 use marf_cache::{Digest, digest_of};
 use marf_stage::{Ctx, Listing, Shard, StageError};
@@ -11,7 +11,7 @@ use super::summary::{Listed, Summaries, damaged, one_line};
 /// Sols whose lost pins are written together, so that not all are in memory at once.
 const RESTORED_AT_ONCE: usize = 32;
 
-/// Compares what a server has with what is pinned, sol by sol.
+/// Compares a server's listing with the pins, sol by sol.
 pub(super) struct Online<'a> {
     pub source: &'a dyn CatalogSource,
     /// Where pins are written.
@@ -83,7 +83,7 @@ impl Online<'_> {
         Ok(())
     }
 
-    /// Returns the pins of a sol that the lock lacks and the store has; they are written again.
+    /// Returns the pins of a sol that the lock lacks and the store has, and schedules writing them again.
     fn remembered(&mut self, sol: u32) -> Result<Option<SolPins>, StageError> {
         let Some(pins) = (self.remembered)(sol) else {
             return Ok(None);

@@ -1,8 +1,8 @@
 //! What servers listed last, kept in the scratch folder: losing it costs requests and never a result.
 //!
-//! A page is a folder page, the products of a sol in a table, or the records of a sol in a feed. An index holds what is
-//! needed to ask for a page again and the digest of its content; the content is a file of its own, read only when a sol is
-//! looked at.
+//! A page is a folder page, the products of a sol in a table, or the records of a sol in a feed. An index holds the
+//! digest of its content and the data for requesting it again. The content is a file of its own, read only when a sol
+//! is visited.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -19,7 +19,7 @@ const SAVE_EVERY: Duration = Duration::from_secs(10);
 /// Raised when an index or a page has another form.
 const FORM: u32 = 1;
 
-/// What is known of a page.
+/// State of a known page.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct PageState {
     /// What the server says of this version of it.
@@ -31,7 +31,7 @@ pub(crate) struct PageState {
     /// What another page said of its version when it was asked for: while that says the same, it is not asked for again.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub version: Option<String>,
-    /// Digest of its content; none where it is not there.
+    /// Digest of its content. `None` if the page does not exist.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub content: Option<Digest>,
 }
@@ -46,7 +46,7 @@ pub(crate) struct Pages {
 }
 
 impl Pages {
-    /// Opens the pages of an archive, which `name` tells apart from others; empty where they are lost.
+    /// Opens the pages of the archive that `name` identifies. Empty if they are lost.
     pub fn open(scratch: &Path, name: &str) -> Self {
         let key = Digest::from_content(format!("pages {FORM}\n{name}").as_bytes());
         let folder = scratch.join("listings").join(key.to_string());
@@ -59,7 +59,7 @@ impl Pages {
         }
     }
 
-    /// Returns what is known of a page. One whose content is lost is not known.
+    /// Returns the state of a page. A page whose content is lost is unknown.
     pub fn state(&self, path: &str) -> Option<&PageState> {
         let state = self.index.get(path)?;
         (state.content.is_none() || self.file(path).exists()).then_some(state)
@@ -79,7 +79,7 @@ impl Pages {
         (Digest::from_content(&bytes) == digest).then(|| serde_json::from_slice(&bytes).ok())?
     }
 
-    /// Keeps a page with its content; `None`: it is not there.
+    /// Keeps a page with its content. `None` if it does not exist.
     pub fn put<T: Serialize>(&mut self, path: &str, mut state: PageState, content: Option<&T>) {
         let bytes = content.and_then(|content| serde_json::to_vec(content).ok());
         state.content = bytes.as_ref().map(|bytes| Digest::from_content(bytes));
@@ -98,7 +98,7 @@ impl Pages {
         }
     }
 
-    /// Changes what is known of a page.
+    /// Changes the state of a page.
     pub fn change(&mut self, path: &str, change: impl FnOnce(&mut PageState)) {
         if let Some(state) = self.index.get_mut(path) {
             let before = state.clone();

@@ -1,5 +1,5 @@
-//! What is known of the pins of each sol, kept in the scratch folder: while the state of its file in marf.lock is the same,
-//! the file is not read. Losing it costs time and never a result.
+//! Summaries of the pins of each sol, kept in the scratch folder. While the state of its file in marf.lock is
+//! unchanged, the file is not read. Their loss costs only time.
 
 use std::cell::RefCell;
 use std::collections::BTreeMap;
@@ -17,13 +17,13 @@ use crate::stat::{FileState, now_ns};
 /// Raised when a summary, or a fingerprint in it, has another form.
 const FORM: u32 = 1;
 
-/// What is known of the pins of a sol.
+/// Summary of the pins of a sol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Summary {
-    /// State of its file when it was read; none where it was not read from a file of its own.
+    /// State of its file when it was read. `None` if the pins do not come from a file of their own.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     state: Option<FileState>,
-    /// What was asked for when everything had come.
+    /// The request for which every listed file has come.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub complete: Option<String>,
     /// The fingerprint that the pins alone give.
@@ -62,7 +62,7 @@ pub(super) struct Summaries<'a> {
 }
 
 impl<'a> Summaries<'a> {
-    /// Opens the summaries of an archive, which `name` tells apart from others.
+    /// Opens the summaries of the archive that `name` identifies.
     pub fn open(scratch: &Path, name: &str, lock: &'a OpenLock) -> Self {
         let key = Digest::from_content(format!("summaries {FORM}\n{name}").as_bytes());
         let path = scratch.join("pins").join(key.to_string());
@@ -76,7 +76,7 @@ impl<'a> Summaries<'a> {
         }
     }
 
-    /// Returns the summary of a sol, if it has pins; its file is read only where it changed.
+    /// Returns the summary of a sol, if it has pins. Its file is read only if it changed.
     ///
     /// # Errors
     /// A file that cannot be read.
@@ -102,7 +102,7 @@ impl<'a> Summaries<'a> {
         Ok(summary)
     }
 
-    /// Tells whether a listing is known to have nothing of a sol that has no pins.
+    /// Whether a listing is known to have nothing of a sol that has no pins.
     pub fn is_empty(&self, sol: u32, listing: &Digest) -> bool {
         let empty = self.before.empty.get(&sol) == Some(listing);
         if empty {
@@ -116,20 +116,20 @@ impl<'a> Summaries<'a> {
         self.now.borrow_mut().empty.insert(sol, listing);
     }
 
-    /// Keeps what the pins of a sol give with its listing.
+    /// Keeps the combined result of a sol's pins and its listing.
     pub fn set_listed(&self, sol: u32, listed: Listed) {
         if let Some(summary) = self.now.borrow_mut().sols.get_mut(&sol) {
             summary.listed = Some(listed);
         }
     }
 
-    /// Writes what is known for the next run: of files that had rested when they were read.
+    /// Writes the summaries of files that had rested when they were read, for the next run.
     pub fn save(self) {
         let mut table = self.now.into_inner();
         table
             .sols
             .retain(|_, summary| summary.state.is_some_and(|state| state.rested(self.began_ns)));
-        // What is known of sols that this pipeline does not ask for now stays.
+        // Summaries of sols outside this pipeline's request stay.
         for (sol, summary) in &self.before.sols {
             table.sols.entry(*sol).or_insert_with(|| summary.clone());
         }
@@ -151,7 +151,7 @@ fn summary(pins: &SolPins) -> Summary {
     }
 }
 
-/// Tells of pins that cannot be read, and returns a fingerprint that no result has: the sol fails when it is brought.
+/// Warns of unreadable pins and returns a fingerprint that no result has, so that the sol fails when it is fetched.
 pub(super) fn damaged(listing: &mut Listing, sol: u32, error: &StageError) -> Digest {
     listing.warnings.push(one_line(error));
     digest_of(&("damaged", sol))

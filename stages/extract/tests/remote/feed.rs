@@ -2,7 +2,7 @@
 
 use super::*;
 
-/// The saved records of a folder, each with its picture on the server; by id.
+/// The saved records of a folder by id, each with its picture on the server.
 fn saved(server: &Server, folder: &Path) -> Vec<Value> {
     let mut records = Vec::new();
     for entry in std::fs::read_dir(folder).unwrap().map(Result::unwrap) {
@@ -163,7 +163,7 @@ fn a_feed_is_read_page_by_page_also_where_it_ignores_what_it_is_asked() {
         "the latest sol, and three pages"
     );
 
-    // Every page is the first one, and no total is told.
+    // Every page is the first one, and no total is reported.
     let stubborn = Server::start().unwrap();
     stubborn.file("/p/a.png", image_bytes(3));
     let picture = stubborn.url("/p/a.png");

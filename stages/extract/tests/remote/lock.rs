@@ -1,4 +1,5 @@
-//! marf.lock: pins are part of what a sol is, are found again where they are lost, and are lost to no other process.
+//! marf.lock: pins are part of a sol's identity, are restored if they are lost, and survive writes of other
+//! processes.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -46,7 +47,7 @@ fn a_pin_that_was_changed_is_refused_by_name_though_the_store_has_the_product() 
     let name = name.split('"').nth(1).unwrap();
     let error = place.bring(&locked).err().unwrap().to_string();
     assert!(error.contains(name) && error.contains("marf.lock"), "{error}");
-    // Online the pin is asked for too: the archive does not have what is pinned.
+    // Online the pin is requested too: the archive does not have the pinned file.
     let error = place.bring(&archive).err().unwrap().to_string();
     assert!(error.contains(name), "{error}");
 }
@@ -188,7 +189,7 @@ fn pipelines_that_run_at_once_in_one_folder_keep_each_others_pins() {
     assert_eq!(files, expected);
 }
 
-/// A store of which nothing becomes durable.
+/// A store that never becomes durable.
 struct Forgetful<'a>(&'a Harness);
 
 impl Blobs for Forgetful<'_> {
@@ -216,8 +217,8 @@ impl Blobs for Forgetful<'_> {
     }
 }
 
-/// What came is pinned only when the store has it for good, and its part stays until it is pinned: whenever a process
-/// dies, nothing that came is asked for again.
+/// A file is pinned only when the store has it for good, and its part stays until it is pinned. Whenever a process
+/// dies, no received file is requested again.
 #[test]
 fn what_was_downloaded_before_a_death_is_not_downloaded_again() {
     let server = Server::start().unwrap();

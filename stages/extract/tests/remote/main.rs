@@ -31,7 +31,7 @@ const BROWSE: &str = "/img/data/mars2020/mars2020_mastcamz_ops_raw/browse/sol";
 const DATA: &str = "/img/data/mars2020/mars2020_mastcamz_ops_raw/data/sol";
 const BELOW: &str = "ids/edr/zcam";
 
-/// Puts the built-in Mars of these sols into the archive; returns the names of its pictures.
+/// Puts the built-in Mars of these sols into the archive and returns the names of its pictures.
 fn mount(server: &Server, sols: impl IntoIterator<Item = u32>) -> BTreeSet<String> {
     let mut names = BTreeSet::new();
     for sol in sols {
@@ -40,7 +40,7 @@ fn mount(server: &Server, sols: impl IntoIterator<Item = u32>) -> BTreeSet<Strin
             match name.rsplit_once('.').unwrap() {
                 (_, "xml") => server.file(&format!("{DATA}/{sol:05}/{BELOW}/{name}"), file.bytes),
                 (stem, _) if stem.len() == 54 => {
-                    // The archive's browse pictures are PNG; a name decides nothing about the bytes.
+                    // The archive's browse pictures are PNG. A name decides nothing about the bytes.
                     let name = format!("{stem}.png");
                     server.file(&format!("{BROWSE}/{sol:05}/{BELOW}/{name}"), file.bytes);
                     names.insert(name);
@@ -138,7 +138,7 @@ impl Place {
             }
             brought.verdicts.extend(fetched.verdicts);
         }
-        // What there is to fetch is not what is there.
+        // The note counts files to fetch, not files present.
         brought.listing = Listing {
             note: None,
             ..listing
@@ -178,7 +178,7 @@ impl Place {
         self.lock().values().any(|text| text.contains(part))
     }
 
-    /// Asserts that nothing lies in the folder but the scratch and the files of marf.lock.
+    /// Asserts that the folder holds nothing but the scratch and the files of marf.lock.
     fn holds_only_lock(&self) {
         for entry in std::fs::read_dir(self.dir.path()).unwrap() {
             let name = entry.unwrap().file_name();
@@ -203,7 +203,7 @@ fn subfolders(folder: &Path) -> Vec<PathBuf> {
         .collect()
 }
 
-/// An `[archive.*]` table and what it is told of its pipeline.
+/// An `[archive.*]` table and the context from its pipeline.
 #[derive(Clone)]
 struct Archive {
     table: Value,

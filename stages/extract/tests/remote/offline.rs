@@ -1,4 +1,4 @@
-//! `--offline`: no archive on a server opens a connection, whatever it lacks.
+//! `--offline`: no archive on a server opens a connection, even if files are missing.
 
 use std::io::ErrorKind;
 use std::net::TcpListener;

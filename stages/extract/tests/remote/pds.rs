@@ -2,7 +2,7 @@
 
 use super::*;
 
-/// Mounts sol 1; returns the name of one of its pictures that is no thumbnail.
+/// Mounts sol 1 and returns the name of one of its pictures that is not a thumbnail.
 fn one_photo(server: &Server) -> String {
     let mut names = mount(server, 1..=1).into_iter();
     names.find(|name| &name[27..28] == "N").unwrap()

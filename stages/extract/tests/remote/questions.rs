@@ -1,10 +1,10 @@
-//! How many questions a run asks when nothing is new, and that what is new is still found.
+//! Number of requests of a run with nothing new, and that new files are still found.
 
 use super::*;
 
 const COLLECTION: &str = "/img/data/mars2020/mars2020_mastcamz_ops_raw";
 
-/// Puts the inventories of both collections beside their trees, as a release of this date does.
+/// Puts the inventories of both collections next to their trees, as a release of this date does.
 fn release(server: &Server, date: &str) {
     for side in ["browse", "data"] {
         let path = format!("{COLLECTION}/{side}/collection_{side}_inventory.csv");
@@ -78,7 +78,7 @@ fn an_old_sol_that_is_wholly_pinned_is_asked_for_by_nobody() {
         "{:?}",
         asked(&server)
     );
-    // Asked for other product types, it is listed again: what it had of those is not pinned.
+    // Requested with other product types, it is listed again: its products of those types are not pinned.
     let other = with(archive, "/products", json!(["ECM", "EBY", "EDR", "EJP"]));
     server.clear();
     place.list(&other).unwrap();
@@ -166,7 +166,8 @@ fn a_bundle_with_products_in_the_folders_of_sols_is_asked_once() {
     assert_eq!(place.bring(&archive).unwrap().rows.len(), 3);
 }
 
-/// One question shows new volumes, one new sols of the newest volume: the first page does not show what is below a volume.
+/// One request shows new volumes, another new sols of the newest volume: the first page does not show the inside of a
+/// volume.
 #[test]
 fn volumes_are_asked_for_until_they_are_closed() {
     let server = Server::start().unwrap();

@@ -14,7 +14,7 @@ use crate::index::Search;
 use crate::kept::{Added, GroupPhotos, Reader};
 use crate::similarity::same_aspect;
 
-/// The photos kept so far: of each what it is found by; what it is compared by is read when it is a candidate.
+/// Search keys of the photos kept so far. The data to compare a photo by is read when it is a candidate.
 pub(super) struct KeptPhotos<'a> {
     duplicate: &'a Duplicate,
     candidates: Candidates,
@@ -35,7 +35,8 @@ impl FoldState for KeptPhotos<'_> {
         Ok(())
     }
 
-    /// Decides on the photos of one sol, the best first; each is compared with those kept of earlier sols and of its own.
+    /// Decides on the photos of one sol, the best first. Each is compared with kept photos of earlier sols and of its
+    /// own.
     fn fold(&mut self, ctx: &Ctx<'_>, items: &[Measured<'_>]) -> Result<(Vec<u8>, Vec<Verdict>), StageError> {
         let duplicate = self.duplicate;
         let read = |item| ComparedPhoto::read(item, &duplicate.params.by_hand);
@@ -111,7 +112,7 @@ impl<'a> KeptPhotos<'a> {
         }
     }
 
-    /// Returns the candidates of earlier sols of each of some photos; nothing where they are to be found one by one.
+    /// Returns the candidates of earlier sols of each of some photos. Empty if they must be found one by one.
     fn find_earlier(&self, photos: &[(usize, &ComparedPhoto<'_>)]) -> Vec<Vec<u32>> {
         if self.duplicate.params.rule == DuplicateRule::Phash {
             return Vec::new();
@@ -120,8 +121,8 @@ impl<'a> KeptPhotos<'a> {
         self.candidates.find_many(&keys).unwrap_or_default()
     }
 
-    /// Decides on a photo by comparing it with those kept that may show its view; the reason names the most similar one, of
-    /// equals the first. `earlier` are its candidates of earlier sols, where they are known.
+    /// Decides on a photo by comparing it with kept ones that may show its view. The reason names the most similar
+    /// one, the first on ties. `earlier` are its candidates of earlier sols, if known.
     fn decide(
         &mut self,
         ctx: &Ctx<'_>,

@@ -39,8 +39,8 @@ impl<'a> Nearest<'a> {
             .map_or_else(|| Decision::pass(""), |(_, decision)| decision)
     }
 
-    /// Compares with one candidate by hashes and gradients; those whose hashes are too far apart do not count, unless they
-    /// are related.
+    /// Compares with one candidate by hashes and gradients. It does not count if its hashes are too far apart, unless
+    /// the photos are related.
     pub(super) fn compare(
         &mut self,
         ctx: &Ctx<'_>,

@@ -28,19 +28,19 @@ pub(super) struct ComparedPhoto<'a> {
     processing_rank: u8,
 }
 
-/// A photo whose [`ViewDescriptor::colour`] is below this has one tint: narrow-band JPEG copies have 0.0025 to 0.0095,
-/// the palest photo of the Navcam feed 0.021, rover and fox 0.087 and more.
+/// A photo whose [`ViewDescriptor::colour`] is below this has one tint. Narrow-band JPEG copies have 0.0025 to
+/// 0.0095, the palest photo of the Navcam feed 0.021, rover and fox 0.087 and more.
 const MIN_COLOUR: f64 = 0.014;
 
 impl<'a> ComparedPhoto<'a> {
-    /// Reads a photo with its descriptor; the inner error is the verdict of a photo that could not be decoded.
+    /// Reads a photo with its descriptor. The inner error is the verdict of a photo that could not be decoded.
     pub(super) fn read(item: &Measured<'a>, by_hand: &ByHand) -> Result<Result<Self, Verdict>, StageError> {
         let facts = Facts::from_row(item.row)?;
         let descriptor = match measured(item.measure, item.row)? {
             Ok(descriptor) => ViewDescriptor::decode(descriptor),
             Err(reason) => return Ok(Err(undecodable(item.row, &facts, reason))),
         };
-        let descriptor = descriptor.ok_or_else(|| unreadable(item.row, "it is no descriptor"))?;
+        let descriptor = descriptor.ok_or_else(|| unreadable(item.row, "it is not a descriptor"))?;
         Ok(Ok(Self {
             row: item.row,
             keys: PhotoKeys {
@@ -65,7 +65,7 @@ impl<'a> ComparedPhoto<'a> {
         Relative::from_row(self.row, &self.facts)
     }
 
-    /// Returns what photos of this sol and of later ones compare it by.
+    /// Returns the data that photos of this sol and of later ones compare it by.
     pub(super) fn kept(&self) -> KeptPhoto<'a> {
         KeptPhoto {
             id: self.id(),
@@ -78,7 +78,7 @@ impl<'a> ComparedPhoto<'a> {
         }
     }
 
-    /// Orders the better photo first; ids are unique, so no two photos are equal.
+    /// Orders the better photo first. Ids are unique, so no two photos are equal.
     pub(super) fn compare_quality(&self, other: &Self) -> Ordering {
         let area = |photo: &Self| u64::from(photo.keys.size.width) * u64::from(photo.keys.size.height);
         (other.kept_by_hand.cmp(&self.kept_by_hand))
@@ -90,8 +90,8 @@ impl<'a> ComparedPhoto<'a> {
             .then_with(|| self.id().cmp(other.id()))
     }
 
-    /// Returns whether the archive names no colour filter, or a broad-band one: `0` of the science cameras, `F` (full
-    /// colour), `E` (its mosaic) and `M` (panchromatic) of the engineering cameras of Mars 2020.
+    /// Whether the archive names no colour filter, or a broad-band one. Those are `0` of the science cameras, and `F`
+    /// (full colour), `E` (its mosaic) and `M` (panchromatic) of the engineering cameras of Mars 2020.
     fn is_broad(&self) -> bool {
         self.facts
             .filter

@@ -8,11 +8,11 @@ use crate::decision::Decision;
 use crate::index::Search;
 use crate::relation::Relation;
 
-/// Rejects photos that show the same view as a better one, whatever their size, light and colour filter.
+/// Rejects photos that show the same view as a better one, at any size, light and colour filter.
 ///
-/// The better photo is, in this order: kept by hand, broad-band, in colour, calibrated radiance of several versions of
-/// an exposure, sharper, larger, of the smaller id. A photo is rejected only if it is similar to one that is kept, so of
-/// a chain of neighbours some are always kept; a photo of an earlier sol is preferred to one of a later sol.
+/// The better photo is, in this order: kept by hand, broad-band, in colour, calibrated radiance of several versions
+/// of an exposure, sharper, larger, of the smaller id. A photo is rejected only if it is similar to a kept one, so
+/// some of a chain of neighbours are always kept. A photo of an earlier sol is preferred to one of a later sol.
 pub struct Duplicate {
     pub(super) params: DuplicateParams,
 }
@@ -46,7 +46,7 @@ pub struct DuplicateParams {
     pub version_correlation: f64,
     /// Hashes closer than this many bits are duplicates, for `rule = "phash"`.
     pub max_bits: u32,
-    /// Photos kept or rejected by hand; filled from `[keep]` and `[reject]` of the pipeline.
+    /// Photos kept or rejected by hand, filled from `[keep]` and `[reject]` of the pipeline.
     pub by_hand: ByHand,
 }
 
@@ -65,7 +65,7 @@ impl Default for DuplicateParams {
 }
 
 impl Duplicate {
-    /// Returns what the rule asks of the hashes.
+    /// Returns the search of hashes that the rule needs.
     pub(super) fn search(&self) -> Search {
         match self.params.rule {
             DuplicateRule::Confirmed => Search::Within(self.params.candidate_bits),

@@ -13,8 +13,8 @@ pub struct Histogram;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum HistogramRule {
-    /// Distance to the median histograms of brightness and of two colour differences, compared with the distances of
-    /// the other photos; and the shares of the photo that are flat, burnt out or black.
+    /// Compares the distances to the median histograms of brightness and of two colour differences with those of the
+    /// other photos. Also limits the shares of the photo that are flat, burnt out or black.
     Robust,
     /// The paper's rule: more than half of the bins of brightness are further than one standard deviation from
     /// the set's mean, the photo itself left out of both.
@@ -34,21 +34,21 @@ pub struct HistogramParams {
     /// less). With `min_set` photos and more it is added to the upper quartile of the other photos of the instrument. Good photos of
     /// three cameras have 0.054 at most, a Navcam photo of burnt-out ground 0.40.
     pub max_clipped: f64,
-    /// A distance of brightness to the median histogram up to this never rejects a photo, in 8-bit steps: a
-    /// good Navcam photo in deep shadow is 67 away, an underexposed one of the demo 84, one of an eighth of the light 110.
+    /// A distance of brightness to the median histogram up to this never rejects a photo, in 8-bit steps. A good
+    /// Navcam photo in deep shadow is 67 away, an underexposed one of the demo 84, one of an eighth of the light 110.
     pub min_light: f64,
     /// The same for the two colour differences: colours of good photos differ by so much.
     pub min_distance: f64,
     /// Largest distance: the median of the others' distances plus this multiple of (upper quartile - median).
     pub spreads: f64,
-    /// Fewest photos of one instrument that are compared with each other; of fewer, only `max_flat` and `max_clipped`
+    /// Fewest photos of one instrument that are compared with each other. Of fewer, only `max_flat` and `max_clipped`
     /// reject.
     pub min_set: u32,
     /// Largest share of bins out of place, for `rule = "paper"`.
     pub max_bins: f64,
     /// How many standard deviations a bin may be off, for `rule = "paper"`.
     pub sigmas: f64,
-    /// Photos kept or rejected by hand; filled from `[keep]` and `[reject]` of the pipeline.
+    /// Photos kept or rejected by hand, filled from `[keep]` and `[reject]` of the pipeline.
     pub by_hand: ByHand,
 }
 

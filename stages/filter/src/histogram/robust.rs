@@ -1,7 +1,7 @@
 //! The default rule: distances to the median histograms of the other photos, and lost areas.
 //!
-//! The first pass finds the medians of the cumulative shares of all bins and the quartiles of lost areas, the second the
-//! medians and quartiles of the distances to the former.
+//! The first pass finds the medians of the cumulative shares of all bins and the quartiles of lost areas. The second
+//! finds the medians and quartiles of the distances to these medians.
 
 use super::params::{Histogram, HistogramParams};
 use super::usual::{LOST_AREAS, UsualHistogram, UsualTones};
@@ -14,8 +14,8 @@ use crate::tones::{BINS, CHANNELS, ToneHistograms};
 /// Cumulative shares are counted in steps of 1 / 1,024: a distance, a sum over 256 bins, is an eighth of an 8-bit step off at the
 /// most. Limits are 24 steps at the least.
 const SHARE_STEPS: u32 = 1024;
-/// Bins of distances and of lost areas, at most 0.1 % wide: the limit of a distance is the median plus a multiple of
-/// (upper quartile - median), which makes a small error of both a larger one.
+/// Bins of distances and of lost areas, at most 0.1 % wide. The limit of a distance is the median plus a multiple of
+/// (upper quartile - median), which enlarges a small error of both.
 const FINE: LogBins = LogBins { bits: 10 };
 
 /// The distributions of lost areas and of the cumulative shares of all bins.
@@ -172,8 +172,8 @@ fn step_of(share: f64) -> u32 {
     (share * f64::from(SHARE_STEPS)).round() as u32
 }
 
-/// Returns the earth mover's distance of each channel to the median histogram of the other photos, in 8-bit steps: the mean
-/// over all pixels of how far they would have to move.
+/// Returns the earth mover's distance of each channel to the median histogram of the other photos, in 8-bit steps. It
+/// is the mean over all pixels of the steps they would have to move.
 fn distances(tones: &ToneHistograms<'_>, medians: &[Steps]) -> [f64; CHANNELS.len()] {
     let mut distances = [0.0; CHANNELS.len()];
     for ((channel, share), median) in cumulative(tones).zip(medians) {
@@ -240,7 +240,7 @@ fn decide_distance(name: &str, distance: f64, usual: f64, limit: f64) -> Decisio
     Decision::keep(distance, limit)
 }
 
-/// Returns the decision whose score is the largest part of its threshold; the earlier one of equals.
+/// Returns the decision whose score is the largest part of its threshold, the earlier one on ties.
 fn worse(earlier: Decision, later: Decision) -> Decision {
     let part =
         |decision: &Decision| decision.score.unwrap_or(0.0) / decision.threshold.unwrap_or(1.0).max(1e-9);

@@ -64,11 +64,11 @@ pub struct UsualTones {
     pub(super) lost: [Steps; LOST_AREAS.len()],
     /// Median of the cumulative share of each bin of all channels.
     pub(super) medians: Vec<Steps>,
-    /// Median and upper quartile of the distances of each channel; found in the second pass.
+    /// Median and upper quartile of the distances of each channel, found in the second pass.
     pub(super) distances: Option<Box<[[Steps; 2]; CHANNELS.len()]>>,
 }
 
-/// The steps, one behind the other; those of distances are absent after the first pass.
+/// The steps, one behind the other. Those of distances are absent after the first pass.
 impl Stored<'_> for UsualTones {
     fn encode(&self) -> Vec<u8> {
         let mut bytes = Vec::new();
@@ -126,7 +126,7 @@ impl UsualBins {
         }
     }
 
-    /// Adds other photos; `None` if there are more than can be counted.
+    /// Adds other photos. `None` if there are more than can be counted.
     pub(super) fn add(&mut self, other: &Self) -> Option<()> {
         self.photos = self.photos.checked_add(other.photos)?;
         for ((sum, squares), (more, more_squares)) in self.sums.iter_mut().zip(&other.sums) {

@@ -18,7 +18,7 @@ const FEW: usize = 12_000;
 /// Positions of items by hash. An item may have several hashes.
 pub(crate) struct HashIndex {
     search: Search,
-    /// All hashes while they are few or tables would not help; else empty.
+    /// All hashes while they are few or tables would not help, otherwise empty.
     all: Vec<(u64, u32)>,
     tables: Option<Tables>,
 }
@@ -66,8 +66,8 @@ impl HashIndex {
         }
     }
 
-    /// Calls `visit` with the number of each of many hashes and what [`HashIndex::find_within`] finds for it, in any order;
-    /// every bucket is looked through once for all. Returns early where `visit` returns false.
+    /// Calls `visit` with the number of each of many hashes and each result of [`HashIndex::find_within`] for it, in
+    /// any order. Every bucket is searched once for all. Returns early if `visit` returns false.
     pub(crate) fn find_within_many(&self, hashes: &[(u32, u64)], mut visit: impl FnMut(u32, u32) -> bool) {
         match (&self.tables, self.search) {
             (Some(tables), Search::Within(radius)) if hashes.len() >= MANY => {
@@ -85,8 +85,8 @@ impl HashIndex {
         }
     }
 
-    /// Calls `accept` with distance and position of hashes, the nearest first, of equals the first position first, until it
-    /// returns true or an error; some may come more than once.
+    /// Calls `accept` with distance and position of hashes, the nearest first, ties by position, until it returns
+    /// true or an error. Some may come more than once.
     ///
     /// # Errors
     /// The error of `accept`.

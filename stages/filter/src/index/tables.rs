@@ -14,7 +14,7 @@ const SLAB: usize = 4096;
 const NONE: u32 = u32::MAX;
 /// Buckets whose blocks are loaded together.
 const BUCKETS_AT_ONCE: usize = 64;
-/// Keys may differ by so many bits in the search for the nearest hash: all within 19 bits are then known.
+/// Most bits by which keys may differ in the search for the nearest hash: all within 19 bits are then known.
 pub(super) const MAX_KEY_BITS: u32 = 4;
 /// Hashes from which on looking for many at once is faster: fewer are near to few buckets in common.
 pub(super) const MANY: usize = 64;
@@ -32,7 +32,7 @@ pub(crate) enum Search {
 }
 
 impl Search {
-    /// Returns whether tables are faster than comparing many hashes.
+    /// Whether tables are faster than comparing many hashes.
     pub(super) fn has_tables(self) -> bool {
         match self {
             Self::Within(radius) => radius <= MAX_RADIUS,
@@ -82,13 +82,13 @@ struct KeyTable {
 
 /// Tables of the keys of an index.
 pub(super) struct Tables {
-    /// The tables of the keys; a key that needs none is left out.
+    /// The tables of the keys. A key that needs none is left out.
     keys: Vec<KeyTable>,
     /// Blocks, [`SLAB`] at a time, so that growing copies nothing.
     slabs: Vec<Vec<Block>>,
 }
 
-/// Entries of one bucket; all but the first block of a bucket are full.
+/// Entries of one bucket. All but the first block of a bucket are full.
 #[repr(C, align(64))]
 struct Block {
     /// The other three keys of each hash.
@@ -99,7 +99,8 @@ struct Block {
 }
 
 impl Block {
-    /// Returns distance and position of the entries at most `radius` bits away; the keys of the bucket are `bits` apart.
+    /// Returns distance and position of the entries at most `radius` bits away. The keys of the bucket are `bits`
+    /// apart.
     #[inline]
     fn within(
         &self,
@@ -114,7 +115,7 @@ impl Block {
             }
         }
         distances.iter_mut().for_each(|sum| *sum = sum_of_fours(*sum));
-        // Nearly always none is near, which is told for all lanes at once.
+        // Nearly always no entry is near, which one test shows for all lanes at once.
         let least = distances
             .iter()
             .fold(i16::MAX, |least, distance| least.min(*distance));
@@ -267,7 +268,7 @@ impl Tables {
         }
     }
 
-    /// Appends distance and position of every hash of which some key differs by exactly so many bits.
+    /// Appends distance and position of every hash with a key that differs by exactly `bits` bits.
     pub(super) fn find_at(&self, hash: u64, bits: u32, found: &mut Vec<(u32, u32)>) {
         let keys = keys_of(hash);
         // Farther ones are only reached by comparing all, which starts again.
@@ -279,8 +280,8 @@ impl Tables {
         }
     }
 
-    /// Calls `visit` with distance and position of each entry within the radius. It looks through the buckets of a table whose
-    /// key differs from that of a hash by exactly `bits` bits; `keys` are those of the hash.
+    /// Calls `visit` with distance and position of each entry within the radius. Searches the buckets of a table
+    /// whose key differs from that of a hash by exactly `bits` bits. `keys` are those of the hash.
     fn scan(
         &self,
         table: &KeyTable,

@@ -46,7 +46,7 @@ fn found(index: &HashIndex, hash: u64) -> Vec<u32> {
     found
 }
 
-/// Returns what is found for each of many hashes at once.
+/// Returns the results of a search for many hashes at once.
 fn found_together(index: &HashIndex, hashes: &[u64]) -> Vec<Vec<u32>> {
     let numbered: Vec<(u32, u64)> = (0..).zip(hashes.iter().copied()).collect();
     let mut found = vec![Vec::new(); hashes.len()];
@@ -168,6 +168,6 @@ fn a_cluster_of_500_is_found_whole_before_and_after_tables_are_made() {
             left -= 1;
             left > 0
         });
-        assert_eq!(left, 0, "it goes on after it was told to stop");
+        assert_eq!(left, 0, "it continues after a request to stop");
     }
 }

@@ -58,7 +58,7 @@ impl Photos {
         self
     }
 
-    /// Returns the measures of all photos for the table of a filter; empty ones without a table.
+    /// Returns the measures of all photos for the table of a filter. Empty ones without a table.
     pub fn measures(&self, stage: &dyn Stage) -> Vec<Vec<u8>> {
         let measure = measure_of(stage);
         let Some(table) = measure.table() else {

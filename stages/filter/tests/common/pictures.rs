@@ -28,7 +28,7 @@ fn value_noise(x: u32, y: u32, cell: u32, seed: u32) -> f64 {
     (at(0, 0) * (1.0 - u) + at(1, 0) * u) * (1.0 - v) + (at(0, 1) * (1.0 - u) + at(1, 1) * u) * v
 }
 
-/// Returns a sharp, coloured picture of 320 x 240 pixels with structures of 2 to 64 pixels; no two seeds are alike.
+/// Returns a sharp, coloured picture of 320 x 240 pixels with structures of 2 to 64 pixels. No two seeds are alike.
 pub fn ground(seed: u32) -> Image<Srgb> {
     Image::from_fn(320, 240, |x, y| {
         let octaves = [

@@ -1,4 +1,4 @@
-//! Filters that compare photos with each other: by instrument, whatever sols the photos are of.
+//! Filters that compare photos with each other: by instrument, independent of sols.
 
 use std::collections::BTreeMap;
 
@@ -8,7 +8,7 @@ use marf_stage::{Map, Verdict, Work, harness::decide};
 use proptest::prelude::*;
 use serde_json::json;
 
-/// Returns the verdicts of a filter on photos of so many sols each.
+/// Returns the verdicts of a filter on photos spread over these sols.
 fn spread(photos: &Photos, measures: &[Vec<u8>], map: &dyn Map, sols: &[u32]) -> BTreeMap<String, Verdict> {
     let mut shards = BTreeMap::<u32, Vec<_>>::new();
     for (at, sol) in sols.iter().enumerate() {

@@ -11,8 +11,8 @@ use marf_scene::{Image, Srgb};
 use marf_stage::{StageError, Work};
 use serde_json::json;
 
-/// Judges sols one after the other; returns the verdicts and what each sol added. The photos are all in the store of the
-/// first.
+/// Judges sols one after the other. Returns the verdicts and the bytes each sol added. The photos are all in the
+/// store of the first.
 fn fold(
     sols: &[&Photos],
 ) -> (
@@ -239,7 +239,7 @@ fn a_measure_stays_below_a_kilobyte() {
     }
 }
 
-/// Planes that were lost are told by their digest, so that the photo is measured again.
+/// The error names the digest of lost planes, so that the photo is measured again.
 #[test]
 fn lost_planes_are_named() {
     let mut photos = Photos::default();
@@ -307,8 +307,8 @@ fn the_one_kept_by_hand_stays_and_the_better_one_goes() {
     assert!(verdicts.values().all(marf_stage::Verdict::keeps), "{verdicts:?}");
 }
 
-/// 15,000 photos of three sols, of which every tenth repeats an earlier place: enough that hashes are looked up in tables and
-/// for many photos at once. What is found is what comparing each photo with all kept ones finds.
+/// 15,000 photos of three sols, where every tenth repeats an earlier place. They are enough that hashes are looked up
+/// in tables and for many photos at once. The results equal those of comparing each photo with all kept ones.
 #[test]
 fn among_many_photos_the_same_are_found_as_by_comparing_all() {
     const SOLS: usize = 3;

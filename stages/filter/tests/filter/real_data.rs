@@ -1,4 +1,4 @@
-//! Real photos: what the default rules say of the Navcam feed, and of the rover set with planted copies.
+//! Real photos: verdicts of the default rules on the Navcam feed, and on the rover set with planted copies.
 
 use std::{collections::BTreeMap, fs, path::PathBuf};
 
@@ -7,7 +7,7 @@ use image::ImageFormat;
 use marf_filter::STAGES;
 use marf_scene::{Image, Photo};
 
-/// Returns the photos of a folder of shared data, sorted by name; `None` where there is none.
+/// Returns the photos of a folder of shared data, sorted by name. `None` if it does not exist.
 fn folder(test: &str, name: &str) -> Option<Vec<PathBuf>> {
     let relative = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data");
     let data = std::env::var_os("MARF_SHARED_DATA").map_or_else(|| PathBuf::from(relative), PathBuf::from);
@@ -21,7 +21,7 @@ fn folder(test: &str, name: &str) -> Option<Vec<PathBuf>> {
     Some(paths)
 }
 
-/// Runs the default chain; returns what rejected each photo that went.
+/// Runs the default chain and returns the filter that rejected each photo.
 fn rejected(mut photos: Photos) -> BTreeMap<String, String> {
     let mut rejected = BTreeMap::new();
     for stage in STAGES {

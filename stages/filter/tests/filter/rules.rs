@@ -213,7 +213,7 @@ fn histogram_judges_small_sets_by_lost_areas_only() {
 
 #[test]
 fn the_papers_histogram_rule_counts_bins_out_of_place() {
-    // All bins of the others hold 1/256 but for a jitter; the odd one has all its pixels in one bin.
+    // All bins of the others hold 1/256 but for a jitter. The odd one has all its pixels in one bin.
     let even = |step: u32| {
         Image::from_fn(256, 16, |x, y| {
             [if y == 0 { (x * step % 256) as u8 } else { x as u8 }; 3]
@@ -256,8 +256,8 @@ fn kept_sharpness(numbers: [u8; 5]) -> Vec<u8> {
     [&[1], &1.0_f64.to_le_bytes()[..], &numbers].concat()
 }
 
-/// By hand: ratios of 2, 3, 4, 5 and 8; without the 8 the median is 3.5, of which 0.55 is 1.9. With five photos known the
-/// limit is that, with a sixth asked for it is `min_ratio`.
+/// By hand: ratios of 2, 3, 4, 5 and 8. Without the 8 the median is 3.5, and 0.55 of it is 1.9. With `min_set` five
+/// this is the limit, with six it is `min_ratio`.
 #[test]
 fn blur_compares_from_min_set_photos_on_and_leaves_the_photo_itself_out() {
     let mut photos = Photos::default();
@@ -290,7 +290,7 @@ fn blur_compares_from_min_set_photos_on_and_leaves_the_photo_itself_out() {
     }
 }
 
-/// No picture measures so: no pixels, and a ratio that is no number or infinite.
+/// No picture has such measures: no pixels, and a ratio that is NaN or infinite.
 #[test]
 fn a_ratio_that_is_no_number_or_infinite_moves_no_limit_of_others_beyond_numbers() {
     let mut photos = Photos::default();

@@ -19,7 +19,7 @@ fn flat(width: u32, height: u32, value: u8) -> Image<Srgb> {
 /// A CMYK JPEG of 32 x 24 pixels, made by Pillow: no encoder here writes one.
 const CMYK: &[u8] = include_bytes!("../common/cmyk.jpg");
 
-/// An animation of two frames, the second of which is not read.
+/// An animation of two frames. Only the first is read.
 fn animated() -> Vec<u8> {
     let mut bytes = Vec::new();
     let mut encoder = image::codecs::gif::GifEncoder::new(&mut bytes);

@@ -46,14 +46,14 @@ fn the_film_equivalent_goes_before_the_sensor() {
     ];
     assert_eq!(focal(std::slice::from_ref(&film)), Some(3000.0));
     assert_eq!(focal(&[film, sensor[0].clone(), sensor[1].clone()]), Some(3000.0));
-    // 0 stands for unknown: 5 mm x 10000 a inch / 25.4 mm.
+    // 0 means unknown: 5 mm x 10000 a inch / 25.4 mm.
     let unknown = short(Tag::FocalLengthIn35mmFilm, 0);
     let focal_px = focal(&[unknown, sensor[0].clone(), sensor[1].clone()]).unwrap();
     assert!((focal_px - 50_000.0 / 25.4).abs() < 1e-9, "{focal_px}");
     assert_eq!(
         focal(&sensor[..1]),
         None,
-        "without a resolution there are no pixels"
+        "the size of a pixel is unknown without a resolution"
     );
 }
 
@@ -130,7 +130,7 @@ fn exif_that_is_cut_or_damaged_anywhere_costs_no_photo() {
             sound(read(&bytes, 4000), &format!("bit {bit} of byte {at}"));
         }
     }
-    // The count of fields says 255: what is there is read, the rest is noted.
+    // With a count of 255 fields, the existing ones are read and a note reports the damage.
     let mut bytes = whole.clone();
     let count = bytes
         .windows(4)

@@ -1,4 +1,4 @@
-//! Tokens of a page: tags, hrefs and text, in one pass; no more of HTML than folder listings need.
+//! Tokens of a page: tags, hrefs and text, in one pass. Reads only as much of HTML as folder listings need.
 
 /// A token of a page.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -29,7 +29,7 @@ pub(super) fn tokens(page: &[u8]) -> Tokens<'_> {
     }
 }
 
-/// See [`tokens`]. Every byte is read a bounded number of times: what is not closed extends to the end of the page.
+/// See [`tokens`]. Every byte is read a bounded number of times: an unclosed part extends to the end of the page.
 pub(super) struct Tokens<'a> {
     page: &'a [u8],
     at: usize,
@@ -37,7 +37,7 @@ pub(super) struct Tokens<'a> {
 }
 
 impl<'a> Tokens<'a> {
-    /// Returns whether the page ended inside a tag, a comment or a script.
+    /// Whether the page ended inside a tag, a comment or a script.
     pub fn is_cut(&self) -> bool {
         self.cut
     }
@@ -57,7 +57,7 @@ impl<'a> Tokens<'a> {
         &rest[..length]
     }
 
-    /// Moves past the next `end`, in either case; to the end of the page if there is none.
+    /// Moves past the next `end`, in either case, or to the end of the page if there is none.
     fn skip_past(&mut self, end: &[u8]) {
         let found = self
             .rest()
@@ -67,7 +67,7 @@ impl<'a> Tokens<'a> {
         self.at = found.map_or(self.page.len(), |found| self.at + found + end.len());
     }
 
-    /// Reads attributes up to `>`; returns the first href.
+    /// Reads attributes up to `>` and returns the first href.
     fn attributes(&mut self) -> Option<&'a [u8]> {
         let mut href = None;
         loop {
@@ -83,7 +83,7 @@ impl<'a> Tokens<'a> {
                 }
                 Some(_) => {}
             }
-            // At least one byte is taken: the next is no blank, `/` or `>`; a `=` is taken below.
+            // At least one byte is taken: the next is not a blank, `/` or `>`, and a `=` is taken below.
             let name = self.take_while(|byte| !byte.is_ascii_whitespace() && !b"=>/".contains(&byte));
             self.take_while(|byte| byte.is_ascii_whitespace());
             let value = if self.peek() == Some(b'=') {

@@ -4,7 +4,7 @@ const MONTHS: [&[u8]; 12] = [
     b"Jan", b"Feb", b"Mar", b"Apr", b"May", b"Jun", b"Jul", b"Aug", b"Sep", b"Oct", b"Nov", b"Dec",
 ];
 
-/// Finds the first `YYYY-MM-DD HH:MM` or `DD-Mon-YYYY HH:MM` in a text (seconds are dropped); returns it as
+/// Finds the first `YYYY-MM-DD HH:MM` or `DD-Mon-YYYY HH:MM` in a text (seconds are dropped). Returns it as
 /// `YYYY-MM-DDTHH:MM`.
 pub(super) fn find(text: &[u8]) -> Option<String> {
     let mut words = text

@@ -13,7 +13,7 @@ pub(super) const VERSIONED: usize = 54;
 pub struct Mars2020Name<'a>(&'a str);
 
 impl<'a> Mars2020Name<'a> {
-    /// Reads the name that a text begins with; `None` if it begins with none, or is not ASCII.
+    /// Reads the name that a text begins with. `None` if there is none, or the text is not ASCII.
     pub fn read(text: &'a str) -> Option<Self> {
         let bytes = text.as_bytes();
         let digits = |from: usize, to: usize| bytes[from..to].iter().all(u8::is_ascii_digit);
@@ -37,7 +37,7 @@ impl<'a> Mars2020Name<'a> {
         &self.0[2..3]
     }
 
-    /// Returns the four characters of the sol; letters stand for days on Earth.
+    /// Returns the four characters of the sol. Letters denote days on Earth.
     pub fn sol(self) -> &'a str {
         &self.0[4..8]
     }
@@ -52,7 +52,7 @@ impl<'a> Mars2020Name<'a> {
         &self.0[23..26]
     }
 
-    /// Returns whether the name is a thumbnail's.
+    /// Whether the name is a thumbnail's.
     pub fn is_thumbnail(self) -> bool {
         self.0.as_bytes()[27].eq_ignore_ascii_case(&b'T')
     }
@@ -62,16 +62,16 @@ impl<'a> Mars2020Name<'a> {
         self.0.as_bytes()[48]
     }
 
-    /// Returns whether two different products show one exposure: instrument, filter, clock to the millisecond, site,
-    /// drive, sequence and camera settings are the same; type, geometry, compression and version may differ.
+    /// Whether two different products show one exposure: equal in instrument, filter, clock to the millisecond, site,
+    /// drive, sequence and camera settings. Type, geometry, compression and version may differ.
     pub fn is_other_product_of_exposure(self, other: Mars2020Name<'_>) -> bool {
         self.same_at(other, [0..23, 27..48])
             && !(self.0[23..27].eq_ignore_ascii_case(&other.0[23..27])
                 && self.0[48..].eq_ignore_ascii_case(&other.0[48..]))
     }
 
-    /// Returns whether two exposures were planned with one pointing: instrument, sol, site, drive, sequence and camera
-    /// settings are the same; filter and clock may differ.
+    /// Whether two exposures were planned with one pointing: equal in instrument, sol, site, drive, sequence and
+    /// camera settings. Filter and clock may differ.
     pub fn is_same_planned_pointing(self, other: Mars2020Name<'_>) -> bool {
         self.same_at(other, [0..2, 4..8, 27..48])
     }
@@ -83,7 +83,7 @@ impl<'a> Mars2020Name<'a> {
     }
 }
 
-/// Returns a version as names write it: 01 to 99, then A0 to A9, AA to AZ, B0 … ZZ; `None` for 0 and beyond ZZ.
+/// Returns a version as names write it: 01 to 99, then A0 to A9, AA to AZ, B0 … ZZ. `None` for 0 and beyond ZZ.
 pub(crate) fn version_suffix(version: u32) -> Option<String> {
     let digit = |value: u32| char::from_digit(value, 36).map(|digit| digit.to_ascii_uppercase());
     match version {

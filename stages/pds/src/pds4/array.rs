@@ -30,8 +30,8 @@ const ARRAYS: [&[&str]; 2] = [
     &["Array_2D", "Array_3D", "Array"],
 ];
 
-/// Returns the first array, in the order of the label, that can be read as a photo; `None` if there is none. A mask is taken only
-/// where there is nothing else.
+/// Returns the first array, in the order of the label, that can be read as a photo. `None` if there is none. A mask
+/// is taken only if there is nothing else.
 pub(super) fn read(root: Node<'_, '_>, notes: &mut Vec<String>) -> Option<Array> {
     let areas = children(root, PDS, "File_Area_Observational");
     let nodes: Vec<_> = areas.flat_map(|area| area.children()).collect();
@@ -58,7 +58,7 @@ fn array_name(node: Node<'_, '_>) -> Option<String> {
     text_at(node, &[(PDS, "name")]).or_else(|| text_at(node, &[(PDS, "local_identifier")]))
 }
 
-/// Tells whether an array, or the file that holds it, is called a mask.
+/// Whether an array, or the file that holds it, is called a mask.
 fn is_mask(node: Node<'_, '_>) -> bool {
     let file = node
         .parent()

@@ -3,7 +3,7 @@ use super::guard::most_attributes;
 use super::*;
 use crate::label::SampleKind;
 
-/// The fragment of the reference, in a whole label; values invented.
+/// The fragment of the reference, in a whole label with invented values.
 fn document(camera: &str, definition: &str) -> String {
     format!(
         r#"<?xml version="1.0"?>
@@ -95,7 +95,7 @@ fn a_definition_of_other_counters_is_not_taken() {
     assert!(other.notes[0].contains("does not place"), "{:?}", other.notes);
 }
 
-/// Label order ARM, POSE, DRIVE, SITE; the camera's frame counts site 7, drive 42.
+/// Label order ARM, POSE, DRIVE, SITE. The camera's frame counts site 7, drive 42.
 #[test]
 fn the_counters_are_those_of_the_cameras_frame_in_the_promised_order() {
     let with = |counters: &[(&str, i64)]| {

@@ -101,7 +101,7 @@ fn radiance_counts_and_missing_values_have_fixed_codes() {
         let made = render(array, None, None, &stored(values), MAX_DECODED_BYTES).unwrap();
         made.image.pixels.iter().map(|pixel| pixel[0]).collect::<Vec<_>>()
     };
-    // 25,000 x 5e-6 = 0.125 is white; a quarter of it is sRGB 137.
+    // 25,000 x 5e-6 = 0.125 is white. A quarter of it is sRGB 137.
     assert_eq!(codes(&radiance, [0, 6_250, 25_000, 32_767]), [0, 137, 255, 255]);
     let mut counts = array([1, 1, 4], SampleKind::Signed, 2);
     counts.bits = Some(12);
@@ -137,7 +137,8 @@ fn shapes_that_do_not_fit_are_refused_before_memory_is_taken() {
     );
 }
 
-/// By hand: 542 of 2033 counts is 0.2666 of white, sRGB 141.06, and 1274 of 2033 sRGB 207.4; as a code 128 would stay 128.
+/// By hand: 542 of 2033 counts is 0.2666 of white, sRGB 141.06, and 1274 of 2033 sRGB 207.4. As a code 128 would stay
+/// 128.
 #[test]
 fn codes_become_counts_by_their_table_whatever_they_are_stored_in() {
     let table = crate::companding::table("MMM_LUT0", None);
@@ -165,7 +166,7 @@ fn codes_become_counts_by_their_table_whatever_they_are_stored_in() {
             "{:?}",
             made(table).notes
         );
-        // Without the table the codes are no counts either: no curve.
+        // Without the table the codes are not counts either: no curve.
         assert_eq!(red(&made(None)), [0, 128, 200, 255], "{bytes}");
         assert!(
             made(None).notes[0].contains("not known"),

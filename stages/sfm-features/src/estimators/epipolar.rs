@@ -53,8 +53,8 @@ impl Factors {
 }
 
 impl EpipolarModel {
-    /// Returns the matrix of this kind near M with the smallest Cauchy sum of Sampson errors; `scale` in units of sigma
-    /// (pixels). At most `steps` damped steps; `None` if M or its cost is not finite.
+    /// Returns the matrix of this kind near M with the smallest Cauchy sum of Sampson errors. `scale` is in units of
+    /// sigma (pixels). At most `steps` damped steps. `None` if M or its cost is not finite.
     pub(crate) fn refined<'a>(
         self,
         matrix: &Matrix3<f64>,
@@ -94,8 +94,8 @@ impl EpipolarModel {
     }
 }
 
-/// Returns the Sampson residual and its derivatives by rotations of U (3), of V (3) and by s; for an essential matrix the
-/// rotation of V about z repeats that of U and s is fixed, so both derivatives are 0.
+/// Returns the Sampson residual and its derivatives by rotations of U (3), of V (3) and by s. For an essential matrix
+/// the rotation of V about z repeats that of U and s is fixed, so both derivatives are 0.
 fn sampson_residual(
     factors: &Factors,
     matrix: &Matrix3<f64>,
@@ -141,8 +141,8 @@ pub fn essential_of(cam2_from_cam1: &Pose) -> Matrix3<f64> {
     cross_matrix(&cam2_from_cam1.translation) * cam2_from_cam1.rotation
 }
 
-/// Returns, of the four poses that E decomposes into (unit translation), the one with most points in front of both
-/// cameras, and their number; of equals the first.
+/// Decomposes E into four poses (unit translation) and returns the one with most points in front of both cameras, the
+/// first on ties, with their number.
 pub(crate) fn pose_of_essential<'a>(
     essential: &Matrix3<f64>,
     pairs: impl Iterator<Item = &'a PointPair> + Clone,
@@ -167,8 +167,8 @@ pub(crate) fn pose_of_essential<'a>(
     best
 }
 
-/// Returns the depths (z1, z2) at which the two rays of a pair come closest, in units of the baseline;
-/// infinite or NaN where the rays are parallel.
+/// Returns the depths (z1, z2) at which the two rays of a pair come closest, in units of the baseline. Infinite or
+/// NaN for parallel rays.
 pub(crate) fn depths(cam2_from_cam1: &Pose, [p, q]: &PointPair) -> (f64, f64) {
     let (ray_1, ray_2) = (cam2_from_cam1.rotation * p.push(1.0), q.push(1.0));
     let normal = ray_1.cross(&ray_2);
@@ -180,7 +180,7 @@ pub(crate) fn depths(cam2_from_cam1: &Pose, [p, q]: &PointPair) -> (f64, f64) {
     )
 }
 
-/// Tells whether a point lies in front of both cameras.
+/// Whether a point is in front of both cameras.
 fn in_front(cam2_from_cam1: &Pose, pair: &PointPair) -> bool {
     let (depth_1, depth_2) = depths(cam2_from_cam1, pair);
     depth_1 > 0.0 && depth_2 > 0.0
@@ -193,7 +193,7 @@ mod tests {
 
     #[test]
     fn depths_of_a_hand_worked_pair() {
-        // A point at (0, 0, 4); camera 2 stands 1 to the right.
+        // A point at (0, 0, 4), with camera 2 shifted by 1 to the right.
         let pose = Pose {
             translation: -Vector3::x(),
             ..Pose::identity()

@@ -6,8 +6,8 @@ use super::epipolar::PointPair;
 use super::roots::real_roots;
 use super::svd::{matrix, null_space};
 
-/// Coefficients of a polynomial in x, y, z of degree 1 (x y z 1), 2 (xx xy xz yy yz zz x y z 1) and 3
-/// (order of `CUBIC`).
+/// Coefficients of a polynomial in x, y, z of degree 1 (x y z 1), 2 (xx xy xz yy yz zz x y z 1) and 3 (order of
+/// `CUBIC`).
 type Linear = [f64; 4];
 type Quadric = [f64; 10];
 type Cubic = SVector<f64, 20>;
@@ -15,8 +15,8 @@ type Cubic = SVector<f64, 20>;
 /// Where the product of linear terms i and j goes in a quadric.
 const QUADRIC: [[usize; 4]; 4] = [[0, 1, 2, 6], [1, 3, 4, 7], [2, 4, 5, 8], [6, 7, 8, 9]];
 
-/// Where the product of quadric term i and linear term j goes, in Nister's order:
-/// xxx yyy xxy xyy xxz xx yyz yy xyz xy | xzz xz x yzz yz y zzz zz z 1.
+/// Position of the product of quadric term i and linear term j, in Nister's order: `xxx yyy xxy xyy xxz xx yyz yy xyz
+/// xy | xzz xz x yzz yz y zzz zz z 1`.
 const CUBIC: [[usize; 4]; 10] = [
     [0, 2, 4, 5],
     [2, 3, 8, 9],
@@ -30,11 +30,11 @@ const CUBIC: [[usize; 4]; 10] = [
     [12, 15, 18, 19],
 ];
 
-/// Returns the essential matrices E (unit norm) with x2ᵀ E x1 = 0 for five points; at most ten.
+/// Returns the essential matrices E (unit norm) with x2ᵀ E x1 = 0 for five points, at most ten.
 ///
-/// Nister, PAMI 2004: E = x X + y Y + z Z + W in the null space, ten cubic constraints, Gauss-Jordan, a
-/// polynomial of degree 10 in z. Coplanar points are fine; points on a line, equal points or a pure rotation
-/// leave a larger null space and give few, wrong or no matrices, never one that is not finite.
+/// Nister, PAMI 2004: E = x X + y Y + z Z + W in the null space, ten cubic constraints, Gauss-Jordan, a polynomial of
+/// degree 10 in z. Coplanar points are fine. Points on a line, equal points or a pure rotation leave a larger null
+/// space and give few, wrong or no matrices, but only finite ones.
 pub(crate) fn five_point(plane_1: &[Vector2<f64>; 5], plane_2: &[Vector2<f64>; 5]) -> Vec<Matrix3<f64>> {
     let rows: [_; 5] = std::array::from_fn(|i| epipolar_row(&[plane_1[i], plane_2[i]]));
     if !rows
@@ -123,7 +123,8 @@ fn constraints(null: &[SVector<f64, 9>; 4]) -> SMatrix<f64, 10, 20> {
     system
 }
 
-/// Returns the system after Gauss-Jordan elimination of the first ten columns; `None` if a pivot is within rounding of 0.
+/// Returns the system after Gauss-Jordan elimination of the first ten columns. `None` if a pivot is within rounding
+/// of 0.
 fn eliminated(mut system: SMatrix<f64, 10, 20>) -> Option<SMatrix<f64, 10, 20>> {
     for column in 0..10 {
         let pivot = column + system.view((column, column), (10 - column, 1)).iamax_full().0;

@@ -10,8 +10,8 @@ use super::svd::{matrix, null_space, smallest_eigenvector, svd3};
 /// Returns the fundamental matrices F (unit norm) with x2ᵀ F x1 = 0 for seven points, one to three (Hartley
 /// and Zisserman 2004, 11.1.2).
 ///
-/// Any unit will do, but coordinates of about 1 keep most digits. Seven points on a plane leave a larger
-/// null space and give arbitrary members of it; what is not finite gives none.
+/// Any unit will do, but coordinates of about 1 keep most digits. Seven points on a plane leave a larger null space
+/// and give arbitrary members of it. Input that is not finite gives no matrix.
 pub(crate) fn seven_point(points_1: &[Vector2<f64>; 7], points_2: &[Vector2<f64>; 7]) -> Vec<Matrix3<f64>> {
     let rows: [_; 7] = std::array::from_fn(|i| epipolar_row(&[points_1[i], points_2[i]]));
     if !rows
@@ -68,8 +68,8 @@ pub(crate) fn eight_point(pairs: &[PointPair], weights: &[f64]) -> Option<Matrix
     unit.iter().all(|value| value.is_finite()).then_some(unit)
 }
 
-/// Returns the similarity that centres the points of one photo and scales their mean distance to sqrt 2; `None` if all
-/// points are equal.
+/// Returns the similarity that centres the points of one photo and scales their mean distance to sqrt 2. `None` if
+/// all points are equal.
 pub(crate) fn normalisation(pairs: &[PointPair], side: usize) -> Option<Matrix3<f64>> {
     let count = pairs.len() as f64;
     let centre = pairs.iter().map(|pair| pair[side]).sum::<Vector2<f64>>() / count;

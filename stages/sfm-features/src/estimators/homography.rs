@@ -10,8 +10,7 @@ use super::ransac::{Consensus, RansacOptions};
 use super::rotation::nearest_rotation;
 use super::svd::{matrix, smallest_eigenvector, svd3};
 
-/// Returns H with x2 ~ H x1 for four points, unit norm; `None` where three of them are on a line in either
-/// photo.
+/// Returns H with x2 ~ H x1 for four points, unit norm. `None` if three of them are on a line in either photo.
 pub(crate) fn four_point(points_1: &[Vector2<f64>; 4], points_2: &[Vector2<f64>; 4]) -> Option<Matrix3<f64>> {
     let (from, to) = (frame(points_1)?, frame(points_2)?);
     let homography = (to * from.try_inverse()?).normalize();
@@ -56,16 +55,16 @@ pub(crate) fn fit_homography(pairs: &[PointPair]) -> Option<Matrix3<f64>> {
     unit.iter().all(|value| value.is_finite()).then_some(unit)
 }
 
-/// Returns the squared transfer error: the distance between H x1 and x2; infinite at the horizon.
+/// Returns the squared transfer error: the distance between H x1 and x2. Infinite at the horizon.
 pub(crate) fn transfer2(homography: &Matrix3<f64>, p: &Vector2<f64>, q: &Vector2<f64>) -> f64 {
     let carried = homography * p.push(1.0);
     let error = (carried.xy() / carried.z - q).norm_squared();
     if error.is_finite() { error } else { f64::INFINITY }
 }
 
-/// Returns the two relative poses that a homography between plane coordinates decomposes into, in units of the distance of
-/// camera 1 to the plane (Ma, Soatto, Kosecka, Sastry 2004, 5.3.3), the smaller rotation first; none if it is within 1e-9
-/// of a pure rotation or not finite.
+/// Decomposes a homography between plane coordinates into two relative poses, the smaller rotation first. Lengths are
+/// in units of the distance of camera 1 to the plane (Ma, Soatto, Kosecka, Sastry 2004, 5.3.3). Empty if the
+/// homography is within 1e-9 of a pure rotation or not finite.
 ///
 /// Both explain a plane equally well. They differ for points off the plane, and for those on it that one of the two puts
 /// behind a camera.
@@ -92,7 +91,7 @@ pub(crate) fn poses_from_homography(homography: &Matrix3<f64>, pairs: &[PointPai
     poses.into_iter().filter(|pose| pose.is_valid()).collect()
 }
 
-/// Returns one of the two poses; `middle` and `unit` span the directions in the plane whose length H preserves.
+/// Returns one of the two poses. `middle` and `unit` span the directions in the plane whose length H preserves.
 fn pose_from_homography(
     h: &Matrix3<f64>,
     middle: &Vector3<f64>,
@@ -119,9 +118,9 @@ fn pose_from_homography(
 /// A homography and its inverse.
 pub(crate) type InvertibleHomography = [Matrix3<f64>; 2];
 
-/// Returns the homography with the largest consensus, by LO-RANSAC over four points; an error is the larger of the
-/// transfer errors in both photos. `noise2`: squared sigma of one unit of error in photo 1 and 2; `limit`: largest error
-/// of an inlier in that unit.
+/// Returns the homography with the largest consensus, by LO-RANSAC over four points. An error is the larger of the
+/// transfer errors in both photos. `noise2`: squared sigma of one unit of error in photo 1 and 2. `limit`: largest
+/// error of an inlier in that unit.
 pub(crate) fn ransac_homography(
     pairs: &[PointPair],
     noise2: [f64; 2],

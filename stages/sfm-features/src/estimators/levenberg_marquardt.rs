@@ -36,10 +36,10 @@ impl<const N: usize> NormalEquations<N> {
     }
 }
 
-/// Returns the state after at most `steps` damped steps from `start`; `None` if the start has no finite cost.
+/// Returns the state after at most `steps` damped steps from `start`. `None` if the start has no finite cost.
 ///
-/// Damping is relative to the diagonal, so the unknowns may have any units; steps that raise the cost, or
-/// leave the domain (`linearise` returns `None`), are rejected and the damping is multiplied by ten.
+/// Damping is relative to the diagonal, so the unknowns may have any units. Steps that raise the cost, or leave the
+/// domain (`linearise` returns `None`), are rejected and the damping is multiplied by ten.
 pub(crate) fn minimise<S: Clone, const N: usize>(
     start: &S,
     steps: usize,

@@ -1,6 +1,6 @@
-//! Minimal and least-squares solvers for poses, epipolar geometry and points; pure functions.
+//! Minimal and least-squares solvers for poses, epipolar geometry and points, as pure functions.
 //!
-//! "Plane" is the undistorted image plane at z = 1: x / z, y / z. Everything is f64; what is not finite is
+//! "Plane" is the undistorted image plane at z = 1: x / z, y / z. Everything is f64. Values that are not finite are
 //! refused or dropped, never returned.
 
 mod epipolar;

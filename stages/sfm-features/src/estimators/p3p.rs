@@ -5,16 +5,16 @@ use nalgebra::{Matrix3, SMatrix, Vector2, Vector3};
 
 use super::roots::real_roots;
 
-/// Gauss-Newton steps on the three distances; they start within 1e-6 but at a double root.
+/// Gauss-Newton steps on the three distances. They start within 1e-6 but at a double root.
 const STEPS: usize = 5;
 
 /// Returns the poses `cam_from_world` that see three world points at three plane points, at most four.
 ///
-/// The distances are where two conics meet (Persson and Nordberg, Lambda Twist, ECCV 2018), found by
+/// The distances are the intersections of two conics (Persson and Nordberg, Lambda Twist, ECCV 2018), found by
 /// splitting their degenerate member into lines (Ding, Yang, Larsson, Olsson, Astrom, CVPR 2023). Works in
-/// differences of the world points, scaled to 1: their unit and origin cost only the digits that the
-/// coordinates themselves have lost. Collinear or equal points, and what is not finite, give no pose; a
-/// double solution comes once or twice, with half of the digits.
+/// differences of the world points, scaled to 1: their unit and origin cost only the digits that the coordinates
+/// themselves have lost. Collinear or equal points, and values that are not finite, give no pose. A double solution
+/// comes once or twice, with half of the digits.
 pub(crate) fn p3p(plane: &[Vector2<f64>; 3], world: &[Vector3<f64>; 3]) -> Vec<Pose> {
     let rays = plane.map(|point| point.push(1.0).normalize());
     let sides = [world[0] - world[1], world[0] - world[2], world[1] - world[2]];
@@ -56,7 +56,7 @@ fn all_distances(squares: &[f64; 3], cosines: &[f64; 3]) -> Vec<Vector3<f64>> {
         form(0, 2, cosines[1]),
         form(1, 2, cosines[2]),
     ];
-    // Two conics through all solutions; the longest side is the one compared with, so no scale is lost.
+    // Two conics through all solutions. Both compare with the longest side, so no scale is lost.
     let longest = (1..3).fold(0, |best, i| if squares[i] > squares[best] { i } else { best });
     let (i, j) = ((longest + 1) % 3, (longest + 2) % 3);
     let conic = |i: usize| forms[i] * squares[longest] - forms[longest] * squares[i];
@@ -120,7 +120,7 @@ fn adjugate(m: &Matrix3<f64>) -> Matrix3<f64> {
     Matrix3::from_rows(&rows.map(|row| row.transpose()))
 }
 
-/// Returns the intersections of a line and a conic: two points, or one twice; none if they are complex.
+/// Returns the intersections of a line and a conic: two points, or one twice. Empty if they are complex.
 fn intersections(line: &Vector3<f64>, conic: &Matrix3<f64>) -> Vec<Vector3<f64>> {
     let Some(unit) = line.try_normalize(0.0) else {
         return Vec::new();
@@ -134,7 +134,8 @@ fn intersections(line: &Vector3<f64>, conic: &Matrix3<f64>) -> Vec<Vector3<f64>>
     if discriminant.is_nan() || discriminant < -1e-9 * (b * b + (a * c).abs()) {
         return Vec::new();
     }
-    // a s² + 2 b s t + c t² = 0 without cancellation: w = -(b + sign(b) root), s : t = w : a and c : w.
+    // a s² + 2 b s t + c t² = 0 without cancellation: w = -(b + sign(b) root). The solutions s : t are w : a and c :
+    // w.
     let w = -(b + discriminant.max(0.0).sqrt().copysign(b));
     let points = [u * w + v * a, u * c + v * w];
     points
@@ -143,7 +144,7 @@ fn intersections(line: &Vector3<f64>, conic: &Matrix3<f64>) -> Vec<Vector3<f64>>
         .collect()
 }
 
-/// Returns the distances after Newton steps; `None` if the sides are not reproduced within 1e-6.
+/// Returns the distances after Newton steps. `None` if the sides are not reproduced within 1e-6.
 fn refined(mut d: Vector3<f64>, squares: &[f64; 3], cosines: &[f64; 3]) -> Option<Vector3<f64>> {
     let residual = |d: &Vector3<f64>| {
         Vector3::new(

@@ -1,5 +1,5 @@
-//! LO-RANSAC (Chum, Matas, Kittler 2003) with truncated squared errors: the model with the best consensus among
-//! measurements of which many are wrong.
+//! LO-RANSAC (Chum, Matas, Kittler 2003) with truncated squared errors: the model with the best consensus among many
+//! wrong measurements.
 
 use marf_numeric::Rng;
 
@@ -93,8 +93,8 @@ pub(crate) fn locally_optimised<M: Clone>(
     found
 }
 
-/// Returns the consensus of a model, or `None` unless its cost is below that of the best; stops summing as soon as it
-/// is not.
+/// Returns the consensus of a model, or `None` unless its cost is below that of the best. Stops summing at that
+/// bound.
 pub(crate) fn scored_if_better<M>(
     model: M,
     count: usize,
@@ -104,7 +104,7 @@ pub(crate) fn scored_if_better<M>(
     let bound = best.map_or(count as f64, |best| best.cost);
     let mut cost = 0.0;
     for i in 0..count {
-        // `min` drops a NaN: a measurement without an error is no inlier.
+        // `min` drops a NaN: a measurement without an error is not an inlier.
         cost += error2(&model, i).min(1.0);
         if cost >= bound {
             return None;
@@ -151,7 +151,7 @@ mod tests {
             confidence: 0.999,
             min_inliers: 15,
         };
-        // ln .001 / ln(1 - .5^7) = 880.8; five points: 217.6; all: 1.
+        // Seven points: ln 0.001 / ln(1 - 0.5^7) = 880.8. Five points: 217.6. All inliers: 1.
         assert_eq!(options.samples_needed(50, 100, 7), 881);
         assert_eq!(options.samples_needed(50, 100, 5), 218);
         assert_eq!(options.samples_needed(100, 100, 7), 1);

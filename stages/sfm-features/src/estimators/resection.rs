@@ -27,8 +27,8 @@ pub struct Resection {
     pub inliers: Vec<usize>,
 }
 
-/// Largest number of samples: finds a share of inliers of .12 with the confidence below. 500 observations cost .4 ms of
-/// CPU at a share of .7, 6 at .2, 40 where there is no pose.
+/// Largest number of samples: finds a share of inliers of 0.12 with the confidence below. 500 observations cost 0.4
+/// ms of CPU at a share of 0.7, 6 ms at 0.2, 40 ms without a pose.
 const MAX_SAMPLES: u32 = 5000;
 const CONFIDENCE: f64 = 0.9999;
 
@@ -41,8 +41,8 @@ const LAST_STEPS: usize = 20;
 
 /// Returns the pose with the largest consensus: LO-RANSAC over P3P, then a refinement on the inliers under Cauchy's loss.
 ///
-/// `max_error` in plane units (pixels / focal). Equal observations count once. `None` with fewer than
-/// 6 inliers; the caller's own minimum should be higher, since 6 of 500 may agree by chance.
+/// `max_error` in plane units (pixels / focal). Equal observations count once. `None` with fewer than 6 inliers. The
+/// caller's own minimum should be higher, since 6 of 500 may agree by chance.
 pub fn resect(observations: &[PointObservation], max_error: f64, seed: u64) -> Option<Resection> {
     let usable = distinct(observations);
     let limit2 = max_error * max_error;
@@ -78,8 +78,8 @@ pub fn resect(observations: &[PointObservation], max_error: f64, seed: u64) -> O
     })
 }
 
-/// Returns the pose refined on observations: it rotates about the camera centre and moves along the camera's axes, so that
-/// a distant origin costs no more digits than t has lost.
+/// Returns the pose refined on observations. It rotates about the camera centre and moves along the camera's axes, so
+/// that a distant origin costs no more digits than t has lost.
 fn refined<'a>(
     start: &Pose,
     observations: impl Iterator<Item = &'a PointObservation> + Clone,
@@ -138,7 +138,7 @@ fn add_offset(normal: &mut NormalEquations<6>, point: &Vector3<f64>, plane: &Vec
     );
 }
 
-/// Returns the squared reprojection error in the plane; infinite behind the camera.
+/// Returns the squared reprojection error in the plane. Infinite behind the camera.
 fn offset2(pose: &Pose, observation: &PointObservation) -> f64 {
     let point = pose.point(&observation.world);
     if point.z > 0.0 {

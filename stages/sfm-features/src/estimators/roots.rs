@@ -6,11 +6,11 @@ const STEPS: usize = 70;
 /// Largest degree plus one: five points give degree 10.
 const TERMS: usize = 11;
 
-/// Returns the real roots of c0 + c1 x + ... , rising; a double root once or twice.
+/// Returns the real roots of c0 + c1 x + ... , rising. A double root comes once or twice.
 ///
-/// The roots of each derivative bracket those of the one before it; roots outside [-1, 1] come from the
-/// polynomial with its coefficients reversed, in 1/x, so none is lost to a bound. A minimum within rounding
-/// of zero is a root. At most 11 coefficients; none finite, or all zero: no roots.
+/// The roots of each derivative bracket those of the one before it. Roots outside [-1, 1] come from the polynomial
+/// with its coefficients reversed, in 1/x, so that no root is lost to a bound. A minimum within rounding of zero is a
+/// root. At most 11 coefficients. No roots if a coefficient is not finite or all are zero.
 pub(crate) fn real_roots(coefficients: &[f64]) -> Vec<f64> {
     let size = coefficients
         .iter()
@@ -67,7 +67,7 @@ fn within_one(coefficients: &[f64; TERMS], degree: usize) -> Vec<f64> {
     extrema
 }
 
-/// Tells whether a value is zero within the rounding of its own terms.
+/// Whether a value is zero within the rounding of its own terms.
 fn touches(terms: &[f64], x: f64, value: f64) -> bool {
     let size = terms
         .iter()
@@ -83,8 +83,8 @@ fn value_and_slope(terms: &[f64], x: f64) -> (f64, f64) {
     })
 }
 
-/// Returns the root in a bracket, by Newton steps with bisection where one leaves the bracket; the last step is a Newton
-/// step below `tolerance`, relative.
+/// Returns the root in a bracket, by Newton steps with bisection where one leaves the bracket. The last step is a
+/// Newton step below `tolerance`, relative.
 fn root_between(terms: &[f64], [mut left, mut right]: [f64; 2], at_left: f64, tolerance: f64) -> f64 {
     if at_left == 0.0 {
         return left;

@@ -20,8 +20,8 @@ pub(crate) fn exp_so3(turn: &Vector3<f64>) -> Matrix3<f64> {
     Matrix3::identity() + (outer - Matrix3::identity() * v.norm_squared() + skew * w) * 2.0
 }
 
-/// Returns the rotation vector of a rotation, its length in [0, pi]; accurate to the last digits at 0 and at pi, where
-/// either of the two axes may be returned.
+/// Returns the rotation vector of a rotation, its length in [0, pi]. Accurate to the last digits at 0 and at pi,
+/// where either of the two axes may be returned.
 ///
 /// Shepperd 1978: the quaternion by its largest component, then 2 atan2(|v|, w).
 #[inline]
@@ -53,8 +53,8 @@ pub fn nearest_rotation(matrix: &Matrix3<f64>) -> Matrix3<f64> {
     svd.u * svd.v.transpose()
 }
 
-/// Returns the rotation that best maps unit vectors `from` to unit vectors `to`, weighted (Kabsch 1976); about an axis that
-/// parallel vectors leave free it rotates no further than it must.
+/// Returns the rotation that best maps unit vectors `from` to unit vectors `to`, weighted (Kabsch 1976). About an
+/// axis that parallel vectors leave free it rotates no further than it must.
 pub(crate) fn rotation_between(
     pairs: impl Iterator<Item = (Vector3<f64>, Vector3<f64>, f64)>,
 ) -> Matrix3<f64> {
@@ -64,9 +64,8 @@ pub(crate) fn rotation_between(
     }))
 }
 
-/// Returns the angle between the rays from two centres to a point, in [0, pi]; 0 where a centre is the
-/// point. atan2 of sine and cosine: accurate to 1e-16 relative near 0 and near pi, where acos keeps 8
-/// digits.
+/// Returns the angle between the rays from two centres to a point, in [0, pi]. 0 if a centre is the point. It uses
+/// atan2 of sine and cosine: accurate to 1e-16 relative near 0 and near pi, where acos keeps 8 digits.
 #[inline]
 pub fn ray_angle_rad(centre_1: &Vector3<f64>, centre_2: &Vector3<f64>, point: &Vector3<f64>) -> f64 {
     let (ray_1, ray_2) = (point - centre_1, point - centre_2);

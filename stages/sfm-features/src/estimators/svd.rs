@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
-/// M = U diag(s) Vᵀ with U and V proper rotations, |s| falling; the last s has the sign of det M.
+/// M = U diag(s) Vᵀ with U and V proper rotations, |s| falling. The last s has the sign of det M.
 pub(crate) struct Svd3 {
     pub u: Matrix3<f64>,
     pub s: Vector3<f64>,
@@ -14,9 +14,8 @@ const SWEEPS: usize = 20;
 
 /// Returns the singular value decomposition of a 3 x 3 matrix by one-sided Jacobi rotations (Hestenes 1958).
 ///
-/// nalgebra's own 3 x 3 case goes through MᵀM and loses half of the digits of small singular values.
-/// Singular matrices are welcome (U is completed to a rotation); what is not finite gives what is not
-/// finite.
+/// nalgebra's own 3 x 3 case goes through MᵀM and loses half of the digits of small singular values. Singular
+/// matrices are welcome (U is completed to a rotation). Input that is not finite gives output that is not finite.
 pub(crate) fn svd3(matrix: &Matrix3<f64>) -> Svd3 {
     let (mut b, mut v) = (*matrix, Matrix3::identity());
     for _ in 0..SWEEPS {
@@ -39,7 +38,7 @@ pub(crate) fn svd3(matrix: &Matrix3<f64>) -> Svd3 {
     }
 }
 
-/// Rotates columns p and q of B, and those of V, until they are orthogonal; tells whether it had to.
+/// Rotates columns p and q of B, and those of V, until they are orthogonal. False if they already were.
 fn orthogonalise(b: &mut Matrix3<f64>, v: &mut Matrix3<f64>, p: usize, q: usize) -> bool {
     let (bp, bq) = (b.column(p).into_owned(), b.column(q).into_owned());
     let (alpha, beta, gamma) = (bp.norm_squared(), bq.norm_squared(), bp.dot(&bq));
@@ -57,7 +56,7 @@ fn orthogonalise(b: &mut Matrix3<f64>, v: &mut Matrix3<f64>, p: usize, q: usize)
     true
 }
 
-/// Returns two orthonormal vectors along two nearly orthogonal columns, of which the second may be zero.
+/// Returns two orthonormal vectors along two nearly orthogonal columns. The second column may be zero.
 fn basis(b0: &Vector3<f64>, b1: &Vector3<f64>) -> (Vector3<f64>, Vector3<f64>) {
     let u0 = b0.try_normalize(0.0).unwrap_or_else(Vector3::x);
     let rest = b1 - u0 * u0.dot(b1);
@@ -78,10 +77,10 @@ pub(crate) fn any_orthogonal(unit: &Vector3<f64>) -> Vector3<f64> {
     (axis - unit * unit.dot(&axis)).normalize()
 }
 
-/// Returns orthonormal vectors orthogonal to every row, by Householder reflections; `FREE` is 9 - `ROWS`.
+/// Returns orthonormal vectors orthogonal to every row, by Householder reflections. `FREE` is 9 - `ROWS`.
 ///
-/// Rows that depend on each other leave a larger null space, of which these are a part plus others: the
-/// caller's solutions are then wrong but finite.
+/// Rows that depend on each other leave a larger null space, and these vectors do not span all of it. The caller's
+/// solutions are then wrong but finite.
 pub(crate) fn null_space<const ROWS: usize, const FREE: usize>(
     mut rows: [SVector<f64, 9>; ROWS],
 ) -> [SVector<f64, 9>; FREE] {
@@ -108,7 +107,7 @@ pub(crate) fn null_space<const ROWS: usize, const FREE: usize>(
     })
 }
 
-/// Returns the eigenvector of the smallest eigenvalue of a symmetric matrix; `None` if the matrix is not finite.
+/// Returns the eigenvector of the smallest eigenvalue of a symmetric matrix. `None` if the matrix is not finite.
 pub(crate) fn smallest_eigenvector(outer: &SMatrix<f64, 9, 9>) -> Option<SVector<f64, 9>> {
     let eigen = outer
         .iter()

@@ -50,8 +50,8 @@ fn triangulate(rays: &[Ray]) -> Option<Vector3<f64>> {
 /// Returns the point with most inliers within `max_error` (plane units, one for each ray), refined on those.
 ///
 /// Hypotheses come from pairs of rays: all of them up to ten rays, then 45 drawn with a fixed seed. An inlier is near
-/// enough in the plane and has positive depth; the smallest truncated sum of squares wins, of equals the first. `None` if
-/// there are fewer than two inliers, or no two of them have a triangulation angle of `min_angle_rad`.
+/// enough in the plane and has positive depth. The smallest truncated sum of squares wins, the first on ties. `None`
+/// if there are fewer than two inliers, or no two of them have a triangulation angle of `min_angle_rad`.
 pub fn triangulate_robust(rays: &[Ray], max_error: &[f64], min_angle_rad: f64) -> Option<TriangulatedPoint> {
     if rays.len() != max_error.len() {
         return None;
@@ -106,7 +106,7 @@ fn hypotheses(count: usize) -> Vec<(usize, usize)> {
     drawn.map(|[i, j]| (i.min(j), i.max(j))).collect()
 }
 
-/// Tells whether two inliers have the wanted triangulation angle.
+/// Whether two inliers have at least this triangulation angle.
 fn wide_enough(rays: &[Ray], inliers: &[usize], point: &Vector3<f64>, min_angle_rad: f64) -> bool {
     let centres: Vec<_> = inliers.iter().map(|&i| rays[i].cam_from_world.centre()).collect();
     let angle = |i: usize, j: usize| ray_angle_rad(&centres[i], &centres[j], point);
@@ -144,8 +144,8 @@ fn nearest_to_rays(rays: &[&Ray]) -> Option<Vector3<f64>> {
     point.iter().all(|value| value.is_finite()).then_some(point)
 }
 
-/// Returns the midpoint between the nearest points of two rays, the first from the origin: by cross products, which keep
-/// the digits of small angles that 3 x 3 normal equations lose.
+/// Returns the midpoint between the nearest points of two rays, the first from the origin. It uses cross products,
+/// which keep the digits of small angles that 3 x 3 normal equations lose.
 fn midpoint(first: &Vector3<f64>, second: &Vector3<f64>, centre: &Vector3<f64>) -> Vector3<f64> {
     let normal = first.cross(second);
     let area = normal.norm_squared();
@@ -156,7 +156,7 @@ fn midpoint(first: &Vector3<f64>, second: &Vector3<f64>, centre: &Vector3<f64>) 
     (first * (along_first / area) + centre + second * (along_second / area)) * 0.5
 }
 
-/// Returns the point of least squared plane error near the start; no step may go behind a camera that saw the start.
+/// Returns the point of least squared plane error near the start. No step may go behind a camera that saw the start.
 fn refined(start: &Vector3<f64>, rays: &[&Ray]) -> Option<Vector3<f64>> {
     let linearise = |point: &Vector3<f64>| {
         let mut normal = NormalEquations::<3>::zero();
@@ -186,7 +186,7 @@ fn depth(ray: &Ray, point: &Vector3<f64>) -> f64 {
     ray.cam_from_world.point(point).z
 }
 
-/// Returns the squared reprojection error in the plane; infinite behind the camera.
+/// Returns the squared reprojection error in the plane. Infinite behind the camera.
 fn offset2(ray: &Ray, point: &Vector3<f64>) -> f64 {
     let local = ray.cam_from_world.point(point);
     if local.z > 0.0 {

@@ -18,7 +18,7 @@ impl Features {
         bytes
     }
 
-    /// Reads what [`Features::encode`] wrote; `None` if a byte is missing or left over, or a number is not finite.
+    /// Reads the bytes of [`Features::encode`]. `None` if a byte is missing or left over, or a number is not finite.
     pub fn decode(bytes: &[u8]) -> Option<Self> {
         let (count, rest) = bytes.strip_prefix(&MAGIC)?.split_first_chunk()?;
         let count = usize::try_from(u64::from_le_bytes(*count)).ok()?;

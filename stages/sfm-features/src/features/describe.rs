@@ -9,7 +9,7 @@ const CELLS: usize = 4;
 const DIRECTIONS: usize = 8;
 /// Width of a cell in standard deviations of the keypoint.
 const CELL: f32 = 3.0;
-/// Half the side of the window, with the half cell by which samples beside it contribute, in cells.
+/// Half the side of the window in cells, plus the half cell by which samples outside it contribute.
 const REACH: f32 = (CELLS as f32 + 1.0) / 2.0;
 /// Widest row of samples: the square root of 2 times 5 cells of 3 standard deviations, which are 4.03 px at most.
 const ROW: usize = 88;
@@ -20,13 +20,13 @@ const ROUND: f32 = 12_582_912.0;
 
 /// Directions of a cell, side by side.
 type Bins = [f32; DIRECTIONS];
-/// Cells in rows of 8: 1 to 4 are those of the window, 0 and 5 collect what falls beside it.
+/// Cells in rows of 8: 1 to 4 are those of the window, 0 and 5 collect samples outside it.
 type Cells = [Bins; 64];
 
 /// Returns the descriptor of a keypoint whose orientation is `eighths` of a turn.
 ///
-/// Magnitudes are shared by the two nearest cells along each axis and the two nearest directions, in a Gaussian window of
-/// 2 cells; clamped at .2 of the length, L1-normalised, square-rooted, times 512 (255 at most).
+/// Magnitudes are shared by the two nearest cells along each axis and the two nearest directions, in a Gaussian
+/// window of 2 cells. Bins are clamped at 0.2 of the length, L1-normalised, square-rooted, times 512 (255 at most).
 #[inline(always)]
 pub(super) fn describe(gradient: &Gradient, point: &Extremum, eighths: f32) -> Descriptor {
     let angle = f64::from(eighths) * std::f64::consts::FRAC_PI_4;
@@ -120,7 +120,7 @@ impl Samples {
             let dx = first + lane as f32;
             let u = frame.cos * dx + frame.sin * dy;
             let v = frame.cos * dy - frame.sin * dx;
-            // Cell centres at -1.5 .. 1.5 are cells 1 to 4; rounding less a half is the lower neighbour.
+            // Cell centres at -1.5 .. 1.5 are cells 1 to 4. Rounding less a half is the lower neighbour.
             let (across, down) = (u + REACH, v + REACH);
             let (column, row) = (across - 0.5 + ROUND, down - 0.5 + ROUND);
             self.cell[lane] = (row.to_bits() & 7) * 8 + (column.to_bits() & 7);
@@ -160,7 +160,7 @@ impl Samples {
     }
 }
 
-/// Returns the 128 bins of the window clamped, normalised and square-rooted; all 0 where they are.
+/// Returns the 128 bins of the window clamped, normalised and square-rooted. All 0 if the bins are.
 #[inline(always)]
 fn root_sift(cells: &Cells) -> Descriptor {
     let mut bins = [[0.0; DIRECTIONS]; CELLS * CELLS];

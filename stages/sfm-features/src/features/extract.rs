@@ -25,7 +25,7 @@ pub struct FeatureOptions {
 }
 
 impl Default for FeatureOptions {
-    /// COLMAP's thresholds (.0067 = .02 / 3 layers), at the size that was enough for the reference photos.
+    /// COLMAP's thresholds (0.0067 = 0.02 / 3 layers), at the size that was enough for the reference photos.
     fn default() -> Self {
         Self {
             max_features: 2048,
@@ -42,9 +42,9 @@ const FEW: usize = 500;
 /// Returns the SIFT features of a photo (Lowe, IJCV 2004) with RootSIFT descriptors (Arandjelovic and Zisserman, CVPR
 /// 2012).
 ///
-/// Three layers an octave from a blur of 1.6 px (the photo is assumed to have a blur of .5 px), keypoints by a quadratic
-/// fit, up to two orientations a keypoint, descriptors `L1`-normalised, square-rooted, times 512, in 8 bits. The photo is
-/// searched again with a third of the contrast threshold where fewer than 500 features are found.
+/// Three layers an octave from a blur of 1.6 px (the photo is assumed to have a blur of 0.5 px), keypoints by a
+/// quadratic fit, up to two orientations a keypoint. Descriptors are `L1`-normalised, square-rooted, times 512, in 8
+/// bits. The photo is searched again with a third of the contrast threshold if fewer than 500 features are found.
 ///
 /// # Extremes
 /// No features if a side is under 16 px, a pixel is not in [0, 1] (NaN included), or the mask has another size.
@@ -52,7 +52,7 @@ pub fn extract(gray: &Gray, mask: &Mask, options: &FeatureOptions) -> Features {
     extract_until(gray, mask, options, &|| false).unwrap_or_default()
 }
 
-/// As [`extract`]; `None` if `stop`, which is polled at each octave and layer, returns true.
+/// As [`extract`]. `None` if `stop`, which is polled at each octave and layer, returns true.
 pub fn extract_until(
     gray: &Gray,
     mask: &Mask,

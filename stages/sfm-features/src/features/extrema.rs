@@ -12,7 +12,7 @@ pub(super) struct Thresholds {
     pub edge_ratio: f32,
 }
 
-/// An extremum in pixels of its octave; (0, 0) is the centre of the first pixel.
+/// An extremum in pixels of its octave. (0, 0) is the centre of the first pixel.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Extremum {
     /// Inner layer, from 0, row and column of the nearest sample.
@@ -26,7 +26,8 @@ pub(super) struct Extremum {
 
 /// Iterations of the quadratic fit.
 const STEPS: usize = 5;
-/// An offset larger than this moves the fit to the next sample; above 1/2, so that the fit does not alternate between two.
+/// An offset larger than this moves the fit to the next sample. It is above 1/2, so that the fit does not alternate
+/// between two.
 const REACH: f64 = 0.6;
 /// Largest offset accepted in the last iteration, and between layers: 3 % more right matches than with [`REACH`].
 const LAST_REACH: f64 = 1.0;
@@ -95,7 +96,7 @@ impl Kernel for CandidateScan<'_> {
 }
 
 impl DogRows {
-    /// Adds the next row; from the third on the maxima and minima are those around the row before.
+    /// Adds the next row. From the third on the maxima and minima are those around the row before.
     #[inline(always)]
     fn push(&mut self, y: usize, below: &[f32], above: &[f32]) {
         let next = &mut self.ring[y % 3];
@@ -114,7 +115,7 @@ impl DogRows {
     }
 }
 
-/// Reduces 3 x 3 samples to one, columns first; the first and the last column are not set.
+/// Reduces 3 x 3 samples to one, columns first. The first and the last column are not set.
 #[inline(always)]
 fn fold(to: &mut Vec<f32>, down: &mut Vec<f32>, rows: &[Vec<f32>; 3], of: impl Fn(f32, f32) -> f32) {
     let len = rows[0].len();
@@ -172,7 +173,7 @@ impl DogVolume<'_> {
             - f64::from(self.scale_space.layers[layer][index])
     }
 
-    /// Tells whether a sample is strictly above (below) all its neighbours; a plateau has no extremum.
+    /// Whether a sample is strictly above (below) all its neighbours. A plateau has no extremum.
     fn is_strict(&self, cell: [usize; 3]) -> bool {
         let value = self.at(cell, [0; 3]);
         let neighbours = (0..27_isize).filter(|&index| index != 13).map(|index| {
@@ -244,7 +245,7 @@ impl DogVolume<'_> {
         let trace = curvature[(1, 1)] + curvature[(2, 2)];
         let determinant = curvature[(1, 1)] * curvature[(2, 2)] - curvature[(1, 2)] * curvature[(1, 2)];
         let ratio = f64::from(thresholds.edge_ratio);
-        // Lowe 2004, section 4.1; a saddle has a determinant below 0.
+        // Lowe 2004, section 4.1. A saddle has a determinant below 0.
         let is_edge = trace * trace * ratio >= (ratio + 1.0) * (ratio + 1.0) * determinant;
         let [layer, row, column] = cell;
         let sigma = SIGMA * libm::exp2((layer as f64 + 1.0 + offset[0]) / LAYERS as f64);
@@ -301,8 +302,8 @@ mod tests {
                 let point = &points[0];
                 let miss = (f64::from(point.x) + 0.5 - x_px).hypot(f64::from(point.y) + 0.5 - y_px);
                 assert!(miss < 0.05, "{sigma_px}: {miss}");
-                // The camera's blur of .5 that the photo is taken to have is not in this one; and the difference
-                // of layers s and 2^(1/3) s of a blob b is greatest at s = 2^(-1/6) b.
+                // This image lacks the assumed camera blur of 0.5 px. The difference of layers s and 2^(1/3) s of a
+                // blob b is greatest at s = 2^(-1/6) b.
                 let expected = sigma_px / 2_f64.powf(1.0 / 6.0);
                 let ratio = f64::from(point.sigma) / expected;
                 assert!((ratio - 1.0).abs() < 0.1, "{sigma_px}: {ratio}");

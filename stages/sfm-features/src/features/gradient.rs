@@ -4,7 +4,7 @@ use std::f32::consts::{FRAC_PI_2, PI};
 
 use crate::simd::{self, InstructionSet, Kernel, Lanes};
 
-/// Gradients of one layer; the outermost pixels have none.
+/// Gradients of one layer. The outermost pixels have none.
 #[derive(Default)]
 pub(super) struct Gradient {
     pub width: usize,
@@ -54,7 +54,7 @@ impl Kernel for CentralDifferences<'_> {
     }
 }
 
-/// Returns the angle of (x, y) in [0, 2 pi], 0 for (0, 0); within 2e-5 rad.
+/// Returns the angle of (x, y) in [0, 2 pi], 0 for (0, 0), within 2e-5 rad.
 ///
 /// Polynomial of the arc tangent on [0, 1]: Abramowitz and Stegun 4.4.49.
 #[inline(always)]

@@ -16,7 +16,7 @@ pub struct Gray {
 impl Gray {
     /// Returns the mean luma (Rec. 709 weights on the sRGB bytes as they are) of boxes of `factor` x `factor` pixels.
     ///
-    /// The rest of the division is cut off at the right and the bottom; a factor of 0 is taken as 1.
+    /// The rest of the division is cut off at the right and the bottom. A factor of 0 is taken as 1.
     pub fn from_photo(photo: &Image<Srgb>, factor: u32) -> Self {
         let factor = factor.max(1) as usize;
         let (width, height) = (photo.width as usize / factor, photo.height as usize / factor);
@@ -42,7 +42,7 @@ impl Gray {
         }
     }
 
-    /// Tells whether there are as many pixels as the size says, all in [0, 1].
+    /// Whether the number of pixels fits the size, and all are in [0, 1].
     pub(super) fn is_valid(&self) -> bool {
         let count = self.width as usize * self.height as usize;
         self.pixels.len() == count && self.pixels.iter().all(|pixel| (0.0..=1.0).contains(pixel))
@@ -70,7 +70,7 @@ mod tests {
         });
         let gray = Gray::from_photo(&photo, 2);
         assert_eq!((gray.width, gray.height), (2, 1));
-        // Blue 0 and .2 on average .1, then .4 and .6 on average .5.
+        // Blue 0 and 0.2 on average 0.1, then 0.4 and 0.6 on average 0.5.
         for (pixel, blue) in gray.pixels.iter().zip([0.1, 0.5]) {
             assert!((pixel - (0.2126 + 0.0722 * blue)).abs() < 1e-6, "{pixel}");
         }

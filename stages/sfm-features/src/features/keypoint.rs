@@ -1,6 +1,6 @@
 //! Keypoints and descriptors.
 
-/// Position, scale and orientation of a feature, in pixels of the working size; (0, 0) is the top-left corner.
+/// Position, scale and orientation of a feature, in pixels of the working size. (0, 0) is the top-left corner.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Keypoint {
     /// Column.
@@ -16,7 +16,7 @@ pub struct Keypoint {
 /// RootSIFT in 8 bits: 4 x 4 cells of 8 gradient directions.
 pub type Descriptor = [u8; 128];
 
-/// Features of one photo; both lists have the same length.
+/// Features of one photo. Both lists have the same length.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Features {
     /// Where each feature is.

@@ -9,7 +9,7 @@ pub struct Mask {
     pub width: u32,
     /// Pixels down.
     pub height: u32,
-    /// Row by row: whether a feature may lie there.
+    /// Row by row: whether a feature may be there.
     pub open: Vec<bool>,
 }
 
@@ -19,11 +19,11 @@ const AREA: usize = 256;
 const SATURATED: u8 = 253;
 
 impl Mask {
-    /// Returns the mask of a photo: closed are black areas, saturated areas, and what a mask file closes.
+    /// Returns the mask of a photo, which closes black areas, saturated areas, and the closed parts of a mask file.
     ///
     /// A working pixel is black (saturated) if all its `factor` x `factor` pixels are 0 (253 or more) in every
-    /// channel; 256 such pixels that are connected by their sides are an area. The file may have any size and is read at
-    /// the nearest pixel; black there is closed. A file without pixels closes nothing.
+    /// channel. At least 256 such pixels that are connected by their sides are an area. The file may have any size
+    /// and is read at the nearest pixel. Black there is closed. A file without pixels closes nothing.
     pub fn from_photo(photo: &Image<Srgb>, factor: u32, file: Option<&Image<Srgb>>) -> Self {
         let factor = factor.max(1);
         let (width, height) = (photo.width / factor, photo.height / factor);
@@ -47,7 +47,7 @@ fn boxes(photo: &Image<Srgb>, factor: u32, is: impl Fn(u8) -> bool) -> Vec<bool>
     let mut all = Vec::with_capacity(columns * (photo.height as usize / factor));
     for rows in photo.pixels.chunks_exact((width * factor).max(1)) {
         let first = all.len();
-        // Most rows have no such byte; this check runs many bytes at a time.
+        // Most rows have no such byte. This check runs many bytes at a time.
         let any = rows
             .as_flattened()
             .iter()
@@ -93,7 +93,7 @@ fn close_areas(mut left: Vec<bool>, width: usize, open: &mut [bool]) {
     }
 }
 
-/// Closes what is black in a mask file.
+/// Closes the black parts of a mask file.
 fn close_file(file: &Image<Srgb>, width: u32, height: u32, open: &mut [bool]) {
     // The pixel of the file under the centre of a working pixel.
     let under =
@@ -108,7 +108,7 @@ fn close_file(file: &Image<Srgb>, width: u32, height: u32, open: &mut [bool]) {
 pub(super) struct ClosedPixels {
     width: usize,
     height: usize,
-    /// `[height + 1][width + 1]`: closed pixels above and left; empty where all is open.
+    /// `[height + 1][width + 1]`: closed pixels above and left. Empty if all is open.
     sums: Vec<u32>,
 }
 
@@ -136,7 +136,7 @@ impl ClosedPixels {
         table
     }
 
-    /// Tells whether all pixels within one scale of a point are open: the border of a closed area gives no feature.
+    /// Whether all pixels within one scale of a point are open: the border of a closed area gives no feature.
     pub(super) fn allows(&self, [x_px, y_px]: [f32; 2], scale_px: f32) -> bool {
         if self.sums.is_empty() {
             return true;

@@ -7,13 +7,13 @@ use super::gradient::{Gradient, exp_neg};
 const BINS: usize = 36;
 /// Largest number of orientations of a keypoint.
 const MOST: usize = 2;
-/// Standard deviation of the window over that of the keypoint; radius of the window over its standard deviation.
+/// Standard deviation of the window over that of the keypoint, and radius of the window over its standard deviation.
 const WINDOW: f32 = 1.5;
 const RADIUS: f32 = 3.0;
 /// Smallest height of a further peak relative to the highest.
 const NEXT: f32 = 0.8;
 
-/// Returns the one or two dominant directions of a keypoint in eighths of a turn, in [0, 8); none where all is flat.
+/// Returns the one or two dominant directions of a keypoint in eighths of a turn, in [0, 8). Empty if all is flat.
 #[inline(always)]
 pub(super) fn orientations(gradient: &Gradient, point: &Extremum) -> Vec<f32> {
     let bins = smooth(histogram(gradient, point));
@@ -27,7 +27,7 @@ pub(super) fn orientations(gradient: &Gradient, point: &Extremum) -> Vec<f32> {
     peaks.sort_by(|&a, &b| bins[b].total_cmp(&bins[a]).then(a.cmp(&b)));
     let direction = |bin: usize| {
         let [before, here, after] = around(bin);
-        // The vertex of the parabola; a peak has a curvature below 0.
+        // The vertex of the parabola. A peak has a curvature below 0.
         let by = 0.5 * (before - after) / (before - 2.0 * here + after);
         let eighths = (bin as f32 + by) * (8.0 / BINS as f32);
         if eighths < 0.0 { eighths + 8.0 } else { eighths }
@@ -35,7 +35,7 @@ pub(super) fn orientations(gradient: &Gradient, point: &Extremum) -> Vec<f32> {
     peaks.into_iter().take(MOST).map(direction).collect()
 }
 
-/// Returns the histogram of directions in a Gaussian window; each sample is shared by the two nearest bins.
+/// Returns the histogram of directions in a Gaussian window. Each sample is shared by the two nearest bins.
 #[inline(always)]
 fn histogram(gradient: &Gradient, point: &Extremum) -> [f32; BINS] {
     let mut bins = [0.0; BINS];

@@ -18,11 +18,11 @@ const MOST_DOUBLED: usize = 2_000_000;
 pub enum FirstOctave {
     /// The photo's own.
     Native,
-    /// Twice the photo's, for photos up to 2 megapixels; larger ones keep their own.
+    /// Twice the photo's, for photos up to 2 megapixels. Larger ones keep their own.
     Doubled,
 }
 
-/// Size of an octave and where its pixels lie in the photo.
+/// Size of an octave and position of its pixels in the photo.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct OctaveGrid {
     pub width: usize,
@@ -85,7 +85,7 @@ impl ScaleSpace {
         scale_space
     }
 
-    /// Tells whether this octave is large enough to hold a feature.
+    /// Whether this octave is large enough to hold a feature.
     pub(super) fn is_large(&self) -> bool {
         self.grid.width.min(self.grid.height) >= SMALLEST
     }
@@ -100,7 +100,7 @@ impl ScaleSpace {
         }
     }
 
-    /// Starts the next octave from every second pixel of the layer of twice the blur; returns the three inner layers.
+    /// Starts the next octave from every second pixel of the layer of twice the blur. Returns the three inner layers.
     pub(super) fn halve(&mut self) -> [Vec<f32>; LAYERS] {
         let old = self.grid;
         self.grid = OctaveGrid {
@@ -119,7 +119,7 @@ impl ScaleSpace {
 }
 
 /// Returns the weights of the Gaussian that raises one blur to another, from the middle outwards, cut at 4 standard
-/// deviations; the whole kernel sums to 1.
+/// deviations. The whole kernel sums to 1.
 fn kernel(from: f64, to: f64) -> Vec<f32> {
     let variance = to * to - from * from;
     let radius = (4.0 * variance.sqrt()).ceil() as usize;
@@ -130,10 +130,10 @@ fn kernel(from: f64, to: f64) -> Vec<f32> {
     raw.iter().map(|weight| (weight / sum) as f32).collect()
 }
 
-/// Doubles width and height by linear interpolation; pixel i of the result lies at (i + .5) / 2 px.
+/// Doubles width and height by linear interpolation. Pixel i of the result is at (i + 0.5) / 2 px.
 fn double(gray: &Gray) -> Vec<f32> {
     let (width, height) = (gray.width as usize, gray.height as usize);
-    // The nearer neighbour weighs 3/4; edges are repeated.
+    // The nearer neighbour weighs 3/4. Edges are repeated.
     let near = |at: usize, len: usize| {
         let other = if at.is_multiple_of(2) {
             (at / 2).saturating_sub(1)
@@ -160,7 +160,7 @@ fn double(gray: &Gray) -> Vec<f32> {
     doubled
 }
 
-/// Blurs rows and columns; edges are repeated.
+/// Blurs rows and columns. Edges are repeated.
 fn blur(set: InstructionSet, from: &[f32], to: &mut Vec<f32>, width: usize, weights: Vec<f32>) {
     to.truncate(from.len());
     if to.len() < from.len() {
@@ -278,7 +278,7 @@ mod tests {
             .map(|(index, &pixel)| spread(index, pixel))
             .sum();
         assert!((sum - 1.0).abs() < 1e-5, "{sum}");
-        // Cut at 4 deviations: .1 % of the variance is missing.
+        // Cut at 4 deviations: 0.1 % of the variance is missing.
         assert!((variance - (3.2 * 3.2 - 1.6 * 1.6)).abs() < 0.02, "{variance}");
     }
 
@@ -316,7 +316,7 @@ mod tests {
     #[test]
     fn octaves_keep_the_place_of_the_first_pixel() {
         let set = InstructionSet::best();
-        // A ramp of x: the value tells the place.
+        // A ramp of x: the value shows the position.
         let ramp = Gray {
             width: 128,
             height: 64,

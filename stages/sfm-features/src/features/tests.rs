@@ -22,7 +22,7 @@ impl Texture {
         Self((0..1500).map(blob).collect())
     }
 
-    /// Photographs the plane; `plane_from_photo` maps pixels from the middle of the photo.
+    /// Photographs the plane. `plane_from_photo` maps pixels from the middle of the photo.
     fn photo(&self, side: u32, plane_from_photo: [f64; 4]) -> Gray {
         let mut pixels = vec![0.5_f64; (side * side) as usize];
         let [a, b, c, d] = plane_from_photo;

@@ -23,12 +23,12 @@ impl Default for MatchOptions {
     }
 }
 
-/// Returns the matches (index in a, index in b) of two photos: mutual nearest neighbours that pass the ratio test and the
-/// distance limit; sorted by a.
+/// Returns the matches (index in a, index in b) of two photos, sorted by a: mutual nearest neighbours that pass the
+/// ratio test and the distance limit.
 ///
 /// The ratio test holds in both directions, hence `match_pair(b, a)` gives the same matches with the indices swapped.
-/// Features of one keypoint with two orientations (position and scale equal to the bit) count as one: a keypoint takes
-/// part in at most one match, that of the greatest dot product (ties: lower indices), and a match names the first
+/// Features of one keypoint with two orientations (position and scale equal to the bit) count as one. A keypoint
+/// takes part in at most one match, that of the greatest dot product (ties: lower indices). A match names the first
 /// feature of its keypoints, so that a track through three photos is not cut where its matches used different
 /// orientations. The features of a keypoint must be neighbours in the list, as `extract` leaves them.
 pub fn match_pair(a: &Features, b: &Features, options: &MatchOptions) -> Vec<[u32; 2]> {
@@ -60,7 +60,7 @@ pub(super) fn mutual(
     matches.collect()
 }
 
-/// Tells whether the nearest descriptor passes the distance limit and the ratio test.
+/// Whether the nearest descriptor passes the distance limit and the ratio test.
 fn passes(near: &NearestTwo, options: &MatchOptions) -> bool {
     let angle = |dot: i32| libm::acos((f64::from(dot) / f64::from(512 * 512)).min(1.0));
     let (first, second) = (angle(near.best), angle(near.second));

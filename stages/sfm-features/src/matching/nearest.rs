@@ -8,7 +8,7 @@ pub(super) struct NearestTwo {
     pub best: i32,
     /// 0, the smallest possible, where the other photo has only one descriptor.
     pub second: i32,
-    /// Index of the best; the lowest of equals.
+    /// Index of the best, the lowest on ties.
     pub index: u32,
 }
 
@@ -27,7 +27,7 @@ impl ColumnBlocks {
     }
 }
 
-/// Returns the nearest column of every row and the nearest row of every column; nothing where a side is empty.
+/// Returns the nearest column of every row and the nearest row of every column. Empty if a side is empty.
 ///
 /// Missing rows and columns of the last blocks are zero: their dot product 0 comes after every real one, so it
 /// is never the nearest and changes no second nearest.
@@ -77,7 +77,7 @@ impl GreatestTwo {
         }
     }
 
-    /// Returns the two greatest of all lanes; the lanes' indices are those of blocks of columns.
+    /// Returns the two greatest of all lanes. The lanes' indices are those of blocks of columns.
     fn across(&self) -> NearestTwo {
         let column = |lane: usize| self.index[lane] * COLUMNS as u32 + lane as u32;
         let mut near = NearestTwo {

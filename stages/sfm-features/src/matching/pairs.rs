@@ -57,8 +57,8 @@ impl Samples {
 
 /// Returns for each of `count` photos the `per_photo` others with which it has most matches, as sorted pairs i < j.
 ///
-/// `matches`: two photos and their number of matches; with fewer than `min_matches` they are no candidates. More matches
-/// come first, ties by the lower index. A pair is returned if either photo chose it.
+/// `matches`: two photos and their number of matches. With fewer than `min_matches` they are not candidates. More
+/// matches come first, ties by the lower index. A pair is returned if either photo chose it.
 pub fn most_similar(
     count: usize,
     matches: &[([usize; 2], usize)],

@@ -14,7 +14,7 @@ use crate::estimators::{
 const QUICK_STEPS: usize = 3;
 const LAST_STEPS: usize = 10;
 
-/// Samples of two points off the plane: with .2 of true matches all miss with probability 3e-4.
+/// Samples of two points off the plane: with 0.2 of true matches all miss with probability 3e-4.
 const PARALLAX_SAMPLES: u32 = 200;
 
 /// The three models with their consensus over the same matches.
@@ -47,8 +47,8 @@ struct Search<'a> {
 
 /// Returns the three models (the essential matrix only with known focal lengths).
 ///
-/// The seven-point algorithm is degenerate on a plane, so the homography and the essential matrix propose fundamental
-/// matrices too (plane and parallax: F = [e]x H, Chum, Werner, Matas, CVPR 2005); the one of lowest cost is kept.
+/// The seven-point algorithm is degenerate on a plane. So the homography and the essential matrix propose fundamental
+/// matrices too (plane and parallax: F = [e]x H, Chum, Werner, Matas, CVPR 2005). The one of lowest cost is kept.
 pub(super) fn fit_models(
     correspondences: &Correspondences<'_>,
     focal: FocalKnown,
@@ -116,8 +116,7 @@ impl Search<'_> {
 
     /// Returns the options for smaller samples.
     fn few(&self) -> RansacOptions {
-        // Five points in 500 trials reach the share of inliers that seven reach in 2000: .44; four reach
-        // .34.
+        // Five points in 500 trials reach the share of inliers that seven reach in 2000: 0.44. Four reach 0.34.
         RansacOptions {
             max_samples: self.options.max_samples.div_ceil(4),
             ..self.options
@@ -129,7 +128,7 @@ impl Search<'_> {
         ransac_homography(&self.pairs, [1.0; 2], self.limit, &self.few(), rng)
     }
 
-    /// `noise2`: one unit of `pairs` in plane units, squared; errors are in that unit.
+    /// `noise2`: one unit of `pairs` in plane units, squared. Errors are in that unit.
     fn essential(&self, noise2: [f64; 2], rng: &mut Rng) -> Option<Consensus<Matrix3<f64>>> {
         let solve = |sample: &[usize; 5]| {
             let side = |side: usize| sample.map(|i| self.planes[i][side]);

@@ -32,11 +32,11 @@ const AGREED: f64 = 0.5;
 /// Returns the focal length, in pixels, for which the fundamental matrices of many pairs of one camera are closest to
 /// essential matrices.
 ///
-/// An essential matrix has two equal singular values (Mendonca and Cipolla, CVPR 1999): their relative
-/// difference, under Cauchy's loss and weighed by inliers, is searched over [0.2, 5] x the longer side,
-/// principal point at the camera's, fx : fy kept. `None` with no usable pair, with the minimum at an end of
-/// the range, where it is shallow (parallel axes: every focal length is as good) or shared by less than
-/// half of the pairs (planes). Pure rotations do determine it.
+/// An essential matrix has two equal singular values (Mendonca and Cipolla, CVPR 1999). Their relative difference,
+/// under Cauchy's loss and weighed by inliers, is minimised over [0.2, 5] x the longer side, with the principal point
+/// at the camera's and fx : fy kept. `None` without a usable pair, or with the minimum at an end of the range. Also
+/// `None` where the minimum is shallow (parallel axes: every focal length is as good) or shared by less than half of
+/// the pairs (planes). Pure rotations do determine it.
 pub fn focal_from_pairs(pairs: &[(Matrix3<f64>, usize)], camera: &Camera) -> Option<f64> {
     let side = f64::from(camera.width.max(camera.height));
     let usable: Vec<(Matrix3<f64>, f64)> = pairs
@@ -86,7 +86,7 @@ fn centred(fundamental: &Matrix3<f64>, camera: &Camera, side: f64) -> Option<Mat
     unit.iter().all(|value| value.is_finite()).then_some(unit)
 }
 
-/// Returns (s1 - s2) / (s1 + s2) of diag(f, f, 1) F diag(f, f, 1): of a rank-two matrix s1² + s2² is its squared
+/// Returns (s1 - s2) / (s1 + s2) of diag(f, f, 1) F diag(f, f, 1). For a rank-two matrix s1² + s2² is its squared
 /// norm and s1 s2 that of its cofactors.
 fn imbalance(fundamental: &Matrix3<f64>, focal: f64) -> f64 {
     let k = nalgebra::Vector3::new(focal, focal, 1.0);

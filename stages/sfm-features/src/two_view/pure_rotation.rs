@@ -25,7 +25,7 @@ pub(super) struct RotationAndFocal {
     pub rotation: Matrix3<f64>,
 }
 
-/// Returns scale and shift of least squares; `None` if the scale is not positive or all points are equal.
+/// Returns scale and shift by least squares. `None` if the scale is not positive or all points are equal.
 pub(super) fn fit_scale_and_shift(matches: &RayMatches<'_>, on: &[usize]) -> Option<ScaleAndShift> {
     let count = on.len() as f64;
     let mean = |side: usize| on.iter().map(|&i| matches.pairs[i][side]).sum::<Vector2<f64>>() / count;
@@ -80,7 +80,7 @@ pub(super) fn fit_rotation_and_focal(
 }
 
 impl RotationAndFocal {
-    /// Returns the squared error in photo 2 over its variance, in units of the limit; infinite behind the camera.
+    /// Returns the squared error in photo 2 over its variance, in units of the limit. Infinite behind the camera.
     pub(super) fn error2(&self, matches: &RayMatches<'_>, i: usize) -> f64 {
         let [p, q] = matches.pairs[i].map(|point| point / self.factor);
         if (self.rotation * p.push(1.0)).z <= 0.0 {

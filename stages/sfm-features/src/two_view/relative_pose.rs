@@ -15,7 +15,7 @@ use crate::estimators::{
     rotation_between, sampson2, scored_if_better, transfer2,
 };
 
-/// VerifiedPair matches are mostly right: a hundred samples reach a share of .4 of five.
+/// Verified matches are mostly right: a hundred samples reach a share of 0.4 of five.
 const RANSAC: RansacOptions = RansacOptions {
     max_samples: 500,
     confidence: 0.9999,
@@ -29,13 +29,13 @@ const MIN_INLIERS: usize = 6;
 const QUICK_STEPS: usize = 3;
 const LAST_STEPS: usize = 10;
 
-/// A pure rotation has a median angle below this (1 degree),
+/// Largest median angle of a pure rotation (1 degree).
 const ROTATION_ANGLE_RAD: f64 = 0.017_453_292_519_943_295;
-/// at least this share of the inliers of the relative pose,
+/// Smallest share of the inliers of the relative pose that fit a pure rotation.
 const ROTATION_SHARE: f64 = 0.8;
-/// and a residual variance of at most this multiple of that of the essential matrix,
+/// Largest residual variance of a pure rotation, as a multiple of that of the essential matrix.
 const ROTATION_VARIANCE: f64 = 3.0;
-/// which is taken as no less than (.1 px)²: features are not more accurate.
+/// Lower bound of the latter, (0.1 px)²: features are not more accurate.
 const MIN_VARIANCE: f64 = 0.01;
 
 /// A pure rotation and its inliers.
@@ -50,16 +50,16 @@ struct Candidate {
 
 /// Returns the relative pose of two photos from verified matches, with the focal lengths of their cameras.
 ///
-/// Candidates: LO-RANSAC over five points, the two poses that the homography decomposes into, the best pure rotation with
-/// three directions of translation. Each is refined, points behind a camera count as outliers, and the one of lowest cost
-/// is kept. An exact plane may leave two poses whose costs differ by less than four mean residuals: then the one with the
-/// smaller rotation is returned, by convention; `kind` is then `Planar`.
+/// Candidates: LO-RANSAC over five points, the two poses that the homography decomposes into, the best pure rotation
+/// with three directions of translation. Each is refined, points behind a camera count as outliers, and the one of
+/// lowest cost is kept. An exact plane may leave two poses whose costs differ by less than four mean residuals. By
+/// convention, the one with the smaller rotation is then returned, and `kind` is `Planar`.
 ///
-/// `Rotation` if the median angle is below 1 deg, a pure rotation has at least .8 of the inliers, and its residual
-/// variance on those is at most 3 times that of the essential matrix: parallax below about twice the noise cannot be
-/// distinguished from none. The same test is applied to a crop or zoom of one image, and to a rotation with another focal
-/// length where this one is a guess: each resembles a camera that moves past a plane.
-/// `None` with fewer than 6 inliers.
+/// `Rotation` if the median angle is below 1 deg, a pure rotation has at least 0.8 of the inliers, and its residual
+/// variance on those is at most 3 times that of the essential matrix. Parallax below about twice the noise cannot be
+/// distinguished from none. The same test is applied to a crop or zoom of one image, and to a rotation with another
+/// focal length where this one is a guess. Each resembles a camera that moves past a plane. `None` with fewer than 6
+/// inliers.
 pub fn estimate_relative_pose(
     views: [&ViewPoints<'_>; 2],
     inliers: &[[u32; 2]],
@@ -226,7 +226,7 @@ impl Estimation<'_> {
         candidates
     }
 
-    /// Returns the refined candidate of lowest cost; a later one must be better by four mean residuals.
+    /// Returns the refined candidate of lowest cost. A later one must be better by four mean residuals.
     fn of_lowest_cost(&self, candidates: Vec<Matrix3<f64>>) -> Option<Consensus<Candidate>> {
         let mut best: Option<Consensus<Candidate>> = None;
         for candidate in candidates {
@@ -268,7 +268,7 @@ impl Estimation<'_> {
         })
     }
 
-    /// Tells whether the rays of a match intersect behind a camera, by more than the error may cause.
+    /// Whether the rays of a match intersect behind a camera, by more than the error may cause.
     fn behind(&self, pose: &Pose, i: usize) -> bool {
         let (depth_1, depth_2) = depths(pose, &self.0.pairs[i]);
         let doubt = self.0.limit * self.0.noise2[0].max(self.0.noise2[1]).sqrt();
@@ -295,9 +295,9 @@ impl Estimation<'_> {
         Some((rotation.model, held))
     }
 
-    /// Returns the rotation behind what only resembles a camera that moves past a plane: one image cropped or zoomed, or a
-    /// rotation with another focal length. `on`: the inliers of the homography; wrong matches along an epipolar line are
-    /// not among them.
+    /// Returns the rotation of a pair that only resembles a camera that moves past a plane: one image cropped or
+    /// zoomed, or a rotation with another focal length. `on`: the inliers of the homography, without wrong matches
+    /// along an epipolar line.
     fn degenerate(
         &self,
         found: &Consensus<Candidate>,

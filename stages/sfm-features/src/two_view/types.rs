@@ -8,9 +8,9 @@ use nalgebra::{Matrix3, Vector2};
 pub struct VerifyOptions {
     /// Largest Sampson error of an inlier, pixels: 4 at a longer side of 1000.
     pub max_error_px: f64,
-    /// Smallest number of inliers of a verified pair; more are required where so many may agree by chance.
+    /// Smallest number of inliers of a verified pair. More are required if this number may agree by chance.
     pub min_inliers: u32,
-    /// Largest number of samples of seven points; of five and of four a quarter of it.
+    /// Largest number of samples of seven points. For five and four points it is a quarter.
     pub max_samples: u32,
     /// Wanted probability of one sample without outliers.
     pub confidence: f64,
@@ -50,9 +50,9 @@ pub enum FocalKnown {
 pub enum VerifiedKind {
     /// A scene with depth.
     General,
-    /// A plane or a pure rotation: a homography explains more than .8 of the inliers.
+    /// A plane or a pure rotation: a homography explains more than 0.8 of the inliers.
     Planar,
-    /// Objects fixed to the camera, or the same image twice: at least .8 of the inliers do not move.
+    /// Objects fixed to the camera, or the same image twice: at least 0.8 of the inliers do not move.
     Stationary,
     /// No more inliers than expected by chance.
     None,
@@ -91,7 +91,7 @@ pub enum RelativePoseKind {
 pub struct RelativePose {
     /// What it was estimated from.
     pub kind: RelativePoseKind,
-    /// The pose; translation of unit length, zero for `Rotation`.
+    /// The pose, with translation of unit length, zero for `Rotation`.
     pub cam2_from_cam1: Pose,
     /// Inlier matches in the given order, one for each pair of positions.
     pub inliers: Vec<[u32; 2]>,

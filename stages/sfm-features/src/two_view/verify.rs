@@ -19,10 +19,10 @@ const ESSENTIAL_SHARE: f64 = 0.95;
 
 /// Returns the matches that agree with a two-view geometry, and its kind.
 ///
-/// Fundamental matrix and homography are always estimated, the essential matrix if both focal lengths are known. Matches
-/// that move by at most `max_error_px` (hardware, lens dirt, watermark) are first left out if others move: if those verify
-/// alone, the stationary ones are used only if at least .8 of them fit. For a plane both the inliers on it and those off it
-/// are kept. Points without a ray are dropped. For random matches see `min_inliers`.
+/// Fundamental matrix and homography are always estimated, the essential matrix if both focal lengths are known.
+/// Matches that move by at most `max_error_px` (hardware, lens dirt, watermark) are first left out if others move. If
+/// those verify alone, the stationary ones are used only if at least 0.8 of them fit. For a plane both the inliers on
+/// it and those off it are kept. Points without a ray are dropped. For random matches see `min_inliers`.
 pub fn verify(
     views: [&ViewPoints<'_>; 2],
     matches: &[[u32; 2]],
@@ -64,8 +64,8 @@ pub fn verify(
     verdict
 }
 
-/// Tells whether most stationary matches fit the geometry of the moving ones: then they are distant points, not dirt.
-/// Half of the dirt may fit by chance where all points move alike, all of it where the camera does not rotate.
+/// Whether most stationary matches fit the geometry of the moving ones: then they are distant points, not dirt. Half
+/// of the dirt may fit by chance if all points move alike, all of it if the camera does not rotate.
 fn stationary_fit(
     correspondences: &Correspondences<'_>,
     stationary: &[usize],
@@ -85,9 +85,9 @@ fn stationary_fit(
     stationary.iter().filter(fits).count() as f64 >= STATIONARY_SHARE * stationary.len() as f64
 }
 
-/// Returns the smallest number of inliers that is not expected by chance: of n random matches a fundamental matrix holds seven and about
-/// n p more, where p = 2 sqrt(2) error x diagonal / area is the share of the photo near an epipolar line; 7
-/// sigmas are added for the thousands of matrices tried.
+/// Returns the smallest number of inliers that is not expected by chance. Of n random matches a fundamental matrix
+/// holds seven and about n p more. Here p = 2 sqrt(2) error x diagonal / area is the share of the photo near an
+/// epipolar line. 7 sigmas are added for the thousands of matrices tried.
 fn min_inliers(correspondences: &Correspondences<'_>, options: &VerifyOptions) -> usize {
     let camera = correspondences.cameras[1];
     let (width, height) = (f64::from(camera.width), f64::from(camera.height));

@@ -31,12 +31,12 @@ pub struct PointAlignment {
     pub inliers: Vec<usize>,
 }
 
-/// Samples of three points; at 30 % of inliers 160 would do.
+/// Samples of three points. At 30 % of inliers 160 would do.
 const SAMPLES: u32 = 4_000;
 
 impl Sighting<'_> {
-    /// Returns the squared distance, in units of the largest error, of a position in this world from where the photo shows the point; infinite
-    /// behind the camera.
+    /// Returns the squared distance between the projection of a position in this world and the observed point, in
+    /// units of the largest error. Infinite behind the camera.
     fn error2(&self, point: &Vector3<f64>) -> f64 {
         let seen = self.camera.project(&self.cam_from_world.point(point));
         seen.map_or(f64::INFINITY, |seen| {
@@ -75,7 +75,7 @@ pub fn align_points(pairs: &[[Sighting<'_>; 2]], min_inliers: usize, seed: u64) 
     })
 }
 
-/// Returns the similarity of least squares over some pairs; none where they fix no scale.
+/// Returns the least-squares similarity over some pairs. `None` if they do not determine the scale.
 fn fit(pairs: &[[Sighting<'_>; 2]], chosen: &[usize]) -> Option<Similarity> {
     let chosen = || {
         chosen
@@ -120,7 +120,7 @@ mod tests {
         }
     }
 
-    /// Points 5 to 30 away from two cameras, known in the world of each; every third is of another place.
+    /// Points 5 to 30 away from two cameras, known in the world of each. Every third is of another place.
     fn aligned(count: usize, wrong_every: usize, min_inliers: usize) -> Option<PointAlignment> {
         let camera = Camera::pinhole(640, 480, 500.0);
         let eye = |x: f64| {

@@ -35,14 +35,14 @@ pub struct Alignment {
 
 /// Rounds of fitting to the inliers.
 const ROUNDS: usize = 5;
-/// Largest number of photos of which pairs are tried, evenly chosen.
+/// Largest number of photos whose pairs are tried, evenly chosen.
 const MAX_TRIED: usize = 40;
 
 /// Returns the similarity with most inliers among photos that have a pose in both frames.
 ///
-/// Attitudes give the rotation, centres give scale and translation, so that two photos suffice and collinear centres do no
-/// harm. Every pair of photos is a hypothesis; the one with most inliers is fitted to them. `None` with fewer than two
-/// photos, if all centres coincide, or if no two photos agree.
+/// Attitudes give the rotation, centres give scale and translation, so that two photos suffice and collinear centres
+/// do no harm. Every pair of photos is a hypothesis, and the one with most inliers is fitted to them. `None` with
+/// fewer than two photos, if all centres coincide, or if no two photos agree.
 pub fn align(pairs: &[PosePair], tolerance: &Tolerance) -> Option<Alignment> {
     let mut best: Option<Alignment> = None;
     let tried: Vec<usize> = evenly_spaced(pairs.len());

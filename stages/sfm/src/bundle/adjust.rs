@@ -1,4 +1,4 @@
-//! Levenberg-Marquardt: damped Gauss-Newton steps; the damping follows how well the last gain was predicted.
+//! Levenberg-Marquardt: damped Gauss-Newton steps. The damping follows how well the last gain was predicted.
 
 use super::checkpoint::Checkpoint;
 use super::normal_equations::NormalEquations;
@@ -23,17 +23,17 @@ const ROUNDING: f64 = 1e-12;
 
 /// Adjusts poses, points and cameras in place so that the cost of observations and priors is smallest.
 ///
-/// Levenberg-Marquardt with Marquardt's scaling and Nielsen's damping (1999), points eliminated (SchurComplement complement),
-/// robust losses by reweighting. Rotations are updated from the left, about the camera centre. The cost never rises and
-/// no number becomes non-finite; what did not move keeps its bits. The supervisor is asked to stop before each step and
-/// within long ones; what it has saved of this very problem is gone on with.
+/// Levenberg-Marquardt with Marquardt's scaling and Nielsen's damping (1999), points eliminated (Schur complement),
+/// robust losses by reweighting. Rotations are updated from the left, about the camera centre. The cost never rises
+/// and no number becomes non-finite. Parameters that did not move keep their bits. The supervisor is polled before
+/// each step and within long ones. A state that it has saved for exactly this problem is resumed.
 ///
 /// # Extremes
-/// - An observation behind the camera, beyond the fold of the distortion or with an error above 1e9 px costs as much as
-///   an error of the photo's diagonal, and contributes no gradient.
-/// - A point without observations, or not determined by them (parallax below 1e-7 rad, one observation), is held. A pose
-///   without observation and prior is held.
-/// - f stays in [0.1, 10] times the longer side, |k|, |p| within 1: a step ends at the bound, and the parameter is
+/// - An observation behind the camera, beyond the fold of the distortion or with an error above 1e9 px costs as much
+///   as an error of the photo's diagonal, and contributes no gradient.
+/// - A point without observations, or not determined by them (parallax below 1e-7 rad, one observation), is held. A
+///   pose without observation and prior is held.
+/// - f stays in [0.1, 10] times the longer side, |k|, |p| within 1. A step ends at the bound, and the parameter is
 ///   held from then on. A start outside may at most double.
 ///
 /// # Errors
@@ -157,7 +157,7 @@ impl Workspace {
         }
     }
 
-    /// Computes the step; tells whether one was found within the trials of the damping.
+    /// Computes the step. False if none was found within the trials of the damping.
     fn solve(&mut self, objective: &Objective, control: &mut StepControl, stop: &dyn Fn() -> bool) -> bool {
         for _ in 0..=MOST_FAILURES {
             if stop() {
@@ -175,7 +175,7 @@ impl Workspace {
         false
     }
 
-    /// Solves the reduced system; tells whether there is a solution.
+    /// Solves the reduced system. False if there is no solution.
     fn solve_reduced(
         &mut self,
         objective: &Objective,

@@ -1,4 +1,4 @@
-//! An adjustment that was stopped is gone on with; one that was finished is not repeated.
+//! A stopped adjustment is resumed, and a finished one is not repeated.
 
 use marf_scene::{Camera, Pose};
 use nalgebra::Vector3;
@@ -11,7 +11,7 @@ use crate::Supervisor;
 use crate::bytes::{decode, encode, fingerprint};
 use crate::supervisor::{SAVE_FINISHED, SAVE_UNFINISHED};
 
-/// Forms of both states; a new number where one is written or used otherwise.
+/// Forms of both states. A new number for any change of how one is written or used.
 const FINISHED: &[u8; 8] = b"adjend02";
 const UNFINISHED: &[u8; 8] = b"adjrun02";
 
@@ -56,7 +56,7 @@ impl<'a> Checkpoint<'a> {
         }
     }
 
-    /// Returns what the step depended on before which an earlier run was saved.
+    /// Returns the saved inputs of the step from which to resume an earlier run.
     pub fn unfinished(&self) -> Option<(State, StepControl, BundleReport)> {
         decode(self.saved.as_ref()?, UNFINISHED, self.fingerprint)
     }

@@ -1,7 +1,7 @@
 //! Cholesky factorisation of a dense symmetric matrix, blocked so that it runs from the cache.
 //!
-//! Matrices are stored by rows; only the lower triangle is read and written. Each element is computed by one fixed
-//! sequence of operations, whatever the number of threads.
+//! Matrices are stored by rows, and only the lower triangle is read and written. Each element is computed by one
+//! fixed sequence of operations for any number of threads.
 
 use rayon::prelude::*;
 
@@ -14,8 +14,8 @@ const TILE: usize = 4;
 /// Column k of four rows.
 type Strip = [f64; TILE];
 
-/// Replaces A by its factor L (A = L Lᵀ); tells whether all pivots stayed above `floor` times their diagonal and `stop`,
-/// which is polled every 48 columns, stayed false. On failure A is left undefined.
+/// Replaces A by its factor L (A = L Lᵀ). False if a pivot was not above `floor` times its diagonal, or if `stop`,
+/// which is polled every 48 columns, became true. A is then undefined.
 pub(super) fn factor(a: &mut [f64], n: usize, floor: f64, stop: &dyn Fn() -> bool) -> bool {
     let least = least_pivots(a, n, floor);
     factor_from(0, a, n, &least, &mut |_, _| !stop())
@@ -26,8 +26,9 @@ pub(super) fn least_pivots(a: &[f64], n: usize, floor: f64) -> Vec<f64> {
     (0..n).map(|row| floor * a[row * n + row]).collect()
 }
 
-/// As [`factor`], from a state in which the first columns are factored and the others hold what is left to factor. Before
-/// every 48 columns `go_on` sees this state with the number of factored columns, and tells whether to go on.
+/// As [`factor`], from a state in which the first columns are factored and the others hold the remainder to factor.
+/// Before every 48 columns `go_on` gets this state with the number of factored columns, and returns whether to
+/// continue.
 pub(super) fn factor_from(
     factored: usize,
     a: &mut [f64],
@@ -123,7 +124,7 @@ fn solve_row(row: &mut [f64], corner: &[f64], n: usize, columns: std::ops::Range
     }
 }
 
-/// Copies the panel's columns of the rows below it, four rows side by side; missing rows are zero.
+/// Copies the panel's columns of the rows below it, four rows side by side. Missing rows are zero.
 fn pack(packed: &mut Vec<Strip>, below: &[f64], n: usize, columns: std::ops::Range<usize>) {
     packed.clear();
     for rows in below.chunks(TILE * n) {
@@ -188,7 +189,7 @@ mod tests {
 
     #[test]
     fn a_hand_worked_matrix() {
-        // [4 2; 2 10] = [2 0; 1 3] [2 1; 0 3]
+        // The rows (4, 2), (2, 10) = (2, 0), (1, 3) times (2, 1), (0, 3).
         let mut a = vec![4.0, f64::NAN, 2.0, 10.0];
         assert!(factor(&mut a, 2, 0.0, &|| false));
         assert_eq!((a[0], a[2], a[3]), (2.0, 1.0, 3.0));

@@ -1,6 +1,6 @@
 //! Solution of the reduced system by conjugate gradients, for many photos: the matrix is never formed.
 //!
-//! Preconditioned by the diagonal blocks of the SchurComplement complement (Agarwal et al. 2010, "Bundle adjustment in the
+//! Preconditioned by the diagonal blocks of the Schur complement (Agarwal et al. 2010, "Bundle adjustment in the
 //! large"). One product costs one pass over the observations.
 
 use rayon::prelude::*;
@@ -11,7 +11,7 @@ use super::normal_equations::GRAIN;
 use super::residual::CAMERA_PARAMS;
 use super::schur::{ReducedSystem, damped, padded, subtract_transposed};
 
-/// Largest number of products; an unfinished solution is still a descent direction.
+/// Largest number of products. An unfinished solution is still a descent direction.
 const MOST_PRODUCTS: usize = 200;
 
 /// Vectors that are reused from one solution to the next.
@@ -31,8 +31,8 @@ struct Block {
     factor: Vec<f64>,
 }
 
-/// Sets `solution` to that of the system, with a residual below `forcing` times the right side. Tells whether the matrix
-/// was positive definite along all directions tried and `stop`, which is polled before each product, stayed false.
+/// Sets `solution` to that of the system, with a residual below `forcing` times the right side. False if the matrix
+/// was not positive definite along a direction tried, or if `stop`, which is polled before each product, became true.
 pub(super) fn solve(
     system: &ReducedSystem<'_>,
     forcing: f64,
@@ -182,12 +182,12 @@ fn multiply_cameras(system: &ReducedSystem<'_>, vector: &[f64], gathered: &[[f64
     index.place(&products, to);
 }
 
-/// Returns what damping adds to a diagonal element.
+/// Returns the damping term of a diagonal element.
 fn damping_term(h: f64, damping: f64) -> f64 {
     damped(h, damping) - h
 }
 
-/// Returns the factors of the diagonal blocks of the reduced matrix; `None` if one is not positive definite.
+/// Returns the factors of the diagonal blocks of the reduced matrix. `None` if one is not positive definite.
 fn blocks(system: &ReducedSystem<'_>) -> Option<Vec<Block>> {
     let &ReducedSystem {
         objective,

@@ -25,12 +25,12 @@ const PIVOT_FLOOR: f64 = 1e-11;
 
 /// Returns the covariance of each pose: rotation from the left (radian), then centre (unit of the world).
 ///
-/// σ² (JᵀJ)⁻¹ with points and free camera parameters marginalised, all observations with equal weight; the priors have
-/// their own sigmas. `sigma_px`: standard deviation of one residual coordinate. Zero for a fixed pose, and in a
-/// fixed coordinate. Points with less than two views, or seen from one position, do not contribute.
-/// `None` where a free pose or lens is not determined (gauge not fixed), the problem is not valid, `sigma_px` is not
-/// positive, or there are more than 12,000 unknowns; also where the supervisor asked to stop: what was computed until then
-/// is gone on with, to the same bits.
+/// σ² (JᵀJ)⁻¹ with points and free camera parameters marginalised, all observations with equal weight. Priors have
+/// their own sigmas. `sigma_px`: standard deviation of one residual coordinate. Zero for a fixed pose, and in a fixed
+/// coordinate. Points with less than two views, or seen from one position, do not contribute. `None` if a free pose
+/// or lens is not determined (gauge not fixed), the problem is not valid, `sigma_px` is not positive, or there are
+/// more than 12,000 unknowns. Also `None` on a stop by the supervisor. The next call then resumes the saved state, to
+/// the same bits.
 pub fn pose_covariances(
     problem: &Problem,
     sigma_px: f64,
@@ -73,7 +73,7 @@ pub fn pose_covariances(
     finite.then_some(covariances)
 }
 
-/// Tells whether every pose that is not fixed has unknowns.
+/// Whether every pose that is not fixed has unknowns.
 fn all_free_poses_observed(objective: &Objective) -> bool {
     let freedom = objective
         .problem
@@ -85,7 +85,7 @@ fn all_free_poses_observed(objective: &Objective) -> bool {
         .all(|(freedom, &slot)| *freedom == PoseFreedom::Fixed || slot != NONE)
 }
 
-/// Tells whether some residual depends on every free parameter of every free pose.
+/// Whether some residual depends on every free parameter of every free pose.
 fn all_parameters_observed(objective: &Objective, equations: &NormalEquations) -> bool {
     let slots = objective
         .index
@@ -112,8 +112,8 @@ fn shrink(prior: &mut Prior, factor: f64) {
     }
 }
 
-/// Returns the blocks of the inverse on its diagonal, slot by slot; `None` if the matrix is singular or the supervisor asked
-/// to stop.
+/// Returns the blocks of the inverse on its diagonal, slot by slot. `None` if the matrix is singular or on a stop by
+/// the supervisor.
 fn blocks(
     objective: &Objective,
     state: &State,
@@ -138,7 +138,8 @@ fn blocks(
     Some(blocks)
 }
 
-/// Returns the Cholesky factor of the undamped reduced matrix; `None` if it is singular or the supervisor asked to stop.
+/// Returns the Cholesky factor of the undamped reduced matrix. `None` if it is singular or on a stop by the
+/// supervisor.
 fn factored(
     objective: &Objective,
     state: &State,
@@ -168,8 +169,8 @@ fn factored(
     Some(matrix)
 }
 
-/// Returns the undamped reduced matrix scaled to a unit diagonal; `None` where a free parameter is not observed or the
-/// supervisor asked to stop.
+/// Returns the undamped reduced matrix scaled to a unit diagonal. `None` if a free parameter is not observed or on a
+/// stop by the supervisor.
 fn assembled(objective: &Objective, state: &State, supervisor: &dyn Supervisor) -> Option<ScaledMatrix> {
     let mut equations = NormalEquations::new(objective);
     equations.linearise_determined(objective, state);

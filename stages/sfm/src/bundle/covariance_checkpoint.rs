@@ -8,13 +8,13 @@ use crate::Supervisor;
 use crate::bytes::{decode, encode, fingerprint};
 use crate::supervisor::{SAVE_FINISHED, SAVE_UNFINISHED};
 
-/// Forms of both states; a new number where one is written or used otherwise.
+/// Forms of both states. A new number for any change of how one is written or used.
 const MATRIX: &[u8; 8] = b"covmat02";
 const BLOCKS: &[u8; 8] = b"covblk02";
 
 /// The reduced matrix, scaled to a unit diagonal, as far as it is factored.
 pub(super) struct ScaledMatrix {
-    /// By rows; only the lower triangle is used.
+    /// By rows, only the lower triangle is used.
     pub l: Vec<f64>,
     /// What rows and columns were multiplied by.
     pub scale: Vec<f64>,
@@ -45,7 +45,7 @@ impl<'a> Checkpoint<'a> {
         format!("covariance-{what}-{:016x}", self.fingerprint)
     }
 
-    /// Tells whether to save the state after `done` of `all` parts.
+    /// Whether to save the state after `done` of `all` parts.
     fn is_due(&self, done: usize, all: usize) -> bool {
         let after = if done < all {
             SAVE_UNFINISHED

@@ -10,7 +10,7 @@ use super::schur::{FreeBlock, ReducedSystem, SchurComplement, damped};
 /// A pivot below this fraction of its diagonal is only rounding.
 const PIVOT_FLOOR: f64 = 1e-15;
 
-/// Sets `solution` to that of the assembled system; tells whether there is one. The matrix is left factored.
+/// Sets `solution` to that of the assembled system. False if there is none. The matrix is left factored.
 pub(super) fn solve(
     matrix: &mut [f64],
     right: &[f64],
@@ -155,7 +155,7 @@ fn subtract_row<const N: usize>(target: &mut [f64], left: [f64; 3], right: &[[f6
     }
 }
 
-/// Subtracts U Uᵀ of two poses of one point; the innermost loop: 6 x 6 numbers, three products each.
+/// Subtracts U Uᵀ of two poses of one point. The innermost loop: 6 x 6 numbers, three products each.
 #[inline]
 fn subtract_block(rows: &mut [f64], n: usize, at: usize, left: &FreeBlock, right: &FreeBlock) {
     for row in 0..POSE_PARAMS {

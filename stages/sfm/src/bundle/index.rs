@@ -3,7 +3,7 @@
 use super::problem::{CameraFreedom, LensModel, PoseFreedom, Prior, Problem};
 use super::residual::CameraParam;
 
-/// Stands for "none" in a list of indices.
+/// Marks an absent entry in a list of indices.
 pub(super) const NONE: u32 = u32::MAX;
 
 /// Parameters of a free pose: rotation, centre.
@@ -17,7 +17,7 @@ pub(super) struct Groups {
 }
 
 impl Groups {
-    /// Groups positions by the group that `groups` gives for each; `NONE` is left out.
+    /// Groups positions by the group that `groups` gives for each. `NONE` is left out.
     fn new(count: usize, groups: impl Iterator<Item = u32> + Clone) -> Self {
         let mut start = vec![0; count + 1];
         let members = || groups.clone().enumerate().filter(|&(_, group)| group != NONE);
@@ -145,7 +145,7 @@ impl Index {
         range(&self.point_camera_start, point)
     }
 
-    /// Lists the free parameters of the cameras; a camera without observation and prior has none.
+    /// Lists the free parameters of the cameras. A camera without observation and prior has none.
     fn add_cameras(&mut self, problem: &Problem) {
         let mut used = vec![false; problem.cameras.len()];
         for observation in &problem.observations {
@@ -164,7 +164,7 @@ impl Index {
         }
     }
 
-    /// Lists the free poses; a pose without observation and prior is held.
+    /// Lists the free poses. A pose without observation and prior is held.
     fn add_poses(&mut self, problem: &Problem) {
         let mut observed = vec![false; problem.poses.len()];
         for observation in &problem.observations {

@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-/// Loss ρ of a squared residual s; the cost is ½ Σ ρ(s).
+/// Loss ρ of a squared residual s. The cost is ½ Σ ρ(s).
 ///
 /// The width is in the unit of the residual: pixels for observations, sigmas for priors.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -34,7 +34,7 @@ impl Loss {
         }
     }
 
-    /// Tells whether the width is a finite number above 1e-12 (its square must not vanish).
+    /// Whether the width is a finite number above 1e-12 (its square must not vanish).
     pub(super) fn is_valid(self) -> bool {
         match self {
             Self::Squared => true,

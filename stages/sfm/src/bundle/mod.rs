@@ -1,8 +1,8 @@
 //! Bundle adjustment: poses, points and camera parameters that minimise the reprojection error, in f64.
 //!
 //! `index` lists which pose observes which point, `state` holds the parameters, `residual` one observation and its
-//! derivatives; `normal_equations` sums them, `schur` eliminates the points, `dense` or `conjugate_gradients` solve the
-//! reduced system, `adjust` iterates (Levenberg-Marquardt).
+//! derivatives. `normal_equations` sums them, `schur` eliminates the points, `dense` or `conjugate_gradients` solve
+//! the reduced system, `adjust` iterates (Levenberg-Marquardt).
 
 mod adjust;
 mod checkpoint;

@@ -16,7 +16,7 @@ pub(super) const GRAIN: usize = 1024;
 /// A pivot this much below its diagonal is only rounding: the parallax of the point is below 1e-7 rad.
 const SINGULAR: f64 = 1e-14;
 
-/// Normal equations of one point; zero if it is held.
+/// Normal equations of one point. Zero if it is held.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct PointBlock {
     /// xx, yx, yy, zx, zy, zz.
@@ -223,7 +223,7 @@ impl NormalEquations {
     }
 }
 
-/// Tells whether the focal length of a camera may change: it is then the first parameter.
+/// Whether the focal length of a camera may change. It is then the first parameter.
 fn is_focal_free(objective: &Objective, state: &State, camera: usize) -> bool {
     let reached = objective.camera_bounds[camera].reached(&state.cameras[camera], CameraParam::Focal);
     objective.index.terms[camera].first() == Some(&CameraParam::Focal) && !reached
@@ -240,7 +240,7 @@ fn held_columns(objective: &Objective, state: &State) -> Vec<Vec<usize>> {
     (0..objective.index.terms.len()).map(held).collect()
 }
 
-/// Returns the residual block and camera Jacobian of one observation; `None` if it has no projection.
+/// Returns the residual block and camera Jacobian of one observation. `None` if it has no projection.
 #[inline]
 fn linearised(
     objective: &Objective,
@@ -292,7 +292,7 @@ fn point_block(rows: &[ResidualBlock]) -> PointBlock {
     block
 }
 
-/// Tells whether a point is not determined.
+/// Whether a point is not determined.
 fn is_singular(h: &[f64; 6]) -> bool {
     match cholesky3::factor(h) {
         Some([xx, _, yy, _, _, zz]) => {

@@ -11,7 +11,7 @@ use super::problem::{Observation, Prior, Problem};
 use super::residual::project;
 use super::state::{CameraBounds, Normalization, State};
 
-/// Observations whose costs are summed at once; the chunks do not depend on the number of threads.
+/// Observations whose costs are summed at once. The chunks do not depend on the number of threads.
 const CHUNK: usize = 4096;
 
 /// Larger residuals count as not projected, so that squares stay finite.
@@ -99,7 +99,7 @@ impl<'a> Objective<'a> {
     }
 }
 
-/// Returns the squared reprojection error; `None` without a projection.
+/// Returns the squared reprojection error. `None` without a projection.
 fn squared_error(objective: &Objective, observation: &Observation, state: &State) -> Option<f64> {
     let camera = &state.cameras[objective.camera_of(observation)];
     let view = &state.views[observation.pose as usize];
@@ -114,7 +114,7 @@ pub(super) fn squared_length(error: [f64; 2]) -> Option<f64> {
     (squared < FAR_PX * FAR_PX).then_some(squared)
 }
 
-/// Returns projected minus observed, pixels; `None` behind the camera or beyond the fold of the distortion.
+/// Returns projected minus observed, pixels. `None` behind the camera or beyond the fold of the distortion.
 #[cfg(test)]
 pub(super) fn residual(problem: &Problem, observation: &Observation) -> Option<Vector2<f64>> {
     let pose = problem.poses.get(observation.pose as usize)?;

@@ -9,7 +9,7 @@ use super::loss::Loss;
 pub enum Solver {
     /// Dense up to 600 free poses, conjugate gradients above.
     Auto,
-    /// Cholesky factorisation; 8 n² bytes for n unknowns.
+    /// Cholesky factorisation, in 8 n² bytes for n unknowns.
     Dense,
     /// Conjugate gradients, as exact as the last step needs.
     ConjugateGradients,
@@ -20,7 +20,7 @@ pub enum Solver {
 pub struct BundleOptions {
     /// Loss of observations, in pixels.
     pub loss: Loss,
-    /// Loss of priors, in sigmas; a prior is one residual of up to six numbers.
+    /// Loss of priors, in sigmas. A prior is one residual of up to six numbers.
     pub prior_loss: Loss,
     /// Largest number of steps tried.
     pub max_iterations: u32,
@@ -49,13 +49,14 @@ pub struct BundleReport {
     pub converged: bool,
 }
 
-/// Returns the Bayesian information criterion n ln(Σρ / n) + k ln n, for n residuals and k free parameters: of two lens
-/// models fitted to the same observations with the same loss, the one with the smaller value is better supported.
+/// Returns the Bayesian information criterion n ln(Σρ / n) + k ln n, for n residuals and k free parameters. Of two
+/// lens models fitted to the same observations with the same loss, the one with the smaller value is better
+/// supported.
 ///
-/// Schwarz's criterion with unknown noise; Σρ takes the place of the sum of squares (Machado 1993,
-/// "Robust model selection and M-estimation"): exp(-½ Σρ / s²) is the likelihood that the robust fit maximises, s² =
-/// Σρ / n maximises it over the scale, and the penalty depends on how k grows, not on the tail. With the plain sum of
-/// squares a lens could win or lose by a few mismatches. Finite also for an exact fit.
+/// Schwarz's criterion with unknown noise and Σρ instead of the sum of squares (Machado 1993, "Robust model selection
+/// and M-estimation"). The robust fit maximises the likelihood exp(-½ Σρ / s²), and s² = Σρ / n maximises it over the
+/// scale. The penalty depends on how k grows, not on the tail. With the plain sum of squares a lens could win or lose
+/// by a few mismatches. Finite also for an exact fit.
 pub fn information_criterion(report: &BundleReport) -> f64 {
     let n = report.residuals.max(1) as f64;
     let mean = (2.0 * report.final_cost / n).max(f64::MIN_POSITIVE);

@@ -4,7 +4,7 @@ use marf_scene::{Camera, Pose};
 use nalgebra::{Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 
-/// Distortion model, smallest first; the coefficients are those of [`Camera`].
+/// Distortion model, smallest first. The coefficients are those of [`Camera`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum LensModel {
     /// No distortion.
@@ -17,7 +17,7 @@ pub enum LensModel {
     OpenCv,
 }
 
-/// Which parameters of a camera are free. fx and fy vary together (their ratio is fixed); coefficients that `lens` does not
+/// The free parameters of a camera. fx and fy vary together (their ratio is fixed). Coefficients that `lens` does not
 /// have are fixed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct CameraFreedom {
@@ -67,7 +67,7 @@ pub enum Prior {
     Attitude {
         /// Index of the pose.
         pose: u32,
-        /// The expected pose; only its rotation counts.
+        /// The expected pose. Only its rotation counts.
         cam_from_world: Pose,
         /// Standard deviation of the attitude.
         sigma_rad: f64,
@@ -85,7 +85,7 @@ pub enum Prior {
         /// Standard deviation of the centre, unit of the world.
         sigma: f64,
     },
-    /// The focal length of a camera (fx); the residual is ln(f / focal_px) / sigma_share.
+    /// The focal length of a camera (fx). The residual is ln(f / focal_px) / sigma_share.
     Focal {
         /// Index of the camera.
         camera: u32,

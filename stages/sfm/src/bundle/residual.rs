@@ -10,7 +10,7 @@ pub(super) const CAMERA_PARAMS: usize = 7;
 /// A parameter of a camera.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum CameraParam {
-    /// Logarithm of fx; fy keeps its ratio.
+    /// Logarithm of fx. fy keeps its ratio.
     Focal,
     K1,
     K2,
@@ -45,14 +45,14 @@ pub(super) struct ResidualBlock {
     pub error: [f64; 2],
     /// By the left-multiplied rotation of the camera, radian.
     pub rotation: [[f64; 3]; 2],
-    /// By the point; the derivative by the camera centre is the negative.
+    /// By the point. The derivative by the camera centre is the negative.
     pub point: [[f64; 3]; 2],
 }
 
-/// Derivatives of a residual by the free parameters of its camera; the rest is zero.
+/// Derivatives of a residual by the free parameters of its camera. The rest is zero.
 pub(super) type CameraJacobian = [[f64; CAMERA_PARAMS]; 2];
 
-/// Returns the projection of a point; `None` behind the camera or beyond the fold of the distortion.
+/// Returns the projection of a point. `None` behind the camera or beyond the fold of the distortion.
 #[inline]
 pub(super) fn project(view: &CentredPose, camera: &Camera, point: &Vector3<f64>) -> Option<Projection> {
     let in_camera = view.rotation * (point - view.centre);
@@ -71,7 +71,7 @@ pub(super) fn project(view: &CentredPose, camera: &Camera, point: &Vector3<f64>)
     })
 }
 
-/// Tells whether r (1 + k1 r² + k2 r⁴) rises from 0 to r, as `Camera::project` tests. False if not finite.
+/// Whether r (1 + k1 r² + k2 r⁴) rises from 0 to r, as `Camera::project` tests. False if not finite.
 #[inline]
 fn unfolded(camera: &Camera, r2: f64) -> bool {
     let (k1, k2) = (camera.k1, camera.k2);

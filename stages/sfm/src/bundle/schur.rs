@@ -1,7 +1,7 @@
 //! Elimination of the points from the normal equations (Schur complement), point by point.
 //!
-//! With V = L Lᵀ the damped 3 x 3 of a point and W its 6 x 3 to a pose, U = W L⁻ᵀ: the reduced matrix is
-//! H - Σ U Uᵀ over pairs of photos that share a point, the reduced right side g - Σ U y with y = L⁻¹ g_point.
+//! V = L Lᵀ is the damped 3 x 3 block of a point, W its 6 x 3 block to a pose, and U = W L⁻ᵀ. The reduced matrix is H
+//! - Σ U Uᵀ over pairs of photos that share a point. The reduced right side is g - Σ U y with y = L⁻¹ g_point.
 
 use rayon::prelude::*;
 
@@ -17,7 +17,7 @@ pub(super) type FreeBlock = [[f64; POSE_PARAMS]; 3];
 /// Uᵀ of a camera and a point: 3 rows.
 pub(super) type PointCameraBlock = [[f64; CAMERA_PARAMS]; 3];
 
-/// L⁻¹ (lower triangle by rows) and y of a point; zero if it is held.
+/// L⁻¹ (lower triangle by rows) and y of a point. Zero if it is held.
 #[derive(Debug, Clone, Copy, Default)]
 struct PointFactor {
     inverse: [f64; 6],
@@ -177,7 +177,7 @@ pub(super) fn predicted_gain(
     0.5 * sum
 }
 
-/// Returns the inverse factor and y of a point; zero if it is not determined.
+/// Returns the inverse factor and y of a point. Zero if it is not determined.
 fn point_factor(block: &PointBlock, damping: f64) -> PointFactor {
     if !block.is_determined {
         return PointFactor::default();
@@ -252,7 +252,7 @@ pub(super) fn subtract_transposed<const N: usize>(right: &mut [f64; N], block: &
     }
 }
 
-/// sums += Uᵀ times the diagonal matrix of a vector; the sums of its rows are Uᵀ v.
+/// sums += Uᵀ times the diagonal matrix of a vector. The sums of its rows are Uᵀ v.
 #[inline]
 fn add_products<const N: usize>(sums: &mut [[f64; N]; 3], block: &[[f64; N]; 3], vector: &[f64; N]) {
     for (sums, row) in sums.iter_mut().zip(block) {

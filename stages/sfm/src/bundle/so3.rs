@@ -7,16 +7,17 @@ pub(super) fn exp(vector: &Vector3<f64>) -> Matrix3<f64> {
     Rotation3::new(*vector).into_inner()
 }
 
-/// Returns the rotation vector of a rotation, its length in [0, π]; by way of the quaternion, accurate near 0 and near π.
+/// Returns the rotation vector of a rotation, its length in [0, π]. The quaternion makes it accurate near 0 and near
+/// π.
 pub(super) fn log(rotation: &Matrix3<f64>) -> Vector3<f64> {
     UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(*rotation)).scaled_axis()
 }
 
-/// Returns d log(exp([e]) exp([vector])) / d e at e = 0: I - ½ [vector] + c [vector]²,
-/// c = 1/θ² - cot(θ/2) / (2 θ) (Chirikjian 2012, inverse left Jacobian of SO(3)).
+/// Returns d log(exp([e]) exp([vector])) / d e at e = 0: I - ½ [vector] + c [vector]², c = 1/θ² - cot(θ/2) / (2 θ)
+/// (Chirikjian 2012, inverse left Jacobian of SO(3)).
 pub(super) fn log_jacobian(vector: &Vector3<f64>) -> Matrix3<f64> {
     let theta2 = vector.norm_squared();
-    // Below .1 rad the two terms cancel; the series' next term is 1e-12 there.
+    // Below 0.1 rad the two terms cancel. The series' next term is 1e-12 there.
     let c = if theta2 < 1e-2 {
         1.0 / 12.0 + theta2 * (1.0 / 720.0 + theta2 * (1.0 / 30240.0 + theta2 / 1_209_600.0))
     } else {

@@ -18,7 +18,7 @@ pub(super) struct Normalization {
 }
 
 impl Normalization {
-    /// Returns the normalisation of a problem; medians, so that a few points near infinity have no influence.
+    /// Returns the normalisation of a problem, by medians, so that a few points near infinity have no influence.
     pub(super) fn new(problem: &Problem) -> Self {
         let observed = problem
             .observations
@@ -102,7 +102,7 @@ pub(super) struct Step {
 }
 
 impl Step {
-    /// Tells whether all changes are finite.
+    /// Whether all changes are finite.
     pub(super) fn is_finite(&self) -> bool {
         let finite = |point: &Vector3<f64>| (point.x + point.y + point.z).is_finite();
         self.reduced.iter().all(|value| value.is_finite()) && self.points.iter().all(finite)
@@ -126,7 +126,7 @@ impl State {
         }
     }
 
-    /// Sets this state to `from` plus `step`; camera parameters stop at their bounds.
+    /// Sets this state to `from` plus `step`. Camera parameters stop at their bounds.
     pub(super) fn set_stepped(
         &mut self,
         from: &Self,
@@ -157,7 +157,7 @@ impl State {
         }
     }
 
-    /// Writes what differs from `start` to the problem; what did not move keeps its bits.
+    /// Writes changes since `start` to the problem. Parameters that did not move keep their bits.
     pub(super) fn write(&self, start: &Self, normalization: &Normalization, problem: &mut Problem) {
         problem.cameras.clone_from(&self.cameras);
         for (pose, (view, old)) in problem.poses.iter_mut().zip(self.views.iter().zip(&start.views)) {
@@ -186,8 +186,8 @@ pub(super) struct CameraBounds {
 }
 
 impl CameraBounds {
-    /// Returns the bounds: focal length in [0.1, 10] times the longer side, |k|, |p| at most 1; a start outside may at most
-    /// double (long telephoto lenses are 10 times the longer side).
+    /// Returns the bounds: focal length in [0.1, 10] times the longer side, |k|, |p| at most 1. A start outside may
+    /// at most double (long telephoto lenses are 10 times the longer side).
     pub(super) fn new(camera: &Camera) -> Self {
         let longer = f64::from(camera.width.max(camera.height));
         let focal = (0.1 * longer, 10.0 * longer);
@@ -221,7 +221,7 @@ impl CameraBounds {
         }
     }
 
-    /// Tells whether a parameter lies on its bound, where it is held.
+    /// Whether a parameter is on its bound, where it is held.
     pub(super) fn reached(&self, camera: &Camera, term: CameraParam) -> bool {
         match term {
             CameraParam::Focal => camera.fx_px <= self.focal.0 || camera.fx_px >= self.focal.1,

@@ -7,8 +7,8 @@ use super::options::{BundleOptions, Solver};
 /// Damping of the first step, as a share of the diagonal.
 const FIRST_DAMPING: f64 = 1e-4;
 
-/// Free poses up to which the matrix is factored. A ring of 300 photos took 5 CPU s dense and 34 by conjugate gradients (15
-/// steps, long chains converge slowly); at 600 a factorisation is 16 GFLOP and the matrix 104 MB.
+/// Free poses up to which the matrix is factored. A ring of 300 photos took 5 CPU s dense and 34 by conjugate
+/// gradients (15 steps, long chains converge slowly). At 600 a factorisation is 16 GFLOP and the matrix 104 MB.
 const MOST_DENSE_POSES: usize = 600;
 
 /// How the next step is computed.

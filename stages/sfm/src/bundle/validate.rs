@@ -3,7 +3,7 @@
 use super::options::BundleOptions;
 use super::problem::{Prior, Problem};
 
-/// Why a problem was refused; it was not changed.
+/// Reason why a problem was refused. The problem is unchanged.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum BundleError {
     /// A list has the wrong length.
@@ -29,7 +29,7 @@ pub enum BundleError {
         count: usize,
     },
     /// A number is not finite or out of range.
-    #[error("{what} {index} is no valid one")]
+    #[error("{what} {index} is not valid")]
     Invalid {
         /// The list.
         what: &'static str,
@@ -43,7 +43,7 @@ pub enum BundleError {
         index: usize,
     },
     /// The width of a loss is out of range.
-    #[error("width of a loss must lie in [1e-12, 1e12)")]
+    #[error("width of a loss must be in [1e-12, 1e12)")]
     Loss,
 }
 
@@ -138,7 +138,7 @@ fn all_valid(what: &'static str, mut valid: impl Iterator<Item = bool>) -> Resul
     }
 }
 
-/// Tells whether a prior's numbers are finite, its sigmas and focal length positive and its photos two.
+/// Whether a prior's numbers are finite, its sigmas and focal length positive and its photos two.
 fn is_valid(prior: &Prior) -> bool {
     let positive = |value: f64| value > 0.0 && value.is_finite();
     match *prior {

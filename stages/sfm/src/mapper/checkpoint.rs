@@ -9,7 +9,7 @@ use crate::supervisor::SAVE_UNFINISHED;
 /// Name under which the state of a mapping is saved.
 pub(super) const PART: &str = "mapping";
 
-/// Tells whether the state after a step is to be saved.
+/// Whether to save the state after a step.
 ///
 /// # Errors
 /// [`MapError::Stopped`]: the step may then have been cut short, and its state is worth nothing.

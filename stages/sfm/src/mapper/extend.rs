@@ -9,7 +9,7 @@ use crate::align::{PosePair, Tolerance, align};
 use crate::bytes;
 use crate::view_graph::PosedCamera;
 
-/// Form of the saved state; a new number where it is written or used otherwise.
+/// Form of the saved state. A new number for any change of how it is written or used.
 const FORM: &[u8; 8] = b"extends2";
 
 /// Returns the model of an earlier scene with all new photos registered that fit it, in the frame of the earlier scene.

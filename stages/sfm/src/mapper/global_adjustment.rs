@@ -10,9 +10,10 @@ use crate::bundle::{
 };
 use crate::view_graph::SharedCamera;
 
-/// Photos of one camera from which its focal length is free; with fewer it is fixed,
+/// Photos of one camera from which its focal length is free. With fewer it is fixed.
 const PHOTOS_FOR_FOCAL: usize = 3;
-/// unless it is a guess (or EXIF's whole millimetres) and the model has this many photos, whose points determine it.
+/// Photos of the model from which a guessed focal length (or EXIF's whole millimetres) is free in any case: their
+/// points determine it.
 const PHOTOS_FOR_ANY_FOCAL: usize = 6;
 const VAGUE_SIGMA: f64 = 0.05;
 /// Photos of one camera from which k1 is free.
@@ -58,11 +59,11 @@ pub(crate) const FINE: RefinementEffort = RefinementEffort {
 pub(super) enum Scope<'a> {
     /// All, and the cameras.
     All,
-    /// These; the other photos that observe their points are fixed, and so are the cameras.
+    /// Only these. The other photos that observe their points are fixed, and so are the cameras.
     Only(&'a [usize]),
 }
 
-/// Adjusts all poses, points and cameras; priors name poses by their rank among the model's photos.
+/// Adjusts all poses, points and cameras. Priors name poses by their rank among the model's photos.
 pub(crate) fn adjust_all(
     input: &MapperInput<'_>,
     model: &mut Model,
@@ -111,7 +112,7 @@ pub struct PoseUncertainty {
     pub distance: f64,
 }
 
-/// Returns the uncertainty of each registered photo, in order; `None` if it is not determined.
+/// Returns the uncertainty of each registered photo, in order. `None` if it is not determined.
 ///
 /// The covariance of the reduced system times the variance of one coordinate: the mean reprojection error is sigma
 /// sqrt(pi / 2).
@@ -214,7 +215,7 @@ struct IndexedProblem {
     tracks: Vec<usize>,
 }
 
-/// Returns the problem of some tracks; every registered photo is in it, so that priors can name it by its rank.
+/// Returns the problem of some tracks. It has every registered photo, so that priors can name it by its rank.
 fn build(input: &MapperInput<'_>, model: &Model, tracks: &[usize]) -> IndexedProblem {
     let photos: Vec<usize> = model.photos().collect();
     let mut rank = vec![u32::MAX; model.poses.len()];
@@ -277,7 +278,7 @@ const FIXED: CameraFreedom = CameraFreedom {
     principal_point: false,
 };
 
-/// Returns the free parameters of each camera; more are free as photos are registered, so that a weak start does not
+/// Returns the free parameters of each camera. More are free as photos are registered, so that a weak start does not
 /// diverge.
 fn freedoms(input: &MapperInput<'_>, model: &Model) -> Vec<CameraFreedom> {
     let mut counts = vec![0; model.cameras.len()];
@@ -334,7 +335,7 @@ fn fix_gauge(model: &Model, built: &mut IndexedProblem) {
     }
 }
 
-/// Returns the axis of the largest coordinate; of equals the first.
+/// Returns the axis of the largest coordinate, the first on ties.
 fn widest_axis(offset: &Vector3<f64>) -> u8 {
     let axes = [0_u8, 1, 2];
     let wider = |a: &u8, b: &u8| {
@@ -344,7 +345,7 @@ fn widest_axis(offset: &Vector3<f64>) -> u8 {
     axes.into_iter().max_by(wider).unwrap_or(0)
 }
 
-/// Fixes all but the given photos; if that fixes none, the gauge is fixed instead.
+/// Fixes all but the given photos. If that fixes none, the gauge is fixed instead.
 fn fix_others(model: &Model, photos: &[usize], built: &mut IndexedProblem) {
     for (photo, freedom) in built.photos.iter().zip(&mut built.problem.pose_freedom) {
         if !photos.contains(photo) {

@@ -18,7 +18,7 @@ struct InitialPairThresholds {
     forward: f64,
 }
 
-/// From strict to loose (COLMAP requires 16 degrees, 100 inliers and .95).
+/// From strict to loose (COLMAP requires 16 degrees, 100 inliers and 0.95).
 const THRESHOLDS: [InitialPairThresholds; 7] = [
     InitialPairThresholds {
         angle_deg: 16.0,
@@ -81,7 +81,7 @@ pub(super) fn candidates<'a>(input: &'a MapperInput<'_>, taken: &[bool]) -> Vec<
 }
 
 impl InitialPairThresholds {
-    /// Tells whether a link satisfies the thresholds.
+    /// Whether a link satisfies the thresholds.
     fn met_by(&self, link: &Link) -> bool {
         let relative_pose = &link.relative_pose;
         relative_pose.median_angle_rad >= self.angle_deg.to_radians()
@@ -90,7 +90,7 @@ impl InitialPairThresholds {
     }
 }
 
-/// Returns a model of two photos; `None` if it has too few points or too little parallax.
+/// Returns a model of two photos. `None` if it has too few points or too little parallax.
 pub(super) fn initial_model(input: &MapperInput<'_>, link: &Link) -> Result<Option<Model>, MapError> {
     let [first, second] = link.photos;
     let mut model = Model::empty(input, first);
@@ -108,7 +108,7 @@ pub(super) fn initial_model(input: &MapperInput<'_>, link: &Link) -> Result<Opti
     Ok(is_good(input, &model, link).then_some(model))
 }
 
-/// Tells whether a model of two photos has enough points and parallax.
+/// Whether a model of two photos has enough points and parallax.
 fn is_good(input: &MapperInput<'_>, model: &Model, link: &Link) -> bool {
     let centres: Vec<_> = model.poses.iter().flatten().map(Pose::centre).collect();
     let [first, second] = centres[..] else {

@@ -32,7 +32,8 @@ pub struct MapperInput<'a> {
     pub tracks: Tracks,
     /// Options.
     pub options: MapOptions,
-    /// Polled regularly; if it stops, mapping ends with [`MapError::Stopped`]. What it saves is gone on with.
+    /// Polled regularly. On a stop, mapping ends with [`MapError::Stopped`], and a later call resumes the saved
+    /// state.
     pub supervisor: &'a dyn Supervisor,
     /// Receives the number of photos registered so far.
     pub registered: &'a (dyn Fn(usize) + Sync),

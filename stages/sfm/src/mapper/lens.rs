@@ -9,8 +9,8 @@ use super::model::Model;
 use super::options::{LensChoice, PrincipalPointChoice};
 use crate::bundle::{LensModel, information_criterion};
 
-/// Smallest number of photos, and smallest angle between their optical axes, that distinguish a shifted principal point
-/// from rotated cameras: an orbit does, a descent or a row of parallel views does not.
+/// Smallest number of photos, and smallest angle between their optical axes, that distinguish a shifted principal
+/// point from rotated cameras. An orbit does, a descent or a row of parallel views does not.
 const PRINCIPAL_POINT_PHOTOS: usize = 20;
 const PRINCIPAL_POINT_SPAN_RAD: f64 = 0.6;
 
@@ -45,7 +45,7 @@ fn tried(input: &MapperInput<'_>, model: &Model, lens: LensModel) -> Result<Tria
     Ok(Trial { score, model })
 }
 
-/// Tells whether there are enough photos and their optical axes span an angle.
+/// Whether there are enough photos and their optical axes span an angle.
 fn views_span_angle(model: &Model) -> bool {
     let axis = |pose: &Pose| pose.rotation.transpose() * Vector3::z();
     let axes: Vec<Vector3<f64>> = model.poses.iter().flatten().map(axis).collect();
@@ -71,11 +71,11 @@ fn smallest(input: &MapperInput<'_>, model: &Model) -> Result<Trial, MapError> {
     Ok(best)
 }
 
-/// Returns the model with a free principal point, and then with tangential distortion, if the photos support them; if
-/// requested, the principal point is free in any case.
+/// Returns the model with a free principal point, and then with tangential distortion, if the photos support them. On
+/// request, the principal point is free in any case.
 ///
-/// With a fixed principal point tangential distortion replaces its shift, and badly (mock-up: it lowers the error by 2 %
-/// and rotates the cameras twice as far from COLMAP's): it is tried after it.
+/// Tangential distortion is tried second because with a fixed principal point it replaces the shift of that point,
+/// and badly. On the mock-up it lowers the error by 2 % and rotates the cameras twice as far from COLMAP's.
 fn with_principal_point(input: &MapperInput<'_>, held: Trial) -> Result<Trial, MapError> {
     let mut free = held.model.clone();
     free.principal_point = true;

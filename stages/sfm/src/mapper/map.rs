@@ -11,12 +11,12 @@ use super::{initial_pair, lens};
 use crate::bytes::{decode, encode};
 use crate::view_graph::Link;
 
-/// Form of the saved state; a new number where it is written or used otherwise.
+/// Form of the saved state. A new number for any change of how it is written or used.
 const FORM: &[u8; 8] = b"mapping2";
 
 /// Returns the models that the photos form, the largest first.
 ///
-/// A photo is in at most one model; none is forced into one. The result is empty if no pair of photos has both enough
+/// A photo is in at most one model, and may be in none. The result is empty if no pair of photos has both enough
 /// matches and enough parallax.
 pub fn map(input: &MapperInput<'_>) -> Result<Vec<Model>, MapError> {
     let fingerprint = fingerprint(input);
@@ -37,7 +37,7 @@ struct Mapping<'a> {
     /// Whether each photo is in a model, or was left out of one.
     taken: Vec<bool>,
     phase: Phase,
-    /// Pairs that the present search may start from; derived from `taken`.
+    /// Pairs that the present search may start from, derived from `taken`.
     candidates: Vec<&'a Link>,
 }
 
@@ -78,7 +78,7 @@ impl<'a> Mapping<'a> {
         Ok(Progress::Unfinished)
     }
 
-    /// Adds a model to the others and returns what comes next.
+    /// Adds a model to the others and returns the next phase.
     fn add(&mut self, input: &'a MapperInput<'_>, found: Option<Model>) -> Result<Phase, MapError> {
         let fresh = |model: &Model| {
             let photos = model.photos().filter(|&photo| !self.taken[photo]);

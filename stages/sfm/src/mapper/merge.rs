@@ -9,7 +9,8 @@ use crate::align::{PosePair, Tolerance, align};
 const MAX_SHARE: f64 = 0.05;
 const MAX_ANGLE_RAD: f64 = 0.05;
 
-/// Merges the last model into an earlier one that shares photos with it; otherwise shared photos are removed from the last.
+/// Merges the last model into an earlier one that shares photos with it. If that fails, removes shared photos from
+/// the last.
 pub(crate) fn merge_last(input: &MapperInput<'_>, mut models: Vec<Model>) -> Result<Vec<Model>, MapError> {
     let Some(mut last) = models.pop() else {
         return Ok(models);

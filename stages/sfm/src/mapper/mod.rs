@@ -1,4 +1,5 @@
-//! Incremental mapping: which photos start a model, which come next, what is kept (Schönberger and Frahm 2016).
+//! Incremental mapping: choice of the first photos, of the next ones, and of the kept points (Schönberger and Frahm
+//! 2016).
 //!
 //! Invariant: the result depends on the photos, the view graph and the seed alone. Each step over many tracks is a pure
 //! function of one track, collected in order.

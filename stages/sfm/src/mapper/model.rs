@@ -51,7 +51,8 @@ impl Model {
         }
     }
 
-    /// Returns the model of the photos whose pose and working-size camera are known, with the tracks that fit; `None` without any.
+    /// Returns the model of the photos whose pose and working-size camera are known, with the tracks that fit. `None`
+    /// without any such photo.
     pub(super) fn known(input: &MapperInput<'_>, known: &[Option<PosedCamera>]) -> Option<Self> {
         let anchor = known.iter().position(Option::is_some)?;
         let mut model = Self::empty(input, anchor);
@@ -83,7 +84,7 @@ impl Model {
         placed.filter_map(|(photo, pose)| pose.is_some().then_some(photo))
     }
 
-    /// Returns the reprojection error of an observation; `None` if its point has no projection.
+    /// Returns the reprojection error of an observation. `None` if its point has no projection.
     pub fn error_px(&self, input: &MapperInput<'_>, observation: &Observation) -> Option<f64> {
         let point = self.points[observation.track as usize]?;
         self.error_of(input, observation, &point)
@@ -241,7 +242,7 @@ impl Model {
     }
 }
 
-/// Tells whether two of the centres have at least that triangulation angle.
+/// Whether two of the centres have at least that triangulation angle.
 fn wide(centres: &[Vector3<f64>], point: &Vector3<f64>, min_angle_rad: f64) -> bool {
     centres.iter().enumerate().any(|(index, first)| {
         let others = &centres[index + 1..];

@@ -58,7 +58,7 @@ const MIN_ANGLE_RAD: f64 = 1.5 * std::f64::consts::PI / 180.0;
 impl MapOptions {
     /// Returns the options that suit the cameras: distortion and principal point as far as the photos support them.
     ///
-    /// Photos whose focal lengths are all known within 5 % were resampled through the lens of their label: they are
+    /// Photos whose focal lengths are all known within 5 % were resampled through the lens of their label. They are
     /// pinholes with a known principal point until the photos show otherwise.
     pub fn automatic(cameras: &[SharedCamera], seed: u64) -> Self {
         let largest = cameras

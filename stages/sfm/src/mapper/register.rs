@@ -127,7 +127,7 @@ fn reachable(input: &MapperInput<'_>, from: usize, taken: &[bool]) -> usize {
 struct Attempts(BTreeMap<usize, (u32, usize)>);
 
 impl Attempts {
-    /// Tells whether a photo may be tried: again only if it sees a tenth more points than at the last attempt.
+    /// Whether a photo may be tried: again only if it sees a tenth more points than at the last attempt.
     fn allows(&self, photo: usize, visible: usize) -> bool {
         self.0
             .get(&photo)
@@ -141,7 +141,7 @@ impl Attempts {
     }
 }
 
-/// A model to which photos are added one by one until none fits; then all is adjusted and each is tried again.
+/// A model to which photos are added one by one until none fits. Then all is adjusted and each is tried again.
 #[derive(Serialize, Deserialize)]
 pub(super) struct GrowingModel {
     pub model: Model,
@@ -169,7 +169,7 @@ impl GrowingModel {
         }
     }
 
-    /// Tries the next photo; without one, adjusts all.
+    /// Tries the next photo. Without one, adjusts all.
     pub(super) fn step(&mut self, input: &MapperInput<'_>, taken: &[bool]) -> Result<Progress, MapError> {
         if input.supervisor.stop() {
             return Err(MapError::Stopped);
@@ -198,7 +198,7 @@ impl GrowingModel {
     }
 }
 
-/// Returns the photo with the highest visibility score and its number of visible points; of equals the first.
+/// Returns the photo with the highest visibility score and its number of visible points, the first on ties.
 fn next_photo(
     input: &MapperInput<'_>,
     model: &Model,
@@ -223,8 +223,8 @@ fn visible(input: &MapperInput<'_>, model: &Model, photo: usize) -> Vec<usize> {
     input.tracks.in_photo(photo).filter(known).collect()
 }
 
-/// Returns the visibility score: the occupied cells of grids of 2, 4 and 8 cells a side, each weighted by the number of
-/// cells of its grid (Schönberger and Frahm 2016).
+/// Returns the visibility score: the occupied cells of grids of 2, 4 and 8 cells a side. Each is weighted by the
+/// number of cells of its grid (Schönberger and Frahm 2016).
 fn visibility_score(input: &MapperInput<'_>, photo: usize, observations: &[usize]) -> usize {
     let camera = &input.cameras[input.views[photo].camera].camera;
     let score = |level: u32| {
@@ -241,7 +241,7 @@ fn visibility_score(input: &MapperInput<'_>, photo: usize, observations: &[usize
     (1..=3).map(score).sum()
 }
 
-/// Registers a photo and adjusts its neighbourhood; tells whether it fits.
+/// Registers a photo and adjusts its neighbourhood. False if it does not fit.
 fn register(input: &MapperInput<'_>, model: &mut Model, photo: usize) -> Result<bool, MapError> {
     let observations = visible(input, model, photo);
     let Some((resection, factor)) = pose_of(input, model, photo, &observations) else {
@@ -323,7 +323,7 @@ fn resection(
     Some(found)
 }
 
-/// Returns the photo and those that share most points with it; of equals the first.
+/// Returns the photo and those that share most points with it, the first on ties.
 fn neighbours(input: &MapperInput<'_>, model: &Model, photo: usize) -> Vec<usize> {
     let mut shared = vec![0_usize; input.views.len()];
     for observation in model.active_in(input, photo) {

@@ -30,8 +30,8 @@ pub struct Tracks {
 }
 
 impl Tracks {
-    /// Returns the tracks of the matches of all links, links with most inliers first; a match that would put a second feature
-    /// of a photo into a track is left out.
+    /// Returns the tracks of the matches of all links, links with most inliers first. A match that would put a second
+    /// feature of a photo into a track is left out.
     pub fn build(views: &[View], links: &[Link]) -> Self {
         let mut order: Vec<&Link> = links.iter().collect();
         order.sort_by_key(|link| (std::cmp::Reverse(link.relative_pose.inliers.len()), link.photos));
@@ -78,7 +78,7 @@ impl Tracks {
         self.starts.len().saturating_sub(1)
     }
 
-    /// Tells whether there is no track.
+    /// Whether there is no track.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
@@ -174,7 +174,7 @@ impl DisjointSets {
     }
 }
 
-/// Returns both lists merged in order of photo; `None` if they share a photo.
+/// Returns both lists merged in order of photo. `None` if they share a photo.
 fn merged(a: &[FeatureId], b: &[FeatureId]) -> Option<Vec<FeatureId>> {
     let mut merged = [a, b].concat();
     merged.sort_unstable();

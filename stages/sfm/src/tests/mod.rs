@@ -186,7 +186,7 @@ fn a_principal_point_outside_the_photo_is_no_matter() {
         ..camera()
     };
     let turned = |pose: Pose| {
-        // Looking away from the scene, whose image then lies in the tile.
+        // Looking away from the scene, whose image then falls in the tile.
         let ray = tile
             .unproject(&nalgebra::Vector2::new(480.0, 360.0))
             .unwrap()
@@ -208,7 +208,7 @@ fn a_principal_point_outside_the_photo_is_no_matter() {
 
 #[test]
 fn a_descent_through_38_times_the_scale_is_solved() {
-    // From 38 to 1 above gentle ground, each step a fifth lower; a little drift aside.
+    // From 38 to 1 above gentle ground, each step a fifth lower, with a little sideways drift.
     let poses: Vec<Pose> = (0..20)
         .map(|step| {
             let height = 38.0 / libm::pow(38.0, f64::from(step) / 19.0);
@@ -244,8 +244,8 @@ fn the_unit_and_the_place_of_the_world_are_no_matter() {
     }
 }
 
-/// Half of the points are the other half a little to the right, and a third of the matches take one for the other:
-/// wrong matches that agree with each other.
+/// Half of the points are the other half a little to the right, and a third of the matches take one for the other.
+/// These are wrong matches that agree with each other.
 #[test]
 fn repeated_texture_is_solved() {
     let mut points = ball(200);
@@ -345,7 +345,7 @@ fn models_that_share_photos_are_merged_and_others_stay_apart() {
     });
 }
 
-/// Every tenth match is wrong; noise of .3 px at a focal length of 800 px and a distance of 4 is 1.5 mm across.
+/// Every tenth match is wrong. Noise of 0.3 px at a focal length of 800 px and a distance of 4 is 1.5 mm across.
 #[test]
 fn photos_of_known_cameras_give_points_and_stay_where_they_are() {
     let scene = Synthetic::new(arc(8, 4.0, 1.2), ball(300));

@@ -201,7 +201,7 @@ impl Synthetic {
         work(&input)
     }
 
-    /// Returns the errors of the largest model; `None` if there is no model.
+    /// Returns the errors of the largest model. `None` without a model.
     pub(super) fn errors(&self) -> Option<Errors> {
         let models = self.solve();
         let model = models.first()?;

@@ -6,8 +6,9 @@ use marf_sfm_features::two_view::{FocalKnown, focal_from_pairs};
 
 use super::view::{ComparedPair, SharedCamera, View};
 
-/// Replaces guessed focal lengths by those that the pairs of a camera's photos determine; otherwise by the median of those
-/// found for other cameras, relative to the longer side: mostly they are one camera, held upright or reduced.
+/// Replaces guessed focal lengths by those that the pairs of a camera's photos determine. Otherwise takes the median
+/// of those found for other cameras, relative to the longer side: mostly they are one camera, held upright or
+/// reduced.
 pub fn refine_focal_lengths(cameras: &mut [SharedCamera], views: &[View], pairs: &[ComparedPair]) {
     let mut open = Vec::new();
     let mut found = Vec::new();

@@ -20,8 +20,8 @@ pub struct KnownView<'a> {
     pub cam_from_world: &'a Pose,
 }
 
-/// Returns the edge of two photos: of their matches those whose Sampson distance from the known epipolar geometry is at most
-/// [`max_error_px`]; photos of one centre have none.
+/// Returns the edge of two photos. It has those of their matches whose Sampson distance from the known epipolar
+/// geometry is at most [`max_error_px`]. Photos of one centre have none.
 pub fn link_known(photos: [usize; 2], views: [KnownView<'_>; 2]) -> Link {
     let essential = essential_of(&relative(views.map(|view| view.cam_from_world)));
     let noise2 = views.map(|view| (view.camera.fx_px * view.camera.fy_px).recip());
@@ -59,7 +59,7 @@ fn relative([first, second]: [&Pose; 2]) -> Pose {
 }
 
 impl KnownView<'_> {
-    /// Returns where a feature lies in the plane z = 1 in front of the camera.
+    /// Returns the position of a feature in the plane z = 1 in front of the camera.
     fn plane(&self, feature: u32) -> Option<Vector2<f64>> {
         let point = self.features.keypoints.get(feature as usize)?;
         let pixel = Vector2::new(f64::from(point.x_px), f64::from(point.y_px));
@@ -99,7 +99,7 @@ mod tests {
         }
     }
 
-    /// Beside one another, so that epipolar lines are rows: 4 of 1,000 pixels are .4 of 100, shared by both photos.
+    /// Side by side, so that epipolar lines are rows: 4 of 1,000 pixels are 0.4 of 100, shared by both photos.
     #[test]
     fn matches_stay_whose_rows_agree() {
         let camera = Camera::pinhole(100, 100, 100.0);

@@ -4,7 +4,7 @@ use marf_sfm_features::two_view::{ViewPoints, estimate_relative_pose};
 
 use super::view::{ComparedPair, Link, SharedCamera, View, focal_known, max_error_px};
 
-/// Returns the edge of a pair; `None` if it has no relative pose with at least `min_inliers` inliers.
+/// Returns the edge of a pair. `None` if it has no relative pose with at least `min_inliers` inliers.
 ///
 /// `seed`, that of its random samples, must depend on that pair alone.
 pub fn link_pair(

@@ -29,7 +29,7 @@ pub struct SharedCamera {
     pub camera: Camera,
     /// Whether the focal length is known.
     pub focal: FocalKnown,
-    /// Standard deviation of the focal length as a fraction of it; `None` for a guess.
+    /// Standard deviation of the focal length as a fraction of it. `None` for a guess.
     pub focal_sigma_share: Option<f64>,
 }
 
@@ -61,7 +61,7 @@ pub fn max_error_px(camera: &Camera) -> f64 {
     MAX_ERROR_PX * f64::from(camera.width.max(camera.height)) / 1000.0
 }
 
-/// Returns whether the focal lengths of both photos are known.
+/// Whether the focal lengths of both photos are known.
 pub fn focal_known(views: &[View], cameras: &[SharedCamera], photos: [usize; 2]) -> FocalKnown {
     let guessed = |&photo: &usize| cameras[views[photo].camera].focal == FocalKnown::Guessed;
     if photos.iter().any(guessed) {

@@ -100,7 +100,7 @@ pub(crate) fn add_noise(problem: &mut Problem, sigma_px: f64, rng: &mut Rng) {
     }
 }
 
-/// Perturbs what is free: rotations by `angle_rad`, centres and points by `distance`, each in a random direction.
+/// Perturbs free parameters: rotations by `angle_rad`, centres and points by `distance`, each in a random direction.
 pub(crate) fn perturb(problem: &mut Problem, angle_rad: f64, distance: f64, rng: &mut Rng) {
     for (pose, freedom) in problem.poses.iter_mut().zip(&problem.pose_freedom) {
         let mut offset = direction(rng) * distance;

@@ -1,8 +1,8 @@
 //! The raw-image feeds of Mars 2020 and MSL: one camera of one mission.
 //!
-//! The record of a photo is its label. Records are asked for by runs of sols and kept by sol. The answer to the first
-//! question, for the latest sol, tells how many photos there are: while it is the same, nothing else is asked. A record
-//! that is revised is noticed with the next photo that the feed adds.
+//! The record of a photo is its label. Records are requested by runs of sols and kept by sol. The first request, for
+//! the latest sol, returns the total number of photos. While that number is unchanged, nothing else is requested. A
+//! revised record is noticed with the next photo that the feed adds.
 
 mod question;
 mod records;
@@ -55,7 +55,7 @@ pub(crate) struct FeedParams {
     /// Where the feed lies, tried in this order.
     #[serde(default)]
     base: Vec<String>,
-    /// Hosts that pictures may come from, beside those of `base`.
+    /// Hosts that pictures may come from, in addition to those of `base`.
     #[serde(default)]
     picture_hosts: Vec<String>,
     /// How the network is used.
@@ -77,7 +77,7 @@ pub(crate) struct Feed {
 /// The form of a mission's questions and answers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Form {
-    /// `images[]`, nested; the categories asked for.
+    /// `images[]`, nested, with the requested categories.
     Mars2020(&'static str),
     /// `items[]`, flat.
     Msl,
@@ -313,7 +313,7 @@ impl Feed {
         format!("{:?} {} {sol}", self.form, self.instruments.join(" "))
     }
 
-    /// Returns the greatest sol of which a photo was taken with this camera.
+    /// Returns the latest sol with a photo of this camera.
     fn latest(&self, pages: &Pages, sols: BTreeMap<u32, SolListing>) -> BTreeMap<u32, SolListing> {
         let taken = |(sol, listing): &(u32, SolListing)| match listing {
             SolListing::Pinned => true,
@@ -399,7 +399,7 @@ impl CatalogSource for Feed {
 struct Newest {
     /// The sol, which is that of any camera.
     sol: Option<u32>,
-    /// The version of the whole feed, where it tells how many photos it has: while it is the same, none was added.
+    /// The version of the whole feed, if it reports its number of photos. While it is unchanged, no photo was added.
     version: Option<String>,
 }
 
@@ -410,10 +410,10 @@ struct Picture {
     extension: String,
 }
 
-/// Returns the sols to ask for; for the latest a run of them, since the feed's latest sol is that of any camera.
+/// Returns the sols to request. `latest` becomes a run of sols, since the feed's latest sol is that of any camera.
 fn wanted(sols: &Sols, newest: Option<u32>) -> Result<BTreeSet<u32>, StageError> {
     let unknown = || {
-        StageError::new("the feed does not tell its latest sol")
+        StageError::new("the feed does not report its latest sol")
             .hint("write the sols as a range, e.g. \"1..=5\"")
     };
     match sols {
@@ -430,7 +430,7 @@ fn wanted(sols: &Sols, newest: Option<u32>) -> Result<BTreeSet<u32>, StageError>
     }
 }
 
-/// Returns first and last of the runs of sols that are asked for together; sols between may not be asked for.
+/// Returns first and last sol of each run that is requested together. Sols in between may not be wanted.
 fn runs(sols: &BTreeSet<u32>) -> Vec<(u32, u32)> {
     let mut runs: Vec<(u32, u32)> = Vec::new();
     for &sol in sols {

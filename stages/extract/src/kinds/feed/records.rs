@@ -8,7 +8,7 @@ pub(super) fn sol_of(record: &Value) -> Option<u32> {
     field(record, "sol").and_then(|sol| values::sol(&sol))
 }
 
-/// Returns the record's id, if it can be part of a file name: what a server writes never is a path.
+/// Returns the record's id if it can be part of a file name, so that no text of a server becomes a path.
 pub(super) fn id_of(record: &Value) -> Option<String> {
     let id = field(record, "imageid")?;
     let plain = |byte: u8| byte.is_ascii_alphanumeric() || byte == b'_' || byte == b'-';

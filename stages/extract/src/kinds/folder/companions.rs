@@ -1,8 +1,8 @@
-//! Which files beside photos are cameras and points of other programs, and which are masks.
+//! Files next to photos: cameras and points of other programs, and masks.
 
 use crate::archive::folder;
 
-/// Cameras and points of other programs, kept for `calibrate`; so is every `transforms….json`.
+/// Cameras and points of other programs, kept for `calibrate`. Every `transforms….json` is kept too.
 const CAMERA_FILES: [&str; 8] = [
     "cameras.bin",
     "cameras.txt",
@@ -30,25 +30,25 @@ const MODEL_FOLDERS: [&str; 12] = [
 ];
 /// Longest number that is a folder of one of several models.
 const MOST_DIGITS: usize = 3;
-/// Ends of photos whose mask may lie beside them.
+/// Extensions of photos that may have a mask next to them.
 const PHOTO_ENDS: [&str; 8] = ["jpg", "jpeg", "png", "tif", "tiff", "webp", "JPG", "PNG"];
 
-/// Tells whether a file is one of cameras or points, at the top or in folders in which programs put these.
+/// Whether a file holds cameras or points, at the top or in folders where programs put these.
 pub(super) fn is_camera_file(path: &str) -> bool {
     let name = path.rsplit('/').next().unwrap_or_default();
     let is_transforms = name.starts_with("transforms") && name.ends_with(".json");
     (is_transforms || CAMERA_FILES.contains(&name)) && folder(path).split('/').all(is_model_folder)
 }
 
-/// Tells whether models may be in a folder of this name; of a path at the top it is empty.
+/// Whether a folder of this name may hold models. The name is empty for a path at the top.
 fn is_model_folder(name: &str) -> bool {
     let is_number = name.len() <= MOST_DIGITS && name.bytes().all(|byte| byte.is_ascii_digit());
     let name = name.to_ascii_lowercase();
     is_number || MODEL_FOLDERS.iter().any(|start| name.starts_with(start))
 }
 
-/// Tells whether a picture hides parts of photos: in a folder `masks` (`mask`, `masks_2`), or named after a photo in its own folder as
-/// `NAME.jpg.png` (COLMAP) or `NAME_mask.png`. `exists` tells whether there is a file.
+/// Whether a picture masks photos: in a folder `masks` (`mask`, `masks_2`), or named after a photo in its own folder
+/// as `NAME.jpg.png` (COLMAP) or `NAME_mask.png`. `exists` reports whether a file exists.
 pub(super) fn is_mask(path: &str, exists: &dyn Fn(&str) -> bool) -> bool {
     let in_masks = |part: &str| matches!(part, "masks" | "mask") || part.starts_with("masks_");
     if folder(path).to_ascii_lowercase().split('/').any(in_masks) {

@@ -2,9 +2,9 @@
 //!
 //! ```text
 //! walk.rs        every file, by name, with its state
-//! table.rs       what is known of files from earlier runs
-//! companions.rs  which files are cameras and masks beside photos
-//! survey.rs      all together, sorted into sols
+//! table.rs       entries of files from earlier runs
+//! companions.rs  cameras and masks next to photos
+//! survey.rs      combines these and sorts files into sols
 //! ```
 
 mod companions;
@@ -35,20 +35,20 @@ use marf_stage::Sols;
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct FolderParams {
-    /// The folder; a relative one is meant from pipeline.toml.
+    /// The folder. A relative path starts at the folder of pipeline.toml.
     path: PathBuf,
-    /// Which sols: `1..=5`, `3`, `1,4,7..=9` or `latest`; all, and photos of no known sol, if left out.
+    /// Which sols: `1..=5`, `3`, `1,4,7..=9` or `latest`. All sols, and photos of unknown sol, if left out.
     #[serde(default)]
     #[schemars(with = "Sols")]
     sols: Option<Sols>,
     /// Whether folders in the folder are read too.
     #[serde(default = "yes")]
     recursive: bool,
-    /// `"copy"` stores the bytes of the photos; `"reference"` stores links to them: nothing is copied, and a photo that is
+    /// `"copy"` stores the bytes of the photos. `"reference"` stores links: nothing is copied, but a photo that is
     /// later edited or removed is lost to audits and replays. Takes effect when a photo is read.
     #[serde(default)]
     keep: Keep,
-    /// Largest file that is read, in MB; a larger one is left out, with the reason.
+    /// Largest file that is read, in MB. A larger one is left out, with the reason.
     #[serde(default = "max_file_mb")]
     max_file_mb: u64,
 }
@@ -66,7 +66,7 @@ fn max_file_mb() -> u64 {
 pub(crate) struct Folder {
     source: Source,
     sols: Sols,
-    /// The last survey, so that fetching a shard reads what was listed. Files are checked by digest when read.
+    /// The last survey, so that fetching a shard reads the listed files. Files are checked by digest when read.
     last: Mutex<Option<Arc<Survey>>>,
 }
 
@@ -74,7 +74,7 @@ impl ArchiveKind for Folder {
     type Params = FolderParams;
     type Location = Local;
     const KIND: &'static str = "folder";
-    const ABOUT: &'static str = "a folder of photos, with or without labels beside them";
+    const ABOUT: &'static str = "a folder of photos, with or without labels next to them";
 
     fn open(params: FolderParams, context: LocalContext) -> Result<Box<dyn ArchiveFiles>, ParamError> {
         Ok(Box::new(Self {
@@ -111,7 +111,7 @@ impl Folder {
         Ok(survey)
     }
 
-    /// Returns the last survey; the first if there is none.
+    /// Returns the last survey, or makes the first.
     fn listed(&self, ctx: &Ctx<'_>) -> Result<Arc<Survey>, StageError> {
         let last = self.last.lock().clone();
         last.map_or_else(|| self.survey(ctx), Ok)
@@ -161,7 +161,7 @@ impl Folder {
             _ => format!("`{path}` holds {files} files and no photo"),
         };
         StageError::new(message)
-            .hint("a photo is a JPEG, PNG, WebP, GIF, TIFF, PNM or .IMG; hidden files are not read")
+            .hint("a photo is a JPEG, PNG, WebP, GIF, TIFF, PNM or .IMG. Hidden files are not read")
     }
 
     /// Leaves the shards of the sols asked for.
@@ -169,7 +169,7 @@ impl Folder {
         if self.sols == Sols::All {
             return Ok(());
         }
-        // A shard of labels alone is of no photo; "latest" means photos.
+        // A shard that has only labels does not count: "latest" means the latest photos.
         let with_photo = survey
             .shards
             .iter()
@@ -179,7 +179,7 @@ impl Folder {
         if wanted.is_empty() {
             let (first, last) = (present.first().unwrap_or(&0), present.last().unwrap_or(&0));
             return Err(StageError::new(format!(
-                "`{}` has no photo of the sols asked for; its photos are of {} sols from {first} to {last}",
+                "`{}` has no photo of the sols asked for: its photos are of {} sols from {first} to {last}",
                 self.source.root.display(),
                 present.len()
             ))

@@ -102,7 +102,7 @@ impl Survey {
         Ok(survey)
     }
 
-    /// Tells whether a file may be a photo.
+    /// Whether a file may be a photo.
     pub fn is_photo(&self, index: u32) -> bool {
         self.entry(index).is_some_and(Entry::is_photo)
     }
@@ -148,7 +148,7 @@ impl Survey {
         }
     }
 
-    /// Sorts files into sols: a file whose name tells no sol goes with the label or photo of its product.
+    /// Sorts files into sols. A file without a sol in its name goes with the label or photo of its product.
     fn sort(&mut self) {
         let all = 0..self.entries.len() as u32;
         let (companions, files): (Vec<u32>, Vec<u32>) = all.partition(|index| self.is_companion(*index));
@@ -188,7 +188,7 @@ impl Survey {
     }
 }
 
-/// Reads the files that have no entry; returns the reasons of those that cannot be read.
+/// Reads the files without an entry and returns the reasons of those that cannot be read.
 fn read_rest(
     ctx: &Ctx<'_>,
     source: &Source,

@@ -1,13 +1,13 @@
-//! What is known of the files of a folder from earlier runs: while the state of a file is the same, it is not read. The
-//! table lies in the scratch folder; losing it costs time and never a result.
+//! Entries of the files of a folder from earlier runs. A file whose state is unchanged is not read. The table is in
+//! the scratch folder, and its loss costs only time.
 //!
 //! ```text
 //! table   entries by name, then the digest of all of it
 //! entry   u16 bytes shared with the name before, u16 bytes of the rest, the rest, u8 kind, u32 sol (all ones: none),
-//!         32 bytes digest, u64 size, i64 mtime_ns, i64 ctime_ns, u64 inode, u64 device; all little-endian
+//!         32 bytes digest, u64 size, i64 mtime_ns, i64 ctime_ns, u64 inode, u64 device (all little-endian)
 //! ```
-//! A file that was written less than a tick of the coarsest file systems before it was read is not in the table: within
-//! that tick it could be written again without a trace in its state.
+//! A file is not in the table if it was written less than one tick of the coarsest file systems before it was read.
+//! Within that tick it could be written again without a trace in its state.
 
 use std::path::{Path, PathBuf};
 
@@ -27,7 +27,7 @@ const NO_SOL: u32 = u32::MAX;
 pub(super) struct Entry {
     /// What the file is.
     pub kind: EntryKind,
-    /// Digest of its bytes; of the reason where it cannot be read.
+    /// Digest of its bytes, or of the reason why it cannot be read.
     pub digest: Digest,
     /// Its sol, where the name or its own label has it.
     pub sol: Option<u32>,
@@ -66,12 +66,12 @@ impl Entry {
         })
     }
 
-    /// Tells whether the file may be a photo.
+    /// Whether the file may be a photo.
     pub fn is_photo(&self) -> bool {
         matches!(self.kind, EntryKind::Photo | EntryKind::Raw)
     }
 
-    /// Returns what the entry says of a file of this name; `None` where the file cannot be read.
+    /// Returns the facts of this entry for a file of this name. `None` if the file cannot be read.
     pub fn known(&self, name: &str) -> Option<Known> {
         let kind = match self.kind {
             EntryKind::Photo => Kind::Photo,
@@ -90,7 +90,7 @@ impl Entry {
     }
 }
 
-/// Returns the place of the table of a folder; none where there is no scratch folder.
+/// Returns the path of the table of a folder. `None` without a scratch folder.
 pub(super) fn path(scratch: &Path, root: &Path, depth: usize) -> Option<PathBuf> {
     if scratch.as_os_str().is_empty() {
         return None;
@@ -113,7 +113,7 @@ pub(super) struct Reader {
 }
 
 impl Reader {
-    /// Opens a table; one that is lost or damaged is empty.
+    /// Opens a table. A lost or damaged one is empty.
     pub fn open(path: &Path) -> Self {
         let mut reader = Self {
             bytes: read_checked(path).unwrap_or_default(),
@@ -218,7 +218,7 @@ pub(super) fn write(
     write_checked(path, bytes);
 }
 
-/// Returns what of a file is kept; `None`: it is read again.
+/// Returns the state and the tag to keep for a file. `None` if it must be read again.
 fn kept(
     name: &[u8],
     state: &Result<FileState, String>,
@@ -231,7 +231,7 @@ fn kept(
     short.then_some((*state, tag as u8))
 }
 
-/// Tells whether a table would have an entry of a file.
+/// Whether a table would have an entry for a file.
 pub(super) fn is_kept(state: &Result<FileState, String>, entry: &Entry, began_ns: i64) -> bool {
     kept(b"", state, entry, began_ns).is_some()
 }

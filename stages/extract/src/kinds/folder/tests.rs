@@ -95,7 +95,7 @@ fn a_file_whose_state_is_known_is_not_read_unless_asked_for() {
     assert_eq!(
         truth,
         digests(&rested(&harness.ctx(), &root, Reading::Changed), &root),
-        "reading all mends the table"
+        "reading all repairs the table"
     );
 }
 
@@ -103,7 +103,7 @@ fn a_file_whose_state_is_known_is_not_read_unless_asked_for() {
 fn a_file_that_had_not_rested_is_read_again() {
     let dir = tempfile::tempdir().unwrap();
     let (root, harness) = (archive(dir.path()), harness(dir.path()));
-    // The files were written just now: the survey keeps none of them, so what the table says can only be from elsewhere.
+    // The files are fresh, so the survey keeps none of them. Entries of the table can only come from another survey.
     drop(Survey::begun_at(now_ns(), &harness.ctx(), &source(&root, Reading::Changed)).unwrap());
     let path = table::path(&harness.scratch, &root, DEPTH).unwrap();
     assert_eq!(Reader::open(&path).count(), 0);
@@ -232,7 +232,7 @@ fn the_number_of_threads_changes_nothing() {
     assert_eq!(survey(1), survey(4));
 }
 
-/// A file that is not there, one that is no file, and one that leads in circles.
+/// A dangling link, a file that is too large, and a link in circles.
 #[test]
 #[cfg(unix)]
 fn what_cannot_be_read_has_its_reason() {

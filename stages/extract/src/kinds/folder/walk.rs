@@ -15,7 +15,7 @@ pub(super) const MAX_DEPTH: usize = 32;
 /// Number of files after which the wish to stop is looked at.
 const CHECK_EVERY: usize = 1_024;
 
-/// The files of a folder, sorted by name. Names lie in one text, since a folder may hold millions.
+/// The files of a folder, sorted by name. All names share one text, since a folder may hold millions.
 #[derive(Debug, Default)]
 pub(super) struct Names {
     text: String,
@@ -43,12 +43,12 @@ impl Names {
         self.spans.len()
     }
 
-    /// Returns the name of a file; empty beyond the last.
+    /// Returns the name of a file, empty beyond the last.
     pub fn get(&self, index: usize) -> &str {
         self.spans.get(index).map_or("", |span| self.at(span))
     }
 
-    /// Tells whether there is a file of this name; the names must be sorted.
+    /// Whether there is a file of this name. The names must be sorted.
     pub fn contains(&self, name: &str) -> bool {
         self.spans
             .binary_search_by(|span| self.at(span).cmp(name))
@@ -71,8 +71,8 @@ impl Names {
     }
 }
 
-/// Walks a folder: hidden files and folders are left out, unless systems are known to leave them next to photos; links are
-/// followed but not in circles.
+/// Walks a folder. Hidden files and folders are skipped, unless systems are known to leave them next to photos. Links
+/// are followed but not in circles.
 ///
 /// # Errors
 /// The wish to stop.
@@ -125,7 +125,7 @@ fn state_of(path: &Path) -> Result<FileState, String> {
 
 const NO_FILE: &str = "not a plain file";
 
-/// Returns the name of what was found, unless it is a folder, and why it is not read.
+/// Returns the name of an entry that is not a folder, and the reason why it is not read, if any.
 fn entry_of(root: &Path, entry: walkdir::Result<DirEntry>) -> Option<(String, Option<String>)> {
     match entry {
         Ok(entry) if entry.file_type().is_dir() => None,

@@ -12,7 +12,7 @@ use crate::kinds::mission::{Instrument, Mission};
 pub(crate) struct Tree {
     /// Its path below the archive's base.
     pub root: String,
-    /// Pattern of the names of volumes in the root (`?` is any letter or digit), if sols lie in volumes.
+    /// Pattern of the names of volumes in the root (`?` is any letter or digit), if the archive has volumes.
     pub volumes: Option<&'static str>,
     /// From a volume to the folder of sols.
     pub below_volume: &'static str,
@@ -20,14 +20,14 @@ pub(crate) struct Tree {
     pub sol: (&'static str, usize),
     /// From a sol's folder to the products.
     pub below_sol: String,
-    /// Extensions of what is taken, in lower case.
+    /// Accepted extensions, in lower case.
     pub takes: &'static [&'static str],
 }
 
 /// Where the products of one camera lie, and which are taken.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct CameraLayout {
-    /// Possible layouts; the first that is there is taken. Each is a set of trees whose files belong together.
+    /// Possible layouts. The first that exists is used. Each is a set of trees whose files belong together.
     pub layouts: Vec<Vec<Tree>>,
     /// Folder of the collection whose inventory names the products, if it has one.
     pub collection: Option<String>,
@@ -57,7 +57,8 @@ impl CameraLayout {
             (Mission::Curiosity, Instrument::Navcam) => curiosity_navcam(archive)?,
             (mission, instrument) => {
                 let message = format!("{mission:?} has no {instrument:?}").to_lowercase();
-                let hint = "perseverance: mastcam-z, navcam; ingenuity: helicam; curiosity: mastcam, navcam";
+                let hint =
+                    "perseverance has mastcam-z and navcam, ingenuity helicam, curiosity mastcam and navcam";
                 return Err(ParamError::new("instrument", format!("{message} ({hint})")));
             }
         };
@@ -86,7 +87,7 @@ impl CameraLayout {
             .position(|wanted| wanted == kind || wanted == "*");
         place.ok_or_else(|| {
             if name.is_of_series() {
-                format!("{kind} is a frame of a video or a stack; name it in `products` to take it")
+                format!("{kind} is a frame of a video or a stack: name it in `products` to take it")
             } else {
                 format!("product type {kind} is not asked for")
             }
@@ -199,7 +200,7 @@ impl Tree {
         plain.then(|| digits.parse().ok()).flatten()
     }
 
-    /// Tells whether a folder of the root is a volume.
+    /// Whether a folder of the root is a volume.
     pub fn is_volume(&self, folder: &str) -> bool {
         let shape = self.volumes.unwrap_or_default();
         let fits = |(byte, shape): (u8, u8)| byte == shape || (shape == b'?' && byte.is_ascii_alphanumeric());

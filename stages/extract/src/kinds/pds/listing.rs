@@ -1,13 +1,13 @@
 //! Products found by folder pages, sol by sol.
 //!
-//! What has not changed is not asked for again:
-//! - A sol that is older than the newest by `relist_sols` and wholly pinned is not asked for at all.
-//! - Mars 2020 keeps products deep below the folder of a sol, whose date says nothing of them. But a collection lists all
-//!   its members in an inventory beside its `sol` folder: while the page that holds both shows the same dates, neither a sol
-//!   nor a product of a known sol was released. This page is the one question of a tree.
-//! - Curiosity keeps products in the folder of the sol: the page of all sols shows its date, which changes with any name in
-//!   it. Where sols lie in volumes this takes two questions: the page of all volumes shows a new volume, and the page of the
-//!   newest volume a new sol. Volumes of old sols only are closed, and not asked for.
+//! Unchanged folders are not requested again:
+//! - A sol that is older than the newest by `relist_sols` and wholly pinned is not requested at all.
+//! - Mars 2020 keeps products deep below the folder of a sol, whose date does not show them. But a collection lists
+//!   all its members in an inventory next to its `sol` folder. While the page with both shows the same dates, neither
+//!   a sol nor a product of a known sol was released. This page is the only request for a tree.
+//! - Curiosity keeps products in the folder of the sol. The page of all sols shows its date, which changes with any
+//!   name in it. With volumes this takes two requests: the page of all volumes shows a new volume, and the page of
+//!   the newest volume shows a new sol. A volume with only old sols is closed and not requested.
 //!
 //! A date counts when it is [`RELEASE`] old: while a release is being copied, its dates may be there before its files. Where
 //! no inventory is shown, each young sol is asked for at each run, a page a tree, as many at once as the host allows.
@@ -26,14 +26,14 @@ use crate::remote::catalog::{Catalog, Question, SolListing};
 use crate::remote::crawl::{Crawl, Folder};
 use crate::remote::pages::Pages;
 
-/// How old a date must be before it stands for all files of its release; dates are in the server's zone.
+/// Age from which a date covers all files of its release. Dates are in the server's zone.
 const RELEASE: Duration = Duration::from_secs(2 * 24 * 3600);
 
 /// A folder that holds sols.
 struct Root<'a> {
     tree: &'a Tree,
     path: String,
-    /// Version of everything below, if the page above tells it.
+    /// Version of everything below, if the page above reports it.
     version: Option<String>,
 }
 
@@ -85,7 +85,7 @@ pub(super) fn by_listing(
     Ok(Catalog { sols, present })
 }
 
-/// Returns the files that the page of a folder names; `None`: the page is lost.
+/// Returns the files that the page of a folder names. `None` if the page is lost.
 pub(super) fn files_of(products: &Products, pages: &Pages, path: &str) -> Option<Vec<FoundFile>> {
     if pages.state(path)?.content.is_none() {
         return Some(Vec::new());
@@ -161,7 +161,7 @@ fn roots<'a>(crawl: &mut Crawl<'_>, layout: &'a [Tree]) -> Result<Option<Vec<Roo
     Ok(Some(roots))
 }
 
-/// Returns the folder of the collection that a tree is of, where its page tells of changes in the tree.
+/// Returns the folder of the collection of a tree, if its page shows changes in the tree.
 fn collection(tree: &Tree) -> Option<&str> {
     let deep = tree.volumes.is_none() && !tree.below_sol.is_empty();
     tree.root
@@ -184,7 +184,7 @@ fn released(entries: &[Entry]) -> Option<String> {
     shown.then(|| digest_of(&seen).to_string())
 }
 
-/// Tells whether a date of a page, `YYYY-MM-DDTHH:MM`, is so old that everything of that date is there.
+/// Whether a date of a page, `YYYY-MM-DDTHH:MM`, is so old that all files of that date are present.
 fn is_past(modified: Option<&str>) -> bool {
     let time = modified.and_then(|date| humantime::parse_rfc3339(&format!("{date}:00Z")).ok());
     let age = time.and_then(|time| SystemTime::now().duration_since(time).ok());
@@ -217,7 +217,7 @@ fn sols_in(crawl: &mut Crawl<'_>, roots: &[Root<'_>]) -> Result<Vec<SolFolder>, 
     Ok(folders)
 }
 
-/// Tells whether a volume was found to be closed when it was last listed.
+/// Whether a volume was closed when it was last listed.
 fn is_closed(pages: &Pages, root: &Root<'_>) -> bool {
     root.tree.volumes.is_some() && pages.state(&root.path).is_some_and(|page| page.settled)
 }

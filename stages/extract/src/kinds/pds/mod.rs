@@ -5,7 +5,7 @@
 //! layout.rs     where the archive keeps the products of each camera
 //! listing.rs    products found by folder pages
 //! tables.rs     products found by inventories and index tables
-//! products.rs   which of the found products are taken
+//! products.rs   choice among the found products
 //! ```
 
 mod layout;
@@ -119,11 +119,11 @@ fn check(discover: Discover, layout: &CameraLayout) -> Result<(), ParamError> {
     match discover {
         Discover::Inventory if layout.collection.is_none() => Err(ParamError::new(
             "discover",
-            "this camera's archive has no inventory; use \"listing\" or \"index\"",
+            "this camera's archive has no inventory: use \"listing\" or \"index\"",
         )),
         Discover::Index if !trees.all(|tree| tree.volumes.is_some()) => Err(ParamError::new(
             "discover",
-            "this camera's archive has no index tables; use \"listing\" or \"inventory\"",
+            "this camera's archive has no index tables: use \"listing\" or \"inventory\"",
         )),
         _ => Ok(()),
     }

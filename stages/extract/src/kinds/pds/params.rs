@@ -17,13 +17,14 @@ pub(crate) struct PdsParams {
     pub instrument: Instrument,
     /// Which sols: `1..=5`, `3`, `1,4,7..=9` or `latest`.
     pub sols: Sols,
-    /// How far the products were worked on; `edr` is raw.
+    /// Processing level of the products. `edr` is raw.
     #[serde(default)]
     pub level: Level,
-    /// Where pixels come from; labels come from beside the `.IMG` either way.
+    /// Source of the pixels. Labels come from the folder of the `.IMG` either way.
     #[serde(default)]
     pub pixels: PixelSource,
-    /// Product types, the preferred first; of an exposure the first that exists is taken. Left out: the usual ones.
+    /// Product types, the preferred first. Of each exposure the first existing type is taken. Left out: the usual
+    /// ones.
     #[serde(default)]
     pub products: Vec<String>,
     /// How products are found.
@@ -44,7 +45,7 @@ pub(crate) enum Level {
     /// Raw.
     #[default]
     Edr,
-    /// Geometry refined; Mars 2020 only.
+    /// Geometry refined (Mars 2020 only).
     Fdr,
     /// Calibrated.
     Rdr,
@@ -54,7 +55,7 @@ pub(crate) enum Level {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub(crate) enum PixelSource {
-    /// PNG of 8 bits; Mars 2020 only, elsewhere the same as `img`.
+    /// PNG of 8 bits. Mars 2020 only, otherwise the same as `img`.
     #[default]
     Browse,
     /// The `.IMG` as archived, 16 bits and more.
@@ -68,8 +69,8 @@ pub(crate) enum Discover {
     /// Folder pages, sol by sol.
     #[default]
     Listing,
-    /// The inventory of the collection, one file for all sols; Mars 2020 only.
+    /// The inventory of the collection, one file for all sols (Mars 2020 only).
     Inventory,
-    /// The index tables of the volumes; Curiosity's Mastcam only.
+    /// The index tables of the volumes (Curiosity's Mastcam only).
     Index,
 }

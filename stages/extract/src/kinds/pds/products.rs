@@ -12,7 +12,7 @@ use crate::archive::{extension, stem};
 use crate::remote::catalog::{RemoteFile, SolFiles};
 use crate::remote::crawl::urls;
 
-/// Largest files by extension; products of these cameras have at most 20 MB.
+/// Largest files by extension. Products of these cameras have at most 20 MB.
 const MAX_IMG_BYTES: u64 = 64 << 20;
 const MAX_PNG_BYTES: u64 = 32 << 20;
 const MAX_LABEL_BYTES: u64 = 2 << 20;
@@ -37,10 +37,10 @@ pub(super) struct FoundFile {
 }
 
 impl Products {
-    /// Returns what is taken of the files of a sol.
+    /// Selects the wanted files of a sol.
     ///
     /// # Errors
-    /// A base that is no address.
+    /// A base that is not an address.
     pub fn taken(&self, sol: u32, found: Vec<FoundFile>) -> Result<SolFiles, StageError> {
         let mut taken = SolFiles::default();
         let mut photos: Vec<(ProductName, usize, FoundFile)> = Vec::new();
@@ -95,7 +95,8 @@ impl Products {
     }
 }
 
-/// Returns of each exposure the preferred product, of each product the newest version; the others go to `left_out`.
+/// Selects the preferred product of each exposure and the newest version of each product. The others go to
+/// `left_out`.
 fn preferred(
     photos: Vec<(ProductName, usize, FoundFile)>,
     all: bool,

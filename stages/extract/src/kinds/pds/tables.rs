@@ -22,13 +22,13 @@ const MAX_TABLE_BYTES: u64 = 128 << 20;
 const INVENTORY: &str = "collection_data_inventory.csv";
 /// Label and table of a volume's index of decompressed products.
 const INDEX: [&str; 2] = ["RDRINDEX.LBL", "RDRINDEX.TAB"];
-/// Between the path of a table and a sol, in the name of what the table names of that sol.
+/// Separates the path of a table from a sol, in the name of the page with the table's products of that sol.
 const OF_SOL: char = '#';
 
 type BySol = BTreeMap<u32, Vec<FoundFile>>;
 
-/// Finds products in the inventory of the collection: names without folders, dates and versions. The version is taken
-/// to be that of the identifier; a product whose file has another is listed as gone.
+/// Finds products in the inventory of the collection, which has names without folders, dates and versions. The
+/// version is assumed to be that of the identifier. A product whose file has another version is listed as gone.
 pub(super) fn by_inventory(
     products: &Products,
     crawl: &mut Crawl<'_>,
@@ -153,7 +153,7 @@ struct DownloadedFile {
     validators: Validators,
 }
 
-/// Downloads tables, sorted by path; those that did not change since they were kept are left out.
+/// Downloads tables, sorted by path. Tables that are unchanged since they were kept are left out.
 fn changed(crawl: &mut Crawl<'_>, paths: &[String]) -> Result<Vec<DownloadedFile>, StageError> {
     for path in paths {
         if !is_whole(crawl.pages, path) {
@@ -187,7 +187,7 @@ fn changed(crawl: &mut Crawl<'_>, paths: &[String]) -> Result<Vec<DownloadedFile
     Ok(tables)
 }
 
-/// Keeps what a table names, sol by sol, then the table as known.
+/// Keeps the products that a table names, sol by sol, then the state of the table.
 fn keep(pages: &mut Pages, path: &str, validators: Validators, found: &BySol) {
     let start = format!("{path}{OF_SOL}");
     let before: Vec<String> = pages.below(&start).map(|(path, _)| path.to_owned()).collect();
@@ -219,7 +219,7 @@ fn last_sol(pages: &Pages, path: &str) -> Option<u32> {
     sols_of(pages, &format!("{path}{OF_SOL}")).max()
 }
 
-/// Tells whether all that a table named is still kept.
+/// Whether all pages of a table are still kept.
 fn is_whole(pages: &Pages, path: &str) -> bool {
     let start = format!("{path}{OF_SOL}");
     pages.state(path).is_some() && pages.below(&start).all(|(path, _)| pages.state(path).is_some())
@@ -245,7 +245,7 @@ fn catalog(pages: &Pages, tables: &[String], question: Question<'_>) -> Catalog 
     }
 }
 
-/// Returns the files that a table names of a sol; `None`: they are lost.
+/// Returns the files that a table names for a sol. `None` if they are lost.
 pub(super) fn files_of(pages: &Pages, path: &str) -> Option<Vec<FoundFile>> {
     pages.content(path)
 }

@@ -98,7 +98,7 @@ fn absent_is_what_no_mirror_has() {
     first.script("/a", vec![Reply::status(500).always()]);
     let error = kind(one(&client, &both));
     assert!(
-        error.to_string().contains("before it http://127.0.0.1"),
+        error.to_string().contains("Before that, http://127.0.0.1"),
         "{error}"
     );
     assert!(error.before[0].contains("status 500"), "{error}");
@@ -168,7 +168,7 @@ fn drips_and_silence_are_given_up() {
     );
 }
 
-/// HTTP takes as many bytes as announced; what is sent beyond is no body, and no answer to the next request either.
+/// HTTP reads as many bytes as announced. Bytes beyond belong neither to the body nor to the next answer.
 #[test]
 fn bytes_beyond_the_announced_are_never_an_answer() {
     let server = Server::start().unwrap();
@@ -199,7 +199,7 @@ fn an_encoded_body_is_refused() {
     assert_eq!(server.requests()[0].header("accept-encoding"), Some("identity"));
 }
 
-/// Whether a page is what was wanted is for the caller to see.
+/// The caller checks whether a page is the wanted file.
 #[test]
 fn a_firewall_page_that_calls_itself_a_success_is_a_body() {
     let server = Server::start().unwrap();
@@ -283,7 +283,7 @@ fn retry_after_is_waited_up_to_ten_minutes() {
         server.script("/a", vec![Reply::with(503, "Retry-After", value)]);
         let error = kind(one(&client, &download(&server, "/a")));
         assert!(
-            error.retryable && error.to_string().contains("at most 600 s are waited"),
+            error.retryable && error.to_string().contains("marf waits at most 600 s"),
             "{error}"
         );
         let other = kind(one(&client, &download(&server, "/b")));

@@ -251,7 +251,7 @@ fn bytes_beyond_the_sidecar_are_fetched_again() {
 #[test]
 fn a_part_never_mixes_hosts() {
     let (first, second, folder) = (Server::start().unwrap(), Server::start().unwrap(), Folder::new());
-    // Equal validators: only the address tells the two apart.
+    // Equal validators: only the address distinguishes the two.
     first.file_with("/a", noise(1, 9_000), Some("\"same\""), None);
     second.file_with("/a", noise(2, 9_000), Some("\"same\""), None);
     let mut both = kept(&first, "/a", &folder.part("a.part"));
@@ -314,7 +314,7 @@ fn what_brings_nothing_leaves_nothing() {
     server.script("/a", vec![Reply::Endless]);
     kind(one(&hasty(&server), &download));
     assert!(folder.files().is_empty(), "{:?}", folder.files());
-    // With a validator too: what is too large stays too large.
+    // With a validator too: a body that is too large stays too large.
     server.file("/a", noise(1, 9_000));
     server.script("/a", vec![Reply::Endless]);
     let error = kind(one(&hasty(&server), &download));

@@ -1,4 +1,4 @@
-//! All products that a marf.lock pins, of all archives: what a collection must keep.
+//! All products that a marf.lock pins, of all archives. A collection must keep them.
 
 use std::fs;
 use std::io::ErrorKind;
@@ -30,7 +30,7 @@ pub struct PinnedProduct {
     pub blake3: Digest,
     /// The digest by which others know them.
     pub sha256: Sha256,
-    /// The address that gave it; none where it came with the listing.
+    /// The address that served it. `None` if it came with the listing.
     pub url: Option<String>,
     /// The time, as `YYYY-MM-DDTHH:MM:SSZ`.
     pub fetched: String,
@@ -45,7 +45,7 @@ impl PinnedProduct {
     }
 }
 
-/// Returns all products that the lock at a path pins; none if there is no lock.
+/// Returns all products that the lock at a path pins. Empty if there is no lock.
 ///
 /// # Errors
 /// The first file, with its line, that cannot be read.
@@ -93,7 +93,7 @@ fn read(path: &Path) -> Result<String, UnreadableLock> {
     fs::read_to_string(path).map_err(|error| unreadable(path, None, error.to_string()))
 }
 
-/// Returns the entries of a folder, sorted; an absent one has none.
+/// Returns the entries of a folder, sorted. An absent folder has none.
 fn entries(folder: &Path) -> Result<Vec<PathBuf>, UnreadableLock> {
     let failed = |error: std::io::Error| unreadable(folder, None, error.to_string());
     let listed = match fs::read_dir(folder) {

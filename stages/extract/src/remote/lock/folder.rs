@@ -47,7 +47,8 @@ pub(crate) struct OpenLock {
     folder: PathBuf,
     /// The sols that have a file.
     sols: BTreeSet<u32>,
-    /// What other things the pins of this archive were written for, where there are none for what is asked.
+    /// The request that the existing pins of this archive were written for, if there are none for the current
+    /// request.
     pub other: Option<String>,
 }
 
@@ -86,7 +87,7 @@ impl Lock {
     /// sols, with what other processes had written.
     ///
     /// # Errors
-    /// A file that cannot be written, or was damaged since it was read; the wish to stop.
+    /// A file that cannot be written, or was damaged since it was read. A requested stop.
     pub fn write(&self, ctx: &Ctx<'_>, changes: Vec<Change>) -> Result<Vec<SolPins>, StageError> {
         let held = self.hold(ctx)?;
         let (folder, _) = self.folder()?;
@@ -126,7 +127,8 @@ impl Lock {
         Ok(sol_path(&self.folder()?.0, sol))
     }
 
-    /// Returns the folder of the archive, and what it was written for where that is something else and there is no other.
+    /// Returns the folder of the archive. If the plain folder was written for another request, returns a folder of
+    /// its own, and that request.
     fn folder(&self) -> Result<(PathBuf, Option<String>), StageError> {
         let folder = self.path.join(folder_name(&self.archive));
         let Some(text) = read_text(&folder.join("archive.toml"))? else {
@@ -154,7 +156,7 @@ impl Lock {
         )
     }
 
-    /// Waits until no other process writes; afterwards the folder is there.
+    /// Waits until no other process writes. Afterwards the folder exists.
     fn hold(&self, ctx: &Ctx<'_>) -> Result<File, StageError> {
         let fail = |error: io::Error| unwritable(&self.path, &error);
         fs::create_dir_all(&self.path).map_err(fail)?;
@@ -186,7 +188,7 @@ impl OpenLock {
             .map(|meta| FileState::from_metadata(&meta))
     }
 
-    /// Reads the pins of a sol, if it has any; also those that were written since.
+    /// Reads the current pins of a sol, if it has any, including those written since.
     ///
     /// # Errors
     /// A file that cannot be read, with the line.
@@ -195,7 +197,7 @@ impl OpenLock {
     }
 }
 
-/// Waits for the lock on a file; it ends with the file.
+/// Waits for the lock on a file, which ends with the file.
 fn wait(ctx: &Ctx<'_>, file: &File, path: &Path) -> Result<(), StageError> {
     loop {
         match file.try_lock() {
@@ -233,8 +235,8 @@ fn sol_path(folder: &Path, sol: u32) -> PathBuf {
     folder.join(format!("sol-{sol:05}.toml"))
 }
 
-/// Returns the name of an archive as a folder: what is no lower-case letter, digit, `-` or `_` is a `%` with its code, so that
-/// no two archives share a folder on any file system.
+/// Returns the name of an archive as a folder. A byte that is not a lower-case letter, digit, `-` or `_` becomes a
+/// `%` with its code, so that no two archives share a folder on any file system.
 fn folder_name(archive: &str) -> String {
     if archive.is_empty() {
         return "%".to_owned();

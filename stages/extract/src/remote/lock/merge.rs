@@ -12,8 +12,8 @@ enum Entry {
     Gone(u16),
 }
 
-/// Merges `ours` and `theirs`, which both come from `base`. Where both changed the same file to other bytes, those that
-/// were written first stay in use and the others are kept beside them.
+/// Merges `ours` and `theirs`, which both come from `base`. Where both changed the same file to other bytes, those
+/// that were written first stay in use and the others are kept with the pin.
 pub(super) fn merge(base: &SolPins, ours: &SolPins, theirs: &SolPins) -> SolPins {
     if base == theirs || ours == theirs {
         return ours.clone();
@@ -42,7 +42,7 @@ pub(super) fn merge(base: &SolPins, ours: &SolPins, theirs: &SolPins) -> SolPins
     merged
 }
 
-/// What is pinned goes before what is left out, and that before what could not be fetched.
+/// A pinned file goes before one that was left out, and that before one that could not be fetched.
 fn both(ours: &Entry, theirs: &Entry) -> Entry {
     match (ours, theirs) {
         (Entry::Pinned(ours), Entry::Pinned(theirs)) => {

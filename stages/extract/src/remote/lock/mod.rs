@@ -1,13 +1,13 @@
-//! marf.lock: what each archive on servers gave, to the byte. A folder beside pipeline.toml:
+//! marf.lock: the files of each archive on servers, to the byte. A folder next to pipeline.toml:
 //!
 //! ```text
-//! marf.lock/README                     what it is; who writes holds a lock on this file
-//! marf.lock/jezero/archive.toml        what the pipeline asked the archive for
+//! marf.lock/README                     description, and the file that a writer locks
+//! marf.lock/jezero/archive.toml        what the pipeline requests from the archive
 //! marf.lock/jezero/sol-00042.toml      the products of one sol, one a line
 //! ```
-//! Users keep it under version control. A sol writes its own file and nothing else, by an atomic replacement; what another
-//! process wrote of the same sol meanwhile is merged product by product. Two pipelines of one folder that ask an archive of
-//! one name for different things have a folder each.
+//! Users keep it under version control. Writing a sol replaces its own file atomically and touches no other. Changes
+//! that another process made to the same sol meanwhile are merged product by product. If two pipelines of one folder
+//! request different things from archives of one name, each has a folder of its own.
 //!
 //! ```text
 //! folder.rs   finding, reading and writing the files
@@ -29,7 +29,7 @@ pub(crate) use self::folder::{Change, Lock, OpenLock};
 pub(crate) use self::text::{read as read_sol, write as write_sol};
 use crate::net::Validators;
 
-/// In the place of an address: the bytes came with the page that listed them (the record of a feed).
+/// Replaces the address of bytes that came with the page that listed them (the record of a feed).
 pub(crate) const WITH_LISTING: &str = "with the listing";
 
 /// The pins of one sol.
@@ -41,7 +41,7 @@ pub(crate) struct SolPins {
     pub left_out: BTreeMap<String, String>,
     /// Files that were listed and could not be fetched, by name: the last status.
     pub gone: BTreeMap<String, u16>,
-    /// What was asked for when everything that was listed had come; none while something is missing.
+    /// The request for which every listed file has come. `None` while a file is missing.
     pub complete: Option<String>,
 }
 

@@ -119,7 +119,7 @@ pub(crate) fn write(archive: &str, sol: u32, pins: &SolPins) -> String {
     text
 }
 
-/// Returns a basic string of TOML; what JSON escapes, TOML reads the same way.
+/// Returns a basic string of TOML, which has the same escapes as JSON.
 pub(super) fn quoted(text: &str) -> String {
     serde_json::Value::from(text)
         .to_string()
@@ -129,7 +129,7 @@ pub(super) fn quoted(text: &str) -> String {
 /// Refuses the marks of a merge that was not resolved, and other versions.
 ///
 /// # Errors
-/// The line and what it is.
+/// The line and its fault.
 pub(super) fn check(text: &str) -> Result<(), BadLine> {
     let mark = |line: &str| {
         ["<<<<<<< ", ">>>>>>> ", "||||||| "]
@@ -165,7 +165,7 @@ pub(super) fn check(text: &str) -> Result<(), BadLine> {
     })
 }
 
-/// Returns what a reader of TOML says of a text.
+/// Locates an error of the TOML parser in a text.
 pub(super) fn bad(text: &str, error: &toml::de::Error) -> BadLine {
     BadLine {
         line: line_of(text, error.span().map_or(0, |span| span.start)),

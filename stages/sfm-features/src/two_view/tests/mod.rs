@@ -35,7 +35,7 @@ struct Views {
 enum Layout {
     /// Depths 4 to 12.
     Deep,
-    /// The plane z = 6 + .4 x - .3 y.
+    /// The plane z = 6 + 0.4 x - 0.3 y.
     Plane,
     /// The same, every tenth point up to 2 in front of it.
     AlmostPlane,

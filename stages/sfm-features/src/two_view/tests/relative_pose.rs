@@ -187,7 +187,7 @@ fn a_turn_under_a_guessed_focal_length_is_a_rotation() {
 
 #[test]
 fn a_plane_passed_under_a_guessed_focal_length_is_no_rotation() {
-    // Straight down upon it, along it, and at a slant; .02 rad of sway as no drone or lander is without.
+    // Straight down upon it, along it, and at a slant, with the 0.02 rad of sway that every drone or lander has.
     for t in [[0.0, 0.0, -1.5], [1.0, 0.0, 0.0], [0.3, 0.2, -1.0]] {
         for layout in [Layout::Plane, Layout::AlmostPlane] {
             for factor in [0.7, 1.0, 1.5] {

@@ -10,8 +10,8 @@ fn true_matches_survive_up_to_half_and_random_ones_are_refused() {
             let found = views.verified(&camera(), focal);
             let right = found.inliers.iter().filter(|m| m[0] >= wrong as u32).count();
             assert!(right >= least, "{focal:?}, {wrong} of 300 wrong: {right} found");
-            // Past what the trials reach (56 % wrong): all but a few of what is kept is right, or nothing
-            // is.
+            // Beyond the reach of the trials (56 % wrong): all but a few of the kept matches are right, or no match
+            // is kept.
             let false_ones = found.inliers.len() - right;
             assert!(
                 false_ones <= 10,
@@ -123,7 +123,7 @@ fn what_does_not_move_is_stationary_or_left_out() {
 
 #[test]
 fn far_points_at_rest_come_back_when_they_fit() {
-    // Forward motion past near points: what is far or around the epipole stays within 4 px.
+    // Forward motion past near points: far points and those around the epipole stay within 4 px.
     let mut near = views(
         pose([0.0; 3], [0.0, 0.0, -1.0]),
         Layout::Deep,

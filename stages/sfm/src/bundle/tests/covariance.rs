@@ -43,10 +43,10 @@ fn covariances_agree_with_many_noisy_solves() {
     for (pose, (predicted_gain, found)) in predicted_gain.iter().zip(&found).enumerate().skip(1) {
         for term in 0..6 {
             let (wanted, got) = (predicted_gain[(term, term)].sqrt(), found[(term, term)].sqrt());
-            // 200 solves know a sigma to 5 %; four of those.
+            // 200 solves determine a sigma to 5 %. The tolerance is four times that.
             assert!(
                 (got - wanted).abs() <= 0.2 * wanted + 1e-12,
-                "{pose}, {term}: {got}, predicted_gain {wanted}"
+                "{pose}, {term}: {got}, predicted {wanted}"
             );
         }
     }
@@ -148,7 +148,7 @@ fn nothing_that_was_saved_is_computed_again() {
     );
     let left = PANELS - done + FREE;
     assert_eq!(pose_covariances(&problem, 0.7, supervisor.after(left - 1)), None);
-    // The matrix is factored; the blocks, which are saved 64 at a time, are not there yet.
+    // The matrix is factored. The blocks, which are saved 64 at a time, are still missing.
     assert_eq!(pose_covariances(&problem, 0.7, supervisor.after(FREE)), expected);
     // All that is left is to read the blocks.
     assert_eq!(pose_covariances(&problem, 0.7, supervisor.after(0)), expected);

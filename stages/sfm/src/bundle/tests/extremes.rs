@@ -291,12 +291,12 @@ fn what_does_not_fit_together_is_refused_by_name() {
             "observation 5 names 9999, of 150",
         ),
         (|p| p.observations.swap(3, 4), "observation 4 does not follow"),
-        (|p| p.points[2].y = f64::NAN, "point 2 is no valid one"),
+        (|p| p.points[2].y = f64::NAN, "point 2 is not valid"),
         (
             |p| p.observations[7].pixel.x = f64::INFINITY,
-            "observation 7 is no valid one",
+            "observation 7 is not valid",
         ),
-        (|p| p.poses[1].rotation[(0, 0)] = 3.0, "pose 1 is no valid one"),
+        (|p| p.poses[1].rotation[(0, 0)] = 3.0, "pose 1 is not valid"),
         (
             |p| p.camera_of_pose.truncate(3),
             "camera of pose: 3 entries, 12 wanted",
@@ -309,7 +309,7 @@ fn what_does_not_fit_together_is_refused_by_name() {
                     sigma_share: 0.0,
                 })
             },
-            "prior 0 is no valid one",
+            "prior 0 is not valid",
         ),
     ];
     for (spoil, wanted) in cases {

@@ -3,8 +3,8 @@ use super::*;
 
 #[test]
 fn a_hand_worked_case() {
-    // One camera at the origin, f = 100, and one at (1, 0, 0), both held, looking along z; a point at (0, 0, 2) is seen
-    // at (0, 0) and (-50, 0) from the centre of the photo. It starts at (0, 0, 1).
+    // One camera at the origin, f = 100, and one at (1, 0, 0), both held, looking along z. A point at (0, 0, 2) is
+    // seen at (0, 0) and (-50, 0) from the centre of the photo. It starts at (0, 0, 1).
     let camera = marf_scene::Camera::pinhole(200, 200, 100.0);
     let right = Pose {
         translation: nalgebra::Vector3::new(-1.0, 0.0, 0.0),
@@ -29,7 +29,7 @@ fn a_hand_worked_case() {
         observations: vec![seen(0, 100.0, 100.0), seen(1, 50.0, 100.0)],
         priors: Vec::new(),
     };
-    // Before: residuals (0, 0) and (-100 + 50, 0); ½ 50² = 1250.
+    // Before: residuals (0, 0) and (-100 + 50, 0), cost ½ 50² = 1250.
     let before = residual(&problem, &problem.observations[1]).unwrap();
     assert_eq!(before, nalgebra::Vector2::new(-50.0, 0.0));
     let report = run(&mut problem, &EXACT);
