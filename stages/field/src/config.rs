@@ -108,8 +108,8 @@ pub struct Config {
     /// so near that `cone` makes shorter steps there.
     pub min_step: f64,
     /// How often `cone` and `min_step` are halved in training, 0 to 6: in equal parts of nine tenths of it
-    /// and after 640 steps each at the earliest, at once where rays have few samples. Absent: until a step is
-    /// at most a pixel long. `benches/field.md`.
+    /// and after 640 steps each at the earliest. All at once where rays have few samples. Absent: until a
+    /// step is at most a pixel long. `benches/field.md`.
     pub halvings: Option<u32>,
     /// Steps after which the box is fitted to the matter that the field has found, and the field restarts in
     /// it. Rounded down to a multiple of 16. 0: never. Absent: an eighth of `steps`, 64 to 512, where they

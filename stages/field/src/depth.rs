@@ -38,12 +38,12 @@ pub struct Pull {
     pub weight: f32,
 }
 
-/// Returns what every view sees of the points, view by view, in the order of the points.
+/// Returns the points that each view sees, view by view, in the order of the points.
 ///
 /// The points bear no names of photos, so visibility is judged by the points alone: a point behind a nearer
 /// one close by in the picture is hidden. On two sets of real photos (15,862 and 7,011 points), 77 and 89 %
-/// of the points that this wrongly takes for seen are within 5 % of the distance of the nearest point that
-/// the photo truly matched.
+/// of the points wrongly taken for seen are close to one that the photo matched: within 5 % of the distance
+/// of the nearest.
 /// Points behind a camera, outside its photo, before the first or behind the last step are not seen, nor are
 /// points in a pixel that is not kept.
 ///

@@ -29,7 +29,7 @@ const CLOSE_WITH_POINTS_DB: f64 = 0.6;
 fn lost<T>(of: Result<T, FieldError>) -> bool {
     let text = of.as_ref().err().map(ToString::to_string).unwrap_or_default();
     matches!(of, Err(FieldError::Gpu(GpuError::Lost { .. })))
-        && text.ends_with("run again to go on from the last checkpoint, or take `device = \"cpu\"`")
+        && text.ends_with("Run again to continue from the last checkpoint, or use `device = \"cpu\"`")
 }
 
 #[test]

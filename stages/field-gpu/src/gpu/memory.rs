@@ -45,7 +45,7 @@ impl DeviceState {
         let offered = u64::from(gpu.limits.max_storage_buffers_per_shader_stage);
         if offered < STORAGE_BUFFERS {
             let limit = "max_storage_buffers_per_shader_stage";
-            let hint = "it renders, and does not train: take `device = \"cpu\"`";
+            let hint = "it renders, and does not train: use `device = \"cpu\"`";
             return Err(gpu.limit(limit, offered, STORAGE_BUFFERS, hint).into());
         }
         let needed = MemoryNeed::count(gpu, training)?;

@@ -82,7 +82,7 @@ fn a_training_that_does_not_fit_is_refused_with_both_numbers_and_the_key() {
         let text = error.to_string();
         let offered = needed - 1;
         let end = format!(
-            "gives {offered} bytes, the training takes {needed}, {share} of them for {of}: lower `{key}`, or take `device = \"cpu\"`"
+            "gives {offered} bytes, the training takes {needed}, {share} of them for {of}: lower `{key}`, or use `device = \"cpu\"`"
         );
         assert!(text.ends_with(&end), "{text}");
         // What is enough is taken.

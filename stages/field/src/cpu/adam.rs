@@ -125,8 +125,8 @@ impl<const F: usize> Kernel for Adam<'_, F> {
 }
 
 /// Rows that are moved together. Where more than an eighth of them have no gradient, they are listed before
-/// any is moved: the CPU would mispredict a branch a row and wait for the next rows one by one (T = 2^18:
-/// 13.4 ms a step, 8.8 with the list).
+/// any is moved. Without the list, the CPU mispredicts a branch a row and waits for the next rows one by one
+/// (T = 2^18: 13.4 ms a step, 8.8 with it).
 const PIECE: usize = 256;
 
 /// Returns whether a row has a gradient. A zero of either sign is not one.

@@ -96,7 +96,7 @@ impl Samples {
     }
 }
 
-/// Appends the samples of one ray that lie in occupied cells.
+/// Appends the samples of one ray that are in occupied cells.
 pub struct March<'a> {
     /// Where to look.
     pub steps: &'a Steps,

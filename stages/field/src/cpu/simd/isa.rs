@@ -31,7 +31,8 @@ pub fn flat_mut(blocks: &mut [Block]) -> &mut [f32] {
     unsafe { std::slice::from_raw_parts_mut(blocks.as_mut_ptr().cast(), blocks.len() * LANES) }
 }
 
-/// A stripe of columns of a matrix of rows: what one task may write while others write the columns beside it.
+/// A stripe of columns of a matrix of rows. One task may write it while others write the neighbouring
+/// columns.
 pub struct Stripe<'a> {
     first: *mut f32,
     rows: usize,
