@@ -125,7 +125,8 @@ fn the_largest_keys_are_refused_before_any_memory_is_taken() {
     }
 }
 
-/// A table twice as large as 60 s of 100 M samples/s ask for, for the finest scene; and the largest field of the bench.
+/// A table twice as large as 60 s of 100 M samples/s need, for the finest scene, and the largest field of the
+/// bench.
 #[test]
 fn the_sizes_of_a_card_fit_4_gb_and_bindings_of_128_mb() {
     let Some(mut gpu) = own_gpu("the_sizes_of_a_card_fit_4_gb_and_bindings_of_128_mb") else {

@@ -160,7 +160,7 @@ fn counted(points: &[[f64; 3]], frame: &Frame, finest: u32) -> Option<Choice<u64
     let ratio = f64::from(finest) / f64::from(side);
     let value = (cells as f64 * ratio * ratio).round() as u64;
     let reason = format!(
-        "{} sparse points lie in {} of {side}^3 cells. The surface through them meets {:.0} times as many of the finest",
+        "{} sparse points are in {} of {side}^3 cells. The surface through them meets {:.0} times as many of the finest",
         grouped(points.len() as u64),
         grouped(cells as u64),
         ratio * ratio
