@@ -22,8 +22,8 @@ const REFIT_SHARE: u64 = 8;
 
 /// Returns the step after which the box is fitted to the field, a multiple of [`UPDATE_EVERY`].
 ///
-/// `None` if enough sparse points have decided the box, or if the training is shorter than four times as long
-/// or of unknown length: everything learnt until then is lost.
+/// `None` if enough sparse points have decided the box, or if the training has fewer than four times the least
+/// such steps or an unknown length: everything learnt until then is lost.
 pub fn refit_step(config: &Config, points: &[[f64; 3]]) -> Option<u64> {
     let [least, most] = REFIT_AT;
     let at = match (config.refit_steps, config.steps) {

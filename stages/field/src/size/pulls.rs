@@ -10,8 +10,8 @@ const DISTORTION_OF_FEW: [f64; 2] = [0.03; 2];
 const DISTORTION_OF_MANY: [f64; 2] = [0.0, 0.1];
 /// Steps for which sparse points pull at most. `benches/field.md`.
 const LONGEST_PULL: u32 = 1_000;
-/// With this many photos or fewer, tables are pulled to zero, this strongly at the start. Only if they
-/// overlap so little that a photo has fewer sparse points than this. `benches/field.md`.
+/// With this many photos or fewer, and fewer sparse points a photo than this (photos that hardly overlap),
+/// tables are pulled to zero, this strongly at the start. `benches/field.md`.
 const FEWEST_PHOTOS: usize = 9;
 const FEW_POINTS_A_PHOTO: usize = 50;
 const TABLE_DECAY_OF_FEWEST: f64 = 1e-5;
@@ -95,7 +95,7 @@ pub(super) fn table_decay(config: &Config, photos: usize, points: usize) -> Choi
     let why = match (photos <= FEWEST_PHOTOS, points < FEW_POINTS_A_PHOTO * photos) {
         (true, true) => {
             let reason = format!(
-                "{photos} photos to train on, {FEWEST_PHOTOS} or fewer, and {points} sparse points, fewer than {FEW_POINTS_A_PHOTO} a photo. Surfaces without points should stay smooth. It falls to 0 with the square of the remaining share of the training"
+                "{photos} photos to train on, {FEWEST_PHOTOS} or fewer, and {points} sparse points, fewer than {FEW_POINTS_A_PHOTO} a photo. Surfaces without points should stay smooth. The pull falls to 0 with the square of the remaining share of the training"
             );
             return Choice::new(TABLE_DECAY_OF_FEWEST, reason);
         }
