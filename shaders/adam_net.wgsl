@@ -1,14 +1,15 @@
-// adam_net: one step of Adam for all networks and the background, in rows of 16 numbers; then their running average.
+// adam_net: one step of Adam for all networks and the background, in rows of 16 numbers. Then their running average.
 //
-// Source    Kingma and Ba, arXiv 1412.6980, algorithm 1; rows without a gradient keep everything.
-// Twin      marf_field::cpu::adam::Adam::<16> with its decay; within 1e-6 of the step: root and quotient may be rounded
+// Source    Kingma and Ba, arXiv 1412.6980, algorithm 1. Rows without a gradient keep everything.
+// Twin      marf_field::cpu::adam::Adam::<16> with its decay, within 1e-6 of the step: root and quotient may be rounded
 //           otherwise. The average is marf_field::learn::blend.
 // Threads   one per row: workgroup 64, folded.
-// Reads     gradient [rows][16], bias [last + 1] (corrections by step count), faults [FAULT_SLOTS]; pace.rate, the step
-//           size, and pace.keep, what the average keeps: 1 leaves it alone
-// Writes    weights, mean, square [rows][16] and count [rows] of rows with a gradient; gradient becomes 0; average [rows][16]
-// Extremes  any fault: nothing is written. Both zeros are no gradient. A gradient above 1.8e19 makes the second moment
-//           infinite and its row stands still. A count above `last` takes the last correction.
+// Reads     `gradient` [rows][16], `bias` [last + 1] (corrections by step count), `faults` [FAULT_SLOTS]. `pace.rate`
+//           is the step size. `pace.keep` is the share that the average keeps: 1 leaves it unchanged.
+// Writes    `weights`, `mean`, `square` [rows][16] and `count` [rows] of rows with a gradient. `gradient` becomes 0.
+//           `average` [rows][16].
+// Extremes  any fault: nothing is written. Zeros of both signs are not a gradient. A gradient above 1.8e19 makes the
+//           second moment infinite, and its row does not move. A count above `last` takes the last correction.
 struct AdamNet {
     rows: u32,
     last: u32,

@@ -1,24 +1,26 @@
-// adam_table: one step of Adam over the rows of tables, gradients in fixed point; then their running average.
+// adam_table: one step of Adam over the rows of tables, gradients in fixed point. Then their running average.
 //
-// Source    Kingma and Ba, arXiv 1412.6980, algorithm 1; rows without gradient are skipped whole.
-// Twin      marf_field::cpu::adam::Adam<FEATURES> with epsilon + quantum; weights equal within 1e-5 rates a step
-//           and 1e-6 of their size (gpu/tables/adam.rs). The average is marf_field::learn::blend; equal within one
+// Source    Kingma and Ba, arXiv 1412.6980, algorithm 1. Rows without gradient are skipped whole.
+// Twin      marf_field::cpu::adam::Adam<FEATURES> with epsilon + quantum. Weights are equal within 1e-5 rates a step
+//           and 1e-6 of their size (gpu/tables/adam.rs). The average is marf_field::learn::blend, equal within one
 //           rounding of the larger: a GPU may contract the sum.
-// Threads   64 for 64 ROWS entries of a level, each every 64th: workgroup 64, folded over x and y; z counts the levels
+// Threads   64 for 64 ROWS entries of a level, each every 64th: workgroup 64, folded over x and y. z counts the levels
 //           of this part.
-// Reads     rates, scales [L]: quantum, skip, first, entries; bias [4096] of 1 / (1 - beta^n); faults [FAULT_SLOTS]
-// Writes    weights, mean, square [entries] of Row, count [entries], gradient [entries] of Quanta to 0; from
-//           entry `base` on. Nothing where a fault is set or all quanta are 0; the gradient alone where the level
-//           is skipped. `main` also average [entries] of Row, each once, unless a fault is set
-// Extremes  epsilon grows by a quantum: the least gradient there is moves a weight by half a rate at most. The
-//           count stays at 2^32 - 1; beyond the table of bias it is the last one. keep 0 takes the weights but for a rounding.
+// Reads     `rates`. `scales` [L]: quantum, skip, first, entries. `bias` [4096] of 1 / (1 - beta^n). `faults`
+//           [FAULT_SLOTS].
+// Writes    `weights`, `mean`, `square` [entries] of Row, `count` [entries], `gradient` [entries] of Quanta to 0, from
+//           entry `base` on. Nothing where a fault is set or all quanta are 0. Only the gradient where the level is
+//           skipped. `main` also writes `average` [entries] of Row, each once, unless a fault is set.
+// Extremes  epsilon grows by a quantum: the least gradient moves a weight by half a rate at most. The count stays at
+//           2^32 - 1. Beyond the table of bias, the last one is used. A keep of 0 takes the weights except for a
+//           rounding.
 struct Rates {
     rate: f32,
     epsilon: f32,
     decay: f32,
     beta1: f32,
     beta2: f32,
-    // What the average keeps of itself.
+    // Share of itself that the average keeps.
     keep: f32,
     pad0: f32,
     pad1: f32,

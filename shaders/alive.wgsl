@@ -1,12 +1,13 @@
-// alive: finds after a round which rays of a picture go on, and how many.
+// alive: finds after a round which rays of a picture continue, and how many.
 //
-// Source    a ray ends where less than OPAQUE passes, or at its last step
-// Twin      marf_field::render::Tile::finish; equal
-// Threads   one per ray: workgroup 64, folded
-// Reads     walk; state [6][ray slots], row 5: what the ray lets pass; next_step [rays]
-// Writes    done [rays]: 1 where a ray has ended, never back to 0; counts[COUNT_ALIVE], which scan.wgsl sets to 0, by adding
-// Extremes  What passes is never NaN: the kernels before cut it and mark the fault. A ray that is not there ends with
-//           the first round.
+// Source    a ray ends where less than OPAQUE passes, or at its last step.
+// Twin      marf_field::render::Tile::finish, equal.
+// Threads   one per ray: workgroup 64, folded.
+// Reads     `walk`. `state` [6][ray slots], row 5: transmittance of the ray. `next_step` [rays].
+// Writes    `done` [rays]: 1 where a ray has ended, never back to 0. `counts`[COUNT_ALIVE], which scan.wgsl sets to 0,
+//           by adding.
+// Extremes  The transmittance is never NaN: the kernels before cut it and mark the fault. A missing ray ends with the
+//           first round.
 @group(0) @binding(0) var<uniform> walk: Walk;
 @group(0) @binding(1) var<storage, read> state: array<f32>;
 @group(0) @binding(2) var<storage, read> next_step: array<u32>;

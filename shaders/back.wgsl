@@ -1,16 +1,19 @@
-// back: both networks back over kept samples, from the slopes of logits and raw density to those of weights and features.
+// back: both networks back over kept samples, from the slopes of logits and raw density to those of weights and
+// features.
 //
-// Source    reverse mode over a tile at a time; activations are computed anew, which costs a third more arithmetic and saves
-//           every column between the layers.
-// Twin      marf_field::cpu::net::Net::backward over both networks; slopes within 1e-5 of the largest. Sums over samples
-//           run tile by tile and group by group in the order of `sum`: no thread decides a rounding.
-// Threads   `groups` workgroups of 64, folded; workgroup g takes tiles g, g + groups, ... of 4 FOURS samples each, ROUNDS at most.
-// Reads     features [inputs][capacity] and ray_of [capacity] of visited samples, origin [capacity], directions [rays] (w 0: no ray),
-//           weights, d_outputs [4][capacity] (slopes in the logits and in the raw density), counts[COUNT_KEPT] samples in use
-// Writes    work [groups][stride]: first the gradient of all weights over the group's tiles, of groups that have some;
-//           then memory of the group. slopes [inputs][capacity] of tiles that hold samples, each element once;
-//           faults[FAULT_FEATURES] where one of a sample in use runs away
-// Extremes  samples beyond those in use count as 0 whatever is there, NaN too. No sample: nothing is written.
+// Source    reverse mode over a tile at a time. Activations are recomputed, which costs a third more arithmetic and
+//           saves every column between the layers.
+// Twin      marf_field::cpu::net::Net::backward over both networks, slopes within 1e-5 of the largest. Sums over
+//           samples run tile by tile and group by group in the order of `sum`: no thread decides a rounding.
+// Threads   `groups` workgroups of 64, folded. Workgroup g takes tiles g, g + groups, ... of 4 FOURS samples each,
+//           ROUNDS at most.
+// Reads     `features` [inputs][capacity] and `ray_of` [capacity] of visited samples, `origin` [capacity]. `directions`
+//           [rays] (w 0: no ray), `weights`. `d_outputs` [4][capacity] (slopes in the logits and in the raw density).
+//           `counts`[COUNT_KEPT] samples in use.
+// Writes    `work` [groups][stride]: first the gradient of all weights over the group's tiles, of groups that have
+//           some. Then memory of the group. `slopes` [inputs][capacity] of tiles that hold samples, each element once.
+//           `faults`[FAULT_FEATURES] where a slope of a sample in use runs away.
+// Extremes  samples beyond those in use count as 0 whatever their values, NaN too. No sample: nothing is written.
 @group(0) @binding(0) var<uniform> run: NetsRun;
 @group(0) @binding(1) var<storage, read> counts: array<u32>;
 @group(0) @binding(2) var<storage, read> features: array<f32>;
@@ -136,9 +139,10 @@ fn over_four(a: vec4<f32>, d: array<vec4<f32>, 4>, s: vec4<f32>) -> vec4<f32> {
     return vec4(over(a, d[0], s.x), over(a, d[1], s.y), over(a, d[2], s.z), over(a, d[3], s.w));
 }
 
-// Adds the share of the tile's first 4 `fours` samples of 4 x 8 weights of a layer to those at `to`: inputs from row `a` of the
-// workgroup's memory on, slopes of outputs from `d` of the tile on; 12 numbers read for 32 multiply-adds.
-// Neighbours begin `turn` groups of samples apart: what they read at once then lies in different banks.
+// Adds the share of the tile's first 4 `fours` samples of 4 x 8 weights of a layer to those at `to`: inputs
+// from row `a` of the workgroup's memory on, slopes of outputs from `d` of the tile on. 12 numbers are read
+// for 32 multiply-adds. Neighbours begin `turn` groups of samples apart: their simultaneous reads are then in
+// different banks.
 fn learn_block(to: u32, width: u32, a: u32, d: u32, fours: u32, turn: u32, is_first: bool) {
     var g = array<vec4<f32>, 8>();
     for (var k = 0u; k < fours; k++) {
@@ -166,7 +170,7 @@ fn learn_block(to: u32, width: u32, a: u32, d: u32, fours: u32, turn: u32, is_fi
         g[6] = over_four(a3, low, g[6]);
         g[7] = over_four(a3, high, g[7]);
     }
-    // The first tile takes the place of what an earlier step left.
+    // The first tile overwrites the numbers of an earlier step.
     if !is_first {
         g[0] += work[to];
         g[1] += work[to + 1u];
@@ -197,19 +201,19 @@ fn learn(own: u32, memory: u32, number: u32, me: u32, is_first: bool) {
         let row = 4u * (block / across);
         let column = 8u * (block % across);
         let to = own + layer.z / 4u + row * width + column / 4u;
-        // Nobody reads more than three outputs of the last layer: the gradients of the others are 0.
+        // Only three outputs of the last layer are used: the gradients of the others are 0.
         let fours = select(FOURS, 0u, number + 1u == LAYERS && column > 0u);
         learn_block(to, width, memory + (layer.w + row) * FOURS, column * FOURS, fours, column / 8u, is_first);
     }
 }
 
-// Tells whether one of 4 numbers of samples in use runs away.
+// Returns whether one of 4 numbers of samples in use runs away.
 fn is_wild(slope: vec4<f32>, sample: u32, in_use: u32) -> bool {
     let x = alive(slope, sample, in_use);
     return runs_away(x.x) || runs_away(x.y) || runs_away(x.z) || runs_away(x.w);
 }
 
-// Stores slopes of 8 features of 4 samples, and tells of those that run away.
+// Stores slopes of 8 features of 4 samples, and marks those that run away.
 fn give(
     at: u32, eight: u32, in_use: u32,
     s0: vec4<f32>, s1: vec4<f32>, s2: vec4<f32>, s3: vec4<f32>, s4: vec4<f32>, s5: vec4<f32>, s6: vec4<f32>, s7: vec4<f32>,
@@ -272,7 +276,8 @@ fn recall(memory: u32, first: u32, in_use: u32, me: u32) {
     if LAYERS > 5u { recall_layer(memory, 4u, first, in_use, me); }
 }
 
-// Slopes in the first 8 outputs of the last layer, those of logits: rows 3 to 7 are 0. Nobody looks at the others.
+// Slopes in the first 8 outputs of the last layer, those of logits: rows 3 to 7 are 0. The others are not
+// read.
 fn bring_slopes(first: u32, in_use: u32, me: u32) {
     for (var at = me; at < 8u * FOURS; at += THREADS) {
         let sample = first + at % FOURS;
@@ -294,15 +299,15 @@ fn retreat(own: u32, number: u32, first: u32, in_use: u32, me: u32, is_first: bo
     let layer = run.shapes[number];
     let four = four_of(me);
     let eight = eight_of(me);
-    // The colour network sees directions, too, whose slopes nobody reads.
+    // The colour network sees directions, too, whose slopes are not used.
     let wanted = select(layer.x, 16u, number == DENSITY);
     let is_busy = eight < wanted / 8u;
     var sums: Sums;
     if is_busy {
-        // Of the last layer three slopes are not 0.
+        // Three slopes of the last layer are not 0.
         sums = behind(layer, four, eight, select(layer.y / 4u, 1u, number + 1u == LAYERS));
         if number == DENSITY {
-            // Compositing has its own say on the raw density, output 0 of the density network.
+            // Compositing has its own slope in the raw density, output 0 of the density network.
             if eight == 0u {
                 sums[0] += raw_slopes(first + four, in_use);
                 sums[8] += raw_slopes(first + four + HALF, in_use);

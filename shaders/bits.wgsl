@@ -1,12 +1,12 @@
-// bits: decides of every cell anew whether rays visit it.
+// bits: decides again for every cell whether rays visit it.
 //
-// Source    instant-ngp, arXiv 2201.05989, appendix on occupancy grids; empty cells may have an own threshold.
-// Twin      marf_field::occupancy::Occupancy::update, last loop; equal but where a density lies within 1e-5
-//           relative of its threshold, which is a sum of floats.
+// Source    instant-ngp, arXiv 2201.05989, appendix on occupancy grids. Empty cells may have an own threshold.
+// Twin      marf_field::occupancy::Occupancy::update, last loop. Equal except where a density is within 1e-5 relative
+//           of its threshold, which is a sum of floats.
 // Threads   one per word of 32 cells: workgroup 64, folded over x and y.
-// Reads     density [cells], least [2] from thresholds, faults [FAULT_SLOTS]
-// Writes    bits [cells / 32] of u32, each exactly once; nothing where a fault is set
-// Extremes  a cell that no camera sees (density < 0) is empty; bits beyond the last cell are 0.
+// Reads     `density` [cells], `least` [2] from thresholds, `faults` [FAULT_SLOTS].
+// Writes    `bits` [cells / 32] of u32, each exactly once. Nothing where a fault is set.
+// Extremes  a cell that no camera sees (density < 0) is empty. Bits beyond the last cell are 0.
 @group(0) @binding(0) var<uniform> filling: Filling;
 @group(0) @binding(1) var<storage, read> faults: array<vec4<u32>, FAULT_SLOTS / 4u>;
 @group(0) @binding(2) var<storage, read> density: array<f32>;

@@ -1,21 +1,21 @@
-// compare: what a ray gathers, its colour beside the pixel, the slopes of the loss in colour and exposure, and the gradient of
-// the background in a part for every 64 rays: slope of a logit times harmonic, summed over the rays.
+// compare: the colour of a ray against its pixel, the slopes of the loss in colour and exposure, and the gradient of
+// the background. The last is in a part for every 64 rays: slope of a logit times harmonic, summed over the rays.
 //
-// Source    NeRF, arXiv 2003.08934, eq. 3; loss is the squared error of gain * colour + offset, a mean over rays in
+// Source    NeRF, arXiv 2003.08934, eq. 3. The loss is the squared error of gain * colour + offset, a mean over rays in
 //           use and channels. `sum` adds the parts in an order of its own, so that no thread decides a rounding.
-// Twin      marf_field::batch::Losses::ray (gather, behind, compare); within 1e-6.
-// Threads   one per ray, its samples from the front: workgroup 64, folded; then one a coefficient of the background.
-// Reads     spans [4][rays] (of visited samples, of kept ones: the first of the visited), light [3][capacity] (alpha, transmittance) of visited samples,
-//           rgb [3][capacity] of kept ones, directions [rays] (w 0: no
-//           ray), targets [rays], gains [views] log gains and, where run.offsets is 1,
-//           [views] offsets behind them, background [3][16], counts[slot] rays in use
-// Writes    found [FOUND_ROWS][rays] of rays in use, each element once: FOUND_GAIN 3 slopes in log gains, FOUND_OFFSET 3 in
-//           offsets, FOUND_LOSS sum of squares, FOUND_SLOPE 3 in the ray's colour, FOUND_TOWARDS slope times colour
-//           behind; where run.behind is 1, parts [rays / 64][4][16] of workgroups that hold rays in use, each element once,
-//           row 3 being 0; faults of FAULT_LOSS where a loss, FAULT_BACKGROUND where a coefficient of the background,
-//           FAULT_EXPOSURES where an exposure or its slope runs away
-// Extremes  an empty ray shows the background. A ray of a photo with transparency has a colour of its own behind it, and teaches the
-//           background nothing. A ray that is not there gets zeros and no fault, and adds 0 to its part.
+// Twin      marf_field::batch::Losses::ray (gather, behind, compare), within 1e-6.
+// Threads   one per ray, its samples from the front: workgroup 64, folded. Then one a coefficient of the background.
+// Reads     `spans` [4][rays] (of visited samples, of kept ones: the first of the visited). `light` [3][capacity]
+//           (alpha, transmittance) of visited samples, `rgb` [3][capacity] of kept ones. `directions` [rays] (w 0: no
+//           ray), `targets` [rays]. `gains` [views] log gains and, where run.offsets is 1, [views] offsets behind them.
+//           `background` [3][16], `counts`[slot] rays in use.
+// Writes    `found` [FOUND_ROWS][rays] of rays in use, each element once. FOUND_GAIN: 3 slopes in log gains.
+//           FOUND_OFFSET: 3 in offsets. FOUND_LOSS: sum of squares. FOUND_SLOPE: 3 in the ray's colour. FOUND_TOWARDS:
+//           slope times colour behind. Where run.behind is 1, `parts` [rays / 64][4][16] of workgroups that hold rays
+//           in use, each element once, row 3 being 0. `faults`: FAULT_LOSS where a loss runs away, FAULT_BACKGROUND
+//           where a coefficient of the background does, FAULT_EXPOSURES where an exposure or its slope does.
+// Extremes  an empty ray shows the background. A ray of a photo with transparency has a colour of its own behind it,
+//           and teaches the background nothing. A missing ray gets zeros and no fault, and adds 0 to its part.
 struct CompareRun {
     slot: u32,
     capacity: u32,
@@ -71,7 +71,7 @@ fn any_runs_away(value: vec3<f32>) -> bool {
     return runs_away(value.x) || runs_away(value.y) || runs_away(value.z);
 }
 
-// What a ray that is not there finds.
+// Results of a missing ray.
 fn clear(ray: u32) {
     put(FOUND_GAIN, ray, vec3<f32>(0.0));
     put(FOUND_OFFSET, ray, vec3<f32>(0.0));
@@ -80,7 +80,7 @@ fn clear(ray: u32) {
     found[FOUND_TOWARDS * run.rays + ray] = 0.0;
 }
 
-// Compares a ray; returns the slopes in the background's logits.
+// Compares a ray and returns the slopes in the background's logits.
 fn compared(ray: u32, harmonics: array<f32, 16>) -> vec3<f32> {
     let sum = gathered(ray);
     let logits = logits_behind(harmonics);
@@ -88,7 +88,7 @@ fn compared(ray: u32, harmonics: array<f32, 16>) -> vec3<f32> {
     let has_own = aim.share >= 0.0;
     let is_seen = run.behind == 1u && !has_own;
     let behind = select(select(vec3<f32>(0.0), colours_of(logits), is_seen), aim.behind, has_own);
-    // Over black, as the pixel is: what passes, less what the pixel shows of the same colour.
+    // Over black, as the pixel is: the transmittance, less the share of the same colour that the pixel shows.
     let passes = sum.w - select(0.0, aim.share, has_own);
     let plain = fma(vec3<f32>(passes), behind, sum.xyz);
 

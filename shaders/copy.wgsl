@@ -1,10 +1,10 @@
-// copy: one array to another: the most that memory gives, which a bench holds other kernels against.
+// copy: one array to another: the highest rate of memory, a reference for other kernels in a bench.
 //
 // Source    none.
-// Twin      a copy (gpu/ceilings.rs); equal to the bit: numbers go as integers.
+// Twin      a copy (gpu/ceilings.rs), equal to the bit: numbers go as integers.
 // Threads   one per 4 numbers: workgroup 64, folded over x and y.
-// Reads     source [n / 4] of vec4
-// Writes    copied [n / 4] of vec4, each element exactly once
+// Reads     `source` [n / 4] of vec4.
+// Writes    `copied` [n / 4] of vec4, each element exactly once.
 // Extremes  none.
 @group(0) @binding(0) var<storage, read> source: array<vec4<u32>>;
 @group(0) @binding(1) var<storage, read_write> copied: array<vec4<u32>>;

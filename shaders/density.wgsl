@@ -1,13 +1,13 @@
 // density: the density network over visited samples.
 //
-// Source    instant-ngp, arXiv 2201.05989, section 4; ReLU between the layers, no biases.
-// Twin      marf_field::cpu::net::Net::forward; the same chain of fused multiply-adds in the order of inputs. Equal to the
-//           bit where fma is fused, else within 1e-6 of the sum of the sizes of the terms.
+// Source    instant-ngp, arXiv 2201.05989, section 4. ReLU between the layers, no biases.
+// Twin      marf_field::cpu::net::Net::forward, the same chain of fused multiply-adds in the order of inputs. Equal to
+//           the bit where fma is fused, else within 1e-6 of the sum of the sizes of the terms.
 // Threads   one workgroup of 64 a tile of 4 FOURS samples, folded over x and y.
-// Reads     features [inputs][capacity], weights, counts[COUNT_VISITED] samples in use
-// Writes    latent [16][capacity] of tiles that hold samples, each element once, of which run.latents rows: 8 or 16
-// Extremes  NaN passes through a ReLU. What lies beyond the samples in use is never mixed with others. No sample: nothing
-//           is written.
+// Reads     `features` [inputs][capacity], `weights`, `counts`[COUNT_VISITED] samples in use.
+// Writes    `latent` [16][capacity] of tiles that hold samples, each element once: only run.latents rows, 8 or 16.
+// Extremes  NaN passes through a ReLU. Samples beyond those in use are never mixed with others. No sample: nothing is
+//           written.
 @group(0) @binding(0) var<uniform> run: NetsRun;
 @group(0) @binding(1) var<storage, read> counts: array<u32>;
 @group(0) @binding(2) var<storage, read> features: array<vec4<f32>>;

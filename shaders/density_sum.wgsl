@@ -1,11 +1,11 @@
-// density_sum: partial sums of the densities that have been looked at.
+// density_sum: partial sums of the densities of probed cells.
 //
 // Source    none: a sum in a fixed tree.
-// Twin      the mean in marf_field::occupancy::Occupancy::update, there in f64; within 1e-6 relative.
+// Twin      the mean in marf_field::occupancy::Occupancy::update, there in f64, within 1e-6 relative.
 // Threads   64 a partial sum, each EACH cells 64 apart: workgroup 64, folded over x and y.
-// Reads     density [cells]
-// Writes    tallies [parts], each exactly once
-// Extremes  cells never looked at (unknown and more) and those no camera sees (below 0) do not count.
+// Reads     `density` [cells].
+// Writes    `tallies` [parts], each exactly once.
+// Extremes  cells never probed (unknown and more) and those no camera sees (below 0) do not count.
 @group(0) @binding(0) var<uniform> filling: Filling;
 @group(0) @binding(1) var<storage, read> density: array<f32>;
 @group(0) @binding(2) var<storage, read_write> tallies: array<Tally>;

@@ -1,11 +1,12 @@
-// exposure_learn: moves log gains and offsets of all photos, cuts them and takes their mean away.
+// exposure_learn: moves log gains and offsets of all photos, cuts them and subtracts their mean.
 //
-// Source    Adam, arXiv 1412.6980, algorithm 1, over rows of one photo; rows without a slope keep everything
-// Twin      marf_field::learn::learn_exposures and marf_field::exposure::centre, marf_field::cpu::adam::Adam; within 1e-6: the
-//           order of the mean differs, and is that of the indices
-// Threads   one workgroup of 256, each every 256th photo: dispatch (1, 1)
-// Reads     step.rate; asked; sums [2][views] vec4; bias [counts] 1 / (1 - decay^n) of both moments; faults [FAULT_SLOTS]
-// Writes    gains, mean, square [views or 2 views] vec4, count as many u32
+// Source    Adam, arXiv 1412.6980, algorithm 1, over rows of one photo. Rows without a slope keep everything.
+// Twin      marf_field::learn::learn_exposures and marf_field::exposure::centre, marf_field::cpu::adam::Adam, within
+//           1e-6: the order of the mean differs, and is that of the indices.
+// Threads   one workgroup of 256, each every 256th photo: dispatch (1, 1).
+// Reads     `step.rate`. `asked`. `sums` [2][views] vec4. `bias` [counts] 1 / (1 - decay^n) of both moments. `faults`
+//           [FAULT_SLOTS].
+// Writes    `gains`, `mean`, `square` [views or 2 views] vec4, `count` as many u32.
 // Extremes  any fault: nothing changes. Counts beyond the last bias take the last. One photo alone: 0.
 @group(0) @binding(0) var<uniform> step: Step;
 @group(0) @binding(1) var<uniform> asked: Exposed;

@@ -1,12 +1,12 @@
 // exposure_sums: adds up the slopes of all rays of a photo, in its log gain and its offset.
 //
-// Source    sum over the rays of a batch, photo by photo
-// Twin      marf_field::learn::learn_exposures, its first loop; within 1e-5 of the sum of sizes: the order
-//           differs, and is that of the indices
-// Threads   one workgroup of 64 per view, each thread every 64th ray: dispatch (views folded)
-// Reads     asked; counts[COUNT_RAYS] rays that fit; targets [rays]; slopes [row + 6][ray slots] from row
-//           asked.row on gain rgb, offset rgb, 0 where a ray has no loss; gains [views or 2 views] vec4
-// Writes    sums [2][views] vec4, each once; faults[FAULT_EXPOSURES] where a slope or a gain runs away
+// Source    sum over the rays of a batch, photo by photo.
+// Twin      marf_field::learn::learn_exposures, its first loop, within 1e-5 of the sum of sizes: the order differs, and
+//           is that of the indices.
+// Threads   one workgroup of 64 per view, each thread every 64th ray: dispatch (views folded).
+// Reads     `asked`. `counts`[COUNT_RAYS] rays that fit. `targets` [rays]. `slopes` [row + 6][ray slots] from row
+//           asked.row on: gain rgb, offset rgb, 0 where a ray has no loss. `gains` [views or 2 views] vec4.
+// Writes    `sums` [2][views] vec4, each once. `faults`[FAULT_EXPOSURES] where a slope or a gain runs away.
 // Extremes  a view without rays: 0. NaN, infinity or 2^30 and more: the fault, before any weight changes.
 @group(0) @binding(0) var<uniform> asked: Exposed;
 @group(0) @binding(1) var<storage, read> counts: array<u32>;

@@ -1,12 +1,12 @@
 // finish: rays of a picture to colour over the background, opacity and depth.
 //
 // Source    NeRF, arXiv 2003.08934, eq. 3.
-// Twin      marf_field::render::Walk::pixel; within 1e-6.
+// Twin      marf_field::render::Walk::pixel, within 1e-6.
 // Threads   one per ray: workgroup 64, folded.
-// Reads     state [6][rays] of `paint`, directions [rays] (w 0: no ray), background [3][16], counts[slot] rays in use
-// Writes    picture [5][rays]: rgb, opacity in [0, 1], depth in world units; of rays in use, each element once
-// Extremes  a ray that is not there is black, empty, at depth 0. Where opacity is 0 or the quotient not finite, depth
-//           is 0.
+// Reads     `state` [6][rays] of `paint`, `directions` [rays] (w 0: no ray), `background` [3][16], `counts`[slot] rays
+//           in use.
+// Writes    `picture` [5][rays] of rays in use, each element once: rgb, opacity in [0, 1], depth in world units.
+// Extremes  a missing ray is black, empty, at depth 0. Where opacity is 0 or the quotient not finite, depth is 0.
 struct FinishRun {
     slot: u32,
     rays: u32,

@@ -55,7 +55,7 @@ fn a_relu_looks_at_bits_and_no_kernel_takes_a_maximum_of_floats() {
     }
 }
 
-/// Tells whether a function indexes an array that is no memory by a number that is not known beforehand.
+/// Returns whether a function indexes an array in registers by a number that is not a constant.
 fn indexes_registers(module: &naga::Module, function: &naga::Function) -> bool {
     let is_array =
         |ty: naga::Handle<naga::Type>| matches!(module.types[ty].inner, naga::TypeInner::Array { .. });

@@ -1,12 +1,13 @@
 // hash_encode: multiresolution hash-grid lookup, forward pass.
 //
-// Source    instant-ngp, arXiv 2201.05989, section 3, eq. 4; FEATURES = 2 or 4 numbers an entry.
-// Twin      marf_field::cpu::encode::Lookup: same corners, same hash, same order of sums. Where a GPU contracts
-//           x * resolution - cell, a weight moves by resolution * 2^-24 (gpu/tables/encode.rs).
-// Threads   one per (sample, level): workgroup 64, folded over x and y; z counts the levels of this part.
-// Reads     xyz [3][capacity] in the unit box, counts[slot], levels [L], table [entries] of Row from entry `base` on
-// Writes    features [L * FEATURES][capacity], rows of its levels, samples in use: each element exactly once
-// Extremes  x = 1 belongs to the last cell; outside and NaN count as the border (NaN as 0), as on the CPU.
+// Source    instant-ngp, arXiv 2201.05989, section 3, eq. 4. FEATURES = 2 or 4 numbers an entry.
+// Twin      marf_field::cpu::encode::Lookup: same corners, same hash, same order of sums. Where a GPU contracts x *
+//           resolution - cell, a weight moves by resolution * 2^-24 (gpu/tables/encode.rs).
+// Threads   one per (sample, level): workgroup 64, folded over x and y. z counts the levels of this part.
+// Reads     `xyz` [3][capacity] in the unit box, `counts`[slot], `levels` [L], `table` [entries] of Row from entry
+//           `base` on.
+// Writes    `features` [L * FEATURES][capacity], rows of its levels, samples in use: each element exactly once.
+// Extremes  x = 1 belongs to the last cell. Outside and NaN count as the border (NaN as 0), as on the CPU. The
 //           resolution comes from the CPU: floor(base * growth^l) may differ by one.
 @group(0) @binding(0) var<uniform> part: GridPart;
 @group(0) @binding(1) var<storage, read> levels: array<GridLevel>;

@@ -1,12 +1,12 @@
-// kept: writes for every sample that is kept which of the visited ones it was.
+// kept: writes the number of the visited sample of every kept sample.
 //
 // Source    none.
-// Twin      marf_field::shade::Shade::choose (its list `kept`); equal.
+// Twin      marf_field::shade::Shade::choose (its list `kept`), equal.
 // Threads   LANES per ray: workgroup 64, folded.
-// Reads     spans [4][rays]: first sample and number of visited samples, then of kept ones; counts[slot] rays in use;
-//           shown, from 2 rays on [capacity]: numbers of the visited samples that are kept, the first of every ray
-// Writes    origin u32 [capacity]: number of the visited sample, for samples of rays in use, each once
-// Extremes  a ray without samples writes nothing; samples beyond the capacity are not written.
+// Reads     `spans` [4][rays]: first sample and number of visited samples, then of kept ones. `counts`[slot] rays in
+//           use. `shown`, from 2 rays on [capacity]: numbers of the kept visited samples, the first of every ray.
+// Writes    `origin` u32 [capacity]: number of the visited sample, for samples of rays in use, each once.
+// Extremes  a ray without samples writes nothing. Samples beyond the capacity are not written.
 @group(0) @binding(0) var<uniform> extent: Extent;
 @group(0) @binding(1) var<storage, read> counts: array<u32>;
 @group(0) @binding(2) var<storage, read> spans: array<u32>;

@@ -1,8 +1,9 @@
 //! WGSL kernels of marf and their uniforms. One kernel a file, each with its contract at the head.
 //!
-//! Invariants: every kernel parses and validates in naga, with no capability beyond core WebGPU unless its contract
-//! says so; no place, size or rate is written in both Rust and WGSL: Rust writes it into [`constants`], the head or a
-//! uniform, and a test compares every field of every uniform by name, type and offset.
+//! Invariants: every kernel parses and validates in naga, with no capability beyond core WebGPU unless its
+//! contract says so. No place, size or rate is written in both Rust and WGSL. Rust writes it into
+//! [`constants`], the head or a uniform, and a test compares every field of every uniform by name, type and
+//! offset.
 
 mod net_structs;
 mod nets;
@@ -35,15 +36,16 @@ pub fn grid_head(features: u32, primes: [u32; 2]) -> String {
     )
 }
 
-/// Returns the head of kernels that know gradients in fixed point, after one of those above: `Quanta` is the gradient of an
-/// entry; `packed` where pairs of features share a 64-bit word; no contribution has more than `most` quanta.
+/// Returns the head of kernels with gradients in fixed point, after one of those above. `Quanta` is the
+/// gradient of an entry. `packed` means that pairs of features share a 64-bit word. No contribution has more
+/// than `most` quanta.
 pub fn quanta_head(features: u32, packed: bool, most: i32) -> String {
     format!(
         "alias Quanta = vec{features}<i32>;\nalias Sizes = vec{features}<u32>;\nconst PACKED: bool = {packed};\nconst MOST_QUANTA: i32 = {most};\n"
     )
 }
 
-/// Returns the head of kernels that go over all entries: so many a thread, 64 apart.
+/// Returns the head of kernels that go over all entries: `rows` entries a thread, 64 apart.
 pub fn rows_head(rows: usize) -> String {
     format!("const ROWS: u32 = {rows}u;\n")
 }
@@ -198,7 +200,7 @@ pub const VIEW_RAYS: Shader = Shader {
     heads: &["const NEWTON_STEPS: u32 = 20u;\n"],
 };
 
-/// Walks along rays through occupied cells; entries `count` and `write`.
+/// Walks along rays through occupied cells. Entries `count` and `write`.
 pub const MARCH: Shader = Shader {
     name: "march",
     shared: &[FLAT, WALK],
@@ -214,7 +216,7 @@ pub const SCAN: Shader = Shader {
     heads: &[""],
 };
 
-/// Which rays of a picture go on.
+/// Finds which rays of a picture continue.
 pub const ALIVE: Shader = Shader {
     name: "alive",
     shared: &[FLAT, WALK],

@@ -1,20 +1,21 @@
-// march: walks along rays through occupied cells of the contracted box; `count` counts samples, `write` writes them.
+// march: walks along rays through occupied cells of the contracted box. `count` counts samples, `write` writes them.
 //
-// Source    instant-ngp, arXiv 2201.05989, appendix E; contraction of mip-NeRF 360, arXiv 2111.12077, eq. 10, in the
+// Source    instant-ngp, arXiv 2201.05989, appendix E. Contraction of mip-NeRF 360, arXiv 2111.12077, eq. 10, in the
 //           maximum norm. Steps are counted, t never adds up: no ray stalls where t + dt = t.
-// Twin      marf_field::cpu::march::March, same blocks of 16 steps, limit and order; equal within 1e-6 of the box, 1e-6
+// Twin      marf_field::cpu::march::March, same blocks of 16 steps, limit and order. Equal within 1e-6 of the box, 1e-6
 //           of t. A sample within rounding of a cell's border may fall on its other side.
-// Threads   LANES per ray, each a run of neighbouring blocks, so that no thread has more than 1 / LANES of a ray's steps:
-//           workgroup 64, folded
-// Reads     walk; origins, directions [rays] vec4; steps [padded] (begin, length); bits [side^3 / 32]; next_step [rays];
-//           count: done [rays]; write: spans [2][rays] of scan.wgsl and, from 4 rays on, what `count` wrote to `before`
-// Writes    count: amounts [rays]; before [rays][LANES], samples of a ray in front of each lane's run. write: places
-//           [6][capacity], x, y, z, then t, delta, place in the ray's steps; ray_of [capacity]; the samples of every span each
-//           once; next_step where walk.resumes is 1
-// Extremes  directions.w = 0 or done: no samples, and the next step is the last. A span that is CLIPPED is passed over:
-//           its ray goes on from where it was. 1e6 half sides away a ray keeps to the border of the box. NaN lies in
-//           cell 0, as on the CPU. In `write` no lane leaves its share of a span: what it does not find there lies at the
-//           origin, length 0.
+// Threads   LANES per ray, each a run of neighbouring blocks, so that no thread has more than 1 / LANES of a ray's
+//           steps: workgroup 64, folded.
+// Reads     `walk`. `origins`, `directions` [rays] vec4. `steps` [padded] (begin, length). `bits` [side^3 / 32].
+//           `next_step` [rays]. `count` reads `done` [rays]. `write` reads `spans` [2][rays] of scan.wgsl and, from 4
+//           rays on, the output `before` of `count`.
+// Writes    `count` writes `amounts` [rays] and `before` [rays][LANES], samples of a ray in front of each lane's run.
+//           `write` writes `places` [6][capacity], x, y, z, then t, delta, place in the ray's steps, and `ray_of`
+//           [capacity]: the samples of every span each once. It writes `next_step` where walk.resumes is 1.
+// Extremes  directions.w = 0 or done: no samples, and the next step is the last. A span that is CLIPPED is skipped: its
+//           ray continues from where it was. 1e6 half sides away a ray keeps to the border of the box. NaN is in cell
+//           0, as on the CPU. In `write` no lane leaves its share of a span: samples that it does not find there are at
+//           the origin, length 0.
 @group(0) @binding(0) var<uniform> walk: Walk;
 @group(0) @binding(1) var<storage, read> origins: array<vec4<f32>>;
 @group(0) @binding(2) var<storage, read> directions: array<vec4<f32>>;
@@ -28,7 +29,7 @@
 @group(0) @binding(7) var<storage, read_write> places: array<f32>;
 @group(0) @binding(8) var<storage, read_write> ray_of: array<u32>;
 
-// Steps of a block; a ray pauses only between two.
+// Steps of a block. A ray pauses only between two.
 const BLOCK: u32 = 16u;
 
 // Samples of the lanes of the workgroup's rays.
@@ -45,7 +46,7 @@ fn contracted(p: vec3<f32>) -> vec4<f32> {
     return vec4(fma(p * scale, vec3(0.25), vec3(0.5)), shrink);
 }
 
-// Cut to [0, 1]; NaN becomes 0.
+// Cut to [0, 1]. NaN becomes 0.
 fn unit(x: vec3<f32>) -> vec3<f32> {
     let above = select(vec3(0.0), x, x > vec3(0.0));
     return select(vec3(1.0), above, above < vec3(1.0));
@@ -83,7 +84,8 @@ fn run_of(first: u32, lane: u32) -> vec2<u32> {
     return min(vec2(first) + vec2(lane, lane + 1u) * each, vec2(walk.padded));
 }
 
-// Samples in front of the end of a run, `found` in front of its begin; at most as many blocks as it takes to reach `limit`.
+// Samples in front of the end of a run, `found` in front of its begin. At most as many blocks as it takes to
+// reach `limit`.
 fn counted(ray: u32, run: vec2<u32>, found: u32, limit: u32) -> u32 {
     let origin = origins[ray];
     let direction = directions[ray];
@@ -137,7 +139,8 @@ fn store(ray: u32, sample: u32, at: vec3<f32>, along_it: vec3<f32>) {
     ray_of[sample] = ray;
 }
 
-// Writes the samples of a run, `found` in front of it, to `sample` on, none from `end` on; returns the step to go on from.
+// Writes the samples of a run, `found` in front of it, to `sample` on, none from `end` on, and returns the
+// step to continue from.
 fn written(ray: u32, run: vec2<u32>, found: u32, share: vec2<u32>) -> u32 {
     let origin = origins[ray];
     let direction = directions[ray];

@@ -1,11 +1,11 @@
-// multiply_add: chains of x = factor x + addend in registers: the most arithmetic that a device gives.
+// multiply_add: chains of x = factor x + addend in registers: the highest rate of arithmetic of a device.
 //
 // Source    none.
-// Twin      the same chains (gpu/ceilings.rs); equal within 1e-6 of their size where fma is not fused.
+// Twin      the same chains (gpu/ceilings.rs), equal within 1e-6 of their size where fma is not fused.
 // Threads   one per 16 chains: workgroup 64, folded over x and y.
-// Reads     run: links of a chain in fours, factor, addend
-// Writes    sums [threads] of vec4, each element exactly once: the sum of the thread's four vectors of chains, which
-//           begin at thread / threads + 0, 1, 2, 3 quarters
+// Reads     `run`: links of a chain in fours, factor, addend.
+// Writes    `sums` [threads] of vec4, each element exactly once: the sum of the thread's four vectors of chains, which
+//           begin at thread / threads + 0, 1, 2, 3 quarters.
 // Extremes  0 rounds: the sum of the beginnings.
 struct Chains {
     rounds: u32,

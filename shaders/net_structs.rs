@@ -19,7 +19,7 @@ pub struct NetsRun {
     pub stride: u32,
     /// Workgroups among which the tiles are dealt out.
     pub groups: u32,
-    /// Outputs of the density network that somebody reads, a multiple of 8.
+    /// Outputs of the density network that are read, a multiple of 8.
     pub latents: u32,
     /// Padding to 16 bytes.
     pub pad: [u32; 2],
@@ -77,7 +77,7 @@ pub struct Pace {
     pub rate: f32,
     /// Place in the ring of totals.
     pub total: u32,
-    /// What the averages of the networks keep of themselves; 1 where they stay.
+    /// Share of themselves that the averages of the networks keep. 1 where they stay.
     pub keep: f32,
     /// Padding to 16 bytes.
     pub pad: u32,
@@ -93,7 +93,7 @@ pub struct Extent {
     pub capacity: u32,
     /// Numbers a column of rays.
     pub rays: u32,
-    /// Samples of a ray that are kept, about; 0: all that show.
+    /// Samples of a ray that are kept, about. 0: all that show.
     pub most: u32,
 }
 
@@ -149,7 +149,7 @@ pub struct Total {
     pub kept: u32,
     /// Rays in use.
     pub rays: u32,
-    /// Rays that go on.
+    /// Rays that continue.
     pub alive: u32,
     /// One bit for each of `faults`.
     pub faults: u32,

@@ -32,8 +32,8 @@ pub struct Limits {
     pub even: f32,
 }
 
-/// Of so many threads next to each other one walks along a ray: rays that share a wave wait for each other's reads, and a card has
-/// more waves than a batch has rays.
+/// One in this many adjacent threads walks along a ray. Rays that share a wave wait for each other's reads,
+/// and a card has more waves than a batch has rays.
 pub const APART: usize = 4;
 
 impl Limits {
@@ -62,15 +62,15 @@ const SEEN: &str = include_str!("shared/seen.wgsl");
 /// Numbers of the tile of samples that a workgroup of the networks has in its memory: 16 KB, which core WebGPU grants.
 pub const TILE_NUMBERS: usize = 4096;
 
-/// Returns the head of kernels of networks: so many groups of 4 samples make a tile, and of so many layers, [`MOST_LAYERS`] at most,
-/// the first `density`, two at most, are those of the density network.
+/// Returns the head of kernels of networks: `fours` groups of 4 samples make a tile. Of the `layers` layers,
+/// [`MOST_LAYERS`] at most, the first `density`, two at most, are those of the density network.
 pub fn tile_head(fours: usize, layers: usize, density: usize) -> String {
     format!(
         "const FOURS: u32 = {fours}u;\nconst LAYERS: u32 = {layers}u;\nconst DENSITY: u32 = {density}u;\n"
     )
 }
 
-/// Returns what the head of `back` has beside: a workgroup takes so many tiles at most.
+/// Returns the additional head of `back`: a workgroup takes at most `rounds` tiles.
 pub fn rounds_head(rounds: usize) -> String {
     format!("const ROUNDS: u32 = {rounds}u;\n")
 }
@@ -144,7 +144,7 @@ pub const KEPT: Shader = Shader {
     heads: &["const LANES: u32 = 32u;\n"],
 };
 
-/// Colour of a ray beside its pixel.
+/// Compares the colour of a ray with its pixel.
 pub const COMPARE: Shader = Shader {
     name: "compare",
     shared: &[FLAT, MATH, COLOUR_OF, HARMONICS_OF, BEHIND, TARGET],
@@ -168,7 +168,7 @@ pub const TOTALS: Shader = Shader {
     heads: PLAIN,
 };
 
-/// Takes the samples of a round into the rays of a picture; entries `begin` and `main`.
+/// Takes the samples of a round into the rays of a picture. Entries `begin` and `main`.
 pub const PAINT: Shader = Shader {
     name: "paint",
     shared: &[FLAT],

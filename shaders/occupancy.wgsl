@@ -1,11 +1,11 @@
 // occupancy: takes the densities found at the probes over into their cells.
 //
 // Source    instant-ngp, arXiv 2201.05989, appendix on occupancy grids: decay and maximum.
-// Twin      marf_field::occupancy::Occupancy::update, first loop, on exp(raw + shift); within 2e-7 relative.
+// Twin      marf_field::occupancy::Occupancy::update, first loop, on exp(raw + shift), within 2e-7 relative.
 // Threads   one per slot: workgroup 64, folded over x and y.
-// Reads     cells [capacity], raw [capacity] raw density, counts[slot] probes, faults [FAULT_SLOTS]
-// Writes    density [cells] of the probed cells, each once: no two slots have one cell. Nothing on a fault.
-// Extremes  NaN and infinite raw densities leave the cell; a cell never looked at takes what is found.
+// Reads     `cells` [capacity], `raw` [capacity] raw density, `counts`[slot] probes, `faults` [FAULT_SLOTS].
+// Writes    `density` [cells] of the probed cells, each once: no two slots have one cell. Nothing on a fault.
+// Extremes  NaN and infinite raw densities leave the cell. A cell never probed takes the density found.
 @group(0) @binding(0) var<uniform> filling: Filling;
 @group(0) @binding(1) var<storage, read> faults: array<vec4<u32>, FAULT_SLOTS / 4u>;
 @group(0) @binding(2) var<storage, read> cells: array<u32>;

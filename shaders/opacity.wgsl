@@ -1,17 +1,19 @@
-// opacity: raw densities to optical depths, opacities and transmittances along every ray; chooses the samples that are kept.
+// opacity: raw densities to optical depths, opacities and transmittances along every ray. It also chooses the kept
+// samples.
 //
-// Source    NeRF, arXiv 2003.08934, eq. 3, in log space: T_i = exp(-sum of tau before i). Systematic sampling by weight: Madow
-//           1949; of a share p that is kept, every length stands for 1 / p of itself.
-// Twin      marf_field::shade::Shade::opacities and choose; within 1e-6.
+// Source    NeRF, arXiv 2003.08934, eq. 3, in log space: T_i = exp(-sum of tau before i). Systematic sampling by
+//           weight: Madow 1949. The length of a sample kept with share p is divided by p.
+// Twin      marf_field::shade::Shade::opacities and choose, within 1e-6.
 // Threads   one in APART per ray, its samples from the front: workgroup 64, folded.
-// Reads     spans [2][rays], density [.][capacity] (row 0, the raw density), along [3][capacity] (row 1, the length),
-//           before [rays] (optical depth in front of the first sample), counts[slot] rays in use
-// Writes    light [3][capacity]: tau (0 where the raw density is at its limit: the slope in it is tau times that in tau), alpha,
-//           transmittance of the samples of rays in use; of those that are kept, the first of every ray, where extent.most is
-//           not 0, and along moves with them. shown u32 [2][rays]: samples that are kept, none behind a transmittance below
-//           OPAQUE, and the bits of the sum of all tau; both 0 for rays not in use; then [capacity] the numbers of the visited
-//           samples that are kept, the first of every ray. faults[FAULT_DENSITY] where a raw density runs away
-// Extremes  raw densities are cut at RAW_LIMIT; NaN counts as the limit and is a fault. A length of 0 has tau 0 and
+// Reads     `spans` [2][rays]. `density` [.][capacity] (row 0, the raw density), `along` [3][capacity] (row 1, the
+//           length). `before` [rays] (optical depth in front of the first sample). `counts`[slot] rays in use.
+// Writes    `light` [3][capacity] of the samples of rays in use: tau, alpha, transmittance. tau is 0 where the raw
+//           density is at its limit: the slope in it is tau times that in tau. Where extent.most is not 0, the kept
+//           samples of every ray come first, and `along` moves with them. `shown` u32 [2][rays]: number of kept
+//           samples, none behind a transmittance below OPAQUE, and the bits of the sum of all tau. Both are 0 for rays
+//           not in use. `shown` then has [capacity] numbers of the kept visited samples, the first of every ray.
+//           `faults`[FAULT_DENSITY] where a raw density runs away.
+// Extremes  raw densities are cut at RAW_LIMIT. NaN counts as the limit and is a fault. A length of 0 has tau 0 and
 //           alpha 0. An empty ray shows 0 samples.
 @group(0) @binding(0) var<uniform> extent: Extent;
 @group(0) @binding(1) var<storage, read> counts: array<u32>;
@@ -45,7 +47,8 @@ fn draw(t: f32) -> f32 {
     return f32((bits ^ (bits >> 16u)) >> 8u) * 0.000000059604644775390625;
 }
 
-// Chooses among the first `visible` samples of a ray by weight, and moves those that are kept to its front; returns how many.
+// Chooses among the first `visible` samples of a ray by weight, moves the kept ones to its front and returns
+// their number.
 fn thin(ray: u32, visible: u32) -> u32 {
     let first = spans[ray];
     let most = f32(extent.most);

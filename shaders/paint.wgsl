@@ -1,15 +1,15 @@
 // paint: takes the samples of a round into the rays of a picture.
 //
 // Source    NeRF, arXiv 2003.08934, eq. 3.
-// Twin      marf_field::render::Gather; within 1e-6.
+// Twin      marf_field::render::Gather, within 1e-6.
 // Threads   one per ray, its samples from the front: workgroup 64, folded.
-// Reads     spans [4][rays] (of visited samples, of kept ones: the first of the visited), light [3][capacity] (alpha, transmittance), rgb [3][capacity]
-//           of kept samples, along [3][capacity] (row 0, the distance), shown [2][rays] of `opacity` (bits of the round's optical depth),
-//           counts[slot] rays in use
-// Writes    state [6][rays] of rays in use: optical depth, rgb, distance, what is left; added to what is there.
-//           `begin` sets all rays to 0, 0, 0, 1
-// Extremes  a ray without samples stays as it is. Behind an optical depth of `deep` at most half of OPAQUE is left, so
-//           that the ray ends.
+// Reads     `spans` [4][rays] (of visited samples, of kept ones: the first of the visited). `light` [3][capacity]
+//           (alpha, transmittance), `rgb` [3][capacity] of kept samples. `along` [3][capacity] (row 0, the distance).
+//           `shown` [2][rays] of `opacity` (bits of the round's optical depth). `counts`[slot] rays in use.
+// Writes    `state` [6][rays] of rays in use: optical depth, rgb, distance, remaining transmittance. The samples are
+//           added to its values. `begin` sets all rays to 0, 0, 0, 1.
+// Extremes  a ray without samples stays as it is. Behind an optical depth of `deep` the remaining transmittance is at
+//           most half of OPAQUE, so that the ray ends.
 struct PaintRun {
     slot: u32,
     capacity: u32,

@@ -1,11 +1,11 @@
 // peak: largest |quantum| of every level's gradient.
 //
 // Source    none: a maximum. Integers, so any order gives the same.
-// Twin      a maximum over |q| (gpu/tables/scales.rs); equal.
-// Threads   64 for 64 ROWS entries of a level, each every 64th: workgroup 64, folded over x and y; z counts the levels
+// Twin      a maximum over |q| (gpu/tables/scales.rs), equal.
+// Threads   64 for 64 ROWS entries of a level, each every 64th: workgroup 64, folded over x and y. z counts the levels
 //           of this part.
-// Reads     gradient [entries] of Quanta from entry `base` on, scales [L]: first, entries
-// Writes    scales[level].peak by atomicMax, one a workgroup
+// Reads     `gradient` [entries] of Quanta from entry `base` on, `scales` [L]: first, entries.
+// Writes    `scales`[level].peak by atomicMax, one a workgroup.
 // Extremes  |-2^31| is 2^31, hence u32. All zero leaves peak as it was: rescale sets it to 0.
 @group(0) @binding(0) var<uniform> part: GridPart;
 @group(0) @binding(1) var<storage, read> gradient: array<Quanta>;
@@ -19,7 +19,7 @@ fn main(
     @builtin(num_workgroups) groups: vec3<u32>,
     @builtin(local_invocation_index) lane: u32,
 ) {
-    // What workgroup memory holds before is not relied on.
+    // Workgroup memory may hold anything before.
     if lane == 0u { atomicStore(&most, 0u); }
     workgroupBarrier();
     let level = part.level + id.z;

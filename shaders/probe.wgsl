@@ -1,14 +1,14 @@
-// probe: chooses cells of the occupancy grid to look at, and a random point in each.
+// probe: chooses cells of the occupancy grid to probe, and a random point in each.
 //
-// Source    instant-ngp, arXiv 2201.05989, appendix on occupancy grids; cells by number, not at random.
-// Twin      marf_field::occupancy::Occupancy::probes; equal to the bit where the side is a power of two, else a
+// Source    instant-ngp, arXiv 2201.05989, appendix on occupancy grids. Cells are chosen by number, not at random.
+// Twin      marf_field::occupancy::Occupancy::probes, equal to the bit where the side is a power of two, else a
 //           division may round differently.
 // Threads   one per candidate of this pass: workgroup 64, folded over x and y.
-// Reads     density [side^3], bits [side^3 / 32] of u32
-// Writes    counts[slot] by atomicAdd, from 0: probes of this pass; cells [capacity]: number of the cell of a probe,
-//           xyz [3][capacity]: its point. Which probe gets which slot is the threads' affair: a cell's density does
-//           not depend on its slot, and there are as many slots as candidates.
-// Extremes  no cell beyond the last, none that no camera sees (density < 0).
+// Reads     `density` [side^3], `bits` [side^3 / 32] of u32.
+// Writes    `counts`[slot] by atomicAdd, from 0: probes of this pass. `cells` [capacity]: number of the cell of a
+//           probe. `xyz` [3][capacity]: its point. The threads decide which probe gets which slot: a cell's density
+//           does not depend on its slot, and there are as many slots as candidates.
+// Extremes  no cell beyond the last, and no cell that no camera sees (density < 0).
 struct Probing {
     seed: vec2<u32>,
     // Number of the update.

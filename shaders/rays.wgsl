@@ -1,22 +1,24 @@
 // rays: draws pixel and jitter of every ray of a training step and sets the ray out.
 //
-// Source    uniform over all kept pixels of all photos, drawn again where a mask hides the pixel; of every `share`th ray, while
-//           sparse points pull, uniform over the pixels that see one (DS-NeRF, arXiv 2107.02791, draws them in the same
-//           batch).
-// Twin      marf_field::draw::Training::target; pixel, colour, view, jitter, origin, pull equal bit for bit, direction
+// Source    uniform over all kept pixels of all photos, drawn again where a mask hides the pixel. While sparse points
+//           pull, every `share`th ray is uniform over the pixels that see one (DS-NeRF, arXiv 2107.02791, draws them in
+//           the same batch).
+// Twin      marf_field::draw::Training::target. Pixel, colour, view, jitter, origin, pull equal bit for bit, direction
 //           within 2e-6 (shared/camera.wgsl).
-// Threads   one per ray: workgroup 64, folded
-// Reads     step; cameras [views]; pixels [kept] r | g << 8 | b << 16 | place in its run, or HIDDEN, << 24; alphas: opacities of the
-//           kept pixels of photos with transparency, 4 a word from the lowest byte on; observations [S]
-// Writes    origins, directions [rays wanted] vec4, targets [rays wanted], pulls [rays wanted] vec2, each once; no slot beyond
-// Extremes  no inverse of the distortion, or hidden after all draws: directions.w is 0. An observation beyond the last step pulls with weight 0.
-//           observations = 0: no ray goes to one.
+// Threads   one per ray: workgroup 64, folded.
+// Reads     `step`. `cameras` [views]. `pixels` [kept]: r | g << 8 | b << 16 | place in its run, or HIDDEN, << 24.
+//           `alphas`: opacities of the kept pixels of photos with transparency, 4 a word from the lowest byte on.
+//           `observations` [S].
+// Writes    `origins`, `directions` [rays wanted] vec4, `targets` [rays wanted], `pulls` [rays wanted] vec2, each once.
+//           No slot beyond.
+// Extremes  no inverse of the distortion, or hidden after all draws: directions.w is 0. An observation beyond the last
+//           step pulls with weight 0. observations = 0: no ray goes to one.
 struct Observed {
     // Number of the pixel among all kept.
     pixel: u32,
     // Number of the step at the point as a share of all steps.
     place: f32,
-    // 1 where the point lies within the steps.
+    // 1 where the point is within the steps.
     pulls: u32,
 }
 

@@ -1,14 +1,14 @@
-// rescale: decides of every level whether its gradient counts, and the scale of the next one.
+// rescale: decides for every level whether its gradient counts, and the scale of the next one.
 //
 // Source    none: fixed point with a scale that follows the largest sum.
-// Twin      the function `rescaled` of the tests in gpu/tables/scales.rs; equal.
+// Twin      the function `rescaled` of the tests in gpu/tables/scales.rs, equal.
 // Threads   one per level: workgroup 64, dispatch 1.
-// Reads     scales [L]: scale, peak, clamped; faults [FAULT_SLOTS]
-// Writes    scales [L]: scale (next), quantum (1 / scale of this gradient), skip, overflows; peak, clamped to 0.
+// Reads     `scales` [L]: scale, peak, clamped. `faults` [FAULT_SLOTS].
+// Writes    `scales` [L]: scale (next), quantum (1 / scale of this gradient), skip, overflows, and peak, clamped to 0.
 //           Nothing where a fault is set.
-// Extremes  peak above `most` or clamped: the level is skipped and its scale falls by 2^back_off. Else the scale
-//           is the largest power of two with peak * (next / now) <= 2^target, at most 2^rise times the scale now;
-//           peak 0 keeps it. Always within [2^lowest, 2^highest].
+// Extremes  peak above `most` or clamped: the level is skipped and its scale falls by 2^back_off. Else the scale is the
+//           largest power of two with peak * (next / now) <= 2^target, at most 2^rise times the scale now. A peak of 0
+//           keeps it. Always within [2^lowest, 2^highest].
 struct Rescaling {
     // Levels.
     levels: u32,

@@ -1,14 +1,17 @@
-// scan: from samples of every ray to where they begin; as many rays as fit, in their order.
+// scan: from samples of every ray to where they begin, for as many rays as fit, in their order.
 //
-// Source    exclusive prefix sum in integers: every workgroup sums what lies in front of it, then Hillis and Steele 1986
-//           over its own rays. The reads of the first sum do not wait for each other, and no workgroup waits for another.
-// Twin      marf_field::gpu::scan_tests, a running sum; equal
-// Threads   one per ray: workgroup 256, folded
-// Reads     walk; amounts [rays]: samples of every ray; counts[COUNT_RAYS] rays in use where walk.again is 1
-// Writes    spans [2][ray slots] of the rays in use; counts[slot] samples; xyz, along, ray_of between the number of
-//           samples and the next multiple of 16: 0, where walk.again is 0; there also counts[COUNT_RAYS] rays that fit, counts[COUNT_ALIVE] 0
+// Source    exclusive prefix sum in integers: every workgroup sums the amounts in front of it, then Hillis and Steele
+//           1986 over its own rays. The reads of the first sum do not wait for each other, and no workgroup waits for
+//           another.
+// Twin      marf_field::gpu::scan_tests, a running sum, equal.
+// Threads   one per ray: workgroup 256, folded.
+// Reads     `walk`. `amounts` [rays]: samples of every ray. `counts`[COUNT_RAYS] rays in use where walk.again is 1.
+// Writes    `spans` [2][ray slots] of the rays in use. `counts`[slot] samples. Where walk.again is 0: `xyz`, `along`,
+//           `ray_of` between the number of samples and the next multiple of 16 become 0, `counts`[COUNT_RAYS] rays that
+//           fit, `counts`[COUNT_ALIVE] 0.
 // Extremes  The first ray whose samples do not fit, and every ray behind it, is CLIPPED with count 0: its first sample
-//           is 0xffffffff and counts[COUNT_RAYS] <= its number. 0 rays: both counts are 0. Sums beyond 2^32 - 1 stay there.
+//           is 0xffffffff and counts[COUNT_RAYS] <= its number. 0 rays: both counts are 0. Sums beyond 2^32 - 1 stay
+//           there.
 @group(0) @binding(0) var<uniform> walk: Walk;
 @group(0) @binding(1) var<storage, read> amounts: array<u32>;
 @group(0) @binding(2) var<storage, read_write> spans: array<u32>;
@@ -64,7 +67,7 @@ fn clear(sample: u32) {
     ray_of[sample] = 0u;
 }
 
-// What the last ray that fits tells of all: `rays` of them with so many samples.
+// Writes the totals at the last ray that fits: `rays` rays with `samples` samples.
 fn tell(rays: u32, samples: u32) {
     counts[walk.slot] = samples;
     if walk.again == 1u { return; }

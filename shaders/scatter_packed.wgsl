@@ -1,12 +1,13 @@
 // scatter_packed: as scatter, two features in one 64-bit word: half as many atomic operations.
 //
-// Source    as scatter. A word holds (q1 << 32) + q0; shared/quanta.wgsl takes it apart exactly.
-// Twin      marf_field::cpu::encode::Scatter; the same quanta as scatter, to the bit.
-// Threads   one per (8 samples, level): workgroup 64, folded over x and y; z counts the levels of this part.
-// Reads     xyz [3][capacity] of visited samples, origin [capacity] (which of them a sample was), counts[slot], levels [L], slopes [L * FEATURES][capacity], scales [L]
-// Writes    gradient [entries * FEATURES / 2] by integer atomicAdd; nothing where both contributions round to 0.
-//           scales[level].clamped by atomicMax.
-// Extremes  as scatter; q0 beyond 2^31 moves q1 by one quantum, too. Needs 64-bit integers and their atomics.
+// Source    as scatter. A word holds (q1 << 32) + q0. shared/quanta.wgsl splits it exactly.
+// Twin      marf_field::cpu::encode::Scatter, the same quanta as scatter, to the bit.
+// Threads   one per (8 samples, level): workgroup 64, folded over x and y. z counts the levels of this part.
+// Reads     `xyz` [3][capacity] of visited samples, `origin` [capacity] (the visited sample of each), `counts`[slot],
+//           `levels` [L], `slopes` [L * FEATURES][capacity], `scales` [L].
+// Writes    `gradient` [entries * FEATURES / 2] by integer atomicAdd. Nothing where both contributions round to 0.
+//           `scales`[level].clamped by atomicMax.
+// Extremes  as scatter. q0 beyond 2^31 moves q1 by one quantum, too. Needs 64-bit integers and their atomics.
 @group(0) @binding(6) var<storage, read_write> gradient: array<atomic<i64>>;
 
 fn add_pair(at: u32, low: i32, high: i32) {

@@ -2,13 +2,14 @@
 //
 // Source    NeRF, arXiv 2003.08934, section 3: density does not see the direction, colour does. Logits are cut at
 //           +-LOGIT_LIMIT (0.99995, beyond 8 bits).
-// Twin      marf_field::cpu::net::Net::forward and marf_field::cpu::composite::Colours; within 1e-6.
+// Twin      marf_field::cpu::net::Net::forward and marf_field::cpu::composite::Colours, within 1e-6.
 // Threads   one workgroup of 64 a tile of 4 FOURS samples, folded over x and y.
-// Reads     latent [16][capacity] of visited samples, origin [capacity] (which of them a kept one was), ray_of [capacity] of
-//           visited ones, directions [rays] (w is 0 where there is no ray), weights, counts[COUNT_KEPT] samples in use
-// Writes    colours [6][capacity], samples in use rounded up to 4, each element once: sRGB in (0, 1), then the three
-//           logits; faults[FAULT_LOGITS] where a logit of a sample in use runs away
-// Extremes  NaN counts as the upper limit and is a fault. The 13 outputs that nobody reads are not looked at.
+// Reads     `latent` [16][capacity] of visited samples, `origin` [capacity] (the visited sample of each kept one),
+//           `ray_of` [capacity] of visited ones. `directions` [rays] (w is 0 where there is no ray), `weights`,
+//           `counts`[COUNT_KEPT] samples in use.
+// Writes    `colours` [6][capacity], samples in use rounded up to 4, each element once: sRGB in (0, 1), then the three
+//           logits. `faults`[FAULT_LOGITS] where a logit of a sample in use runs away.
+// Extremes  NaN counts as the upper limit and is a fault. The 13 unused outputs are not checked.
 @group(0) @binding(0) var<uniform> run: NetsRun;
 @group(0) @binding(1) var<storage, read> counts: array<u32>;
 @group(0) @binding(2) var<storage, read> latent: array<f32>;

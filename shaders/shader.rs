@@ -16,7 +16,8 @@ pub struct Shader {
 }
 
 impl Shader {
-    /// Returns the whole text, which begins with [`constants`]; `head` holds the constants that decide its shape.
+    /// Returns the whole text, which begins with [`constants`]. `head` holds the constants that decide its
+    /// shape.
     pub fn source(&self, head: &str) -> String {
         let mut text = constants();
         text.push_str(head);

@@ -1,16 +1,17 @@
 // spread: from the slope in a ray's colour to the slopes in raw densities and colour logits.
 //
-// Source    dL/dtau_i = T_{i+1} q_i - sum of w_j q_j behind i - T_S (g . b), nothing divided by 1 - alpha; with the
+// Source    dL/dtau_i = T_{i+1} q_i - sum of w_j q_j behind i - T_S (g . b), nothing divided by 1 - alpha. With the
 //           distortion loss of mip-NeRF 360 (arXiv 2111.12077, eq. 15), the price of opacity and the pull of a point.
-// Twin      marf_field::batch::Losses::ray (Ray::spread, emptiness, Pull::spread) and the first half of backward;
+// Twin      marf_field::batch::Losses::ray (Ray::spread, emptiness, Pull::spread) and the first half of backward,
 //           within 1e-6 of the largest slope of the ray.
 // Threads   one in APART per ray, its samples from the front for the sums and then from the back: workgroup 64, folded.
-// Reads     spans [4][rays] (of visited samples, of kept ones: the first of the visited), rgb [3][capacity], along [3][capacity] (row 2, the place), logits [3][capacity], found [FOUND_ROWS][rays] of `compare`, pulls [rays]
-//           (place, weight), counts[slot] rays in use; light and along as `opacity` left them
-// Writes    d_outputs [4][capacity]: slopes in the three logits and in the raw density of kept samples of rays in use, each
-//           element once
-// Extremes  the slope is exactly 0 where the raw density is at its limit (tau is 0 there) or a logit outside its limits. A pull of
-//           weight 0 is none. Opaque samples (alpha 1) and those with T = 0 give finite slopes.
+// Reads     `spans` [4][rays] (of visited samples, of kept ones: the first of the visited). `rgb` [3][capacity],
+//           `along` [3][capacity] (row 2, the place), `logits` [3][capacity]. `found` [FOUND_ROWS][rays] of `compare`,
+//           `pulls` [rays] (place, weight), `counts`[slot] rays in use. `light` and `along` as left by `opacity`.
+// Writes    `d_outputs` [4][capacity]: slopes in the three logits and in the raw density of kept samples of rays in
+//           use, each element once.
+// Extremes  the slope is exactly 0 where the raw density is at its limit (tau is 0 there) or a logit outside its
+//           limits. Weight 0 means no pull. Opaque samples (alpha 1) and those with T = 0 give finite slopes.
 struct SpreadRun {
     slot: u32,
     capacity: u32,
@@ -77,7 +78,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
     var moment = 0.0;
     var near_by = run.floor;
     var left = 1.0;
-    // The next sample is read while one is worked on: nothing else hides what a read takes.
+    // The next sample is read while one is worked on: nothing else hides the latency of a read.
     var next = lit_at(shift + first);
     for (var sample = first; sample < end; sample++) {
         let lit = next;

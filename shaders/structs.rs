@@ -10,7 +10,7 @@ pub mod counts {
     pub const KEPT: u32 = 1;
     /// Rays whose samples fit.
     pub const RAYS: u32 = 2;
-    /// Rays that go on.
+    /// Rays that continue.
     pub const ALIVE: u32 = 3;
     /// Numbers.
     pub const LEN: usize = 4;
@@ -42,7 +42,7 @@ pub mod faults {
 pub struct GridLevel {
     /// Cells a side.
     pub resolution: u32,
-    /// Entries of its table; a power of two where hashed.
+    /// Entries of its table. A power of two where hashed.
     pub entries: u32,
     /// Its first entry in the table of all levels.
     pub first: u32,
@@ -60,9 +60,9 @@ pub struct Step {
     pub number: [u32; 2],
     /// Kept pixels of all photos.
     pub pixels: u32,
-    /// Pixels that see a sparse point; 0 where none pulls, or no longer.
+    /// Pixels that see a sparse point. 0 where none pulls, or no longer.
     pub observations: u32,
-    /// One ray in so many goes to a observation.
+    /// One ray in this many goes to an observation.
     pub share: u32,
     /// Rays wanted.
     pub rays: u32,
@@ -84,7 +84,7 @@ pub struct ViewCamera {
     pub lens: [f32; 4],
     /// k1, k2, p1, p2.
     pub distortion: [f32; 4],
-    /// First row of the rotation from the camera to the world; the fourth number is the centre, half sides.
+    /// First row of the rotation from the camera to the world. The fourth number is the centre, half sides.
     pub row_x: [f32; 4],
     /// Second row, in the same way.
     pub row_y: [f32; 4],
@@ -92,13 +92,13 @@ pub struct ViewCamera {
     pub row_z: [f32; 4],
     /// Number of its first kept pixel among all.
     pub first: u32,
-    /// Pixels of which one is kept.
+    /// Pixels of a run. One of them is kept.
     pub run: u32,
     /// Pixels a row of the photo.
     pub width: u32,
     /// Rows of the photo.
     pub height: u32,
-    /// Number of the opacity of its first kept pixel among all, and 1; 0: it is opaque.
+    /// Number of the opacity of its first kept pixel among all, and 1. 0: it is opaque.
     pub alpha: u32,
     /// Padding to 16 bytes.
     pub pad: [u32; 3],
@@ -112,7 +112,7 @@ pub struct Observed {
     pub pixel: u32,
     /// Number of the step at the point as a share of all steps.
     pub place: f32,
-    /// 1 where the point lies within the steps.
+    /// 1 where the point is within the steps.
     pub pulls: u32,
 }
 
@@ -126,7 +126,7 @@ pub struct Target {
     pub view: u32,
     /// sRGB that is put behind the last sample, in [0, 1).
     pub behind: [f32; 3],
-    /// How much of it the pixel shows, in [0, 1]; below 0 the background is behind.
+    /// How much of it the pixel shows, in [0, 1]. Below 0 the background is behind.
     pub share: f32,
 }
 
@@ -134,7 +134,7 @@ pub struct Target {
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
 pub struct PixelRange {
-    /// The camera; `first` and `run` are not read.
+    /// The camera. `first` and `run` are not read.
     pub camera: ViewCamera,
     /// First pixel, counted along the rows.
     pub first: u32,
@@ -156,7 +156,7 @@ pub struct Walk {
     pub ray_slots: u32,
     /// Slots there are for samples.
     pub capacity: u32,
-    /// A ray pauses after the block of 16 steps in which it reaches so many samples; at least 1.
+    /// A ray pauses after the block of 16 steps in which it reaches this many samples, at least 1.
     pub limit: u32,
     /// Steps along a ray.
     pub steps: u32,
@@ -164,7 +164,7 @@ pub struct Walk {
     pub padded: u32,
     /// Cells a side of the occupancy grid.
     pub side: u32,
-    /// 1 where rays go on from where they were, 0 where they begin at the first step.
+    /// 1 where rays continue from where they were, 0 where they begin at the first step.
     pub resumes: u32,
     /// Place in `counts` of the number of samples.
     pub slot: u32,
@@ -202,7 +202,7 @@ pub struct GridPart {
     pub capacity: u32,
     /// Place of the number of samples in `counts`.
     pub slot: u32,
-    /// The first level; the workgroup's z counts from it.
+    /// The first level. The workgroup's z counts from it.
     pub level: u32,
     /// The first entry that is bound.
     pub base: u32,
@@ -216,9 +216,9 @@ pub struct LevelScale {
     pub scale: f32,
     /// 1 / scale of what was added last.
     pub quantum: f32,
-    /// Largest |q| of its entries; 0 between steps.
+    /// Largest |q| of its entries. 0 between steps.
     pub peak: u32,
-    /// 1 where a single contribution was clamped; 0 between steps.
+    /// 1 where a single contribution was clamped. 0 between steps.
     pub clamped: u32,
     /// 1 where the last step left the level as it was.
     pub skip: u32,
@@ -292,7 +292,8 @@ pub struct Probing {
     pub every: u32,
     /// See `every`.
     pub offset: u32,
-    /// Of empty cells one in so many, a multiple of `every`: where `factor` cell + `phase` is a multiple of it.
+    /// One in this many empty cells, a multiple of `every`: where `factor` cell + `phase` is a multiple of
+    /// it.
     pub empty: u32,
     /// See `empty`.
     pub factor: u32,
@@ -316,7 +317,7 @@ pub struct Filling {
     pub capacity: u32,
     /// 1 where empty cells fill at the density of occupied ones, 0 where it shows by itself.
     pub at_mean: u32,
-    /// What is left of a density when its cell is looked at again.
+    /// Share of a density that remains when its cell is probed again.
     pub decay: f32,
     /// Density of a cell that has not been looked at.
     pub unknown: f32,

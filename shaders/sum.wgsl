@@ -1,14 +1,14 @@
 // sum: adds the parts of the gradients of networks and background, in an order that no thread decides.
 //
 // Source    none.
-// Twin      the function `summed` of the tests in gpu/nets_tests.rs; equal to the bit.
-// Threads   16 weights x 16 slices a workgroup of 256, the weights next to each other; one workgroup for every 16
-//           weights, folded over x and y. Slice s adds parts s, s + 16, s + 32, ... in this order; then slices s and
-//           s + 8 are added, s and s + 4, s and s + 2, s and s + 1.
-// Reads     parts: [groups][stride], of which the first `weights` numbers, by `back`; from number `first` on
-//           [rays / 64][64], by `compare`. counts of kept samples and of rays tell which hold something
-// Writes    gradient [weights + 64], each element once, of the background only where run.behind is 1; faults[FAULT_NETWORKS]
-//           and faults[FAULT_BACKGROUND] where a sum runs away
+// Twin      the function `summed` of the tests in gpu/nets_tests.rs, equal to the bit.
+// Threads   16 weights x 16 slices a workgroup of 256, the weights next to each other. One workgroup for every 16
+//           weights, folded over x and y. Slice s adds parts s, s + 16, s + 32, ... in this order. Then slices s and s
+//           + 8 are added, s and s + 4, s and s + 2, s and s + 1.
+// Reads     `parts`: the first `weights` numbers of [groups][stride] by `back`, and, from number `first` on, [rays /
+//           64][64] by `compare`. The counts of kept samples and of rays show which parts hold something.
+// Writes    `gradient` [weights + 64], each element once, of the background only where run.behind is 1.
+//           `faults`[FAULT_NETWORKS] and `faults`[FAULT_BACKGROUND] where a sum runs away.
 // Extremes  no sample gives 0. NaN and infinite parts give such a sum, which is found by its bits.
 struct SumRun {
     // Weights of the networks.
@@ -56,7 +56,7 @@ fn main(
         workgroupBarrier();
         if local < half { sums[local] += sums[local + half]; }
     }
-    // What is left are the first 16 numbers, each of the thread that added it last.
+    // The remaining numbers are the first 16, each of the thread that added it last.
     if local >= 16u || !is_used { return; }
     gradient[weight] = sums[local];
     if runs_away(sums[local]) { atomicMax(&faults[select(FAULT_BACKGROUND, FAULT_NETWORKS, is_net)], 1u); }

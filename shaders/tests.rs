@@ -52,7 +52,7 @@ type Field = (String, String, usize);
 /// A struct: name, bytes and fields in the order of their offsets.
 type Layout = (String, usize, Vec<Field>);
 
-/// Returns a field of Rust as WGSL declares it; padding is one number a word there: `pad0`, `pad1`.
+/// Returns a field of Rust as WGSL declares it. Padding is one number a word there: `pad0`, `pad1`.
 fn rust_field<S, T: Wgsl>(_: fn(&S) -> &T, name: &str, offset: usize) -> Vec<Field> {
     if name != "pad" {
         return vec![(name.to_owned(), T::TYPE.to_owned(), offset)];
@@ -63,7 +63,7 @@ fn rust_field<S, T: Wgsl>(_: fn(&S) -> &T, name: &str, offset: usize) -> Vec<Fie
     words.map(field).collect()
 }
 
-/// Returns the layouts of structs; a field that is left out here does not compile.
+/// Returns the layouts of structs. A field that is left out here does not compile.
 macro_rules! layouts {
     ($($name:ident { $($field:ident),* })*) => {
         vec![$({
@@ -113,7 +113,7 @@ fn rust_layouts() -> Vec<Layout> {
     }
 }
 
-/// Returns the type of a field as WGSL spells it; an atomic is the number that it holds.
+/// Returns the type of a field as WGSL spells it. An atomic is the number that it holds.
 fn type_name(module: &naga::Module, ty: naga::Handle<naga::Type>) -> String {
     let scalar = |scalar: naga::Scalar| match scalar.kind {
         naga::ScalarKind::Uint => "u32",
@@ -168,7 +168,8 @@ fn every_kernel_is_valid_core_webgpu_and_its_structs_have_the_fields_of_rust() {
     }
 }
 
-/// The comparison above tells two numbers of one type apart: here they change places in the text of a kernel.
+/// The comparison above distinguishes two numbers of one type: here they change places in the text of a
+/// kernel.
 #[test]
 fn two_numbers_that_change_places_in_a_kernel_are_found() {
     let text = SPREAD.source(SPREAD.heads[0]);
@@ -185,7 +186,7 @@ fn two_numbers_that_change_places_in_a_kernel_are_found() {
     assert!(is_known(&text) && !is_known(&text.replace(before, after)));
 }
 
-/// A struct is declared in one file; two kinds of kernels see the marks of a level, with and without atomics.
+/// A struct is declared in one file. Two kinds of kernels see the marks of a level, with and without atomics.
 #[test]
 fn every_struct_is_declared_once() {
     let mut texts: Vec<&str> = SHADERS
@@ -224,7 +225,8 @@ fn every_file_is_a_kernel_of_the_table_and_begins_with_its_contract() {
     }
 }
 
-/// Integers commute, floats do not: WGSL has no float atomics, and nobody may build one of a compare and exchange.
+/// Integers commute, floats do not: WGSL has no float atomics, and none may be built with compare and
+/// exchange.
 #[test]
 fn no_kernel_adds_floats_in_the_order_of_its_threads() {
     for shader in SHADERS {

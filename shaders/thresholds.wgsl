@@ -1,11 +1,11 @@
 // thresholds: the densities from which on a cell counts as occupied.
 //
 // Source    instant-ngp, arXiv 2201.05989, appendix on occupancy grids: a visible density, or the mean if less.
-// Twin      marf_field::occupancy::Occupancy::update, `least` and `refill`; within 1e-6 relative.
+// Twin      marf_field::occupancy::Occupancy::update, `least` and `refill`, within 1e-6 relative.
 // Threads   64 in one workgroup, each sums every 64th tally, then a fixed tree.
-// Reads     tallies [parts]
-// Writes    least [2]: for cells that are occupied, for those that are empty
-// Extremes  no density looked at: the mean is 0 and every seen cell is occupied.
+// Reads     `tallies` [parts].
+// Writes    `least` [2]: for occupied cells, for empty ones.
+// Extremes  no density probed: the mean is 0 and every seen cell is occupied.
 @group(0) @binding(0) var<uniform> filling: Filling;
 @group(0) @binding(1) var<storage, read> tallies: array<Tally>;
 @group(0) @binding(2) var<storage, read_write> least: array<f32>;

@@ -1,11 +1,12 @@
 // totals: counts, faults and loss of a step, for the host.
 //
 // Source    none.
-// Twin      marf_field::trainer::Trainer::step (its sums); the loss within 1e-5: f32 here, f64 there.
+// Twin      marf_field::trainer::Trainer::step (its sums). The loss is within 1e-5: f32 here, f64 there.
 // Threads   one workgroup of 256, dispatch (1).
-// Reads     loss f32 [rays] of rays in use (row FOUND_LOSS of `compare`), counts [4], faults [FAULT_SLOTS]; pace.total
-// Writes    ring[pace.total], modulo its length: one element
-// Extremes  no ray: the loss is 0. NaN is passed on; its fault is set already.
+// Reads     `loss` f32 [rays] of rays in use (row FOUND_LOSS of `compare`), `counts` [4], `faults` [FAULT_SLOTS].
+//           `pace.total`.
+// Writes    `ring`[pace.total], modulo its length: one element.
+// Extremes  no ray: the loss is 0. NaN is passed on, its fault is set already.
 struct Total {
     visited: u32,
     kept: u32,

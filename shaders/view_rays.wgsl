@@ -1,11 +1,11 @@
 // view_rays: sets out the rays of some pixels of one photo, in the order of its rows.
 //
-// Source    Pixel (0, 0) is the top-left corner; a ray goes through the middle of its pixel.
-// Twin      marf_field::frame::Frame::ray at (column + 0.5, row + 0.5); origin equal bit for bit, direction within
-//           2e-6 (shared/camera.wgsl).
-// Threads   one per pixel: workgroup 64, folded
-// Reads     asked: camera, first pixel, count, place within every step
-// Writes    origins, directions [count] vec4; next_step, done [count], all 0; each once, no slot beyond
+// Source    Pixel (0, 0) is the top-left corner. A ray goes through the middle of its pixel.
+// Twin      marf_field::frame::Frame::ray at (column + 0.5, row + 0.5). Origin equal bit for bit, direction within 2e-6
+//           (shared/camera.wgsl).
+// Threads   one per pixel: workgroup 64, folded.
+// Reads     `asked`: camera, first pixel, count, place within every step.
+// Writes    `origins`, `directions` [count] vec4. `next_step`, `done` [count], all 0. Each once, no slot beyond.
 // Extremes  no inverse of the distortion: directions.w is 0. A pixel below the last row has none either.
 struct PixelRange {
     camera: ViewCamera,

@@ -1,5 +1,5 @@
-// Colour of the background by direction, as marf_field::weights; after math, colour and sh. The kernel declares
-// `background` [3][16].
+// Colour of the background by direction, as marf_field::weights. Goes after math, colour and sh. The kernel
+// declares `background` [3][16].
 fn logits_behind(at: array<f32, 16>) -> vec3<f32> {
     var harmonics = at;
     var sum = vec3<f32>(0.0);

@@ -1,33 +1,35 @@
 // A camera with its pose, and the rays behind its pixels: twin of marf_scene::Camera::unproject and
 // marf_field::frame::Frame::ray, same iteration in f32. NEWTON_STEPS comes with the head.
 //
-// Directions are within 2e-6 of f64 where the distortion still rises by a tenth of what it does in the middle;
-// nearer to its fold the error grows as 2e-7 over that slope: there a pixel says that little.
+// Directions are within 2e-6 of f64 where the distortion still rises by a tenth of its rise in the middle.
+// Nearer to its fold the error grows as 2e-7 over that slope: a pixel determines the direction no better
+// there.
 struct ViewCamera {
     // fx, fy, cx, cy, pixels
     lens: vec4<f32>,
     // k1, k2, p1, p2
     distortion: vec4<f32>,
-    // Rows of the rotation from the camera to the world; w is the centre, half sides.
+    // Rows of the rotation from the camera to the world. w is the centre, half sides.
     row_x: vec4<f32>,
     row_y: vec4<f32>,
     row_z: vec4<f32>,
-    // Number of its first kept pixel, pixels of which one is kept, size of the photo.
+    // Number of its first kept pixel, pixels of a run with one kept, size of the photo.
     first: u32,
     run: u32,
     width: u32,
     height: u32,
-    // Number of the opacity of its first kept pixel, and 1; 0: it is opaque.
+    // Number of the opacity of its first kept pixel, and 1. 0: it is opaque.
     alpha: u32,
     pad0: u32,
     pad1: u32,
     pad2: u32,
 }
 
-// Newton's steps end where rounding does not let the error fall, for |x| of 1; f64 goes to 1e-14.
+// Newton's steps end where rounding does not let the error fall, for |x| of 1. f64 goes to 1e-14.
 const SOLVED: f32 = 1e-7;
-// Rounding leaves 5e-7 for |x| of 1, so what is solved is below this; f64 asks for 1e-9. What is not solved lies beyond
-// the fold, by that much: of pixels within 1e-5 of a focal length of it, a hundredth of a pixel, f64 may judge otherwise.
+// Rounding leaves 5e-7 for |x| of 1, so solved errors are below this. f64 asks for 1e-9. An unsolved pixel is
+// beyond the fold, by that much: within 1e-5 of a focal length of it, a hundredth of a pixel, f64 may judge
+// otherwise.
 const CLOSED: f32 = 1e-5;
 
 fn distorted(distortion: vec4<f32>, plane: vec2<f32>) -> vec2<f32> {
@@ -38,7 +40,7 @@ fn distorted(distortion: vec4<f32>, plane: vec2<f32>) -> vec2<f32> {
     return plane * radial + distortion.zw * product + aside;
 }
 
-// The step (x, y) of Newton's method and the determinant, whose size tells whether there is one.
+// The step (x, y) of Newton's method and the determinant, whose size shows whether there is a step.
 fn newton_step(distortion: vec4<f32>, plane: vec2<f32>, error: vec2<f32>) -> vec3<f32> {
     let r2 = dot(plane, plane);
     let radial = 1.0 + r2 * (distortion.x + r2 * distortion.y);
@@ -73,7 +75,7 @@ fn largest(v: vec2<f32>) -> f32 {
     return select(size.x, size.y, size.y > size.x);
 }
 
-// The direction behind a pixel in the camera, and 1; all zero where the distortion has no inverse.
+// The direction behind a pixel in the camera, and 1. All zero where the distortion has no inverse.
 fn unprojected(camera: ViewCamera, pixel: vec2<f32>) -> vec4<f32> {
     let goal = (pixel - camera.lens.zw) / camera.lens.xy;
     let reach = 1.0 + largest(goal);
@@ -91,7 +93,7 @@ fn unprojected(camera: ViewCamera, pixel: vec2<f32>) -> vec4<f32> {
     return select(vec4(0.0), vec4(plane, 1.0, 1.0), closed && unfolded(camera.distortion, dot(plane, plane)));
 }
 
-// The unit direction in the world behind a pixel, and 1; all zero where there is none.
+// The unit direction in the world behind a pixel, and 1. All zero without a direction.
 fn ray_behind(camera: ViewCamera, pixel: vec2<f32>) -> vec4<f32> {
     let found = unprojected(camera, pixel);
     if found.w == 0.0 { return found; }

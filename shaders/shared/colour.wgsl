@@ -1,4 +1,4 @@
-// Colours of logits, as marf_field::cpu::composite; after math.wgsl. The head gives LOGIT_LIMIT.
+// Colours of logits, as marf_field::cpu::composite. Goes after math.wgsl. The head gives LOGIT_LIMIT.
 fn colour_of(logit: f32) -> f32 {
     let below = select(LOGIT_LIMIT, logit, logit < LOGIT_LIMIT);
     return sigmoid_own(select(-LOGIT_LIMIT, below, below > -LOGIT_LIMIT));

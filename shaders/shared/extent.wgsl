@@ -6,6 +6,6 @@ struct Extent {
     capacity: u32,
     // Numbers a column of rays.
     rays: u32,
-    // Samples of a ray that are kept, about; 0: all that show.
+    // Samples of a ray that are kept, about. 0: all that show.
     most: u32,
 }

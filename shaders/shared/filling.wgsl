@@ -1,4 +1,4 @@
-// What all kernels of the occupancy grid but `probe` know.
+// Inputs of all kernels of the occupancy grid but `probe`.
 struct Filling {
     // Cells of the grid.
     cells: u32,
@@ -8,7 +8,7 @@ struct Filling {
     capacity: u32,
     // 1 where empty cells fill at the density of occupied ones, 0 where it shows by itself.
     at_mean: u32,
-    // What is left of a density when its cell is looked at again.
+    // Share of a density that remains when its cell is probed again.
     decay: f32,
     // Density of a cell that has not been looked at.
     unknown: f32,

@@ -1,4 +1,4 @@
-// One level's fixed point, as kernels see it that raise its marks from many threads.
+// One level's fixed point, for kernels that raise its marks from many threads.
 struct LevelScale {
     // Quanta a unit of gradient, a power of two, for what is added next.
     scale: f32,

@@ -1,4 +1,4 @@
-// One level's fixed point, as kernels see it that have it to themselves.
+// One level's fixed point, for kernels that have it to themselves.
 struct LevelScale {
     // Quanta a unit of gradient, a power of two, for what is added next.
     scale: f32,

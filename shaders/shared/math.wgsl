@@ -1,7 +1,7 @@
 // Own exponentials, in the order of operations of marf_field::cpu::math: built-in ones differ between drivers.
 // The head gives RUNAWAY.
 
-// e^x, at the nearer border outside [-87, 88]; NaN gives e^-87.
+// e^x, at the nearer border outside [-87, 88]. NaN gives e^-87.
 fn exp_own(x: f32) -> f32 {
     let above = select(-87.0, x, x > -87.0);
     let cut = select(88.0, above, above < 88.0);
@@ -9,8 +9,8 @@ fn exp_own(x: f32) -> f32 {
     // subtraction, which a compiler may take away.
     let twos = bitcast<i32>(fma(cut, 1.4426950408889634, 12582912.0)) - 0x4b400000;
     let k = f32(twos);
-    // The first part of ln 2 is 22713 / 2^15; in integers, because Mesa joins two products by k into one by ln 2,
-    // which is off by 3e-6 at -87. All but the last rounding is exact.
+    // The first part of ln 2 is 22713 / 2^15. It is in integers, because Mesa joins two products by k into
+    // one by ln 2, which is off by 3e-6 at -87. All but the last rounding is exact.
     let r = fma(k, -1.4286068e-6, cut - f32(twos * 22713) * 0.000030517578125);
     var p = fma(1.9875691e-4, r, 1.3981999e-3);
     p = fma(p, r, 8.333452e-3);

@@ -4,7 +4,7 @@ struct Pace {
     rate: f32,
     // Place in the ring of totals.
     total: u32,
-    // What the averages of the networks keep of themselves; 1 where they stay.
+    // Share of themselves that the averages of the networks keep. 1 where they stay.
     keep: f32,
     pad0: u32,
 }

@@ -4,7 +4,7 @@ struct GridPart {
     capacity: u32,
     // Place of the number of samples in `counts`.
     slot: u32,
-    // The first level; the workgroup's z counts from it.
+    // The first level. The workgroup's z counts from it.
     level: u32,
     // The first entry that is bound.
     base: u32,

@@ -62,7 +62,7 @@ fn rng_unit(rng: ptr<function, vec2<u32>>) -> f32 {
     return f32(rng_bits(rng).y >> 8u) * 5.9604644775390625e-8;
 }
 
-// An integer in [0, n); 0 if n is 0.
+// An integer in [0, n), 0 if n is 0.
 fn rng_below(rng: ptr<function, vec2<u32>>, n: vec2<u32>) -> vec2<u32> {
     return high64(rng_bits(rng), n);
 }

@@ -1,7 +1,7 @@
-// Brings kept samples into a tile; after tile.wgsl and sh.wgsl. The kernel declares `counts`, `origin`, `ray_of` and
-// `directions`.
+// Brings kept samples into a tile. Goes after tile.wgsl and sh.wgsl. The kernel declares `counts`, `origin`,
+// `ray_of` and `directions`.
 
-// The first rows of the tile from columns of visited samples; 0 where no sample is in use.
+// The first rows of the tile from columns of visited samples. 0 where no sample is in use.
 fn bring_column(at: u32, sample: u32, in_use: u32) -> vec4<u32> {
     let live = vec4(sample, sample + 1u, sample + 2u, sample + 3u) < vec4(in_use);
     let row = at * run.capacity;
@@ -13,7 +13,7 @@ fn bring_column(at: u32, sample: u32, in_use: u32) -> vec4<u32> {
     );
 }
 
-// The 16 harmonics of the direction a sample is seen from; 0 where there is none.
+// The 16 harmonics of the direction a sample is seen from. 0 where there is none.
 fn harmonics_at(sample: u32, in_use: u32) -> array<f32, 16> {
     if sample >= in_use { return array<f32, 16>(); }
     let direction = directions[ray_of[origin[sample]]];

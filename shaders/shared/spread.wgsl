@@ -1,6 +1,6 @@
-// Spreads the gradients of the features of EACH samples, one after the other on a ray or nearly so, on the 8 entries around
-// each, in fixed point. What falls on one entry is added up first, in integers, which any order leaves the same; `add` is the
-// kernel's.
+// Spreads the gradients of the features of EACH samples, one after the other on a ray or nearly so, on the 8
+// entries around each, in fixed point. Contributions to one entry are added up first, in integers, which any
+// order leaves the same. The kernel has its own `add`.
 // Needs of the head: Row, Quanta, Sizes, FEATURES, MOST_QUANTA.
 @group(0) @binding(0) var<uniform> part: GridPart;
 @group(0) @binding(1) var<storage, read> levels: array<GridLevel>;
@@ -100,7 +100,7 @@ fn move_z(level: GridLevel, up: bool) {
     }
 }
 
-// Gives all sums away; the next cell begins with none.
+// Adds all sums to the entries. The next cell begins with none.
 fn leave(level: GridLevel, cell: vec3<u32>) {
     give(level, 0u, s0);
     give(level, 1u, s1);

@@ -5,9 +5,9 @@ struct Step {
     number: vec2<u32>,
     // Kept pixels of all photos.
     pixels: u32,
-    // Pixels that see a sparse point; 0 where none pulls, or no longer.
+    // Pixels that see a sparse point. 0 where none pulls, or no longer.
     observations: u32,
-    // One ray in so many goes to a observation.
+    // One ray in this many goes to an observation.
     share: u32,
     // Rays wanted.
     rays: u32,

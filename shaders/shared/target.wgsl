@@ -1,4 +1,4 @@
-// What a ray is compared with; marf_shaders::Target writes it, too.
+// What a ray is compared with. marf_shaders::Target writes it, too.
 struct Target {
     // The pixel, sRGB over black.
     rgb: vec3<f32>,
@@ -6,6 +6,6 @@ struct Target {
     view: u32,
     // sRGB that is put behind the last sample.
     behind: vec3<f32>,
-    // How much of it the pixel shows; below 0 the background is behind.
+    // How much of it the pixel shows. Below 0 the background is behind.
     share: f32,
 }

@@ -1,7 +1,8 @@
-// Layers of networks over a tile of samples that stays in workgroup memory; workgroups of THREADS.
-// Needs of the head: FOURS, groups of 4 samples of a tile; LAYERS of both networks, at most 6, the first DENSITY of them, at most
-// 2, of the density network. The kernel declares `run`, a NetsRun, and `weights`. Layers are written out one by one: a loop
-// around a barrier keeps the registers of a software adapter in memory, which takes up to 2.5 times as long.
+// Layers of networks over a tile of samples that stays in workgroup memory, in workgroups of THREADS. The
+// head gives FOURS, groups of 4 samples of a tile. It gives LAYERS of both networks, at most 6, and DENSITY:
+// the first DENSITY of them, at most 2, are those of the density network. The kernel declares `run`, a
+// NetsRun, and `weights`. Layers are written out one by one: a loop around a barrier keeps the registers of a
+// software adapter in memory, which takes up to 2.5 times as long.
 
 // All layers: the density network's, then the colour network's.
 struct NetsRun {
@@ -15,7 +16,7 @@ struct NetsRun {
     stride: u32,
     // Workgroups among which the tiles are dealt out.
     groups: u32,
-    // Outputs of the density network that somebody reads, a multiple of 8.
+    // Outputs of the density network that are read, a multiple of 8.
     latents: u32,
     pad0: u32,
     pad1: u32,
@@ -30,11 +31,12 @@ const HALF: u32 = FOURS / 2u;
 // [neuron][FOURS], 16 KB: the widest layer fits.
 var<workgroup> tile: array<vec4<f32>, 1024>;
 
-// 4 samples for each of 8 neurons, then 4 more, HALF further on. Of 16 numbers read a thread makes 64 multiply-adds.
-// Only constants index it: a card keeps an array that a number indexes in memory, and took 2 to 6 times as long.
+// 4 samples for each of 8 neurons, then 4 more, HALF further on. A thread makes 64 multiply-adds of 16
+// numbers read. Only constants index it: a card keeps an array that a number indexes in memory, and took 2 to
+// 6 times as long.
 alias Sums = array<vec4<f32>, 16>;
 
-// What runs a thread: 8 samples of 8 neurons, which are its own from layer to layer.
+// Runs a thread: 8 samples of 8 neurons, which are its own from layer to layer.
 fn four_of(me: u32) -> u32 { return me % HALF; }
 fn eight_of(me: u32) -> u32 { return me / HALF; }
 
@@ -44,8 +46,8 @@ fn relu(x: vec4<f32>) -> vec4<f32> {
     return select(x, vec4<f32>(0.0), bits - vec4(0x80000001u) < vec4(0x7f800000u));
 }
 
-// Outputs 8 eight .. 8 eight + 8 of a layer: a chain of fused multiply-adds in the order of its inputs. What four of these need is
-// read first: a card waits once for it.
+// Outputs 8 eight .. 8 eight + 8 of a layer: a chain of fused multiply-adds in the order of its inputs. The
+// inputs of four of these are read first: a card waits once for them.
 fn ahead(layer: vec4<u32>, four: u32, eight: u32) -> Sums {
     var s = Sums();
     var at = four;

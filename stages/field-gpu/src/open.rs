@@ -5,16 +5,16 @@ use std::sync::Arc;
 use marf_field::backend::Backend;
 use marf_field::{Cpu, Device, FieldError, GpuError};
 
-/// Returns the backend of a device; a GPU is opened once in a process.
+/// Returns the backend of a device. A GPU is opened once in a process.
 ///
 /// # Errors
-/// A GPU that is not there, or that gives no device; [`GpuError::NotBuilt`] without the feature `gpu`.
+/// A GPU that does not exist, or that gives no device. [`GpuError::NotBuilt`] without the feature `gpu`.
 pub fn open(device: &Device) -> Result<Arc<dyn Backend>, FieldError> {
     Ok(open_gpu(device)?.unwrap_or_else(|| Arc::new(Cpu::best())))
 }
 
-/// Returns what decides the bits of a device's numbers, as keys hold it: adapter, driver and kernels of a GPU; `None` for the CPU,
-/// whose numbers are the same on every machine.
+/// Returns what decides the bits of a device's numbers, as keys hold it: adapter, driver and kernels of a
+/// GPU. `None` for the CPU, whose numbers are the same on every machine.
 ///
 /// The id of a device that cannot be opened is its name: a stage that computes there gets the error.
 pub fn backend_id(device: &Device) -> Option<String> {
@@ -29,8 +29,8 @@ pub fn opened_id(device: &Device) -> Result<Option<String>, FieldError> {
     Ok(open(device)?.id().map(str::to_owned))
 }
 
-/// Returns the device of this machine that has a backend id: by the name of its adapter, with which the id begins; any GPU if no
-/// adapter has it.
+/// Returns the device of this machine that has a backend id: by the name of its adapter, with which the id
+/// begins. Any GPU if no adapter has it.
 pub fn device_with_id(id: Option<&str>) -> Device {
     let Some(id) = id else { return Device::Cpu };
     let name = id.split(',').next().unwrap_or(id);
@@ -42,7 +42,7 @@ pub fn device_with_id(id: Option<&str>) -> Device {
     }
 }
 
-/// Returns the GPU of a device; `None` for the CPU.
+/// Returns the GPU of a device. `None` for the CPU.
 #[cfg(feature = "gpu")]
 fn open_gpu(device: &Device) -> Result<Option<Arc<dyn Backend>>, GpuError> {
     Ok(crate::Gpu::shared(device)?.map(|gpu| gpu as Arc<dyn Backend>))

@@ -1,7 +1,7 @@
 //! What a processor must offer so that fields are trained and rendered on it.
 //!
-//! Invariant: a backend gives the same bytes on every run. Those of the CPU are the same on every machine; those of any
-//! other are told apart by [`Backend::id`].
+//! Invariant: a backend gives the same bytes on every run. The CPU's bytes are the same on every machine.
+//! [`Backend::id`] distinguishes all others.
 
 use std::fmt::Debug;
 use std::ops::Range;
@@ -17,7 +17,8 @@ use crate::training::Training;
 
 /// A processor on which fields are trained and rendered.
 pub trait Backend: Send + Sync {
-    /// Returns what decides the bits of its numbers; `None` where they are the same on every machine.
+    /// Returns the id of whatever decides the bits of its numbers. `None` if they are the same on every
+    /// machine.
     fn id(&self) -> Option<&str>;
 
     /// Prepares a training: takes its memory and copies the state there.
@@ -35,14 +36,14 @@ pub trait Backend: Send + Sync {
 
 /// A training in progress on a backend.
 pub trait Session: Send + Sync {
-    /// Takes at least one optimiser step, at most `most`, and tells of those that it knows the outcome of and has not told of:
-    /// they may be fewer, or of an earlier call.
+    /// Takes at least one optimiser step, at most `most`, and reports the steps whose outcome is known and
+    /// not yet reported. They may be fewer, or belong to an earlier call.
     ///
     /// # Errors
-    /// [`FieldError::NotFinite`]: the state is then that before the step that is named. A lost device.
+    /// [`FieldError::NotFinite`], with the state before the named step. A lost device.
     fn advance(&mut self, training: &mut Training, most: u64) -> Result<Step, FieldError>;
 
-    /// Waits for all steps that were taken and tells of those that were not told of.
+    /// Waits for all steps that were taken and reports those not yet reported.
     ///
     /// # Errors
     /// As [`Session::advance`].
@@ -54,7 +55,7 @@ pub trait Session: Send + Sync {
     /// A lost device.
     fn upload(&mut self, training: &Training) -> Result<(), FieldError>;
 
-    /// Copies the state from the backend to the training; all steps are settled.
+    /// Copies the state from the backend to the training. All steps are settled.
     ///
     /// # Errors
     /// A lost device.
@@ -81,7 +82,7 @@ pub trait Renderer: Debug + Send + Sync {
 pub struct Step {
     /// Optimiser steps.
     pub steps: u64,
-    /// Mean squared error over rays and channels of the batches, sRGB in [0, 1]; 0 without a step.
+    /// Mean squared error over rays and channels of the batches, sRGB in [0, 1]. 0 without a step.
     pub loss: f64,
     /// Rays of the batches.
     pub rays: u64,
@@ -90,7 +91,7 @@ pub struct Step {
 }
 
 impl Step {
-    /// Returns what came of both.
+    /// Returns the results of both together.
     #[must_use]
     pub fn and(self, other: Self) -> Self {
         let steps = self.steps + other.steps;

@@ -15,10 +15,10 @@ const RIDGE: f64 = 0.01;
 
 /// Returns the `[3, 16]` coefficients whose logits fit the pixels of all photos best, by ridge regression.
 ///
-/// From zero, the background needs some hundred steps to become a bright sky; until then fog before the cameras
-/// takes its place for good (lego, white background, 300 steps: 11.9 dB from zero, 20.2 dB from the mean colour).
-/// Photos with transparency do not show it and are left out, as are pixels whose distortion has no inverse; without any the background
-/// is gray.
+/// From zero, the background needs some hundred steps to become a bright sky. Until then, fog in front of the
+/// cameras replaces it for good (lego, white background, 300 steps: 11.9 dB from zero, 20.2 dB from the mean
+/// colour). Photos with transparency do not show it and are left out, as are pixels whose distortion has no
+/// inverse. Without any pixels the background is gray.
 pub fn fit(views: &[View]) -> Vec<f32> {
     let mut normal = SMatrix::<f64, { sh::COUNT }, { sh::COUNT }>::zeros();
     let mut right = SMatrix::<f64, { sh::COUNT }, 3>::zeros();

@@ -9,8 +9,8 @@ const BAND_PX: u32 = 1 << 16;
 
 /// Renders a photo in bands of rows, so that a large one can be stopped and continued.
 ///
-/// `band` receives the rows of each band, from the top, and a function that renders them; it returns that render, or
-/// the same one from elsewhere. The picture is [`Field::render`]'s, to the bit.
+/// `band` receives the rows of each band, from the top, and a function that renders them. It returns that
+/// render, or an equal one from elsewhere. The picture is [`Field::render`]'s, to the bit.
 ///
 /// # Errors
 /// Whatever `band` returns.

@@ -21,9 +21,9 @@ use crate::weights::Weights;
 /// Rays that are trained together. Its memory is kept from step to step.
 #[derive(Default)]
 pub struct Chunk {
-    /// Samples on the rays, padded to a multiple of 16; after training those that were trained.
+    /// Samples on the rays, padded to a multiple of 16. After training: the trained ones.
     pub samples: Samples,
-    /// Encoded features of the samples, `[levels, n, F]`; after training their gradients.
+    /// Encoded features of the samples, `[levels, n, F]`. After training: their gradients.
     pub features: Vec<Block>,
     spans: Vec<Span>,
     harmonics: Vec<[f32; sh::COUNT]>,
@@ -31,7 +31,7 @@ pub struct Chunk {
     pub found: ChunkSums,
 }
 
-/// Memory of the workers; a worker takes one and gives it back.
+/// Memory of the workers. A worker takes one and gives it back.
 pub type Spares = Mutex<Vec<Scratch>>;
 
 /// Memory of one worker.
@@ -51,7 +51,7 @@ pub struct Scratch {
 const CHUNK_PROBES: usize = 1024;
 const PROBES: usize = 32 * CHUNK_PROBES;
 
-/// Trains on a batch, `rays` rays a chunk; fills `chunks`.
+/// Trains on a batch, `rays` rays a chunk, and fills `chunks`.
 ///
 /// Features are looked up level by level over the whole batch: the cache then holds one table, not all.
 pub fn train(
@@ -102,7 +102,7 @@ fn encode(level: InstructionSet, weights: &Weights, chunks: &mut [Chunk], watch:
     });
 }
 
-/// Returns the densities at probes of the occupancy; NaN where one is not finite. `chunks`: memory.
+/// Returns the densities at probes of the occupancy, NaN where one is not finite. `chunks`: memory.
 pub fn densities(
     level: InstructionSet,
     weights: &Weights,

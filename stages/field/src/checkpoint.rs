@@ -62,7 +62,7 @@ impl Trainer {
     /// Takes over a saved state.
     ///
     /// # Errors
-    /// [`FieldError::Malformed`] or [`FieldError::OtherTraining`]; the trainer is then unchanged.
+    /// [`FieldError::Malformed`] or [`FieldError::OtherTraining`]. The trainer is then unchanged.
     pub fn restore(&mut self, state: &[u8]) -> Result<(), FieldError> {
         let reader = Reader::new("checkpoint", state)?;
         let header: Header =

@@ -22,7 +22,8 @@ pub enum Background {
 pub enum Occupied {
     /// All that some camera sees.
     Seen,
-    /// Those near sparse points; others once a step in them has an optical depth of 0.04. Without points: all seen.
+    /// Those near sparse points. Others once a step in them has an optical depth of 0.04. Without points: all
+    /// seen.
     NearPoints,
 }
 
@@ -52,23 +53,24 @@ pub enum ViewDependence {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Config {
-    /// Levels of the hash grid, 1 to 16; absent: as many as keep the growth from level to level at 2 or less.
+    /// Levels of the hash grid, 1 to 16. Absent: enough to keep the growth from level to level at 2 or less.
     pub levels: Option<u32>,
     /// Features an entry: 2 or 4. `levels * features` is a multiple of 16.
     pub features: u32,
     /// Binary logarithm of the entries of a level, 8 to 24. Levels with fewer corners are stored densely. Absent: from
     /// the surface and from `steps`.
     pub log2_table: Option<u32>,
-    /// Added to the binary logarithm of the table, whether `log2_table` tells it or it is derived, -4 to 4: what a search
-    /// varies. The sum stays in 8 to 24.
+    /// Added to the binary logarithm of the table, set by `log2_table` or derived, -4 to 4. A search varies
+    /// it. The sum stays in 8 to 24.
     #[serde(skip_serializing_if = "is_zero")]
     pub log2_table_shift: i32,
     /// Cells a side of the coarsest level, 4 to 512.
     pub base_resolution: u32,
-    /// Cells a side of the finest level; absent: from the footprint of a pixel on the scene.
+    /// Cells a side of the finest level. Absent: from the footprint of a pixel on the scene.
     pub finest_resolution: Option<u32>,
-    /// Factor on the cells a side of the finest level, whether `finest_resolution` tells them or they are derived, in
-    /// [1/8, 8]: what a search varies. They stay at `base_resolution` or more, and at 8192 or less where a factor raises them.
+    /// Factor on the cells a side of the finest level, set by `finest_resolution` or derived, in [1/8, 8]. A
+    /// search varies it. The cells stay at `base_resolution` or more, and at 8192 or less where a factor
+    /// raises them.
     #[serde(skip_serializing_if = "is_one")]
     pub finest_factor: f64,
     /// Neurons in the hidden layer of the density network: 16, 32, 64 or 128 (mock-up after 60 s: 32 gives 21.16 dB,
@@ -78,67 +80,73 @@ pub struct Config {
     pub color_width: u32,
     /// Hidden layers of the colour network, 1 to 3.
     pub color_layers: u32,
-    /// Samples that one step aims at, 256 to 2^20; the number of rays follows from it. Absent in a training by the clock on a
-    /// GPU: as many as suit its pace, 2^12 to 2^18.
+    /// Samples that one step aims at, 256 to 2^20. The number of rays follows from it. Absent in a training
+    /// by the clock on a GPU: as many as suit its pace, 2^12 to 2^18.
     pub batch_samples: u32,
-    /// Samples of a ray that are trained, about, at most, 0 to 4096: once steps along rays were halved they are chosen by weight
-    /// from those that show, whose density is known. 0: all. Few make rays cheap, so that a step has more of them, and surfaces
-    /// less exact: `benches/field.md`.
+    /// Samples trained on a ray, about, at most, 0 to 4096. 0: all. Once steps along rays were halved,
+    /// samples are chosen by weight from those that show, whose density is known. With few, rays are cheap
+    /// and a step has more of them, but surfaces are less exact: `benches/field.md`.
     #[serde(skip_serializing_if = "is_zero")]
     pub ray_samples: u32,
     /// Adam's step size at the start, in (0, 1].
     pub learning_rate: f64,
-    /// Adam's step size at the end of the training, as a share of that at the start, in [1e-4, 1]: it falls by equal factors
-    /// in the second half, from step 512 at the earliest. `benches/field.md`.
+    /// Adam's step size at the end of the training, as a share of that at the start, in [1e-4, 1]. It falls
+    /// by equal factors in the second half, from step 512 at the earliest. `benches/field.md`.
     pub final_rate: f64,
-    /// Share of itself that the running average of the weights keeps in a step, 0 to 0.9999; fields are made of it.
+    /// Share of itself that the running average of the weights keeps in a step, 0 to 0.9999. Fields are made
+    /// of the average.
     pub average: f64,
     /// Cells a side of the occupancy grid over the whole contracted box, 16 to 256, a multiple of 4.
     pub occupancy_resolution: u32,
-    /// Cells that rays visit at first. From points, mock-up of 80 photos, one seed: +.38 dB after 300 steps, +.16 after
-    /// 800, with 37 % more rays a second. Beside `depth_weight` it lost .39 and .16 dB on the photos of a fox.
+    /// Cells that rays visit at first. From points, mock-up of 80 photos, one seed: +0.38 dB after 300 steps,
+    /// +0.16 after 800, with 37 % more rays a second. With `depth_weight` it lost 0.39 and 0.16 dB on the
+    /// photos of a fox.
     pub occupied: Occupied,
     /// Length of a step along the ray at first, as a share of the distance from the camera, in [1/1024, 1/4].
     pub cone: f64,
-    /// Shortest step at first, as a share of the box's half side, in [1e-4, 0.5]; shorter where matter is so near that
-    /// `cone` makes shorter ones there.
+    /// Shortest step at first, as a share of the box's half side, in [1e-4, 0.5]. It is shorter if matter is
+    /// so near that `cone` makes shorter steps there.
     pub min_step: f64,
-    /// Times that both are halved in training, 0 to 6: in equal parts of nine tenths of it and after 640 steps each at the
-    /// earliest, at once where rays have few samples. Absent: until a step is at most a pixel long. `benches/field.md`.
+    /// How often `cone` and `min_step` are halved in training, 0 to 6: in equal parts of nine tenths of it
+    /// and after 640 steps each at the earliest. All at once where rays have few samples. Absent: until a
+    /// step is at most a pixel long. `benches/field.md`.
     pub halvings: Option<u32>,
-    /// Steps after which the box is fitted to where the field has found matter, and the field starts anew in it; taken
-    /// down to a multiple of 16; 0: never. Absent: an eighth of `steps`, 64 to 512, where they are 256 or more. Not where 32
-    /// sparse points or more tell the box.
+    /// Steps after which the box is fitted to the matter that the field has found, and the field restarts in
+    /// it. Rounded down to a multiple of 16. 0: never. Absent: an eighth of `steps`, 64 to 512, where they
+    /// are 256 or more. Not used if 32 sparse points or more decide the box.
     pub refit_steps: Option<u32>,
-    /// Distance of the first sample, as a share of the box's half side, in [1e-4, 10]; absent: from the sparse points.
-    pub near: Option<f64>,
-    /// Distance of the last sample, as a share of the box's half side, above `near`, at most 1e6; absent: from the
+    /// Distance of the first sample, as a share of the box's half side, in [1e-4, 10]. Absent: from the
     /// sparse points.
+    pub near: Option<f64>,
+    /// Distance of the last sample, as a share of the box's half side, above `near`, at most 1e6. Absent:
+    /// from the sparse points.
     pub far: Option<f64>,
-    /// Steps the training is meant to take: a table is not larger than they fill, and the step size and the length of
-    /// steps along rays end with it. Absent: not known; what changes with the steps then does as in 4,000.
+    /// Planned steps of the training: a table is not larger than they fill, and the step size and the length
+    /// of steps along rays end with it. Absent: not known. Schedules then behave as with 4,000 steps.
     pub steps: Option<u64>,
     /// Weight of the distortion loss (mip-NeRF 360, arXiv 2111.12077, eq. 15), 0 or more, the same in all steps. Absent: from the
     /// number of photos, growing with the steps where they are many: `benches/field.md`.
     pub distortion: Option<f64>,
-    /// Pull of the tables to zero at the start, in [0, 1]: so many times an entry is added to its gradient, where it has one; it
-    /// falls to 0 with the square of the share of the training that is left. Absent: from the number of photos and
-    /// of sparse points, `benches/field.md`.
+    /// Pull of the tables to zero at the start, in [0, 1]: this times an entry is added to its gradient,
+    /// where it has one. It falls to 0 with the square of the remaining share of the training. Absent: from
+    /// the number of photos and of sparse points, `benches/field.md`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub table_decay: Option<f64>,
-    /// Weight of the opacity of every sample in the loss, in [0, 0.1]: thin fog costs samples on every ray. After 2,000
-    /// steps 0.00003 gained .15 dB on the mock-up and .07 on the fox, 0.0001 gained .31 and lost .24: `benches/field.md`.
+    /// Weight of the opacity of every sample in the loss, in [0, 0.1]: thin fog costs samples on every ray.
+    /// After 2,000 steps 0.00003 gained 0.15 dB on the mock-up and 0.07 on the fox, 0.0001 gained 0.31 and
+    /// lost 0.24: `benches/field.md`.
     pub emptiness: f64,
-    /// Weight of the loss that gathers matter at sparse points, in [0, 1], 0: off; it falls to 0 over `depth_steps`.
-    /// It pays most where photos are few: `benches/field.md`. The squared error of the expected step instead fogs the ray.
+    /// Weight of the loss that gathers matter at sparse points, in [0, 1], 0: off. It falls to 0 over
+    /// `depth_steps`. It helps most where photos are few: `benches/field.md`. The squared error of the
+    /// expected step instead fogs the ray.
     pub depth_weight: f64,
     /// Steps after which sparse points no longer pull, 1 or more. Absent: from `steps` and the number of photos, at most 1,000:
     /// `benches/field.md`.
     pub depth_steps: Option<u32>,
     /// Exposure of single photos.
     pub gain: Gain,
-    /// What lies behind the last sample. Rays of photos with transparency train over a random colour each; where all photos have some,
-    /// pictures show black.
+    /// What is behind the last sample. Rays of photos with transparency train over a random colour each. If
+    /// all photos have some, pictures show black.
     pub background: Background,
     /// Whether colours depend on where one looks from.
     pub view_dependence: ViewDependence,
@@ -213,7 +221,7 @@ impl Config {
         }
     }
 
-    /// Checks that every number lies in its documented range.
+    /// Checks that every number is in its documented range.
     ///
     /// # Errors
     /// [`FieldError::Config`] names the key, the value and the range.

@@ -82,10 +82,10 @@ impl Renderer for CpuRenderer {
     }
 }
 
-/// A training on the CPU; its state is always that of the training.
+/// A training on the CPU. Its state is always that of the training.
 struct CpuSession {
     level: InstructionSet,
-    /// Empty space between the occupied cells; follows them.
+    /// Empty space between the occupied cells. It is updated with them.
     clearance: Clearance,
     /// Gradients of the tables, all zero between steps.
     gradients: Vec<Vec<f32>>,
@@ -137,7 +137,7 @@ impl CpuSession {
     /// Takes one optimiser step.
     ///
     /// # Errors
-    /// [`FieldError::NotFinite`]; the training then still holds the state before the step.
+    /// [`FieldError::NotFinite`]. The training then still holds the state before the step.
     fn step(&mut self, training: &mut Training) -> Result<Step, FieldError> {
         let watch = self.watch.as_ref();
         let targets = timed(watch, Part::Draw, || training.targets());
@@ -203,7 +203,7 @@ pub struct Counts {
 pub struct StepProfile {
     /// What was done.
     pub counts: Counts,
-    /// Seconds of every part, summed over threads; those of serial parts once. In the order of [`PARTS`].
+    /// Seconds of every part, summed over threads, those of serial parts once. In the order of [`PARTS`].
     pub parts_s: [f64; PARTS.len()],
     /// Seconds of the steps.
     pub wall_s: f64,
@@ -226,7 +226,7 @@ impl WatchedTraining {
         Ok(Self { training, session })
     }
 
-    /// Takes one step and tells where the time went.
+    /// Takes one step and measures the time of its parts.
     ///
     /// # Errors
     /// As [`crate::Trainer::advance`].
@@ -281,7 +281,7 @@ fn check(training: &Training, chunks: &[Chunk]) -> Result<(), FieldError> {
     Ok(())
 }
 
-/// Computes the density of some cells anew and decides which are occupied.
+/// Recomputes the density of some cells and decides which are occupied.
 fn update_occupancy(session: &mut CpuSession, training: &mut Training) {
     let round = training.state.steps / UPDATE_EVERY;
     let [occupied, empty] = due_every(round);

@@ -9,13 +9,13 @@ use crate::cpu::composite::Ray;
 use crate::cpu::march::Steps;
 use crate::frame::Frame;
 
-/// One ray in so many goes to a observation.
+/// One ray in this many goes to an observation.
 pub const SHARE: u64 = 8;
-/// A photo's longer side has this many squares; a point hides others in its own and the eight around it.
+/// A photo's longer side has this many squares. A point hides others in its own and the eight around it.
 const SQUARES: f64 = 30.0;
 /// Points farther than the nearest by more than this share of its distance are hidden.
 const HIDDEN: f64 = 0.1;
-/// Matter within so many steps of the point counts as being there.
+/// Matter within this many steps of the point counts as being there.
 pub const REACH: f32 = 2.5;
 /// Added to the weight near the point: bounds the pull on rays that have next to nothing there.
 pub const FLOOR: f32 = 0.05;
@@ -38,13 +38,14 @@ pub struct Pull {
     pub weight: f32,
 }
 
-/// Returns what every view sees of the points, view by view, in the order of the points.
+/// Returns the points that each view sees, view by view, in the order of the points.
 ///
-/// The points bear no names of photos, so visibility is judged by the points alone: hidden is what lies behind a nearer
-/// one close by in the picture. Of what this wrongly takes for seen on two sets of real photos (15,862 and 7,011
-/// points) 77 and 89 % lie within 5 % of the distance of the nearest point that the photo truly matched.
-/// Points behind a camera, outside its photo, before the first or behind the last step are not seen, nor is what
-/// lies in a pixel that is not kept.
+/// The points bear no names of photos, so visibility is judged by the points alone: a point behind a nearer
+/// one close by in the picture is hidden. On two sets of real photos (15,862 and 7,011 points), 77 and 89 %
+/// of the points wrongly taken for seen are close to one that the photo matched: within 5 % of the distance
+/// of the nearest.
+/// Points behind a camera, outside its photo, before the first or behind the last step are not seen, nor are
+/// points in a pixel that is not kept.
 ///
 /// `first_pixels`: number of the first pixel of every view.
 pub fn observations(
@@ -82,7 +83,7 @@ fn project(view: &View, point: &[f64; 3]) -> Option<(Vector2<f64>, f64)> {
     inside.then(|| (pixel, at.norm()))
 }
 
-/// Drops what lies behind a nearer point in the same or a neighbouring square.
+/// Drops points behind a nearer point in the same or a neighbouring square.
 fn unhidden(camera: &Camera, seen: Vec<(Vector2<f64>, f64)>) -> Vec<(Vector2<f64>, f64)> {
     let square_px = f64::from(camera.width.max(camera.height)) / SQUARES;
     // A border of one square all around spares the neighbours their limits.
@@ -171,7 +172,8 @@ mod tests {
     fn a_point_on_the_axis_is_seen_in_the_middle_at_its_distance() {
         let views = [view([0.0; 3]), view([0.0, 0.0, -4.0])];
         let found = seen(&views, &[[0.0, 0.0, 6.0]]);
-        // Steps of 0.5 half sides from 0.5 on, 199 of them: 6 units are 3 half sides, step 5; 10 are 5, step 9.
+        // Steps of 0.5 half sides from 0.5 on, 199 of them. 6 units are 3 half sides, step 5. 10 are 5, step
+        // 9.
         let middle = 20 * 60 + 30;
         let expected = [(middle, 3.0), (2400 + middle, 5.0)];
         let steps = Steps::new(0.5, 100.0, 0.5, 0.0);

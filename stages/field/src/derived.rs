@@ -48,16 +48,18 @@ impl Derived {
     /// Checks that a training on these views can use it.
     ///
     /// # Errors
-    /// [`FieldError::OutOfBox`] where the box is no box, or a camera has no place in it; a size out of its range.
+    /// [`FieldError::OutOfBox`] if the box is invalid or a camera has no place in it. A size out of its
+    /// range.
     pub(crate) fn check(&self, config: &Config, views: &[View]) -> Result<(), FieldError> {
         self.frame().check(views)?;
         self.sizes.check(config)
     }
 
-    /// Returns how far a scene reaches from the middle of this box, half sides of it: 1 where its own box would lie in this one.
+    /// Returns how far a scene reaches from the middle of this box, half sides of it. 1 if its own box would
+    /// be inside this one.
     ///
-    /// `points`: its sparse points; of fewer than 32 the cameras tell: those `before`, and all `now`, world units. How far those
-    /// before are then counts as 1, if they are not in the box.
+    /// `points`: its sparse points. With fewer than 32 the cameras decide: those `before`, and all `now`,
+    /// world units. The reach of those before then counts as 1, if they are not in the box.
     pub fn reach(&self, points: &[[f64; 3]], before: &[Vector3<f64>], now: &[Vector3<f64>]) -> f64 {
         let from_middle = |at: [f64; 3]| {
             let away = [0, 1, 2].map(|axis| (at[axis] - self.origin[axis]).abs() / self.half_side);

@@ -9,18 +9,18 @@ use serde::{Deserialize, Serialize};
 #[serde(try_from = "String", into = "String")]
 #[schemars(with = "String")]
 pub enum Device {
-    /// A GPU where there is one, never a software adapter; else the CPU.
+    /// A GPU if there is one, never a software adapter. Otherwise the CPU.
     #[default]
     Auto,
     /// The CPU.
     Cpu,
-    /// A GPU; with a name, the first adapter whose name holds it, whatever its kind.
+    /// A GPU. With a name, the first adapter whose name contains it, whatever its kind.
     Gpu(Option<String>),
 }
 
 /// A text that names no device.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("`{0}` is no device: auto, cpu, gpu or gpu:NAME")]
+#[error("`{0}` is not a device: use auto, cpu, gpu or gpu:NAME")]
 pub struct DeviceError(String);
 
 impl FromStr for Device {
@@ -52,11 +52,11 @@ impl From<Device> for String {
 }
 
 impl Device {
-    /// Returns what decides the bits of this device's numbers on another machine: one whose GPU has the backend id `gpu`, or one
-    /// without a GPU; `None` for the CPU.
+    /// Returns what decides the bits of this device's numbers on another machine: one whose GPU has the
+    /// backend id `gpu`, or one without a GPU. `None` for the CPU.
     ///
     /// # Errors
-    /// A GPU is wanted that the machine does not have, in words.
+    /// A message if this device is a GPU that the machine does not have.
     pub fn backend_id_on(&self, gpu: Option<&str>) -> Result<Option<String>, String> {
         match (self, gpu) {
             (Self::Cpu, _) => Ok(None),
@@ -71,7 +71,7 @@ impl Device {
     }
 }
 
-/// Tells whether the id of a backend holds a name, in small letters or capitals.
+/// Returns whether the id of a backend contains a name, ignoring case.
 fn holds(id: &str, name: &str) -> bool {
     id.to_lowercase().contains(&name.to_lowercase())
 }

@@ -7,18 +7,18 @@ use crate::View;
 use crate::frame::{ENOUGH_POINTS, FAR, Frame, percentile};
 use crate::size::grouped;
 
-/// A point counts as near if this share of what is seen is nearer, as far if this share is farther: outliers.
+/// A point counts as near if this share of the points is nearer, as far if this share is farther: outliers.
 const OUTLIERS: f64 = 0.01;
-/// Share of what is seen whose pixels may be narrower than the finest cells: close-ups need fine ones.
+/// Share of the points in view whose pixels may be narrower than the finest cells: close-ups need fine ones.
 pub const SHARP: f64 = 0.1;
-/// Points that depths are taken of; percentiles of more are the same.
+/// Points whose depths are measured. Percentiles of more are the same.
 const MOST_POINTS: usize = 4096;
 
 /// Distances from cameras to the sparse points they see, half sides.
 pub struct Depths {
-    /// 99 % of what is seen is farther.
+    /// 99 % of the points in view are farther.
     pub nearest: f64,
-    /// 99 % of what is seen is nearer.
+    /// 99 % of the points in view are nearer.
     pub farthest: f64,
     /// No ray may end nearer than this, or it would not cross the box.
     pub most: f64,
@@ -27,13 +27,13 @@ pub struct Depths {
 }
 
 impl Depths {
-    /// Computes it from every camera; `Err` is the reason where nothing is known.
+    /// Computes the distances from every camera. `Err` is the reason if nothing is known.
     pub fn seen(views: &[View], points: &[[f64; 3]], frame: &Frame) -> Result<Self, String> {
         if points.len() < ENOUGH_POINTS {
             let few = points.len();
             return Err(match few {
                 0 => "no sparse points".to_owned(),
-                few => format!("{few} sparse points are too few, {ENOUGH_POINTS} tell something"),
+                few => format!("{few} sparse points are fewer than the {ENOUGH_POINTS} needed"),
             });
         }
         let stride = points.len().div_ceil(MOST_POINTS);

@@ -9,14 +9,14 @@ use crate::frame::RayStart;
 use crate::rng::{Purpose, Rng};
 use crate::training::Training;
 
-/// How often a pixel is drawn again where a mask hides it; a ray that then still has one learns nothing. Of photos half hidden these are
-/// 0.4 %.
+/// How often a pixel is drawn again where a mask hides it. A ray that is still hidden then teaches nothing.
+/// In photos half hidden these are 0.4 %.
 pub const DRAWS: u32 = 8;
 
 /// A ray with its photo and pixel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Target {
-    /// Where it runs; `None` where the distortion has no inverse, and where a mask hides the pixel.
+    /// Where it starts. `None` where the distortion has no inverse, and where a mask hides the pixel.
     pub start: Option<RayStart>,
     /// Place within every step.
     pub jitter: f32,
@@ -28,12 +28,13 @@ pub struct Target {
     pub exposure: Exposure,
     /// Where its matter is, if a sparse point says so.
     pub pull: Option<Pull>,
-    /// What is put behind its last sample; `None`: the background.
+    /// Colour behind its last sample. `None`: the background.
     pub behind: Option<Behind>,
 }
 
-/// What a ray of a photo with transparency is trained over: a colour of its own, so that neither the background nor fog can take the
-/// place of what the photo does not show (as instant-ngp trains, <https://github.com/NVlabs/instant-ngp>).
+/// Colour behind a ray of a photo with transparency in training. Each ray has a random one, so that neither
+/// the background nor fog can replace what the photo does not show (as instant-ngp trains,
+/// <https://github.com/NVlabs/instant-ngp>).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Behind {
     /// sRGB, each in [0, 1).
@@ -66,7 +67,7 @@ impl Training {
         rays.map(|ray| self.target(ray as u64, &exposures)).collect()
     }
 
-    /// Draws ray number `ray` of the next step; `exposures` are those of the photos.
+    /// Draws ray number `ray` of the next step. `exposures` are those of the photos.
     pub fn target(&self, ray: u64, exposures: &[Exposure]) -> Target {
         let mut rng = Rng::new(self.seed, Purpose::Rays, self.state.steps, ray);
         let (pixel, pull) = self.aim(ray, &mut rng);

@@ -31,8 +31,8 @@ pub enum FieldError {
         /// Pixels found.
         pixels: usize,
     },
-    /// A photo of which a mask leaves nothing.
-    #[error("view `{id}`: its mask hides all of it; leave the photo out, or open a part of the mask")]
+    /// A photo whose mask hides every pixel.
+    #[error("view `{id}`: its mask hides all of it: leave the photo out, or open a part of the mask")]
     AllHidden {
         /// The view.
         id: String,
@@ -59,9 +59,9 @@ pub enum FieldError {
         /// The view.
         id: String,
     },
-    /// A camera so far from the box of the scene that single precision cannot tell places in the box apart.
+    /// A camera so far from the box of the scene that single precision cannot distinguish places in the box.
     #[error(
-        "view `{id}`: its camera lies at {place:?} in half sides of the box ({half_side:e} world units), at most 1e6 can be computed with"
+        "view `{id}`: its camera lies at {place:?} in half sides of the box ({half_side:e} world units): the limit is 1e6"
     )]
     OutOfBox {
         /// The view.
@@ -79,9 +79,10 @@ pub enum FieldError {
         /// Its position.
         position: [f64; 3],
     },
-    /// A number ran away in training: NaN, infinite or 2^30 and more; the trainer still holds the state before the step.
+    /// A number ran away in training: NaN, infinite or 2^30 and more. The trainer still holds the state
+    /// before the step.
     #[error(
-        "step {step}: `{tensor}` is not finite, or beyond 1e9, at {place}; lower `learning_rate` (now {learning_rate})"
+        "step {step}: `{tensor}` is not finite, or beyond 1e9, at {place}: lower `learning_rate` (now {learning_rate})"
     )]
     NotFinite {
         /// The step that was refused.
@@ -93,7 +94,7 @@ pub enum FieldError {
         /// The step size that was set.
         learning_rate: f64,
     },
-    /// Bytes that are no field or no checkpoint.
+    /// Bytes that are not a field or a checkpoint.
     #[error("not a {what}: {reason}")]
     Malformed {
         /// `field` or `checkpoint`.
@@ -110,7 +111,7 @@ pub enum FieldError {
 }
 
 impl FieldError {
-    /// Tells whether a device has too little of something, so that a smaller training would fit.
+    /// Returns whether a device has too little of something, so that a smaller training would fit.
     pub fn is_too_large(&self) -> bool {
         matches!(
             self,

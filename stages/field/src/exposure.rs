@@ -10,7 +10,7 @@ pub const LIMITS: [f32; 2] = [2.0, 0.5];
 /// Numbers of a photo in a row: three channels and one that is unused.
 pub const ROW: usize = 4;
 
-/// How a photo changes a colour, gain * colour + offset; also the slopes of the loss in log gain and offset.
+/// How a photo changes a colour, gain * colour + offset. Also the slopes of the loss in log gain and offset.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Exposure {
     /// e^(log gain).
@@ -31,8 +31,8 @@ pub struct Comparison {
 }
 
 impl Exposure {
-    /// Compares the field's colour, as this photo shows it, with a pixel; slopes are those of half of
-    /// `scale` times the squared error.
+    /// Compares the field's colour, as this photo shows it, with a pixel. Slopes are those of half of `scale`
+    /// times the squared error.
     #[inline(always)]
     pub fn compare(&self, plain: [f32; 3], pixel: [f32; 3], scale: f32) -> Comparison {
         let (mut squares, mut colour) = ([0.0; 3], [0.0; 3]);
@@ -127,7 +127,7 @@ mod tests {
 
     #[test]
     fn numbers_are_cut_then_centred_whatever_they_were() {
-        // Two photos, one driven far off: 2 and -2, whose mean is 0; the fourth number is never moved.
+        // Two photos, one driven far off: 2 and -2, whose mean is 0. The fourth number is never moved.
         let mut numbers = vec![50.0, 1.0, 0.0, 0.0, -7.0, 2.0, 0.0, 0.0];
         centre(&mut numbers, 2.0);
         assert_eq!(numbers, [2.0, -0.5, 0.0, 0.0, -2.0, 0.5, 0.0, 0.0]);

@@ -1,5 +1,5 @@
-//! The extremes of training and rendering (issue 4, item 5); the value that breaks stands in the message. Constant
-//! photos, one photo, one pixel and photos of different sizes stand in `training_tests.rs`.
+//! The extremes of training and rendering (issue 4, item 5). The message holds the value that breaks.
+//! Constant photos, one photo, one pixel and photos of different sizes are tested in `training_tests.rs`.
 
 use marf_scene::{Camera, Image, Pose};
 use nalgebra::Vector3;
@@ -73,7 +73,7 @@ fn a_nan_in_any_tensor_stops_the_step_by_name_and_leaves_the_state() {
     );
 }
 
-/// Every state that training leaves behind is one that it can go on from.
+/// A training can continue from every state that it leaves behind.
 #[test]
 fn a_rate_that_is_too_high_stops_by_name_or_leaves_a_state_that_can_be_taken_back() {
     // At 200 the second moment of a gain became infinite, and no checkpoint of it could be read.
@@ -106,7 +106,8 @@ fn a_rate_that_is_too_high_stops_by_name_or_leaves_a_state_that_can_be_taken_bac
     }
 }
 
-/// What a batch says of one ray with these numbers; 8-bit photos and checked cameras give no such ray.
+/// Returns the error of a batch for one ray with these numbers. 8-bit photos and checked cameras give no such
+/// ray.
 fn batch_of(target: Target) -> Option<&'static str> {
     let trainer = trained(ball(3, 12), &small(), 2, 5);
     let shared = StepContext {
@@ -178,7 +179,7 @@ fn a_camera_whose_numbers_overflow_is_refused_by_name_before_the_first_step() {
     for away in [1e8, 1e30, 1e100, 1e200, 1e308] {
         let mut views = ball(3, 8);
         views[2].cam_from_world.translation.x = away;
-        // Points hold the box; without them it grows with the cameras until its own side overflows.
+        // Points hold the box. Without them it grows with the cameras until its own side overflows.
         let points: Vec<[f64; 3]> = (0..64)
             .map(|i| [f64::from(i % 4), f64::from(i / 4 % 4), f64::from(i / 16)])
             .collect();
@@ -214,7 +215,7 @@ fn a_camera_whose_numbers_overflow_is_refused_by_name_before_the_first_step() {
 
 #[test]
 fn cameras_a_hundred_thousand_half_sides_away_train_and_see_the_box() {
-    // The ball of radius 1 fills the photo from 1e5 away; sparse points on it hold the box and near and far.
+    // The ball of radius 1 fills the photo from 1e5 away. Sparse points on it hold the box and near and far.
     let points: Vec<[f64; 3]> = (0..64)
         .map(|i| {
             let angle = f64::from(i);

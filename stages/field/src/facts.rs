@@ -10,7 +10,7 @@ pub struct LevelFacts {
     pub resolution: u32,
     /// Entries stored.
     pub entries: u32,
-    /// Every corner has its own entry; otherwise corners share entries by hash.
+    /// Every corner has its own entry. Otherwise corners share entries by hash.
     pub dense: bool,
 }
 
@@ -20,7 +20,7 @@ pub struct LevelFacts {
 pub struct Trial {
     /// The part, by its key.
     pub part: String,
-    /// Mean PSNR with it, dB; none where it was not tried.
+    /// Mean PSNR with it, dB. `None` where it was not tried.
     pub with_db: Option<f64>,
     /// Mean PSNR without it, dB.
     pub without_db: Option<f64>,
@@ -32,13 +32,13 @@ pub struct Trial {
     pub decision: String,
 }
 
-/// What a field was sized by: every number beside the number that decided it.
+/// What decided the size of a field: every number with the number that decided it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Facts {
     /// Centre of the box, world units.
     pub origin: [f64; 3],
-    /// Half side of the inner box, world units; beyond it space is contracted.
+    /// Half side of the inner box, world units. Beyond it space is contracted.
     pub half_side: f64,
     /// Why this box.
     pub box_reason: String,
@@ -54,7 +54,7 @@ pub struct Facts {
     pub levels: Vec<LevelFacts>,
     /// What decided near, far, levels and table.
     pub sizes: Sizes,
-    /// Parts that were tried with and without; empty where none were.
+    /// Parts that were tried with and without. Empty where none were.
     pub trials: Vec<Trial>,
     /// Trained numbers (tables, networks, background, gains).
     pub parameters: u64,

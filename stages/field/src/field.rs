@@ -36,7 +36,8 @@ impl Field {
         Self::new(self.model, backend)
     }
 
-    /// Returns the field as safetensors; the header's `marf` entry is JSON with box, layout, config and facts.
+    /// Returns the field as safetensors. The header's `marf` entry is JSON with box, layout, config and
+    /// facts.
     ///
     /// Tensors: `table.L` `[entries * features]`, `density.I` and `color.I` `[inputs * outputs]` by rows of
     /// inputs, `background` `[3 * 16]`, `occupancy` `[side^3 / 64]` bits, x fastest.
@@ -44,17 +45,18 @@ impl Field {
         self.model.encode()
     }
 
-    /// Reads what [`Field::encode`] wrote; it renders on the CPU.
+    /// Reads the bytes of [`Field::encode`]. The field renders on the CPU.
     ///
     /// # Errors
-    /// [`FieldError::Malformed`] names the tensor; shapes are compared with the file before memory is taken.
+    /// [`FieldError::Malformed`] names the tensor. Shapes are compared with the file before memory is
+    /// allocated.
     pub fn decode(bytes: &[u8]) -> Result<Self, FieldError> {
         Self::new(Model::decode(bytes)?, Arc::new(Cpu::best()))
     }
 
     /// Renders a photo: `camera` with its distortion, at `cam_from_world`.
     ///
-    /// Tiles run in parallel in the current pool; the pixels do not depend on its size. Pixels where the
+    /// Tiles run in parallel in the current pool. The pixels do not depend on its size. Pixels where the
     /// distortion has no inverse are black and empty.
     ///
     /// # Errors
@@ -80,7 +82,7 @@ impl Field {
         self
     }
 
-    /// Returns what the field was sized by.
+    /// Returns the numbers that decided the size of the field.
     pub fn facts(&self) -> &Facts {
         &self.model.facts
     }
@@ -90,14 +92,15 @@ impl Field {
         Derived::new(&self.model.frame, &self.model.facts.sizes)
     }
 
-    /// Returns the field with what a training that starts from it must know; it then is a part of its bytes.
+    /// Returns the field with the history that a training needs to start from it. Its bytes then include the
+    /// history.
     #[must_use]
     pub fn with_learnt(mut self, learnt: PhotoHistory) -> Self {
         self.model.learnt = Some(learnt);
         self
     }
 
-    /// Returns the photos that it was trained on, where it tells them.
+    /// Returns the photos that it was trained on, if it has them.
     pub fn learnt(&self) -> Option<&PhotoHistory> {
         self.model.learnt.as_ref()
     }

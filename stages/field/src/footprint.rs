@@ -3,24 +3,24 @@
 use crate::weights::{NET_ROW, Weights};
 use crate::{Config, FieldError, Pixels, Sizes};
 
-/// Bytes of an occupancy cell at an update: density (4), its copy in a checkpoint and in a restored state (8), two
-/// lists of the quarter that is looked at, with points (16) and densities (4) (10), seen or not, twice (2).
+/// Bytes of an occupancy cell at an update: density (4), its copy in a checkpoint and in a restored state
+/// (8), two lists of the probed quarter, with points (16) and densities (4) (10), seen or not, twice (2).
 const CELL_BYTES: u64 = 24;
 /// Samples that a network's gradients are kept for at least: 64 rays of 4 samples.
 const CHUNK: u64 = 256;
 /// A source pixel while its photo is read: file (at most 3), as decoded (4), in three bands (3), as pixels (3), and
 /// the photo reduced (at most 3).
 const DECODED_PIXEL_BYTES: u64 = 16;
-/// A pixel while its view is judged: colour, opacity, depth (20), of which a band is there twice, 8-bit picture and
-/// photo (6), PNG of both (6), the photo's decoding.
+/// A pixel while its view is judged: colour, opacity, depth (20), twice in one band, 8-bit picture and photo
+/// (6), PNG of both (6), the photo's decoding.
 const JUDGED_PIXEL_BYTES: u64 = DECODED_PIXEL_BYTES + 36;
 
-/// Returns the bytes that a training takes beside program and photos, at most.
+/// Returns the bytes that a training takes in addition to program and photos, at most.
 ///
-/// With P numbers in tables and networks, each in rows of F: weights, average, two moments and a gradient of 4
-/// bytes each, a count of 4 a row; twice more all but the gradient, while a checkpoint is packed or read back;
-/// for every sample of a batch its place and features, at 4/3 of the samples aimed at, twice for the swings
-/// between batches; a gradient of the networks for every chunk of rays; the occupancy.
+/// With P numbers in tables and networks, each in rows of F: weights, average, two moments and a gradient of
+/// 4 bytes each, a count of 4 a row. Twice more all but the gradient, while a checkpoint is packed or read
+/// back. For every sample of a batch its place and features, at 4/3 of the samples aimed at, twice for the
+/// swings between batches. A gradient of the networks for every chunk of rays. The occupancy.
 ///
 /// Where the scene decides a size, the largest one is counted: the answer is then too high for small scenes.
 ///

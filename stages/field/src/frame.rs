@@ -1,4 +1,4 @@
-//! The box of a scene: where its origin lies, how large it is, and how fine its finest cells need be.
+//! The box of a scene: the place of its origin, its size, and the size of its finest cells.
 
 use marf_scene::{Camera, Pose};
 use nalgebra::{Matrix3, Vector2, Vector3};
@@ -12,16 +12,16 @@ pub const MOST_FINEST: u32 = 8192;
 pub const FAR: f64 = 512.0;
 /// With cameras close together the box reaches this many baselines: there the disparity is still f / 16.
 const BASELINES: f64 = 16.0;
-/// Half sides of the box from its centre to a camera, at most: f32 still tells 1/16 of one there.
+/// Half sides of the box from its centre to a camera, at most: f32 still resolves 1/16 of one there.
 const MOST_AWAY: f64 = 1e6;
 /// Fewer sparse points say too little about the extent.
 pub const ENOUGH_POINTS: usize = 32;
 
-/// Where the unit box lies in the world.
+/// Place of the unit box in the world.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Frame {
-    /// Centre, world units; subtracted in f64 before anything becomes f32.
+    /// Centre, world units. Subtracted in f64 before anything becomes f32.
     pub origin: [f64; 3],
     /// Half side of the inner box, world units.
     pub half_side: f64,
@@ -44,16 +44,17 @@ impl Frame {
     /// Derives the box.
     ///
     /// With 32 points or more: centre = median, half side = 80th percentile of their distance (maximum norm).
-    /// Else, if the optical axes meet in front of the cameras: centre = the point nearest to all axes, half side
-    /// = the median distance to it. Else (panoramas): centre = mean of the cameras, half side = 16 times the
-    /// median distance to the nearest other camera, at least 1.25 times their extent; 1 if all share one place.
+    /// Else, if the optical axes meet in front of the cameras: centre = the point nearest to all axes, half
+    /// side = the median distance to it. Else (panoramas): centre = mean of the cameras, half side = 16 times
+    /// the median distance to the nearest other camera, at least 1.25 times their extent. 1 if all share one
+    /// place.
     pub fn derive(views: &[View], points: &[[f64; 3]]) -> Self {
         let centres: Vec<_> = views.iter().map(|view| view.cam_from_world.centre()).collect();
         let found = from_points(views, points).or_else(|| from_axes(views, &centres));
         found.unwrap_or_else(|| from_baseline(&centres))
     }
 
-    /// Checks that every camera has a place in the box that f32 can tell from others.
+    /// Checks that f32 can distinguish the place of every camera in the box from others.
     ///
     /// # Errors
     /// [`FieldError::OutOfBox`] names the first that has none.
@@ -100,7 +101,7 @@ fn median(values: &mut [f64]) -> f64 {
     percentile(values, 0.5)
 }
 
-/// Returns the value of which this share are smaller, the upper one of two; 0 for none.
+/// Returns the value below which this share of the values is, the upper one of two. 0 for none.
 pub fn percentile(values: &mut [f64], share: f64) -> f64 {
     values.sort_by(f64::total_cmp);
     let index = ((values.len() as f64 * share) as usize).min(values.len().saturating_sub(1));

@@ -1,13 +1,13 @@
 /// What keeps a GPU from being used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum GpuError {
-    /// A GPU was asked for, and the feature `gpu` is off.
+    /// A GPU is set, and the feature `gpu` is off.
     #[error("this marf was built without the GPU: rebuild with `--features gpu`, or use `--device cpu`")]
     NotBuilt,
-    /// No adapter that was asked for.
-    #[error("no GPU {wanted}: found {found}; take `device = \"cpu\"`, or `gpu:NAME` for one of these")]
+    /// No adapter matches the device.
+    #[error("no GPU {wanted}: found {found}. Use `device = \"cpu\"`, or `gpu:NAME` for one of these")]
     NoAdapter {
-        /// What was asked for.
+        /// The requested device.
         wanted: String,
         /// Names of the adapters there are, or `none`.
         found: String,
@@ -28,7 +28,7 @@ pub enum GpuError {
     },
     /// A training that is larger than the memory of the device.
     #[error(
-        "`{adapter}` gives {offered} bytes, the training takes {needed}, {share} of them for {part}: lower `{key}`, or take `device = \"cpu\"`"
+        "`{adapter}` gives {offered} bytes, the training takes {needed}, {share} of them for {part}: lower `{key}`, or use `device = \"cpu\"`"
     )]
     TooLarge {
         /// The adapter.
@@ -46,7 +46,7 @@ pub enum GpuError {
     },
     /// Memory that was refused.
     #[error(
-        "`{adapter}` refused {bytes} bytes for `{what}`: lower `batch_samples`, `log2_table` or `memory`, or take `device = \"cpu\"`"
+        "`{adapter}` refused {bytes} bytes for `{what}`: lower `batch_samples`, `log2_table` or `memory`, or use `device = \"cpu\"`"
     )]
     Memory {
         /// The adapter.
@@ -57,7 +57,7 @@ pub enum GpuError {
         bytes: u64,
     },
     /// A kernel that this driver does not compile.
-    #[error("kernel `{kernel}` does not compile on `{adapter}`: {message}; take `device = \"cpu\"`")]
+    #[error("kernel `{kernel}` does not compile on `{adapter}`: {message}. Use `device = \"cpu\"`")]
     Kernel {
         /// The kernel.
         kernel: &'static str,
@@ -74,7 +74,7 @@ pub enum GpuError {
     },
     /// A device that was lost, or refused a command.
     #[error(
-        "`{adapter}` failed: {message}; run again to go on from the last checkpoint, or take `device = \"cpu\"`"
+        "`{adapter}` failed: {message}. Run again to continue from the last checkpoint, or use `device = \"cpu\"`"
     )]
     Lost {
         /// The adapter.

@@ -14,7 +14,7 @@ use crate::training::Training;
 use crate::watch::{Part, Watch, timed};
 use crate::weights::NET_ROW;
 
-/// Takes the gradients of all chunks into the weights; `gradients`: memory for those of the tables, all zero.
+/// Applies the gradients of all chunks to the weights. `gradients`: memory for those of the tables, all zero.
 pub fn learn(
     level: InstructionSet,
     training: &mut Training,

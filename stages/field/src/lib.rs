@@ -2,7 +2,7 @@
 //!
 //! It knows scenes (photos, cameras, poses), no stage and no file system. Bytes come in, bytes go out.
 //! Invariant: the same views, points, config and seed give the same weights, bit for bit, for any number of
-//! threads and any instruction set; no result holds a number that is not finite.
+//! threads and any instruction set. No result holds a number that is not finite.
 
 pub mod backend;
 mod background;

@@ -29,7 +29,7 @@ pub struct StepContext<'a> {
     pub clearance: &'a Clearance,
     /// Rays of the whole batch: gradients are those of the mean.
     pub rays: usize,
-    /// Samples of a ray that are trained, about; 0: all that show.
+    /// Samples of a ray that are trained, about. 0: all that show.
     pub ray_samples: u32,
     /// Weight of the distortion loss.
     pub distortion: f32,
@@ -37,7 +37,7 @@ pub struct StepContext<'a> {
     pub watch: Option<&'a Watch>,
 }
 
-/// What a chunk found beside the gradients of its features.
+/// Results of a chunk in addition to the gradients of its features.
 #[derive(Clone, Debug, Default)]
 pub struct ChunkSums {
     /// Gradients of the density network's layers.
@@ -78,7 +78,7 @@ impl ChunkSums {
     }
 }
 
-/// Turns gradients of colours into those of their logits, in the first three columns; the others become 0.
+/// Turns gradients of colours into those of their logits, in the first three columns. The others become 0.
 pub struct LogitSlopes<'a> {
     pub logits: &'a [Block],
     pub rgb: &'a [[f32; 4]],

@@ -45,7 +45,7 @@ struct Header {
 const FORMAT: u32 = 2;
 
 impl Model {
-    /// Returns a model; the steps along rays follow from config and facts.
+    /// Returns a model. The steps along rays follow from config and facts.
     pub fn new(config: Config, frame: Frame, facts: Facts, weights: Weights, bits: Bits) -> Self {
         Self {
             steps: facts.sizes.steps(&config, facts.halvings),
@@ -58,7 +58,8 @@ impl Model {
         }
     }
 
-    /// Returns the field as safetensors; the header's `marf` entry is JSON with box, layout, config and facts.
+    /// Returns the field as safetensors. The header's `marf` entry is JSON with box, layout, config and
+    /// facts.
     ///
     /// Tensors: `table.L` `[entries * features]`, `density.I` and `color.I` `[inputs * outputs]` by rows of
     /// inputs, `background` `[3 * 16]`, `occupancy` `[side^3 / 64]` bits, x fastest.
@@ -79,10 +80,11 @@ impl Model {
         writer.finish(serde_json::to_string(&header).unwrap_or_default())
     }
 
-    /// Reads what [`Model::encode`] wrote.
+    /// Reads the bytes of [`Model::encode`].
     ///
     /// # Errors
-    /// [`FieldError::Malformed`] names the tensor; shapes are compared with the file before memory is taken.
+    /// [`FieldError::Malformed`] names the tensor. Shapes are compared with the file before memory is
+    /// allocated.
     pub fn decode(bytes: &[u8]) -> Result<Self, FieldError> {
         let reader = Reader::new("field", bytes)?;
         let header: Header =

@@ -11,14 +11,14 @@ use crate::seen::seen_cells;
 /// A cell counts as occupied if a step of the shortest length in it has at least this optical depth, or the
 /// mean of all cells if that is less (instant-ngp).
 pub const OCCUPIED: f32 = 0.04;
-/// What is left of a density when its cell is looked at again.
+/// Share of a density that remains when its cell is probed again.
 pub const DECAY: f32 = 0.8;
 /// Density of a cell that has not been looked at: it stays occupied until it is. exp(10) is the most otherwise.
 pub const UNKNOWN: f32 = 1e6;
 /// Cells are due by this times their number plus that of the update: neighbours in different ones. Odd.
 pub const SPREAD: u64 = 7;
-/// Cells around a sparse point that start occupied, to each side: in the inner box, and outside, where a cell is
-/// larger than what it holds but points are few and far.
+/// Cells around a sparse point that start occupied, to each side: in the inner box, and outside. Outside, a
+/// cell is larger than the matter in it, but points are few and far.
 const NEAR: [i64; 2] = [2, 4];
 /// Words of 64 cells that one task takes.
 const WORDS: usize = 256;
@@ -26,7 +26,7 @@ const WORDS: usize = 256;
 /// Densities of cells and the bits made from them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Occupancy {
-    /// `[side^3]`, x fastest; -1 where no camera looks.
+    /// `[side^3]`, x fastest. -1 where no camera looks.
     pub density: Vec<f32>,
     /// Cells that rays visit.
     pub bits: Bits,
@@ -39,7 +39,7 @@ pub struct Occupancy {
 pub enum Refill {
     /// At the density of occupied ones: while all is thin, at the mean.
     AtMean,
-    /// At a density that shows by itself: thin cells stay empty though they lie above the mean.
+    /// At a density that shows by itself: thin cells stay empty even if they are above the mean.
     WhereItShows,
 }
 
@@ -52,7 +52,7 @@ pub struct Probe {
     pub at: [f32; 3],
 }
 
-/// One in so many occupied cells is looked at in an update.
+/// One in this many occupied cells is probed in an update.
 pub const OCCUPIED_EVERY: u64 = 4;
 
 /// Returns one in how many of the occupied cells, and of the empty ones, is due at an update: all once in the first four.
@@ -107,10 +107,11 @@ impl Occupancy {
         }
     }
 
-    /// Returns a grid over another box whose seen cells have the densities of those they lie in here.
+    /// Returns a grid over another box whose seen cells have the densities of the cells of this grid at their
+    /// place.
     ///
-    /// `from`: the box of this grid, `to`: that of the new one. A cell is as dense as the densest that its centre or a
-    /// corner lies in; one in which nothing was found fills where it shows.
+    /// `from`: the box of this grid, `to`: that of the new one. A cell is as dense as the densest cell that
+    /// contains its centre or a corner. Where nothing was found, a cell fills once it shows.
     pub fn moved(&self, from: &Frame, to: &Frame, views: &[View]) -> Self {
         let side = self.bits.side;
         let seen = seen_cells(side, to, views);
@@ -142,8 +143,8 @@ impl Occupancy {
         }
     }
 
-    /// Returns the grid with the cells that `views` see as `bits` have them: what is empty there fills where it is found dense, and
-    /// what is not is looked at anew. `frame`: the box of both.
+    /// Returns the grid with the occupancy of `bits` in the cells that `views` see. Cells empty in `bits`
+    /// fill where they are found dense, and the others are probed again. `frame`: the box of both.
     pub fn known(&self, bits: &Bits, frame: &Frame, views: &[View]) -> Self {
         let seen = seen_cells(self.bits.side, frame, views);
         let mut grid = self.clone();
@@ -230,7 +231,7 @@ impl Occupancy {
         Probe { cell, at }
     }
 
-    /// Takes over the densities found at the probes and decides all bits anew.
+    /// Takes over the densities found at the probes and decides all bits again.
     ///
     /// `step`: the shortest step, contracted. Densities that are not finite are left out.
     pub fn update(&mut self, probes: &[Probe], found: &[f32], step: f32) {
@@ -256,8 +257,8 @@ impl Occupancy {
         });
     }
 
-    /// Returns the mean density of the cells that have been looked at, 0 where none has; summed in lanes of fixed parts, in
-    /// this order for any number of threads.
+    /// Returns the mean density of the probed cells, 0 without any. It is summed in lanes of fixed parts, in
+    /// the same order for any number of threads.
     fn mean_density(&self) -> f32 {
         let parts = self.density.par_chunks(64 * WORDS).map(|part| {
             let (mut sums, mut counts) = ([0.0_f64; 8], [0_u32; 8]);
@@ -359,8 +360,8 @@ mod tests {
         let found: Vec<usize> = (0..32_usize.pow(3))
             .filter(|cell| moved.bits.holds(*cell as u32))
             .collect();
-        // In quarters the cell goes from 0 to 1/2 and, contracted, from 2 - 1/2 to 2 - 2/5: 4 cells a side and 2 deep, and
-        // those around that touch it.
+        // In quarters the cell goes from 0 to 1/2 and, contracted, from 2 - 1/2 to 2 - 2/5: 4 cells a side
+        // and 2 deep, and those around that touch it.
         assert!((32..=6 * 6 * 4).contains(&found.len()), "{}", found.len());
         for cell in found {
             let at = [cell % 32, cell / 32 % 32, cell / 1024].map(|corner| (corner as f64 + 0.5) / 32.0);
@@ -400,7 +401,7 @@ mod tests {
             cell: cell as u32,
             at: [0.5; 3],
         };
-        // Half and one and a half times what shows in a step of 0.05; the mean of all is far below either.
+        // Half and one and a half times what shows in a step of 0.05. The mean of all is far below either.
         let shows = OCCUPIED / 0.05;
         occupancy.update(&[probe(thin), probe(dense)], &[0.5 * shows, 1.5 * shows], 0.05);
         assert!(!occupancy.bits.holds(thin as u32) && occupancy.bits.holds(dense as u32));

@@ -15,7 +15,7 @@ pub struct Overrides(pub BTreeMap<String, Value>);
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{message}")]
 pub struct OverrideError {
-    /// The key; empty where the fault is of several keys together.
+    /// The key. Empty if the fault is in several keys together.
     pub key: String,
     /// What is wrong, with the number.
     pub message: String,

@@ -8,8 +8,9 @@ use crate::{Config, FieldError, Trainer};
 pub const EXPECTED_STEPS_PER_S: f64 = 90.0;
 /// Samples a step of such a machine: those of [`Config::default`](crate::Config).
 const COMMON_BATCH: u32 = 1 << 15;
-/// Fewest and most samples of a step that are derived. With 2^18 instant-ngp trains at 30 M samples/s and more
-/// (arXiv 2201.05989, appendix E); with fewer than 2^12 the occupancy and the tables take most of a step.
+/// Fewest and most samples of a step that are derived. With 2^18 instant-ngp trains at 30 M samples/s and
+/// more (arXiv 2201.05989, appendix E). With fewer than 2^12 the occupancy and the tables take most of a
+/// step.
 const BATCHES: [u32; 2] = [1 << 12, 1 << 18];
 /// Part of the time of a training, and most seconds, for which its rate is measured before sizes are chosen.
 const MEASURED_SHARE: f64 = 1.0 / 16.0;
@@ -36,7 +37,8 @@ impl Pace {
         (seconds * MEASURED_SHARE).min(MEASURED_MOST_S)
     }
 
-    /// Tables that a pace is measured with after the first, at most, in trainings of so many seconds or more: each takes two seconds.
+    /// Tables that a pace is measured with after the first, at most, in trainings of
+    /// `SETTLED_FROM_S` or more. Each takes two seconds.
     const MOST_TABLES: usize = 2;
     const SETTLED_FROM_S: f64 = 120.0;
 
@@ -71,10 +73,11 @@ impl Pace {
 
     /// Returns the samples of a step that suit a device of this pace, a power of two from 2^12 to 2^18.
     ///
-    /// What a device does beyond two cores, which train 90 steps of 2^15 samples a second, is split evenly, in octaves:
-    /// half into samples a step, half into steps. B = 2^15 √(samples a second / 2.95 M), the nearest power of two. Steps are
-    /// not bought with samples alone: below about 2^15 a gradient is noisy and a step mostly overhead, and beyond 2^18 more
-    /// samples a step were not worth their time to instant-ngp, whose batch that is (arXiv 2201.05989, appendix E).
+    /// The device's excess over two cores, which train 90 steps of 2^15 samples a second, is split evenly, in
+    /// octaves: half into samples a step, half into steps. B = 2^15 √(samples a second / 2.95 M), the nearest
+    /// power of two. Samples alone do not replace steps: below about 2^15 a gradient is noisy and a step
+    /// mostly overhead. Beyond 2^18 more samples a step were not worth their time to instant-ngp, whose batch
+    /// that is (arXiv 2201.05989, appendix E).
     ///
     /// # Extremes
     /// A pace that is NaN, negative or 0 gives the fewest samples, an infinite one the most.
@@ -189,13 +192,14 @@ impl Trainer {
         self.aim_at(wanted)
     }
 
-    /// Returns whether a training of so many steps has a table as large as this one.
+    /// Returns whether a training of this many steps has a table as large as this one.
     fn has_table_of(&self, steps: u64) -> bool {
         let training = &self.training;
         training.sizes.log2_table_after(&training.config, steps) == training.sizes.log2_table.value
     }
 
-    /// Changes the samples that a step aims at, and returns whether the device holds so many; what was learnt stays.
+    /// Changes the samples that a step aims at, and returns whether the device can hold them. The learnt
+    /// state stays.
     fn aim_at(&mut self, samples: u32) -> Result<bool, FieldError> {
         self.sync()?;
         let before = std::mem::replace(&mut self.training.config.batch_samples, samples);

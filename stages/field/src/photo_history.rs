@@ -1,4 +1,4 @@
-//! What a field tells of the photos behind it, so that another training can start from it.
+//! What a field stores about its photos, so that another training can start from it.
 
 use marf_scene::Pose;
 use serde::{Deserialize, Serialize};

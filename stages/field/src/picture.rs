@@ -11,7 +11,7 @@ pub struct Render {
     pub rgb: Vec<[f32; 3]>,
     /// `[height * width]`, share of the ray that met matter, in [0, 1].
     pub opacity: Vec<f32>,
-    /// `[height * width]`, expected distance along the ray, world units; 0 where opacity is 0. Never NaN.
+    /// `[height * width]`, expected distance along the ray, world units. 0 where opacity is 0. Never NaN.
     pub depth: Vec<f32>,
 }
 

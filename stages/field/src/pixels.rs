@@ -6,38 +6,38 @@ use crate::rng::{Purpose, Rng};
 
 /// The pixels of a photo that can be drawn in training.
 ///
-/// What counts is how many are left of all photos together. Measured on the mock-up (80 photos of 360 x 480, 500
-/// steps, one seed, three held-out views): all 13.8 million 20.33 dB, one in 8 20.36, one in 64 19.91, one in 256
-/// 18.72. Below a million pixels a training sees the same ones too often; a thousand photos of 2 megapixels have
-/// 30 million left of one in 64.
+/// The number of pixels of all photos together matters. Measured on the mock-up (80 photos of 360 x 480, 500
+/// steps, one seed, three held-out views): all 13.8 million 20.33 dB, one in 8 20.36, one in 64 19.91, one in
+/// 256 18.72. Below a million pixels a training sees the same ones too often. With one in 64, a thousand
+/// photos of 2 megapixels still have 30 million.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Pixels {
     /// Pixels a row of the photo.
     pub width: u32,
     /// Rows of the photo.
     pub height: u32,
-    /// Pixels of a run, counted along the rows and on in the next; one of each is kept.
+    /// Pixels of a run, counted along the rows and on in the next. One of each is kept.
     run: u32,
     /// 8-bit sRGB of the kept pixels.
     pub pixels: Vec<[u8; 3]>,
-    /// Place of each kept pixel in its run, or [`HIDDEN`]; empty where all are kept and none is hidden.
+    /// Place of each kept pixel in its run, or [`HIDDEN`]. Empty where all are kept and none is hidden.
     offsets: Vec<u8>,
-    /// Opacity of each kept pixel, whose colour is blended over black; empty where the photo is opaque.
+    /// Opacity of each kept pixel, whose colour is blended over black. Empty where the photo is opaque.
     alpha: Vec<u8>,
 }
 
-/// In place of the place in its run: a mask hides the pixel, and nothing is learnt from it.
+/// Replaces the place in the run: a mask hides the pixel, and nothing is learnt from it.
 pub const HIDDEN: u8 = u8::MAX;
 
 impl Pixels {
-    /// Longest run: a place in it is one byte, of which one is taken.
+    /// Longest run: a place in it is one byte, and one value of that is [`HIDDEN`].
     pub const LONGEST_RUN: u32 = 255;
 
-    /// Keeps one pixel of every `run`, at a place drawn from (seed, photo, run); of `hidden` pixels (`[height * width]`; none: no
-    /// mask) nothing is learnt.
+    /// Keeps one pixel of every `run`, at a place drawn from (seed, photo, run). Nothing is learnt from
+    /// `hidden` pixels (`[height * width]`, `None`: no mask).
     ///
-    /// The last run may be shorter; its pixel is then drawn from fewer, and so is that of a run of which some are hidden. `run`
-    /// is taken into 1 to 255; with 1 every pixel is kept and nothing is drawn.
+    /// The last run may be shorter. Its pixel is then drawn from fewer, as is that of a run with hidden
+    /// pixels. `run` is clamped to 1 to 255. With 1 every pixel is kept and nothing is drawn.
     ///
     /// # Panics
     /// If there is not one of `hidden` for every pixel: a slip of the program.
@@ -66,7 +66,7 @@ impl Pixels {
         }
     }
 
-    /// Draws one pixel of every run; `hidden` is empty or has one for every pixel.
+    /// Draws one pixel of every run. `hidden` is empty or has one for every pixel.
     fn drawn(image: Image<Srgb>, hidden: &[bool], run: u32, seed: u64, photo: u64) -> Self {
         let mut rng = Rng::new(seed, Purpose::Thinning, 0, photo);
         let runs = image.pixels.chunks(run as usize).enumerate();
@@ -93,7 +93,8 @@ impl Pixels {
         }
     }
 
-    /// Gives the kept pixels their opacities: those of all pixels of the photo, `[height * width]`, or none where it is opaque.
+    /// Gives the kept pixels their opacities: those of all pixels of the photo, `[height * width]`, or empty
+    /// where it is opaque.
     ///
     /// # Panics
     /// If there is not one for every pixel: a slip of the program.
@@ -107,22 +108,23 @@ impl Pixels {
         self
     }
 
-    /// Returns all pixels of the photo, `[height * width]`, masked ones too; `None` where some were left out.
+    /// Returns all pixels of the photo, `[height * width]`, masked ones too. `None` if some were left out.
     pub fn all(&self) -> Option<&[[u8; 3]]> {
         (self.run == 1).then_some(&self.pixels)
     }
 
-    /// Returns whether the photo shows what lies behind the scene, black here, in some of its pixels.
+    /// Returns whether some pixels of the photo show the space behind the scene, black here.
     pub fn is_transparent(&self) -> bool {
         !self.alpha.is_empty()
     }
 
-    /// Returns the opacities of the kept pixels; none of an opaque photo.
+    /// Returns the opacities of the kept pixels. Empty for an opaque photo.
     pub fn alpha(&self) -> &[u8] {
         &self.alpha
     }
 
-    /// Returns how much a kept pixel shows of what lies behind the scene, in [0, 1]; `None` of an opaque photo.
+    /// Returns how much a kept pixel shows of the space behind the scene, in [0, 1]. `None` for an opaque
+    /// photo.
     pub fn share_behind(&self, kept: usize) -> Option<f32> {
         let alpha = self.alpha.get(kept)?;
         Some(f32::from(u8::MAX - alpha) / 255.0)
@@ -138,7 +140,8 @@ impl Pixels {
         !self.offsets.is_empty() && self.offsets.iter().all(|offset| *offset == HIDDEN)
     }
 
-    /// Returns the bytes that an opaque photo takes of which one pixel in `run` is kept, with a mask or without; alpha is one more a pixel.
+    /// Returns the bytes of an opaque photo with one pixel in `run` kept, with a mask or without. Alpha is
+    /// one more a pixel.
     pub fn bytes(width: u32, height: u32, run: u32, masked: bool) -> u64 {
         let all = u64::from(width) * u64::from(height);
         match run {
@@ -158,7 +161,7 @@ impl Pixels {
         self.pixels.len()
     }
 
-    /// Returns the pixels of a run, of which one is kept.
+    /// Returns the pixels of a run. One of them is kept.
     pub fn run(&self) -> u32 {
         self.run
     }
@@ -169,7 +172,8 @@ impl Pixels {
         !self.pixels.is_empty() && self.pixels.len() == all.div_ceil(self.run as usize)
     }
 
-    /// Returns the centre of a kept pixel in the photo, and its sRGB in [0, 1]; of a hidden one the centre is the first of its run.
+    /// Returns the centre of a kept pixel in the photo, and its sRGB in [0, 1]. For a hidden one, the centre
+    /// is the first of its run.
     pub fn at(&self, kept: usize) -> ([f64; 2], [f32; 3]) {
         let place = self.place(kept);
         let width = self.width as usize;
@@ -180,7 +184,7 @@ impl Pixels {
         )
     }
 
-    /// Returns where a kept pixel lies among all of the photo; of a hidden one, where its run begins.
+    /// Returns the index of a kept pixel among all of the photo. For a hidden one, the first of its run.
     fn place(&self, kept: usize) -> usize {
         let offset = self.offsets.get(kept).filter(|offset| **offset != HIDDEN);
         kept * self.run as usize + offset.map_or(0, |offset| usize::from(*offset))

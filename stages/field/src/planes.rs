@@ -13,7 +13,7 @@ pub struct GridLevel<'a> {
 }
 
 impl<'a> GridLevel<'a> {
-    /// Returns a level with `features` numbers an entry; `table`: `[entries, features]`.
+    /// Returns a level with `features` numbers an entry. `table`: `[entries, features]`.
     pub fn new(features: usize, shape: Shape, table: &'a [f32]) -> Self {
         Self {
             features,

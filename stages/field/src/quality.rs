@@ -1,7 +1,8 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// How much time a training may take for its quality; points on the measured fronts of both (`benches/front`).
+/// How much time a training may take for its quality: points on the measured fronts of both
+/// (`benches/front`).
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Quality {

@@ -4,15 +4,15 @@ use crate::depth::SHARE;
 use crate::schedule::STEPS_A_HALVING;
 use crate::training::Training;
 
-/// Share of the training after which the steps along rays are halved for the last time, the other times in equal parts
-/// before: long steps find a surface sooner, short ones place it better.
+/// Share of the training after which the steps along rays are halved for the last time, the other times in
+/// equal parts before. Long steps find a surface sooner, short ones place it better.
 const LAST_HALVED: f64 = 0.9;
 /// Steps for which the rate stays at least: a training of 400 steps lost .6 dB where it fell from the start.
 const RATE_HELD: u64 = 512;
-/// Step size of a training that starts from a field, as a share of that of one from nothing: moments are zero, so its first steps move
-/// every weight by about the whole of it. `benches/field.md`.
+/// Step size of a training that starts from a field, as a share of that of one from nothing. Moments are
+/// zero, so its first steps move every weight by about the whole of it. `benches/field.md`.
 const WARM_RATE: f64 = 0.5;
-/// With fewer samples a ray than this the steps are halved at once; checked every [`FEW_AT`] steps.
+/// With fewer samples a ray than this the steps are halved at once. Checked every [`FEW_AT`] steps.
 const FEW_SAMPLES: f64 = 8.0;
 const FEW_AT: u64 = 128;
 /// Samples a chunk of rays aims at: its rows then stay in the second cache.
@@ -21,9 +21,10 @@ const CHUNK_SAMPLES: f64 = 768.0;
 const AVERAGED_EVERY: u64 = 4;
 
 impl Training {
-    /// Returns the step size after so many steps: `learning_rate` for half of the training and at least 512 steps, then down by
-    /// equal factors to `final_rate` of it at the end, where it stays. After a new plan as in a training that was planned so
-    /// from the start and is as far, to whole steps. Half of that, and never held for 512 steps, where it starts from a field.
+    /// Returns the step size after a number of steps: `learning_rate` for half of the training and at least
+    /// 512 steps, then down by equal factors to `final_rate` of it at the end, where it stays. After a new
+    /// plan it is that of a training with this plan from the start and the same share done, to whole steps.
+    /// From a field it is half of that, and never held for 512 steps.
     pub fn rate_at(&self, steps: u64) -> f32 {
         let (done, end) = (self.schedule.done(steps), self.schedule.end_at(steps));
         let (least, share) = match self.halved_before {
@@ -37,7 +38,8 @@ impl Training {
         (first * libm::pow(self.config.final_rate, fallen)) as f32
     }
 
-    /// Returns the share of themselves that the averaged weights keep after so many steps, less in the first ones.
+    /// Returns the share of themselves that the averaged weights keep after a number of steps, less in the
+    /// first ones.
     pub fn kept_at(&self, steps: u64) -> Option<f32> {
         let step = steps as f32;
         let once = (self.config.average as f32).min((1.0 + step) / (10.0 + step));
@@ -49,21 +51,21 @@ impl Training {
         is_due.then(|| (0..AVERAGED_EVERY).fold(1.0, |product, _| product * once))
     }
 
-    /// Returns the weight of a pull in a step of so many rays; `None` where no point pulls, or no longer.
+    /// Returns the weight of a pull in a step of `rays` rays. `None` where no point pulls, or no longer.
     pub fn pull_at(&self, step: u64, rays: usize) -> Option<f32> {
         let fading = 1.0 - step as f64 / f64::from(self.sizes.depth_steps.value);
         let weight = self.config.depth_weight * fading * SHARE as f64 / rays as f64;
         (!self.observations.is_empty() && fading > 0.0).then_some(weight as f32)
     }
 
-    /// Returns the weight of the distortion loss after so many steps.
+    /// Returns the weight of the distortion loss after a number of steps.
     pub fn distortion_at(&self, steps: u64) -> f32 {
         let [first, last] = self.sizes.distortion.value;
         let done = self.schedule.done(steps);
         ((last - first) * done).mul_add(done, first) as f32
     }
 
-    /// Returns the pull of the tables to zero after so many steps.
+    /// Returns the pull of the tables to zero after a number of steps.
     pub fn table_decay_at(&self, steps: u64) -> f32 {
         let left = 1.0 - self.schedule.done(steps);
         (self.sizes.table_decay.value * left * left) as f32
@@ -83,8 +85,9 @@ impl Training {
         }
     }
 
-    /// Returns how often the steps along rays are halved by then, whatever few samples ask for. From a field as often as it was, or
-    /// more where there are steps for it, but anew: as many samples with long steps are more rays, which new photos need.
+    /// Returns how often the steps along rays are halved by then, without the halvings for few samples. From
+    /// a field: as often as in the field, or more if there are steps for it, but from the start again. Long
+    /// steps give more rays for as many samples, which new photos need.
     pub fn halvings_due(&self, steps: u64) -> u32 {
         let most = self.sizes.halvings.value;
         let long = |steps: u64| ((steps / STEPS_A_HALVING) as u32).min(most);
@@ -98,7 +101,7 @@ impl Training {
         }
     }
 
-    /// Returns how many samples of a ray are trained in the next step, about; 0: all that show.
+    /// Returns how many samples of a ray are trained in the next step, about. 0: all that show.
     ///
     /// All while steps along rays are as long as at first: there is no surface yet to choose by.
     pub fn ray_samples(&self) -> u32 {
@@ -172,7 +175,8 @@ mod tests {
         }
     }
 
-    /// In 1,000 steps all four halvings are made again, in equal parts of nine tenths; 10,000 are enough for all six.
+    /// In 1,000 steps all four halvings are made again, in equal parts of nine tenths. 10,000 are enough for
+    /// all six.
     #[test]
     fn from_a_field_the_steps_along_rays_are_longer_at_first_and_as_long_at_the_end() {
         for (before, steps, expected) in [

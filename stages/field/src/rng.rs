@@ -2,7 +2,7 @@
 
 use marf_numeric::{GOLDEN, mix};
 
-/// What the numbers are for; each purpose has its own stream.
+/// What the numbers are for. Each purpose has its own stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Purpose {
     /// Start values of the tables.
@@ -41,13 +41,13 @@ impl Rng {
         self.0.unit_f32()
     }
 
-    /// Returns an integer in [0, n); 0 if n is 0. The bias is below n / 2^64.
+    /// Returns an integer in [0, n), 0 if n is 0. The bias is below n / 2^64.
     pub fn below(&mut self, n: u64) -> u64 {
         self.0.below(n)
     }
 }
 
-/// A 64-bit digest of numbers in order, to tell mistakes; no protection against forgery.
+/// A 64-bit digest of numbers in order, to find mistakes. It does not protect against forgery.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Fingerprint(pub u64);
 

@@ -143,7 +143,7 @@ fn sparse_points_make_the_ball_opaque_sooner_and_leave_no_trace_where_they_are_o
         (render.opacity[12 * 24 + 12], render.depth[12 * 24 + 12])
     };
     let (with, without) = (middle(&pulled), middle(&plain));
-    // The ball is about 2 away; matter within 2.5 steps of 0.2 counts as being at its points.
+    // The ball is about 2 away. Matter within 2.5 steps of 0.2 counts as being at its points.
     let there = with.0 > without.0 + 0.1 && (1.4..2.7).contains(&with.1);
     assert!(there, "{with:?} {without:?}");
     // No points: nothing to start from and nothing that pulls.

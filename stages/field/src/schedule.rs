@@ -22,8 +22,8 @@ const REFIT_SHARE: u64 = 8;
 
 /// Returns the step after which the box is fitted to the field, a multiple of [`UPDATE_EVERY`].
 ///
-/// `None` where enough sparse points have told it, and where the training is less than four times as long or its length
-/// is not known: what was learnt until then is lost.
+/// `None` if enough sparse points have decided the box, or if the training has fewer than four times the least
+/// such steps or an unknown length: everything learnt until then is lost.
 pub fn refit_step(config: &Config, points: &[[f64; 3]]) -> Option<u64> {
     let [least, most] = REFIT_AT;
     let at = match (config.refit_steps, config.steps) {
@@ -35,11 +35,12 @@ pub fn refit_step(config: &Config, points: &[[f64; 3]]) -> Option<u64> {
     (at > 0 && points.len() < ENOUGH_POINTS).then_some(at)
 }
 
-/// After how many steps a training ends, as it was planned before the first step and planned anew on its way.
+/// The planned length of a training in steps, as first planned and as changed on its way.
 ///
-/// Step size and length of steps along rays follow the share of the training that is done ([`Schedule::done`]), and that
-/// follows this list alone: two trainings of one schedule are equal to the bit, whatever the clock said when the first was
-/// planned. As JSON a list of pairs: the step before which it was planned, and the steps of the whole training.
+/// Step size and length of steps along rays follow the share of the training that is done
+/// ([`Schedule::done`]), and that follows this list alone. Two trainings of one schedule are equal to the
+/// bit, at whatever time the first was planned. As JSON it is a list of pairs: the step before which it was
+/// planned, and the steps of the whole training.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "Vec<[u64; 2]>", into = "Vec<[u64; 2]>")]
 pub struct Schedule {
@@ -49,10 +50,10 @@ pub struct Schedule {
 /// Most plans of a schedule.
 const MOST_PLANS: usize = 1_000;
 
-/// A list that is no schedule.
+/// A list that is not a schedule.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "{fault}; write `[[0, STEPS], [AT, STEPS], ...]`, 1 to {MOST_PLANS} pairs in the order of the steps AT"
+    "{fault}: write `[[0, STEPS], [AT, STEPS], ...]`, 1 to {MOST_PLANS} pairs in the order of the steps AT"
 )]
 pub struct ScheduleError {
     fault: String,
@@ -66,7 +67,8 @@ impl Schedule {
         }
     }
 
-    /// Plans the end anew after `at` steps, at least one further step; of two plans after as many steps the later holds.
+    /// Changes the planned end after `at` steps, at least one further step. Of two plans after as many steps
+    /// the later holds.
     pub fn plan(&mut self, at: u64, steps: u64) {
         self.planned.retain(|plan| plan[0] < at);
         self.planned.push([at, steps.max(at.saturating_add(1))]);
@@ -87,14 +89,14 @@ impl Schedule {
         self.planned.len()
     }
 
-    /// Returns the share of the training that is done after so many steps, in [0, 1]; 1 beyond its end.
+    /// Returns the share of the training that is done after a number of steps, in [0, 1]. 1 beyond its end.
     ///
-    /// Where the end is planned anew the share stays, and what is left is spread over the steps that are left.
+    /// If the end is changed, the share stays, and the rest is spread over the remaining steps.
     pub fn done(&self, steps: u64) -> f64 {
         self.place(steps).0
     }
 
-    /// Returns the end as it was planned after so many steps.
+    /// Returns the planned end after a number of steps.
     pub fn end_at(&self, steps: u64) -> u64 {
         self.place(steps).1
     }
@@ -171,8 +173,8 @@ mod tests {
         assert_eq!(Schedule::once(0).steps(), 1);
     }
 
-    /// 1,000 steps planned, after 250 of them 500: a quarter is done, and 250 steps are left for three quarters; after 300
-    /// again 1,000: two fifths are done, and 700 steps are left.
+    /// 1,000 steps planned, after 250 of them 500: a quarter is done, and 250 steps remain for three
+    /// quarters. After 300 again 1,000: two fifths are done, and 700 steps remain.
     #[test]
     fn a_new_end_keeps_what_is_done_and_spreads_the_rest_over_the_steps_left() {
         let schedule = planned(&[[0, 1_000], [250, 500], [300, 1_000]]);
@@ -197,8 +199,8 @@ mod tests {
         );
     }
 
-    /// A training that is planned on its way and one that knows all plans from the start are at the same place, at the very
-    /// step of a plan too: what was decided there by the older plan is decided so again.
+    /// A training planned on its way and one that knows all plans from the start are at the same place, at
+    /// the very step of a plan too. The older plan decides there in both.
     #[test]
     fn plans_of_later_steps_change_nothing_and_none_jumps() {
         let mut way = Schedule::once(977);

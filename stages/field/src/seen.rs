@@ -10,7 +10,7 @@ use crate::frame::Frame;
 /// Cells of a brick a side: seen or not is first decided brick by brick.
 const BRICK: u32 = 4;
 
-/// Returns for every cell whether some camera looks at it; a margin makes the answer yes where in doubt.
+/// Returns for every cell whether some camera looks at it. A margin makes the answer yes where in doubt.
 pub fn seen_cells(side: u32, frame: &Frame, views: &[View]) -> Vec<bool> {
     let bricks = side / BRICK;
     let watchers: Vec<_> = views

@@ -11,12 +11,12 @@ use crate::weights::Weights;
 /// have to grow. `benches/field.md`.
 pub const EVEN: f32 = 0.02;
 
-/// Memory for the samples of some rays; reused, never read before it is written.
+/// Memory for the samples of some rays. It is reused, and never read before it is written.
 #[derive(Clone, Default)]
 pub struct Shade {
-    /// The samples; padded to a multiple of 16 with samples of no length.
+    /// The samples, padded to a multiple of 16 with samples of no length.
     pub samples: Samples,
-    /// Encoded features level by level, `[levels, n, F]`: what one lookup writes lies together.
+    /// Encoded features level by level, `[levels, n, F]`: one lookup writes adjacent numbers.
     planes: Vec<Block>,
     /// The same sample by sample, `[n, levels F]`: input of the density network.
     pub features: Vec<Block>,
@@ -119,8 +119,8 @@ impl Shade {
         }
     }
 
-    /// Lists about `most` of the samples of every ray that show, chosen by weight, and lets each stand for those that it was
-    /// chosen from: its length is divided by the share p with which it is chosen.
+    /// Lists about `most` of the samples of every ray that show, chosen by weight. Each represents those that
+    /// it was chosen from: its length is divided by the share p with which it is chosen.
     ///
     /// p = min(1, `most` (w + [`EVEN`] / n)), w the weight and n the samples of the ray that show: in the mean over all draws the
     /// optical depth along the ray stays what it is. One draw a ray ([`draw`]) chooses all of its samples (systematic
@@ -153,7 +153,7 @@ impl Shade {
         along.iter().take_while(|left| **left >= OPAQUE).count()
     }
 
-    /// Keeps these samples, in their order; spans then point to what is left.
+    /// Keeps these samples, in their order. Spans then point to the kept samples.
     pub fn keep(&mut self, spans: &mut [Span], kept: &[u32]) {
         let mut to = 0;
         for span in spans {
@@ -197,7 +197,7 @@ impl Shade {
         }
     }
 
-    /// Runs the colour network; `harmonics` are those of every ray's direction.
+    /// Runs the colour network. `harmonics` are those of every ray's direction.
     pub fn colours(
         &mut self,
         level: InstructionSet,
@@ -229,7 +229,7 @@ impl Shade {
     }
 }
 
-/// Moves samples of `width` elements each to the front; `kept` tells in rising order where they are.
+/// Moves samples of `width` elements each to the front. `kept` lists their indices in rising order.
 fn gather<T: Copy>(elements: &mut [T], width: usize, kept: &[u32]) {
     for (to, from) in kept
         .iter()
@@ -242,8 +242,8 @@ fn gather<T: Copy>(elements: &mut [T], width: usize, kept: &[u32]) {
     }
 }
 
-/// Returns a number in [0, 1) that nothing on the ray follows, from the bits of the distance of its first sample (lowbias32 of
-/// Wellons 2018): the same on every device.
+/// Returns a number in [0, 1) unrelated to anything on the ray, from the bits of the distance of its first
+/// sample (lowbias32 of Wellons 2018). It is the same on every device.
 fn draw(t: f32) -> f32 {
     let mut bits = t.to_bits();
     bits = (bits ^ bits >> 16).wrapping_mul(0x7feb_352d);
@@ -255,7 +255,7 @@ fn draw(t: f32) -> f32 {
 mod tests {
     use super::*;
 
-    /// A ray of so many samples in one span; `t` is the distance of the first.
+    /// A ray of these samples in one span. `t` is the distance of the first.
     fn ray(raw: &[f32], t: f32) -> (Shade, [Span; 1]) {
         let mut shade = Shade {
             raw: raw.to_vec(),
@@ -272,7 +272,7 @@ mod tests {
         (shade, spans)
     }
 
-    /// Fog, a surface, and what lies behind it.
+    /// Fog, a surface, and matter behind it.
     fn scene() -> Vec<f32> {
         let fog = std::iter::repeat_n(-1.0, 60);
         fog.chain([3.0, 5.0, 7.0, 8.0, 8.0, 8.0])

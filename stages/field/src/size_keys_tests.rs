@@ -59,7 +59,7 @@ fn a_factor_and_a_shift_vary_what_is_derived_and_what_is_said() {
     assert_eq!(varied.log2_table.value + 4, asked.log2_table.value, "{varied:?}");
     let reason = &varied.log2_table.reason;
     assert!(
-        reason.starts_with("`log2_table_shift` is -2; ") && reason.contains("want 2^"),
+        reason.starts_with("`log2_table_shift` is -2: ") && reason.contains("want 2^"),
         "{reason}"
     );
 

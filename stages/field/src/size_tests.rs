@@ -10,7 +10,7 @@ use crate::size::{Sizes, derive};
 use crate::test_scene::{ball, ball_view, psnr, small, trained};
 use crate::{Config, View, ViewDependence};
 
-/// Cameras in a row, 10 above the plane z = 0, looking down; photos of `side` pixels a side.
+/// Cameras in a row, 10 above the plane z = 0, looking down. Photos have `side` pixels a side.
 pub fn above(side: u32) -> Vec<View> {
     let eyes = [[-1.0, 0.0], [0.0, 0.1], [1.0, 0.0]];
     let view = |[x, y]: [f64; 2]| View {
@@ -50,7 +50,7 @@ fn a_plane_is_sized_by_hand() {
     // 80 % of the points of a square have a maximum norm below sqrt(0.8) of half its side.
     assert!((frame.half_side - 0.8_f64.sqrt() * 4.0).abs() < 0.05, "{frame:?}");
     let sizes = sizes(&views, &points);
-    // Points are 10 away straight down, at most 12.1 in the corners; a pixel covers 10.4 / 512 at the median.
+    // Points are 10 away straight down, at most 12.1 in the corners. A pixel covers 10.4 / 512 at the median.
     let near = sizes.near.value * frame.half_side;
     let far = sizes.far.value * frame.half_side;
     assert!((5.0..5.1).contains(&near), "{near}: {}", sizes.near.reason);
@@ -59,7 +59,7 @@ fn a_plane_is_sized_by_hand() {
         "{far}: {}",
         sizes.far.reason
     );
-    // A tenth of what is seen lies within 2.3 of the foot of its camera: 10 to 10.3 away.
+    // A tenth of the points in view is within 2.3 of the foot of its camera: 10 to 10.3 away.
     let cells = [10.3, 10.0].map(|depth| (4.0 * frame.half_side * 512.0 / depth) as u32);
     assert!(
         (cells[0]..=cells[1]).contains(&sizes.finest.value),
@@ -73,7 +73,7 @@ fn a_plane_is_sized_by_hand() {
         "{}",
         sizes.levels.reason
     );
-    // The inner box is half of the contracted one, 350 cells a side; the rim of 12 % a side is contracted.
+    // The inner box is half of the contracted one, 350 cells a side. The rim of 12 % a side is contracted.
     let inner = (f64::from(sizes.finest.value) / 2.0).powi(2);
     let ratio = sizes.surface_cells.value as f64 / inner;
     assert!(
@@ -95,7 +95,7 @@ fn the_last_steps_at_matter_near_and_far_are_at_most_a_pixel_long() {
         let frame = Frame::derive(&views, &points);
         let sizes = sizes(&views, &points);
         let steps = sizes.steps(&Config::default(), sizes.halvings.value);
-        // From the near percentile of what is seen on, twice `near`, to the far one, an eighth of `far`.
+        // From the near percentile of the points in view, twice `near`, to the far one, an eighth of `far`.
         let seen = 2.0 * sizes.near.value..=sizes.far.value / 8.0;
         let pairs = steps.begin.iter().zip(&steps.length).take(steps.count);
         let longest = pairs
@@ -124,7 +124,7 @@ fn close_ups_decide_the_finest_cells_and_a_single_one_does_not() {
     };
     let finest = |views: &[View]| f64::from(sizes(views, &points).finest.value);
     let mut both = [far.clone(), far.clone()].concat();
-    // Cameras at a tenth of the height see 1 / 64 of the plane each, of which the others see all.
+    // Cameras at a tenth of the height see 1 / 64 of the plane each. The others see all of that.
     low(&mut both[..3]);
     assert!(
         (finest(&both) / finest(&far) - 1.0).abs() < 0.05,
@@ -324,7 +324,7 @@ fn photos_without_detail_ask_for_a_small_table_and_a_short_training_decides_befo
         let sizes = sizes_of(&views, &plane(256), &config);
         (sizes.log2_table.value, sizes.log2_table.reason)
     };
-    // What every pixel tells is what `a_plane_is_sized_by_hand` has.
+    // The table for detail in every pixel is that of `a_plane_is_sized_by_hand`.
     let tables = [6.0, 24.0, 48.0, 96.0, 400.0].map(|wave_px| table(wave_px, None).0);
     assert_eq!((tables[0], tables[4]), (16, 12), "{tables:?}");
     assert!(

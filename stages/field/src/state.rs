@@ -23,18 +23,18 @@ pub struct State {
     pub average: Weights,
     /// Moments of Adam, in the order of `Weights::tensors`.
     pub moments: Vec<Moments>,
-    /// `[views, 4]` log gains; the fourth number is unused. Then as many offsets, if photos have them.
+    /// `[views, 4]` log gains. The fourth number is unused. Then as many offsets, if photos have them.
     pub gains: Vec<f32>,
     /// Moments of `gains`.
     pub gain_moments: Moments,
     /// Cells that may hold matter.
     pub occupancy: Occupancy,
-    /// Scales of the tables' integer gradients, level by level; empty on the CPU.
+    /// Scales of the tables' integer gradients, level by level. Empty on the CPU.
     pub scales: Vec<f32>,
 }
 
 impl State {
-    /// Returns the state at step 0; `samples_per_ray` is a first guess.
+    /// Returns the state at step 0. `samples_per_ray` is a first guess.
     pub fn new(
         config: &Config,
         views: &[View],
@@ -81,7 +81,7 @@ impl State {
     }
 }
 
-/// Returns what a ray of a batch cost, in samples; one that is trained counts four times one that is only visited.
+/// Returns the cost of a ray of a batch, in samples. A trained one counts four times a visited one.
 pub fn cost(rays: u64, visited: u64, trained: u64) -> f64 {
     (visited + 3 * trained) as f64 / (4 * rays) as f64
 }

@@ -1,4 +1,4 @@
-//! Named tensors in the safetensors format, with one JSON text beside them.
+//! Named tensors in the safetensors format, with one JSON text in the header.
 
 use std::borrow::Cow;
 use std::collections::HashMap;
@@ -12,7 +12,7 @@ use crate::{Config, FieldError, Sizes};
 /// The header entry that holds our JSON. One entry only: the crate writes several in no fixed order.
 const ENTRY: &str = "marf";
 
-/// Tensors on their way into bytes; they stay where they are until the file is written.
+/// Tensors to be written as bytes. They stay where they are until the file is written.
 #[derive(Default)]
 pub struct Writer<'a> {
     tensors: Vec<(String, Tensor<'a>)>,
@@ -76,7 +76,7 @@ impl<'a> Writer<'a> {
         self.tensors.push((name, Tensor { values, shape }));
     }
 
-    /// Returns the file; the same tensors give the same bytes.
+    /// Returns the file. The same tensors give the same bytes.
     pub fn finish(self, json: String) -> Vec<u8> {
         let header = HashMap::from([(ENTRY.to_owned(), json)]);
         // Every length is its slice's, so no tensor is refused and nothing else can fail in memory.
@@ -84,7 +84,7 @@ impl<'a> Writer<'a> {
     }
 }
 
-/// Tensors in bytes; offsets and lengths have been checked against the file.
+/// Tensors in bytes. Offsets and lengths have been checked against the file.
 pub struct Reader<'a> {
     what: &'static str,
     tensors: SafeTensors<'a>,
@@ -96,7 +96,7 @@ impl<'a> Reader<'a> {
     /// Reads the header.
     ///
     /// # Errors
-    /// [`FieldError::Malformed`] where the bytes are no safetensors or lack our entry.
+    /// [`FieldError::Malformed`] if the bytes are not safetensors or lack our entry.
     pub fn new(what: &'static str, bytes: &'a [u8]) -> Result<Self, FieldError> {
         let malformed = |reason: String| FieldError::Malformed { what, reason };
         let tensors = SafeTensors::deserialize(bytes).map_err(|error| malformed(error.to_string()))?;
@@ -147,7 +147,7 @@ impl<'a> Reader<'a> {
         Ok(())
     }
 
-    /// Checks that a tensor has so many numbers, before memory is taken for it.
+    /// Checks that a tensor has `len` numbers, before memory is allocated for it.
     ///
     /// # Errors
     /// As [`Reader::floats`].

@@ -26,7 +26,7 @@ fn shade(origin: Vector3<f64>, direction: Vector3<f64>) -> [u8; 3] {
     [160.0 + 60.0 * wave, 110.0 - 40.0 * wave, 80.0 + 20.0 * wave].map(|channel| channel as u8)
 }
 
-/// Returns a view of the ball of `width` pixels a side; `angle` around it, rad, and `height`.
+/// Returns a view of the ball, `width` pixels a side, at `angle` around it, rad, and `height`.
 pub fn ball_view(angle: f64, height: f64, width: u32) -> View {
     let eye = Vector3::new(3.0 * angle.cos(), 3.0 * angle.sin(), height);
     let camera = Camera::pinhole(width, width, f64::from(width));
@@ -46,7 +46,7 @@ pub fn ball_view(angle: f64, height: f64, width: u32) -> View {
     }
 }
 
-/// Returns so many views around the ball.
+/// Returns `count` views around the ball.
 pub fn ball(count: u32, width: u32) -> Vec<View> {
     let angle = |index: u32| f64::from(index) / f64::from(count) * std::f64::consts::TAU;
     (0..count)
@@ -72,7 +72,7 @@ pub fn small() -> Config {
     }
 }
 
-/// Trains so many steps.
+/// Trains for `steps` steps.
 ///
 /// # Panics
 /// If the training is refused.

@@ -14,14 +14,14 @@ pub struct Trainer {
     pub(crate) backend: Arc<dyn Backend>,
     /// The training where the backend has it.
     pub session: Box<dyn Session>,
-    /// What came of steps that no call has told of.
+    /// Results of the steps that no call has reported.
     pub(crate) untold: Step,
 }
 
 impl Trainer {
     /// Returns a trainer at step 0, on the CPU.
     ///
-    /// `points` are sparse surface points in the world; they may be empty.
+    /// `points` are sparse surface points in the world. They may be empty.
     ///
     /// # Errors
     /// See [`FieldError`]: no views, sizes that differ, cameras that are not finite, a key out of range.
@@ -35,8 +35,8 @@ impl Trainer {
         Self::from_training(training, Arc::new(Cpu::best()))
     }
 
-    /// As [`Trainer::new`], in the box and with the sizes that another training of the scene derived; the box then stays as it
-    /// is.
+    /// As [`Trainer::new`], in the box and with the sizes that another training of the scene derived. The box
+    /// then stays as it is.
     ///
     /// # Errors
     /// As [`Trainer::new`], and a box or a size that cannot be used.
@@ -51,11 +51,11 @@ impl Trainer {
         Self::from_training(training, Arc::new(Cpu::best()))
     }
 
-    /// As [`Trainer::with_derived`], in the box and with the sizes of `field`, and from its weights and its occupancy: moments
-    /// are zero, and exposures of photos that it does not know neutral.
+    /// As [`Trainer::with_derived`], in the box and with the sizes of `field`, and from its weights and its
+    /// occupancy. Moments are zero, and exposures of new photos neutral.
     ///
     /// # Errors
-    /// As [`Trainer::with_derived`], and a configuration for which the field has not the tensors.
+    /// As [`Trainer::with_derived`], and a configuration that needs tensors which the field does not have.
     pub fn from_field(
         views: Vec<View>,
         points: &[[f64; 3]],
@@ -81,7 +81,7 @@ impl Trainer {
         })
     }
 
-    /// Moves the training to a backend; all further steps are taken there.
+    /// Moves the training to a backend. All further steps are taken there.
     ///
     /// # Errors
     /// A device that lacks something or has too little memory.
@@ -93,19 +93,20 @@ impl Trainer {
         })
     }
 
-    /// Takes one optimiser step on the CPU; on a GPU up to the next multiple of 16, at most `most`, at least one.
+    /// Takes one optimiser step on the CPU. On a GPU it steps to the next multiple of 16, at most `most`, at
+    /// least one.
     ///
-    /// Tells what came of steps that no call has told of: of this one on the CPU, of the call before on a GPU, which works on
-    /// while the host reads. [`Trainer::settle`] tells the rest.
+    /// Reports the steps that no call has reported. On the CPU these are this one. On a GPU they are those of
+    /// the call before, and the GPU keeps working while the host reads. [`Trainer::settle`] reports the rest.
     ///
-    /// Where no sparse points have told the box, it is fitted once to what the field has found: the field then starts anew
-    /// in it.
+    /// If no sparse points have decided the box, it is fitted once to the matter that the field has found.
+    /// The field then restarts in it.
     ///
     /// On a GPU all steps of one call have as many rays: a training that is cut elsewhere than at multiples of 16
     /// learns other bytes than one that is not.
     ///
     /// # Errors
-    /// [`FieldError::NotFinite`]; the trainer then still holds the state before the step that is named.
+    /// [`FieldError::NotFinite`]. The trainer then still holds the state before the named step.
     /// [`FieldError::Gpu`] where the device failed.
     pub fn advance(&mut self, most: u64) -> Result<Step, FieldError> {
         let step = self.session.advance(&mut self.training, most)?;
@@ -116,7 +117,7 @@ impl Trainer {
         Ok(std::mem::take(&mut self.untold))
     }
 
-    /// Waits for all steps that were taken, and tells what came of those that no call has told of.
+    /// Waits for all steps that were taken, and reports those that no call has reported.
     ///
     /// # Errors
     /// As [`Trainer::advance`].
@@ -143,8 +144,8 @@ impl Trainer {
         self.session.download(&mut self.training.state)
     }
 
-    /// Plans the end anew, after so many steps, at least one more: step size and length of steps along rays follow; sizes and
-    /// what was learnt stay as they are.
+    /// Changes the planned end to `steps`, at least one step from now. Step size and length of steps along
+    /// rays follow. Sizes and weights stay as they are.
     pub fn plan(&mut self, steps: u64) {
         self.training.schedule.plan(self.training.state.steps, steps);
     }
@@ -176,7 +177,7 @@ impl Trainer {
         self.training.state.steps
     }
 
-    /// Returns the field as of now; it renders where the training runs.
+    /// Returns the field as of now. It renders where the training runs.
     ///
     /// # Errors
     /// A GPU that failed.
@@ -193,7 +194,7 @@ impl Trainer {
         Field::new(model, self.backend.clone())
     }
 
-    /// Returns what a later training must know of this one's photos.
+    /// Returns the history of this training's photos for a later training.
     ///
     /// # Errors
     /// A GPU that failed.

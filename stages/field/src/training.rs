@@ -16,7 +16,8 @@ use crate::{
     Background, Config, Derived, Facts, FieldError, LevelFacts, Occupied, Quality, Sizes, background, size,
 };
 
-/// A box is left as it is unless one that fits the matter has at most this share of its half side: the field starts anew.
+/// Largest share of its half side at which a box fitted to the matter replaces the old one: the field then
+/// restarts.
 const SMALLER: f64 = 0.75;
 
 /// A training: photos, settings, what was derived from them, and the state.
@@ -39,22 +40,24 @@ pub struct Training {
     pub sizes: Sizes,
     /// Steps along rays, as often halved as the state says.
     pub march: Steps,
-    /// Step after which the box is fitted to the field; `None` where sparse points, or another training, have decided it.
+    /// Step after which the box is fitted to the field. `None` where sparse points, or another training, have
+    /// decided it.
     pub refit_step: Option<u64>,
     /// Digest of photos, cameras, poses, points that pull, and the box at first: checkpoints of another training have another.
     pub fingerprint: u64,
-    /// What the views see of the sparse points; empty where they do not pull.
+    /// Observations of the sparse points in the views. Empty where they do not pull.
     pub observations: Vec<Observation>,
     /// Corrections of the moments by step count.
     pub bias: Bias,
-    /// How often the steps along rays were halved in the field that it starts from; none where it starts from nothing.
+    /// How often the steps along rays were halved in the field that it starts from. `None` where it starts
+    /// from nothing.
     pub halved_before: Option<u32>,
     /// All that changes.
     pub state: State,
 }
 
 impl Training {
-    /// Returns a training at step 0; `points` are sparse surface points in the world and may be empty.
+    /// Returns a training at step 0. `points` are sparse surface points in the world and may be empty.
     ///
     /// # Errors
     /// See [`FieldError`]: no views, sizes that differ, cameras that are not finite, a key out of range.
@@ -75,7 +78,7 @@ impl Training {
         })
     }
 
-    /// As [`Training::new`], in the box and with the sizes of another training; the box then stays as it is.
+    /// As [`Training::new`], in the box and with the sizes of another training. The box then stays as it is.
     ///
     /// # Errors
     /// As [`Training::new`], and a box or a size that cannot be used.
@@ -132,8 +135,8 @@ impl Training {
         }
     }
 
-    /// Fits box, sizes and occupancy to points of the world at which the field has found matter; its tables and
-    /// networks start anew. Returns whether it did: a box stays that would not be a quarter smaller.
+    /// Fits box, sizes and occupancy to points of the world at which the field has found matter, and restarts
+    /// its tables and networks. Returns whether it did: a box that would not be a quarter smaller stays.
     pub fn refit(&mut self, points: &[[f64; 3]]) -> bool {
         if points.len() < ENOUGH_POINTS {
             return false;
@@ -160,7 +163,8 @@ impl Training {
         true
     }
 
-    /// Returns the state for a field of other sizes, its tables and networks zero; steps and exposures go on.
+    /// Returns the state for a field of other sizes, its tables and networks zero. Steps and exposures
+    /// continue.
     pub fn placed(&self, sizes: &Sizes, occupancy: Occupancy) -> State {
         let (config, state) = (&self.config, &self.state);
         let weights = Weights::zeros(config, sizes);
@@ -174,21 +178,21 @@ impl Training {
         }
     }
 
-    /// Puts the training into a box; no session that was begun before knows of it.
+    /// Puts the training into a box. Sessions that were begun before do not see it.
     pub fn place(&mut self, frame: Frame, sizes: Sizes, state: State) {
         self.march = sizes.steps(&self.config, state.halvings);
         (self.frame, self.sizes, self.state) = (frame, sizes, state);
     }
 
-    /// Returns whether the training can be in this box after so many steps: the box at first, or a smaller one once it was
-    /// fitted.
+    /// Returns whether the training can be in this box after a number of steps: the box at first, or a
+    /// smaller one once it was fitted.
     pub fn may_hold(&self, frame: &Frame, steps: u64) -> bool {
         let is_fitted = self.refit_step.is_some_and(|at| at <= steps);
         *frame == self.frame
             || (is_fitted && frame.half_side <= SMALLER * self.frame.half_side && frame.half_side > 0.0)
     }
 
-    /// Returns what the field was sized by.
+    /// Returns the numbers that decided the size of the field.
     pub fn facts(&self) -> Facts {
         let weights = &self.state.weights;
         let levels = weights.shapes.iter().map(|shape| LevelFacts {

@@ -1,5 +1,5 @@
-//! Trainings with settings from the whole range of every key: each ends in finite numbers or in an error that names the
-//! tensor, and never in a state that cannot be taken back.
+//! Trainings with settings from the whole range of every key. Each ends in finite numbers or in an error that
+//! names the tensor, and never in a state that cannot be restored.
 
 use proptest::prelude::*;
 

@@ -27,7 +27,7 @@ fn a_patterned_ball_is_learnt_to_25_db_on_a_held_out_view() {
     let score = psnr(&field, &held_out);
     assert!(score > 25.0, "{score} dB, {:?}", field.facts());
     let render = field.render(&held_out.camera, &held_out.cam_from_world).unwrap();
-    // The middle pixel looks at the ball, about 2 units away; the corner at the sky.
+    // The middle pixel looks at the ball, about 2 units away, the corner at the sky.
     let (middle, corner) = (20 * 40 + 20, 0);
     let depth = render.depth[middle];
     assert!((1.7..2.4).contains(&depth), "depth {depth}");
@@ -89,7 +89,7 @@ fn weights_are_the_same_with_1_2_3_and_16_threads() {
 #[test]
 fn a_pixel_is_the_same_in_any_rows_any_bands_and_with_any_threads() {
     let field = trained(ball(4, 16), &small(), 7, 40).field().unwrap();
-    // 43 columns and 37 rows: tiles are cut at both edges; distortion folds in no corner.
+    // 43 columns and 37 rows: tiles are cut at both edges. Distortion folds in no corner.
     let view = ball_view(1.0, 0.3, 16);
     let camera = Camera {
         k1: 0.05,
@@ -202,7 +202,7 @@ fn a_box_is_fitted_to_the_matter_that_was_found() {
     assert!((0.6..1.2).contains(&after.half_side), "{after:?}");
     assert!(after.origin.iter().all(|x| x.abs() < 0.3), "{after:?}");
     assert!(after.reason.starts_with("after 128 steps"), "{after:?}");
-    // From before and from behind, a resumed training goes on with the same bytes.
+    // From a state before and from one behind, a resumed training continues with the same bytes.
     let mut behind = resume(&mut trainer);
     for trainer in [&mut trainer, &mut resumed, &mut behind] {
         for _ in 0..72 {

@@ -56,7 +56,7 @@ impl Training {
         Ok(())
     }
 
-    /// Takes over the exposures of the photos that the field was trained on; new ones start neutral.
+    /// Takes over the exposures of the photos that the field was trained on. New ones start neutral.
     fn take_exposures(&mut self, learnt: Option<&PhotoHistory>) {
         let half = self.views.len() * ROW;
         for (view, photo) in self.views.iter().enumerate() {
@@ -94,7 +94,7 @@ mod tests {
             .collect()
     }
 
-    /// A field of the even views of a ring of eight, after so many steps, and all eight.
+    /// A field of the even views of a ring of eight, after `steps` steps, and all eight.
     fn begun(steps: u32) -> (Field, Vec<View>) {
         let views = ball(8, 16);
         let even = views.iter().step_by(2).cloned().collect();
@@ -252,7 +252,7 @@ mod tests {
         let points: Vec<[f64; 3]> = (0..101)
             .map(|index| [2.0 + f64::from(index) / 50.0, 0.0, 0.0])
             .collect();
-        // Their median is 3, and 80 % lie within 0.8.
+        // Their median is 3, and 80 % are within 0.8.
         let reach = derived.reach(&points, &[at(1.0)], &[at(99.0)]);
         assert!((reach - (1.0 + 0.4)).abs() < 0.011, "{reach}");
         let cameras =

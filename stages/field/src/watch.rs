@@ -67,7 +67,7 @@ impl Watch {
     }
 }
 
-/// Does a part of a step; its time is taken where someone watches.
+/// Does a part of a step. Its time is taken if someone watches.
 pub fn timed<T>(watch: Option<&Watch>, part: Part, work: impl FnOnce() -> T) -> T {
     let Some(watch) = watch else {
         return work();

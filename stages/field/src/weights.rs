@@ -29,7 +29,7 @@ pub struct Weights {
     pub background: Vec<f32>,
 }
 
-/// Resolutions from `base` to `finest` in equal ratios; computed without a power function.
+/// Resolutions from `base` to `finest` in equal ratios, computed without a power function.
 pub fn resolutions(base: u32, finest: u32, levels: u32) -> Vec<u32> {
     let growth = root(
         f64::from(finest.max(base)) / f64::from(base),
@@ -85,7 +85,7 @@ impl Weights {
         }
     }
 
-    /// Draws start values: tables in +-1e-4, networks by Glorot; the background starts gray.
+    /// Draws start values: tables in +-1e-4, networks by Glorot. The background starts gray.
     pub fn randomise(&mut self, seed: u64) {
         for (level, table) in self.tables.iter_mut().enumerate() {
             let mut rng = Rng::new(seed, Purpose::Tables, 0, level as u64);
@@ -112,7 +112,7 @@ impl Weights {
         all
     }
 
-    /// Returns the tensors of [`Weights::tensors`], to be written; call [`Weights::refresh`] afterwards.
+    /// Returns the tensors of [`Weights::tensors`], to be written. Call [`Weights::refresh`] afterwards.
     pub fn tensors_mut(&mut self) -> Vec<(String, &mut [f32])> {
         let tables = self.tables.iter_mut().enumerate();
         let mut all: Vec<_> = tables

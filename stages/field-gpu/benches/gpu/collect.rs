@@ -16,7 +16,7 @@ pub fn collect(folder: &Path) -> Result<(), Box<dyn Error>> {
         return Err(format!("{} is no folder", folder.display()).into());
     }
     parts(folder)?;
-    println!("\n## Kernels beside ceilings and model");
+    println!("\n## Kernels, ceilings and model");
     for line in lines::<Line>(&folder.join("bench.jsonl"))? {
         match line {
             Line::Kernels(kernels) => print!("\n{}", table::kernels(&kernels)),
@@ -29,7 +29,7 @@ pub fn collect(folder: &Path) -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// Reads a value a line; none where the file is not there.
+/// Reads a value a line. Empty if the file does not exist.
 fn lines<T: DeserializeOwned>(path: &Path) -> Result<Vec<T>, Box<dyn Error>> {
     if !path.exists() {
         return Ok(Vec::new());

@@ -1,11 +1,13 @@
-//! Every kernel of a training step on a GPU beside the ceilings of the device: `cargo bench -p marf-field --bench gpu`.
+//! Every kernel of a training step on a GPU with the ceilings of the device: `cargo bench -p marf-field
+//! --bench gpu`.
 //!
-//! `MARF_BENCH_GPU` names the device (`gpu` or `gpu:NAME`), `MARF_BENCH_SAMPLES` the samples of a batch, several after each
-//! other between commas, `MARF_BENCH_STEPS` the steps that are taken, then timed by timestamps, then by the clock,
-//! `MARF_BENCH_VIEW` the size of the picture, `MARF_BENCH_JSON` a file for a line of JSON each. `-- collect DIR` instead
-//! prints what `benches/gpu.sh run` left in a folder as Markdown, beside what the model expects; `-- model` prints the model;
-//! `-- halvings` times steps of one training, its steps along rays halved not at all, three times and six times, in turns.
-//! See `benches/gpu.md`.
+//! `MARF_BENCH_GPU` names the device (`gpu` or `gpu:NAME`). `MARF_BENCH_SAMPLES` is the samples of a batch,
+//! several after each other between commas. `MARF_BENCH_STEPS` is the steps that are taken, then timed by
+//! timestamps, then by the clock. `MARF_BENCH_VIEW` is the size of the picture, `MARF_BENCH_JSON` a file for
+//! a line of JSON each. `-- collect DIR` instead prints the results of `benches/gpu.sh run` in a folder as
+//! Markdown, with the model's expectation. `-- model` prints the model. `-- halvings` times steps of one
+//! training, its steps along rays halved not at all, three times and six times, in turns. See
+//! `benches/gpu.md`.
 #![allow(clippy::print_stdout, clippy::print_stderr, clippy::expect_used, missing_docs)]
 
 mod collect;
@@ -28,7 +30,7 @@ use marf_scene::Camera;
 use measured::{Kernel, Kernels, Line, View, ViewShape};
 
 fn main() -> ExitCode {
-    // `cargo bench` adds `--bench`; `cargo test --all-targets` builds and starts it, too.
+    // `cargo bench` adds `--bench`. `cargo test --all-targets` builds and starts it, too.
     let mut arguments: Vec<String> = std::env::args().skip(1).collect();
     let count = arguments.len();
     arguments.retain(|argument| argument != "--bench");
@@ -189,7 +191,7 @@ impl std::str::FromStr for Size {
 /// Samples of the step that is counted: a card's.
 const COUNTED: f64 = (1 << 18) as f64;
 
-/// Prints what the kernels of a step of 2^18 samples do; a small batch tells.
+/// Prints the costs of the kernels of a step of 2^18 samples, predicted by a small batch.
 fn counted(gpu: &Arc<Gpu>, config: &Config) -> Result<(), Box<dyn Error>> {
     let config = Config {
         batch_samples: 1 << 13,

@@ -69,7 +69,7 @@ pub struct View {
     pub height: u32,
     /// What the model of its time is made from.
     pub shape: ViewShape,
-    /// Seconds of every run but the first, ascending; copied back to the host each time.
+    /// Seconds of every run but the first, ascending. Each is copied back to the host.
     pub seconds: Vec<f64>,
 }
 

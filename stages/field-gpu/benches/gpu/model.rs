@@ -1,8 +1,9 @@
-//! What every kernel of a step is expected to take on a card: amounts counted from the kernels' texts over rates of the card,
-//! line by line, so that the first run on a card can refute each line by itself.
+//! Expected time of every kernel of a step on a card: amounts counted from the kernels' texts over rates of
+//! the card, line by line. The first run on a card can refute each line by itself.
 //!
-//! No line is fitted to a measurement. Amounts are those of the kernels as they are, repeated reads counted where no cache
-//! is expected to hold them; rates are those of an H100-class card from its data sheet, cut to what plain kernels reach.
+//! No line is fitted to a measurement. Amounts are those of the kernels as they are, repeated reads counted
+//! where no cache is expected to hold them. Rates are those of an H100-class card from its data sheet, cut to
+//! what plain kernels reach.
 
 use marf_field_gpu::Shape;
 
@@ -24,7 +25,7 @@ const READ_S: f64 = 60e-6;
 const LINK: f64 = 20e9;
 /// Rays of a picture at once on a card.
 const RAYS_AT_ONCE: f64 = 65_536.0;
-/// Rounds of a picture, of 8, 16, 32 and 64 samples a ray at most; reads between them, and those at the end.
+/// Rounds of a picture, of 8, 16, 32 and 64 samples a ray at most. Reads between them, and those at the end.
 const ROUNDS: f64 = 4.0;
 const READS: f64 = 4.0;
 /// Samples a pixel of a trained field: those of the first two rounds for every ray that meets matter.
@@ -195,7 +196,7 @@ fn tables(shape: &Shape) -> Vec<Need> {
     ]
 }
 
-/// Returns the lines of a picture of so many pixels: every line of all its rounds.
+/// Returns the lines of a picture of `pixels` pixels: every line of all its rounds.
 pub fn view(shape: &ViewShape, pixels: f64) -> Vec<Line> {
     let batches = (pixels / RAYS_AT_ONCE).ceil();
     let samples = pixels * SAMPLES_A_PIXEL;
@@ -248,10 +249,11 @@ pub fn view(shape: &ViewShape, pixels: f64) -> Vec<Line> {
     lines
 }
 
-/// Returns the shape of a step of the largest field of this benchmark in the middle of a training on photos: ten samples a
-/// ray, all of which show.
+/// Returns the shape of a step of the largest field of this benchmark midway through a training on photos:
+/// ten samples a ray, all of which show.
 pub fn middle(samples: f64) -> Shape {
-    // 5 levels are dense; of the entries of the others those are touched that one of 8 corners a sample falls on.
+    // 5 levels are dense. Of the others, the touched entries are those that one of 8 corners a sample falls
+    // on.
     let (dense, hashed, entries) = (332_000.0, 11.0, f64::from(1 << 19));
     let touched = |entries: f64| entries * (1.0 - (-8.0 * samples / entries).exp());
     Shape {

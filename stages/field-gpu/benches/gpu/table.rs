@@ -1,4 +1,4 @@
-//! What was measured as Markdown, beside the ceilings of the device and what the model expects of a card.
+//! Measurements as Markdown, with the ceilings of the device and the model's expectation for a card.
 
 use std::fmt::Write as _;
 
@@ -49,7 +49,7 @@ pub fn kernels(found: &Kernels) -> String {
     );
     let _ = writeln!(
         text,
-        "a step: {:.3} ms by timestamps, {:.3} ms by the clock without, {:.3} ms by the model without updates; {:.2} M samples/s",
+        "a step: {:.3} ms by timestamps, {:.3} ms by the clock without, {:.3} ms by the model without updates, {:.2} M samples/s",
         1e3 * whole,
         1e3 * found.clock_s,
         1e3 * model_s,
@@ -68,7 +68,7 @@ fn rate(kernel: &Kernel, found: &Kernels) -> String {
     format!("{:.1} {unit} | {:.0} %", rate / 1e9, 100.0 * rate / ceiling)
 }
 
-/// Returns what the model expects of a card: a step of two batches, and pictures of 640 x 480 pixels.
+/// Returns the model's expectation for a card: a step of two batches, and pictures of 640 x 480 pixels.
 pub fn expected() -> String {
     let [small, large] = [15, 18].map(|log2| model::lines(&model::middle(f64::from(1 << log2))));
     let mut text =

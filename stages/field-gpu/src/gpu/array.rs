@@ -41,7 +41,7 @@ pub struct Reading<T> {
     of: PhantomData<T>,
 }
 
-/// Returns the bytes of so many elements; an empty buffer cannot be bound.
+/// Returns the bytes of `len` elements. An empty buffer cannot be bound.
 fn bytes<T>(len: usize) -> u64 {
     (len.max(1) * size_of::<T>()).next_multiple_of(4) as u64
 }
@@ -79,7 +79,8 @@ impl<T> Array<T> {
         })
     }
 
-    /// Returns elements `first..first + len` as an array of the same memory; the first byte is a multiple of 256.
+    /// Returns elements `first..first + len` as an array of the same memory. The first byte is a multiple of
+    /// 256.
     pub fn share(&self, first: usize, len: usize) -> Self {
         Self {
             buffer: self.buffer.clone(),
@@ -94,7 +95,7 @@ impl Gpu {
     /// Makes a storage array of zeros.
     ///
     /// # Errors
-    /// More than a buffer or the memory holds; a lost device.
+    /// More than a buffer or the memory holds. A lost device.
     pub fn zeros<T: Pod>(&self, what: &'static str, len: usize) -> Result<Array<T>, GpuError> {
         self.array(what, len, wgpu::BufferUsages::STORAGE)
     }
@@ -148,7 +149,7 @@ impl Gpu {
     /// Makes a buffer.
     ///
     /// # Errors
-    /// Memory that was refused; a lost device.
+    /// Memory that was refused. A lost device.
     pub(super) fn buffer(
         &self,
         what: &'static str,
@@ -212,7 +213,7 @@ impl Gpu {
         let submission = self.queue.submit([encoder.finish()]);
         let (sender, receiver) = std::sync::mpsc::channel();
         staging.map_async(wgpu::MapMode::Read, .., move |mapped| {
-            // Where the receiver is gone nobody wants the answer.
+            // Without a receiver nobody wants the answer.
             let _ = sender.send(mapped);
         });
         Reading {

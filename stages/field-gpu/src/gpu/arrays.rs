@@ -1,4 +1,4 @@
-//! What a training keeps on a device beside the weights and the batch.
+//! Arrays of a training on a device in addition to the weights and the batch.
 
 use marf_shaders::{LevelScale, Pace, Rates, Rescaling, SpreadRun, Total, found};
 

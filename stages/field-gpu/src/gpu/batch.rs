@@ -15,8 +15,8 @@ pub struct BatchSize {
 }
 
 impl BatchSize {
-    /// Returns what kernels know of columns of samples and of rays; `most` is the samples of a ray that `opacity` keeps, about, 0
-    /// where it keeps all that show.
+    /// Returns the sizes of columns of samples and of rays for kernels. `most` is the samples of a ray that
+    /// `opacity` keeps, about, 0 where it keeps all that show.
     pub fn extent(self, most: u32) -> Extent {
         Extent {
             slot: counts::RAYS,

@@ -17,9 +17,9 @@ const THREADS: usize = 1 << 20;
 const ROUNDS: u32 = 64;
 /// Operations of a thread in a round: 4 vectors of 4 chains, 4 links each, a product and a sum.
 const OPERATIONS: usize = 4 * 4 * 4 * 2;
-/// Of so many runs the fastest counts.
+/// Runs of a measurement. The fastest counts.
 const RUNS: usize = 10;
-/// Before, the device works for so long.
+/// Time for which the device works before the runs.
 const WARM: Duration = Duration::from_secs(1);
 
 /// The most that a device gives.
@@ -103,7 +103,7 @@ mod tests {
         assert_eq!(gpu.read(&copied), Ok(numbers));
     }
 
-    /// Every link rounds once, to half of 6e-8; 12 links of a sum of four.
+    /// Every link rounds once, to half of 6e-8. There are 12 links of a sum of four.
     const TOLERANCE: f32 = 2e-6;
 
     #[test]

@@ -1,4 +1,5 @@
-//! A whole batch on the device, from features to gradients; what the rays' kernels do in between is done here.
+//! A whole batch on the device, from features to gradients. The steps of the rays' kernels in between are
+//! done here.
 
 use marf_shaders::{Pace, Total, counts, found};
 
@@ -35,7 +36,7 @@ fn spans_array(spans: &[[u32; 2]]) -> Vec<u32> {
     array
 }
 
-/// Directions, what rays are compared with, pulls; zeros in the slots of no ray.
+/// Directions, targets of rays, pulls. Zeros in the slots without a ray.
 fn aims(targets: &[Target]) -> (Vec<[f32; 4]>, Vec<marf_shaders::Target>, Vec<[f32; 2]>) {
     let directions = targets.iter().map(|target| match target.start {
         Some(start) => [start.direction[0], start.direction[1], start.direction[2], 1.0],
@@ -164,7 +165,8 @@ impl<'a> Device<'a> {
         }
     }
 
-    /// The density network over all samples; then, by the CPU, the scan of what shows. Returns the samples kept.
+    /// The density network over all samples, then, by the CPU, the scan of the samples that show. Returns the
+    /// samples kept.
     fn look(&self, most: u32) -> usize {
         let (rig, gpu) = (self.rig, &self.rig.gpu);
         let before = gpu.zeros("before", SLOTS).unwrap();

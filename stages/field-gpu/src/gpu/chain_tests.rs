@@ -115,7 +115,7 @@ fn transmittances(training: &Training, targets: &[Target]) -> Vec<f32> {
     shade.transmittance.to_vec()
 }
 
-/// The CPU's gradients; the chunk holds those of the features, too.
+/// The CPU's gradients. The chunk holds those of the features, too.
 fn on_the_cpu(training: &Training, targets: &[Target]) -> Chunk {
     let shared = StepContext {
         level: InstructionSet::best(),
@@ -156,7 +156,7 @@ fn compared(test: &str, ray_samples: u32) {
     let left = transmittances(&training, &targets);
     let close = left.iter().map(|left| (left / OPAQUE - 1.0).abs());
     let closest = close.fold(f32::INFINITY, f32::min);
-    // No transmittance lies so close to what just shows that a driver's rounding decides.
+    // No transmittance is so close to the limit of showing that a driver's rounding decides.
     assert!(closest > 1e-5, "{closest}");
     assert_eq!(here.kept as u64, expected.samples);
     assert!(

@@ -1,4 +1,4 @@
-//! Numbers that stand in a kernel and in its twin on the CPU, compared as text: no adapter is needed.
+//! Numbers that are in a kernel and in its twin on the CPU, compared as text: no adapter is needed.
 
 use std::collections::BTreeSet;
 
@@ -7,7 +7,7 @@ use marf_shaders::{HARMONICS_OF, MATH, RNG};
 
 use super::array::halves;
 
-/// Returns the bits of all numbers in code that have a point or an exponent; comments and names are left out.
+/// Returns the bits of all numbers in code that have a point or an exponent. Comments and names are left out.
 fn floats(code: &str) -> BTreeSet<u32> {
     let lines = code
         .lines()
@@ -43,7 +43,7 @@ fn harmonics_have_the_coefficients_of_the_cpu() {
     assert_eq!(kernel, twin);
 }
 
-/// The kernel names ln 2's upper part by its integer and log2(e) by its digits; all else is in both.
+/// The kernel names ln 2's upper part by its integer and log2(e) by its digits. All else is in both.
 #[test]
 fn exponentials_have_the_coefficients_of_the_cpu() {
     let twin = floats(code(include_str!("../../../field/src/cpu/math.rs")));

@@ -7,8 +7,8 @@ use super::testing::{advance, gpu, own_gpu_within};
 use marf_field::test_scene::{ball, small};
 use marf_field::{Background, Config, Field, Trainer, ViewDependence};
 
-/// The limits that every implementation of WebGPU has (W3C, WebGPU, 3.6.2): 8 storage buffers a stage, bindings of 128 MiB,
-/// buffers of 256 MiB, workgroups of 256 threads and 16 KiB, 65,535 of them an axis.
+/// The limits that every implementation of WebGPU has (W3C, WebGPU, 3.6.2): 8 storage buffers a stage,
+/// bindings of 128 MiB, buffers of 256 MiB, workgroups of 256 threads and 16 KiB, 65,535 workgroups an axis.
 fn core() -> wgpu::Limits {
     let limits = wgpu::Limits::default();
     assert_eq!(limits.max_storage_buffers_per_shader_stage, 8);

@@ -42,7 +42,8 @@ pub struct Slots {
     pub rays: usize,
 }
 
-/// Returns what each kernel of some dispatches does, in their order; `None` where a kernel has no cost here.
+/// Returns the cost of each kernel of some dispatches, in their order. `None` where a kernel has no cost
+/// here.
 pub fn costs(work: &Work, slots: Slots, filled: &BatchFill) -> Option<Vec<Cost>> {
     let mut costs: Vec<Cost> = Vec::new();
     for bound in work.bounds() {
@@ -100,7 +101,7 @@ impl Arrays<'_> {
         self.whole(&[binding]) / (4 * self.slots.capacity) as f64
     }
 
-    /// Returns lookups in the tables of so many samples: corners of all levels.
+    /// Returns lookups in the tables for `samples` samples: corners of all levels.
     fn corners(&self, levels: usize, samples: f64) -> f64 {
         8.0 * samples * self.whole(&[levels]) / size_of::<marf_shaders::GridLevel>() as f64
     }
@@ -133,7 +134,7 @@ impl Arrays<'_> {
                 columns + self.rays(&[5]) + self.whole(&[6, 8, 8])
             }
             "sum" => self.whole(&[2, 3]),
-            // Density, length and weight of all; the rest of `along` of those that are chosen.
+            // Density, length and weight of all. The rest of `along` of the chosen ones.
             "opacity" => self.rays(&[2]) + 12.0 * rays + 32.0 * visited + 20.0 * kept,
             "kept" => self.rays(&[2]) + self.kept(&[4]) + 4.0 * kept,
             "compare" => self.rays(&[2, 5, 6, 9]) + 8.0 * kept + self.kept(&[4]) + rays / 64.0 * 256.0,
@@ -162,10 +163,10 @@ impl Arrays<'_> {
     }
 }
 
-/// Returns the share of corners that samples, 8 at a time, add to the tables of some levels, a cell's neighbour keeping the
-/// corners that both share: twin of the order of `shared/spread.wgsl`, where no sum is 0.
+/// Returns the share of corners that samples, 8 at a time, add to the tables of some levels. A cell's
+/// neighbour keeps the corners that both share: twin of the order of `shared/spread.wgsl`, where no sum is 0.
 ///
-/// `samples`: positions in the unit box; `resolutions`: cells a side.
+/// `samples`: positions in the unit box. `resolutions`: cells a side.
 pub fn apart(samples: &[[f32; 3]], resolutions: &[u32]) -> f64 {
     let cell = |at: &[f32; 3], side: u32| at.map(|x| ((x * side as f32) as i64).min(i64::from(side) - 1));
     let mut added = 0;

@@ -41,10 +41,10 @@ impl fmt::Debug for Gpu {
 /// The limit of one binding, as WebGPU calls it.
 pub(super) const BINDING: &str = "max_storage_buffer_binding_size";
 
-/// What was opened so far, by what was asked for: a process holds one device an adapter.
+/// Devices opened so far, by the requested device: a process holds one device an adapter.
 static OPENED: LazyLock<Mutex<HashMap<Device, Option<Arc<Gpu>>>>> = LazyLock::new(Mutex::default);
 
-/// What adapters are looked for through; OpenGL lacks what the kernels need.
+/// Backends that are searched for adapters. OpenGL lacks features of the kernels.
 const BACKENDS: wgpu::Backends = wgpu::Backends::VULKAN
     .union(wgpu::Backends::METAL)
     .union(wgpu::Backends::DX12);
@@ -52,11 +52,12 @@ const BACKENDS: wgpu::Backends = wgpu::Backends::VULKAN
 /// Share of the memory that the system offers which may be taken, in percent: a driver that is out of it loses the device.
 const MEMORY_SHARE: u8 = 95;
 
-/// Version of wgpu; a part of the backend id. A test holds it against Cargo.lock.
+/// Version of wgpu, a part of the backend id. A test compares it with Cargo.lock.
 const WGPU: &str = "wgpu 30.0.1";
 
 impl Gpu {
-    /// Opens the wanted device once in a process: later calls get the same, unless it failed; `None` is the CPU.
+    /// Opens the wanted device once in a process: later calls get the same, unless it failed. `None` is the
+    /// CPU.
     ///
     /// # Errors
     /// As [`Gpu::open`].
@@ -72,15 +73,15 @@ impl Gpu {
         Ok(gpu)
     }
 
-    /// Opens the wanted device; `None` is the CPU.
+    /// Opens the wanted device. `None` is the CPU.
     ///
     /// # Errors
-    /// No such adapter, or one that gives no device.
+    /// The adapter does not exist, or it gives no device.
     pub fn open(wanted: &Device) -> Result<Option<Self>, GpuError> {
         Self::open_within(wanted, None)
     }
 
-    /// Opens the wanted device as one that has these limits and no feature; without them with all that it has.
+    /// Opens the wanted device with these limits and no features. Without limits, with all that it has.
     ///
     /// # Errors
     /// As [`Gpu::open`].
@@ -96,7 +97,7 @@ impl Gpu {
         descriptor.memory_budget_thresholds.for_resource_creation = Some(MEMORY_SHARE);
         let instance = wgpu::Instance::new(descriptor);
         let mut adapters = pollster::block_on(instance.enumerate_adapters(BACKENDS));
-        // A card of its own before one that shares the memory; names decide among equals.
+        // A card of its own before one that shares the memory. Names decide among equals.
         adapters.sort_by_key(|adapter| {
             let info = adapter.get_info();
             (rank(info.device_type), info.name)
@@ -242,7 +243,7 @@ impl Gpu {
             .min(u64::from(u32::MAX))
     }
 
-    /// Checks that one binding holds so many bytes; `hint` is the advice where it does not.
+    /// Checks that one binding can hold the needed bytes. `hint` is the advice if it cannot.
     ///
     /// # Errors
     /// [`GpuError::Limit`].
@@ -278,8 +279,8 @@ impl Gpu {
     }
 }
 
-/// Returns a short digest of all kernels and of what decides the order of their sums: a change gives another id, so that no
-/// version has to be raised.
+/// Returns a short digest of all kernels and of the numbers that decide the order of their sums. A change
+/// gives another id, so that no version has to be raised.
 fn kernels() -> String {
     let texts = SHADERS
         .iter()

@@ -17,7 +17,7 @@ use marf_field::schedule::EPSILON;
 pub struct ExposureArrays {
     /// Photos.
     pub views: usize,
-    /// Log gains, one row a photo, then as many offsets, if photos have them; `State::gains`.
+    /// Log gains, one row a photo, then as many offsets, if photos have them. `State::gains`.
     pub gains: Array<[f32; 4]>,
     /// Mean of the gradient, as `gains`.
     pub mean: Array<[f32; 4]>,

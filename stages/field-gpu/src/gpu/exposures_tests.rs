@@ -66,7 +66,7 @@ fn scene(gpu: &Gpu, views: usize, gain: Gain) -> Scene {
 }
 
 impl Scene {
-    /// Hands over rays in use and takes one step.
+    /// Writes rays in use and takes one step.
     fn learn(&self, gpu: &Gpu, rays: &[(u32, Exposure)]) {
         gpu.write(&self.counts, counts::RAYS as usize, &[rays.len() as u32]);
         let targets: Vec<_> = rays
@@ -93,7 +93,7 @@ impl Scene {
     }
 }
 
-/// Slopes of about `size`; the last view has no ray.
+/// Slopes of about `size`. The last view has no ray.
 fn random_rays(count: usize, views: usize, rng: &mut Rng) -> Vec<(u32, Exposure)> {
     let mut number = || (rng.unit() - 0.4) * 1e-3;
     let slopes: Vec<_> = (0..count)

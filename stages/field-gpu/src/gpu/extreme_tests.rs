@@ -29,7 +29,7 @@ const CLOSE_WITH_POINTS_DB: f64 = 0.6;
 fn lost<T>(of: Result<T, FieldError>) -> bool {
     let text = of.as_ref().err().map(ToString::to_string).unwrap_or_default();
     matches!(of, Err(FieldError::Gpu(GpuError::Lost { .. })))
-        && text.ends_with("run again to go on from the last checkpoint, or take `device = \"cpu\"`")
+        && text.ends_with("Run again to continue from the last checkpoint, or use `device = \"cpu\"`")
 }
 
 #[test]
@@ -223,7 +223,7 @@ fn photos_of_all_kinds_learn_as_on_the_cpu() {
     ] {
         close(name, both(&gpu, views, &[], &small()), 30, CLOSE_DB);
     }
-    // Photos of which one pixel in 7 is kept are no pictures to compare with.
+    // Photos with one pixel in 7 kept are not pictures to compare with.
     let mut there = on_gpu(&gpu, thinned.clone(), &[], &small(), 3);
     let mut here = Trainer::new(thinned, &[], &small(), 3).unwrap();
     let found = [settled(&mut there, 1).unwrap(), here.advance(1).unwrap()];
@@ -359,8 +359,8 @@ fn a_rate_that_is_too_high_stops_by_name_and_leaves_a_state_that_can_be_taken_ba
     assert_eq!(stopped.restore(&saved), Ok(()));
 }
 
-/// What a driver that resets its device does to a training: an error, after which the same training, on the device opened
-/// anew, goes on from its last checkpoint to the bytes that it would have had.
+/// A driver that resets its device causes an error in a training. On the device opened again, the same
+/// training continues from its last checkpoint to the bytes that it would have had.
 #[test]
 fn a_training_whose_device_is_lost_goes_on_from_its_checkpoint_to_the_same_bytes() {
     let name = "a_training_whose_device_is_lost_goes_on_from_its_checkpoint_to_the_same_bytes";
@@ -378,7 +378,7 @@ fn a_training_whose_device_is_lost_goes_on_from_its_checkpoint_to_the_same_bytes
     first.device.destroy();
     assert!(lost(broken.advance(20)));
     assert!(lost(broken.save()));
-    // Nothing new can be made of it, and it opens anew.
+    // Nothing new can be made of it. It opens again.
     assert!(lost(Trainer::from_training(
         Training::new(ball(4, 16), &[], &small(), 7).unwrap(),
         first.clone()

@@ -47,9 +47,9 @@ pub struct Lanes {
     pub light: Array<f32>,
     /// What `opacity` writes of rays.
     pub shown: Array<u32>,
-    /// Which visited sample a kept one was; in an update of the occupancy, the cells of probes.
+    /// Index of the visited sample of each kept one. In an update of the occupancy, the cells of probes.
     pub origin: Array<u32>,
-    /// f32 `[STATE][rays]`; all 0 in training.
+    /// f32 `[STATE][rays]`. All 0 in training.
     pub state: Array<f32>,
     /// f32 `[6][capacity]`: colours of kept samples, then their logits.
     pub colours: Array<f32>,
@@ -69,7 +69,7 @@ pub enum Purpose {
 }
 
 impl Lanes {
-    /// Allocates the arrays; `most_steps` is the longest table of steps there will be.
+    /// Allocates the arrays. `most_steps` is the longest table of steps there will be.
     ///
     /// # Errors
     /// More than one binding or the device holds.
@@ -112,7 +112,7 @@ impl Lanes {
         })
     }
 
-    /// Returns what kernels of a batch share.
+    /// Returns the arrays and sizes that kernels of a batch share.
     pub fn batch<'a>(&'a self, gpu: &'a Gpu) -> Batch<'a> {
         Batch {
             gpu,
@@ -123,7 +123,7 @@ impl Lanes {
         }
     }
 
-    /// Returns what the walk over visited samples reads and writes.
+    /// Returns the arrays that the walk over visited samples reads and writes.
     pub fn marched<'a>(&'a self, bits: &'a Array<u32>) -> MarchArrays<'a> {
         MarchArrays {
             walk: &self.walks[0],
@@ -288,7 +288,7 @@ fn colours(gpu: &Gpu, kernels: &Kernels, weights: &DeviceWeights, lanes: &Lanes)
     Ok(work.then(shade))
 }
 
-/// Writes how many samples of a ray are kept, about; 0: all that show.
+/// Writes how many samples of a ray are kept, about. 0: all that show.
 pub fn write_chosen(gpu: &Gpu, lanes: &Lanes, most: u32) {
     gpu.write(&lanes.chosen, 0, &[lanes.batch(gpu).size().extent(most)]);
 }

@@ -8,7 +8,7 @@ use marf_field::GpuError;
 
 /// Threads a workgroup of every kernel that does not say otherwise.
 pub const GROUP: usize = 64;
-/// Workgroups in x before they go on in y: WebGPU allows 65,535.
+/// Workgroups in x before they continue in y: WebGPU allows 65,535.
 const MOST_GROUPS: usize = 1 << 15;
 
 /// A compiled kernel.
@@ -29,10 +29,11 @@ pub struct Bound {
 }
 
 impl Gpu {
-    /// Compiles entry point `main` of a kernel; `head` goes before its text: the constants that decide its shape.
+    /// Compiles entry point `main` of a kernel. `head` goes before its text: the constants that decide its
+    /// shape.
     ///
     /// # Errors
-    /// [`GpuError::Kernel`] with what the driver said; a lost device.
+    /// [`GpuError::Kernel`] with the driver's message. A lost device.
     pub fn kernel(&self, shader: &Shader, head: &str) -> Result<Kernel, GpuError> {
         self.entry(shader, head, "main")
     }
@@ -119,13 +120,13 @@ impl Gpu {
     }
 }
 
-/// Spreads workgroups over x and y; a kernel's thread is `id.x + id.y * groups.x * 64`.
+/// Spreads workgroups over x and y. A kernel's thread is `id.x + id.y * groups.x * 64`.
 pub fn fold(groups: usize) -> [usize; 3] {
     let x = groups.clamp(1, MOST_GROUPS);
     [x, groups.div_ceil(x).max(1), 1]
 }
 
-/// Returns the workgroups of a kernel with a thread for each of so many things.
+/// Returns the workgroups of a kernel with a thread for each of `things`.
 pub fn one_each(things: usize) -> [usize; 3] {
     fold(things.div_ceil(GROUP))
 }

@@ -42,9 +42,9 @@ impl Kernels {
 
 /// The passes of a step behind the colours, bound to their arrays.
 pub struct Learning {
-    /// From colours to gradients, the totals among them; nothing that is kept changes.
+    /// From colours to gradients, including the totals. No kept state changes.
     pub back: Work,
-    /// Sums of exposures' slopes and their step; none where photos share one exposure.
+    /// Sums of exposures' slopes and their step. `None` where photos share one exposure.
     exposing: Option<ExposurePasses>,
     /// The scales of the tables' gradients.
     pub scale: Work,

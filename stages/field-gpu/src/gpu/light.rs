@@ -21,11 +21,13 @@ pub const RING: usize = 16;
 pub struct Columns<'a> {
     /// u32 `[4][rays]`: first sample and number of visited samples, then of kept ones.
     pub spans: &'a Array<u32>,
-    /// f32 `[3][capacity]`: distance, length, place; of kept samples the first of every ray once `opacity` has chosen them.
+    /// f32 `[3][capacity]`: distance, length, place. For kept samples, the first of every ray once `opacity`
+    /// has chosen them.
     pub along: &'a Array<f32>,
-    /// f32 `[.][capacity]`, outputs of the density network; row 0 is the raw density.
+    /// f32 `[.][capacity]`, outputs of the density network. Row 0 is the raw density.
     pub density: &'a Array<f32>,
-    /// f32 `[3][capacity]`: optical depth, opacity, transmittance; those of kept samples are the first of every ray.
+    /// f32 `[3][capacity]`: optical depth, opacity, transmittance. Those of kept samples are the first of
+    /// every ray.
     pub light: &'a Array<f32>,
 }
 
@@ -56,11 +58,11 @@ pub struct Aims<'a> {
     pub directions: &'a Array<[f32; 4]>,
     /// `[rays]`: pixel, view, and what is behind.
     pub targets: &'a Array<Target>,
-    /// `[views]` log gains, then as many offsets if photos have them; the fourth number is unused.
+    /// `[views]` log gains, then as many offsets if photos have them. The fourth number is unused.
     pub gains: &'a Array<[f32; 4]>,
     /// Photos.
     pub views: usize,
-    /// f32 `[3][16]`; `None` for black.
+    /// f32 `[3][16]`. `None` for black.
     pub background: Option<Part<'a>>,
     /// f32 `[found::LEN][rays]`.
     pub found: &'a Array<f32>,
@@ -79,7 +81,7 @@ pub struct SlopeArrays<'a> {
     pub d_outputs: &'a Array<f32>,
 }
 
-/// Returns the workgroups of kernels that walk along so many rays.
+/// Returns the workgroups of kernels that walk along `rays` rays.
 fn apart_each(rays: usize) -> [usize; 3] {
     one_each(APART * rays)
 }
@@ -106,12 +108,12 @@ impl Light {
         })
     }
 
-    /// Binds opacities and transmittances of visited samples and the choice of those that are kept, which the uniform `chosen`
-    /// tells: see [`BatchSize::extent`](super::batch::BatchSize::extent).
+    /// Binds opacities and transmittances of visited samples and the choice of the kept ones, set by the
+    /// uniform `chosen`: see [`BatchSize::extent`](super::batch::BatchSize::extent).
     ///
-    /// `before`: f32 `[rays]`, optical depth in front of the first sample (more numbers may follow).
-    /// `shown`: u32 [`BatchSize::shown_words`](super::batch::BatchSize::shown_words), receives the samples that are kept and the bits of the optical depth of all, then which
-    /// are kept.
+    /// `before`: f32 `[rays]`, optical depth in front of the first sample (more numbers may follow). `shown`: u32
+    /// [`BatchSize::shown_words`](super::batch::BatchSize::shown_words), receives the number of kept samples of
+    /// every ray, the bits of its optical depth, then the indices of the kept samples.
     pub fn opacity(
         &self,
         batch: Batch<'_>,
@@ -186,7 +188,7 @@ impl Light {
             aims.directions.into(),
             aims.targets.into(),
             aims.gains.into(),
-            // What is bound in place of none is not read.
+            // A stand-in for a missing array is not read.
             aims.background.unwrap_or(rgb),
             aims.found.into(),
             batch.faults.into(),
@@ -224,7 +226,8 @@ impl Light {
         Ok(dispatch_rays(batch, &kernel, &parts, apart_each))
     }
 
-    /// Binds the totals of a step for the host; `loss` is f32 `[rays]`, row `found::LOSS` of what `compare` found.
+    /// Binds the totals of a step for the host. `loss` is f32 `[rays]`, row `found::LOSS` of the output of
+    /// `compare`.
     ///
     /// # Errors
     /// The memory of a uniform.
@@ -248,7 +251,7 @@ impl Light {
     }
 }
 
-/// Returns what `spread` needs to know of the losses in a step.
+/// Returns the uniform of `spread` for the losses in a step.
 pub fn weights_of_losses(batch: Batch<'_>, training: &Training, step: u64) -> SpreadRun {
     SpreadRun {
         slot: counts::RAYS,

@@ -192,7 +192,7 @@ fn lit(test: &str, most: u32) {
     listed(&rig, &kernels, [&visited, &spans], &shown, &kept);
 }
 
-/// The samples that the CPU keeps where all opacities were so many times what they are.
+/// The samples that the CPU keeps with all opacities multiplied by `factor`.
 fn chosen_by(shade: &mut Shade, spans: &[Span], most: u32, factor: f32) -> Vec<u32> {
     let mut kept = Vec::new();
     shade.alpha.iter_mut().for_each(|alpha| *alpha *= factor);

@@ -1,4 +1,5 @@
-//! Samples on rays: counting, where those of every ray begin, writing them, and which rays go on.
+//! Samples on rays: counting, finding where those of every ray begin, writing them, and finding which rays
+//! continue.
 
 use marf_shaders::{ALIVE, MARCH, SCAN, Shader, Walk, counts};
 
@@ -76,9 +77,9 @@ pub fn whole_walk(rays: usize, slots: usize, capacity: usize, steps: &Steps, sid
     }
 }
 
-/// Returns the walk of a round of a picture: every ray goes on until it has found `limit` samples.
+/// Returns the walk of a round of a picture: every ray continues until it has found `limit` samples.
 ///
-/// The limit is cut so that the samples of one ray always fit: every round comes on.
+/// The limit is cut so that the samples of one ray always fit: every round advances.
 pub fn round(whole: Walk, limit: u32) -> Walk {
     Walk {
         resumes: 1,
@@ -124,7 +125,7 @@ pub fn lanes_head() -> String {
     format!("const LANES: u32 = {RAY_LANES}u;\n")
 }
 
-/// Returns their workgroups for so many rays.
+/// Returns their workgroups for `rays` rays.
 pub fn lanes_each(rays: usize) -> [usize; 3] {
     one_each(RAY_LANES * rays)
 }
@@ -138,11 +139,11 @@ pub struct March {
 
 /// A walk, ready to run.
 pub struct MarchPasses {
-    /// Counts samples; [`RAY_LANES`] threads a ray.
+    /// Counts samples, [`RAY_LANES`] threads a ray.
     pub count: Bound,
-    /// Where they begin; one thread a ray.
+    /// Finds where they begin, one thread a ray.
     pub scan: Bound,
-    /// Writes them; [`RAY_LANES`] threads a ray.
+    /// Writes them, [`RAY_LANES`] threads a ray.
     pub write: Bound,
 }
 
@@ -206,7 +207,7 @@ impl March {
 }
 
 impl MarchPasses {
-    /// Records a walk of so many rays.
+    /// Records a walk of `rays` rays.
     pub fn record(&self, recorder: &mut Recorder<'_>, rays: usize) {
         self.record_count(recorder, rays);
         self.record_write(recorder, rays);
@@ -229,7 +230,7 @@ impl MarchPasses {
 pub struct ScanArrays<'a> {
     /// Sizes of the walk.
     pub walk: &'a Array<Walk>,
-    /// Samples of every ray; the first `rays` numbers are read.
+    /// Samples of every ray. The first `rays` numbers are read.
     pub amounts: &'a Array<u32>,
     /// Receives first sample and number of samples, u32 `[2][rays]`.
     pub spans: Part<'a>,
@@ -251,7 +252,7 @@ impl Scan {
         Ok(Self(gpu.kernel(&SCAN, "")?))
     }
 
-    /// Returns its workgroups for so many rays.
+    /// Returns its workgroups for `rays` rays.
     pub fn groups(rays: usize) -> [usize; 3] {
         fold(rays.div_ceil(SCANNED))
     }
@@ -271,7 +272,7 @@ impl Scan {
     }
 }
 
-/// Which rays of a picture go on.
+/// Finds which rays of a picture continue.
 pub struct Alive(Kernel);
 
 impl Alive {
@@ -284,7 +285,7 @@ impl Alive {
         Ok(Self(gpu.kernel(&ALIVE, &head)?))
     }
 
-    /// Binds it, one thread a ray; `state`: `[6, ray slots]`, row 5 is what a ray lets pass.
+    /// Binds it, one thread a ray. `state`: `[6, ray slots]`, row 5 is the transmittance of a ray.
     pub fn bind(
         &self,
         gpu: &Gpu,

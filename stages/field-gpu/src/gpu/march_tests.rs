@@ -15,11 +15,11 @@ use marf_field::cpu::simd::{InstructionSet, Run};
 use marf_field::cpu::space::Bits;
 use marf_field::rng::{Purpose, Rng};
 
-/// Of a position in the unit box, of a share of steps, and of t and delta by their size: two units in the last place
-/// for the division that WGSL leaves to the driver, two for the products.
+/// For a position in the unit box, a share of steps, and t and delta by their size: two units in the last
+/// place for the division that WGSL leaves to the driver, two for the products.
 pub const CLOSE: f32 = 1e-6;
 
-/// Origin and place within every step; direction and whether there is a ray.
+/// Origin and place within every step. Direction and whether there is a ray.
 type Ray = [[f32; 4]; 2];
 
 /// All that a walk takes and gives, on the device.
@@ -167,7 +167,7 @@ fn on_the_cpu(steps: &Steps, bits: &Bits, [origin, direction]: Ray) -> Vec<[f32;
         .collect()
 }
 
-/// Compares samples one by one; returns the largest error, by size where numbers exceed 1.
+/// Compares samples one by one and returns the largest error, by size where numbers exceed 1.
 fn apart(found: &[[f32; 6]], expected: &[[f32; 6]], what: &str) -> f32 {
     assert_eq!(found.len(), expected.len(), "{what}");
     let pairs = found.as_flattened().iter().zip(expected.as_flattened());
@@ -191,8 +191,8 @@ fn unit(rng: &mut Rng) -> [f32; 3] {
 /// Cells a side of grids with random cells.
 const SIDE: u32 = 16;
 
-/// Rays from within 1.5 half sides; every ninth is not there. No step of theirs lies so close to a border of a cell that
-/// a driver's rounding might put it on the other side.
+/// Rays from within 1.5 half sides. Every ninth is missing. No step of theirs is so close to a border of a
+/// cell that a driver's rounding might put it on the other side.
 fn random_rays(count: usize, steps: &Steps, rng: &mut Rng) -> Vec<Ray> {
     let mut drawn = |index: usize| {
         let ([x, y, z], from) = (unit(rng), [0; 3].map(|_| rng.unit() * 3.0 - 1.5));
@@ -250,7 +250,7 @@ fn a_walk_finds_the_samples_of_the_cpu_and_leaves_the_rest_alone() {
     }
     eprintln!("{total} samples, largest error {worst:e}");
     assert_eq!(found.counts, [total as u32, 7, 150, 0]);
-    // The next block is filled up with samples of no length; behind it nothing is written.
+    // The next block is filled up with samples of no length. Nothing is written behind it.
     let padded = total.next_multiple_of(16);
     assert!(total > 1000 && padded > total, "{total}");
     assert!((total..padded).all(|index| found.sample(index) == [0.0; 6] && found.ray_of[index] == 0));
@@ -264,8 +264,8 @@ fn a_walk_finds_the_samples_of_the_cpu_and_leaves_the_rest_alone() {
     );
 }
 
-/// Which samples there are is compared strictly, and may be: rays are drawn clear of the borders of cells. Here a driver is
-/// played that is off by nearly all of [`CLOSE`]; rays that are not clear have other samples there.
+/// Which samples there are is compared strictly: rays are drawn clear of the borders of cells. Here a driver
+/// is simulated that is off by nearly all of [`CLOSE`], with which rays that are not clear have other samples.
 #[test]
 fn a_driver_that_is_off_by_some_units_in_the_last_place_finds_the_same_samples() {
     let name = "a_driver_that_is_off_by_some_units_in_the_last_place_finds_the_same_samples";
@@ -330,7 +330,7 @@ fn rays_along_faces_on_faces_and_far_away_end_as_on_the_cpu() {
                 assert_eq!(expected.len(), steps.count, "{ray:?}");
             }
             if ray[0][0].is_nan() {
-                // Counted in cell 0 by both; what is looked up there runs away and is a fault.
+                // Counted in cell 0 by both. Its lookup there runs away and is a fault.
                 assert_eq!(found.len(), expected.len(), "{what} {ray:?}");
                 continue;
             }
@@ -355,7 +355,7 @@ fn what_is_written_never_leaves_its_span() {
         gpu.write(&scene.bits, 0, &bit_words(&written));
         gpu.submit(|recorder| scene.marching.record_write(recorder, rays.len()));
         let found = scene.found(&gpu);
-        // A lane has so many steps of a ray, and of its span as many samples as it counted.
+        // A lane has a run of steps of a ray, and as many samples of its span as it counted.
         let run = (steps.begin.len() / 16).div_ceil(RAY_LANES) * 16;
         let of_run = |samples: &[[f32; 6]], lane: usize| -> Vec<[f32; 6]> {
             let is_in = |sample: &&[f32; 6]| (sample[5] * steps.count as f32) as usize / run == lane;

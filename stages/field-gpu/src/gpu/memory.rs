@@ -18,9 +18,10 @@ use marf_field::{FieldError, GpuError};
 const VISITED: usize = 2;
 /// Slots come in multiples of this.
 const SLOTS: usize = 256;
-/// Storage buffers that a kernel of a training binds at most; core WebGPU has 8 a stage, every card 16 and more.
+/// Storage buffers that a kernel of a training binds at most. Core WebGPU has 8 a stage, every card 16 and
+/// more.
 const STORAGE_BUFFERS: u64 = 11;
-/// Memory is asked for in pieces of so many bytes at most.
+/// Memory is requested in pieces of at most this many bytes.
 const PIECE: u64 = 1 << 30;
 
 /// The arrays of a training on a device.
@@ -37,15 +38,16 @@ pub struct DeviceState {
 }
 
 impl DeviceState {
-    /// Takes the memory of a training, once it is known that the device has so much.
+    /// Takes the memory of a training, once it is known that the device has as much.
     ///
     /// # Errors
-    /// [`GpuError::TooLarge`] before anything is there; [`GpuError::Limit`] where one array exceeds a binding or a buffer.
+    /// [`GpuError::TooLarge`] before anything is allocated. [`GpuError::Limit`] where one array exceeds a
+    /// binding or a buffer.
     pub fn new(gpu: &Gpu, training: &Training) -> Result<Self, FieldError> {
         let offered = u64::from(gpu.limits.max_storage_buffers_per_shader_stage);
         if offered < STORAGE_BUFFERS {
             let limit = "max_storage_buffers_per_shader_stage";
-            let hint = "it renders, and does not train: take `device = \"cpu\"`";
+            let hint = "it renders, and does not train: use `device = \"cpu\"`";
             return Err(gpu.limit(limit, offered, STORAGE_BUFFERS, hint).into());
         }
         let needed = MemoryNeed::count(gpu, training)?;
@@ -115,7 +117,8 @@ pub struct MemoryNeed {
 impl MemoryNeed {
     /// Counts the arrays of a training without taking any memory.
     ///
-    /// The same code makes them later, so that the sum is exact but for uniforms that are made when kernels are bound.
+    /// The same code makes them later, so the sum is exact except for uniforms that are made when kernels are
+    /// bound.
     ///
     /// # Errors
     /// [`GpuError::Limit`] where one array exceeds a binding or a buffer.
@@ -151,7 +154,7 @@ impl MemoryNeed {
 }
 
 impl Gpu {
-    /// Returns how many of so many bytes the device gives: it is asked for them, and gets them back.
+    /// Returns how many of `bytes` the device gives: they are allocated and freed.
     fn offered(&self, bytes: u64) -> Result<u64, GpuError> {
         #[cfg(test)]
         if let Some(planted) = self.planted_memory {

@@ -82,7 +82,7 @@ fn a_training_that_does_not_fit_is_refused_with_both_numbers_and_the_key() {
         let text = error.to_string();
         let offered = needed - 1;
         let end = format!(
-            "gives {offered} bytes, the training takes {needed}, {share} of them for {of}: lower `{key}`, or take `device = \"cpu\"`"
+            "gives {offered} bytes, the training takes {needed}, {share} of them for {of}: lower `{key}`, or use `device = \"cpu\"`"
         );
         assert!(text.ends_with(&end), "{text}");
         // What is enough is taken.
@@ -125,7 +125,8 @@ fn the_largest_keys_are_refused_before_any_memory_is_taken() {
     }
 }
 
-/// A table twice as large as 60 s of 100 M samples/s ask for, for the finest scene; and the largest field of the bench.
+/// A table twice as large as 60 s of 100 M samples/s need, for the finest scene, and the largest field of the
+/// bench.
 #[test]
 fn the_sizes_of_a_card_fit_4_gb_and_bindings_of_128_mb() {
     let Some(mut gpu) = own_gpu("the_sizes_of_a_card_fit_4_gb_and_bindings_of_128_mb") else {

@@ -1,7 +1,7 @@
 //! The field on a GPU, through wgpu: kernels in WGSL, each the twin of one in `cpu`.
 //!
-//! Invariant: no kernel adds floats in an order that threads decide. Sums over many threads are integers or go
-//! through partial sums in the order of their index; two runs on one adapter give the same bytes.
+//! Invariant: no kernel adds floats in an order that threads decide. Sums over many threads are integers or
+//! go through partial sums in the order of their index. Two runs on one adapter give the same bytes.
 
 mod array;
 mod arrays;

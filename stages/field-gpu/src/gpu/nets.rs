@@ -47,7 +47,7 @@ pub struct Layers {
 }
 
 impl Layers {
-    /// Returns the samples of a tile: the widest layer of so many fits into workgroup memory.
+    /// Returns the samples of a tile: the widest layer for this many fits into workgroup memory.
     pub fn tile(&self) -> usize {
         let widest = self.shapes.iter().flatten().copied().max().unwrap_or(1);
         (TILE_NUMBERS / widest.next_power_of_two()).clamp(8, MOST_SAMPLES)
@@ -85,7 +85,7 @@ impl Layers {
         most.min(capacity.div_ceil(self.tile()))
     }
 
-    /// Returns the numbers of [`Back::work`] for so many samples and rays.
+    /// Returns the numbers of [`Back::work`] for `capacity` samples and `rays` rays.
     pub fn work(&self, capacity: usize, rays: usize) -> usize {
         self.behind(capacity) + rays.div_ceil(RAYS) * BACKGROUND
     }
@@ -163,7 +163,7 @@ pub struct Back<'a> {
 pub struct Tensor<'a> {
     /// f32 `[rows][16]`.
     pub weights: &'a Array<f32>,
-    /// f32 `[rows][16]`; 0 afterwards.
+    /// f32 `[rows][16]`. 0 afterwards.
     pub gradient: &'a Array<f32>,
     /// f32 `[rows][16]`.
     pub mean: &'a Array<f32>,
@@ -175,7 +175,7 @@ pub struct Tensor<'a> {
     pub average: &'a Array<f32>,
 }
 
-/// What Adam knows beside.
+/// Other inputs of Adam.
 #[derive(Clone, Copy)]
 pub struct Rates<'a> {
     /// The uniform that holds the learning rate.
@@ -217,7 +217,8 @@ impl Nets {
         fold(batch.capacity.div_ceil(self.layers.tile()))
     }
 
-    /// Binds the density network over visited samples: features to f32 `[16][capacity]`, of which `rows` are written.
+    /// Binds the density network over visited samples: features to f32 `[16][capacity]`. It writes only
+    /// `rows` of these.
     ///
     /// # Errors
     /// The memory of a uniform.
@@ -303,7 +304,7 @@ impl Nets {
         Ok(dispatch(batch.gpu, &kernel, &parts, groups))
     }
 
-    /// Binds the sum of all parts to f32 [`Layers::numbers`]; `behind` tells whether the background is learnt.
+    /// Binds the sum of all parts to f32 [`Layers::numbers`]. `behind` is whether the background is learnt.
     ///
     /// # Errors
     /// The memory of a uniform.

@@ -27,7 +27,7 @@ const SIZE: BatchSize = BatchSize {
     rays: 64,
 };
 
-/// Three steps on the device; afterwards weights, means, squares, gradients, averages and counts.
+/// Takes three steps on the device. Returns weights, means, squares, gradients, averages and counts.
 fn adam(
     rig: &Rig,
     weights: &[f32],
@@ -70,7 +70,7 @@ fn adam(
 fn gradients() -> Vec<Vec<f32>> {
     let steps = (0..3).map(|step| {
         let mut gradient = numbers(16 * ROWS, 20 + step);
-        // Rows without a gradient, of both zeros; one number alone; the sizes of a training; a huge one.
+        // Rows without a gradient, of both zeros. One number alone, the sizes of a training, a huge one.
         gradient[..16].fill(0.0);
         gradient[16..32].fill(-0.0);
         gradient[32..47].fill(0.0);

@@ -59,7 +59,7 @@ struct Expected {
 const RAYS: usize = 64;
 
 impl Case {
-    /// So many kept samples: every other visited one.
+    /// `kept` kept samples: every other visited one.
     fn new(layers: Layers, kept: usize) -> Self {
         let inputs = layers.shapes[0][0];
         let directions = numbers(3 * RAYS, 3);
@@ -171,7 +171,7 @@ struct Found {
     faults: Vec<u32>,
 }
 
-/// Runs both networks forward and back; garbage lies behind the samples in use.
+/// Runs both networks forward and back. Garbage follows the samples in use.
 fn run(test: &str, case: &Case, capacity: usize) -> Option<Found> {
     let (kept, inputs) = (case.origin.len(), case.layers.shapes[0][0]);
     let visited = case.features.len() / inputs;

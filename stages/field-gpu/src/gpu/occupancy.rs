@@ -1,7 +1,7 @@
 //! The occupancy grid on the GPU: twin of `marf_field::occupancy`.
 //!
-//! An update: [`Update::begin`]; for every pass a count of 0, [`Update::probe`], the density of what is in `xyz` into
-//! `raw`, [`Update::found`]; then [`Update::finish`].
+//! An update: [`Update::begin`]. For every pass a count of 0, [`Update::probe`], the density of the points in
+//! `xyz` into `raw`, [`Update::found`]. Then [`Update::finish`].
 
 use marf_shaders::{BITS, DENSITY_SUM, Filling, OCCUPANCY, PROBE, Probing, THRESHOLDS, Tally, counts};
 
@@ -47,7 +47,7 @@ impl Kernels {
 
 /// The grid on a device.
 pub struct State {
-    /// `[side^3]`, x fastest; -1 where no camera looks.
+    /// `[side^3]`, x fastest. -1 where no camera looks.
     pub density: Array<f32>,
     /// `[side^3 / 64 * 2]`, lower half of a word first: cell c is bit `c & 31` of word `c >> 5`.
     pub bits: Array<u32>,
@@ -104,13 +104,13 @@ impl State {
 pub struct ProbeArrays<'a> {
     /// `[3][capacity]`: receives the points.
     pub xyz: &'a Array<f32>,
-    /// Raw density of the points; its first `capacity` numbers are read.
+    /// Raw density of the points. Its first `capacity` numbers are read.
     pub raw: &'a Array<f32>,
     /// `[8]`.
     pub faults: &'a Array<u32>,
     /// `[capacity]`: receives the cells of the probes.
     pub cells: &'a Array<u32>,
-    /// u32 `[counts::LEN]`: `VISITED` is the number of probes; to be 0 before every pass.
+    /// u32 `[counts::LEN]`: `VISITED` is the number of probes. It must be 0 before every pass.
     pub counts: &'a Array<u32>,
 }
 
@@ -126,7 +126,7 @@ pub struct ProbeSchedule {
 }
 
 impl ProbeSchedule {
-    /// Returns the number of the first cell that is due if occupied; then each `occupied` further on.
+    /// Returns the number of the first cell that is due if occupied. Then each `occupied` further on.
     fn offset(&self) -> u32 {
         let every = u64::from(self.occupied.max(1));
         let is_due = |cell: &u64| (cell * SPREAD + self.round % every).is_multiple_of(every);
@@ -156,8 +156,8 @@ struct Pass {
 impl Update {
     /// Binds the kernels.
     ///
-    /// A pass has as many slots as there are `cells`; [`ProbeSchedule::occupied`] is [`OCCUPIED_EVERY`] or more; `min_step`: the shortest
-    /// step, contracted.
+    /// A pass has as many slots as there are `cells`. [`ProbeSchedule::occupied`] is [`OCCUPIED_EVERY`] or
+    /// more. `min_step`: the shortest step, contracted.
     ///
     /// # Errors
     /// Memory that was refused.
@@ -262,7 +262,7 @@ impl Update {
         }
     }
 
-    /// Writes the points of a pass into `xyz`, their cells beside them, and counts them.
+    /// Writes the points of a pass into `xyz`, and their cells, and counts them.
     pub fn probe(&self, recorder: &mut Recorder<'_>, pass: usize) {
         if let Some(pass) = self.passes.get(pass) {
             recorder.threads(&pass.probe, self.capacity);
@@ -274,7 +274,7 @@ impl Update {
         recorder.threads(&self.found, self.capacity);
     }
 
-    /// Decides all bits anew, after the last pass.
+    /// Decides all bits again, after the last pass.
     pub fn finish(&self, recorder: &mut Recorder<'_>) {
         recorder.groups(&self.sum, fold(self.parts));
         recorder.groups(&self.thresholds, fold(1));

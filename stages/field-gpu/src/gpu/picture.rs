@@ -10,7 +10,7 @@ use super::nets::limits;
 use super::record::{Work, dispatch, dispatch_rays};
 use marf_field::GpuError;
 
-/// Rows of a ray's state: optical depth, colour, distance, what is left.
+/// Rows of a ray's state: optical depth, colour, distance, remaining transmittance.
 pub const STATE: usize = 6;
 /// Optical depth that ends a ray: e^-9.3 is below [`marf_field::cpu::composite::OPAQUE`].
 pub const DEEP: f32 = 9.3;
@@ -41,10 +41,10 @@ impl Picture {
         })
     }
 
-    /// Binds the start of all rays and the taking in of a round, to be recorded one after the other.
+    /// Binds the start of all rays and the compositing of a round, to be recorded one after the other.
     ///
-    /// `state`: f32 `[STATE][rays]`, whose first row is the optical depth in front of the next round; `columns.spans`
-    /// tells the kept samples of the rays; `shown` is u32 `[2][rays]` of `Light::opacity`.
+    /// `state`: f32 `[STATE][rays]`, whose first row is the optical depth in front of the next round.
+    /// `columns.spans` lists the kept samples of the rays. `shown` is u32 `[2][rays]` of `Light::opacity`.
     ///
     /// # Errors
     /// The memory of a uniform.
@@ -105,7 +105,7 @@ impl Picture {
             batch.counts.into(),
             state.into(),
             directions.into(),
-            // What is bound in place of none is not read.
+            // A stand-in for a missing array is not read.
             background.unwrap_or(state.into()),
             picture.into(),
         ];

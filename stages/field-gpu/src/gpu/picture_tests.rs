@@ -12,12 +12,12 @@ use marf_field::cpu::composite::{OPAQUE, colour};
 use marf_field::cpu::simd::InstructionSet;
 use marf_field::shade::{Shade, Span};
 
-/// The row of a ray's state that tells what is left.
+/// The row of a ray's state with the remaining transmittance.
 const LEFT: usize = 5;
 
 const HALF_SIDE: f32 = 3.5;
 
-/// `[STATE][SLOTS]` after one more round, as `render::Gather`; `before` is that of the round.
+/// `[STATE][SLOTS]` after one more round, as `render::Gather`. `before` is that of the round.
 fn painted(state: &mut [f32], shade: &mut Shade, spans: &[Span], rgb: &[f32]) {
     let before = state[..RAYS].to_vec();
     shade.opacities(InstructionSet::best(), spans, &before);
@@ -113,7 +113,7 @@ fn two_rounds_of_a_picture_are_those_of_the_cpu() {
         painted(&mut expected, &mut shade, &spans, &colours);
         let found = rig.gpu.read(&state).unwrap();
         for (row, (found, expected)) in found.chunks(SLOTS).zip(expected.chunks(SLOTS)).enumerate() {
-            // Some rays are 1e30 deep; they would hide all others.
+            // Some rays are 1e30 deep. They would hide all others.
             let shallow = |row: &[f32]| {
                 row.iter()
                     .map(|x| if *x < 100.0 { *x } else { 1.0 })
@@ -155,7 +155,7 @@ fn a_ray_that_met_nothing_has_no_depth_and_a_quotient_that_is_not_finite_is_none
         return;
     };
     let picture = Picture::new(&rig.gpu, 2.0).unwrap();
-    // Nothing; a distance without opacity; a sliver at a huge distance; more than all.
+    // Nothing, a distance without opacity, a sliver at a huge distance, more than all.
     let mut numbers = vec![0.0; STATE * SLOTS];
     numbers[4 * SLOTS..][..4].copy_from_slice(&[0.0, 5.0, 3e38, 1.0]);
     numbers[LEFT * SLOTS..][..4].copy_from_slice(&[1.0, 1.0, 1.0 - 6e-8, -0.5]);

@@ -21,11 +21,11 @@ pub struct RayArrays {
     pub slots: usize,
     /// Origin, half sides, and place within every step, in [0, 1).
     pub origins: Array<[f32; 4]>,
-    /// Unit vector, and 1; all zero where there is no ray.
+    /// Unit vector, and 1. All zero where there is no ray.
     pub directions: Array<[f32; 4]>,
     /// What they are compared with.
     pub targets: Array<Target>,
-    /// Place and weight of a pull; weight 0: none.
+    /// Place and weight of a pull. Weight 0: none.
     pub pulls: Array<[f32; 2]>,
 }
 
@@ -47,7 +47,7 @@ impl RayArrays {
 
 /// How far the rays of a picture have come.
 pub struct Progress {
-    /// Step to go on from, `[rays]`.
+    /// Step to continue from, `[rays]`.
     pub next_step: Array<u32>,
     /// 1 where a ray has ended, `[rays]`.
     pub done: Array<u32>,
@@ -117,7 +117,7 @@ impl Photos {
         })
     }
 
-    /// Returns the uniform of a step; observations, rays, weight of a pull and step size are still 0.
+    /// Returns the uniform of a step. Observations, rays, weight of a pull and step size are still 0.
     pub fn step(&self, seed: u64, number: u64) -> Step {
         Step {
             seed: halves(seed),
@@ -130,7 +130,7 @@ impl Photos {
     }
 }
 
-/// Returns a camera as kernels see it, in the frame of the box; it keeps every pixel, from the first.
+/// Returns a camera as kernels see it, in the frame of the box. It keeps every pixel, from the first.
 pub fn camera(camera: &Camera, world_from_cam: &Pose, frame: &Frame) -> ViewCamera {
     let centre = frame.inward(&world_from_cam.translation);
     let row = |axis: usize| {
@@ -152,7 +152,7 @@ pub fn camera(camera: &Camera, world_from_cam: &Pose, frame: &Frame) -> ViewCame
     }
 }
 
-/// Returns observations as kernels see them; to be made again whenever the steps are.
+/// Returns observations as kernels see them. They must be made again whenever the steps are.
 pub fn observed(observations: &[Observation], steps: &Steps) -> Vec<Observed> {
     let one = |observation: &Observation| {
         let place = place(steps, observation.t);
@@ -186,7 +186,7 @@ impl DrawRays {
         Ok(Self(gpu.kernel(&RAYS, &head)?))
     }
 
-    /// Binds it; one thread a ray.
+    /// Binds it, one thread a ray.
     pub fn bind(
         &self,
         gpu: &Gpu,
@@ -222,7 +222,7 @@ impl ViewRays {
         Ok(Self(gpu.kernel(&VIEW_RAYS, &newton_head())?))
     }
 
-    /// Binds it; one thread a pixel. Only `origins` and `directions` of the rays are written.
+    /// Binds it, one thread a pixel. Only `origins` and `directions` of the rays are written.
     pub fn bind(&self, gpu: &Gpu, asked: &Array<PixelRange>, rays: &RayArrays, progress: &Progress) -> Bound {
         let parts = [
             asked.into(),

@@ -17,7 +17,8 @@ use marf_field::{Config, GpuError, Pixels, View};
 
 /// Of a direction, where the distortion moves a pixel by no more than an ideal camera: f32 rounds its terms.
 const DIRECTION: f64 = 2e-6;
-/// A pixel of which the camera may judge otherwise whether it lies beyond the fold, in focal lengths.
+/// Distance from the fold, in focal lengths, within which the camera may judge otherwise whether a pixel is
+/// beyond it.
 const AT_THE_FOLD: f64 = 2e-5;
 
 const STREAMS: Shader = Shader {
@@ -102,7 +103,7 @@ fn lenses() -> [Camera; 2] {
     [rover, folded]
 }
 
-/// A photo of which one pixel in `run` is kept, with transparency or without.
+/// A photo with one pixel in `run` kept, with transparency or without.
 fn view(camera: Camera, angle: f64, run: u32, is_opaque: bool) -> View {
     let eye = Vector3::new(30.0 + 3.0 * angle.cos(), 3.0 * angle.sin(), 0.7);
     let image = Image::from_fn(camera.width, camera.height, |column, row| {
@@ -145,7 +146,7 @@ fn training() -> Training {
     Training::new(views, &points, &config, 0x9876_5432_1012_3456).unwrap()
 }
 
-/// How much farther than in an ideal camera a direction moves with its pixel; infinite at the fold.
+/// How much farther than in an ideal camera a direction moves with its pixel. Infinite at the fold.
 fn spread(camera: &Camera, pixel: [f64; 2]) -> f64 {
     let at = |x: f64, y: f64| camera.unproject(&Vector2::new(pixel[0] + x, pixel[1] + y));
     let by = 1e-3;
@@ -156,7 +157,7 @@ fn spread(camera: &Camera, pixel: [f64; 2]) -> f64 {
     moved(by, 0.0).max(moved(0.0, by)).max(1.0)
 }
 
-/// The pixel lies so near to the fold that f32 may take it for one beyond.
+/// The pixel is so near to the fold that f32 may take it for one beyond.
 fn at_the_fold(camera: &Camera, pixel: [f64; 2]) -> bool {
     let by = AT_THE_FOLD * camera.fx_px;
     let there = |x: f64, y: f64| {
@@ -176,7 +177,7 @@ const UNTOUCHED: marf_shaders::Target = marf_shaders::Target {
     share: 7.0,
 };
 
-/// Compares a ray with its twin; returns the error of its direction, in units of what it may be.
+/// Compares a ray with its twin and returns the error of its direction, in units of the tolerance.
 fn apart(
     camera: &Camera,
     pixel: [f64; 2],
@@ -240,7 +241,7 @@ fn rays_are_drawn_for_the_pixels_that_the_cpu_draws() {
     };
     let mut training = training();
     let (rays, exposures) = (2000, training.exposures());
-    // The second step lies beyond the last that pulls.
+    // The second step is beyond the last that pulls.
     for step in [100, (1 << 33) + 5] {
         training.state.steps = step;
         let arrays = drawn(&gpu, &training, rays);

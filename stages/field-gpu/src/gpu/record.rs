@@ -82,7 +82,7 @@ pub struct Watch {
 /// Dispatches between two timestamps each that one set of queries holds.
 const TIMED_AT_ONCE: usize = wgpu::QUERY_SET_MAX_QUERIES as usize / 2;
 
-/// Takes dispatches in order; each sees what those before it wrote.
+/// Takes dispatches in order. Each sees the writes of those before it.
 #[expect(clippy::large_enum_variant, reason = "one a submit, on the stack")]
 pub enum Recorder<'a> {
     /// All go to one pass.
@@ -97,7 +97,7 @@ impl Recorder<'_> {
         self.groups(bound, fold(threads.div_ceil(GROUP)));
     }
 
-    /// Runs a kernel with so many workgroups in x, y and z.
+    /// Runs a kernel with this many workgroups in x, y and z.
     pub fn groups(&mut self, bound: &Bound, [x, y, z]: [usize; 3]) {
         match self {
             Self::Pass(pass) => {
@@ -113,9 +113,10 @@ impl Recorder<'_> {
 /// Workgroups of a dispatch.
 #[derive(Clone, Copy)]
 pub enum Groups {
-    /// So many in x, y and z.
+    /// This many in x, y and z.
     All([usize; 3]),
-    /// Those of the rays in use, of which there are so many slots: a card spends 1 to 9 ns on a workgroup that finds no ray.
+    /// Those of the rays in use, with the number of slots: a card spends 1 to 9 ns on a workgroup that finds
+    /// no ray.
     OfRays(usize, fn(usize) -> [usize; 3]),
 }
 
@@ -138,7 +139,7 @@ impl Work {
         self.0.push((bound, groups));
     }
 
-    /// Returns what is recorded.
+    /// Returns the recorded dispatches.
     pub fn recorded(record: impl FnOnce(&mut Recorder<'_>)) -> Self {
         let mut recorder = Recorder::List(Self::default());
         record(&mut recorder);
@@ -153,7 +154,7 @@ impl Work {
         self.0.len()
     }
 
-    /// Returns parts of so many dispatches each, in order.
+    /// Returns parts of at most `most` dispatches each, in order.
     pub fn parts(&self, most: usize) -> impl Iterator<Item = Self> {
         self.0.chunks(most.max(1)).map(|part| Self(part.to_vec()))
     }
@@ -174,7 +175,7 @@ impl Work {
         self.record_for(recorder, usize::MAX);
     }
 
-    /// Records all dispatches for so many rays: what belongs to others is not written.
+    /// Records all dispatches for `rays` rays: nothing is written for others.
     pub fn record_for(&self, recorder: &mut Recorder<'_>, rays: usize) {
         for (bound, groups) in &self.0 {
             recorder.groups(bound, groups.for_rays(rays));

@@ -27,10 +27,10 @@ use marf_field::model::Model;
 use marf_field::render::MIDDLE;
 use marf_field::{Background, FieldError, GpuError, Render};
 
-/// Rounds between two reads of how many rays go on.
+/// Rounds between two reads of how many rays continue.
 const LOOK_EVERY: u64 = 2;
 
-/// A field on a device, and what its pictures are made with; one picture at a time.
+/// A field on a device, and the arrays of its pictures. One picture at a time.
 pub struct GpuRenderer(Mutex<Canvas>);
 
 impl fmt::Debug for GpuRenderer {

@@ -42,7 +42,7 @@ pub fn blocks(numbers: &[f32]) -> Vec<Block> {
     blocks
 }
 
-/// Rows of samples `[n][width]` as columns `[width][capacity]`; `rest` where there is no sample.
+/// Rows of samples `[n][width]` as columns `[width][capacity]`. `rest` where there is no sample.
 pub fn columns(rows: &[f32], width: usize, capacity: usize, rest: f32) -> Vec<f32> {
     let mut columns = vec![rest; width * capacity];
     for (sample, row) in rows.chunks(width).enumerate() {
@@ -62,7 +62,7 @@ pub struct Rig {
 }
 
 impl Rig {
-    /// `None` without an adapter; `in_use`: visited and kept samples, rays.
+    /// `None` without an adapter. `in_use`: visited and kept samples, rays.
     pub fn new(test: &str, size: BatchSize, in_use: [u32; 3]) -> Option<Self> {
         let gpu = gpu(test)?;
         let [visited, kept, started] = in_use;

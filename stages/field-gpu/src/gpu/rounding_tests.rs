@@ -1,8 +1,8 @@
 //! How far drivers may be from the CPU: the formulas of kernels in every arithmetic that WGSL allows a driver.
 //!
-//! A driver may do a multiply-add as two operations, flush denormals to 0, and be off by 2.5 units in the last place in a
-//! quotient; a root is the inverse of one that is off by 2 (WGSL, "Floating point accuracy"). The tolerances of the tests
-//! of kernels must hold all of that, before any card is seen.
+//! A driver may do a multiply-add as two operations, flush denormals to 0, and be off by 2.5 units in the
+//! last place in a quotient. A root is the inverse of one that is off by 2 (WGSL, "Floating point accuracy").
+//! The tolerances of the tests of kernels must hold all of that, before any card is seen.
 
 use super::march_tests::CLOSE;
 use super::rig::TOLERANCE;
@@ -39,7 +39,7 @@ impl Driver {
         if self.flushes && x.is_subnormal() { 0.0 } else { x }
     }
 
-    /// A number that is off by so many units in the last place, if it is one of those in the range of a driver's promise.
+    /// A number that is off by `off` units in the last place, if it is in the range of a driver's promise.
     fn nudged(self, x: f32, off: i32) -> f32 {
         if !x.is_normal() {
             return self.flushed(x);
@@ -106,7 +106,7 @@ impl Driver {
     }
 }
 
-/// Numbers from 2^-140, a denormal, to 2^20, both signs, none of them round.
+/// Numbers from 2^-140, a denormal, to 2^20, both signs. All are unround.
 fn all_sizes() -> impl Iterator<Item = f32> {
     let sizes = (-1400..200).map(|tenth| 2.0_f64.powf(f64::from(tenth) / 10.0) as f32);
     sizes.flat_map(|x| [x, -x])

@@ -8,7 +8,7 @@ use super::testing::gpu;
 use marf_field::cpu::march::Steps;
 use marf_field::rng::{Purpose, Rng};
 
-/// Scans amounts into a capacity; returns spans and counts, which held 7s.
+/// Scans amounts into a capacity and returns spans and counts, which held 7s.
 fn scanned(
     gpu: &Gpu,
     scan: &Scan,

@@ -135,8 +135,8 @@ impl GpuSession {
         Ok(session)
     }
 
-    /// Finds the scales of the first step by its own gradients, which are then thrown away; also compiles all kernels
-    /// of drivers that compile at the first use.
+    /// Finds the scales of the first step by its own gradients, which are then thrown away. Also compiles all
+    /// kernels of drivers that compile at the first use.
     fn calibrate(&self, training: &Training) {
         let rays = training.ray_count().min(self.held.lanes.rays.slots);
         self.begin(training, rays);
@@ -155,7 +155,7 @@ impl GpuSession {
         self.held
             .arrays
             .write_rise(&self.gpu, &self.held.grid, Rise::Slow);
-        // All else that is written here is uploaded anew.
+        // Everything else that is written here is uploaded again.
         self.write_step(training, training.state.steps, 0);
         self.begin(training, 0);
         for averages in [Averages::Follow, Averages::Stay] {
@@ -164,9 +164,9 @@ impl GpuSession {
         }
     }
 
-    /// Takes steps up to the next update of the occupancy, and tells what came of those of the call before, whose costs
-    /// decide the rays of the next call: the device works on meanwhile. The first steps are waited for. `watch` takes the
-    /// time of every dispatch.
+    /// Takes steps up to the next update of the occupancy, and reports those of the call before. Their costs
+    /// decide the rays of the next call: the device works on meanwhile. The first steps are waited for.
+    /// `watch` takes the time of every dispatch.
     pub(super) fn watched(
         &mut self,
         training: &mut Training,
@@ -221,7 +221,7 @@ impl GpuSession {
         Ok(told)
     }
 
-    /// Waits for the steps of the last call and tells what came of them.
+    /// Waits for the steps of the last call and reports them.
     pub(super) fn settled(
         &mut self,
         training: &mut Training,
@@ -231,7 +231,7 @@ impl GpuSession {
         self.told(training, last, watch)
     }
 
-    /// Waits for some steps, tells what came of them, and notes what their rays cost.
+    /// Waits for some steps, reports them, and notes what their rays cost.
     fn told(
         &mut self,
         training: &mut Training,
@@ -261,8 +261,8 @@ impl GpuSession {
         Ok(sum)
     }
 
-    /// Puts the training where it was before some steps, and behind those of them whose numbers were finite; the device has
-    /// taken none since.
+    /// Puts the training where it was before some steps, and behind those of them whose numbers were finite.
+    /// The device has taken none since.
     fn stop(&self, training: &mut Training, first: u64, before: RayCost, sound: &[Total]) {
         let state = &mut training.state;
         state.steps = first + sound.len() as u64;
@@ -329,7 +329,7 @@ impl GpuSession {
         self.forward.colours.record_for(recorder, rays);
     }
 
-    /// Computes the density of some cells anew and decides which are occupied.
+    /// Recomputes the density of some cells and decides which are occupied.
     fn probe(
         &self,
         training: &Training,
@@ -359,7 +359,7 @@ impl GpuSession {
         self.submit(times, |recorder| self.update.finish(recorder))
     }
 
-    /// Submits a recording; where times are wanted, every dispatch in a pass of its own.
+    /// Submits a recording. If times are wanted, every dispatch is in a pass of its own.
     fn submit(
         &self,
         times: Option<&mut Vec<Timing>>,

@@ -1,4 +1,4 @@
-//! Whole trainings and pictures on a software adapter, beside the CPU's.
+//! Whole trainings and pictures on a software adapter, compared with the CPU's.
 
 use std::sync::Arc;
 
@@ -40,8 +40,8 @@ fn a_first_step_on_both_devices_ends_at_the_same_weights() {
             .collect::<Vec<_>>()
     };
     println!("scales {:?}", bits(&there));
-    // Adam's first step is a whole step size whatever the gradient; where it is rounding noise, its sign may differ.
-    // In tables, noise is all that is less than some quanta, and the first scale is a guess.
+    // Adam's first step is a whole step size whatever the gradient. Where it is rounding noise, its sign may
+    // differ. In tables, noise is all that is less than some quanta, and the first scale is a guess.
     let rate = config().learning_rate as f32;
     for ((name, there), (_, here)) in there
         .training
@@ -134,7 +134,7 @@ fn steps_that_are_timed_learn_the_same_bytes_and_name_every_kernel() {
     }
 }
 
-/// What the kernels of a step of so many samples do, every corner added one by one.
+/// Costs of the kernels of a step of `samples` samples, with every corner added one by one.
 fn costs(gpu: &Arc<Gpu>, config: &Config, samples: f64) -> Vec<Cost> {
     let training = TimedTraining::new(gpu, ball(4, 16), config, 7).unwrap();
     let filled = BatchFill {
@@ -181,7 +181,7 @@ fn a_step_takes_20_dispatches_and_two_more_where_photos_have_exposures_whatever_
     }
 }
 
-/// Bytes of a batch's columns a sample: what was left of 8,800 when networks were fused.
+/// Bytes of a batch's columns a sample: the rest of 8,800 after networks were fused.
 #[test]
 fn a_sample_of_a_field_64_wide_moves_at_most_1500_bytes() {
     let Some(gpu) = gpu("a_sample_of_a_field_64_wide_moves_at_most_1500_bytes") else {
@@ -217,7 +217,7 @@ fn a_picture_is_the_same_on_both_devices() {
     let (camera, pose) = (&views[0].camera, &views[0].cam_from_world);
     let there = there.render(camera, pose).unwrap();
     let here = marf_field::test_scene::exact(&here.model, camera, pose);
-    // A sample on the border of a cell may lie on its other side.
+    // A sample on the border of a cell may be on its other side.
     let pairs = there.rgb.iter().zip(&here.rgb);
     let apart = pairs.filter(|(a, b)| worst(*a, *b).0 > 1.0 / 128.0).count();
     let (colour, _) = worst(there.rgb.as_flattened(), here.rgb.as_flattened());
@@ -252,7 +252,7 @@ fn a_training_on_a_gpu_goes_on_from_a_checkpoint_with_the_same_bytes() {
     assert_eq!(refused, Err(FieldError::OtherTraining { what: "device" }));
 }
 
-/// What came of steps is told one call late, so that the device need not wait: all of it, once, whoever asks in between.
+/// Steps are reported one call late, so that the device need not wait: each once, whoever asks in between.
 #[test]
 fn a_training_that_is_settled_after_every_call_learns_the_same_bytes_and_tells_as_much() {
     let name = "a_training_that_is_settled_after_every_call_learns_the_same_bytes_and_tells_as_much";
@@ -335,7 +335,7 @@ fn a_box_is_fitted_as_on_the_cpu_and_a_resumed_training_goes_on_in_it() {
     }
     let [on_gpu, on_cpu] = [&there, &here].map(|trainer| trainer.training.frame.half_side);
     assert!(on_cpu < 0.5 * at_first, "{on_cpu} of {at_first}");
-    // Weights drift apart by rounding; the box is an 80th percentile of some thousand depths.
+    // Weights drift apart by rounding. The box is an 80th percentile of some thousand depths.
     assert!(
         (on_gpu / on_cpu - 1.0).abs() < 0.1,
         "{on_gpu} on the GPU, {on_cpu} on the CPU"
@@ -347,7 +347,8 @@ fn a_box_is_fitted_as_on_the_cpu_and_a_resumed_training_goes_on_in_it() {
     assert!(there.save().unwrap() == resumed.save().unwrap());
 }
 
-/// With a planted pace of 0.1 M samples/s two steps of 2^13 fit where one of 2^15 would; what was learnt stays.
+/// With a planted pace of 0.1 M samples/s two steps of 2^13 fit where one of 2^15 would. The learnt state
+/// stays.
 #[test]
 fn a_batch_follows_the_pace_of_a_device_and_what_was_learnt_stays() {
     let name = "a_batch_follows_the_pace_of_a_device_and_what_was_learnt_stays";

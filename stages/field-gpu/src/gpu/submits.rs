@@ -5,23 +5,23 @@ use std::time::Instant;
 use super::Gpu;
 use super::record::{Recorder, Work};
 
-/// Seconds that a submit is predicted to take at most. Windows resets a device after 2 s, some phones and integrated devices
-/// after less; a picture on the screen that the device drives waits for as long.
+/// Seconds that a submit is predicted to take at most. Windows resets a device after 2 s, some phones and
+/// integrated devices after less. A picture on the screen that the device drives waits for as long.
 pub const MOST_S: f64 = 0.2;
 /// Dispatches are not equally dear: a part of a step is counted on to take up to twice its share.
 const UNEVEN: f64 = 2.0;
 
-/// What is known of the time of a step, or of a round of a picture, which decides nothing but how they are cut.
+/// Time of a step, or of a round of a picture. It decides only how they are cut.
 #[derive(Debug, Default)]
 pub struct Submits {
-    /// Seconds, as last measured; none before the first.
+    /// Seconds, as last measured. `None` before the first.
     step_s: Option<f64>,
     /// When the steps that were last measured were seen to be done: those behind them did not run before.
     done: Option<Instant>,
 }
 
 impl Submits {
-    /// Notes that so many steps are done that were submitted from then on.
+    /// Notes that the `steps` steps submitted since `submitted` are done.
     pub fn took(&mut self, steps: u64, submitted: Instant) {
         let now = Instant::now();
         let begun = self.done.map_or(submitted, |done| done.max(submitted));
@@ -36,8 +36,8 @@ impl Submits {
         self.step_s = Some(step_s);
     }
 
-    /// Returns how many of the dispatches of a step go into one submit, at least one: as many as are predicted to take
-    /// [`MOST_S`]. One before a step was measured, and where the time is no number.
+    /// Returns how many of the dispatches of a step go into one submit, at least one: as many as are
+    /// predicted to take [`MOST_S`]. One before a step was measured, or if the time is NaN.
     pub fn most(&self, dispatches: usize) -> usize {
         let parts = self
             .step_s
@@ -45,11 +45,11 @@ impl Submits {
         if parts <= 1.0 {
             return dispatches.max(1);
         }
-        // What is no number becomes 0.
+        // NaN becomes 0.
         ((dispatches as f64 / parts.ceil()) as usize).max(1)
     }
 
-    /// Submits a step, cut as its time asks for; the bits are the same however it is cut.
+    /// Submits a step, cut according to its time. The bits are the same however it is cut.
     pub fn submit(&self, gpu: &Gpu, record: impl FnOnce(&mut Recorder<'_>)) {
         if self.most(usize::MAX) == usize::MAX {
             return gpu.submit(record);

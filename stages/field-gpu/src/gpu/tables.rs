@@ -1,4 +1,5 @@
-//! The tables on the GPU: where levels lie in one array, and the kernels that look them up and train them.
+//! The tables on the GPU: the places of levels in one array, and the kernels that look them up and train
+//! them.
 
 mod adam;
 #[cfg(test)]

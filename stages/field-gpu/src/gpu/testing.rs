@@ -8,8 +8,8 @@ use marf_field::rng::{Purpose, Rng};
 use marf_field::training::Training;
 use marf_field::{Config, Device, FieldError, GpuError, Step, Trainer, View};
 
-/// Returns the adapter that tests run on: `MARF_TEST_GPU` (`gpu`, `gpu:NAME` or a part of its name), or llvmpipe; and whether
-/// it was asked for.
+/// Returns the adapter that tests run on: `MARF_TEST_GPU` (`gpu`, `gpu:NAME` or a part of its name), or
+/// llvmpipe. Also returns whether the variable is set.
 fn wanted() -> (Device, bool) {
     let named = |name: String| Device::Gpu(Some(name));
     match std::env::var("MARF_TEST_GPU") {
@@ -56,7 +56,7 @@ pub fn own_gpu_within(test: &str, limits: &wgpu::Limits) -> Option<Gpu> {
     opened(test, |device| Gpu::open_within(device, Some(limits.clone())))
 }
 
-/// Makes a training on a device; sparse points and seed as on the CPU.
+/// Makes a training on a device. Sparse points and seed are as on the CPU.
 pub fn on_gpu(gpu: &Arc<Gpu>, views: Vec<View>, points: &[[f64; 3]], config: &Config, seed: u64) -> Trainer {
     let training = Training::new(views, points, config, seed).unwrap();
     Trainer::from_training(training, gpu.clone()).unwrap()
@@ -69,7 +69,7 @@ pub fn advance(trainer: &mut Trainer, to: u64) {
     }
 }
 
-/// Takes at most so many steps and tells what came of them, and of those before.
+/// Takes at most `most` steps and returns their result, with that of those before.
 pub fn settled(trainer: &mut Trainer, most: u64) -> Result<Step, FieldError> {
     let told = trainer.advance(most)?;
     Ok(told.and(trainer.settle()?))

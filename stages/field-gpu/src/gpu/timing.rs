@@ -100,7 +100,7 @@ impl TimedTraining {
         Ok(Self { training, session })
     }
 
-    /// Returns what the steps that were timed worked on.
+    /// Returns the shape of the timed steps.
     pub fn shape(&self, timed: &StepTimes) -> Shape {
         let (training, session) = (&self.training, &self.session);
         let each = |count: u64| count as f64 / timed.steps as f64;
@@ -151,9 +151,11 @@ impl TimedTraining {
         session.upload(training)
     }
 
-    /// Returns what the kernels of a step do that has these samples and moves the averages, in their order.
+    /// Returns the costs of the kernels of a step with these samples that also moves the averages, in their
+    /// order.
     ///
-    /// Columns grow with their samples: a small batch tells of a large one. `None` where a kernel has no cost.
+    /// Columns grow with their samples: a small batch predicts a large one. `None` where a kernel has no
+    /// cost.
     pub fn costs(&self, filled: &BatchFill) -> Option<Vec<Cost>> {
         let session = &self.session;
         let slots = Slots {
@@ -187,7 +189,7 @@ impl TimedTraining {
     /// Takes `steps` steps, every dispatch between two timestamps.
     ///
     /// # Errors
-    /// As [`marf_field::Trainer::advance`]; a device without timestamps.
+    /// As [`marf_field::Trainer::advance`]. A device without timestamps.
     pub fn time(&mut self, steps: u64) -> Result<StepTimes, FieldError> {
         let (training, session) = (&mut self.training, &mut self.session);
         session.download(&mut training.state)?;
@@ -255,7 +257,7 @@ impl GpuSession {
         }
     }
 
-    /// Returns what a kernel has to do in a step, counted from what it must read, write and compute.
+    /// Returns the load of a kernel in a step, counted from its reads, writes and operations.
     fn load(&self, name: &str, training: &Training, watch: &Watch, sum: Step, rows: u64) -> Option<Load> {
         let [visited, kept, rows] =
             [watch.visited, sum.samples, rows].map(|count| count as f64 / sum.steps as f64);
@@ -270,8 +272,8 @@ impl GpuSession {
         let entries = 4.0 * self.held.grid.numbers() as f64;
         let row = 4.0 * self.held.grid.features() as f64;
         Some(match name {
-            // Weight and both moments read and written, the count too; of the gradient zeros. Where averages are due, these
-            // are read and written, too, and all weights read.
+            // Weight and both moments read and written, the count too. The gradient's zeros written. Where
+            // averages are due, these are read and written, too, and all weights read.
             "adam_table" => {
                 let steps = training.state.steps - sum.steps..training.state.steps;
                 let due = steps.filter(|step| training.kept_at(*step).is_some()).count();
@@ -281,7 +283,7 @@ impl GpuSession {
             "peak" => Load::Bytes(entries),
             "density" => Load::Operations(2.0 * visited * density),
             "shade" => Load::Operations(2.0 * kept * color),
-            // Forward anew, and two products a weight on the way back.
+            // Forward again, and two products a weight on the way back.
             "back" => Load::Operations(6.0 * kept * (density + color)),
             _ => return None,
         })

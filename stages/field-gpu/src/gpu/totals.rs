@@ -1,4 +1,4 @@
-//! What the totals of steps on a device tell: what came of them, what their rays cost, which number was not finite.
+//! The totals of steps on a device: their result, the cost of their rays, the number that was not finite.
 
 use marf_field::FieldError;
 use marf_field::backend::Step;
@@ -7,8 +7,8 @@ use marf_field::state::{State, cost, with_cost};
 use marf_field::training::Training;
 use marf_shaders::{Total, faults};
 
-/// Steps from which on costs decide one call late. Before, the first guess is far off and cells empty fast, so that a cost of
-/// 16 steps ago is a wrong one: with it a training of 200 steps lost .2 dB.
+/// Steps from which on costs decide one call late. Before, the first guess is far off and cells empty fast,
+/// so that a cost of 16 steps ago is wrong: with it a training of 200 steps lost 0.2 dB.
 pub const LATE_FROM: u64 = 16 * UPDATE_EVERY;
 
 /// Returns the error of a step with a number that is not finite, by the first fault that the device found.
@@ -41,7 +41,7 @@ pub fn add(sum: &mut Step, total: &Total) {
     });
 }
 
-/// Notes what the rays of some steps cost, whose samples are now so many times as many.
+/// Notes the cost of the rays of some steps. Their samples are now `longer` times as many.
 pub fn note_costs(state: &mut State, totals: &[Total], longer: f64) {
     let costs = totals.iter().map(|total| {
         let rays = u64::from(total.rays).max(1);

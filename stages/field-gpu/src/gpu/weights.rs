@@ -23,7 +23,7 @@ pub struct DeviceWeights {
     pub tables: Array<f32>,
     /// f32 [`Layers::numbers`]: both networks, then the background, f32 `[4][16]`, whose last row is unused.
     pub nets: Array<f32>,
-    /// Where they lie in it.
+    /// Places of the layers in it.
     pub layers: Layers,
 }
 

@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-/// Runs at least 3 times and for 0.1 s; returns the shortest time in seconds.
+/// Runs at least 3 times and for 0.1 s, and returns the shortest time in seconds.
 pub fn best(mut work: impl FnMut()) -> f64 {
     work();
     let (start, mut shortest, mut runs) = (Instant::now(), f64::MAX, 0);
@@ -15,7 +15,7 @@ pub fn best(mut work: impl FnMut()) -> f64 {
     shortest
 }
 
-/// Runs once; returns the time in seconds.
+/// Runs once and returns the time in seconds.
 pub fn once(work: impl FnOnce()) -> f64 {
     let begin = Instant::now();
     work();
@@ -36,7 +36,7 @@ impl Threads {
         self.0.install(work)
     }
 
-    /// Lets every thread time its own work, given its number, all at once; returns the runs a second of all.
+    /// Runs the timed work of every thread, given its number, all at once. Returns the runs a second of all.
     ///
     /// No thread waits for another: on a machine with other work a wait would be what is timed.
     pub fn rate(&self, time_s: impl Fn(usize) -> f64 + Sync) -> f64 {

@@ -6,7 +6,7 @@ use marf_field::cpu::simd::{Block, InstructionSet, LANES, flat_mut};
 /// Samples of a ray.
 pub const RAY: usize = 64;
 
-/// Samples of a run; plain Rust calls a function for every multiply-add.
+/// Samples of a run. Plain Rust calls a function for every multiply-add.
 pub fn samples(level: InstructionSet) -> usize {
     if matches!(level, InstructionSet::Plain(_)) {
         1 << 13

@@ -1,8 +1,8 @@
 //! Every kernel against the ceiling that binds it, measured in the same run: `cargo bench -p marf-field --bench kernels`.
 //!
-//! Two fields: `fixed` is 16 levels x 2 features, T = 2^19, networks 64 wide; `default` is 8 x 4, T = 2^15, 32 wide.
-//! Points lie along rays, 64 a ray. One line a kernel, instruction set and number of threads; `[KERNEL]` as argument
-//! runs only those whose name contains it.
+//! Two fields: `fixed` is 16 levels x 2 features, T = 2^19, networks 64 wide. `default` is 8 x 4, T = 2^15, 32 wide.
+//! Points are along rays, 64 a ray. One line a kernel, instruction set and number of threads. `[KERNEL]` as
+//! argument runs only those whose name contains it.
 #![allow(clippy::print_stdout, clippy::expect_used, missing_docs)]
 
 mod ceilings;

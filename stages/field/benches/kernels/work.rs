@@ -84,7 +84,7 @@ impl fmt::Display for Limits {
         let Self { triad, rows } = self;
         write!(
             out,
-            "triad {triad:.1} GB/s; random rows {:.0} M/s read, {:.0} M/s added to",
+            "triad {triad:.1} GB/s, random rows {:.0} M/s read, {:.0} M/s added to",
             rows[0], rows[1]
         )
     }

@@ -1,10 +1,11 @@
 //! Time of whole pictures on all threads: `cargo bench -p marf-field --bench render`.
 //!
-//! The field is trained on a ball on chequered ground, 400 steps; what real scenes take is in `benches/field.md`.
+//! The field is trained on a ball on chequered ground, 400 steps. Times of real scenes are in
+//! `benches/field.md`.
 #![allow(
     missing_docs,
     clippy::expect_used,
-    reason = "criterion's macros write public functions; a bench that cannot go on should stop"
+    reason = "criterion's macros write public functions, and a bench that cannot continue should stop"
 )]
 
 #[path = "../step/scene.rs"]

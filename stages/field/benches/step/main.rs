@@ -1,10 +1,10 @@
-//! A training step part by part, each beside what its kernel alone needs for as many samples:
-//! `cargo bench -p marf-field --bench step`. See `benches/step.md`.
+//! A training step part by part, each with the time of its kernel alone for as many samples: `cargo bench -p
+//! marf-field --bench step`. See `benches/step.md`.
 //!
-//! Fields have the sizes that budgets of 10, 60 and 300 s give rover4, fox4 and lego; they are trained on the synthetic
-//! scene of the bench `gpu`, which needs no photos: its rays have other lengths, so samples a ray are printed. One thread.
-//! `[NAME]` as argument runs only those whose name contains it; `MARF_BENCH_STEPS` are the steps before those timed, and
-//! the latter.
+//! Fields have the sizes that budgets of 10, 60 and 300 s give rover4, fox4 and lego. They are trained on the
+//! synthetic scene of the bench `gpu`, which needs no photos. Its rays have other lengths, so samples a ray
+//! are printed. One thread. `[NAME]` as argument runs only those whose name contains it. `MARF_BENCH_STEPS`
+//! is the number of steps before the timed ones, and of those.
 #![allow(clippy::print_stdout, clippy::expect_used, missing_docs)]
 
 #[path = "../kernels/ceilings.rs"]
@@ -39,7 +39,7 @@ const FIELDS: [(&str, u32, u32); 9] = [
     ("lego, 300 s", 2048, 19),
 ];
 
-/// Steps from one update of the occupancy to the next: times are means of so many, and of these the median.
+/// Steps from one update of the occupancy to the next: times are the median of means over this many.
 const PERIOD: usize = 16;
 
 fn main() {
@@ -52,7 +52,7 @@ fn main() {
         std::env::var("MARF_BENCH_STEPS").map_or(256, |text| text.parse().expect("a number of steps"));
     let level = InstructionSet::best();
     println!(
-        "{level:?}, 1 thread, {steps} steps, then {steps} that are timed (medians); no hardware counters are read"
+        "{level:?}, 1 thread, {steps} steps, then {steps} that are timed (medians), no hardware counters are read"
     );
     let threads = Threads::new(1);
     for (name, finest, log2_table) in FIELDS {
@@ -138,8 +138,8 @@ fn mean(steps: Vec<StepProfile>) -> StepProfile {
     }
 }
 
-/// Returns what the kernel of a part needs alone for so many rays, samples visited, samples trained, in seconds;
-/// none where a part has no kernel of its own.
+/// Returns the seconds of the kernel of each part alone for these rays, visited samples and trained samples.
+/// `None` if a part has no kernel of its own.
 fn alone(
     field: &Field,
     level: InstructionSet,

@@ -32,7 +32,7 @@ fn view(index: u32) -> View {
     }
 }
 
-/// The ball has radius 1 and lies on the ground at z = -1.
+/// The ball has radius 1 and is on the ground at z = -1.
 fn colour(eye: Vector3<f64>, direction: Vector3<f64>) -> [u8; 3] {
     let toward = -eye.dot(&direction);
     let miss = (eye + direction * toward).norm_squared();

@@ -26,7 +26,7 @@ impl Default for Bias {
 }
 
 impl Bias {
-    /// Returns the corrections by step count; the last holds from there on.
+    /// Returns the corrections by step count. The last one holds for all later steps.
     pub fn corrections(&self) -> &[[f32; 2]] {
         &self.0
     }
@@ -60,7 +60,7 @@ impl Moments {
 /// touched once drift 10 step sizes. Gradients are set to zero on the way.
 ///
 /// # Extremes
-/// A gradient above 1.8e19 makes the second moment infinite and its row stands still from then on.
+/// A gradient above 1.8e19 makes the second moment infinite. Its row does not move from then on.
 pub struct Adam<'a, const F: usize> {
     /// `[rows, F]`.
     pub weights: &'a mut [f32],
@@ -124,11 +124,12 @@ impl<const F: usize> Kernel for Adam<'_, F> {
     }
 }
 
-/// Rows that are moved together. Where more than an eighth of them have no gradient, they are listed before any is moved:
-/// a branch a row would be guessed wrong, and the next rows be waited for one by one (T = 2^18: 13.4 ms a step, 8.8 so).
+/// Rows that are moved together. Where more than an eighth of them have no gradient, they are listed before
+/// any is moved. Without the list, the CPU mispredicts a branch a row and waits for the next rows one by one
+/// (T = 2^18: 13.4 ms a step, 8.8 with it).
 const PIECE: usize = 256;
 
-/// Returns whether a row has a gradient: none is a zero of either sign.
+/// Returns whether a row has a gradient. A zero of either sign is not one.
 #[inline(always)]
 fn is_touched<const F: usize>(slopes: &[f32; F]) -> bool {
     slopes.iter().fold(0, |bits, slope| bits | slope.to_bits() << 1) != 0
@@ -143,7 +144,7 @@ struct Step<'a> {
 }
 
 impl Step<'_> {
-    /// Moves one row; its gradient is zero afterwards.
+    /// Moves one row and sets its gradient to zero.
     #[inline(always)]
     fn take<const F: usize>(
         &self,

@@ -13,8 +13,8 @@ const MARGIN: f32 = 1e-5;
 pub struct Clearance {
     /// Coarse cells a side.
     side: usize,
-    /// `[(side + 2)^3]`, x fastest, a border of 255 around: coarse cells to the next occupied one by the maximum norm, at most
-    /// 255; 0 where occupied.
+    /// `[(side + 2)^3]`, x fastest, a border of 255 around: coarse cells to the next occupied one by the
+    /// maximum norm, at most 255. 0 where occupied.
     cells: Vec<u8>,
 }
 
@@ -78,13 +78,13 @@ impl Clearance {
         ((z + 1) * side + y + 1) * side + x + 1
     }
 
-    /// Returns a row with its borders; y and z count from the border.
+    /// Returns a row with its borders. y and z count from the border.
     fn row_mut(&mut self, y: usize, z: usize) -> &mut [u8] {
         let side = self.side + 2;
         &mut self.cells[(z * side + y) * side..][..side]
     }
 
-    /// Copies a row, lowered to one more than the cells beside it in four other rows.
+    /// Copies a row, lowered to one more than the neighbouring cells in four other rows.
     fn lower(&self, row: &mut [u8], y: usize, z: usize, beside: [(usize, usize); 4]) {
         let side = self.side + 2;
         let row_at = |y: usize, z: usize| &self.cells[(z * side + y) * side..][..side];
@@ -100,7 +100,8 @@ impl Clearance {
         }
     }
 
-    /// Returns one bit for each of 16 points of the scene: whether matter may lie within `reach` of it, by the maximum norm.
+    /// Returns one bit for each of 16 points of the scene: whether matter may be within `reach` of it, by the
+    /// maximum norm.
     ///
     /// With m the maximum norm of a point, moving it moves a coordinate of the contracted box, 4 wide, by at most as
     /// much times 4/m - 3/m^2 outside of the inner box and times 1 inside: at most 4/3 anywhere, and at most 4/m. Over
@@ -127,7 +128,8 @@ impl Clearance {
         (0..LANES).fold(0, |bits, lane| bits | near[lane] << lane)
     }
 
-    /// Returns how far every coordinate of 16 points of the unit box may move before a cell with matter is reached; 0 or less in one.
+    /// Returns how far each coordinate of 16 points of the unit box may move before it reaches a cell with
+    /// matter. 0 or less inside one.
     #[inline(always)]
     fn around<I: Isa>(&self, isa: I, at: &[Block; 3]) -> Block {
         let (side, last) = (isa.splat(self.side as f32), isa.splat_u(self.side as u32 - 1));

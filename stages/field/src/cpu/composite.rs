@@ -5,13 +5,13 @@
 use super::math::{exp, one_minus_exp_neg, sigmoid};
 use super::simd::{Block, Isa, Kernel, LANES};
 
-/// Raw densities are cut here; exp(11) is opaque at any step. The gradient above is zero.
+/// Raw densities are cut here: exp(11) is opaque at any step. The gradient above is zero.
 pub const RAW_LIMIT: f32 = 11.0;
 /// Added to the raw density before the exponential, so that untrained space is thin.
 pub const RAW_SHIFT: f32 = -3.0;
 /// Logits of colours are cut at +-10 (0.99995, beyond 8 bits). The gradient outside is zero.
 pub const LOGIT_LIMIT: f32 = 10.0;
-/// Samples behind a transmittance below this are left out; the error of a colour is at most this.
+/// Samples behind a transmittance below this are left out. The error of a colour is at most this.
 pub const OPAQUE: f32 = 1e-4;
 
 /// tau = exp(raw) delta, and alpha = 1 - exp(-tau), sample by sample.
@@ -41,7 +41,7 @@ impl Kernel for Depths<'_> {
     }
 }
 
-/// Densities of raw outputs, not cut; NaN where one is not finite.
+/// Densities of raw outputs, not cut. NaN where one is not finite.
 pub struct Densities<'a> {
     /// Raw outputs of the density network, as many as `found` or more.
     pub raw: &'a [f32],
@@ -79,7 +79,7 @@ impl Kernel for ExpNeg<'_> {
 pub struct Colours<'a> {
     /// `[n]`, one block a row.
     pub logits: &'a [Block],
-    /// `[n]`, sRGB in [0, 1]; the fourth number is unused.
+    /// `[n]`, sRGB in [0, 1]. The fourth number is unused.
     pub rgb: &'a mut [[f32; 4]],
 }
 
@@ -141,7 +141,7 @@ pub struct Gathered {
     pub left: f32,
 }
 
-/// Composites front to back; an empty ray lets everything pass.
+/// Composites front to back. An empty ray lets everything pass.
 pub struct Gather<'a>(pub Ray<'a>);
 
 impl Kernel for Gather<'_> {

@@ -4,7 +4,8 @@ use super::simd::{
     Block, Checked, CheckedMut, Indices, Isa, Kernel, LANES, Stripe, Table, TableMut, flat, prefetch_all,
 };
 
-/// Multipliers of the spatial hash for y and z (instant-ngp, eq. 4); x has 1, so that neighbours share lines.
+/// Multipliers of the spatial hash for y and z (instant-ngp, eq. 4). That of x is 1, so that neighbours share
+/// lines.
 pub const PRIMES: [u32; 2] = [2_654_435_761, 805_459_861];
 
 /// Brings a table of at most [`WARMED_BYTES`] to the second cache, line after line: rows are then found there, or in the third,
@@ -18,9 +19,9 @@ pub fn warm(table: &[f32]) {
 /// One level of the grid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Shape {
-    /// Cells a side; there are `resolution + 1` corners a side.
+    /// Cells a side. There are `resolution + 1` corners a side.
     pub resolution: u32,
-    /// Entries of the table; a power of two where corners are hashed.
+    /// Entries of the table. A power of two where corners are hashed.
     pub entries: u32,
     /// Every corner has its own entry.
     pub dense: bool,
@@ -43,7 +44,8 @@ impl Shape {
 /// Tables above this size in bytes do not stay in the second cache (1 MB a core here): their rows are asked for
 /// ahead. Below it, that costs 40 %.
 const CACHED_BYTES: usize = 1 << 20;
-/// Tables up to this size are brought nearer whole, see [`warm`]; of twice as much, too little stays until it is read.
+/// Tables up to this size are prefetched whole, see [`warm`]. Of twice as much, too little stays until it is
+/// read.
 const WARMED_BYTES: usize = 2 * CACHED_BYTES;
 /// Blocks of 16 points between asking for rows and reading them.
 const AHEAD: usize = 3;
@@ -52,7 +54,7 @@ const NEXT: usize = 1;
 /// Blocks that are remembered: more than [`AHEAD`], a power of two.
 const RING: usize = 4;
 
-/// Entries and weights of the 8 corners around 16 points; corner = x + 2 y + 4 z.
+/// Entries and weights of the 8 corners around 16 points. Corner = x + 2 y + 4 z.
 #[derive(Clone, Copy)]
 struct Corners {
     index: Indices,
@@ -69,9 +71,9 @@ struct Axis<I: Isa> {
 }
 
 impl<I: Isa> Axis<I> {
-    /// Returns the two corners of a coordinate along an axis; `factor` is the axis' stride or prime.
+    /// Returns the two corners of a coordinate along an axis. `factor` is the axis' stride or prime.
     ///
-    /// The last cell takes 1.0; NaN counts as 0.
+    /// The last cell includes 1.0. NaN counts as 0.
     #[inline(always)]
     fn new(isa: I, at: &Block, resolution: u32, factor: u32) -> Self {
         let q = isa.mul(isa.unit(isa.load(at)), isa.splat(resolution as f32));

@@ -1,5 +1,5 @@
-//! The extremes of the kernels (`reference/kernels.md`, sections 5.1 to 5.3 and 5.6); the value that breaks stands in
-//! the message. More stand beside the kernels: `march.rs`, `gradients.rs`, `adam.rs`, `twins.rs`.
+//! The extremes of the kernels (`reference/kernels.md`, sections 5.1 to 5.3 and 5.6). The message holds the
+//! value that breaks. Others are tested in `march.rs`, `gradients.rs`, `adam.rs`, `twins.rs`.
 
 use super::adam::{Adam, Bias, Moments};
 use super::composite::{Depths, ExpNeg, RAW_LIMIT, RAW_SHIFT, Ray, runs_away};
@@ -150,7 +150,7 @@ fn walk(level: InstructionSet, steps: &Steps, bits: &Bits, origin: [f32; 3], dir
     samples
 }
 
-/// Steps are counted in f64 and grow with the distance: within all that [`Config`] allows none is lost in f32.
+/// Steps are counted in f64 and grow with the distance: within all that [`Config`] allows, f32 loses none.
 #[test]
 fn no_step_stalls_at_any_distance_and_length_that_may_be_set() {
     for (near, far, shortest, cone) in [
@@ -177,7 +177,7 @@ fn no_step_stalls_at_any_distance_and_length_that_may_be_set() {
 fn a_ray_along_a_face_or_from_one_finds_the_cells_beside_it() {
     let steps = Steps::new(0.0625, 4.0, 0.0625, 0.0);
     let mut bits = Bits::new(16);
-    // The cells beside the face x = 0 of the contracted world: [-0.25, 0] and [0, 0.25] along x.
+    // The cells on both sides of the face x = 0 of the contracted world: [-0.25, 0] and [0, 0.25] along x.
     for z in 0..16 {
         bits.set((z * 16 + 8) * 16 + 8);
     }

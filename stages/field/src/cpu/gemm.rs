@@ -6,13 +6,13 @@
 use super::simd::{Block, Isa, Kernel, LANES, Strided, add_products, flat};
 
 /// Samples whose gradients are added to all weights before the next ones are read: 256 rows of 64 numbers are
-/// 64 KB, and stay in the second cache beside their inputs.
+/// 64 KB, and stay in the second-level cache together with their inputs.
 const SLAB: usize = 256;
 
 /// What is done to a finished sum.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum After<'a> {
-    /// Added to what is there: the chain goes on.
+    /// Added to the sums already there: the chain continues.
     Added,
     /// Stored as it is.
     Nothing,
@@ -22,7 +22,8 @@ pub enum After<'a> {
     Gate(&'a [Block]),
 }
 
-/// C = A B of the first `steps` columns of A and the first `columns` block columns of B; n is a multiple of 16.
+/// C = A B of the first `steps` columns of A and the first `columns` block columns of B. n is a multiple of
+/// 16.
 pub struct Product<'a> {
     /// Left factor, `[n, inner]`.
     pub a: &'a [Block],
@@ -32,7 +33,7 @@ pub struct Product<'a> {
     pub c: &'a mut [Block],
     /// Numbers in a row of A, a multiple of 16.
     pub inner: usize,
-    /// Numbers in a row of A that are summed, the first ones; at most `inner`.
+    /// Numbers in a row of A that are summed: the first ones, at most `inner`.
     pub steps: usize,
     /// Blocks in a row of B.
     pub across: usize,
@@ -84,7 +85,7 @@ pub struct Outer<'a> {
     pub a: &'a [Block],
     /// Gradients of its outputs, rows of `columns` blocks.
     pub d: &'a [Block],
-    /// Gradient of the weights; overwritten.
+    /// Gradient of the weights, overwritten.
     pub g: &'a mut [Block],
     /// k, a multiple of 16.
     pub inner: usize,
@@ -118,7 +119,7 @@ impl Kernel for Outer<'_> {
     }
 }
 
-/// C = A B or C += A B, tile by tile; the number of rows of C is a multiple of 16.
+/// C = A B or C += A B, tile by tile. The number of rows of C is a multiple of 16.
 struct Tiles<'a> {
     a: Strided<'a>,
     b: &'a [Block],
@@ -144,7 +145,7 @@ impl Tiles<'_> {
         }
     }
 
-    /// Computes all rows of `NV` block columns, `MR` rows at a time; returns `NV`.
+    /// Computes all rows of `NV` block columns, `MR` rows at a time, and returns `NV`.
     #[inline(always)]
     fn panel<I: Isa, const MR: usize, const NV: usize>(&mut self, isa: I, column: usize) -> usize {
         for first in (0..self.c.len() / self.columns).step_by(MR) {

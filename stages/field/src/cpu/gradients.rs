@@ -39,7 +39,7 @@ const SLOPE: [f32; 3] = [0.7, -0.3, 0.9];
 const BEHIND: [f32; 3] = [0.2, 0.5, 0.8];
 const DISTORTION: [f32; 2] = [0.05, 0.02];
 
-/// g . C + distortion loss of one ray in f64; `at` is tau, then colours.
+/// g . C + distortion loss of one ray in f64. `at` is tau, then colours.
 fn ray_loss(at: &[f64], place: &[f32]) -> f64 {
     let (tau, rgb) = at.split_at(S);
     let mut left = 1.0;
@@ -181,7 +181,7 @@ fn a_colour_has_the_slope_of_the_sigmoid_and_none_beyond_its_limit() {
     assert!(exp(RAW_LIMIT).is_finite());
 }
 
-/// sum of outputs times `d` of a net in f64; `at` is the input rows, then the weights layer by layer.
+/// Sum of outputs times `d` of a net in f64. `at` is the input rows, then the weights layer by layer.
 fn net_loss(net: &Net, rows: usize, d: &[f32], at: &[f64]) -> f64 {
     let (mut x, mut weights) = (
         at[..rows * net.layers[0].inputs].to_vec(),

@@ -33,8 +33,8 @@ fn mean_of_corners(shape: &Shape, table: &[f32], point: [f32; 3]) -> [f32; 4] {
 
 #[test]
 fn a_lookup_in_a_table_of_any_size_is_the_mean_of_its_corners() {
-    // 2^9 entries stay in the cache, 2^17 of 16 bytes are asked for ahead; dense and hashed. 16 points are fewer
-    // than the blocks that are asked for ahead.
+    // 2^9 entries stay in the cache, 2^17 of 16 bytes are prefetched. Both dense and hashed. 16 points are
+    // fewer than the prefetched blocks.
     for (resolution, log2_table) in [(6, 9), (70, 9), (50, 17), (600, 17)] {
         for count in [0, 16, 64, 160] {
             let axes = [1, 2, 3].map(|axis| numbers(count, axis));
@@ -100,7 +100,7 @@ fn points_outside_the_box_or_nan_look_up_its_border() {
 
 #[test]
 fn a_scatter_in_a_large_table_is_the_transpose_of_its_lookup() {
-    // <scatter(g), t> = <g, lookup(t)>, in f64; 2^17 entries of 16 bytes are asked for ahead.
+    // <scatter(g), t> = <g, lookup(t)>, in f64. 2^17 entries of 16 bytes are prefetched.
     let shape = Shape::new(600, 17);
     let axes = [1, 2, 3].map(|axis| numbers(160, axis));
     let axes = axes.map(|axis| axis.iter().map(|x| x * 0.5 + 0.5).collect::<Vec<f32>>());

@@ -13,7 +13,7 @@ use super::space::{Bits, contract};
 pub struct Steps {
     /// Begin of a step, padded to a multiple of 16.
     pub begin: Vec<f32>,
-    /// Length of a step; 0 in the padding.
+    /// Length of a step. 0 in the padding.
     pub length: Vec<f32>,
     /// Steps without the padding.
     pub count: usize,
@@ -88,7 +88,7 @@ impl Samples {
         ]
     }
 
-    /// Makes every array `len` long; new samples lie at the origin and have no length.
+    /// Makes every array `len` long. New samples are at the origin and have no length.
     pub fn resize(&mut self, len: usize) {
         for array in self.arrays() {
             array.resize(len, 0.0);
@@ -96,13 +96,13 @@ impl Samples {
     }
 }
 
-/// Appends the samples of one ray that lie in occupied cells.
+/// Appends the samples of one ray that are in occupied cells.
 pub struct March<'a> {
     /// Where to look.
     pub steps: &'a Steps,
     /// What is occupied.
     pub bits: &'a Bits,
-    /// Its empty space, of which whole blocks of steps are left out; with the steps of [`Steps::new`] alone.
+    /// Its empty space, where whole blocks of steps are left out. Only with the steps of [`Steps::new`].
     pub clearance: Option<&'a Clearance>,
     /// Camera centre, half sides.
     pub origin: [f32; 3],
@@ -119,7 +119,7 @@ pub struct March<'a> {
 }
 
 impl Kernel for March<'_> {
-    /// The step to go on from; `steps.begin.len()` or more at the end.
+    /// The step to continue from. `steps.begin.len()` or more at the end.
     type Output = usize;
 
     #[inline(always)]
@@ -196,7 +196,7 @@ impl March<'_> {
 }
 
 impl Samples {
-    /// Appends the lanes whose bit is set; the numbers are in the order of the arrays.
+    /// Appends the lanes whose bit is set. The numbers are in the order of the arrays.
     #[inline(always)]
     fn append<I: Isa>(&mut self, isa: I, numbers: [&Block; 6], lanes: u32) {
         let len = self.x.len() + lanes.count_ones() as usize;
@@ -249,7 +249,7 @@ mod tests {
             steps.length[steps.count..],
             vec![0.0; steps.begin.len() - steps.count]
         );
-        // At t = 1e5 a step of sqrt(3) / 1024 is lost in f32; the table counts in f64 and ends.
+        // At t = 1e5 a step of sqrt(3) / 1024 is lost in f32. The table counts in f64 and ends.
         let far = Steps::new(1e5, 1e5 + 10.0, 3.0_f64.sqrt() / 1024.0, 0.0);
         assert_eq!(far.count, 5913);
         assert_eq!(Steps::new(1.0, f64::MAX, 1e-4, 0.0).count, MOST_STEPS);

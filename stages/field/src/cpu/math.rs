@@ -3,7 +3,7 @@
 /// Adding and subtracting it rounds |x| < 2^22 to the nearest integer (1.5 * 2^23).
 const ROUND: f32 = 12_582_912.0;
 
-/// Returns e^x, relative error below 2e-7 for x in [-87, 88]; outside, the value at the border.
+/// Returns e^x, relative error below 2e-7 for x in [-87, 88]. Outside, the value at the border.
 ///
 /// Cody-Waite reduction by ln 2 in two parts, polynomial of degree 6 (Cephes `expf`).
 /// NaN gives a finite number: count NaN before.
@@ -21,15 +21,15 @@ pub fn exp(x: f32) -> f32 {
         .mul_add(r, 1.666_666_5e-1)
         .mul_add(r, 0.5);
     let p = (p * r).mul_add(r, r) + 1.0;
-    // The integer sits in the low bits of `shifted`; ROUND itself is 0x4B40_0000.
+    // The integer is in the low bits of `shifted`. ROUND itself is 0x4B40_0000.
     let exponent = shifted.to_bits().wrapping_sub(0x4B40_0000).wrapping_add(127) << 23;
     p * f32::from_bits(exponent)
 }
 
-/// Returns 1 - e^-x for x >= 0, relative error below 3e-7 also where x is tiny; 1 above 87.
+/// Returns 1 - e^-x for x >= 0, relative error below 3e-7 also where x is tiny. 1 above 87.
 #[inline(always)]
 pub fn one_minus_exp_neg(x: f32) -> f32 {
-    // Below 0.5 the series x - x^2/2 + ... to x^9; above, 1 - e^-x loses at most one bit.
+    // Below 0.5 the series x - x^2/2 + ... to x^9. Above, 1 - e^-x loses at most one bit.
     let series = (1.0 / 362_880.0_f32)
         .mul_add(x, -1.0 / 40_320.0)
         .mul_add(x, 1.0 / 5_040.0)

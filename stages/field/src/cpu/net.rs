@@ -1,10 +1,10 @@
-//! A multilayer perceptron without biases; ReLU between the layers.
+//! A multilayer perceptron without biases, with ReLU between the layers.
 
 use super::gemm::{After, Outer, Product};
 use super::simd::{Block, InstructionSet, LANES, Run, flat, flat_mut};
 use crate::rng::Rng;
 
-/// One layer; both widths are multiples of 16.
+/// One layer. Both widths are multiples of 16.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Layer {
     /// Width of the input.
@@ -13,7 +13,7 @@ pub struct Layer {
     pub outputs: usize,
     /// `[inputs, outputs]`.
     pub weights: Vec<Block>,
-    /// `[outputs, inputs]`, for the gradient of the input; follows `weights`.
+    /// `[outputs, inputs]`, for the gradient of the input. Follows `weights`.
     transposed: Vec<Block>,
 }
 
@@ -28,7 +28,7 @@ impl Layer {
         }
     }
 
-    /// Copies the weights into their transposed form; to be called after they changed.
+    /// Copies the weights into their transposed form. Call it after they changed.
     pub fn refresh(&mut self) {
         let transposed = flat_mut(&mut self.transposed);
         for (input, row) in flat(&self.weights).chunks_exact(self.outputs).enumerate() {
@@ -60,7 +60,7 @@ pub struct Net {
 }
 
 impl Net {
-    /// Returns a network of zero weights; `widths` are those of input, hidden layers and output.
+    /// Returns a network of zero weights. `widths` are those of input, hidden layers and output.
     pub fn new(widths: &[usize]) -> Self {
         let layers = widths.windows(2).map(|pair| Layer::new(pair[0], pair[1]));
         Self {
@@ -87,7 +87,7 @@ impl Net {
         }
     }
 
-    /// Gives `gradients` one buffer a layer; what is in them is not changed.
+    /// Gives `gradients` one buffer a layer and leaves their contents unchanged.
     pub fn shape_gradients(&self, gradients: &mut Vec<Vec<Block>>) {
         gradients.resize_with(self.layers.len(), Vec::new);
         for (layer, gradient) in self.layers.iter().zip(gradients) {
@@ -95,7 +95,7 @@ impl Net {
         }
     }
 
-    /// Runs rows through all layers; `activations[l]` receives the output of layer l.
+    /// Runs rows through all layers. `activations[l]` receives the output of layer l.
     pub fn forward(&self, level: InstructionSet, input: &[Block], activations: &mut Vec<Vec<Block>>) {
         activations.resize_with(self.layers.len(), Vec::new);
         let rows = self

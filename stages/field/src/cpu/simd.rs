@@ -1,8 +1,9 @@
 //! 16 lanes of f32 on AVX-512, AVX2 and plain Rust: with `stages/numeric` the only place with `unsafe`.
 //!
-//! A token of `marf-numeric` proves that this machine has the instructions, hence the methods that need them are safe. A
-//! [`Kernel`] is compiled once a set; all its functions are `#[inline(always)]`, so that its plain loops are compiled with
-//! the set's instructions too. Every set rounds every lane alike (IEEE 754 fused multiply-add), so the bits are the same.
+//! A token of `marf-numeric` proves that this machine has the instructions, hence the methods that need them
+//! are safe. A [`Kernel`] is compiled once a set. All its functions are `#[inline(always)]`, so that its
+//! plain loops are compiled with the set's instructions too. Every set rounds every lane alike (IEEE 754
+//! fused multiply-add), so the bits are the same.
 #![allow(unsafe_code)]
 
 mod isa;

@@ -14,7 +14,7 @@ pub fn contract(p: [f32; 3]) -> ([f32; 3], f32) {
     ([0, 1, 2].map(|axis| (p[axis] * scale).mul_add(0.25, 0.5)), shrink)
 }
 
-/// Undoes [`contract`] in f64; the border of the box, which is infinity, goes to `1e6`.
+/// Inverts [`contract`] in f64. The border of the box, which is infinity, maps to `1e6`.
 pub fn expand(u: [f64; 3]) -> [f64; 3] {
     let v = u.map(|u| (u - 0.5) * 4.0);
     let m = v[0].abs().max(v[1].abs()).max(v[2].abs());

@@ -216,7 +216,7 @@ fn lookup_and_scatter_are_the_same_on_every_set() {
 
 #[test]
 fn any_number_of_rows_moves_row_by_row() {
-    // 13 rows of 2 are no whole number of vectors; every third has no gradient.
+    // 13 rows of 2 are not a whole number of vectors. Every third has no gradient.
     let moved = |level: InstructionSet, rows: usize| {
         let (mut weights, mut gradient) = (numbers(26, 1), numbers(26, 2));
         weights.truncate(rows * 2);

@@ -5,7 +5,7 @@ use crate::cpu::march::Steps;
 use crate::cpu::simd::{Block, Isa, Kernel, LANES};
 use crate::frame::RayStart;
 
-/// Every sample lies in the middle of its step.
+/// Every sample is in the middle of its step.
 pub const MIDDLE: f32 = 0.5;
 
 /// The middle of some rays that begin at one point, and how far they spread.
@@ -18,7 +18,7 @@ pub struct Bundle {
 }
 
 impl Bundle {
-    /// Returns the bundle of rays of one camera; none without a ray.
+    /// Returns the bundle of rays of one camera, `None` without a ray.
     pub fn new<'a>(rays: impl IntoIterator<Item = &'a RayStart>) -> Option<Self> {
         let (mut low, mut high, mut origin) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3], None);
         for ray in rays {

@@ -6,7 +6,7 @@ use crate::picture::Render;
 pub const STRIP: u32 = 8;
 /// Columns of a tile, whose rays share their steps.
 pub const TILE: u32 = 8;
-/// Rows with knots: no row lies between knots more than 3 rows apart, and a strip needs no rows of others.
+/// Rows with knots: no row is between knots more than 3 rows apart, and a strip needs no rows of others.
 const KNOT_ROWS: [u32; 4] = [0, 2, 5, 7];
 /// Depths that differ by more than this share of their mean are of different surfaces.
 const SAME_DEPTH: f32 = 0.1;
@@ -78,7 +78,7 @@ impl Lattice {
         Between::new(row, low, high)
     }
 
-    /// Interpolates a pixel where its knots differ by less than `alike`; returns whether they do.
+    /// Interpolates a pixel where its knots differ by less than `alike`, and returns whether they do.
     pub fn interpolate(&self, strip: &mut Render, pixel: u32, alike: f32) -> bool {
         let across = self.across(pixel % self.width);
         let down = self.down(pixel / self.width);

@@ -19,9 +19,9 @@ pub use viewpoint::{Accuracy, Viewpoint};
 use wave::Wave;
 
 impl Viewpoint<'_> {
-    /// Renders some rows of a photo; strips run in parallel.
+    /// Renders some rows of a photo. Strips run in parallel.
     ///
-    /// A pixel depends on the rays of its strip, which is the same whatever rows are asked for and whatever the pool.
+    /// A pixel depends on the rays of its strip, which is the same for any rows and any pool.
     pub fn rows(&self, rows: Range<u32>) -> Render {
         let strips = rows.start / STRIP..rows.end.div_ceil(STRIP);
         let strips = strips.into_par_iter().map_init(Wave::default, |wave, index| {

@@ -16,7 +16,7 @@ use crate::sh;
 use crate::shade::{Shade, Span};
 use crate::test_scene::{ball, ball_view, small, trained};
 
-/// Behind [`OPAQUE`] a ray takes the colour found so far; the slow path takes the background.
+/// Behind [`OPAQUE`] a ray takes the colour found so far. The slow path takes the background.
 const SLOW_TOLERANCE: f32 = 4e-4;
 
 fn ball_field() -> Field {

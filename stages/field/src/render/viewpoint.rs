@@ -11,10 +11,11 @@ use crate::cpu::simd::{InstructionSet, Run};
 use crate::frame::RayStart;
 use crate::model::Model;
 
-/// How far a picture may be from the exact quadrature of every ray; `benches/field.md` has the price of each number.
+/// How far a picture may be from the exact quadrature of every ray. `benches/field.md` has the price of each
+/// number.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Accuracy {
-    /// Transmittance below which a ray ends; what is behind takes the colour found so far.
+    /// Transmittance below which a ray ends. Anything behind takes the colour found so far.
     pub opaque: f32,
     /// Samples on a ray are joined until they weigh this much, and share the colour of the heaviest.
     pub joined: f32,
@@ -58,7 +59,7 @@ pub struct Viewpoint<'a> {
 pub struct StripRays {
     /// Rows.
     pub height: u32,
-    /// `[height * width]`; none where the distortion has no inverse.
+    /// `[height * width]`. `None` where the distortion has no inverse.
     pub starts: Vec<Option<RayStart>>,
     /// Steps near matter, tile by tile.
     pub steps: Vec<Steps>,

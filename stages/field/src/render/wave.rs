@@ -155,8 +155,8 @@ impl Wave {
     }
 }
 
-/// Takes the densities of a round into the rays and chooses the samples whose colour counts; spans then point to
-/// these. Compiled for the instruction set, or each fused multiply-add is a call.
+/// Takes the densities of a round into the rays and chooses the samples whose colour counts. Spans then point
+/// to these. Compiled for the instruction set, or each fused multiply-add is a call.
 struct Weigh<'a> {
     accuracy: Accuracy,
     walks: &'a mut [Walk],

@@ -5,10 +5,11 @@ use nalgebra::Vector3;
 use super::choice::{Choice, grouped};
 use crate::View;
 
-/// Sides of the largest and of the smallest patch, pixels; what a smallest one cannot draw takes a cell a pixel.
+/// Sides of the largest and of the smallest patch, pixels. A smallest one that does not fit takes a cell a
+/// pixel.
 const LARGEST: usize = 32;
 const SMALLEST: usize = 4;
-/// A patch draws its pixels if each lies this near, gray levels: rounding to 8 bits takes half of one.
+/// A patch draws its pixels if each is this near, gray levels: rounding to 8 bits takes half of one.
 const TOLERANCE: f64 = 1.5;
 /// Numbers of a bilinear patch: its corners.
 const CORNERS: usize = 4;
@@ -17,18 +18,19 @@ const BLOCKS: usize = 2048;
 /// Points by which blocks are chosen, about.
 const POINTS: usize = 4096;
 
-/// Returns the detail of fields that do not tell theirs: their tables had room for every pixel.
+/// Returns the detail of fields that do not store theirs: their tables had room for every pixel.
 pub(super) fn detail_before() -> Choice<f64> {
     Choice::new(1.0, "not measured: all pixels count")
 }
 
-/// Returns how many numbers a pixel the surface takes in the photos, in (0, 1]: 1 where every pixel differs from its neighbours, 1/256 of a
-/// plain slope.
+/// Returns how many numbers a pixel the surface takes in the photos, in (0, 1]: 1 where every pixel differs
+/// from its neighbours, 1/256 for a plain slope.
 ///
-/// Three quarters of the blocks of 32 x 32 pixels take no more: those on the outline of a thing hold what is behind it, too, and would tell less of
-/// the thing than it has. `points`: those by which the cells of the surface are counted. Blocks with such a point count, not sky or ground without
-/// any; all do if there are no points. Transparent pixels do not count, masked ones do. Where no block is left, or photos are thinned so that
-/// neighbours are gone, it is 1.
+/// Three quarters of the blocks of 32 x 32 pixels take no more. Blocks on the outline of a thing also hold
+/// the space behind it, and would show less detail than the thing has. `points`: those by which the cells of
+/// the surface are counted. Blocks with such a point count, not sky or ground without any. All do if there
+/// are no points. Transparent pixels do not count, masked ones do. If no block remains, or photos are thinned
+/// so that neighbours are gone, it is 1.
 pub(super) fn detail(views: &[View], points: &[[f64; 3]]) -> Choice<f64> {
     let stride = points.len().div_ceil(POINTS).max(1);
     let points: Vec<_> = points.iter().step_by(stride).map(|p| Vector3::from(*p)).collect();
@@ -48,7 +50,7 @@ pub(super) fn detail(views: &[View], points: &[[f64; 3]]) -> Choice<f64> {
         " with points of the surface"
     };
     let reason = format!(
-        "three quarters of {} blocks of {LARGEST} x {LARGEST} pixels{shown} take at most {share:.3} numbers a pixel: corners of bilinear patches of {SMALLEST} to {LARGEST} pixels a side, and single pixels, that draw them to within {TOLERANCE} gray levels",
+        "three quarters of {} blocks of {LARGEST} x {LARGEST} pixels{shown} take at most {share:.3} numbers a pixel. The numbers are corners of bilinear patches of {SMALLEST} to {LARGEST} pixels a side, and single pixels, that draw them to within {TOLERANCE} gray levels",
         grouped(shares.len() as u64)
     );
     Choice::new(*share, reason)
@@ -216,7 +218,7 @@ mod tests {
             |column, row| if column < 64 { 255 } else { noise(column, row) },
         )];
         assert_eq!(detail(&toy, &points(128, 64, 64)).value, 1.0);
-        // Half of the blocks show the toy; then two of twelve do, and two of them half of it.
+        // Half of the blocks show the toy. Then two of twelve do, and two of them half of it.
         assert_eq!(detail(&toy, &points(128, 64, 0)).value, 1.0);
         let wide = photo(
             192,
@@ -236,7 +238,7 @@ mod tests {
         );
     }
 
-    /// Of a toy in front of nothing, the toy alone counts; a photo of nothing tells nothing.
+    /// Of a toy in front of nothing, the toy alone counts. A photo of nothing has no detail.
     #[test]
     fn what_is_transparent_does_not_count() {
         let with_alpha = |alpha: &dyn Fn(u32) -> u8| {
@@ -259,8 +261,8 @@ mod tests {
 
     #[test]
     fn an_edge_takes_small_patches_only_where_it_is() {
-        // The edge lies in the third column of patches of 4: those 8 take 16 cells each. The 8 to their right, 4 of 8 pixels to their left, and
-        // 2 of 16 on the other half hold none of it.
+        // The edge is in the third column of patches of 4: those 8 take 16 cells each. The 8 to their right,
+        // 4 of 8 pixels to their left, and 2 of 16 on the other half hold none of it.
         let edge = |column: u32, _: u32| if column < 10 { 0 } else { 200 };
         assert_eq!(
             share(32, 32, edge),

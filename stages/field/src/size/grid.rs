@@ -9,13 +9,13 @@ use crate::distances::{Depths, SHARP};
 use crate::frame::{Frame, MOST_FINEST, percentile};
 use crate::{Config, View};
 
-/// A level may have this many times the cells a side of the one below; the trilinear corners fill the octave.
+/// A level may have this many times the cells a side of the one below. The trilinear corners fill the octave.
 const MOST_GROWTH: f64 = 2.0;
 /// Sparse points a cell, at least, where cells are counted: fewer, and cells of the surface are missed.
 const POINTS_A_CELL: usize = 4;
-/// Fewer cells are no surface: all points lie in one place.
+/// Fewer cells are not a surface: all points are in one place.
 const ENOUGH_CELLS: usize = 8;
-/// Finest cells an entry may be shared by: the other levels tell them apart (instant-ngp, section 3).
+/// Finest cells an entry may be shared by: the other levels distinguish them (instant-ngp, section 3).
 const CELLS_AN_ENTRY: u64 = 4;
 /// Smallest and largest table that is derived.
 const TABLES: [u32; 2] = [12, 22];
@@ -100,7 +100,7 @@ pub(super) fn levels(config: &Config, finest: u32) -> Choice<u32> {
     if levels > step {
         let fewer = levels - step;
         reason += &format!(
-            "; {fewer} levels would grow by {:.2}, more than {MOST_GROWTH}",
+            ". {fewer} levels would grow by {:.2}, more than {MOST_GROWTH}",
             growth(fewer)
         );
     }
@@ -109,8 +109,8 @@ pub(super) fn levels(config: &Config, finest: u32) -> Choice<u32> {
 
 /// Cells of the finest level that hold surface.
 ///
-/// Sparse points are counted by cells as small as they are dense enough for; a surface meets 4 times the cells when
-/// their side is halved.
+/// Sparse points are counted by cells as small as they are dense enough for. A surface meets 4 times the
+/// cells when their side is halved.
 pub(super) fn surface_cells(views: &[View], points: &[[f64; 3]], frame: &Frame, finest: u32) -> Choice<u64> {
     let found = counted(points, frame, finest);
     let surface = found.unwrap_or_else(|| {
@@ -160,7 +160,7 @@ fn counted(points: &[[f64; 3]], frame: &Frame, finest: u32) -> Option<Choice<u64
     let ratio = f64::from(finest) / f64::from(side);
     let value = (cells as f64 * ratio * ratio).round() as u64;
     let reason = format!(
-        "{} sparse points lie in {} of {side}^3 cells; the surface through them meets {:.0} times as many of the finest",
+        "{} sparse points are in {} of {side}^3 cells. The surface through them meets {:.0} times as many of the finest",
         grouped(points.len() as u64),
         grouped(cells as u64),
         ratio * ratio
@@ -176,7 +176,7 @@ pub(super) fn log2_table(config: &Config, cells: u64, detail: f64) -> Choice<u32
         return asked;
     }
     let log2 = asked.value.saturating_add_signed(shift).clamp(8, 24);
-    Choice::new(log2, format!("`log2_table_shift` is {shift}; {}", asked.reason))
+    Choice::new(log2, format!("`log2_table_shift` is {shift}: {}", asked.reason))
 }
 
 /// Returns the table for four cells of the surface that hold detail an entry, but no more entries than the training has samples to fill.
@@ -199,7 +199,7 @@ fn log2_table_asked(config: &Config, cells: u64, detail: f64) -> Choice<u32> {
     let Some(steps) = config.steps else {
         return Choice::new(
             wanted,
-            format!("{scene}; how long it will be trained is not known"),
+            format!("{scene}. The length of the training is not known"),
         );
     };
     let samples = steps.saturating_mul(config.batch_samples.into());
@@ -210,13 +210,13 @@ fn log2_table_asked(config: &Config, cells: u64, detail: f64) -> Choice<u32> {
         grouped(config.batch_samples.into())
     );
     if filled < wanted {
-        return Choice::new(filled, format!("the budget decides: {budget}; {scene}"));
+        return Choice::new(filled, format!("the budget decides: {budget}. {scene}"));
     }
-    Choice::new(wanted, format!("the scene decides: {scene}; {budget}"))
+    Choice::new(wanted, format!("the scene decides: {scene}. {budget}"))
 }
 
-/// Returns the binary logarithm of the table that so many samples fill: 2^15 at 2^23.5 samples, 4 times as large at 8
-/// times as many.
+/// Returns the binary logarithm of the table that this many samples fill: 2^15 at 2^23.5 samples, 4 times as
+/// large at 8 times as many.
 ///
 /// A larger one has learnt less by then, a smaller one cannot hold more: `benches/size.md`.
 fn log2_filled(samples: u64) -> u32 {

@@ -1,4 +1,4 @@
-//! How large a field need be: near, far, levels and table, each beside the number that decided it.
+//! The size of a field: near, far, levels and table, each with the number that decided it.
 
 mod choice;
 mod detail;
@@ -21,7 +21,7 @@ use pulls::{
 };
 use rays::{NEAR, NEARER, far, halvings, near};
 
-/// What the scene, or a key of the configuration, decides about the size of a field; the box is a [`Frame`].
+/// The sizes of a field, as the scene or a key of the configuration decides them. The box is a [`Frame`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Sizes {
@@ -42,8 +42,8 @@ pub struct Sizes {
     pub log2_table: Choice<u32>,
     /// Times that the steps along rays are halved in training, at most.
     pub halvings: Choice<u32>,
-    /// Weight of the distortion loss at the start and at the end of the training; between it goes with the square of the share
-    /// that is done.
+    /// Weight of the distortion loss at the start and at the end of the training. Between, it follows the
+    /// square of the share that is done.
     #[serde(default = "distortion_before")]
     pub distortion: Choice<[f64; 2]>,
     /// Steps after which sparse points no longer pull.
@@ -54,9 +54,9 @@ pub struct Sizes {
     pub table_decay: Choice<f64>,
 }
 
-/// Derives all sizes; a key that is set wins over the scene.
+/// Derives all sizes. A key that is set wins over the scene.
 ///
-/// `points`: sparse surface points, world units; fewer than 32, or points that no camera sees, count as none.
+/// `points`: sparse surface points, world units. Fewer than 32, or points that no camera sees, count as none.
 /// `frame`: the box of both. Every number is finite, `near` is below `far`, whatever the points are.
 pub fn derive(views: &[View], points: &[[f64; 3]], config: &Config, frame: &Frame) -> Sizes {
     let depths = Depths::seen(views, points, frame);
@@ -100,7 +100,7 @@ impl Sizes {
         }
     }
 
-    /// Returns the table that the same scene asks for in a training of so many steps.
+    /// Returns the table for the same scene in a training of this many steps.
     pub fn log2_table_after(&self, config: &Config, steps: u64) -> u32 {
         let config = Config {
             steps: Some(steps),
@@ -109,10 +109,10 @@ impl Sizes {
         log2_table(&config, self.surface_cells.value, self.detail.value).value
     }
 
-    /// Returns where rays are looked at after so many halvings of the steps.
+    /// Returns the steps along rays after a number of halvings.
     ///
-    /// The shortest step is `min_step`, or that of `cone` at the nearest matter if that is less: close-ups get steps of as
-    /// many pixels as all else.
+    /// The shortest step is `min_step`, or that of `cone` at the nearest matter if that is less. Close-ups
+    /// get steps of as many pixels as all else.
     pub fn steps(&self, config: &Config, halvings: u32) -> Steps {
         let share = 0.5_f64.powi(halvings.min(MOST_HALVINGS) as i32);
         let nearest = self.near.value / NEARER;

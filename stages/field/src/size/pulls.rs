@@ -1,4 +1,4 @@
-//! What pulls at a field beside its photos, and by how much.
+//! Losses and decays in addition to the photos, and their weights.
 
 use super::choice::{Choice, grouped};
 use crate::Config;
@@ -10,13 +10,13 @@ const DISTORTION_OF_FEW: [f64; 2] = [0.03; 2];
 const DISTORTION_OF_MANY: [f64; 2] = [0.0, 0.1];
 /// Steps for which sparse points pull at most. `benches/field.md`.
 const LONGEST_PULL: u32 = 1_000;
-/// So many photos or fewer have their tables pulled to zero, so strongly at the start, where they overlap so little that a photo has
-/// fewer sparse points than this. `benches/field.md`.
+/// With this many photos or fewer, and fewer sparse points a photo than this (photos that hardly overlap),
+/// tables are pulled to zero, this strongly at the start. `benches/field.md`.
 const FEWEST_PHOTOS: usize = 9;
 const FEW_POINTS_A_PHOTO: usize = 50;
 const TABLE_DECAY_OF_FEWEST: f64 = 1e-5;
 
-/// Returns the weights of fields that do not tell theirs: they were trained before it followed the photos.
+/// Returns the weights of fields that do not store theirs: they were trained before it followed the photos.
 pub(super) fn distortion_before() -> Choice<[f64; 2]> {
     Choice::new([1e-3; 2], "the same for all scenes")
 }
@@ -28,12 +28,12 @@ pub(super) fn distortion(config: &Config, photos: usize, has_points: bool) -> Ch
     }
     if photos < FEW_PHOTOS && has_points {
         let reason = format!(
-            "{photos} photos to train on are fewer than {FEW_PHOTOS}, and sparse points tell where matter is: the same from the start, before one photo alone explains it"
+            "{photos} photos to train on are fewer than {FEW_PHOTOS}, and sparse points show where matter is: the same from the start, before one photo alone explains it"
         );
         return Choice::new(DISTORTION_OF_FEW, reason);
     }
     let why = if photos < FEW_PHOTOS {
-        "no sparse points tell where matter is".to_owned()
+        "no sparse points show where matter is".to_owned()
     } else {
         format!("{photos} photos to train on, {FEW_PHOTOS} or more, find where matter is")
     };
@@ -41,14 +41,16 @@ pub(super) fn distortion(config: &Config, photos: usize, has_points: bool) -> Ch
     Choice::new(DISTORTION_OF_MANY, reason)
 }
 
-/// Returns the steps of fields that do not tell theirs: they were trained before these followed the training.
+/// Returns the steps of fields that do not store theirs: they were trained before these followed the
+/// training.
 pub(super) fn depth_steps_before() -> Choice<u32> {
     Choice::new(LONGEST_PULL, "the same for all scenes")
 }
 
 /// Returns the steps after which sparse points no longer pull.
 ///
-/// They tell early where matter is. Until the end they would blur what many photos show; few photos need them longer: `benches/field.md`.
+/// They show early where matter is. Until the end they would blur what many photos show. Few photos need them
+/// longer: `benches/field.md`.
 pub(super) fn depth_steps(config: &Config, photos: usize, points: usize) -> Choice<u32> {
     if let Some(steps) = config.depth_steps {
         return Choice::said(steps, "depth_steps");
@@ -64,7 +66,7 @@ pub(super) fn depth_steps(config: &Config, photos: usize, points: usize) -> Choi
         ),
         None => (
             LONGEST_PULL,
-            format!("{most}; how long it will be trained is not known"),
+            format!("{most}: the length of the training is not known"),
         ),
         Some(steps) => (
             (steps / 2).clamp(1, LONGEST_PULL.into()) as u32,
@@ -77,7 +79,7 @@ pub(super) fn depth_steps(config: &Config, photos: usize, points: usize) -> Choi
     Choice::new(steps, reason)
 }
 
-/// Returns the pull of fields that do not tell theirs: they were trained before there was one.
+/// Returns the pull of fields that do not store theirs: they were trained before there was one.
 pub(super) fn table_decay_before() -> Choice<f64> {
     Choice::new(0.0, "none")
 }
@@ -93,12 +95,12 @@ pub(super) fn table_decay(config: &Config, photos: usize, points: usize) -> Choi
     let why = match (photos <= FEWEST_PHOTOS, points < FEW_POINTS_A_PHOTO * photos) {
         (true, true) => {
             let reason = format!(
-                "{photos} photos to train on, {FEWEST_PHOTOS} or fewer, and {points} sparse points, fewer than {FEW_POINTS_A_PHOTO} a photo: what they tell nothing of is to stay smooth; it falls to 0 with the square of the share of the training that is left"
+                "{photos} photos to train on, {FEWEST_PHOTOS} or fewer, and {points} sparse points, fewer than {FEW_POINTS_A_PHOTO} a photo. Surfaces without points should stay smooth. The pull falls to 0 with the square of the remaining share of the training"
             );
             return Choice::new(TABLE_DECAY_OF_FEWEST, reason);
         }
         (true, false) => format!(
-            "{points} sparse points of {photos} photos to train on, {FEW_POINTS_A_PHOTO} a photo or more, tell where matter is"
+            "{points} sparse points of {photos} photos to train on, {FEW_POINTS_A_PHOTO} a photo or more, show where matter is"
         ),
         (false, _) => format!("{photos} photos to train on, more than {FEWEST_PHOTOS}"),
     };

@@ -10,9 +10,9 @@ use crate::{Config, View};
 pub(super) const NEAR: f64 = 0.1;
 /// Surface without sparse points on it may come this much nearer than they do.
 pub(super) const NEARER: f64 = 0.5;
-/// ... and go on this much farther: a ridge without texture has no points.
+/// ... and reach this much farther: a ridge without texture has no points.
 const FARTHER: f64 = 8.0;
-/// The last steps are at most so many pixels long at their distance.
+/// The last steps are at most this many pixels long at their distance.
 const PIXELS_A_STEP: f64 = 1.0;
 
 pub(super) fn near(config: &Config, depths: &Result<Depths, String>) -> Choice<f64> {
@@ -24,7 +24,7 @@ pub(super) fn near(config: &Config, depths: &Result<Depths, String>) -> Choice<f
         Ok(Depths { nearest, .. }) => Choice::new(
             (NEARER * nearest).clamp(1e-4, FAR),
             format!(
-                "99 % of the sparse points that cameras see are farther than {nearest:.4} half sides; half of that"
+                "99 % of the sparse points that cameras see are farther than {nearest:.4} half sides: half of that"
             ),
         ),
     };
@@ -46,7 +46,7 @@ pub(super) fn far(config: &Config, depths: &Result<Depths, String>) -> Choice<f6
         Ok(Depths { farthest, most, .. }) => Choice::new(
             (FARTHER * farthest).min(*most),
             format!(
-                "99 % of the sparse points that cameras see are nearer than {farthest:.4} half sides; {FARTHER} times that, at most {most:.0}"
+                "99 % of the sparse points that cameras see are nearer than {farthest:.4} half sides: {FARTHER} times that, at most {most:.0}"
             ),
         ),
     };
@@ -69,7 +69,7 @@ pub(super) fn halvings(config: &Config, views: &[View]) -> Choice<u32> {
     let enough = (0..MOST_HALVINGS).find(|halvings| length(*halvings) <= PIXELS_A_STEP);
     let halvings = enough.unwrap_or(MOST_HALVINGS);
     let reason = format!(
-        "a step of `cone` is {pixels:.1} pixels long (focal length {focal_px:.0} px); it ends at {:.2}, the first at most {PIXELS_A_STEP} or the {MOST_HALVINGS}th",
+        "a step of `cone` is {pixels:.1} pixels long (focal length {focal_px:.0} px). It ends at {:.2}, the first of at most {PIXELS_A_STEP} or the {MOST_HALVINGS}th",
         length(halvings)
     );
     Choice::new(halvings, reason)

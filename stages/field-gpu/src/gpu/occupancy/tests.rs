@@ -127,7 +127,7 @@ fn run(gpu: &Gpu, device: &Device, due: ProbeSchedule) -> Vec<(Probe, f32)> {
     all
 }
 
-/// One update against the CPU's; says how far densities and bits are apart.
+/// Compares one update with the CPU's and prints how far densities and bits are apart.
 fn agrees(gpu: &Gpu, mut expected: Occupancy, capacity: usize, due: ProbeSchedule, min_step: f32) {
     let (side, refill) = (expected.bits.side, expected.refill);
     let device = device(gpu, &expected, capacity, min_step);

@@ -11,8 +11,8 @@ use marf_field::cpu::adam::{BETA1, BETA2};
 
 /// Returns the uniform of a step of Adam.
 ///
-/// `epsilon`: of the CPU; a quantum is added to it. `decay`: pull to zero, times the weight. `keep`: share of itself that the
-/// running average keeps; 1 leaves it alone.
+/// `epsilon`: of the CPU. A quantum is added to it. `decay`: pull to zero, times the weight. `keep`: share of
+/// itself that the running average keeps. 1 leaves it unchanged.
 pub fn rates(rate: f32, epsilon: f32, decay: f32, keep: f32) -> Rates {
     Rates {
         rate,
@@ -51,7 +51,7 @@ pub struct AdamArrays<'a> {
     pub bias: &'a Array<[f32; 2]>,
     /// `[8]`.
     pub faults: &'a Array<u32>,
-    /// `[entries, F]`, as `Scatter` left it; 0 afterwards.
+    /// `[entries, F]`, as left by `Scatter`. 0 afterwards.
     pub gradient: &'a Array<i32>,
     /// Tables, `[entries, F]`.
     pub tables: &'a Array<f32>,
@@ -124,8 +124,8 @@ mod tests {
     const EPSILON: f32 = 1e-12;
     const DECAY: f32 = 1e-3;
     const STEPS: usize = 5;
-    /// Of a weight: five roundings in five steps; of a step: root, quotient and products, whose errors WGSL bounds by
-    /// 2.5 units in the last place each.
+    /// For a weight: five roundings in five steps. For a step: root, quotient and products, whose errors WGSL
+    /// bounds by 2.5 units in the last place each.
     const TOLERANCE: [f32; 2] = [1e-6, 1e-5];
 
     /// Quanta of one step: every third row has none, some have just one.

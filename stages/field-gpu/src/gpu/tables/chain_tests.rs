@@ -7,13 +7,14 @@ use marf_field::cpu::adam::Bias;
 
 const RATE: f32 = 1e-2;
 const STEPS: u32 = 6;
-/// Gradients below are near the quantum of some step; those above are 1,000 times more than the largest quantum of a
-/// step that counts, 2^-20, and epsilon, which is one more, takes as little of a step.
+/// Gradients below are near the quantum of some step. Those above are 1,000 times more than 2^-20, the
+/// largest quantum of a step that counts. Epsilon, which is one quantum more, takes as little of a step.
 const LEAST: f32 = 1e-3;
 const TOLERANCE: f32 = 2e-3 * RATE;
 
-/// The same gradient in every step moves a weight by one rate a step that counts, whatever the scale was: a gradient
-/// read with another scale than it was written with would not. The slopes are so large that the first steps overflow.
+/// The same gradient in every step moves a weight by one rate a step that counts, whatever the scale was. A
+/// gradient read with another scale than it was written with would not. The slopes are so large that the
+/// first steps overflow.
 fn chained(features: usize, sums: Sums) {
     let Some(gpu) = gpu("steps_that_overflow_are_left_out_and_all_others_count") else {
         return;

@@ -147,7 +147,7 @@ impl Case {
         touched
     }
 
-    /// Adds the gradients of one level's features to those of its entries; `rows`: of all features.
+    /// Adds the gradients of one level's features to those of its entries. `rows`: of all features.
     fn scatter(&self, index: usize, gradient: &mut [f32], rows: &[Block]) {
         let (shape, points) = (self.shapes[index], self.points());
         let stride = rows.len() / CAPACITY * LANES;

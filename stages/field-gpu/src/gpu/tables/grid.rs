@@ -1,4 +1,5 @@
-//! Where the levels of the tables lie in one array, and how their dispatches are cut to the bindings of a device.
+//! The places of the levels of the tables in one array, and the cut of their dispatches to the bindings of a
+//! device.
 
 use std::ops::Range;
 
@@ -13,10 +14,12 @@ use crate::gpu::record::{Groups, Work};
 use marf_field::GpuError;
 use marf_field::cpu::encode::Shape;
 
-/// Levels begin at a multiple of so many entries: at 4 bytes and more an entry, of 256 bytes, as bindings must.
+/// Levels begin at a multiple of this many entries: at 4 bytes and more an entry, of 256 bytes, as bindings
+/// must.
 const ALIGNED: usize = 64;
 
-/// Returns where every level begins in the array of all, and the entries of that array; gaps belong to no level.
+/// Returns where every level begins in the array of all, and the entries of that array. Gaps belong to no
+/// level.
 pub fn layout(shapes: &[Shape]) -> (Vec<GridLevel>, usize) {
     let mut first = 0;
     let levels = shapes.iter().map(|shape| {
@@ -95,7 +98,7 @@ impl Grid {
         self.features
     }
 
-    /// Puts levels of `row` numbers an entry in one array; gaps are 0.
+    /// Puts levels of `row` numbers an entry in one array. Gaps are 0.
     pub fn join<T: Copy + Default>(&self, levels: &[Vec<T>], row: usize) -> Vec<T> {
         let mut all = vec![T::default(); self.entries * row];
         for (level, values) in self.levels.iter().zip(levels) {
@@ -124,7 +127,7 @@ impl Grid {
 
     /// Binds a kernel once a part and counts the workgroups of its dispatch.
     ///
-    /// `threads`: how many the levels of a part need each; `arrays`: what is bound behind the part.
+    /// `threads`: how many the levels of a part need each. `arrays`: the arrays bound behind the part.
     pub(super) fn bind<'a>(
         &self,
         gpu: &Gpu,
@@ -179,7 +182,7 @@ pub fn threads(levels: &[GridLevel]) -> usize {
     largest(levels).div_ceil(ROWS * GROUP) * GROUP
 }
 
-/// Cuts levels into the fewest runs whose extents are at most `most` entries; refuses a level that has more.
+/// Cuts levels into the fewest runs whose extents are at most `most` entries. Refuses a level that has more.
 fn parts(levels: &[GridLevel], most: u64) -> Result<Vec<Range<usize>>, u64> {
     let needed = largest(levels) as u64;
     if needed > most {

@@ -12,7 +12,7 @@ use marf_field::GpuError;
 const START_BITS: u32 = 28;
 /// log2 of the peak that scales aim at: 16 times less than what overflows, 2^25 times more than a quantum.
 const TARGET_BITS: i32 = 25;
-/// Largest peak that counts; a sum wraps at four times that.
+/// Largest peak that counts. A sum wraps at four times that.
 const MOST: u32 = 1 << 29;
 /// log2 of what a scale falls by after an overflow.
 const BACK_OFF: i32 = 4;
@@ -24,8 +24,8 @@ const RANGE: [i32; 2] = [-40, 60];
 pub enum Rise {
     /// To the right scale at once: from the first guess.
     Free,
-    /// To four times what it was: of the 16 times between the aim and an overflow, so that a step whose gradient is
-    /// small by chance, or even two, do not make the next one overflow.
+    /// By a factor of up to four, of the 16 between the aim and an overflow. Even two steps whose gradient is
+    /// small by chance do not make the next one overflow.
     Slow,
 }
 
@@ -38,7 +38,7 @@ impl Rise {
     }
 }
 
-/// Returns what the scales of the levels follow.
+/// Returns the uniform with which the scales of the levels follow the gradients.
 pub fn rescaling(grid: &Grid, rise: Rise) -> Rescaling {
     Rescaling {
         levels: grid.levels.len() as u32,
@@ -156,7 +156,7 @@ mod tests {
         let mut words = vec![0; grid.numbers()];
         for (level, quantum) in grid.levels.iter().zip(quanta) {
             let first = 2 * level.first as usize;
-            // The last entry's second feature; the first entry holds something less.
+            // The last entry's second feature. The first entry holds something less.
             words[first + 2 * level.entries as usize - 1] = quantum;
             words[first] = quantum / 2;
             if sums == Sums::Packed && quantum / 2 < 0 {

@@ -8,8 +8,8 @@ use crate::gpu::record::Work;
 use marf_field::GpuError;
 use marf_field::cpu::encode::PRIMES;
 
-/// Most quanta of a single contribution: with peaks of 2^25 one that is larger is far from what the scale was made
-/// for, and 31 of them do not wrap a sum.
+/// Most quanta of a single contribution. With peaks of 2^25 a larger one is far from the gradients that the
+/// scale was made for, and 31 of them do not wrap a sum.
 const MOST_QUANTA: i32 = 1 << 26;
 
 /// Samples of a thread, as `shared/spread.wgsl` has them: what they add to one entry is added as one.
@@ -55,7 +55,7 @@ pub struct ScatterArrays<'a> {
     pub counts: &'a Array<u32>,
     /// Gradients of the features, `[L * F][capacity]`.
     pub slopes: &'a Array<f32>,
-    /// Added to, `[entries, F]`; 0 before the first.
+    /// Added to, `[entries, F]`. 0 before the first.
     pub gradient: &'a Array<i32>,
     /// Fixed point of every level.
     pub scales: &'a Array<LevelScale>,
@@ -174,8 +174,8 @@ mod tests {
                 let mut most = 0.0_f32;
                 for (at, (q, expected)) in found.iter().zip(&expected).enumerate() {
                     let count = contributions[at / features];
-                    // The CPU's sum of floats is off by 2^-24 of every partial sum, of at most `count`; where a GPU
-                    // contracts, weights move by resolution * 2^-24.
+                    // The CPU's sum of floats is off by 2^-24 of every partial sum, of at most `count`. Where
+                    // a GPU contracts, weights move by resolution * 2^-24.
                     let allowed = count * (0.5 / scale + (count + 60.0) / 16_777_216.0);
                     let error = (*q as f32 / scale - expected).abs();
                     assert!(
@@ -221,7 +221,7 @@ mod tests {
                 let mut case = Case::new(2);
                 case.xyz.fill(0.0);
                 case.slopes.fill(0.0);
-                // The second feature of level 1: all weight lies on its first entry, the others get nothing.
+                // The second feature of level 1: all weight is on its first entry, the others get nothing.
                 case.slopes[3 * CAPACITY] = slope;
                 case.slopes[2 * CAPACITY] = -3.0;
                 let (found, scales) = run(&gpu, &case, sums, 1.0, 1);

@@ -21,17 +21,18 @@ impl Block {
 
 /// Views blocks as their numbers.
 pub fn flat(blocks: &[Block]) -> &[f32] {
-    // SAFETY: Block is repr(C) of 16 f32 in 64 bytes without padding; the length is in bounds.
+    // SAFETY: Block is repr(C) of 16 f32 in 64 bytes without padding. The length is in bounds.
     unsafe { std::slice::from_raw_parts(blocks.as_ptr().cast(), blocks.len() * LANES) }
 }
 
 /// Views blocks as their numbers.
 pub fn flat_mut(blocks: &mut [Block]) -> &mut [f32] {
-    // SAFETY: as in `flat`; the borrow is exclusive.
+    // SAFETY: as in `flat`. The borrow is exclusive.
     unsafe { std::slice::from_raw_parts_mut(blocks.as_mut_ptr().cast(), blocks.len() * LANES) }
 }
 
-/// A stripe of columns of a matrix of rows: what one task may write while others write the columns beside it.
+/// A stripe of columns of a matrix of rows. One task may write it while others write the neighbouring
+/// columns.
 pub struct Stripe<'a> {
     first: *mut f32,
     rows: usize,
@@ -46,15 +47,15 @@ pub struct Stripe<'a> {
 unsafe impl Send for Stripe<'_> {}
 
 impl<'a> Stripe<'a> {
-    /// Cuts rows of `width` blocks into stripes of `columns` columns, from the left; the rest of a row that is
-    /// narrower than a stripe belongs to none.
+    /// Cuts rows of `width` blocks into stripes of `columns` columns, from the left. The rest of a row that
+    /// is narrower than a stripe is in no stripe.
     pub fn cut(rows: &'a mut [Block], width: usize, columns: usize) -> Vec<Self> {
         let stride = width * LANES;
         let count = rows.len() / width.max(1);
         let first = rows.as_mut_ptr().cast::<f32>();
         let stripes = (0..stride / columns.max(1)).map(|stripe| Self {
-            // SAFETY: the last column of the last stripe is below `stride`, hence in the first row, or there is
-            // no row and the pointer is never read.
+            // SAFETY: the last column of the last stripe is below `stride`, hence in the first row. Without
+            // rows the pointer is never read.
             first: if count == 0 {
                 first
             } else {
@@ -79,11 +80,11 @@ impl<'a> Stripe<'a> {
         }
     }
 
-    /// Writes 16 rows from row `first` on, each as soon as it is known: kept for later, rows would be gathered
-    /// number by number across lanes, at a third of the speed.
+    /// Writes 16 rows from row `first` on, each as soon as it is computed. Rows kept for later would be
+    /// gathered number by number across lanes, at a third of the speed.
     ///
     /// # Panics
-    /// Where the rows or the columns are not there: a mistake of the caller.
+    /// If the rows or the columns do not exist: a mistake of the caller.
     #[inline(always)]
     pub fn fill<const F: usize>(&mut self, first: usize, value: impl Fn(usize) -> [f32; F]) {
         assert!(F == self.columns && first + LANES <= self.rows);
@@ -121,7 +122,7 @@ pub trait Isa: Copy + Send + Sync {
     fn mul(self, a: Self::V, b: Self::V) -> Self::V;
     /// Returns a - b.
     fn sub(self, a: Self::V, b: Self::V) -> Self::V;
-    /// Cuts to [0, 1]; NaN becomes 0.
+    /// Cuts to [0, 1]. NaN becomes 0.
     fn unit(self, value: Self::V) -> Self::V;
     /// Returns the integer towards zero, of 0 <= x < 2^31.
     fn whole(self, value: Self::V) -> Self::U;

@@ -59,7 +59,7 @@ impl<const F: usize> Table<'_, F> {
         }
     }
 
-    /// Returns `None` if an index lies outside.
+    /// Returns `None` if an index is out of bounds.
     #[inline(always)]
     pub fn check<'b>(&'b self, indices: &'b Indices) -> Option<Checked<'b, F>> {
         ((indices.most as usize) < self.0.len()).then_some(Checked(self.0, &indices.lanes))
@@ -75,7 +75,7 @@ impl<const F: usize> TableMut<'_, F> {
         }
     }
 
-    /// Returns `None` if an index lies outside.
+    /// Returns `None` if an index is out of bounds.
     #[inline(always)]
     pub fn check<'b>(&'b mut self, indices: &'b Indices) -> Option<CheckedMut<'b, F>> {
         ((indices.most as usize) < self.0.len()).then_some(CheckedMut(self.0, &indices.lanes))
@@ -95,7 +95,7 @@ impl<const F: usize> CheckedMut<'_, F> {
     /// Returns the row of one corner of one point.
     #[inline(always)]
     pub fn row(&mut self, corner: usize, lane: usize) -> &mut [f32; F] {
-        // SAFETY: as in `Checked::row`; the borrow is exclusive.
+        // SAFETY: as in `Checked::row`. The borrow is exclusive.
         unsafe { self.0.get_unchecked_mut(self.1[corner][lane] as usize) }
     }
 }
@@ -105,7 +105,7 @@ impl<const F: usize> CheckedMut<'_, F> {
 fn prefetch<const F: usize, const WRITE: i32>(table: &[[f32; F]], index: u32) {
     let row = table.as_ptr().wrapping_add(index as usize);
     #[cfg(target_arch = "x86_64")]
-    // SAFETY: a prefetch reads nothing and cannot fault; SSE is part of x86-64.
+    // SAFETY: a prefetch reads nothing and cannot fault. SSE is part of x86-64.
     unsafe {
         if WRITE == 1 {
             _mm_prefetch::<_MM_HINT_ET0>(row.cast());
@@ -121,7 +121,7 @@ fn prefetch<const F: usize, const WRITE: i32>(table: &[[f32; F]], index: u32) {
 pub fn prefetch_all(numbers: &[f32]) {
     #[cfg(target_arch = "x86_64")]
     for line in numbers.chunks(LANES) {
-        // SAFETY: a prefetch reads nothing and cannot fault; SSE is part of x86-64.
+        // SAFETY: a prefetch reads nothing and cannot fault. SSE is part of x86-64.
         unsafe { _mm_prefetch::<_MM_HINT_T1>(line.as_ptr().cast()) }
     }
     #[cfg(not(target_arch = "x86_64"))]

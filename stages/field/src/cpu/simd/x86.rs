@@ -27,7 +27,7 @@ static PACKED: [[i8; 8]; 256] = {
 /// Returns the lanes whose bit is set at the front, in order, and 0 behind them.
 #[inline(always)]
 fn pack_8(_: Avx2, value: __m256, lanes: u8) -> __m256 {
-    // SAFETY: the token proves AVX2; a row of the table is 8 bytes.
+    // SAFETY: the token proves AVX2. A row of the table is 8 bytes.
     unsafe {
         let from = _mm256_cvtepi8_epi32(_mm_loadl_epi64(PACKED[usize::from(lanes)].as_ptr().cast()));
         let packed = _mm256_permutevar8x32_ps(value, from);
@@ -48,13 +48,13 @@ impl Isa for Avx2 {
     #[inline(always)]
     fn load(self, from: &Block) -> Self::V {
         let at = from.0.as_ptr();
-        // SAFETY: self proves AVX2; a block is 16 f32, aligned to 64 bytes.
+        // SAFETY: self proves AVX2. A block is 16 f32, aligned to 64 bytes.
         unsafe { [_mm256_load_ps(at), _mm256_load_ps(at.add(8))] }
     }
     #[inline(always)]
     fn store(self, value: Self::V, to: &mut Block) {
         let at = to.0.as_mut_ptr();
-        // SAFETY: as in `load`; the borrow is exclusive.
+        // SAFETY: as in `load`. The borrow is exclusive.
         unsafe {
             _mm256_store_ps(at, value[0]);
             _mm256_store_ps(at.add(8), value[1]);
@@ -160,7 +160,7 @@ impl Isa for Avx2 {
     #[inline(always)]
     fn store_u(self, value: Self::U, to: &mut [u32; LANES]) {
         let at: *mut __m256i = to.as_mut_ptr().cast();
-        // SAFETY: self proves AVX2; 16 u32 are 64 bytes; the borrow is exclusive.
+        // SAFETY: self proves AVX2. 16 u32 are 64 bytes. The borrow is exclusive.
         unsafe {
             _mm256_storeu_si256(at, value[0]);
             _mm256_storeu_si256(at.add(1), value[1]);
@@ -170,7 +170,7 @@ impl Isa for Avx2 {
     fn pack(self, value: Self::V, lanes: u16, to: &mut [f32; LANES]) {
         let [low, high] = lanes.to_le_bytes();
         let at = to.as_mut_ptr();
-        // SAFETY: self proves AVX2; of the low half there are at most 8, so that 8 numbers behind them are in bounds.
+        // SAFETY: self proves AVX2. The low half has at most 8, so that 8 numbers behind them are in bounds.
         unsafe {
             _mm256_storeu_ps(at.add(8), _mm256_setzero_ps());
             _mm256_storeu_ps(at, pack_8(self, value[0], low));
@@ -191,12 +191,12 @@ impl Isa for Avx512 {
     }
     #[inline(always)]
     fn load(self, from: &Block) -> Self::V {
-        // SAFETY: self proves AVX-512 F; a block is 16 f32, aligned to 64 bytes.
+        // SAFETY: self proves AVX-512 F. A block is 16 f32, aligned to 64 bytes.
         unsafe { _mm512_load_ps(from.0.as_ptr()) }
     }
     #[inline(always)]
     fn store(self, value: Self::V, to: &mut Block) {
-        // SAFETY: as in `load`; the borrow is exclusive.
+        // SAFETY: as in `load`. The borrow is exclusive.
         unsafe { _mm512_store_ps(to.0.as_mut_ptr(), value) }
     }
     #[inline(always)]
@@ -284,12 +284,12 @@ impl Isa for Avx512 {
     }
     #[inline(always)]
     fn store_u(self, value: Self::U, to: &mut [u32; LANES]) {
-        // SAFETY: self proves AVX-512 F; 16 u32 are 64 bytes; the borrow is exclusive.
+        // SAFETY: self proves AVX-512 F. 16 u32 are 64 bytes. The borrow is exclusive.
         unsafe { _mm512_storeu_si512(to.as_mut_ptr().cast(), value) }
     }
     #[inline(always)]
     fn pack(self, value: Self::V, lanes: u16, to: &mut [f32; LANES]) {
-        // SAFETY: self proves AVX-512 F; `to` is 16 f32; the borrow is exclusive.
+        // SAFETY: self proves AVX-512 F. `to` is 16 f32. The borrow is exclusive.
         unsafe { _mm512_storeu_ps(to.as_mut_ptr(), _mm512_maskz_compress_ps(lanes, value)) }
     }
 }
