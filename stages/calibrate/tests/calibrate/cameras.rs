@@ -14,7 +14,7 @@ use serde_json::{Value, json};
 /// What both photos see.
 const POINT: [f64; 3] = [0.15, 0.08, 4.0];
 
-/// Two photos of a lens, one beside the other, imported from a model of COLMAP with a point that both see.
+/// Two photos of a lens, side by side, imported from a model of COLMAP with a point that both see.
 fn calibrated() -> (Input, Outputs) {
     let mut input = Input::default();
     for name in ["a.png", "b.jpg"] {
@@ -85,7 +85,7 @@ fn photos_are_named_where_they_lie_and_those_elsewhere_beside_the_file() {
     let there = exported(&input, &scene, &json!({"photos_at": "../photos"})).unwrap();
     assert!(text(&input, &there, "transforms.json").contains("\"file_path\": \"../photos/a.png\""));
     assert!(!there.keys().any(|name| name.ends_with("a.png")), "{there:?}");
-    // What is resampled lies there in another form, and is written.
+    // Resampled photos are not there, so they are written.
     let params = json!({"photos_at": "../photos", "undistort": true});
     let straight = exported(&input, &scene, &params).unwrap();
     assert!(text(&input, &straight, "transforms.json").contains("\"file_path\": \"b.png\""));
