@@ -1,4 +1,4 @@
-//! The folder for other programs: what transforms.json names is there, and without a lens if asked.
+//! The folder for other programs: all files that transforms.json names are there, without a lens if requested.
 
 use std::collections::BTreeMap;
 

@@ -7,7 +7,7 @@ use crate::view::floats;
 
 /// Spread of the members at one viewpoint, all `[height * width]`, rows from the top.
 ///
-/// Colours are sRGB in [0, 1]; gray is (R + G + B) / 3 of a member's render.
+/// Colours are sRGB in [0, 1]. Gray is (R + G + B) / 3 of a member's render.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Maps {
     /// Pixels a row.
