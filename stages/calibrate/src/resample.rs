@@ -10,7 +10,7 @@ use rayon::prelude::*;
 /// Each pixel's line of sight is projected through `model` (normalised) into the photo and the 8-bit sRGB
 /// values are interpolated there with the cubic of Catmull and Rom (a = -1/2, 4 x 4 pixels, edges repeated),
 /// rounded half up and held in 0..=255. One resampling at the photo's own scale: what an average of light would
-/// change within one pixel lies below the 8-bit step except at hard edges.
+/// change within one pixel is below the 8-bit step except at hard edges.
 ///
 /// The lens equations of CAHVORE end in functions whose last bit differs between machines. A position off by 1e-13 px changes a rounded
 /// value once in about 1e12.

@@ -113,7 +113,7 @@ pub enum CahvorError {
         chi: f64,
         /// Where the lens shows it: chi (1 + r0 + r1 chi² + r2 chi⁴).
         turn: f64,
-        /// Where the corner lies.
+        /// Tangent off O at which the photo shows the corner.
         corner: f64,
         /// Column of the corner, 0-based.
         x: f64,
@@ -249,7 +249,7 @@ impl Cahvor {
     ///
     /// Equations: Yakimovsky and Cunningham 1978 (CAHV), Gennery 2001 and 2006 (OR, E). The length of A, O does
     /// not matter. CAHVORE uses sine, cosine, tangent and arc tangent of the standard library, whose last bit
-    /// may differ between machines: round what is kept.
+    /// may differ between machines: round values that are kept.
     ///
     /// Returns `None` behind the camera, beyond the range of the lens, where the radial terms turn over, and
     /// nearer than the entrance pupil can resolve.

@@ -5,7 +5,7 @@ use nalgebra::Vector3;
 use crate::places::{PosedPhoto, place};
 use crate::{Camera, Pose};
 
-/// A photo shows what lies at most this share of the distance behind the surface that it shows: depths of fields are as exact.
+/// A photo shows points up to this share of the distance behind the surface that it shows: depths of fields are as exact.
 const BEHIND: f64 = 0.05;
 /// Points along a ray at which photos are tested for having looked through them.
 const PLACES: u32 = 12;
@@ -73,7 +73,7 @@ impl Observer {
         inside.then(|| row as usize * self.camera.width as usize + column as usize)
     }
 
-    /// Returns the pixel at which the photo shows a point, or what is behind it.
+    /// Returns the pixel at which the photo shows a point, or something behind it.
     fn shows(&self, point: &Vector3<f64>) -> Option<usize> {
         let pixel = self.pixel(&self.cam_from_world.point(point))?;
         let saw = f64::from(self.distance[pixel]);

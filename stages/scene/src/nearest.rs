@@ -1,4 +1,4 @@
-//! How far a photo lies from the photos that a field is trained on, and whether these show what it shows.
+//! How far a photo is from the photos that a field is trained on, and whether these show what it shows.
 
 use nalgebra::{Vector2, Vector3};
 use serde::{Deserialize, Serialize};
@@ -17,7 +17,7 @@ const COVERS: f64 = 0.866_025_403_784_438_6;
 /// A photo extrapolates if more than this share of its points is covered by no other.
 const EXTRAPOLATES: f64 = 0.5;
 
-/// What lies nearest to a photo among those trained on.
+/// The nearest photo among those trained on.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Nearest {
     /// Id of the photo nearest by position and direction together, by the measure that separates places (`hold = "place"`).

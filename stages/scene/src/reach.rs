@@ -14,7 +14,7 @@ const BASELINES: f64 = 16.0;
 /// A camera and its pose.
 pub(crate) type Posed<'a> = (&'a Camera, &'a Pose);
 
-/// Returns whether a photo of the camera shows a point of the world, whatever may lie between.
+/// Returns whether a photo of the camera shows a point of the world, whatever may be between.
 pub(crate) fn shows(posed: Posed<'_>, point: &Vector3<f64>) -> bool {
     let (camera, cam_from_world) = posed;
     let Some(pixel) = camera.project(&cam_from_world.point(point)) else {

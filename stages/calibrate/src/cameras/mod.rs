@@ -1,4 +1,4 @@
-//! `cameras`: a calibrated scene as a folder that other programs read as it lies.
+//! `cameras`: a calibrated scene as a folder that other programs read unchanged.
 
 mod undistort;
 
@@ -98,7 +98,7 @@ impl ExportCameras {
             }
         };
         let rows = rows_of(ctx, set)?;
-        // What was developed from raw numbers or from a mosaic lies nowhere.
+        // A photo developed from raw numbers or from a mosaic has no file.
         let is_file = |row: &&Row| !row.blobs.contains_key("raw");
         let images: BTreeMap<&str, Option<&Digest>> = rows
             .iter()
@@ -120,7 +120,7 @@ fn failed(error: &dyn std::fmt::Display) -> StageError {
     StageError::new(error.to_string())
 }
 
-/// Lists each mask, and each photo unless all lie elsewhere, at the place that transforms.json names.
+/// Lists each mask, and each photo unless all are elsewhere, under the name that transforms.json names.
 fn put_pictures(scene: &Scene, there: Option<&str>, outputs: &mut Outputs) -> Result<(), StageError> {
     let mut known = BTreeSet::new();
     for frame in &scene.frames {

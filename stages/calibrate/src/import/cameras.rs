@@ -75,7 +75,7 @@ pub enum Role {
     Train,
     /// Measuring.
     HeldOut,
-    /// The file has lists of photos for training and measuring and this one is in none.
+    /// The file has lists of photos for training and measuring and this one is not in them.
     Unlisted,
 }
 

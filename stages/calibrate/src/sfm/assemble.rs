@@ -307,7 +307,7 @@ fn component_count(reconstruction: &Reconstruction<'_>) -> usize {
     sizes.values().filter(|size| **size > 1).count()
 }
 
-/// Returns the photos that are in none of the chosen models, with the reason.
+/// Returns the photos outside the chosen models, with the reason.
 fn causes(reconstruction: &Reconstruction<'_>, chosen: &[usize]) -> Vec<(usize, Cause)> {
     let component = components(reconstruction.features.len(), reconstruction.input.links);
     let placed = |photo: usize| {

@@ -25,7 +25,7 @@ const VERSION: u32 = 1;
 pub(crate) struct KnownPoints {
     /// Points with their observations. Frames are indices into the photos.
     pub tracks: Vec<TrackPoint>,
-    /// Of each photo: its features, and how far points lie from where it shows them.
+    /// Of each photo: its features, and how far points are from where it shows them.
     pub statistics: Vec<PhotoStatistics>,
 }
 

@@ -7,7 +7,7 @@ use marf_sfm::align::Similarity;
 
 use super::world::World;
 
-/// How two scenes lie to each other: their indices, the first world from the second, and the points that say so.
+/// Relative pose of two scenes: their indices, the first world from the second, and the number of points that agree.
 pub(super) type Link = ([usize; 2], Similarity, u32);
 
 /// Returns the frame of each scene. The frame of a scene with a site is the site. Every other scene takes the frame of the scene that it

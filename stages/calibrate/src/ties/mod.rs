@@ -1,4 +1,4 @@
-//! `ties`: how scenes lie to each other, from points that photos of both show.
+//! `ties`: relative poses of scenes, from points that photos of both show.
 
 mod common_frame;
 mod photo_pairs;
@@ -77,7 +77,7 @@ impl Set for TieScenes {
 
 /// What two scenes have to do with each other.
 enum Verdict {
-    /// How they lie to each other, and the first world from the second.
+    /// The tie, and the first world from the second.
     Tied(Box<SceneTie>, Similarity),
     /// Why they are not tied although photos of both were compared.
     Apart(String),
@@ -170,7 +170,7 @@ fn told(
     }
 }
 
-/// Returns how far the frames of the labels of both lie from where the points put them.
+/// Returns how far the frames of the labels of both are from where the points put them.
 fn label_gap(
     worlds: [&World; 2],
     found: &PointAlignment,

@@ -174,7 +174,7 @@ fn a_developed_photo_is_named_and_written_as_the_png_that_it_is() {
     );
     let stage = marf_calibrate::Calibrate::new(serde_json::from_value(json!({"method": "import"})).unwrap());
     let scene = input.outputs_of(&stage.unwrap());
-    // It lies nowhere: so that the folder is whole, all photos are written.
+    // One photo has no file. So that the folder is complete, all photos are written.
     let outputs = exported(&input, &scene, &json!({"photos_at": "../photos"})).unwrap();
     assert!(text(&input, &outputs, "transforms.json").contains("\"file_path\": \"c.png\""));
     assert_eq!(

@@ -27,7 +27,7 @@ impl Cahvor {
     /// Returns the pinhole that has the pixels of this photo unchanged, if the model is one.
     ///
     /// `None` for a lens with radial terms, and where the axes shear by more than 0.1 px across the image: then
-    /// see [`Cahvor::linearised`]. The principal point may lie far outside the image (tiles).
+    /// see [`Cahvor::linearised`]. The principal point may be far outside the image (tiles).
     ///
     /// # Errors
     /// A model that [`Cahvor::normalised`] refuses.
@@ -152,7 +152,7 @@ mod tests {
     use super::super::tests::{cahvor, cahvore, mastcam_z, navcam_tile, near};
     use super::*;
 
-    /// Every pixel of the pinhole lies inside the photo, and sees there what the photo sees.
+    /// Every pixel of the pinhole is inside the photo, and shows what the photo shows there.
     #[test]
     fn the_ideal_pinhole_sees_what_the_photo_sees_and_nothing_else() {
         for (name, model, width, height) in [

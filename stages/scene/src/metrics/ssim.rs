@@ -116,7 +116,7 @@ fn ssim_channel(a: &Image<Srgb>, b: &Image<Srgb>, channel: usize, windows: &Open
     sum / windows.count as f64
 }
 
-/// Returns the moments along one row, for each window that lies inside it.
+/// Returns the moments along one row, for each window inside it.
 fn filter_row(a: &[[u8; 3]], b: &[[u8; 3]], channel: usize) -> Vec<Moments> {
     let products: Vec<Moments> = (a.iter().zip(b))
         .map(|(a, b)| {

@@ -60,7 +60,7 @@ impl ColorScale {
     }
 }
 
-/// Powers of ten that the colours of depths span: what is near takes most of a picture, and the farthest sets the end.
+/// Powers of ten that the colours of depths span: near ground takes most of a picture, and the farthest point sets the end.
 pub const DEPTH_DECADES: i32 = 2;
 /// Those of their spread and of their intervals.
 pub const DEPTH_SPREAD_DECADES: i32 = 4;

@@ -1,4 +1,4 @@
-//! Intervals that hold: the spread of the members widened until errors on held-out photos lie within it as often as stated.
+//! Intervals that hold: the spread of the members widened until errors on held-out photos are within it as often as stated.
 
 use marf_schema::bootstrap::Calibration;
 

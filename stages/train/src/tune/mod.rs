@@ -226,7 +226,7 @@ mod tests {
         assert_eq!(nodes[0].params["field"], nodes[2].params["field"]);
     }
 
-    /// A wrong default can be planted, and every draw lies over it.
+    /// A wrong default can be planted, and every draw is above it.
     #[test]
     fn the_base_lies_under_every_trial_and_the_scatter() {
         let table = json!({"trials": 2, "field": {"learning_rate": 0.2, "average": 0.9}});

@@ -6,7 +6,7 @@ use crate::random::random_u64;
 
 /// Returns the keys of one trial: a value for every key of the space, drawn by seed, trial and key alone.
 ///
-/// Trial 0 sets none: it is the defaults, with which the others are compared.
+/// Trial 0 sets no parameter: it is the defaults, with which the others are compared.
 pub(crate) fn sample_params(space: &Space, seed: u64, trial: u32) -> Overrides {
     let mut drawn = Overrides::default();
     if trial == 0 {

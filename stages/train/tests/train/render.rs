@@ -83,7 +83,7 @@ fn layers_stand_side_by_side_in_the_film_and_as_values_of_16_bits() {
     assert!(!outputs.contains_key("frames/0001.png"));
 }
 
-/// Memos that count what is saved.
+/// Memos that count the saved ones.
 struct Counted<'a> {
     memos: &'a dyn Memos,
     saved: AtomicUsize,
