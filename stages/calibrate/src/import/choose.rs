@@ -109,7 +109,7 @@ fn none(files: &Files) -> StageError {
     };
     StageError::new(what).hint(
         "put a transforms.json, or cameras and images of a COLMAP model (.bin or .txt, also in sparse/0, colmap/sparse/0 and the like), \
-         into the archive's folder; \
+         into the archive's folder. \
          `marf calibrate DIR` finds the cameras of photos that have none, as `method = \"sfm\"` does",
     )
 }
