@@ -12,7 +12,7 @@ use crate::export::TrackPoint;
 pub(crate) struct PlacedPhoto {
     /// Index in the input set.
     pub item: usize,
-    /// File name for people and exports: another extension if the photo was encoded anew.
+    /// File name for people and exports. A re-encoded photo has another extension.
     pub file: String,
     pub image: Digest,
     /// Its mask before it is reduced, where the import names one or has made one.
@@ -52,14 +52,14 @@ pub(crate) struct Calibration {
     /// Files that have a camera but are not in the input set.
     pub missing: Vec<Missing>,
     pub points: Vec<Point>,
-    /// Points with their observations, if the method has them; the frame of an observation is the index in the input set.
+    /// Points with their observations, if the method has them. The frame of an observation is the index in the input set.
     pub tracks: Vec<TrackPoint>,
     pub up: Option<[f64; 3]>,
     pub metres_per_unit: Option<f64>,
-    /// Where the world lies in the site of its labels.
+    /// The world's frame in the site of its labels.
     pub site: Option<SiteFrame>,
     pub method: String,
-    /// Statistics of each photo of the input set, placed or not; empty if the method has none.
+    /// Statistics of each photo of the input set, placed or not. Empty if the method has none.
     pub statistics: Vec<PhotoStatistics>,
     /// Number of connected components of two and more photos, if the method knows it.
     pub components: Option<usize>,

@@ -20,15 +20,15 @@ use crate::orientation::Orientation;
 use crate::photos::{InputPhoto, decode, size_px};
 use program::{Program, cannot_write};
 
-/// Up to this many photos every pair is matched; beyond, each with its neighbours by file name.
+/// Up to this many photos every pair is matched. In larger sets each photo is matched with its neighbours by file name.
 const EXHAUSTIVE: usize = 60;
 /// Names of the model's files, for messages and on the disk.
 const FILES: [&str; 3] = ["cameras.bin", "images.bin", "points3D.bin"];
 
 /// Returns the cameras of the largest of COLMAP's models.
 ///
-/// Photos of one instrument, device and size share a camera of the model OPENCV; masks are given along; features
-/// and matches are found on the CPU. The world is COLMAP's own, without scale; up is the mean of the cameras'.
+/// Photos of one instrument, device and size share a camera of the model OPENCV. Masks are passed on. Features and matches are found on the
+/// CPU. The world is COLMAP's own, without scale. Up is the mean of the cameras'.
 ///
 /// # Errors
 /// No such program, a step that fails (with its last lines), no model.
@@ -51,7 +51,7 @@ pub(crate) fn run(
     let models = models(&folder.path().join("models"))?;
     let Some(files) = models.first() else {
         return Err(StageError::new("colmap placed no photo").hint(
-            "photos of one scene that overlap by half are needed; `method = \"sfm\"` says which photos match",
+            "photos of one scene must overlap by half (`method = \"sfm\"` reports which photos match)",
         ));
     };
     let model = Model {
@@ -94,9 +94,9 @@ pub(crate) fn run(
     })
 }
 
-/// Writes photos and masks as COLMAP reads them and returns which item each name stands for.
+/// Writes photos and masks as COLMAP reads them and returns the item of each name.
 ///
-/// Photos that share a camera share a folder; names sort as the files do, because neighbours are matched.
+/// Photos that share a camera share a folder. Names sort as the files do, because neighbours are matched.
 fn write_inputs(
     ctx: &Ctx<'_>,
     inputs: &Inputs,

@@ -42,10 +42,10 @@ use photo_names::composed;
 use ready::{ReadyPhoto, ready};
 use transforms::POINTS_KEY;
 
-/// Returns the cameras of the chosen file for the photos; the world is that of the file.
+/// Returns the cameras of the chosen file for the photos, in the world of the file.
 ///
-/// Its unit is not known to be metres, so `metres_per_unit` stays empty; up is the mean of the cameras' up
-/// vectors unless they cancel. Cameras are for the pixels as they are stored, whatever a photo's EXIF orientation.
+/// Its unit may not be metres, so `metres_per_unit` stays empty. Up is the mean of the cameras' up vectors unless they cancel. Cameras are
+/// for the pixels as they are stored, whatever a photo's EXIF orientation.
 pub(crate) fn run(
     ctx: &Ctx<'_>,
     inputs: &Inputs,
@@ -94,7 +94,7 @@ pub(crate) fn run(
         components: None,
         statistics: Vec::new(),
         cause: None,
-        hint: format!("check that the names in {name} are those of the photos beside it"),
+        hint: format!("check that {name} has the names of the photos next to it"),
     })
 }
 
@@ -104,7 +104,7 @@ struct ImportedPhoto {
     placed: PlacedPhoto,
 }
 
-/// Returns the masks that the file names, by photo; one that is not there is added to what is missing.
+/// Returns the masks that the file names, by photo. A file that is not there is added to `missing`.
 fn named_masks(
     files: &BTreeMap<String, Digest>,
     items: &[InputPhoto],
@@ -119,7 +119,7 @@ fn named_masks(
             matched.missing.push(Missing {
                 file: name.clone(),
                 reason: format!(
-                    "the mask of {} is not among the files beside the photos",
+                    "the mask of {} is not among the files next to the photos",
                     view.file
                 ),
             });
@@ -130,7 +130,8 @@ fn named_masks(
     masks
 }
 
-/// Returns the file of this name, or the only one whose path is the tail of it; a mask may have been taken for a photo.
+/// Returns the file of this name, or the only one whose path is the tail of it. Photos are searched as well, since a mask may have been
+/// read as one.
 fn named_file(files: &BTreeMap<String, Digest>, items: &[InputPhoto], name: &str) -> Option<Digest> {
     let wanted = composed(name);
     let fits = |file: &str| {
@@ -150,9 +151,9 @@ fn named_file(files: &BTreeMap<String, Digest>, items: &[InputPhoto], name: &str
     found.all(|other| other == first).then_some(first)
 }
 
-/// Returns the points that the photos to train on show, and tells of each of these how far points lie from where it shows them.
+/// Returns the points that the photos to train on show, and sets the statistics of each photo: how far points are from where it shows them.
 ///
-/// A photo that the file holds out adds no point: it is to judge a field that nothing of it has told.
+/// A photo that the file holds out adds no point, since it judges a field that must not depend on it.
 fn find_points(
     ctx: &Ctx<'_>,
     inputs: &Inputs,
@@ -176,7 +177,7 @@ fn find_points(
     Ok(tracks)
 }
 
-/// Tells whether a file beside the photos may hold their cameras.
+/// Returns whether a file next to the photos may hold their cameras.
 pub(crate) fn has_cameras(ctx: &Ctx<'_>, inputs: &Inputs) -> Result<bool, StageError> {
     match inputs.optional(COMPANIONS) {
         Some(_) => Ok(!candidates(&companions(ctx, inputs)?).is_empty()),
@@ -184,16 +185,16 @@ pub(crate) fn has_cameras(ctx: &Ctx<'_>, inputs: &Inputs) -> Result<bool, StageE
     }
 }
 
-/// Returns the files beside the photos.
+/// Returns the files next to the photos.
 fn companions(ctx: &Ctx<'_>, inputs: &Inputs) -> Result<BTreeMap<String, Digest>, StageError> {
     let digest = inputs.optional(COMPANIONS).ok_or_else(|| {
         StageError::new(
-            "method = \"import\" needs the files beside the photos, and `cameras` is not connected",
+            "method = \"import\" needs the files next to the photos, and `cameras` is not connected",
         )
         .hint("set `cameras` of this node to the extract node")
     })?;
     serde_json::from_slice(&ctx.get(digest)?)
-        .map_err(|error| StageError::new(format!("the list of files beside the photos: {error}")))
+        .map_err(|error| StageError::new(format!("the list of files next to the photos: {error}")))
 }
 
 /// Returns the cameras and points of the chosen file.
@@ -201,7 +202,7 @@ fn read(ctx: &Ctx<'_>, files: &BTreeMap<String, Digest>, source: &Source) -> Res
     let get = |name: &str| match files.get(name) {
         Some(digest) => ctx.get(digest),
         None => Err(StageError::new(format!(
-            "`{name}` is not among the files beside the photos"
+            "`{name}` is not among the files next to the photos"
         ))),
     };
     let optional = |name: &String| files.get(name).map(|digest| ctx.get(digest)).transpose();
@@ -249,7 +250,7 @@ fn read(ctx: &Ctx<'_>, files: &BTreeMap<String, Digest>, source: &Source) -> Res
 /// Returns the error of a missing file of points.
 fn no_points(file: &str, points: &str) -> StageError {
     let problem = format!(
-        "`{points}` is not among the files beside the photos; points are found as `points.ply` or \
+        "`{points}` is not among the files next to the photos. Points are found as `points.ply` or \
          `sparse_pc.ply` at the top, in sparse/ or in sparse/0/"
     );
     let error = ImportError::new(file, format!("/{POINTS_KEY}"), problem);

@@ -49,9 +49,10 @@ pub(crate) enum Pixels {
     Resampled,
 }
 
-/// Returns the photos of one site with the cameras of their labels: x north, y east, z down, in metres, the origin at the median of the cameras.
+/// Returns the photos of one site with the cameras of their labels. The world is x north, y east, z down, in metres, the origin at the
+/// median of the cameras.
 ///
-/// A photo whose model is an ideal pinhole already keeps its bytes; every other one is resampled once.
+/// A photo whose model is an ideal pinhole already keeps its bytes. Every other one is resampled once.
 pub(crate) fn run(
     ctx: &Ctx<'_>,
     items: &[InputPhoto],
@@ -105,7 +106,7 @@ pub(crate) fn run(
     })
 }
 
-/// Returns the usable label of a photo, or why there is none.
+/// Returns the usable label of a photo, or the reason why it has none.
 pub(crate) fn candidate(index: usize, item: &InputPhoto) -> Result<Candidate<'_>, String> {
     let Some(prior) = &item.facts.prior else {
         return Err(no_prior(item));
@@ -154,7 +155,7 @@ fn site_from_frame(prior: &CameraPrior) -> Result<Pose, String> {
     match prior.site_from_frame {
         Some(pose) if pose.is_valid() => Ok(pose),
         Some(_) => Err(format!(
-            "label's pose of {} in its site is no rotation",
+            "label's pose of {} in its site is not a rotation",
             prior.frame
         )),
         None if prior.frame.starts_with("SITE") => Ok(Pose::identity()),
@@ -162,7 +163,7 @@ fn site_from_frame(prior: &CameraPrior) -> Result<Pose, String> {
     }
 }
 
-/// Returns the site with most photos; of equals the first.
+/// Returns the site with most photos. Of equals the first is taken.
 fn site_with_most_photos(candidates: &[Candidate<'_>]) -> Option<i64> {
     let mut counts: BTreeMap<Option<i64>, usize> = BTreeMap::new();
     for candidate in candidates {
@@ -177,17 +178,14 @@ fn other_site(own: Option<i64>, chosen: Option<i64>) -> String {
     let name = |site: Option<i64>| site.map_or("unknown".to_owned(), |site| site.to_string());
     match own {
         Some(site) => format!(
-            "of site {site}; this scene is of site {} (`site = {site}` builds it)",
+            "of site {site}, but this scene is of site {} (`site = {site}` builds it)",
             name(chosen)
         ),
-        None => format!(
-            "label does not say which site it is of; this scene is of site {}",
-            name(chosen)
-        ),
+        None => format!("label names no site, and this scene is of site {}", name(chosen)),
     }
 }
 
-/// Returns image and camera of each candidate, or why there is none.
+/// Returns image and camera of each candidate, or the reason why it has none.
 fn make_all(
     ctx: &Ctx<'_>,
     items: &[InputPhoto],
@@ -206,7 +204,7 @@ fn make_all(
     all.collect()
 }
 
-/// Returns the digest of all that the image of a photo for the pinhole of its label depends on, and what is ignored of it.
+/// Returns the digest of everything that the image of a photo for the pinhole of its label depends on, and of its mask.
 pub(crate) fn photo_key(
     item: &InputPhoto,
     candidate: Option<&Candidate<'_>>,
@@ -224,7 +222,7 @@ pub(crate) fn photo_key(
     Digest::from_content(&text)
 }
 
-/// Returns what [`make`] returns of a photo; what an earlier run has made is taken from the memo.
+/// Returns the result of [`make`] for a photo. That of an earlier run is taken from the memo.
 fn known_or_made(
     ctx: &Ctx<'_>,
     item: &InputPhoto,
@@ -284,7 +282,7 @@ pub(crate) fn ideal(
     undistorted(ctx, decode(ctx, item)?.image, item, candidate)
 }
 
-/// Returns a mask as its photo becomes by [`ideal`]; where the photo's edge is repeated, so is the mask's.
+/// Returns a mask resampled as its photo by [`ideal`]. Where the photo's edge is repeated, so is the mask's.
 pub(crate) fn ideal_mask(
     ctx: &Ctx<'_>,
     mask: Image<Srgb>,
@@ -377,7 +375,7 @@ fn centre(placed: &mut [PlacedPhoto]) -> Vector3<f64> {
     site_from_world.translation
 }
 
-/// Returns how far cameras lie from where the labels of their site put them; none where the world is not tied to a site.
+/// Returns how far cameras are from where the labels of their site put them. `None` if the world is not tied to a site.
 pub(crate) fn tie(found: &Calibration, items: &[InputPhoto]) -> Option<Tie> {
     let SiteFrame { site, origin_m } = found.site?;
     let off = found.placed.iter().filter_map(|one| {
@@ -395,7 +393,7 @@ pub(crate) fn tie(found: &Calibration, items: &[InputPhoto]) -> Option<Tie> {
     })
 }
 
-/// Returns the median of points, axis by axis; the origin for no points.
+/// Returns the median of points, axis by axis. Without points it is the origin.
 pub(crate) fn median(points: &[Vector3<f64>]) -> Vector3<f64> {
     Vector3::from_fn(|axis, _| upper_median(points.iter().map(|point| point[axis])).unwrap_or(0.0))
 }

@@ -1,9 +1,11 @@
 //! Photos and priors to a calibrated scene: which photo was taken by which camera from where.
 //!
-//! `sfm` finds cameras from the photos themselves, with labels as priors; `labels` takes the camera models of the archive's
-//! labels and resamples each photo once to an ideal pinhole; `import` reads the cameras another program found; `colmap`
-//! runs an installed COLMAP. Invariant: a photo is in the scene with a camera for the very bytes its frame names, or it is
-//! listed as unplaced with the reason; none is dropped silently. `cameras` writes a scene as a folder for other programs.
+//! `sfm` finds cameras from the photos themselves, with labels as priors. `labels` takes the camera models of the archive's labels and
+//! resamples each photo once to an ideal pinhole. `import` reads the cameras another program found. `colmap` runs an installed COLMAP.
+//! `cameras` writes a scene as a folder for other programs.
+//!
+//! Invariant: a photo is in the scene with a camera for the very bytes its frame names, or it is listed as unplaced with the reason. No
+//! photo is dropped silently.
 
 mod calibration;
 mod cameras;

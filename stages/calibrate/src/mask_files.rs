@@ -1,4 +1,4 @@
-//! Masks beside the photos: which part of a photo is ignored.
+//! Mask files next to the photos, which hide parts of them.
 
 use std::collections::BTreeMap;
 
@@ -20,16 +20,16 @@ pub(crate) const HIDDEN: [u8; 3] = [0; 3];
 /// Returns the mask of a photo, in the pixel grid of the upright photo: black is ignored. `None` if there is none, or `cameras` is not
 /// connected.
 ///
-/// A photo's own mask is the one that the import names, else `masks/<name>.png`, with or without the extension of its name, in any folder
-/// above the photo; a folder `images` between them may be left out, and so may all. The folder may be `mask`, the file a JPEG, the name
-/// end in `_mask`; beside the photo `<name>.jpg.png` and `<name>_mask.png` are masks, too. `masks/<instrument>-<width>x<height>.png`, or
-/// `masks/<instrument>.png`, is for all photos of that instrument that have its size and no mask of their own, and
-/// `masks/<width>x<height>.png` for photos of no known instrument.
+/// A photo's own mask is the one that the import names, else `masks/<name>.png` in any folder above the photo, with or without the
+/// extension of its name. A folder `images` between them may be left out, and so may all. The folder may be `mask`, the file a JPEG, and
+/// the name may end in `_mask`. `<name>.jpg.png` and `<name>_mask.png` in the folder of the photo are masks, too.
 ///
-/// A mask in the size of the stored pixels of a photo with an EXIF orientation is turned with it.
+/// `masks/<instrument>-<width>x<height>.png`, or `masks/<instrument>.png`, is for all photos of that instrument that have its size and no
+/// mask of their own. `masks/<width>x<height>.png` is for photos of no known instrument. A mask in the size of the stored pixels of a photo
+/// with an EXIF orientation is turned with it.
 ///
 /// # Errors
-/// A mask that cannot be decoded, or of a photo's own that has another size.
+/// A mask that cannot be decoded, or a photo's own mask of another size.
 pub(crate) fn mask_file(
     ctx: &Ctx<'_>,
     inputs: &Inputs,
@@ -45,7 +45,7 @@ pub(crate) fn mask_file(
     found.of_size(upright, item)
 }
 
-/// Returns the mask of a photo, in the pixel grid in which the photo is stored; one in the size of the upright photo is turned.
+/// Returns the mask of a photo, in the pixel grid in which the photo is stored. One in the size of the upright photo is turned.
 ///
 /// # Errors
 /// As [`mask_file`].
@@ -68,7 +68,7 @@ pub(crate) fn stored_mask(
 struct FoundMask {
     name: String,
     mask: Image<Srgb>,
-    /// Whether it is for one photo; else it is for all of a camera that have its size.
+    /// Whether it is for one photo. Otherwise it is for all photos of a camera that have its size.
     is_own: bool,
 }
 
@@ -88,7 +88,7 @@ impl FoundMask {
             return Ok(None);
         };
         let files: BTreeMap<String, Digest> = serde_json::from_slice(&ctx.get(digest)?)
-            .map_err(|error| StageError::new(format!("the list of files beside the photos: {error}")))?;
+            .map_err(|error| StageError::new(format!("the list of files next to the photos: {error}")))?;
         let find = |names: Vec<String>| names.into_iter().find_map(|name| files.get_key_value(&name));
         let own = find(own_names(&item.facts.file));
         let Some((name, digest)) = own.or_else(|| find(camera_names(item))) else {
@@ -106,7 +106,7 @@ impl FoundMask {
         (self.mask.width, self.mask.height)
     }
 
-    /// Returns the mask if it has this size; none of another size if it is not the photo's own.
+    /// Returns the mask if it has this size. Another size is an error for the photo's own mask, else `None`.
     fn of_size(self, size_px: (u32, u32), item: &InputPhoto) -> Result<Option<Image<Srgb>>, StageError> {
         if self.is_own && self.size_px() != size_px {
             let error = StageError::new(format!(
@@ -119,7 +119,7 @@ impl FoundMask {
     }
 }
 
-/// Makes black what is not white: pixels at the rim of a mask that was resampled.
+/// Makes pixels that are not white black, such as those at the rim of a resampled mask.
 pub(crate) fn blackened(mask: &mut Image<Srgb>) {
     only_white(mask, |pixel| pixel == OPEN);
 }
@@ -149,8 +149,8 @@ pub(crate) fn undistorted_mask(
     Ok(Some(mask))
 }
 
-/// Returns the masks of placed photos at the size that the field is trained on, by item; none for a photo without one or of which all
-/// is open. A pixel of a photo that was reduced is hidden where any of those it was made from is.
+/// Returns the masks of placed photos at the size that the field is trained on, by item. Photos without a mask, or with a wholly open one,
+/// are left out. A pixel of a reduced photo is hidden if any of its source pixels is.
 pub(crate) fn field_masks(
     ctx: &Ctx<'_>,
     inputs: &Inputs,
@@ -250,7 +250,7 @@ mod tests {
         }
     }
 
-    /// Files beside the photos, each a picture of one colour.
+    /// Files next to the photos, each a picture of one colour.
     fn beside(harness: &Harness, files: &[(&str, u32, [u8; 3])]) -> Inputs {
         let put = |(name, width, color): &(&str, u32, [u8; 3])| {
             let picture = Image::<Srgb>::from_fn(*width, 3, |_, _| *color);

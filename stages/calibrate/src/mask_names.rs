@@ -1,4 +1,4 @@
-//! The names that masks beside photos have.
+//! Names of mask files next to photos.
 
 use marf_scene::PhotoFacts;
 
@@ -68,8 +68,8 @@ pub(crate) fn camera_names(item: &InputPhoto) -> Vec<String> {
         .collect()
 }
 
-/// Returns the name of the camera of a photo: `<instrument>-<width>x<height>`, or the size alone; other characters than letters,
-/// digits, `-` and `_` become `_`.
+/// Returns the name of the camera of a photo: `<instrument>-<width>x<height>`, or the size alone. Characters other than letters, digits,
+/// `-` and `_` become `_`.
 pub(crate) fn camera_name(facts: &PhotoFacts) -> String {
     let size = format!("{}x{}", facts.width, facts.height);
     let plain = |letter: char| letter.is_ascii_alphanumeric() || letter == '-';

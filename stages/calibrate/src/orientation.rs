@@ -4,7 +4,7 @@
 
 use marf_scene::{Image, Srgb};
 
-/// What the note of a photo that was turned begins with; the number of the orientation follows.
+/// Beginning of the note of a photo that was turned. The number of the orientation follows.
 const NOTE: &str = "turned upright from EXIF orientation ";
 
 /// An EXIF orientation, 1 to 8.
@@ -15,7 +15,7 @@ impl Orientation {
     /// Stored as it is seen.
     pub const UPRIGHT: Self = Self(1);
 
-    /// Returns the orientation from which a photo was turned, as the notes of its decoding tell.
+    /// Returns the orientation from which a photo was turned, read from the notes of its decoding.
     pub fn from_notes(notes: &[String]) -> Self {
         let number = notes
             .iter()

@@ -58,7 +58,7 @@ pub(crate) fn rows(ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Vec<(u32, Row)>, St
     if rows.is_empty() {
         return Err(
             StageError::new("the set of photos is empty: there is nothing to calibrate").hint(
-                "the verdicts of the nodes before it tell why each photo was left out; `marf filter DIR` lists them",
+                "the verdicts of the nodes before it say why each photo was left out: `marf filter DIR` lists them",
             ),
         );
     }
@@ -86,7 +86,7 @@ pub(crate) fn decode(ctx: &Ctx<'_>, item: &InputPhoto) -> Result<Photo, StageErr
     Photo::decode_validated(&bytes).map_err(|error| StageError::new(format!("photo `{}`: {error}", item.id)))
 }
 
-/// Returns the size of a photo upright, from its facts or, where these do not tell, from its pixels.
+/// Returns the size of a photo upright, from its facts or, if they lack it, from its pixels.
 pub(crate) fn size_px(ctx: &Ctx<'_>, item: &InputPhoto) -> Result<[u32; 2], StageError> {
     match [item.facts.width, item.facts.height] {
         [0, _] | [_, 0] => {
@@ -113,7 +113,7 @@ pub(crate) fn store(
     ctx.put(&bytes)
 }
 
-/// Returns the digest of a photo reduced by an integer factor, as PNG; one that was reduced before is taken from the memo.
+/// Returns the digest of a photo reduced by an integer factor, as PNG. The result of an earlier run is taken from the memo.
 ///
 /// # Errors
 /// A photo that cannot be decoded, or is not of that width and height.
@@ -151,7 +151,7 @@ pub(crate) fn reduced(
     Ok(digest)
 }
 
-/// Tells whether an image that an earlier run has made is still stored, and stores it as this run's own.
+/// Returns whether an image of an earlier run is still stored, and stores it for this run.
 pub(crate) fn kept(ctx: &Ctx<'_>, image: &Digest) -> bool {
     ctx.get(image).and_then(|bytes| ctx.put(&bytes)).is_ok()
 }
@@ -161,7 +161,7 @@ pub(crate) fn as_png(file: &str) -> String {
     format!("{}.png", without_extension(file))
 }
 
-/// Returns the file's name without extension; a leading dot is part of the name.
+/// Returns the file's name without extension. A leading dot is part of the name.
 pub(crate) fn without_extension(file: &str) -> &str {
     let base = file.rfind('/').map_or(0, |slash| slash + 1);
     match file[base..].rfind('.') {

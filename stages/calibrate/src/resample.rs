@@ -10,13 +10,13 @@ use rayon::prelude::*;
 /// Each pixel's line of sight is projected through `model` (normalised) into the photo and the 8-bit sRGB
 /// values are interpolated there with the cubic of Catmull and Rom (a = -1/2, 4 x 4 pixels, edges repeated),
 /// rounded half up and held in 0..=255. One resampling at the photo's own scale: what an average of light would
-/// change within one pixel lies below the 8-bit step except at hard edges.
+/// change within one pixel is below the 8-bit step except at hard edges.
 ///
-/// The lens equations of CAHVORE end in functions whose last bit differs between machines; a position off by
-/// 1e-13 px changes a rounded value once in about 1e12.
+/// The lens equations of CAHVORE end in functions whose last bit differs between machines. A position off by 1e-13 px changes a rounded
+/// value once in about 1e12.
 ///
 /// # Errors
-/// A pixel of the pinhole for which the model has none; `None` if `cancel`, which is asked at each row, is set.
+/// A pixel of the pinhole for which the model has none, or `None` if `cancel`, which is checked at each row, is set.
 pub(crate) fn resample(
     photo: &Image<Srgb>,
     model: &Cahvor,
@@ -34,11 +34,11 @@ pub(crate) fn resample(
     })
 }
 
-/// Returns a picture of another geometry, interpolated as by [`resample`]: `source` tells where in the photo the centre of a pixel is
-/// found, as a position where whole numbers are pixel centres.
+/// Returns a picture of another geometry, interpolated as by [`resample`]. `source` returns the position in the photo of the centre of a
+/// pixel. Whole numbers are pixel centres.
 ///
 /// # Errors
-/// The first of `source`, by rows; `None` if `cancel`, which is asked at each row, is set.
+/// The first of `source`, by rows, or `None` if `cancel`, which is checked at each row, is set.
 pub(crate) fn resample_by<E: Send>(
     photo: &Image<Srgb>,
     size_px: [u32; 2],
@@ -97,7 +97,7 @@ fn neighbours(first: f64, len: u32) -> [u32; 4] {
     [-1.0, 0.0, 1.0, 2.0].map(|step| (first + step).clamp(0.0, last) as u32)
 }
 
-/// Weights of the cubic for a fraction in [0, 1); they sum to 1 and are (0, 1, 0, 0) at 0.
+/// Weights of the cubic for a fraction in [0, 1). They sum to 1 and are (0, 1, 0, 0) at 0.
 fn weights(t: f64) -> [f64; 4] {
     [
         t * (t * (1.0 - 0.5 * t) - 0.5),

@@ -17,15 +17,13 @@ use crate::{colmap, import, labels, sfm};
 
 /// Returns the camera of each photo, as a scene.
 ///
-/// - In: the photos; for `import` the files beside them, for `sfm` masks among these; with `extend` its own last
-///   scene.
+/// - In: the photos. `import` also reads the files next to them, `sfm` the masks among these. With `extend`, its own last scene.
 /// - Out: `scene`, `metrics`, and the scene for other programs: `transforms`, `sparse/0/….bin`, `points.ply`.
-/// - Cost: `sfm` about 0.2 CPU s a photo of 2.8 megapixels for 98 of them (`benches/calibrate.md`); what it finds
-///   in photos and pairs is kept. `labels` decodes, resamples and encodes each photo once, at most 0.4 s a
-///   megapixel and core for CAHVOR, 0.6 s for CAHVORE; `import` reads no photo unless points are sought in them or `longest_side_px` asks for
-///   smaller ones; `colmap` as long as COLMAP takes.
-/// - Bad input: a photo that cannot be placed, or whose camera in a file cannot be used, is listed with the reason; a camera file that
-///   cannot be read is refused, with the field; too few photos placed stop the node.
+/// - Cost: `sfm` takes about 0.2 CPU s a photo of 2.8 megapixels for 98 of them (`benches/calibrate.md`) and keeps the results of photos
+///   and pairs. `labels` decodes, resamples and encodes each photo once, at most 0.4 s a megapixel and core for CAHVOR, 0.6 s for CAHVORE.
+///   `import` reads photos only to find points in them or for a smaller `longest_side_px`. `colmap` takes as long as COLMAP.
+/// - Bad input: a photo that cannot be placed, or whose camera in a file cannot be used, is listed with the reason. A camera file that
+///   cannot be read is refused, with the field. Too few placed photos stop the node.
 pub struct Calibrate(CalibrateParams);
 
 stage! {
@@ -112,7 +110,7 @@ impl Set for Calibrate {
 }
 
 impl Calibrate {
-    /// Returns the parameters with the method that `auto` stands for.
+    /// Returns the parameters with `auto` resolved to a method.
     fn resolved(&self, ctx: &Ctx<'_>, inputs: &Inputs) -> Result<CalibrateParams, StageError> {
         let method = match self.0.method {
             Method::Auto if import::has_cameras(ctx, inputs)? => Method::Import,
@@ -126,8 +124,8 @@ impl Calibrate {
     }
 }
 
-/// Makes the image of a photo one whose pixels every program opens as the camera has them: a photo with an EXIF orientation is stored
-/// upright as PNG, and one that was developed is named as the PNG that it is.
+/// Makes the image of a photo one whose pixels every program opens as the camera has them. A photo with an EXIF orientation is stored
+/// upright as PNG, and a developed one is named as the PNG that it is.
 fn store_as_placed(ctx: &Ctx<'_>, one: &mut PlacedPhoto, item: &InputPhoto) -> Result<(), StageError> {
     if one.image != item.image {
         return Ok(());
@@ -164,7 +162,7 @@ fn check_enough(found: &Calibration, total: usize, min_registered: u32) -> Resul
     })
 }
 
-/// Sorts photos by file name and holds some out, unless the import has decided; photos of the earlier scene stay as they were there.
+/// Sorts photos by file name and holds some out, unless the import has decided. Photos of the earlier scene stay as they were there.
 fn hold_out(
     found: &mut Calibration,
     params: &CalibrateParams,
@@ -201,7 +199,7 @@ fn by_place(found: &Calibration, every: u32, items: &[InputPhoto], known: &[Opti
     hold_out_more_places(&photos, &found.points, every, known)
 }
 
-/// Tells which photos are held out where one in `every` is, the first among them, and `known` ones stay as they were.
+/// Returns which photos are held out at one in `every`, from the first on. `known` ones stay as they were.
 fn every(every: usize, known: &[Option<bool>]) -> Vec<bool> {
     let is_held_out = |index: usize| every > 0 && known[index].unwrap_or(index.is_multiple_of(every));
     (0..known.len()).map(is_held_out).collect()
@@ -322,7 +320,7 @@ fn of_frames(mut points: Vec<TrackPoint>, scene: &Scene, items: &[InputPhoto]) -
     let by_id = |item: &InputPhoto| scene.frames.binary_search_by(|frame| frame.id.cmp(&item.id)).ok();
     let frame_of: Vec<Option<usize>> = items.iter().map(by_id).collect();
     for observation in points.iter_mut().flat_map(|point| &mut point.observations) {
-        // All observations are of photos of the scene; another would be an error of the method.
+        // All observations are of photos of the scene. Another one would be an error of the method.
         observation.frame = frame_of[observation.frame as usize].map_or(u32::MAX, |frame| frame as u32);
     }
     Tracks { points }

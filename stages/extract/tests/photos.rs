@@ -61,7 +61,7 @@ fn a_photo_beyond_a_limit_says_which_key_raises_it() {
     };
     assert_eq!(
         reason("large.png"),
-        "700 x 500 pixels take 2 MB in memory; the limit is 1 MB: raise `max_decoded_mb` of the extract node"
+        "700 x 500 pixels take 2 MB in memory, above the limit of 1 MB: raise `max_decoded_mb` of the extract node"
     );
     assert_eq!(
         reason("huge.png"),

@@ -217,7 +217,7 @@ fn an_image_beyond_the_limit_is_refused_with_both_numbers() {
     assert!(error.is_limit(), "{error}");
     assert_eq!(
         error.to_string(),
-        "3 x 2 pixels take 1 MB in memory; the limit is 0 MB"
+        "3 x 2 pixels take 1 MB in memory, above the limit of 0 MB"
     );
 }
 

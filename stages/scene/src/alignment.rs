@@ -1,4 +1,4 @@
-//! Cameras against known ones: the best similarity of their frames, and what is left.
+//! Cameras against known ones: the best similarity of their frames, and the residuals.
 
 use nalgebra::{Matrix3, Vector3};
 

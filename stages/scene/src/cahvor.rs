@@ -11,7 +11,7 @@ pub use linear::Pinhole;
 mod lens;
 mod linear;
 
-/// A CAHV, CAHVOR or CAHVORE camera model; integer pixel coordinates are pixel centres, 0-based.
+/// A CAHV, CAHVOR or CAHVORE camera model. Integer pixel coordinates are pixel centres, 0-based.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Cahvor {
     /// Centre of projection, metres.
@@ -49,11 +49,11 @@ pub struct Intrinsics {
     pub hs: f64,
     /// Vertical focal length |A x V|, pixels.
     pub vs: f64,
-    /// Column of A (0-based, integer = pixel centre); may lie outside the image.
+    /// Column of A (0-based, integer = pixel centre), possibly outside the image.
     pub hc: f64,
-    /// Row of A (0-based, integer = pixel centre); may lie outside the image.
+    /// Row of A (0-based, integer = pixel centre), possibly outside the image.
     pub vc: f64,
-    /// Cosine of the angle between the image's axes; 0 where they are orthogonal.
+    /// Cosine of the angle between the image's axes, 0 if they are orthogonal.
     pub skew: f64,
     /// R and t = -R C of x = K (R X + t), with K = [[hs √(1-skew²), hs skew, hc], [0, vs, vc], [0, 0, 1]]:
     /// x right, y down, z forward.
@@ -71,7 +71,7 @@ pub enum CahvorError {
         /// Its components.
         value: [f64; 3],
     },
-    /// A or O is no unit vector, beyond what the rounding of labels explains.
+    /// A or O is not a unit vector, beyond what the rounding of labels explains.
     #[error("the camera model's |{vector}| is {length}, not 1 within {UNIT_TOLERANCE}")]
     NotUnit {
         /// Letter of the vector.
@@ -113,7 +113,7 @@ pub enum CahvorError {
         chi: f64,
         /// Where the lens shows it: chi (1 + r0 + r1 chi² + r2 chi⁴).
         turn: f64,
-        /// Where the corner lies.
+        /// Tangent off O at which the photo shows the corner.
         corner: f64,
         /// Column of the corner, 0-based.
         x: f64,
@@ -134,13 +134,13 @@ pub enum CahvorError {
 
 /// Most that |A| and |O| may differ from 1: labels round to 6 digits, which makes 1e-5.
 const UNIT_TOLERANCE: f64 = 1e-3;
-/// Distance that stands for infinity, metres: the pupil of 4 mm turns such a point by 4e-12 rad.
+/// Distance that represents infinity, metres. The pupil of 4 mm turns such a point by 4e-12 rad.
 const FAR_M: f64 = 1e9;
 
 impl Cahvor {
     /// Checks the model and returns it with A, H, V divided by |A| and O by |O|.
     ///
-    /// Dividing A alone would move pixels by 0.01; labels of 6 digits leave |A| - 1 near 8e-6.
+    /// Dividing A alone would move pixels by 0.01. Labels of 6 digits leave |A| - 1 near 8e-6.
     ///
     /// # Errors
     /// Numbers that are not finite, |A| or |O| off 1 by more than 0.001, a flat or mirrored image plane, focal
@@ -166,11 +166,11 @@ impl Cahvor {
 
     /// Checks that every pixel of a photo of `width` x `height` pixels has one line of sight.
     ///
-    /// The map from the true to the apparent distance off axis must rise, 1 + r0 + 3 r1 chi² + 5 r2 chi⁴ > 0, up to
-    /// the farthest corner; [`Cahvor::normalised`] first.
+    /// The map from the true to the apparent distance off axis must rise, 1 + r0 + 3 r1 chi² + 5 r2 chi⁴ > 0, up to the farthest corner.
+    /// Call [`Cahvor::normalised`] first.
     ///
     /// # Errors
-    /// [`CahvorError::Folds`] with the numbers; [`CahvorError::Blind`] for a corner beyond the range of the lens.
+    /// [`CahvorError::Folds`] with the numbers, or [`CahvorError::Blind`] for a corner beyond the range of the lens.
     pub fn check_lens(&self, width: u32, height: u32) -> Result<(), CahvorError> {
         let Some(o) = self.o.filter(|_| !self.is_linear()).map(vector) else {
             return Ok(());
@@ -249,7 +249,7 @@ impl Cahvor {
     ///
     /// Equations: Yakimovsky and Cunningham 1978 (CAHV), Gennery 2001 and 2006 (OR, E). The length of A, O does
     /// not matter. CAHVORE uses sine, cosine, tangent and arc tangent of the standard library, whose last bit
-    /// may differ between machines: round what is kept.
+    /// may differ between machines: round values that are kept.
     ///
     /// Returns `None` behind the camera, beyond the range of the lens, where the radial terms turn over, and
     /// nearer than the entrance pupil can resolve.
@@ -257,13 +257,12 @@ impl Cahvor {
         self.project_offset(&(point - vector(self.c)))
     }
 
-    /// Projects a direction (any length), that is a point infinitely far away, to a pixel; see
-    /// [`Cahvor::project`].
+    /// Projects a direction (any length), that is a point infinitely far away, to a pixel. See [`Cahvor::project`].
     pub fn project_direction(&self, direction: &Vector3<f64>) -> Option<Vector2<f64>> {
         self.project_offset(&(direction.try_normalize(1e-300)? * FAR_M))
     }
 
-    /// Projects a point given from C; see [`Cahvor::project`].
+    /// Projects a point given from C. See [`Cahvor::project`].
     fn project_offset(&self, p: &Vector3<f64>) -> Option<Vector2<f64>> {
         let distorted = match self.o {
             Some(o) if !self.is_linear() => self.distort(p, &vector(o).try_normalize(1e-300)?)?,
@@ -340,7 +339,7 @@ impl Cahvor {
         })
     }
 
-    /// Returns the intrinsics and the pose of the linear part; [`Cahvor::normalised`] first.
+    /// Returns the intrinsics and the pose of the linear part. Call [`Cahvor::normalised`] first.
     ///
     /// # Errors
     /// A flat or mirrored image plane.

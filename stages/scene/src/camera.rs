@@ -7,8 +7,9 @@ use serde::{Deserialize, Serialize};
 ///
 /// x = X/Z, y = Y/Z, r² = x² + y²,
 /// x' = x (1 + k1 r² + k2 r⁴) + 2 p1 x y + p2 (r² + 2 x²),
-/// y' = y (1 + k1 r² + k2 r⁴) + p1 (r² + 2 y²) + 2 p2 x y, pixel = (fx x' + cx, fy y' + cy)
-/// (OpenCV, camera calibration and 3D reconstruction; also COLMAP's `OPENCV`).
+/// y' = y (1 + k1 r² + k2 r⁴) + p1 (r² + 2 y²) + 2 p2 x y.
+///
+/// The pixel is (fx x' + cx, fy y' + cy) (OpenCV, camera calibration and 3D reconstruction, and COLMAP's `OPENCV`).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Camera {
     /// Width, pixels.
@@ -19,9 +20,9 @@ pub struct Camera {
     pub fx_px: f64,
     /// Focal length along y, pixels.
     pub fy_px: f64,
-    /// Column of the principal point, pixels from the left edge; may lie outside the image.
+    /// Column of the principal point, pixels from the left edge, possibly outside the image.
     pub cx_px: f64,
-    /// Row of the principal point, pixels from the top edge; may lie outside the image.
+    /// Row of the principal point, pixels from the top edge, possibly outside the image.
     pub cy_px: f64,
     /// Radial distortion, factor of r².
     #[serde(default)]
@@ -76,7 +77,7 @@ impl Camera {
         ))
     }
 
-    /// Returns the viewing direction (z = 1) of a pixel; `None` where the distortion has no inverse.
+    /// Returns the viewing direction (z = 1) of a pixel, or `None` where the distortion has no inverse.
     pub fn unproject(&self, pixel: &Vector2<f64>) -> Option<Vector3<f64>> {
         let target = Vector2::new(
             (pixel.x - self.cx_px) / self.fx_px,
@@ -94,7 +95,7 @@ impl Camera {
         (closed && self.is_invertible(plane.norm_squared())).then(|| Vector3::new(plane.x, plane.y, 1.0))
     }
 
-    /// Returns the camera of the same photo at another size; the two axes may scale differently.
+    /// Returns the camera of the same photo at another size. The two axes may scale differently.
     #[must_use]
     pub fn resized(&self, width: u32, height: u32) -> Self {
         let (sx, sy) = (
@@ -116,7 +117,7 @@ impl Camera {
         )
     }
 
-    /// Returns the camera that sees more or fewer rows, as many above as below; what the pixels between show stays.
+    /// Returns the camera that sees more or fewer rows, as many above as below. The other rows keep their content.
     #[must_use]
     pub fn with_height(&self, height: u32) -> Self {
         let moved = (f64::from(height) - f64::from(self.height)) / 2.0;
@@ -161,7 +162,7 @@ impl Camera {
         )
     }
 
-    /// Returns the Newton step that reduces `error` at a point; `None` where the Jacobian is singular.
+    /// Returns the Newton step that reduces `error` at a point, or `None` where the Jacobian is singular.
     fn newton_step(&self, plane: &Vector2<f64>, error: &Vector2<f64>) -> Option<Vector2<f64>> {
         let (x, y) = (plane.x, plane.y);
         let r2 = x * x + y * y;

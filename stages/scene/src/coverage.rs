@@ -5,9 +5,9 @@ use nalgebra::Vector3;
 use crate::places::{PosedPhoto, place};
 use crate::{Camera, Pose};
 
-/// A photo shows what lies at most this share of the distance behind the surface that it shows: depths of fields are as exact.
+/// A photo shows points up to this share of the distance behind the surface that it shows: depths of fields are as exact.
 const BEHIND: f64 = 0.05;
-/// Places along a ray at which is asked whether a photo looked through them.
+/// Points along a ray at which photos are tested for having looked through them.
 const PLACES: u32 = 12;
 /// The nearest of these places, as a share of the distance to the surface or, of rays into the sky, of the typical distance.
 const FROM: f64 = 0.25;
@@ -20,9 +20,9 @@ pub struct Observer {
     camera: Camera,
     cam_from_world: Pose,
     centre: Vector3<f64>,
-    /// Distance to the farthest surface around a pixel, `[height * width]`, world units; infinite where that is the sky.
+    /// Distance to the farthest surface around a pixel, `[height * width]`, world units. Infinite in the sky.
     distance: Vec<f32>,
-    /// Error of a field's colour at each pixel, `[height * width]`, negative where it is unknown; empty: it is nowhere known.
+    /// Error of a field's colour at each pixel, `[height * width]`, negative where it is unknown. Empty if it is unknown everywhere.
     error: Vec<f32>,
 }
 
@@ -54,7 +54,7 @@ impl Observer {
         }
     }
 
-    /// Takes how far a field is from the photo at each pixel, too: `[height * width]`, in any unit, negative where that is unknown.
+    /// Adds the error of a field at each pixel: `[height * width]`, in any unit, negative where it is unknown.
     ///
     /// # Panics
     /// If there is not an error for every pixel: a slip of the program.
@@ -64,7 +64,7 @@ impl Observer {
         Self { error, ..self }
     }
 
-    /// Returns the pixel of a direction of the camera's frame; none outside of the photo.
+    /// Returns the pixel of a direction of the camera's frame, or `None` outside the photo.
     fn pixel(&self, direction: &Vector3<f64>) -> Option<usize> {
         let pixel = self.camera.project(direction)?;
         let (column, row) = (pixel.x.floor(), pixel.y.floor());
@@ -73,7 +73,7 @@ impl Observer {
         inside.then(|| row as usize * self.camera.width as usize + column as usize)
     }
 
-    /// Returns the pixel at which the photo shows a point, or what is behind it.
+    /// Returns the pixel at which the photo shows a point, or something behind it.
     fn shows(&self, point: &Vector3<f64>) -> Option<usize> {
         let pixel = self.pixel(&self.cam_from_world.point(point))?;
         let saw = f64::from(self.distance[pixel]);
@@ -112,7 +112,7 @@ impl RootMeanSquare {
     }
 }
 
-/// Photos as they are asked from one viewpoint, the nearest first.
+/// Photos sorted for one viewpoint, the nearest first.
 #[derive(Debug)]
 pub struct Coverage<'a> {
     observers: Vec<&'a Observer>,
@@ -125,12 +125,12 @@ pub struct Coverage<'a> {
 pub struct SurfaceSeen {
     /// Photos that show it.
     pub photos: u32,
-    /// Distance of the nearest of them, world units; infinite without any.
+    /// Distance of the nearest of them, world units. Infinite without any.
     pub distance: f64,
-    /// Least angle between its normal and the direction to a photo, degrees: 0 from straight above; 180 without any.
+    /// Least angle between its normal and the direction to a photo, degrees: 0 from straight above, 180 without any.
     pub incidence_deg: f64,
-    /// Root of the mean squared error of a field there, over the photos that show it, weighed by how far they are; none where none of them
-    /// knows it.
+    /// Root mean square error of a field there, over the photos that show it, weighted by their distances. `None` if no such photo knows
+    /// its error.
     pub error: Option<f64>,
 }
 
@@ -144,7 +144,7 @@ pub struct SkySeen {
 }
 
 impl<'a> Coverage<'a> {
-    /// Sorts the photos for the viewpoint of a camera; `reach`: the typical distance to what photos show, world units, above 0.
+    /// Sorts the photos for the viewpoint of a camera. `reach` is the typical distance to what photos show, world units, above 0.
     pub fn from_viewpoint(observers: &'a [Observer], cam_from_world: &Pose, reach: f64) -> Self {
         let own = place(cam_from_world, reach);
         let apart = |observer: &Observer| (place(&observer.cam_from_world, reach) - own).norm_squared();
@@ -160,8 +160,8 @@ impl<'a> Coverage<'a> {
         }
     }
 
-    /// Returns what photos saw of the surface at a distance (world units, above 0) along a ray (a unit vector of the world) with a
-    /// normal (any length; none: unknown, and the angle is 180 degrees).
+    /// Returns how photos saw the surface at a distance (world units, above 0) along a ray (a unit vector of the world). The normal has any
+    /// length. Without it the angle is 180 degrees.
     pub fn surface(&self, ray: &Vector3<f64>, distance: f64, normal: Option<&Vector3<f64>>) -> SurfaceSeen {
         seen(
             self.observers.iter().copied(),
@@ -171,7 +171,7 @@ impl<'a> Coverage<'a> {
         )
     }
 
-    /// Returns what photos saw of the sky in a direction (a unit vector of the world).
+    /// Returns how photos saw the sky in a direction (a unit vector of the world).
     pub fn sky(&self, ray: &Vector3<f64>) -> SkySeen {
         let (mut photos, mut error) = (0, RootMeanSquare::default());
         for observer in &self.observers {
@@ -189,7 +189,7 @@ impl<'a> Coverage<'a> {
     /// Returns the share of the way along a ray that at least one photo looked through, in [0, 1]: from a quarter of `distance` on to the
     /// surface there, or, of a ray into the sky (infinite), from a quarter of the typical distance to 22 of it.
     ///
-    /// Before that nothing is asked: a camera stands in space that no other sees.
+    /// Nearer points are not tested: a camera is in space that no other sees.
     pub fn looked_through(&self, ray: &Vector3<f64>, distance: f64) -> f64 {
         let step = |index: u32| FROM + (1.0 - FROM) * f64::from(index) / f64::from(PLACES);
         let far = |index: u32| FROM * GROWTH.powi(index as i32);
@@ -208,13 +208,13 @@ impl<'a> Coverage<'a> {
     }
 }
 
-/// Returns what photos saw of a point of the world on a surface with a normal (any length; none: unknown, and the angle is 180 degrees).
+/// Returns how photos saw a point of the world on a surface. The normal has any length. Without it the angle is 180 degrees.
 pub fn seen_at(observers: &[Observer], point: &Vector3<f64>, normal: Option<&Vector3<f64>>) -> SurfaceSeen {
     seen(observers.iter(), point, normal, None)
 }
 
-/// Returns how much the error of a photo counts at that distance of a point for an eye at another: the cube of the ratio of the nearer to
-/// the farther. A photo from twice as far shows nothing as fine, so what is wrong there is not told by it.
+/// Returns the weight of a photo's error at that distance of a point for an eye at another: the cube of the ratio of the nearer to the
+/// farther. A photo from twice as far shows less detail, so its error says little about the error for the eye.
 fn likeness(eye_distance: Option<f64>, distance: f64) -> f64 {
     let Some(eye_distance) = eye_distance else {
         return 1.0;
@@ -253,7 +253,7 @@ fn seen<'o>(
     seen
 }
 
-/// Returns the typical distance from the photos to what they show, as places are told apart by it, world units.
+/// Returns the typical distance from the photos to what they show, world units. It is the scale by which places are separated.
 pub fn typical_distance(photos: &[PosedPhoto<'_>], points: &[crate::Point]) -> f64 {
     let cameras: Vec<_> = photos.iter().map(PosedPhoto::posed).collect();
     crate::reach::reach(&cameras, points)
@@ -415,7 +415,7 @@ mod tests {
             (alike.error.unwrap() - (83.0_f64 / 3.0).sqrt()).abs() < 1e-12,
             "{alike:?}"
         );
-        // Weights are those of a mean: a photo alone tells its own error, however far it is.
+        // Weights are those of a mean: a single photo gives its own error, however far it is.
         for z in [-10.0, 5.0, -900.0, 9.999] {
             let alone = error(&[on_axis(z, 5.0)]);
             assert!((alone - 5.0).abs() < 1e-12, "{z}: {alone}");
@@ -440,7 +440,7 @@ mod tests {
 
     #[test]
     fn edges_take_the_farther_surface() {
-        // The box ends between columns 20 and 21; the ray straight on goes through column 20.
+        // The box ends between columns 20 and 21. The ray straight on goes through column 20.
         let observers = [observer_before(0.0, |column| column <= 20)];
         let coverage = from_origin(&observers);
         assert_eq!(coverage.surface(&Vector3::z(), 10.0, None).photos, 1);

@@ -54,7 +54,7 @@ pub struct CameraPrior {
     /// Pose of that frame in its site, if the label has it: x north, y east, z down, metres.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub site_from_frame: Option<Pose>,
-    /// Rover motion counter: site, drive, pose, …; photos that share the first three share the rover's pose.
+    /// Rover motion counter: site, drive, pose, … Photos that share the first three share the rover's pose.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub motion_counter: Vec<i64>,
 }
@@ -62,7 +62,7 @@ pub struct CameraPrior {
 impl PhotoFacts {
     /// Returns the facts as JSON.
     pub fn to_json(&self) -> serde_json::Value {
-        // Strings, numbers and lists always serialise; a non-finite float becomes null and is refused on reading.
+        // Strings, numbers and lists always serialise. A non-finite float becomes null and is refused on reading.
         serde_json::to_value(self).unwrap_or_default()
     }
 

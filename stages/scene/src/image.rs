@@ -12,7 +12,7 @@ pub trait ColorSpace: Clone + Debug + PartialEq {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Srgb;
 
-/// Linear RGB, f32 a channel; 1 is the white of sRGB.
+/// Linear RGB, f32 a channel. 1 is the white of sRGB.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Linear;
 
@@ -69,7 +69,7 @@ impl Image<Srgb> {
     }
 }
 
-/// Returns the means of boxes of `factor` x `factor` pixels, rounded half up; see [`Image::box_reduced`].
+/// Returns the means of boxes of `factor` x `factor` pixels, rounded half up. See [`Image::box_reduced`].
 pub(crate) fn box_means<const N: usize>(pixels: &[[u8; N]], width: u32, factor: u32) -> Vec<[u8; N]> {
     if factor <= 1 {
         return pixels.to_vec();

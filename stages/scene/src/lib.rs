@@ -1,7 +1,7 @@
-//! Types that stages share: photos, cameras, poses, scenes; and image metrics, camera paths and drawn pictures.
+//! Types that stages share: photos, cameras, poses and scenes. Also image metrics, camera paths and drawn pictures.
 //!
-//! No files and no network: every function works on bytes and values in memory. Invariant: cameras and poses are f64 and finite;
-//! pixel (0, 0) is the top-left corner, the first pixel's centre is (0.5, 0.5).
+//! No files and no network: every function works on bytes and values in memory. Invariant: cameras and poses are f64 and finite. Pixel (0,
+//! 0) is the top-left corner, the first pixel's centre is (0.5, 0.5).
 
 mod alignment;
 mod cahvor;

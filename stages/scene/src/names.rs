@@ -6,9 +6,8 @@ use crate::Scene;
 
 /// Returns the base name of the pictures of each frame, in the order of the frames.
 ///
-/// The stem of the frame's file, with every character outside `[A-Za-z0-9._-]` turned into `_`; a stem that
-/// is taken gets `-2`, `-3`, … in the order of the frames, so that a frame has one name in every stage.
-/// Extremes: a file without a stem is `frame`.
+/// It is the stem of the frame's file, with every character outside `[A-Za-z0-9._-]` turned into `_`. A stem that is taken gets `-2`, `-3`,
+/// … in the order of the frames, so that a frame has one name in every stage. Extremes: a file without a stem is `frame`.
 pub fn picture_names(scene: &Scene) -> Vec<String> {
     let mut taken = BTreeSet::new();
     let frames = scene.frames.iter();

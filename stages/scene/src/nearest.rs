@@ -1,4 +1,4 @@
-//! How far a photo lies from the photos that a field is trained on, and whether these show what it shows.
+//! How far a photo is from the photos that a field is trained on, and whether these show what it shows.
 
 use nalgebra::{Vector2, Vector3};
 use serde::{Deserialize, Serialize};
@@ -9,7 +9,7 @@ use crate::{Camera, Point, Scene};
 
 /// Sparse points of a photo that are looked for in the others, at most.
 const MOST_POINTS: usize = 64;
-/// With fewer, points at the typical distance stand for them: a grid of so many a side.
+/// With fewer, points at the typical distance replace them: a grid of this many a side.
 const ENOUGH_POINTS: usize = 16;
 const GRID: u32 = 8;
 /// Cosine of the largest angle at a point between two photos for one to cover what the other shows: 30 degrees.
@@ -17,10 +17,10 @@ const COVERS: f64 = 0.866_025_403_784_438_6;
 /// A photo extrapolates if more than this share of its points is covered by no other.
 const EXTRAPOLATES: f64 = 0.5;
 
-/// What lies nearest to a photo among those trained on.
+/// The nearest photo among those trained on.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Nearest {
-    /// Id of the photo nearest by position and direction together, as places are told apart (`hold = "place"`).
+    /// Id of the photo nearest by position and direction together, by the measure that separates places (`hold = "place"`).
     pub id: String,
     /// Distance of the two cameras, world units.
     pub distance: f64,
@@ -35,7 +35,7 @@ pub struct Nearest {
     pub extrapolates: bool,
 }
 
-/// The photos that a field is trained on, to tell how far others lie from them.
+/// The photos that a field is trained on, to measure how far others are from them.
 #[derive(Debug)]
 pub struct TrainedPhotos<'a> {
     photos: Vec<PosedPhoto<'a>>,
@@ -57,10 +57,10 @@ impl<'a> TrainedPhotos<'a> {
         }
     }
 
-    /// Returns how far a photo lies from them; none without any, and none for one of them.
+    /// Returns how far a photo is from them. `None` without any, and for one of them.
     ///
-    /// What the photo shows is up to 64 of the sparse points in its frame, or, where these are fewer than 16, a grid of 64
-    /// points at the typical distance. What hides a point from a camera is not looked at.
+    /// The photo shows up to 64 of the sparse points in its frame. If these are fewer than 16, a grid of 64 points at the typical distance
+    /// replaces them. Occlusion is ignored.
     pub fn nearest(&self, photo: PosedPhoto<'_>) -> Option<Nearest> {
         if self.photos.iter().any(|other| other.id == photo.id) {
             return None;
@@ -102,7 +102,7 @@ impl<'a> TrainedPhotos<'a> {
     }
 }
 
-/// Tells whether a photo shows a point from nearly the direction in which it is seen from `centre`.
+/// Returns whether a photo shows a point from nearly the direction in which it is seen from `centre`.
 fn covers(photo: &PosedPhoto<'_>, centre: &Vector3<f64>, point: &Vector3<f64>) -> bool {
     let (own, other) = (point - centre, point - photo.cam_from_world.centre());
     own.dot(&other) >= COVERS * own.norm() * other.norm() && shows(photo.posed(), point)

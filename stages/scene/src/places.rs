@@ -12,7 +12,7 @@ const NEAR_SHARE: f64 = 0.15;
 const NEAR_CHORD: f64 = 0.261_052_384_440_103_1;
 /// A place has at most this share of the photos to be held out, so that several are, ...
 const PLACES: usize = 3;
-/// ... but may have two versions of a stereo pair; of few photos no more than are to be held out, and a pair.
+/// ... but may have two versions of a stereo pair. With few photos it may have as many as are to be held out, but at least a pair.
 const VERSIONS: usize = 4;
 /// Nearest photos that one is compared with.
 const NEIGHBOURS: usize = 8;
@@ -49,19 +49,21 @@ pub(crate) type Place = SVector<f64, 6>;
 
 /// Returns for each photo whether it is held out: whole places, about one photo in `every`, spread over the scene.
 ///
-/// A place is a group of photos whose positions lie within 0.15 of the typical distance to what the photos show (`points`: the
-/// sparse points; without them it follows from the cameras) and whose directions lie within 15 degrees, both together:
-/// stereo pairs, versions of an exposure, neighbours on a path. It has at most a third of the photos to be held out, or
-/// those to be held out where they are two to four, or half of all. The answer depends on ids and poses, not on the order
-/// of the photos. 0 holds none out; of two photos and more at least one is held out and one is not. O(n²) time, O(n) memory.
+/// A place is a group of photos with near positions and near directions, such as stereo pairs, versions of an exposure and neighbours on a
+/// path. Positions are near within 0.15 of the typical distance to what the photos show, directions within 15 degrees. That distance
+/// follows from the sparse `points`, or from the cameras without them.
+///
+/// Of the photos to be held out, a place has at most a third, or two to four if a third is fewer. It never has more than half of all
+/// photos. The answer depends on ids and poses, not on the order of the photos. 0 holds no photo out. Of two photos and more at least one
+/// is held out and one is not. O(n²) time, O(n) memory.
 pub fn hold_out_places(photos: &[PosedPhoto<'_>], points: &[Point], every: u32) -> Vec<bool> {
     hold_out_more_places(photos, points, every, &vec![None; photos.len()])
 }
 
-/// As [`hold_out_places`] for a set that has grown: `known` tells of each photo whether it was held out before, and none of a new one.
+/// As [`hold_out_places`] for a set that has grown. `known` says whether each photo was held out before, and is `None` for a new photo.
 ///
-/// Known photos stay as they were. A new photo at a known place is held out if that place is; new places fill up the share. With
-/// `every` = 0 no photo is held out, known or not.
+/// Known photos stay as they were. A new photo at a known place is held out if that place is. New places fill up the share. With `every` =
+/// 0 no photo is held out, known or not.
 pub fn hold_out_more_places(
     photos: &[PosedPhoto<'_>],
     points: &[Point],
@@ -79,7 +81,7 @@ pub fn hold_out_more_places(
     let before = known.iter().filter(|group| group.known == Some(true));
     let before: Vec<usize> = before.flat_map(|group| group.photos.clone()).collect();
     let all = known.iter().map(|group| group.photos.len()).sum::<usize>();
-    // However much is owed from before, at most about half of what is new is held out.
+    // However much is owed from before, at most about half of the new photos are held out.
     let (share, new_photos) = (1.0 / f64::from(every), (photos.len() - all) as f64);
     let owed = (all as f64 * share - before.len() as f64).min(new_photos * (0.5 - share).max(0.0));
     let needs_one = before.is_empty() && known.len() + new.len() > 1;
@@ -93,11 +95,11 @@ pub fn hold_out_more_places(
     held_out
 }
 
-/// Returns for each photo the fold in which it is held out: whole places, dealt out such that folds have about as many photos and
-/// each is spread over the scene.
+/// Returns for each photo the fold in which it is held out. Whole places are dealt out such that folds have about as many photos and each
+/// is spread over the scene.
 ///
-/// Places as in [`hold_out_places`] with `every` = `folds`. The folds are numbered from 0 without gaps; there are `folds` of them,
-/// or as many as there are places. The answer depends on ids and poses, not on the order of the photos.
+/// Places are as in [`hold_out_places`] with `every` = `folds`. The folds are numbered from 0 without gaps. There are `folds` of them, or
+/// as many as there are places. The answer depends on ids and poses, not on the order of the photos.
 pub fn folds(photos: &[PosedPhoto<'_>], points: &[Point], folds: u32) -> Vec<u32> {
     let most = most_in_a_place(photos.len(), folds.max(1));
     let groups = places(photos, points, most, &vec![None; photos.len()]);
@@ -118,7 +120,7 @@ pub fn folds(photos: &[PosedPhoto<'_>], points: &[Point], folds: u32) -> Vec<u32
     fold_of
 }
 
-/// Returns the number of the place of each photo, in the order of the smallest id in each; places as in [`hold_out_places`], of any
+/// Returns the number of the place of each photo, in the order of the smallest id in each. Places are as in [`hold_out_places`], of any
 /// number of photos.
 pub fn places_of(photos: &[PosedPhoto<'_>], points: &[Point]) -> Vec<usize> {
     let mut place_of = vec![0; photos.len()];
@@ -129,7 +131,7 @@ pub fn places_of(photos: &[PosedPhoto<'_>], points: &[Point]) -> Vec<usize> {
     place_of
 }
 
-/// Returns how many of `photos` a place may have of which one in `every` is to be held out.
+/// Returns how many of `photos` a place may have if one in `every` is held out.
 fn most_in_a_place(photos: usize, every: u32) -> usize {
     let third = photos / (PLACES * every as usize);
     let wanted = photos.div_ceil(every as usize).clamp(2, VERSIONS);
@@ -143,7 +145,7 @@ struct Group {
     photos: Vec<usize>,
     low: Place,
     high: Place,
-    /// Whether its known photos were held out before; none where all are new.
+    /// Whether its known photos were held out before. `None` if all are new.
     known: Option<bool>,
 }
 
@@ -181,8 +183,8 @@ impl Group {
     }
 }
 
-/// Returns groups of at most `most` photos, in the order of the smallest id in each; every photo is in one, and none has photos
-/// that are `known` to be held out and others that are known not to be.
+/// Returns groups of at most `most` photos, in the order of the smallest id in each. Every photo is in one group. No group mixes photos
+/// `known` to be held out with photos known not to be.
 fn places(photos: &[PosedPhoto<'_>], points: &[Point], most: usize, known: &[Option<bool>]) -> Vec<Group> {
     let mut order: Vec<usize> = (0..photos.len()).collect();
     order.sort_by_key(|photo| photos[*photo].id);
@@ -198,7 +200,7 @@ fn places(photos: &[PosedPhoto<'_>], points: &[Point], most: usize, known: &[Opt
     named.collect()
 }
 
-/// Returns where a photo was taken and in which direction; `reach`: the typical distance to what photos show.
+/// Returns where a photo was taken and in which direction. `reach` is the typical distance to what photos show.
 pub(crate) fn place(cam_from_world: &Pose, reach: f64) -> Place {
     let at = cam_from_world.centre() / (NEAR_SHARE * reach);
     let along: Vector3<f64> = cam_from_world.rotation.row(2).transpose() / NEAR_CHORD;
@@ -230,7 +232,7 @@ fn merged(places: &[Place], most: usize, known: &[Option<bool>]) -> Vec<Group> {
     groups
 }
 
-/// Returns the pairs of photos that are near, each photo with its nearest ones, nearest first; ties in the order of photos.
+/// Returns the pairs of photos that are near, each photo with its nearest ones, nearest first. Ties are in the order of photos.
 fn near_pairs(places: &[Place]) -> Vec<(usize, usize)> {
     let mut pairs = Vec::new();
     for (one, place) in places.iter().enumerate() {
@@ -239,7 +241,7 @@ fn near_pairs(places: &[Place]) -> Vec<(usize, usize)> {
             let apart = (at - place).norm_squared();
             let last = nearest.get(NEIGHBOURS - 1).map_or(1.0, |last| last.0);
             if apart <= last {
-                // Of photos in one place each is paired with those beside it in the order.
+                // Of photos in one place each is paired with its neighbours in the order.
                 let found = (apart, one.abs_diff(other), other);
                 let before =
                     |known: &(f64, usize, usize)| (known.0, known.1, known.2) < (found.0, found.1, found.2);
@@ -257,8 +259,8 @@ fn near_pairs(places: &[Place]) -> Vec<(usize, usize)> {
 
 /// Returns the photos of the groups that are held out.
 ///
-/// Groups are walked through in an order in which neighbours follow each other. Each adds its share to what is owed, and
-/// one that is taken pays with its photos. `owed`: what is owed before.
+/// Groups are visited in an order in which neighbours follow each other. Each adds its share to the photos owed, and one that is taken pays
+/// with its photos. `owed` is the number owed before.
 fn chosen(groups: &[Group], every: u32, mut owed: f64) -> Vec<usize> {
     let photos: usize = groups.iter().map(|group| group.photos.len()).sum();
     let mut walk: Vec<&Group> = groups.iter().collect();
@@ -276,7 +278,7 @@ fn chosen(groups: &[Group], every: u32, mut owed: f64) -> Vec<usize> {
     taken.flat_map(|group| group.photos.iter().copied()).collect()
 }
 
-/// Returns the photos of the group that has most nearly one photo in `every`; none without groups.
+/// Returns the photos of the group that has most nearly one photo in `every`. Empty without groups.
 fn nearest_in_size(groups: &[Group], every: u32) -> Vec<usize> {
     let photos: usize = groups.iter().map(|group| group.photos.len()).sum();
     let mut walk: Vec<&Group> = groups.iter().collect();

@@ -42,14 +42,14 @@ impl Pose {
         self.rotation * direction
     }
 
-    /// Returns the origin of frame b in frame a, -Rᵀ t; of a `cam_from_world` the camera centre in the world.
+    /// Returns the origin of frame b in frame a, -Rᵀ t. For a `cam_from_world` it is the camera centre in the world.
     pub fn centre(&self) -> Vector3<f64> {
         -(self.rotation.transpose() * self.translation)
     }
 
     /// Returns the `cam_from_world` (x right, y down, z forward) of a camera at `eye` that looks at `target`.
     ///
-    /// `down` need not be orthogonal to the view; if it is parallel to it, another axis is taken.
+    /// `down` need not be orthogonal to the view. If it is parallel to it, another axis is taken.
     pub fn looking_at(eye: Vector3<f64>, target: Vector3<f64>, down: Vector3<f64>) -> Self {
         let forward = (target - eye).try_normalize(1e-300).unwrap_or_else(Vector3::z);
         let sideways = |down: Vector3<f64>| down.cross(&forward).try_normalize(1e-9);

@@ -6,7 +6,7 @@ use crate::{Camera, Point, Pose};
 /// Cameras and points that the distance is taken of, at most: medians of more are the same.
 const MOST_CAMERAS: usize = 64;
 const MOST_POINTS: usize = 512;
-/// Fewer sparse points tell no distance.
+/// Fewest sparse points from which a distance is computed.
 const ENOUGH_POINTS: usize = 32;
 /// Without points cameras close together see this many of their distances far: there the disparity is still f / 16.
 const BASELINES: f64 = 16.0;
@@ -14,7 +14,7 @@ const BASELINES: f64 = 16.0;
 /// A camera and its pose.
 pub(crate) type Posed<'a> = (&'a Camera, &'a Pose);
 
-/// Returns whether a photo of the camera shows a point of the world, whatever may lie between.
+/// Returns whether a photo of the camera shows a point of the world, whatever may be between.
 pub(crate) fn shows(posed: Posed<'_>, point: &Vector3<f64>) -> bool {
     let (camera, cam_from_world) = posed;
     let Some(pixel) = camera.project(&cam_from_world.point(point)) else {
@@ -26,9 +26,9 @@ pub(crate) fn shows(posed: Posed<'_>, point: &Vector3<f64>) -> bool {
 
 /// Returns the typical distance from a camera to what it shows, world units, above 0.
 ///
-/// With sparse points: the median over cameras of the median distance of the points that each shows. Without: the larger
-/// of the cameras' median distance from their middle and 16 times their median distance to the nearest other camera; 1
-/// where all stand in one place.
+/// With sparse points it is the median over cameras of the median distance of the points that each shows. Without them it is the larger of
+/// two lengths: the cameras' median distance from their middle, and 16 times their median distance to the nearest other camera. It is 1 if
+/// all are at one place.
 pub(crate) fn reach(cameras: &[Posed<'_>], points: &[Point]) -> f64 {
     let some = strided(cameras, MOST_CAMERAS);
     let seen = seen_distance(&some, points);

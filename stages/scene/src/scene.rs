@@ -16,7 +16,7 @@ pub struct Scene {
     /// Photos that could not be placed, with the reason.
     #[serde(default)]
     pub unplaced: Vec<Unplaced>,
-    /// Sparse points; empty if the method finds none.
+    /// Sparse points. Empty if the method finds none.
     #[serde(default)]
     pub points: Vec<Point>,
     /// Unit vector that points up in the world, if known.
@@ -25,7 +25,7 @@ pub struct Scene {
     /// Metres per unit of the world, if known.
     #[serde(default)]
     pub metres_per_unit: Option<f64>,
-    /// Where the world lies in the site of its labels: scenes of one site share that frame.
+    /// The world's frame in the site of its labels. Scenes of one site share the site's frame.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub site: Option<SiteFrame>,
     /// Name of the method and what it did to the photos (`resampled to an ideal pinhole`).
@@ -33,7 +33,7 @@ pub struct Scene {
     pub method: String,
 }
 
-/// Where a world lies in the frame of a site (x north, y east, z down, metres): its axes are those of the site, its unit is the metre.
+/// Position of a world in the frame of a site (x north, y east, z down, metres). Its axes are those of the site, its unit is the metre.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SiteFrame {
@@ -53,12 +53,12 @@ pub struct Frame {
     pub file: String,
     /// Digest of the image these cameras are for (resampled ones differ from the archive's).
     pub image: Digest,
-    /// Digest of its mask, a picture of the same size: what is not white is hidden, and neither learnt from nor judged.
+    /// Digest of its mask, a picture of the same size. Pixels that are not white are hidden, and neither learnt from nor judged.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mask: Option<Digest>,
     /// Its camera.
     pub camera: Camera,
-    /// Its pose: x_cam = R x_world + t; x right, y down, z forward.
+    /// Its pose: x_cam = R x_world + t, with x right, y down, z forward.
     pub cam_from_world: Pose,
     /// Whether the photo is kept out of training, to measure quality.
     pub held_out: bool,
@@ -92,7 +92,7 @@ pub struct Point {
 /// A scene that cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum SceneError {
-    /// The bytes are no scene.
+    /// The bytes are not a scene.
     #[error("not a scene: {0}")]
     Malformed(#[from] serde_json::Error),
     /// A frame with a camera or pose that is not finite or not proper.
@@ -110,7 +110,7 @@ impl Scene {
         Some(&self.frames[found.ok()?])
     }
 
-    /// Returns the scene as JSON; floats are the shortest text that reads back to the same bits.
+    /// Returns the scene as JSON. Floats are the shortest text that reads back to the same bits.
     ///
     /// # Errors
     /// Names a frame that is not finite: JSON would turn it into null.

@@ -20,7 +20,7 @@ pub fn thumbnail(image: &Image<Srgb>) -> Result<Vec<u8>, DecodeError> {
     encode_jpeg(&small.unwrap_or_else(|| image.clone()), THUMBNAIL_QUALITY)
 }
 
-/// Encodes an image as JPEG of a quality in [1, 100]; equal images give equal bytes.
+/// Encodes an image as JPEG of a quality in [1, 100]. Equal images give equal bytes.
 ///
 /// # Errors
 /// An image of zero pixels, or of more than 65,535 a side.
@@ -37,7 +37,7 @@ pub fn encode_jpeg(image: &Image<Srgb>, quality: u8) -> Result<Vec<u8>, DecodeEr
     Ok(bytes)
 }
 
-/// Shrinks an image to a longest side of `most_px` pixels, never enlarges it; `None` without pixels.
+/// Shrinks an image to a longest side of `most_px` pixels, never enlarges it. `None` without pixels.
 pub fn shrunk(image: &Image<Srgb>, most_px: u32) -> Option<Image<Srgb>> {
     let longest = image.width.max(image.height);
     if image.width == 0 || image.height == 0 {
@@ -51,7 +51,7 @@ pub fn shrunk(image: &Image<Srgb>, most_px: u32) -> Option<Image<Srgb>> {
             .div_ceil(u64::from(longest))
             .max(1) as u32
     };
-    // A whole factor first: it is exact, and what is left to resample is small.
+    // A whole factor first: it is exact, and the rest of the resampling is small.
     let factor = (longest / most_px).clamp(1, image.width.min(image.height));
     let reduced = image.box_reduced(factor);
     if reduced.width.max(reduced.height) <= most_px {

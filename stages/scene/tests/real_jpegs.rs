@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 use marf_scene::Photo;
 
-/// Returns a folder of the real data; `None`, with a line of output, if it is absent.
+/// Returns a folder of the real data. `None`, with a line of output, if it is absent.
 fn real(name: &str) -> Option<PathBuf> {
     let root = std::env::var_os("MARF_SHARED_DATA").map_or_else(
         || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data"),
@@ -51,8 +51,8 @@ fn a_real_jpeg_that_was_cut_is_refused() {
     assert_eq!(taken, [0; 0]);
 }
 
-/// Every real JPEG is whole; eight bytes of its scan overwritten are noticed where they change the number of blocks,
-/// which is every other time.
+/// Every real JPEG is whole. Eight overwritten bytes of its scan are noticed if they change the number of blocks, which is every other
+/// time.
 #[test]
 fn real_jpegs_are_whole_and_damage_is_noticed() {
     let (mut whole, mut compared, mut damaged, mut noticed) = (0, 0, 0, 0);

@@ -9,18 +9,17 @@ use marf_stage::{Ctx, Define, Inputs, StageError};
 /// Wall clock between two checkpoints: what a killed run loses at most. It decides when a state is saved, never what.
 pub(crate) const SAVE_EVERY: Duration = Duration::from_secs(10);
 
-/// Begins every part; its number is raised when a state is written or used otherwise.
+/// Begins every part. Its number is raised when a state is written or used otherwise.
 const MAGIC: &[u8; 8] = b"marfckp1";
 
-/// Returns what the checkpoints of a node are of: stage, version, parameters, backend, inputs, and `more` that its
-/// work depends on.
+/// Returns the identity of a node's checkpoints: stage, version, parameters, backend, inputs, and `more` that its work depends on.
 pub(crate) fn identity<S: Define>(stage: &S, inputs: &Inputs, more: &str) -> Digest {
     let node = (S::NAME, S::VERSION, stage.params().to_string());
     let inputs: BTreeMap<String, Digest> = inputs.0.clone();
     digest_of(&(node, (stage.backend_id(), inputs), more))
 }
 
-/// Returns the state of a part; none if it is of something else.
+/// Returns the state of a part, or `None` if it belongs to another identity.
 pub(crate) fn load(ctx: &Ctx<'_>, part: &str, of: &Digest) -> Option<Vec<u8>> {
     let bytes = ctx.checkpoints.load(part)?;
     let rest = bytes.strip_prefix(MAGIC)?;
@@ -35,12 +34,12 @@ pub(crate) fn save(ctx: &Ctx<'_>, part: &str, of: &Digest, state: &[u8]) {
 
 /// The finished pieces of a loop, in order. A loop that was stopped reads them instead of computing them again.
 ///
-/// Pieces are saved in numbered parts, each with those since the last: what is written is proportional to what is new.
+/// Pieces are saved in numbered parts, each with those since the last. So the bytes written are proportional to the new pieces.
 pub(crate) struct Journal<'a> {
     ctx: &'a Ctx<'a>,
     name: String,
     of: Digest,
-    /// Pieces that were read and not asked for yet; `None` when there are no more parts.
+    /// Pieces read but not yet returned. `None` when there are no more parts.
     known: Option<VecDeque<Vec<u8>>>,
     /// Pieces returned so far.
     count: u64,
@@ -53,7 +52,7 @@ pub(crate) struct Journal<'a> {
 }
 
 impl<'a> Journal<'a> {
-    /// Returns the journal of a loop; a name stands for one loop of a node at a time.
+    /// Returns the journal of a loop. Within a node, one loop at a time has this name.
     pub fn new(ctx: &'a Ctx<'a>, name: &str, of: Digest) -> Self {
         Self {
             ctx,
@@ -68,11 +67,11 @@ impl<'a> Journal<'a> {
         }
     }
 
-    /// Returns the next piece: what `read` makes of its bytes if an earlier run has saved it and they can be used, else
-    /// what `make` returns beside its bytes.
+    /// Returns the next piece. If an earlier run has saved it, `read` decodes its bytes. If there are none or `read` refuses them, `make`
+    /// computes the piece and its bytes.
     ///
     /// # Errors
-    /// That of `make`; the pieces before it are then saved.
+    /// That of `make`. The pieces before it are then saved.
     pub fn piece<T>(
         &mut self,
         mut read: impl FnMut(&[u8]) -> Option<T>,
@@ -148,7 +147,7 @@ impl<'a> Journal<'a> {
     }
 }
 
-/// The number of the first piece, then each with its length; u64 LE.
+/// The number of the first piece, then each piece with its length, all numbers u64 LE.
 fn pack(first: u64, pieces: &[Vec<u8>]) -> Vec<u8> {
     let mut bytes = first.to_le_bytes().to_vec();
     for piece in pieces {
@@ -158,7 +157,7 @@ fn pack(first: u64, pieces: &[Vec<u8>]) -> Vec<u8> {
     bytes
 }
 
-/// Reads what [`pack`] wrote; none if it is anything else.
+/// Reads the bytes of [`pack`]. `None` if they are anything else.
 fn unpack(bytes: &[u8]) -> Option<(u64, VecDeque<Vec<u8>>)> {
     let (first, mut rest) = bytes.split_first_chunk::<8>()?;
     let mut pieces = VecDeque::new();
@@ -250,7 +249,7 @@ mod tests {
         let harness = Harness::default();
         run(&harness, "a", 5, NEVER, &all);
         assert_eq!(run(&harness, "b", 2, NEVER, &all), [0, 1]);
-        // The last parts of `a` lie behind the first of `b`.
+        // The last parts of `a` are behind the first of `b`.
         assert_eq!(run(&harness, "b", PIECES, NEVER, &all), [2, 3, 4, 5, 6, 7, 8]);
     }
 

@@ -52,9 +52,9 @@ pub enum TrainError {
     NoTime {
         /// The whole wait, seconds.
         within_s: f64,
-        /// What is left of it, seconds.
+        /// Remaining time, seconds.
         left_s: f64,
-        /// What judging takes, seconds.
+        /// Time that judging takes, seconds.
         judging_s: f64,
     },
     /// No photo to watch a target by.
@@ -94,7 +94,7 @@ pub enum TrainError {
         width: u32,
         /// Its height.
         height: u32,
-        /// The reduction asked for.
+        /// The requested reduction.
         scale: u32,
     },
     /// A training that does not fit, however few pixels of its photos are kept.
@@ -154,7 +154,7 @@ pub enum TrainError {
     /// Nowhere to make maps at.
     #[error("the scene has no viewpoint `{viewpoints}`")]
     NoViewpoint {
-        /// The kind that was asked for.
+        /// The requested kind.
         viewpoints: &'static str,
     },
     /// No camera that a path could be laid through.
@@ -165,7 +165,7 @@ pub enum TrainError {
     },
     /// No direction to circle around.
     #[error(
-        "the scene knows no up, and the up directions of its photos cancel each other out: there is no orbit"
+        "no orbit: the up direction of the scene is unknown, and those of its photos cancel each other out"
     )]
     NoUp,
     /// No retrainings to compare.

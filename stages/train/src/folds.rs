@@ -17,9 +17,9 @@ use crate::{
 
 /// Judges every photo of a small scene by a field that was trained without its place.
 ///
-/// Where few photos are held out, their mean says little. Each fold is a node `train`: the node `training`, of which it has sizes
-/// and configuration, on the photos of all other folds, for a share of its steps: shorter and with fewer photos than that training has. Photos
-/// that `calibrate` holds out are trained on as well: it is the scene that is judged here, not the field delivered.
+/// Where few photos are held out, their mean says little. Each fold is a node `train` with the sizes and configuration of the node
+/// `training`. It trains on the photos of all other folds, for a share of the steps, so it is shorter and has fewer photos than that
+/// training. Photos that `calibrate` holds out are trained on as well: this judges the scene, not the delivered field.
 #[derive(Debug)]
 pub struct Folds {
     params: FoldsParams,

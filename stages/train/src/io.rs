@@ -20,7 +20,7 @@ pub(crate) fn read_scene(ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Scene, StageE
 /// Reads the setup of another training, if one is connected.
 ///
 /// # Errors
-/// Bytes that are none, and one that started from an earlier field: no other seed or draw repeats it.
+/// The bytes are not a setup, or it started from an earlier field, which no other seed or draw repeats.
 pub(crate) fn read_setup(ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Option<Setup>, StageError> {
     let Some(digest) = inputs.optional(Setup::OUTPUT) else {
         return Ok(None);

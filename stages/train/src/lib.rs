@@ -1,9 +1,10 @@
 //! Trained fields: search of parameters, training, evaluation, renders and uncertainty maps.
 //!
 //! Eight stages: `tune`, `train`, `partial` (the first steps of a training), `folds` (judges scenes of few photos), `evaluate`, `render`,
-//! `bootstrap` and `video`. They share how photos are read, split, scored and written. Invariant: what a node answers depends on photos, cameras,
-//! parameters and seed; the clock decides only when a checkpoint is kept and, with a budget, the schedule of a training, which the
-//! setup then holds. Held-out photos never reach a training step.
+//! `bootstrap` and `video`. They share how photos are read, split, scored and written.
+//!
+//! Invariant: results depend on photos, cameras, parameters and seed. The clock decides only when a checkpoint is kept and, with a budget,
+//! the schedule of a training, which the setup then holds. Held-out photos never reach a training step.
 
 mod bootstrap;
 mod checkpoint;

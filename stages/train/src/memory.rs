@@ -15,14 +15,15 @@ const PROGRAM_BYTES: u64 = 100_000_000;
 pub(crate) struct MemoryPlan {
     /// Pixels of a run, one of which is kept.
     pub run: u32,
-    /// Photos that may be decoded at once; no result depends on it.
+    /// Photos that may be decoded at once. No result depends on it.
     pub at_once: usize,
 }
 
 /// Returns the shortest run of pixels with which a training fits its memory, and how many photos may be decoded at once.
 ///
-/// `times`: how often each training photo is used; the factors shrink photos trained on, and those that judge. Counted are, each at its largest: the photos kept with the
-/// training ([`training_bytes`]), the photos kept with one being decoded, one view being compared; and the program.
+/// `times`: how often each training photo is used. The factors shrink the photos trained on and those that judge. The estimate is the
+/// program plus the largest of three states: the photos kept with the training ([`training_bytes`]), the photos kept with one being
+/// decoded, and one view being compared.
 ///
 /// # Errors
 /// [`TrainError::Memory`] if not even one pixel in 255 fits, before anything is decoded.
@@ -65,7 +66,7 @@ fn kept_bytes(training: &[NamedFrame<'_>], times: &[usize], scale: u32, run: u32
     photos.sum()
 }
 
-/// Returns the most that `bytes` says of any frame.
+/// Returns the largest value of `bytes` over the frames.
 fn largest<'a>(
     frames: impl Iterator<Item = &'a NamedFrame<'a>>,
     scale: u32,
@@ -117,7 +118,7 @@ mod tests {
     fn small_sets_are_kept_whole_and_a_thousand_large_photos_are_thinned_to_fit() {
         let small = planned("4GB", &scene(100, 480, 360), 1).unwrap();
         assert_eq!(small.run, 1);
-        // 875 photos of 2 MP are 5.25 GB; of every 3 pixels one, in 4 bytes, is 2.3 GB; of every 4 1.75 GB.
+        // 875 photos of 2 MP are 5.25 GB. One of every 3 pixels, in 4 bytes, is 2.3 GB, and one of every 4 is 1.75 GB.
         let large = scene(1000, 1600, 1250);
         assert_eq!(planned("6GB", &large, 1).unwrap().run, 1);
         assert_eq!(planned("2GB", &large, 1).unwrap().run, 4);

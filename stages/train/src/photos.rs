@@ -19,16 +19,16 @@ pub(crate) struct ScaledPhoto {
     pub camera: Camera,
     /// Its pixels, over black.
     pub image: Image<Srgb>,
-    /// Their opacities, `[height * width]`; empty of an opaque photo.
+    /// Their opacities, `[height * width]`. Empty for an opaque photo.
     pub alpha: Vec<u8>,
-    /// What its mask hides, `[height * width]`; empty without a mask.
+    /// Pixels that its mask hides, `[height * width]`. Empty without a mask.
     pub hidden: Vec<bool>,
 }
 
 impl ScaledPhoto {
-    /// Returns the photo without pixels between those in the middle of boxes of an odd side, so that its longest side is at most
-    /// `side_px`, or its shortest is one box. What is left stands for all: a field is as good on it as on the whole photo, while a shrunk
-    /// photo lacks the details by which fields differ.
+    /// Returns only the middle pixels of boxes of an odd side, so that the longest side is at most `side_px`, or the shortest is one box.
+    ///
+    /// A field is as good on these pixels as on the whole photo. A shrunk photo lacks the details by which fields differ.
     pub fn thinned_to(&self, side_px: u32) -> Self {
         let longest = self.camera.width.max(self.camera.height);
         let shortest = self.camera.width.min(self.camera.height);
@@ -49,7 +49,7 @@ impl ScaledPhoto {
     }
 }
 
-/// Returns the middles of boxes of an odd side of `[height * width]`, row by row; of nothing nothing.
+/// Returns the middles of boxes of an odd side of `[height * width]`, row by row. An empty slice gives an empty vector.
 fn middles<T: Copy>(all: &[T], width: u32, side: u32) -> Vec<T> {
     let (width, side) = (width as usize, side as usize);
     let rows = all.chunks_exact(width).skip(side / 2).step_by(side);
@@ -113,7 +113,7 @@ impl<'a> PhotoReader<'a> {
         })
     }
 
-    /// Returns what the mask of a photo hides at the working size; empty without a mask.
+    /// Returns the pixels that the mask of a photo hides at the working size. Empty without a mask.
     ///
     /// # Errors
     /// As [`PhotoReader::hidden_at`].
@@ -121,7 +121,7 @@ impl<'a> PhotoReader<'a> {
         self.hidden_at(frame, self.scale)
     }
 
-    /// Returns what the mask of a photo hides at 1 / `scale` of its size; empty without a mask.
+    /// Returns the pixels that the mask of a photo hides at 1 / `scale` of its size. Empty without a mask.
     ///
     /// # Errors
     /// A mask that cannot be decoded or has another size than its photo.
@@ -167,7 +167,7 @@ impl<'a> PhotoReader<'a> {
         Ok(([width, height], shrunk))
     }
 
-    /// Reads photos and returns what `keep` makes of each, in order; at most `at_once` photos are in memory.
+    /// Reads photos and returns the result of `keep` for each, in order. At most `at_once` photos are in memory.
     ///
     /// # Errors
     /// As [`PhotoReader::read`].
@@ -184,7 +184,7 @@ impl<'a> PhotoReader<'a> {
             let of_group: Vec<Result<T, StageError>> = photos
                 .map(|(index, named)| Ok(keep(group * at_once + index, self.read(named.frame)?)))
                 .collect();
-            // Of several that cannot be read the first is told, whichever was met first.
+            // Of several unreadable photos the first is reported, whichever was met first.
             for photo in of_group {
                 kept.push(photo?);
             }
@@ -193,8 +193,8 @@ impl<'a> PhotoReader<'a> {
     }
 }
 
-/// Returns a mask at 1 / `factor` of its size, hidden where any pixel of a block is; rows and columns that fill no block are left out, as
-/// of photos.
+/// Returns a mask at 1 / `factor` of its size, hidden where any pixel of a block is. As for photos, rows and columns that fill no block are
+/// left out.
 fn shrunk_mask(hidden: &[bool], width: u32, factor: u32) -> Vec<bool> {
     if hidden.is_empty() || factor == 1 {
         return hidden.to_vec();
@@ -227,7 +227,7 @@ struct ShrunkPhoto {
     alpha: Vec<u8>,
 }
 
-/// Returns the key of a memo; its number is raised when a photo may decode or shrink to other pixels.
+/// Returns the key of a memo. Its number is raised when a photo may decode or shrink to other pixels.
 fn memo_key(photo: &Digest, scale: u32) -> Digest {
     digest_of(&("shrunk photo 2", *photo, scale))
 }
@@ -238,7 +238,7 @@ fn pack(size_px: [u32; 2], ShrunkPhoto { image, alpha }: &ShrunkPhoto) -> Vec<u8
     [size.as_flattened(), image.pixels.as_flattened(), alpha].concat()
 }
 
-/// Reads what [`pack`] wrote; none if it is anything else.
+/// Reads the bytes of [`pack`]. `None` if they are anything else.
 fn unpack(bytes: &[u8], scale: u32) -> Option<([u32; 2], ShrunkPhoto)> {
     let (width, rest) = bytes.split_first_chunk::<4>()?;
     let (height, rest) = rest.split_first_chunk::<4>()?;

@@ -1,7 +1,7 @@
 //! `render`: pictures of a trained field along a path, and their order as a film.
 //!
-//! The path is walked through twice, since a colour scale follows from all pictures: first the field is rendered and the values are kept
-//! as pictures of 16 bits, one viewpoint at a time in memory; then previews and film are drawn from these.
+//! The path is visited twice, since a colour scale follows from all pictures. First the field is rendered, one viewpoint at a time in
+//! memory, and the values are kept as pictures of 16 bits. Then previews and film are drawn from these.
 
 mod fields;
 mod layers;
@@ -85,8 +85,8 @@ impl Set for Render {
 }
 
 impl Render {
-    /// Renders every viewpoint of the path. Each layer of it is kept as a memo: a run that was stopped goes on, and another path or
-    /// other outputs take what is known of the same fields and cameras.
+    /// Renders every viewpoint of the path. Each layer is kept as a memo, so that a stopped run continues. Another path or other outputs
+    /// reuse the memos of the same fields and cameras.
     fn frames(
         &self,
         ctx: &Ctx<'_>,

@@ -25,7 +25,7 @@ use crate::{
 /// Which photos of those held out are judged.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct JudgedPhotos {
-    /// At most so many; none: all.
+    /// Most photos to judge. `None` means all.
     pub most: Option<usize>,
     /// As many as are judged by then, but [`JudgedPhotos::LEAST`] at least.
     pub until: Option<Instant>,
@@ -40,7 +40,7 @@ impl JudgedPhotos {
     /// Photos that are judged whatever time it takes.
     pub const LEAST: usize = 4;
 
-    /// Returns their indices among `count`; the first of them, however many, are spread over all.
+    /// Returns their indices among `count`. Any number of the first ones is spread over all.
     fn order(self, count: usize) -> Vec<usize> {
         match self {
             Self::ALL => (0..count).collect(),
@@ -70,7 +70,7 @@ struct PhotoJudgement {
 /// Compares a field with photos, one at a time. Photos that an unfinished run has compared are not rendered again.
 pub(crate) struct Judge<'a> {
     ctx: &'a Ctx<'a>,
-    /// Stands for the node and its field.
+    /// Identity of the node and its field.
     of: Digest,
     field: &'a Field,
     photos: &'a PhotoReader<'a>,
@@ -78,7 +78,7 @@ pub(crate) struct Judge<'a> {
 }
 
 impl<'a> Judge<'a> {
-    /// Returns the judge of a field; `of` stands for the node and its field.
+    /// Returns the judge of a field. `of` identifies the node and its field.
     pub fn new(ctx: &'a Ctx<'a>, of: Digest, field: &'a Field, photos: &'a PhotoReader<'a>) -> Self {
         Self {
             ctx,
@@ -89,8 +89,8 @@ impl<'a> Judge<'a> {
         }
     }
 
-    /// Renders the views of the chosen photos, compares each with its photo and stores both pictures; `trained` are the photos that
-    /// the field was trained on.
+    /// Renders the views of the chosen photos, compares each with its photo and stores both pictures. `trained` are the photos that the
+    /// field was trained on.
     pub fn held_out(
         &mut self,
         frames: &[NamedFrame<'_>],
@@ -118,7 +118,7 @@ impl<'a> Judge<'a> {
         Ok(means(views.into_values().collect()))
     }
 
-    /// Compares the field with photos that it was trained on; stores no picture.
+    /// Compares the field with photos that it was trained on. Stores no picture.
     pub fn on_training(&mut self, frames: &[NamedFrame<'_>]) -> Result<OnTraining, StageError> {
         let mut views = Vec::with_capacity(frames.len());
         for (index, named) in frames.iter().enumerate() {
@@ -208,7 +208,7 @@ impl PhotoJudge<'_> {
     }
 }
 
-/// Returns the mean PSNR over small photos, dB; nothing is stored.
+/// Returns the mean PSNR over small photos, dB. Stores nothing.
 pub(crate) fn mean_psnr(
     ctx: &Ctx<'_>,
     field: &Field,
@@ -249,7 +249,7 @@ fn compare(
         file: named.frame.file.clone(),
         name: named.name.clone(),
         psnr,
-        // The sizes agree, or the line above had stopped: what is left is a black or a tiny photo, or a mask with small holes.
+        // The sizes agree, or the line above had stopped. This fails only for a black or a tiny photo, or a mask with small holes.
         psnr_paper: metrics::psnr_paper(render, photo, hidden).ok(),
         ssim: metrics::ssim(render, photo, hidden).ok(),
         nearest: None,
@@ -271,7 +271,7 @@ pub(crate) fn means(views: Vec<PhotoScores>) -> Scores {
     }
 }
 
-/// Returns the means of photos that extrapolate and of those that do not; none where no photo extrapolates.
+/// Returns the means of photos that extrapolate and of those that do not, or `None` if no photo extrapolates.
 fn apart(views: &[PhotoScores]) -> Option<Apart> {
     let extrapolates =
         |view: &&PhotoScores| view.nearest.as_ref().is_some_and(|nearest| nearest.extrapolates);

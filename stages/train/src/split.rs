@@ -5,7 +5,7 @@ use marf_schema::train::{Fold, Holdout};
 
 use crate::{TrainError, random::random_u64};
 
-/// About one of so many training photos is held out for [`Holdout::Validation`].
+/// About one in this many training photos is held out for [`Holdout::Validation`].
 const VALIDATION_EVERY: u32 = 8;
 
 /// A frame with the name of its pictures.
@@ -15,7 +15,7 @@ pub(crate) struct NamedFrame<'a> {
     pub name: String,
 }
 
-/// Photos to train on and photos to measure on; none is both.
+/// Photos to train on and photos to measure on, without a photo in both.
 #[derive(Debug)]
 pub(crate) struct Split<'a> {
     pub training: Vec<NamedFrame<'a>>,
@@ -53,7 +53,7 @@ pub(crate) fn split(scene: &Scene, holdout: Holdout, fold: Option<Fold>) -> Resu
     Ok(split)
 }
 
-/// Holds out whole places, about one frame in eight, as `calibrate` does; `points` are the sparse points of the scene.
+/// Holds out whole places, about one frame in eight, as `calibrate` does. `points` are the sparse points of the scene.
 pub(crate) fn hold_out_by_place<'a>(frames: Vec<NamedFrame<'a>>, points: &[Point]) -> Split<'a> {
     let photos: Vec<PosedPhoto<'_>> = frames.iter().map(|named| named.frame.into()).collect();
     let is_held_out = hold_out_places(&photos, points, VALIDATION_EVERY);
@@ -122,8 +122,7 @@ pub(crate) fn some_of(frames: Vec<NamedFrame<'_>>, wanted: usize) -> Vec<NamedFr
 
 /// Returns how often each of `count` photos is drawn in `count` draws with replacement.
 ///
-/// Draw i takes the photo ⌊count · h / 2⁶⁴⌋, h the first 8 bytes of the content hash of (seed, i); the bias is
-/// below count / 2⁶⁴.
+/// Draw i takes the photo ⌊count · h / 2⁶⁴⌋, h the first 8 bytes of the content hash of (seed, i). The bias is below count / 2⁶⁴.
 pub(crate) fn draws(count: usize, seed: u64) -> Vec<usize> {
     let mut times = vec![0; count];
     for index in 0..count as u64 {
@@ -176,7 +175,7 @@ mod tests {
         let test = split(&scene, Holdout::Test, None).unwrap();
         assert_eq!((test.training.len(), test.held_out.len()), (16, 4));
         let validation = split(&scene, Holdout::Validation, None).unwrap();
-        // All 16 others stand in one place, which is split in groups of as many as are to be held out.
+        // All 16 others are in one place, which is split into groups of at most the number to hold out.
         assert_eq!((validation.training.len(), validation.held_out.len()), (14, 2));
         let all = validation.training.iter().chain(&validation.held_out);
         assert!(all.into_iter().all(|named| !named.frame.held_out));
@@ -193,7 +192,7 @@ mod tests {
                     share: 1.0,
                 };
                 let split = split(&scene, Holdout::Test, Some(fold)).unwrap();
-                // All stand in one place, which is split in groups of four: one fold has two of them.
+                // All are in one place, which is split into groups of four. One fold has two of these groups.
                 assert_eq!(split.training.len() + split.held_out.len(), 20);
                 assert!([4, 8].contains(&split.held_out.len()), "{}", split.held_out.len());
                 split.held_out.into_iter().map(|named| named.name)

@@ -21,7 +21,7 @@ stage! {
     about: "makes a film (MP4) of the pictures of `render`",
     version: 1,
     ports: [Port::required("input", Film::OUTPUT).with_hint(
-        "name a node of `render`; for a film with uncertainty, one with `members = \"BOOTSTRAP\"` and \
+        "name a node of `render`. For a film with uncertainty, name one with `members = \"BOOTSTRAP\"` and \
          `outputs = [\"rgb\", \"uncertainty\", \"depth\"]`",
     )],
     outputs: [VIDEO],

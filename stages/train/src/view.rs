@@ -7,7 +7,7 @@ use marf_stage::{Ctx, StageError};
 
 use crate::{checkpoint::Journal, error::field_failed};
 
-/// Renders a view; `of` stands for field and viewpoint.
+/// Renders a view. `of` identifies field and viewpoint.
 pub(crate) fn render_view(
     ctx: &Ctx<'_>,
     of: Digest,
@@ -36,7 +36,7 @@ pub(crate) fn pack(render: &Render) -> Vec<u8> {
     numbers.flat_map(|number| number.to_le_bytes()).collect()
 }
 
-/// Reads what [`pack`] wrote of a render of that size; none if it is anything else.
+/// Reads the bytes of [`pack`] for a render of that size. `None` if they are anything else.
 pub(crate) fn unpack(bytes: &[u8], width: u32, height: u32) -> Option<Render> {
     let numbers = floats(bytes)?;
     let pixels = width as usize * height as usize;
@@ -51,7 +51,7 @@ pub(crate) fn unpack(bytes: &[u8], width: u32, height: u32) -> Option<Render> {
     })
 }
 
-/// Reads f32 LE; none if the bytes are no whole number of them.
+/// Reads f32 LE. `None` if a number is incomplete.
 pub(crate) fn floats(bytes: &[u8]) -> Option<Vec<f32>> {
     let (numbers, rest) = bytes.as_chunks::<4>();
     rest.is_empty()

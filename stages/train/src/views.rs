@@ -60,7 +60,7 @@ pub(crate) enum Begin<'a> {
 /// Returns a trainer at step 0, with the seed and on the device of `params`.
 ///
 /// # Errors
-/// Those of [`Trainer::new`]; a device that is not there.
+/// Those of [`Trainer::new`], or a missing device.
 pub(crate) fn new_trainer(
     views: Vec<View>,
     scene: &Scene,

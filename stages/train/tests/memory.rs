@@ -1,4 +1,4 @@
-//! What a training takes of the machine's memory, in a process of its own.
+//! Memory of a training, measured in a separate process.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
@@ -13,14 +13,14 @@ use marf_stage::{Ctx, harness::Harness};
 use marf_train::Train;
 use serde_json::json;
 
-/// Largest resident size so far, bytes; none where the system does not tell.
+/// Largest resident size so far, bytes. `None` if the system does not report it.
 fn peak_bytes() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
     Some(line.trim().strip_suffix(" kB")?.parse::<u64>().ok()? * 1024)
 }
 
-/// 119 photos of 77 kP are 27 MB when whole; what is left of the memory holds them thinned only.
+/// 119 photos of 77 kP are 27 MB when whole. The remaining memory holds them only thinned.
 #[test]
 fn the_measured_peak_stays_below_the_estimate_and_comes_near_it() {
     let harness = Harness::default();

@@ -1,4 +1,4 @@
-//! `cameras`: a calibrated scene as a folder that other programs read as it lies.
+//! `cameras`: a calibrated scene as a folder that other programs read unchanged.
 
 mod undistort;
 
@@ -22,12 +22,12 @@ use undistort::{ideal, undistort};
 
 /// Writes a calibrated scene as a folder: photos, masks, transforms.json, COLMAP's model as binary and text, points.
 ///
-/// - In: the scene, and what COLMAP's model of it says of the observations; with `photos_at` the set of photos that lies there.
-/// - Out: `cameras/transforms.json` and what it names, from where it lies; `cameras/masks/<photo>.png` of each photo with a mask, as COLMAP
-///   and nerfstudio read them; `cameras/sparse/0/*.bin` and `*.txt`; `cameras/points.ply`. Photos are named in `photos_at` if all of
-///   them lie there; else all are in `cameras/`.
-/// - Cost: without `undistort` no photo is decoded, and none is stored twice. With it each photo with a lens is decoded, resampled
-///   (bicubic, as for labels) and encoded as PNG: about 0.4 s a megapixel and core.
+/// - In: the scene, and COLMAP's model of it for the observations. With `photos_at`, also the set of photos in that folder.
+/// - Out: `cameras/transforms.json` and the files it names, `cameras/masks/<photo>.png` of each photo with a mask, as COLMAP and nerfstudio
+///   read them, `cameras/sparse/0/*.bin` and `*.txt`, and `cameras/points.ply`. Photos are named in `photos_at` if all of them are there.
+///   Otherwise all are in `cameras/`.
+/// - Cost: without `undistort` no photo is decoded or stored twice. With it each photo with a lens is decoded, resampled (bicubic, as for
+///   labels) and encoded as PNG: about 0.4 s a megapixel and core.
 /// - Bad input: a lens without inverse at the rim of its photo stops the node with the photo's name.
 #[derive(Debug)]
 pub struct ExportCameras(CamerasParams);
@@ -36,7 +36,7 @@ stage! {
     ExportCameras { 0: CamerasParams },
     Set,
     Threads::All,
-    about: "writes cameras and photos as a folder for nerfstudio, instant-ngp and COLMAP, undistorted if asked",
+    about: "writes cameras and photos as a folder for nerfstudio, instant-ngp and COLMAP, optionally undistorted",
     version: 2,
     ports: [
         Port::required("input", SCENE),
@@ -82,7 +82,7 @@ impl Set for ExportCameras {
 }
 
 impl ExportCameras {
-    /// Returns the folder `photos_at` if all photos of a scene lie there with these very bytes.
+    /// Returns the folder `photos_at` if it has all photos of a scene with these very bytes.
     fn photos_there(
         &self,
         ctx: &Ctx<'_>,
@@ -93,13 +93,12 @@ impl ExportCameras {
             (None, _) => return Ok(None),
             (Some(folder), Some(set)) => (folder, set),
             (Some(folder), None) => {
-                let error =
-                    StageError::new(format!("which photos lie in `photos_at` ({folder}) is not known"));
+                let error = StageError::new(format!("the photos in `photos_at` ({folder}) are not known"));
                 return Err(error.hint("name the node that read them: `photos = \"extract\"`"));
             }
         };
         let rows = rows_of(ctx, set)?;
-        // What was developed from raw numbers or from a mosaic lies nowhere.
+        // A photo developed from raw numbers or from a mosaic has no file.
         let is_file = |row: &&Row| !row.blobs.contains_key("raw");
         let images: BTreeMap<&str, Option<&Digest>> = rows
             .iter()
@@ -121,7 +120,7 @@ fn failed(error: &dyn std::fmt::Display) -> StageError {
     StageError::new(error.to_string())
 }
 
-/// Lists each mask, and each photo unless all lie elsewhere, at the place that transforms.json names.
+/// Lists each mask, and each photo unless all are elsewhere, under the name that transforms.json names.
 fn put_pictures(scene: &Scene, there: Option<&str>, outputs: &mut Outputs) -> Result<(), StageError> {
     let mut known = BTreeSet::new();
     for frame in &scene.frames {
@@ -170,7 +169,7 @@ fn undistorted(ctx: &Ctx<'_>, scene: &Scene, mut tracks: Tracks) -> Result<(Scen
     Ok((straight, tracks))
 }
 
-/// Returns where an observation lies in the undistorted photo; none where that does not reach.
+/// Returns the pixel of an observation in the undistorted photo, or `None` outside it.
 fn moved(frame: &Frame, straight: &Frame, pixel: &[f64; 2]) -> Option<[f64; 2]> {
     let at = straight
         .camera
@@ -180,7 +179,7 @@ fn moved(frame: &Frame, straight: &Frame, pixel: &[f64; 2]) -> Option<[f64; 2]> 
     is_inside.then(|| at.into())
 }
 
-/// Returns a frame with an ideal pinhole; a photo without distortion stays as it is.
+/// Returns a frame with an ideal pinhole. A photo without distortion is unchanged.
 fn straight_frame(ctx: &Ctx<'_>, frame: &Frame) -> Result<Frame, StageError> {
     ctx.check()?;
     let named = |what: String| StageError::new(format!("photo `{}`: {what}", frame.id));

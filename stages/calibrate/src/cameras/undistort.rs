@@ -6,14 +6,14 @@ use nalgebra::Vector2;
 
 use crate::resample::{direction, resample_by};
 
-/// Largest side of an undistorted photo, as a multiple of the photo's: beyond it the lens is no lens.
+/// Largest side of an undistorted photo, as a multiple of the photo's. A lens that needs more is refused.
 const MOST_GROWTH: f64 = 2.0;
 
-/// Returns the ideal pinhole for a camera: equal focal lengths along each axis, so that pixels in the middle keep their scale, and the
-/// largest size for which every pixel was seen by the camera (no black borders; as COLMAP's undistorter with `blank_pixels` 0).
+/// Returns the ideal pinhole for a camera. Its focal lengths are equal along each axis, so that pixels in the middle keep their scale.
 ///
-/// A camera without distortion is returned as it is. `None` where the distortion has no inverse at the rim of the photo, or where less
-/// than a pixel or more than twice the photo would be left.
+/// Its size is the largest for which the camera saw every pixel (no black borders, as COLMAP's undistorter with `blank_pixels` 0). A camera
+/// without distortion is returned as it is. `None` if the distortion has no inverse at the rim of the photo, or if the result is less than
+/// a pixel or more than twice the photo.
 pub fn ideal(camera: &Camera) -> Option<Camera> {
     if [camera.k1, camera.k2, camera.p1, camera.p2] == [0.0; 4] {
         return Some(*camera);
@@ -55,7 +55,7 @@ pub fn ideal(camera: &Camera) -> Option<Camera> {
 /// Returns a photo of `camera` as `pinhole` sees it.
 ///
 /// # Errors
-/// The pixel of the pinhole that the camera does not see; `None` if `cancel` is set.
+/// The pixel of the pinhole that the camera does not see, or `None` if `cancel` is set.
 pub fn undistort(
     photo: &Image<Srgb>,
     camera: &Camera,

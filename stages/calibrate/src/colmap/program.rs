@@ -98,11 +98,11 @@ impl Program {
         self.folder.join(name).to_string_lossy().into_owned()
     }
 
-    /// Runs a step to its end; a failing one is an error with its last lines.
+    /// Runs a step to its end. A failing one is an error with its last lines.
     fn step(&self, ctx: &Ctx<'_>, done: u64, name: &str, words: &[&str]) -> Result<(), StageError> {
         ctx.progress.at(done, STEPS, name);
         let threads = ctx.threads.to_string();
-        // Versions differ in the names of their options; the step's own help tells which it has.
+        // The names of options differ between versions. The step's help lists the ones it has.
         let (_, help) = self.run(ctx, &[name, "--help"])?;
         let common = [
             (["SiftExtraction.use_gpu", "FeatureExtraction.use_gpu"], "0"),
@@ -137,7 +137,7 @@ impl Program {
         Err(StageError::new(format!("`colmap {name}` failed: {status}")).cause(last))
     }
 
-    /// Runs the program to its end, or kills it when the run is cancelled; returns exit status and output.
+    /// Runs the program to its end, or kills it when the run is cancelled. Returns exit status and output.
     fn run(&self, ctx: &Ctx<'_>, words: &[&str]) -> Result<(ExitStatus, String), StageError> {
         let log = self.folder.join("log");
         let failed = |error: std::io::Error| cannot_write("a log", &error);

@@ -3,7 +3,7 @@
 use marf_scene::{Point, Scene};
 use nalgebra::{Vector2, Vector3};
 
-/// Sparse points with their observations; every number is finite.
+/// Sparse points with their observations. Every number is finite.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Tracks {
     /// The points.
@@ -33,7 +33,7 @@ pub struct Observation {
 }
 
 impl Tracks {
-    /// Returns the tracks of points whose observations are not known; without a colour they are grey.
+    /// Returns the tracks of points without known observations. Points without a colour are grey.
     pub fn without_observations(points: &[Point]) -> Self {
         let point = |point: &Point| TrackPoint {
             position: point.position,
@@ -46,7 +46,7 @@ impl Tracks {
         }
     }
 
-    /// Sets the error of each point to the mean distance of its observations from its projections, pixels; 0 without any.
+    /// Sets the error of each point to the mean distance of its observations from its projections, pixels. 0 without observations.
     pub fn measure(&mut self, scene: &Scene) {
         for point in &mut self.points {
             let position = Vector3::from(point.position);

@@ -61,13 +61,12 @@ impl Lens {
     }
 }
 
-/// Writes a scene in the nerfstudio convention: camera to world, x right, y up, z backward; lens terms of
-/// OpenCV; frames sorted by file name; held-out photos as test and validation, the others as training.
+/// Writes a scene in the nerfstudio convention: camera to world, x right, y up, z backward, lens terms of OpenCV.
 ///
-/// One camera for all frames stands at the top, different ones stand with their frames. The world is the
-/// scene's own, neither rotated nor scaled. `path_of` tells where a photo lies as seen from
-/// where the file is put: [`Frame::file`] where photos lie beside it; photos that were encoded anew have the extension `.png` there.
-/// `mask_of` tells where its mask lies, if it has one. A scene with sparse points names [`POINTS`], which is put beside the file.
+/// Frames are sorted by file name. Held-out photos are test and validation, the others training. A camera shared by all frames is at the
+/// top, different ones are in their frames. The world is the scene's own, neither rotated nor scaled. `path_of` returns the path of a photo
+/// relative to the file's folder: [`Frame::file`] if photos are in the same folder. Re-encoded photos have the extension `.png` there.
+/// `mask_of` returns the path of its mask, if it has one. A scene with sparse points names [`POINTS`], a file in the same folder.
 pub fn write_transforms(
     scene: &Scene,
     path_of: &dyn Fn(&Frame) -> String,
@@ -100,7 +99,7 @@ pub fn write_transforms(
     serde_json::to_string_pretty(&transforms).unwrap_or_default()
 }
 
-/// Returns the path of a photo that lies beside transforms.json.
+/// Returns the path of a photo in the folder of transforms.json.
 pub fn beside(frame: &Frame) -> String {
     frame.file.clone()
 }

@@ -10,11 +10,11 @@ use super::lens::Lens;
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("`{file}`{}: {problem}", place_text(place))]
 pub struct ImportError {
-    /// Name of the file beside the photos.
+    /// Name of the file next to the photos.
     pub file: String,
-    /// JSON pointer, line or record; empty for the whole file.
+    /// JSON pointer, line or record. Empty for the whole file.
     pub place: String,
-    /// What is wrong, with the value.
+    /// The fault, with the value.
     pub problem: String,
 }
 
@@ -39,11 +39,11 @@ impl ImportError {
 /// A photo's camera as another program has it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct View {
-    /// Where in the file it stands, for messages.
+    /// Its place in the file, for messages.
     pub place: String,
-    /// The photo's name relative to the archive, with `/`; the extension may be missing. A path from elsewhere starts with `/`.
+    /// The photo's name relative to the archive, with `/`, possibly without extension. A path from elsewhere starts with `/`.
     pub file: String,
-    /// The name of its mask in the same form, if the file tells.
+    /// The name of its mask in the same form, if the file has one.
     pub mask: Option<String>,
     /// Its lens, before the photo's size is known.
     pub lens: Lens,
@@ -51,16 +51,16 @@ pub struct View {
     pub cam_from_world: Pose,
     /// What it is for.
     pub role: Role,
-    /// Features found in the photo, if the file tells.
+    /// Features found in the photo, if the file has their number.
     pub matches: Option<u32>,
-    /// Those of them that belong to a point, if the file tells.
+    /// Those of them that belong to a point, if the file has their number.
     pub inliers: Option<u32>,
     /// Their mean distance from their points' projections, pixels of this lens.
     pub error_px: Option<f64>,
 }
 
 impl View {
-    /// Tells whether another view has the same photo, lens and pose.
+    /// Returns whether another view has the same photo, lens and pose.
     pub(super) fn is_repeated_by(&self, other: &Self) -> bool {
         (self.lens, self.cam_from_world, &self.mask) == (other.lens, other.cam_from_world, &other.mask)
     }
@@ -75,7 +75,7 @@ pub enum Role {
     Train,
     /// Measuring.
     HeldOut,
-    /// The file has lists of photos for training and measuring and this one is in none.
+    /// The file has lists of photos for training and measuring and this one is not in them.
     Unlisted,
 }
 
@@ -93,5 +93,5 @@ pub struct Cameras {
 /// Returns the error of a refused camera file.
 pub(super) fn refused(error: ImportError) -> StageError {
     StageError::new(error.to_string())
-        .hint("correct the file or write it again; no camera of it was used".to_owned())
+        .hint("correct the file or write it again: none of its cameras was used".to_owned())
 }

@@ -1,4 +1,4 @@
-//! Which of the files beside the photos holds the cameras.
+//! Choice of the file next to the photos that holds the cameras.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -28,7 +28,7 @@ impl Source {
     }
 }
 
-/// Names and digests of the files beside the photos.
+/// Names and digests of the files next to the photos.
 type Files = BTreeMap<String, Digest>;
 
 /// The source that is used.
@@ -85,8 +85,8 @@ fn is_json(name: &str) -> bool {
     name.ends_with(".json")
 }
 
-/// Returns the place of a file among others, the first is used: a JSON before models, then those at the top, in `sparse/0` and in
-/// `sparse`, then those in fewer folders, then by name.
+/// Returns the sort key of a file, the first is used: a JSON before models, then those at the top, in `sparse/0` and in `sparse`, then
+/// those in fewer folders, then by name.
 fn rank(name: &str) -> (bool, usize, usize, String) {
     const FIRST: [&str; 3] = ["", "sparse/0/", "sparse/"];
     let folder = folder(name);
@@ -100,25 +100,27 @@ fn rank(name: &str) -> (bool, usize, usize, String) {
 /// Returns the error if no file has cameras.
 fn none(files: &Files) -> StageError {
     let what = if files.is_empty() {
-        "no file with cameras lies beside the photos".to_owned()
+        "no file next to the photos holds cameras".to_owned()
     } else {
         format!(
-            "none of {} beside the photos holds cameras alone",
+            "none of {} next to the photos holds cameras alone",
             listed(files.keys())
         )
     };
     StageError::new(what).hint(
         "put a transforms.json, or cameras and images of a COLMAP model (.bin or .txt, also in sparse/0, colmap/sparse/0 and the like), \
-         into the archive's folder; \
+         into the archive's folder. \
          `marf calibrate DIR` finds the cameras of photos that have none, as `method = \"sfm\"` does",
     )
 }
 
 /// Returns the error if the named file is not there.
 fn absent(files: &Files, wanted: &str) -> StageError {
-    StageError::new(format!("`{wanted}` is no file with cameras beside the photos"))
-        .cause(format!("there are: {}", listed(files.keys())))
-        .hint("change `file`")
+    StageError::new(format!(
+        "`{wanted}` is not a file with cameras next to the photos"
+    ))
+    .cause(format!("there are: {}", listed(files.keys())))
+    .hint("change `file`")
 }
 
 /// At most eight names.
@@ -204,7 +206,7 @@ fn base(name: &str) -> &str {
     name.rsplit('/').next().unwrap_or(name)
 }
 
-/// The part up to and with the last slash; empty at the top.
+/// The part up to and including the last slash. Empty at the top.
 pub(super) fn folder(name: &str) -> String {
     name[..name.len() - base(name).len()].to_owned()
 }

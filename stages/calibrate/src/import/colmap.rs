@@ -28,20 +28,20 @@ pub struct Model<'a> {
     pub cameras: &'a [u8],
     /// Content of the images.
     pub images: &'a [u8],
-    /// Content of the points; without it there are none.
+    /// Content of the points. Without it the model has none.
     pub points: Option<&'a [u8]>,
 }
 
 /// Reads cameras.bin, images.bin and points3D.bin.
 ///
-/// All lenses up to number 10 but FOV and THIN_PRISM_FISHEYE. Names of images are taken relative to the
-/// archive's `images` folder or to any folder that makes them unique. All points are kept, sorted by number;
-/// each image's error is the mean distance of its observations from their points' projections.
+/// All lenses up to number 10 but FOV and THIN_PRISM_FISHEYE are read. Names of images are relative to the archive's `images` folder or to
+/// any folder that makes them unique. All points are kept, sorted by number. Each image's error is the mean distance of its observations
+/// from their points' projections.
 ///
 /// # Errors
-/// Names file and record: a file that ends early or is longer than its records, another lens, a number that is
-/// not finite, a size or focal length that is not positive, a quaternion that is no rotation, an image whose
-/// camera is not there. Lengths in a file are never trusted with memory.
+/// Names file and record. Refused are a file that ends early or is longer than its records, another lens, and a number that is not finite.
+/// So are a size or focal length that is not positive, a quaternion that is not a rotation, and an image without its camera. No memory is
+/// reserved for a length in a file before the file is known to have it.
 pub fn read_colmap_binary(model: &Model<'_>) -> Result<Cameras, ImportError> {
     Parts {
         lenses: binary::lenses(model.names[0], model.cameras)?,
@@ -53,7 +53,7 @@ pub fn read_colmap_binary(model: &Model<'_>) -> Result<Cameras, ImportError> {
     .assemble(model)
 }
 
-/// Reads cameras.txt, images.txt and points3D.txt; see [`read_colmap_binary`].
+/// Reads cameras.txt, images.txt and points3D.txt. See [`read_colmap_binary`].
 ///
 /// # Errors
 /// As there, with the line.
@@ -176,7 +176,7 @@ impl Parts {
     }
 }
 
-/// Returns the pixel of a point of the camera frame through a lens, of which [`Camera`] may lack the distortion.
+/// Returns the pixel of a point of the camera frame through a lens. [`Camera`] may lack its distortion.
 fn project(lens: &Lens, camera: &Camera, point: &Vector3<f64>) -> Option<Vector2<f64>> {
     if let Distortion::Brown(_) = lens.distortion {
         return camera.project(point);
@@ -191,7 +191,7 @@ fn project(lens: &Lens, camera: &Camera, point: &Vector3<f64>) -> Option<Vector2
     })
 }
 
-/// Returns the pose of an image; an error for numbers that are no pose.
+/// Returns the pose of an image, or an error if the numbers are not a pose.
 fn pose(image: &Image) -> Result<Pose, String> {
     let numbers = || image.quaternion.into_iter().chain(image.translation);
     if numbers().any(|number| !number.is_finite()) {

@@ -15,9 +15,14 @@ pub enum Distortion {
 
 /// Radial terms as a fraction of polynomials in r², and tangential ones.
 ///
-/// x″ = x N/D + 2 p1 x y + p2 (r² + 2 x²) and y″ = y N/D + p1 (r² + 2 y²) + 2 p2 x y, with N = 1 + n1 r² + n2 r⁴ + n3 r⁶ + n4 r⁸ and
-/// D = 1 + d1 r² + d2 r⁴ + d3 r⁶. OpenCV (calib3d) and COLMAP's `FULL_OPENCV` call these k1, k2, k3 and k4, k5, k6 and have no n4. It is the
-/// k4 of nerfstudio (`camera_utils.py`), of Metashape and of RealityScan.
+/// x″ = x N/D + 2 p1 x y + p2 (r² + 2 x²)
+///
+/// y″ = y N/D + p1 (r² + 2 y²) + 2 p2 x y
+///
+/// Here N = 1 + n1 r² + n2 r⁴ + n3 r⁶ + n4 r⁸ and D = 1 + d1 r² + d2 r⁴ + d3 r⁶.
+///
+/// OpenCV (calib3d) and COLMAP's `FULL_OPENCV` call these k1, k2, k3 and k4, k5, k6 and have no n4. It is the k4 of nerfstudio
+/// (`camera_utils.py`), of Metashape and of RealityScan.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Rational {
     /// n1 to n4.
@@ -48,7 +53,7 @@ impl Rational {
 }
 
 impl Distortion {
-    /// Largest undistorted radius (fisheye: angle, radians) up to which a greater one is always seen farther out; at most `most`.
+    /// Largest undistorted radius (fisheye: angle, radians) up to which a greater one is always seen farther out, limited to `most`.
     ///
     /// Beyond it one place of the picture would show two directions.
     pub(super) fn reach(&self, most: f64) -> f64 {
@@ -81,10 +86,10 @@ impl Distortion {
         }
     }
 
-    /// Returns the distorted place of a place in the plane z = 1.
+    /// Returns the distorted position of a point in the plane z = 1.
     ///
-    /// Fisheye (OpenCV, `cv::fisheye`; COLMAP's `OPENCV_FISHEYE`): x″ = x θd/r with θ = atan r and
-    /// θd = θ (1 + k1 θ² + k2 θ⁴ + k3 θ⁶ + k4 θ⁸).
+    /// Fisheye (`cv::fisheye` in OpenCV, `OPENCV_FISHEYE` in COLMAP): x″ = x θd/r with θ = atan r and θd = θ (1 + k1 θ² + k2 θ⁴ + k3 θ⁶ +
+    /// k4 θ⁸).
     ///
     /// # Extremes
     /// At r = 0 the factor of a fisheye is 1. Near a zero of D the result is not finite.
@@ -133,7 +138,7 @@ mod tests {
 
     #[test]
     fn lenses_bend_as_computed_by_hand() {
-        // r² = 1/4: N = 1.026296875, D = 1.01315625; 2 p1 x y = 0, p2 (r² + 2 x²) = 0.0015, p1 (r² + 2 y²) = 0.00025.
+        // r² = 1/4: N = 1.026296875, D = 1.01315625, 2 p1 x y = 0, p2 (r² + 2 x²) = 0.0015, p1 (r² + 2 y²) = 0.00025.
         let at = full().distort(&Vector2::new(0.5, 0.0));
         assert!(
             (at - Vector2::new(0.507_984_994_293_821_8, 0.000_25)).norm() < 1e-15,

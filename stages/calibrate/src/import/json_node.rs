@@ -24,7 +24,7 @@ impl<'a> JsonNode<'a> {
         ImportError::new(self.file, &self.pointer, problem)
     }
 
-    /// Returns the value of a key; `null` counts as absent.
+    /// Returns the value of a key. `null` counts as absent.
     pub fn get(&self, key: &str) -> Option<Self> {
         let value = self.value.get(key).filter(|value| !value.is_null())?;
         Some(Self {

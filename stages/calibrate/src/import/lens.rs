@@ -10,13 +10,13 @@ pub(super) const MAX_SIDE_PX: u32 = 100_000;
 /// Intrinsics as a file has them: size and focal length may be left to the photo.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Lens {
-    /// Width and height the other numbers are for, pixels; without it those of the photo.
+    /// Width and height the other numbers are for, pixels. `None` means those of the photo.
     pub size: Option<(u32, u32)>,
     /// Focal lengths.
     pub focal: Focal,
-    /// Principal point, pixels from the left edge; without it the middle.
+    /// Principal point, pixels from the left edge. `None` means the middle.
     pub cx_px: Option<f64>,
-    /// Principal point, pixels from the top edge; without it the middle.
+    /// Principal point, pixels from the top edge. `None` means the middle.
     pub cy_px: Option<f64>,
     /// How it bends the picture.
     pub distortion: Distortion,
@@ -32,13 +32,13 @@ pub enum Focal {
 }
 
 impl Lens {
-    /// Returns the camera of a photo of this size; without the distortion where [`Camera`] does not have it.
+    /// Returns the camera of a photo of this size, without a distortion that [`Camera`] does not have.
     ///
     /// A photo whose size differs from the lens's is taken as enlarged or reduced if its sides have the same
     /// ratio within one pixel.
     ///
     /// # Errors
-    /// Both sizes, if the ratio differs; numbers that make no camera.
+    /// Both sizes, if the ratio differs, or numbers that make no camera.
     pub fn camera(&self, width: u32, height: u32) -> Result<Camera, String> {
         let (w, h) = self.size.unwrap_or((width, height));
         let (own, photo) = ([w, h].map(f64::from), [width, height].map(f64::from));
@@ -87,7 +87,7 @@ impl Lens {
 /// Returns why a lens model is not read, and what to do.
 pub(super) fn unread_lens(name: &str, read: &[&str]) -> String {
     format!(
-        "the lens `{name}` is not read; these are: {}; `colmap image_undistorter` writes photos and cameras without distortion",
+        "the lens `{name}` is not read: supported are {}. `colmap image_undistorter` writes photos and cameras without distortion",
         read.join(", ")
     )
 }
@@ -140,7 +140,7 @@ mod tests {
             (363.25, 180.25, 233.5)
         );
         assert_eq!(camera.k1, 0.09);
-        // One pixel of rounding is no other shape.
+        // One pixel of rounding is accepted.
         assert!(lens().camera(360, 481).is_ok());
     }
 

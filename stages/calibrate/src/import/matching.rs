@@ -20,8 +20,8 @@ pub(super) struct MatchedViews<'a> {
 
 /// Finds the photo of each view of the file `source`.
 ///
-/// A view that names no photo, or one of several without a reason to prefer one, is missing. Of two views of one photo the second is
-/// missing where it repeats the first; where they differ, the photo has no camera.
+/// A view that names no photo, or one of several without a reason to prefer one, is missing. Of two equal views of one photo the second is
+/// missing. If they differ, the photo has no camera.
 pub(super) fn match_views<'a>(source: &str, views: &'a [View], items: &[InputPhoto]) -> MatchedViews<'a> {
     let photos = PhotoNames::new(items);
     let matches: Vec<Match> = views.iter().map(|view| photos.find(&view.file)).collect();
@@ -81,7 +81,7 @@ pub(super) fn match_views<'a>(source: &str, views: &'a [View], items: &[InputPho
     }
 }
 
-/// Returns why a photo with this view is not placed; `None` if it is.
+/// Returns why a photo with this view is not placed, or `None` if it is.
 fn without_view(source: &str, view: Option<&View>) -> Option<String> {
     match view {
         None => Some(format!("{source} has no camera for it")),
@@ -109,8 +109,8 @@ struct Fit {
 }
 
 impl Folders {
-    /// Chooses among the folders of those names that mean several photos: the one with most photos of exactly the cameras' sizes; of
-    /// equals `images` beside the model, then `images` at the top. Without such a reason none is chosen.
+    /// Chooses the folder of names that mean several photos: the one with most photos of exactly the cameras' sizes. Of equals it is
+    /// `images` next to the model, then `images` at the top. Without such a reason none is chosen.
     fn new(source: &str, views: &[View], matches: &[Match], items: &[InputPhoto]) -> Self {
         let mut fits: BTreeMap<String, Fit> = BTreeMap::new();
         let mut others = BTreeSet::new();

@@ -3,7 +3,7 @@
 /// Some editors put it at the start of a text.
 pub(super) const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
 
-/// Returns a path as the archive has it: relative to its root, with `/`; `folder`, which ends with `/`, is where the path begins.
+/// Returns a path as the archive has it: relative to its root, with `/`. The path begins at `folder`, which ends with `/`.
 ///
 /// A path from elsewhere (absolute, with a drive, or leading out of the archive by `..`) begins with `/`: only its tail means something
 /// here. `None` for a path that names nothing.

@@ -45,8 +45,12 @@ impl<'a> PhotoNames<'a> {
         }
     }
 
-    /// Returns the photo of this name: the same path; else the one whose path ends as the name does (or the other way round), with and
-    /// then without the extensions; else the one with this id; of a name that starts with `/`, the one that shares most of its tail.
+    /// Returns the photo of this name, by the first rule that finds one:
+    ///
+    /// - the same path,
+    /// - a path that ends as the name does (or the other way round), with and then without the extensions,
+    /// - the same id,
+    /// - for a name that starts with `/`, the path that shares most of its tail.
     ///
     /// Letters with accents match composed and decomposed. A name that matches nothing is tried again with `%20` and the like decoded.
     pub fn find(&self, file: &str) -> Match {
@@ -106,7 +110,7 @@ pub(super) fn composed(name: &str) -> Cow<'_, str> {
     ComposingNormalizerBorrowed::new_nfc().normalize(name)
 }
 
-/// Returns a name with `%20` and the like as the characters they stand for; `None` where it has none.
+/// Returns a name with `%20` and the like decoded, or `None` if it has none.
 fn percent_decoded(name: &str) -> Option<String> {
     let mut bytes = Vec::with_capacity(name.len());
     let mut rest = name.as_bytes();
@@ -128,7 +132,7 @@ fn stem(file: &str) -> &str {
     without_extension(base(file))
 }
 
-/// Tells whether one path ends with the other, in whole components: `f.png` and `images/f.png`.
+/// Returns whether one path ends with the other, in whole components: `f.png` and `images/f.png`.
 fn ends_with(a: &str, b: &str) -> bool {
     let (long, short) = if a.len() >= b.len() { (a, b) } else { (b, a) };
     let start = long.strip_suffix(short);

@@ -74,7 +74,7 @@ pub(super) fn rotation(matrix: &Matrix3<f64>) -> Result<Matrix3<f64>, String> {
     let off = defect(&rotation);
     if off.is_nan() || off > ROTATION_TOLERANCE {
         return Err(format!(
-            "its columns are no rotation: lengths {length:?}, off by {off:.2e}, at most {ROTATION_TOLERANCE:e}"
+            "its columns are not a rotation: lengths {length:?}, off by {off:.2e}, at most {ROTATION_TOLERANCE:e}"
         ));
     }
     if off > ROTATION_EXACT {

@@ -19,7 +19,7 @@ pub(crate) struct ReadyPhoto {
     camera: Camera,
 }
 
-/// Returns a photo with the camera of its view, which is for pixels of this size; `source` is named in errors.
+/// Returns a photo with the camera of its view, which is for pixels of this size. `source` is named in errors.
 pub(crate) fn as_it_is(
     source: &str,
     view: &View,
@@ -36,7 +36,7 @@ pub(crate) fn as_it_is(
 
 /// Returns a photo in its stored grid, without a distortion that the camera lacks, with its mask.
 ///
-/// A photo that needs neither keeps its bytes; every other one becomes a PNG.
+/// A photo that needs neither keeps its bytes. Every other one becomes a PNG.
 pub(super) fn ready(
     ctx: &Ctx<'_>,
     inputs: &Inputs,
@@ -86,14 +86,14 @@ fn unfit(source: &str, view: &View, item: &InputPhoto, problem: &str) -> StageEr
     refused(ImportError::new(source, &view.place, problem))
 }
 
-/// What is done to the pixels of a photo.
+/// Changes to the pixels of a photo.
 struct Change {
     orientation: Orientation,
     undistorter: Option<Undistorter>,
 }
 
 impl Change {
-    /// Returns the digest of the changed photo as PNG; one that an earlier run has made is taken from the memo.
+    /// Returns the digest of the changed photo as PNG. The result of an earlier run is taken from the memo.
     fn known_photo(&self, ctx: &Ctx<'_>, item: &InputPhoto, view: &View) -> Result<Digest, StageError> {
         let lens = format!("{:?} {:?}", self.orientation, view.lens);
         let key = digest_of(&("calibrate imported photo 1", item.image, lens));

@@ -14,7 +14,7 @@ use super::paths::{self, BYTE_ORDER_MARK};
 use super::pose_matrix::pose;
 use intrinsics::lens;
 
-/// Names the file of the sparse points; nerfstudio's key.
+/// Key of the file of the sparse points, as in nerfstudio.
 pub(super) const POINTS_KEY: &str = "ply_file_path";
 /// Numbers that JSON does not have and Python writes.
 const NO_NUMBERS: [&str; 3] = ["-Infinity", "Infinity", "NaN"];
@@ -32,18 +32,18 @@ pub struct Transforms {
 
 /// Reads the cameras of a transforms.json.
 ///
-/// Camera to world with x right, y up, z backward (OpenGL) becomes world to camera with x right, y down,
-/// z forward. Intrinsics stand at the top or with a frame, the frame's count; without `fl_x` the focal length
-/// comes from `camera_angle_x`; without `w` and `h` they are for the photo's size; missing lens terms are 0.
-/// `train_filenames`, `val_filenames` and `test_filenames` decide what is measured; a photo in several of them
-/// is measured. A uniform scale of the rotation is divided out; the last row of a matrix may be missing. `file` names the JSON relative to
-/// the archive; the names in it are relative to its folder. Of the sparse points the file's name, `ply_file_path`, is read. A byte order
-/// mark is skipped; NaN and infinities count only where a number is needed.
+/// Camera to world with x right, y up, z backward (OpenGL) becomes world to camera with x right, y down, z forward. Intrinsics are at the
+/// top or in a frame, and those of the frame take precedence. Without `fl_x` the focal length comes from `camera_angle_x`. Without `w` and
+/// `h` they are for the photo's size. Missing lens terms are 0. A uniform scale of the rotation is divided out. The last row of a matrix
+/// may be missing.
+///
+/// `train_filenames`, `val_filenames` and `test_filenames` decide what is measured. A photo in several of them is measured. `file` names
+/// the JSON relative to the archive. The names in it are relative to its folder. Of the sparse points only the file's name,
+/// `ply_file_path`, is read. A byte order mark is skipped. NaN and infinities matter only where a number is needed.
 ///
 /// # Errors
-/// Names the place in the file: not JSON, nesting deeper than 128, no frame that can be used. A frame cannot be used and is rejected for a
-/// missing or non-finite number, a focal length or size that is not positive, a matrix that is singular, mirrored or sheared, or a lens
-/// without equations here.
+/// Names the place in the file: not JSON, nesting deeper than 128, no frame that can be used. A frame is rejected for a missing or
+/// non-finite number, a focal length or size that is not positive, a matrix that is singular, mirrored or sheared, or an unsupported lens.
 pub fn read_transforms(file: &str, bytes: &[u8]) -> Result<Transforms, ImportError> {
     let value = parse(bytes).map_err(|error| ImportError::new(file, "", format!("not JSON: {error}")))?;
     let root = JsonNode::root(file, &value);
@@ -80,7 +80,7 @@ pub fn read_transforms(file: &str, bytes: &[u8]) -> Result<Transforms, ImportErr
     })
 }
 
-/// Returns the names of photos and masks in a transforms.json, as they are written; none of a file that is not one.
+/// Returns the names of photos and masks in a transforms.json, as they are written. Empty for any other content.
 pub fn names_in_transforms(bytes: &[u8]) -> Vec<String> {
     let value = parse(bytes).unwrap_or_default();
     let frames = value["frames"].as_array().map(Vec::as_slice).unwrap_or_default();

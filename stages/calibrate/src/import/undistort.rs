@@ -9,9 +9,9 @@ use nalgebra::{Matrix2, Vector2};
 use super::distortion::Distortion;
 use crate::resample::{direction, resample_by};
 
-/// The pinhole reaches at most so many times as far from the principal point as the photo: a fisheye sees more than any plane shows.
+/// Farthest that the pinhole reaches from the principal point, as a multiple of the photo. A fisheye sees more than any plane shows.
 const MOST_GROWTH: f64 = 2.0;
-/// Largest radius in the plane z = 1 of a lens that is no fisheye: 87° off the axis.
+/// Largest radius in the plane z = 1 of a lens other than a fisheye: 87° off the axis.
 const MOST_RADIUS: f64 = 20.0;
 
 /// A lens with its inverse.
@@ -36,8 +36,8 @@ enum Direction {
 impl Undistorter {
     /// Returns the undistorter of a lens: `photo` has its focal lengths, principal point and size.
     ///
-    /// The pinhole keeps the scale in the middle. It is the largest of which every pixel was seen, in whole pixels of the photo, at most
-    /// twice as far from the principal point as the photo reaches.
+    /// The pinhole keeps the scale in the middle. It is the largest whose every pixel was seen, in whole pixels of the photo. It reaches at
+    /// most twice as far from the principal point as the photo.
     ///
     /// # Errors
     /// A lens without inverse at the rim of the photo, or a pinhole of no pixel.
@@ -59,7 +59,7 @@ impl Undistorter {
     /// Returns an image of the photo's size, or its mask, as the pinhole sees it.
     ///
     /// # Errors
-    /// A pixel of the pinhole that the lens does not see; `None` if `cancel` is set.
+    /// A pixel of the pinhole that the lens does not see, or `None` if `cancel` is set.
     pub fn resample(
         &self,
         image: &Image<Srgb>,
@@ -72,7 +72,7 @@ impl Undistorter {
         })
     }
 
-    /// Returns the pixel of the photo that shows a place of the plane z = 1; `None` where the lens has no inverse.
+    /// Returns the pixel of the photo that shows a point of the plane z = 1, or `None` where the lens has no inverse.
     fn pixel(&self, plane: &Vector2<f64>) -> Option<Vector2<f64>> {
         let radius = plane.norm();
         let radius = match self.distortion {
@@ -124,7 +124,7 @@ impl Undistorter {
         })
     }
 
-    /// Returns where a place of the photo lies without distortion, pixels; infinite where no plane shows it.
+    /// Returns the undistorted position of a pixel of the photo, pixels. Infinite where no plane shows it.
     fn straight(&self, x: f64, y: f64) -> Result<Vector2<f64>, String> {
         let camera = &self.photo;
         let seen = Vector2::new(
@@ -141,7 +141,7 @@ impl Undistorter {
         })
     }
 
-    /// Inverts [`Distortion::distort`]; `None` where it has no inverse.
+    /// Inverts [`Distortion::distort`]. `None` where it has no inverse.
     fn undistort(&self, seen: &Vector2<f64>) -> Option<Direction> {
         match self.distortion {
             Distortion::Fisheye(_) => self.angle(seen.norm()).map(|angle| {
@@ -265,7 +265,7 @@ mod tests {
                     let pixel = Vector2::new(f64::from(column) + 0.5, f64::from(row) + 0.5);
                     let expected = grating(&direction(&pinhole, &pixel).xy())[0];
                     let found = straight.at(column, row)[0];
-                    // A wave of 45 pixels, met by a cubic, and rounded twice; outside, a fisheye packs it closer.
+                    // A wave of 45 pixels, interpolated with a cubic and rounded twice. Towards the rim a fisheye packs it closer.
                     assert!(
                         found.abs_diff(expected) <= 6,
                         "{lens:?} {column} {row}: {found} {expected}"

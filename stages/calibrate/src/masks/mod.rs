@@ -1,4 +1,4 @@
-//! `masks`: proposes masks for what stands still in the pictures of a camera that moves.
+//! Mask proposals (`masks`) for parts that stand still in the pictures of a camera that moves.
 
 mod stationary;
 
@@ -23,11 +23,11 @@ const OVERLAY_PX: u32 = 640;
 /// Pixels of the compared pictures by which a proposal is widened: windows over its rim hold ground, too.
 const MARGIN: usize = 1;
 
-/// Finds what stands still in the pictures of each camera, and proposes masks of it.
+/// Finds the parts that stand still in the pictures of each camera, and proposes masks of them.
 ///
-/// - In: the photos; the files beside them, of which masks say what is hidden already.
-/// - Out: `masks/<camera>.png`, black where the picture stands still; `overlay/<camera>.png`, a photo with that in red; `metrics`.
-///   Nothing is hidden by it: who agrees puts the mask beside the photos, where `calibrate` finds it.
+/// - In: the photos, and the files next to them, whose masks show what is already hidden.
+/// - Out: `masks/<camera>.png` (black where the picture stands still), `overlay/<camera>.png` (a photo with that in red) and `metrics`. This
+///   hides nothing. A user who agrees puts the mask next to the photos, where `calibrate` finds it.
 /// - Cost: at most `photos` photos of a camera are decoded, and compared at 160 pixels.
 /// - Bad input: a photo that cannot be decoded stops the node.
 pub struct Masks(MasksParams);
@@ -82,7 +82,7 @@ struct Camera {
     /// Factor by which photos are shrunk to be compared.
     factor: u32,
     photos: Vec<Gray>,
-    /// What the masks beside the photos hide of all of them.
+    /// Pixels that the masks next to the photos hide in all of them.
     known: Vec<bool>,
     /// A photo of about the middle of the set, to show a proposal on.
     shown: Image<Srgb>,

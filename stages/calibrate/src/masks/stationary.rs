@@ -1,9 +1,9 @@
 //! Parts of the picture that stand still while the rest changes: the rover's own body, a lens hood, dust on the window.
 //!
-//! Photos are compared in pairs, window by window, by the correlation of their gray values, which neither exposure nor haze
-//! changes. Where both windows have texture and agree in most of the pairs in which the camera has moved, the picture stands
-//! still; persistent structure over a set of pictures is what finds watermarks, too (Dekel et al., CVPR 2017). What such
-//! edges enclose is added, so that a plain deck is found by its rim.
+//! Photos are compared in pairs, window by window, by the correlation of their gray values, which neither exposure nor haze changes. The
+//! picture stands still where both windows have texture and agree in most of the pairs in which the camera has moved. Watermarks, too, are
+//! found by structure that persists over a set of pictures (Dekel et al., CVPR 2017). The area that such edges enclose is added, so that a
+//! plain deck is found by its rim.
 
 use marf_numeric::lower_median;
 
@@ -24,13 +24,13 @@ pub(super) const LEAST_PAIRS: u32 = 8;
 const STATIONARY_SHARE: f64 = 0.75;
 /// Windows agree only if neither has more contrast than the other by this factor.
 const CONTRAST: f64 = 2.0;
-/// Sets of at most so many photos are compared in all pairs.
+/// Sets of at most this many photos are compared in all pairs.
 const ALL_PAIRS: usize = 16;
 /// Gaps up to twice this share of the longer side are closed.
 const CLOSED_SHARE: f64 = 0.03;
 /// Parts smaller than this share of the picture are dropped.
 const LEAST_PART: f64 = 0.004;
-/// What lies within the rim is added where at least this share of it changes as little as what stands still.
+/// The area within the rim is added where at least this share of it changes as little as the stationary parts.
 const QUIET_SHARE: f64 = 0.9;
 /// A pixel is quiet in a pair if its gray values differ by at most so much, once exposure is taken out.
 const QUIET: f64 = 8.0;
@@ -49,14 +49,14 @@ impl Gray {
     }
 }
 
-/// The parts of the pictures of one camera that stand still.
+/// Stationary parts of the pictures of one camera.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct StationaryParts {
     /// Pairs that were compared.
     pub pairs: u32,
     /// ... between which the camera has moved.
     pub moved: u32,
-    /// Which pixels stand still, `[height * width]`; all false where fewer than 8 pairs moved.
+    /// Which pixels stand still, `[height * width]`. All false if fewer than 8 pairs moved.
     pub is_stationary: Vec<bool>,
 }
 
@@ -65,7 +65,7 @@ impl StationaryParts {
     ///
     /// Of at most 16 photos all pairs are compared. Of more, each is paired with the next, with the one a third of the set
     /// further on and with the one halfway, so that some pairs have about the same light and others another view.
-    /// O(photos · pixels) time, O(pixels) memory beside the photos. No photo, or photos without pixels, give nothing.
+    /// O(photos · pixels) time, O(pixels) memory in addition to the photos. No photo, or photos without pixels, give nothing.
     pub(super) fn find(photos: &[Gray], known: &[bool]) -> Self {
         let (width, height) = photos
             .first()
@@ -131,7 +131,7 @@ impl Windows {
     }
 }
 
-/// Returns the mean of the window around each pixel, cut at the edges of the picture; by sums over rows, then over columns.
+/// Returns the mean of the window around each pixel, cut at the edges of the picture. It sums over rows, then over columns.
 fn window_means(values: &[f64], width: usize) -> Vec<f64> {
     let height = values.len().checked_div(width).unwrap_or(0);
     let around = |at: usize, count: usize| at.saturating_sub(HALF_WINDOW)..(at + HALF_WINDOW + 1).min(count);
@@ -216,7 +216,7 @@ impl Votes {
         }
     }
 
-    /// Returns what stands still: edges that agree, closed, with what they enclose and without specks.
+    /// Returns the stationary region: edges that agree, closed, with the area they enclose and without specks.
     fn region(&self, width: usize, known: &[bool]) -> Vec<bool> {
         let height = self.agree.len() / width.max(1);
         let of_pairs = |votes: u32, pairs: u32, share: f64| f64::from(votes) >= share * f64::from(pairs);

@@ -18,7 +18,7 @@ pub(super) struct Place {
     pub members: Vec<usize>,
 }
 
-/// Site, and drive if a label tells it.
+/// Site, and drive if a label has it.
 pub(super) type Stop = (i64, Option<i64>);
 
 /// Returns the places of photos `(index, label)`, which come in the order in which they were taken, by site and drive.
@@ -41,8 +41,9 @@ pub(super) fn places(photos: &[(usize, LabelPosition)], max_photos: usize) -> Ve
     places.collect()
 }
 
-/// Returns groups of places, each joined to the group of its site that it is nearest to and that then stays within the limits, else the
-/// first of a new one. Places come by drive, so that a new sol changes no group but those it joins.
+/// Returns groups of places. Each place joins the nearest group of its site that then stays within the limits, or begins a new one.
+///
+/// Places come by drive, so that a new sol changes no group but those it joins.
 pub(super) fn joined(places: &[Place], max_span_m: f64, max_photos: usize) -> Vec<Vec<&Place>> {
     let mut groups: Vec<Vec<&Place>> = Vec::new();
     for place in places {
@@ -126,7 +127,7 @@ mod tests {
             place(2, 0, 0.0, 10),
         ];
         assert_eq!(drives(&places, 20.0, 100), [vec![0, 5, 12], vec![9], vec![0]]);
-        // 40 m apart: what is between joins the nearer one.
+        // 40 m apart. The place between joins the nearer one.
         assert_eq!(
             drives(
                 &[place(1, 0, 0.0, 1), place(1, 1, 40.0, 1), place(1, 2, 25.0, 1)],

@@ -6,8 +6,8 @@ use super::group::Group;
 use crate::photos::{InputPhoto, without_extension};
 use crate::sfm::Overlap;
 
-/// Joins photos that no group has to the group they share most verified matches with, all that hang together at once; those that share
-/// none with any become groups of their own. `order` has these photos in the order in which they were taken.
+/// Joins photos without a group to the group they share most verified matches with. Linked photos join together. Photos that share no
+/// matches with any group become new groups. `order` has these photos in the order in which they were taken.
 pub(super) fn join(
     groups: &mut Vec<Group>,
     order: &[usize],
@@ -46,7 +46,7 @@ pub(super) fn join(
                 let count = ordered.len();
                 groups[group].members.extend(ordered);
                 groups[group].reason.push_str(&format!(
-                    "; {count} without a usable label by what they show ({matches} matches)"
+                    ", and {count} without a usable label by what they show ({matches} matches)"
                 ));
             }
             None => groups.extend(ordered.chunks(max_photos.max(1)).map(|members| Group {
@@ -61,7 +61,7 @@ pub(super) fn join(
     }
 }
 
-/// Returns photos that overlaps among them link, directly or through others; each part sorted, parts by their first photo in `order`.
+/// Returns photos that overlaps among them link, directly or through others. Each part is sorted, parts by their first photo in `order`.
 fn connected(order: &[usize], overlaps: &[Overlap]) -> Vec<Vec<usize>> {
     let mut part_of: BTreeMap<usize, usize> = order.iter().map(|photo| (*photo, *photo)).collect();
     fn root(part_of: &BTreeMap<usize, usize>, mut photo: usize) -> usize {

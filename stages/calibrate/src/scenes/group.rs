@@ -9,8 +9,8 @@ use super::label_position::LabelPosition;
 use crate::photos::InputPhoto;
 use crate::sfm::Overlap;
 
-/// Distance of two cameras below which there is no parallax, metres: a mast that turns moves its cameras by about .15 m, and the eyes
-/// of a stereo pair are .24 m apart.
+/// Distance of two cameras below which there is no parallax, metres. A mast that turns moves its cameras by about 0.15 m, and the eyes of a
+/// stereo pair are 0.24 m apart.
 const LEAST_SPAN_M: f64 = 0.2;
 
 /// Photos of one place.
@@ -28,7 +28,7 @@ pub(super) struct SplitInput<'a> {
     pub items: &'a [InputPhoto],
     /// Where each was taken by its label.
     pub labels: &'a [Option<LabelPosition>],
-    /// Which show the same; empty where it was not looked for.
+    /// Overlaps of these photos. Empty if they were not computed.
     pub overlaps: &'a [Overlap],
 }
 
@@ -58,8 +58,8 @@ impl Group {
         let absent: Vec<&str> = absent.map(String::as_str).collect();
         let reason = match absent.as_slice() {
             [] => "made by hand".to_owned(),
-            [one] => format!("made by hand; `{one}` names no photo"),
-            [one, rest @ ..] => format!("made by hand; `{one}` and {} others name no photo", rest.len()),
+            [one] => format!("made by hand (`{one}` names no photo)"),
+            [one, rest @ ..] => format!("made by hand (`{one}` and {} others name no photo)", rest.len()),
         };
         Self {
             name: name.to_owned(),
@@ -102,7 +102,7 @@ impl Group {
             .filter_map(|member| known.labels[*member].as_ref())
     }
 
-    /// Returns the largest distance of two cameras of the same site, metres; none without two labels.
+    /// Returns the largest distance of two cameras of the same site, metres. `None` without two labels.
     fn span_m(&self, known: &SplitInput<'_>) -> Option<f64> {
         let labels: Vec<&LabelPosition> = self.labels(known).collect();
         let distances = labels.iter().enumerate().flat_map(|(index, a)| {
@@ -150,7 +150,7 @@ pub(super) fn name_apart(groups: &mut [Group]) {
     }
 }
 
-/// Returns the mean of positions; zero of none.
+/// Returns the mean of positions. Without positions it is zero.
 pub(super) fn mean<'p>(positions: impl Iterator<Item = &'p Vector3<f64>>) -> Vector3<f64> {
     let (count, sum) = positions.fold((0, Vector3::zeros()), |(count, sum), one| (count + 1, sum + one));
     sum / f64::from(count.max(1))
@@ -207,7 +207,7 @@ mod tests {
         assert_eq!(fault(&[0], 3).unwrap(), "1 photo, `min_photos` asks for 3");
         assert!(fault(&[0, 1], 2).unwrap().ends_with("within 0.12 m"));
         assert_eq!(fault(&[0, 2], 2), None);
-        // A photo without a label may stand anywhere.
+        // A photo without a label may be anywhere.
         assert_eq!(fault(&[0, 1, 3], 2), None);
         let turned = [Overlap {
             photos: [0, 1],
@@ -234,7 +234,7 @@ mod tests {
         let found = Group::by_hand("delta", &wanted, &items, &mut free);
         assert_eq!(found.members, [0, 2, 3, 5]);
         assert_eq!(free, BTreeSet::from([1, 4]));
-        assert_eq!(found.reason, "made by hand; `p9` names no photo");
+        assert_eq!(found.reason, "made by hand (`p9` names no photo)");
     }
 
     #[test]

@@ -15,7 +15,7 @@ pub(super) struct LabelPosition {
 }
 
 impl LabelPosition {
-    /// Returns where a photo was taken by its label, if that tells a site and a position there.
+    /// Returns where a photo was taken, if its label has a site and a position there.
     pub(super) fn from_photo(index: usize, item: &InputPhoto) -> Option<Self> {
         let candidate = labels::candidate(index, item).ok()?;
         let counter = &item.facts.prior.as_ref()?.motion_counter;

@@ -22,20 +22,20 @@ use crate::sfm::{Overlap, capture_order, overlaps};
 
 /// Splits photos by place.
 ///
-/// - In: the photos; the files beside them, for masks where photos are compared.
-/// - Out: `scenes`, which group each photo is of and why; `photos/NAME`, the photos of each scene; `photos`, those of all scenes.
-/// - By labels: photos of one site and drive are one place; places, drive by drive, join the nearest group within `max_span_m` and
+/// - In: the photos. Where photos are compared, also the files next to them, for masks.
+/// - Out: `scenes` (the group of each photo and why), `photos/NAME` (the photos of each scene) and `photos` (those of all scenes).
+/// - By labels: photos of one site and drive are one place. Drive by drive, places join the nearest group within `max_span_m` and
 ///   `max_photos`. Photos without a usable label join the group they share most verified matches with.
-/// - Cost: labels nothing beyond their rows; overlap features and matches, which are kept for `calibrate`.
-/// - Bad input: a wrong site makes a group of its own, too small for a scene; such groups are named and left out. No scene at all
-///   stops the node.
+/// - Cost: by labels only their rows. By overlap features and matches, which are kept for `calibrate`.
+/// - Bad input: a wrong site makes a separate group, too small for a scene. Such groups are named and left out. No scene at all stops the
+///   node.
 pub struct SplitByPlace(ScenesParams);
 
 stage! {
     SplitByPlace { 0: ScenesParams },
     Set,
     Threads::All,
-    about: "splits the photos of a mission by place; what reads it runs once for each scene",
+    about: "splits the photos of a mission by place, so that the nodes after it run once for each scene",
     version: 1,
     ports: [
         Port::required("input", PHOTOS),
@@ -113,7 +113,7 @@ impl SplitByPlace {
             By::Label => groups.push(Group {
                 name: "unlabelled".to_owned(),
                 reason:
-                    "no label tells their site and position; `by = \"auto\"` groups them by what they show"
+                    "no label has their site and position (`by = \"auto\"` groups them by what they show)"
                         .to_owned(),
                 members: without,
             }),
@@ -127,7 +127,7 @@ impl SplitByPlace {
         Ok((groups, found))
     }
 
-    /// Returns the groups that are scenes, and what is told of all.
+    /// Returns the groups that are scenes, and the report on all groups.
     fn judged(&self, groups: Vec<Group>, known: &SplitInput<'_>) -> Result<(Vec<Group>, Scenes), StageError> {
         let min_photos = self.0.min_photos as usize;
         let (mut scenes, mut told) = (Vec::new(), Scenes::default());
@@ -173,7 +173,7 @@ fn none(told: &Scenes, photos: usize) -> StageError {
     error.hint("lower `min_photos`, raise `max_span_m`, widen `sols`, or name photos in `groups`")
 }
 
-/// Returns where the rover stood, by site and drive.
+/// Returns the stops of the rover, by site and drive.
 fn stops(known: &SplitInput<'_>, scenes: &[Group]) -> Vec<Stop> {
     let mut scene_of: BTreeMap<usize, &str> = BTreeMap::new();
     for scene in scenes {

@@ -86,9 +86,11 @@ pub(super) fn assemble(
     })
 }
 
-/// Returns the transform to the world of the scene: with labels the site with its origin at the median camera, in metres;
-/// extended, the earlier world; otherwise the origin is the mean of the cameras and the unit their root mean square distance
-/// from it.
+/// Returns the transform to the world of the scene.
+///
+/// - With labels: the site, with its origin at the median camera, in metres.
+/// - Extended: the earlier world.
+/// - Otherwise: the origin is the mean of the cameras, the unit their root mean square distance from it.
 fn world_from_model(
     reconstruction: &Reconstruction<'_>,
     metric: bool,
@@ -234,7 +236,7 @@ fn full_size(reconstruction: &Reconstruction<'_>, model: &Model, photo: usize) -
     }
 }
 
-/// Returns the points with their observations, which name photos by their index and lie in photos reduced to `longest_side_px`.
+/// Returns the points with their observations, which name photos by index. Their pixels are those of photos reduced to `longest_side_px`.
 pub(super) fn tracks(
     features: &[PhotoFeatures],
     input: &MapperInput<'_>,
@@ -305,7 +307,7 @@ fn component_count(reconstruction: &Reconstruction<'_>) -> usize {
     sizes.values().filter(|size| **size > 1).count()
 }
 
-/// Returns the photos that are in none of the chosen models, with the reason.
+/// Returns the photos outside the chosen models, with the reason.
 fn causes(reconstruction: &Reconstruction<'_>, chosen: &[usize]) -> Vec<(usize, Cause)> {
     let component = components(reconstruction.features.len(), reconstruction.input.links);
     let placed = |photo: usize| {

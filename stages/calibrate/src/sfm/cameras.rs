@@ -1,4 +1,4 @@
-//! Which photos share a camera, and what is known of it.
+//! Cameras that photos share, and what is known of each before the reconstruction.
 
 use marf_scene::Camera;
 use marf_schema::calibrate::{CalibrateParams, Intrinsics};
@@ -50,7 +50,7 @@ pub(super) fn group(
     (cameras.into_iter().map(|(_, shared)| shared).collect(), views)
 }
 
-/// Tells whether two cameras are the same.
+/// Returns whether two cameras are the same.
 fn same(a: &Camera, b: &Camera) -> bool {
     (a.width, a.height) == (b.width, b.height)
         && (a.fx_px / b.fx_px - 1.0).abs() < SAME_SHARE
@@ -59,7 +59,7 @@ fn same(a: &Camera, b: &Camera) -> bool {
         && (a.cy_px - b.cy_px).abs() < SAME_PX
 }
 
-/// Returns what is known of a photo's camera, at working size.
+/// Returns the known part of a photo's camera, at working size.
 fn initial_camera(item: &InputPhoto, one: &PhotoFeatures) -> SharedCamera {
     let row = &one.row;
     let (width, height) = (row.width, row.height);

@@ -98,7 +98,7 @@ fn by_label(ctx: &Ctx<'_>, features: &[PhotoFeatures]) -> Result<Vec<[usize; 2]>
     Ok(chosen?.concat())
 }
 
-/// Returns how many of a grid of points in the view of the first photo lie in the second.
+/// Returns how many of a grid of points in the view of the first photo are in the view of the second.
 pub(crate) fn view_overlap(first: &PosedCamera, second: &PosedCamera) -> usize {
     let (camera, other) = (&first.camera, &second.camera);
     let other_from_cam = second.cam_from_world * first.cam_from_world.inverse();
@@ -166,13 +166,13 @@ pub(super) struct Comparison<'a> {
 }
 
 impl Comparison<'_> {
-    /// Returns the verified matches of the pairs; results of an earlier run are taken from the memos.
+    /// Returns the verified matches of the pairs. Results of an earlier run are taken from the memos.
     pub(super) fn run(&self, ctx: &Ctx<'_>, pairs: &[[usize; 2]]) -> Result<Vec<ComparedPair>, StageError> {
         map_pairs(ctx, &names(self.features), pairs, self)
     }
 }
 
-/// Returns what stands for each photo in the tables of pairs.
+/// Returns the identity of each photo in the tables of pairs.
 pub(super) fn names(features: &[PhotoFeatures]) -> Vec<Digest> {
     features.iter().map(|one| one.row.found).collect()
 }
@@ -257,7 +257,7 @@ pub(crate) fn seed_of(digest: &Digest) -> u64 {
         .fold(0, |seed, byte| seed << 8 | u64::from(*byte))
 }
 
-/// Returns a pair as bytes: kind, matches, three counts, F (or NaN), inliers; little-endian.
+/// Returns a pair as bytes: kind, matches, three counts, F (or NaN), inliers, all little-endian.
 fn pack(one: &ComparedPair) -> Vec<u8> {
     let verified = &one.verified;
     let mut bytes = vec![verified.kind as u8];

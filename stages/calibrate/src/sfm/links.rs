@@ -100,7 +100,7 @@ const KINDS: [RelativePoseKind; 3] = [
     RelativePoseKind::Rotation,
 ];
 
-/// Returns a relative pose as bytes: kind, rotation, translation, angle, forward part, inliers; little-endian.
+/// Returns a relative pose as bytes: kind, rotation, translation, angle, forward part, inliers, all little-endian.
 fn pack(pose: &RelativePose) -> Vec<u8> {
     let kind = KINDS
         .iter()

@@ -1,7 +1,7 @@
 //! Method `sfm`: structure from motion of the photos of the input set, with labels as priors.
 //!
-//! Features and matches are kept in memos keyed by what they depend on, so that new photos cost only themselves; the
-//! mapping is repeated with all photos, and so depends on the set alone.
+//! Features and matches are kept in memos keyed by their inputs, so that only new photos are computed. The mapping is repeated with all
+//! photos, and so depends on the set alone.
 
 mod assemble;
 mod cameras;

@@ -1,7 +1,7 @@
-//! What is found of pairs of photos, kept from run to run in one table a photo.
+//! Results of pairs of photos, kept from run to run in one table a photo.
 //!
-//! A pair with a photo that has no table yet goes into the table of that photo: new photos write tables of their own and
-//! leave the others as they are.
+//! A pair with a photo that has no table yet goes into the table of that photo. New photos write new tables and leave the others as they
+//! are.
 
 use std::collections::BTreeMap;
 use std::sync::Mutex;
@@ -27,25 +27,25 @@ pub(super) trait PairFunction: Sync {
     /// Returns the digest of its version and parameters.
     fn table(&self) -> Digest;
 
-    /// Returns what else a pair depends on, or what stands for it.
+    /// Returns the digest of everything else that a pair depends on.
     fn key(&self, photos: [usize; 2]) -> Digest;
 
-    /// Computes a pair; `key` is its key.
+    /// Computes a pair with this key.
     fn compute(&self, photos: [usize; 2], key: &Digest) -> Self::Output;
 
-    /// Returns what is kept of a pair.
+    /// Returns the bytes that are kept for a pair.
     fn pack(&self, found: &Self::Output) -> Vec<u8>;
 
-    /// Reads what [`PairFunction::pack`] wrote; none if it is anything else.
+    /// Reads the bytes of [`PairFunction::pack`]. `None` if they are anything else.
     fn unpack(&self, photos: [usize; 2], row: &[u8]) -> Option<Self::Output>;
 }
 
-/// Returns what `work` finds of the pairs, in order; what an earlier run found is taken from the tables.
+/// Returns the result of `work` for each pair, in order. Results of an earlier run are taken from the tables.
 ///
-/// `photos` stand for the photos; no two pairs have one key.
+/// `photos` identify the photos. Every pair needs a different key.
 ///
 /// # Errors
-/// A request to stop; what is finished is then saved.
+/// A request to stop. The finished results are then saved.
 pub(super) fn map_pairs<W: PairFunction>(
     ctx: &Ctx<'_>,
     photos: &[Digest],
@@ -184,7 +184,7 @@ mod tests {
 
     use super::*;
 
-    /// Sums of pairs of numbers; counts how many were computed.
+    /// Sums of pairs of numbers. Counts the computed ones.
     #[derive(Default)]
     struct Sums {
         computed: AtomicU64,
@@ -268,7 +268,7 @@ mod tests {
             };
             let first = Sums::default();
             let stopped = map_pairs(&ctx, &photos(6), &pairs(6), &first);
-            // Six tables are read, then fifteen pairs are computed; each asks once.
+            // Six tables are read, then fifteen pairs are computed. Each step checks once for a stop.
             assert_eq!(stopped.is_ok(), checks >= 21, "{checks}");
             assert_eq!(first.computed.into_inner() + run(&harness, 6), 15, "{checks}");
         }

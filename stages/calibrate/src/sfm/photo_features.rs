@@ -36,7 +36,7 @@ impl PhotoFeatures {
     }
 }
 
-/// What is kept of a photo from run to run, beside its features.
+/// Data of a photo that are kept from run to run in addition to its features.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub(crate) struct FeatureRow {
     /// The image the frame will name: the photo's own, or the one resampled through its label's model.
@@ -55,8 +55,8 @@ pub(crate) struct FeatureRow {
     pub found: Digest,
 }
 
-/// Returns the features of each photo, resampled if the lens of its label is no pinhole; results of an earlier run are
-/// taken from the memo.
+/// Returns the features of each photo, resampled if the lens of its label is not a pinhole. Results of an earlier run are taken from the
+/// memo.
 pub(super) fn photo_features(
     ctx: &Ctx<'_>,
     inputs: &Inputs,
@@ -83,7 +83,7 @@ pub(super) fn photo_features(
     found.collect()
 }
 
-/// Returns the features of a photo; those that an earlier run has found are taken from the memo.
+/// Returns the features of a photo. Those of an earlier run are taken from the memo.
 pub(crate) fn features_of(
     ctx: &Ctx<'_>,
     item: &InputPhoto,

@@ -23,16 +23,15 @@ const VERSION: u32 = 1;
 
 /// What photos with known cameras show.
 pub(crate) struct KnownPoints {
-    /// Points with their observations; frames are indices into the photos.
+    /// Points with their observations. Frames are indices into the photos.
     pub tracks: Vec<TrackPoint>,
-    /// Of each photo: its features, and how far points lie from where it shows them.
+    /// Of each photo: its features, and how far points are from where it shows them.
     pub statistics: Vec<PhotoStatistics>,
 }
 
-/// Returns the points that photos show whose cameras are known: matches that agree with the cameras, triangulated; these stay as they
-/// are.
+/// Triangulates the points that photos with known cameras show, from matches that agree with the cameras. The cameras stay as they are.
 ///
-/// `photos` and `placed` tell of the same photos, one by one.
+/// `photos` and `placed` describe the same photos, one by one.
 ///
 /// # Errors
 /// A photo that cannot be decoded, a mask that does not fit, a request to stop.
@@ -109,8 +108,8 @@ fn own_cameras(features: &[PhotoFeatures], known: &[PosedCamera]) -> (Vec<Shared
     )
 }
 
-/// Returns what is told of a photo: the numbers of its features, matches and points, and the mean distance of these from where it
-/// shows them.
+/// Returns the statistics of a photo: the numbers of its features, matches and points, and the mean distance of these from where it shows
+/// them.
 fn statistics(
     features: &PhotoFeatures,
     input: &MapperInput<'_>,

@@ -46,7 +46,7 @@ pub(super) enum Cause {
     SinglePhoto,
 }
 
-/// Returns why a photo was not placed; `component` is the rank of each photo's connected component.
+/// Returns why a photo was not placed. `component` is the rank of each photo's connected component.
 pub(super) fn cause(reconstruction: &Reconstruction<'_>, component: &[usize], photo: usize) -> Cause {
     let found = reconstruction.features[photo].features.keypoints.len();
     let links: Vec<_> = reconstruction
@@ -133,7 +133,7 @@ impl Cause {
             Self::FewFeatures { .. } => "too few features: too blurred, too dark or without texture",
             Self::NoOverlap { .. } => "no overlap: too few matches with any other photo hold",
             Self::PureRotation { .. } => {
-                "panorama: pure rotation on the spot, without parallax there is no depth to find"
+                "panorama: pure rotation on the spot gives no parallax, so no depth can be found"
             }
             Self::OtherComponent { .. } => "a component of their own: nothing links them to the scene",
             Self::NoPose { .. } => "linked to the scene, but no pose fits",
@@ -147,17 +147,17 @@ impl Cause {
         }
     }
 
-    /// Returns what the labels say of a panorama, to follow its kind; empty if they do not agree.
+    /// Returns the note of the labels on a panorama, to follow its kind. Empty if they do not agree.
     pub(super) fn place(&self) -> String {
         match self {
             Self::PureRotation {
                 place: Some(place), ..
-            } => format!("; the labels agree: the rover stood still, at site, drive, pose {place:?}"),
+            } => format!(" (the labels agree: the rover did not drive: site, drive, pose {place:?})"),
             _ => String::new(),
         }
     }
 
-    /// Returns what to try.
+    /// Returns a hint for the user.
     pub(super) fn hint(&self) -> &'static str {
         match self {
             Self::FewFeatures { .. } => {

@@ -7,11 +7,12 @@ use marf_sfm::align::Similarity;
 
 use super::world::World;
 
-/// How two scenes lie to each other: their indices, the first world from the second, and the points that say so.
+/// Relative pose of two scenes: their indices, the first world from the second, and the number of points that agree.
 pub(super) type Link = ([usize; 2], Similarity, u32);
 
-/// Returns the frame of each scene. Those with a site lie in it. Every other takes the frame of the scene that it shares most points with, of those that have
-/// one, the strongest tie first; where ties lead to no site, the frame is the world of the scene of most photos.
+/// Returns the frame of each scene. The frame of a scene with a site is the site. Every other scene takes the frame of the scene that it
+/// shares most points with, of those that have one, the strongest tie first. Where no tie leads to a site, the frame is the world of the
+/// scene with most photos.
 pub(super) fn common_frames(worlds: &[World], links: &[Link]) -> Vec<TiedScene> {
     let mut placed: BTreeMap<usize, TiedScene> = BTreeMap::new();
     for (index, world) in worlds.iter().enumerate() {

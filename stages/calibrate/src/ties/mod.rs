@@ -1,4 +1,4 @@
-//! `ties`: how scenes lie to each other, from points that photos of both show.
+//! `ties`: relative poses of scenes, from points that photos of both show.
 
 mod common_frame;
 mod photo_pairs;
@@ -24,13 +24,13 @@ const MOST_SCALE: f64 = 1.1;
 /// Ties scenes that show the same ground.
 ///
 /// - In: the scenes, each with cameras and sparse points.
-/// - Out: `ties`: for each scene the frame it lies in, for each pair of scenes that photos join how they lie to each other, with what is left.
-/// - Matches of photos of both scenes that agree with one rigid scene join points of one to points of the other; most of these must agree on
-///   one similarity. Scenes with a site stay where labels put them, and are told how far that is from what they show; others take the frame of
-///   the scene that they share most points with. Nothing else ties: scenes without common ground keep frames of their own.
-/// - Cost: features of up to 40 photos a scene, `pairs` comparisons for two scenes of one site whose cameras are within 60 m, or of which one
-///   has no site.
-/// - Bad input: a scene without points, or places that look alike, are told as apart.
+/// - Out: `ties`: the frame of each scene and, for each pair of scenes that photos join, their relative pose with its residual.
+/// - Matches of photos of both scenes that agree with one rigid scene join points of one to points of the other. Most of these must agree
+///   on one similarity. Scenes with a site stay where labels put them, and the report says how far that is from what they show. Others take
+///   the frame of the scene that they share most points with. Nothing else ties: scenes without common ground keep separate frames.
+/// - Cost: features of up to 40 photos a scene. `pairs` comparisons for two scenes of one site whose cameras are within 60 m, or if one of
+///   the two has no site.
+/// - Bad input: a scene without points, or places that look alike, are reported as apart.
 pub struct TieScenes(TiesParams);
 
 stage! {
@@ -77,11 +77,11 @@ impl Set for TieScenes {
 
 /// What two scenes have to do with each other.
 enum Verdict {
-    /// How they lie to each other, and the first world from the second.
+    /// The tie, and the first world from the second.
     Tied(Box<SceneTie>, Similarity),
     /// Why they are not tied although photos of both were compared.
     Apart(String),
-    /// No photos of both can show the same, as far as labels tell.
+    /// By their labels, no photos of both can show the same ground.
     Unseen,
 }
 
@@ -118,7 +118,7 @@ impl TieScenes {
     }
 }
 
-/// Returns why points that agree are no tie all the same.
+/// Returns why points that agree are not accepted as a tie.
 fn doubt([first, second]: [&World; 2], found: &PointAlignment, points: usize) -> Option<String> {
     let agree = found.inliers.len();
     if (agree as f64) < LEAST_SHARE * points as f64 {
@@ -137,7 +137,7 @@ fn doubt([first, second]: [&World; 2], found: &PointAlignment, points: usize) ->
     })
 }
 
-/// Returns what is told of a tie.
+/// Returns the report on a tie.
 fn told(
     worlds: [&World; 2],
     photo_pairs: u32,
@@ -170,7 +170,7 @@ fn told(
     }
 }
 
-/// Returns how far the frames of the labels of both lie from where the points put them.
+/// Returns how far the frames of the labels of both are from where the points put them.
 fn label_gap(
     worlds: [&World; 2],
     found: &PointAlignment,
@@ -193,7 +193,7 @@ fn label_gap(
     })
 }
 
-/// Returns the median; NaN for no values.
+/// Returns the median. Without values it is NaN.
 fn median(values: impl Iterator<Item = f64>) -> f64 {
     upper_median(values).unwrap_or(f64::NAN)
 }

@@ -15,13 +15,13 @@ use crate::sfm::{PhotoFeatures, view_overlap};
 
 /// Photos whose cameras are further apart are not compared: twice the distance up to which overlap is looked for.
 const REACH_M: f64 = 60.0;
-/// Photos of a scene that are compared roughly where labels do not tell which ones show the same, evenly chosen.
+/// Photos of a scene, evenly chosen, for a rough comparison where labels do not show which ones overlap.
 const SAMPLED: usize = 40;
 /// Fewest matches of a rough comparison.
 const LEAST_MATCHES: usize = 6;
 
-/// Tells whether photos of two scenes may show the same, as far as labels tell: not those of different sites, and of one site only where
-/// cameras of both are near.
+/// Returns whether photos of two scenes may show the same ground by their labels. Different sites may not. In one site, cameras of both
+/// must be near each other.
 pub(super) fn may_overlap(worlds: [&World; 2]) -> bool {
     match worlds.map(World::site_from_world) {
         [Some((site, first)), Some((other, second))] => {
@@ -39,8 +39,8 @@ pub(super) fn may_overlap(worlds: [&World; 2]) -> bool {
     }
 }
 
-/// Returns the pairs of photos of two scenes that most likely show the same, the likeliest `most` of them, sorted: in one site by their poses,
-/// else by a rough comparison.
+/// Returns the pairs of photos of two scenes that most likely show the same ground, the likeliest `most` of them, sorted. In one site they
+/// are chosen by their poses, otherwise by a rough comparison.
 pub(super) fn chosen(ctx: &Ctx<'_>, worlds: [&World; 2], most: usize) -> Result<Vec<[usize; 2]>, StageError> {
     let mut ranked = match worlds.map(World::site_from_world) {
         [Some((_, first)), Some((_, second))] => {

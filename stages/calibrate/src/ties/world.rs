@@ -11,7 +11,7 @@ use nalgebra::{Matrix3, Vector3};
 use crate::photos::InputPhoto;
 use crate::sfm::{PhotoFeatures, features_of};
 
-/// What stands between a node and its scene: `calibrate@site1-20`.
+/// Separator between a node and its scene: `calibrate@site1-20`.
 const OF: char = '@';
 
 /// A scene with its name.

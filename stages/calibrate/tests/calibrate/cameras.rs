@@ -1,4 +1,4 @@
-//! The folder for other programs: what transforms.json names is there, and without a lens if asked.
+//! The folder for other programs: all files that transforms.json names are there, without a lens if requested.
 
 use std::collections::BTreeMap;
 
@@ -14,7 +14,7 @@ use serde_json::{Value, json};
 /// What both photos see.
 const POINT: [f64; 3] = [0.15, 0.08, 4.0];
 
-/// Two photos of a lens, one beside the other, imported from a model of COLMAP with a point that both see.
+/// Two photos of a lens, side by side, imported from a model of COLMAP with a point that both see.
 fn calibrated() -> (Input, Outputs) {
     let mut input = Input::default();
     for name in ["a.png", "b.jpg"] {
@@ -85,7 +85,7 @@ fn photos_are_named_where_they_lie_and_those_elsewhere_beside_the_file() {
     let there = exported(&input, &scene, &json!({"photos_at": "../photos"})).unwrap();
     assert!(text(&input, &there, "transforms.json").contains("\"file_path\": \"../photos/a.png\""));
     assert!(!there.keys().any(|name| name.ends_with("a.png")), "{there:?}");
-    // What is resampled lies there in another form, and is written.
+    // Resampled photos are not there, so they are written.
     let params = json!({"photos_at": "../photos", "undistort": true});
     let straight = exported(&input, &scene, &params).unwrap();
     assert!(text(&input, &straight, "transforms.json").contains("\"file_path\": \"b.png\""));
@@ -174,7 +174,7 @@ fn a_developed_photo_is_named_and_written_as_the_png_that_it_is() {
     );
     let stage = marf_calibrate::Calibrate::new(serde_json::from_value(json!({"method": "import"})).unwrap());
     let scene = input.outputs_of(&stage.unwrap());
-    // It lies nowhere: so that the folder is whole, all photos are written.
+    // One photo has no file. So that the folder is complete, all photos are written.
     let outputs = exported(&input, &scene, &json!({"photos_at": "../photos"})).unwrap();
     assert!(text(&input, &outputs, "transforms.json").contains("\"file_path\": \"c.png\""));
     assert_eq!(

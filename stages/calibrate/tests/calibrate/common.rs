@@ -92,7 +92,7 @@ impl Input {
         row.id.clone()
     }
 
-    /// Gives every photo a label that says where the rover stood, and no more than a pinhole of its camera.
+    /// Gives every photo a label with the place of the rover, and no more than a pinhole of its camera.
     pub fn stand_still(&mut self, place: &[i64]) {
         for (index, (_, row)) in (0..).zip(&mut self.rows) {
             let mut facts = PhotoFacts::from_json(&row.facts).unwrap();
@@ -152,7 +152,7 @@ impl Input {
         self.run_stage(stage.as_ref(), earlier)
     }
 
-    /// Returns the outputs of a run that is asked to stop after so many questions.
+    /// Returns the outputs of a run that is stopped at the given check.
     pub fn run_until(&self, params: &serde_json::Value, checks: u64) -> Result<Outputs, StageError> {
         const STAGE: StageDef = define::<Calibrate>();
         let stage = (STAGE.bind)(params.clone()).map_err(|error| StageError::new(error.to_string()))?;

@@ -130,7 +130,7 @@ const TOLERANCE_PX: f64 = 0.01;
 const FAR_M: f64 = 1e5;
 
 fn check_points(scene: &Scene, all: &[(String, PhotoFacts)]) {
-    // The world's origin is the median of the centres: any one frame tells where that is in the site.
+    // The world's origin is the median of the centres, so any one frame gives its place in the site.
     let centre_in_site = |id: &str| {
         let facts = &all.iter().find(|(other, _)| other == id).unwrap().1;
         let prior = facts.prior.clone().unwrap();
@@ -199,7 +199,7 @@ fn the_site_with_most_photos_is_taken_and_the_others_say_why() {
     );
     let up = output.scene.up.unwrap();
     assert_eq!(up, [0.0, 0.0, -1.0]);
-    // The Navcam stands 2 m above the ground and looks down more than up.
+    // The Navcam is 2 m above the ground and looks down more than up.
     for frame in &output.scene.frames {
         let forward = frame.cam_from_world.rotation.row(2);
         assert!(forward[2] > -0.3, "{}: looks along {forward}", frame.id);

@@ -203,7 +203,7 @@ fn of_folders_with_the_same_names_the_one_that_fits_the_cameras_is_used() {
         &model(&["images_4/1.png", "images_4/2.png"], "PINHOLE 64 48 60 60 32 24"),
     );
     assert_eq!(import(&input).scene.frames[1].file, "images_4/2.png");
-    // Nothing tells these apart.
+    // Nothing distinguishes these.
     let mut input = in_folders(&[("left/", 1), ("right/", 1)]);
     with_model(&mut input, &model(&names, "PINHOLE 64 48 60 60 32 24"));
     let complaint = input.complaint(&json!({"method": "import"}));
@@ -234,7 +234,7 @@ fn a_mask_that_a_file_names_is_used_and_a_lost_one_is_reported() {
     assert_eq!((found[1], found[2]), (found[0], None));
     assert_eq!(
         output.metrics.missing[0].reason,
-        "the mask of c.png is not among the files beside the photos"
+        "the mask of c.png is not among the files next to the photos"
     );
 }
 

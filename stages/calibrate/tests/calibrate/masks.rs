@@ -75,7 +75,7 @@ fn a_deck_is_proposed_and_hidden_when_its_mask_lies_beside_the_photos() {
     let [red, green, blue] = overlay.unwrap().image.at(WIDTH / 2, HEIGHT - 1);
     assert!(red >= 128 && green < 128 && blue < 128);
 
-    // As the user would: the proposal goes beside the photos. What is left of the deck is its rim at most.
+    // As the user would, put the proposal next to the photos. At most the rim of the deck is then still found.
     input.companion("masks/320x240.png", &png);
     let (metrics, outputs) = proposed(&input);
     assert_eq!(metrics.cameras[0].found, "nothing stands still");

@@ -1,4 +1,4 @@
-//! COLMAP models beside the photos, and the one that is written.
+//! COLMAP models next to the photos, and the model that is written.
 
 use marf_calibrate::import::{Model, read_colmap_binary};
 use marf_scene::{Image, Srgb, encode_png};
@@ -6,7 +6,7 @@ use serde_json::json;
 
 use crate::common::Input;
 
-/// Two photos with a model of twice their size beside them.
+/// Two photos, and a model of twice their size next to them.
 fn input() -> Input {
     let picture = Image::<Srgb>::from_fn(64, 48, |x, y| [x * 4, y * 5, 40].map(|value| value as u8));
     let mut input = Input::default();
@@ -44,7 +44,7 @@ fn a_colmap_model_beside_the_photos_is_read() {
     assert_eq!(named.scene_digest, output.scene_digest);
     let complaint = input.complaint(&json!({"method": "import", "file": "transforms.json"}));
     assert!(
-        complaint.contains("`transforms.json` is no file with cameras beside the photos"),
+        complaint.contains("`transforms.json` is not a file with cameras next to the photos"),
         "{complaint}"
     );
 }

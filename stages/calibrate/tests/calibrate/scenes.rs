@@ -101,7 +101,7 @@ fn labels_give_a_scene_a_site_and_each_scene_has_its_own_photos() {
     assert_eq!(scenes.scenes.len(), 6, "{:?}", sizes(&scenes.scenes));
 }
 
-/// A scene's photos, and so all that follows from them, do not depend on what is photographed elsewhere.
+/// A scene's photos, and all results that follow from them, do not depend on photos of other places.
 #[test]
 fn another_place_changes_no_byte_of_a_scene() {
     let (both, _) = input(|_, _| ()).split(&json!({})).unwrap();
@@ -123,7 +123,7 @@ fn what_the_photos_show_gives_the_same_places_without_labels() {
         all
     };
     assert_eq!(photos(&scenes), photos(&by_label), "{:?}", sizes(&scenes.scenes));
-    // The same where labels are there and not asked.
+    // The same if labels are there but not used.
     let (_, by_overlap) = input(|_, _| ()).split(&json!({"by": "overlap"})).unwrap();
     assert_eq!(photos(&by_overlap), photos(&by_label));
 }
@@ -147,7 +147,7 @@ fn photos_without_a_label_join_their_place_and_a_wrong_site_is_named() {
     let (_, scenes) = mixed.split(&json!({"by": "label"})).unwrap();
     assert_eq!(sizes(&scenes.skipped), [("site77-20", 1), ("unlabelled", 2)]);
     assert!(
-        scenes.skipped[1].reason.contains("no label tells"),
+        scenes.skipped[1].reason.contains("no label has"),
         "{:?}",
         scenes.skipped
     );

@@ -22,7 +22,7 @@ type Taken = (String, Vec<u8>, PhotoFacts);
 /// Photos with their labels, and their true cameras.
 type Known = (Vec<Taken>, Vec<(String, Pose)>);
 
-/// The good photos of the demo's first two sols; drawn once.
+/// The good photos of the demo's first two sols, drawn once.
 fn drawn() -> &'static Known {
     static DRAWN: OnceLock<Known> = OnceLock::new();
     DRAWN.get_or_init(|| {
@@ -108,7 +108,7 @@ fn the_demo_is_brought_back_to_its_true_cameras_in_metres() {
     );
 }
 
-/// Labels are off by centimetres, so their site is, too; what ties the world to it tells how far.
+/// Labels are off by centimetres, so their site is, too. The tie of the world to it reports how far.
 #[test]
 fn the_world_lies_in_the_site_of_its_labels_and_stays_there_when_it_is_extended() {
     let (mut input, truth) = demo();
@@ -301,13 +301,13 @@ fn a_panorama_is_refused_with_that_word() {
         assert!(complaint.contains(word), "{word}: {complaint}");
     }
     assert!(
-        !complaint.contains("stood still"),
+        !complaint.contains("did not drive"),
         "no label says so: {complaint}"
     );
     input.stand_still(&[3, 1_950, 0]);
     let complaint = input.complaint(&json!({"method": "sfm"}));
     assert!(
-        complaint.contains("the rover stood still, at site, drive, pose [3, 1950, 0]"),
+        complaint.contains("the rover did not drive: site, drive, pose [3, 1950, 0]"),
         "{complaint}"
     );
 }

@@ -19,7 +19,7 @@ fn picture(seed: u32) -> Vec<u8> {
     encode_png(&image).unwrap()
 }
 
-/// A lens whose every number is short; looks along +x of its frame, z down.
+/// A lens whose every number is short. It looks along +x of its frame, z down.
 fn lens() -> Cahvor {
     Cahvor {
         c: [0.5, 0.25, -2.0],
@@ -124,7 +124,7 @@ fn labels_place_one_site_in_metres_and_say_why_of_the_others() {
     assert_eq!(
         reasons,
         [
-            "of site 4; this scene is of site 3 (`site = 4` builds it)",
+            "of site 4, but this scene is of site 3 (`site = 4` builds it)",
             "no label",
             "label without camera (label has no camera: CAHVORE without E)",
         ]
@@ -147,7 +147,7 @@ fn labels_place_one_site_in_metres_and_say_why_of_the_others() {
         frames.iter().map(|frame| frame.held_out).collect::<Vec<_>>(),
         [true, false, true]
     );
-    // An ideal pinhole keeps its bytes and its name; half a pixel moves the principal point.
+    // An ideal pinhole keeps its bytes and its name. Half a pixel moves the principal point.
     let straight = &frames[1];
     assert_eq!(
         (straight.file.as_str(), straight.image),

@@ -11,7 +11,7 @@ pub struct EntrancePupil {
     pub linearity: f64,
 }
 
-/// Newton steps of the pupil angle; it converges quadratically from a start within 1e-2.
+/// Newton steps of the pupil angle. They converge quadratically from a start within 1e-2.
 const NEWTON_STEPS: usize = 30;
 
 /// The radial terms: chi' = chi (1 + mu), mu = r0 + r1 chi² + r2 chi⁴: from the true to the apparent distance off axis.
@@ -44,7 +44,7 @@ impl Radial {
         t.is_finite() && [0.0, vertex, t].into_iter().all(|t| self.slope(t) > 0.0)
     }
 
-    /// Returns the chi at which the map first stops rising, and its chi'; `None` where it always rises.
+    /// Returns the chi at which the map first stops rising, and its chi'. `None` if it always rises.
     ///
     /// Root of 1 + r0 + 3 r1 t + 5 r2 t² in t = chi².
     pub(super) fn turn(&self) -> Option<(f64, f64)> {
@@ -68,7 +68,7 @@ impl Radial {
         Some((chi, chi * (1.0 + self.mu(chi))))
     }
 
-    /// Returns the chi of an apparent chi'; `None` where the map turns over before.
+    /// Returns the chi of an apparent chi', or `None` if the map turns over before.
     ///
     /// Newton steps inside a bracket: where r2 is near -1 plain Newton steps pass the turning point.
     pub(super) fn solve(&self, apparent: f64) -> Option<f64> {
@@ -150,7 +150,7 @@ impl EntrancePupil {
         found.then_some(angle)
     }
 
-    /// Returns chi of an angle: tan(L angle) / L, angle or sin(L angle) / L; `None` beyond a quarter turn.
+    /// Returns chi of an angle: tan(L angle) / L, angle or sin(L angle) / L. `None` beyond a quarter turn.
     pub(super) fn chi(&self, angle: f64) -> Option<f64> {
         let l = self.linearity;
         if (l * angle).abs() >= std::f64::consts::FRAC_PI_2 {
@@ -184,8 +184,12 @@ mod tests {
     use super::Radial;
     use crate::{Cahvor, EntrancePupil};
 
-    /// 1 + r0 + 3 r1 t + 5 r2 t² = 0 by hand: r1 = -1 gives t = 1/3; r2 = -0.2 gives t = 1; r1 = -2, r2 = 1 gives
-    /// 1 - 6 t + 5 t², roots 0.2 and 1; r1 = 1, r2 = -0.4 gives 1 + 3 t - 2 t², root (3 + √17) / 4.
+    /// Roots of 1 + r0 + 3 r1 t + 5 r2 t² = 0 by hand:
+    ///
+    /// - r1 = -1 gives t = 1/3.
+    /// - r2 = -0.2 gives t = 1.
+    /// - r1 = -2, r2 = 1 gives 1 - 6 t + 5 t², roots 0.2 and 1.
+    /// - r1 = 1, r2 = -0.4 gives 1 + 3 t - 2 t², root (3 + √17) / 4.
     #[test]
     fn the_turning_point_of_a_lens_is_found() {
         let turn = |r: [f64; 3]| Radial(r).turn();

@@ -17,7 +17,7 @@ const MIN_SIDE_PX: f64 = 16.0;
 /// An ideal pinhole with the centre of projection of a CAHV(OR(E)) model.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pinhole {
-    /// The pinhole; its first pixel centre is (0.5, 0.5), it has no distortion.
+    /// The pinhole. Its first pixel centre is (0.5, 0.5), it has no distortion.
     pub camera: Camera,
     /// Its pose in the model's frame.
     pub cam_from_frame: Pose,
@@ -27,7 +27,7 @@ impl Cahvor {
     /// Returns the pinhole that has the pixels of this photo unchanged, if the model is one.
     ///
     /// `None` for a lens with radial terms, and where the axes shear by more than 0.1 px across the image: then
-    /// see [`Cahvor::linearised`]. The principal point may lie far outside the image (tiles).
+    /// see [`Cahvor::linearised`]. The principal point may be far outside the image (tiles).
     ///
     /// # Errors
     /// A model that [`Cahvor::normalised`] refuses.
@@ -53,11 +53,10 @@ impl Cahvor {
 
     /// Returns the ideal pinhole whose every pixel this photo of `width` x `height` pixels can fill.
     ///
-    /// It keeps C and looks along O (A without O), with rows along H, square pixels of focal length hs and a
-    /// whole-numbered principal point, so that the last bits of the lens equations do not show. Its edges are
-    /// the largest upright rectangle between the four borders of the photo, cut at 60 degrees off axis. Exact
-    /// for points far away; with CAHVORE a near point sits off by the pupil's shift (4 mm for a Navcam: 2.9 px
-    /// at 1 m, 0.14 px at 20 m for f = 740 px).
+    /// It keeps C and looks along O (A without O), with rows along H, square pixels of focal length hs and a whole-numbered principal
+    /// point, so that the last bits of the lens equations do not show. Its edges are the largest upright rectangle between the four borders
+    /// of the photo, cut at 60 degrees off axis. It is exact for points far away. With CAHVORE a near point is off by the pupil's shift (4
+    /// mm for a Navcam: 2.9 px at 1 m, 0.14 px at 20 m for f = 740 px).
     ///
     /// # Errors
     /// A model that [`Cahvor::normalised`] refuses, a border pixel without a line of sight, a pinhole that
@@ -108,7 +107,7 @@ impl Cahvor {
         Ok(window)
     }
 
-    /// Returns where a pixel lies in the plane at unit distance; infinite from 90 degrees off axis.
+    /// Returns the position of a pixel in the plane at unit distance. Infinite from 90 degrees off axis.
     fn on_plane(&self, axes: &Axes, x: f64, y: f64) -> Result<Vector2<f64>, CahvorError> {
         let ray = self
             .unproject(&Vector2::new(x, y))
@@ -153,7 +152,7 @@ mod tests {
     use super::super::tests::{cahvor, cahvore, mastcam_z, navcam_tile, near};
     use super::*;
 
-    /// Every pixel of the pinhole lies inside the photo, and sees there what the photo sees.
+    /// Every pixel of the pinhole is inside the photo, and shows what the photo shows there.
     #[test]
     fn the_ideal_pinhole_sees_what_the_photo_sees_and_nothing_else() {
         for (name, model, width, height) in [

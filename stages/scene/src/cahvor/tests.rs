@@ -190,7 +190,7 @@ fn a_mastcam_z_label_agrees_with_its_own_azimuth_and_elevation() {
             "az / el in the rover's frame",
         );
     }
-    // The label says 126.528 / -46.8053 in the site frame; the inverse rotation would give 125.30 / -45.47.
+    // The label says 126.528 / -46.8053 in the site frame. The inverse rotation would give 125.30 / -45.47.
     let site_from_rover = rotation(0.999907, 0.00148444, 0.00787795, 0.0110686);
     let in_site = model.transformed(&site_from_rover);
     let (az, el) = az_el(&in_site.unproject(&Vector2::new(823.5, 599.5)).unwrap().direction);
@@ -252,7 +252,7 @@ fn a_pixel_survives_the_way_to_a_point_and_back() {
             let range_m = 10_f64.powf(draws.next() * 4.3 - 0.3);
             let ray = model.unproject(&pixel).unwrap();
             let back = model.project(&(ray.origin + ray.direction * range_m)).unwrap();
-            // The reference closes within 6e-12 px; f = 14,800 px times 1 ulp of a coordinate of 10 km.
+            // The reference closes within 6e-12 px, with f = 14,800 px times 1 ulp of a coordinate of 10 km.
             assert!(
                 (back - pixel).amax() < 2e-11,
                 "camera {index}, {range_m} m: {pixel} {back}"

@@ -27,11 +27,11 @@ pub enum MetricError {
     #[error("a mask hides all that could be compared")]
     Hidden,
     /// The photo is black, so [`psnr_paper`] has no peak.
-    #[error("the photo is black everywhere: there is no peak to measure against")]
+    #[error("the photo is black everywhere: it has no peak to measure against")]
     NoPeak,
 }
 
-/// Pixels that a comparison leaves out, `[height * width]`; empty: none.
+/// Pixels that a comparison leaves out, `[height * width]`. Empty means none.
 pub type Hidden<'a> = &'a [bool];
 
 /// Checks that two images have the same size, and at least `min` pixels a side.

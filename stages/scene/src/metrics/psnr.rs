@@ -10,7 +10,7 @@ const MIN_MSE: f64 = 1e-10;
 /// sum is exact (integers), the logarithm our own: equal images give equal bits on every machine.
 ///
 /// # Extremes
-/// Equal images give 100 dB (MSE is held at 1e-10 or more); black against white gives 0 dB.
+/// Equal images give 100 dB (MSE is held at 1e-10 or more). Black against white gives 0 dB.
 ///
 /// # Errors
 /// Images of different size or without pixels.
@@ -24,7 +24,7 @@ pub fn psnr(a: &Image<Srgb>, b: &Image<Srgb>, hidden: Hidden<'_>) -> Result<f64,
 /// "Optimization"). Never above [`psnr`].
 ///
 /// # Errors
-/// Images of different size or without pixels; a photo that is black everywhere.
+/// Images of different size or without pixels, or a photo that is black everywhere.
 pub fn psnr_paper(render: &Image<Srgb>, photo: &Image<Srgb>, hidden: Hidden<'_>) -> Result<f64, MetricError> {
     let mse = mean_squared_error(render, photo, hidden)?;
     let open = open(&photo.pixels, hidden).map(|(_, rgb)| rgb);

@@ -7,7 +7,7 @@ use crate::{Image, Srgb};
 const RADIUS: usize = 5;
 /// Pixels a side of a window of [`ssim`], and of the smallest image it accepts.
 const WINDOW: usize = 2 * RADIUS + 1;
-/// exp(-i² / (2 · 1.5²)) for i = -5..=5, divided by the sum; written out because `exp` differs between libms.
+/// exp(-i² / (2 · 1.5²)) for i = -5..=5, divided by the sum. It is a table because `exp` differs between libms.
 const GAUSSIAN: [f64; WINDOW] = [
     0.001_028_380_084_479_109_2,
     0.007_598_758_135_239_185,
@@ -24,10 +24,11 @@ const GAUSSIAN: [f64; WINDOW] = [
 
 /// Returns the mean structural similarity of two images, 1 for equal ones, at least -1.
 ///
-/// SSIM with Gaussian windows of σ = 1.5 px cut at 11 x 11, K1 = 0.01, K2 = 0.03, population covariance, data
-/// range 1, per channel on sRGB values in [0, 1], mean over the windows that lie inside the image and hold no hidden pixel, and over
-/// channels (Wang et al. 2004; scikit-image `structural_similarity` with `gaussian_weights=True, sigma=1.5,
-/// use_sample_covariance=False`). Sums run in one fixed order.
+/// SSIM with Gaussian windows of σ = 1.5 px cut at 11 x 11, K1 = 0.01, K2 = 0.03, population covariance and data range 1, per channel on
+/// sRGB values in [0, 1]. The mean is over channels and the windows inside the image without a hidden pixel.
+///
+/// Source: Wang et al. 2004, and scikit-image `structural_similarity` with `gaussian_weights=True, sigma=1.5, use_sample_covariance=False`.
+/// Sums run in one fixed order.
 ///
 /// # Errors
 /// Images of different size or smaller than one window, or no window without a hidden pixel.
@@ -46,7 +47,7 @@ pub fn ssim(a: &Image<Srgb>, b: &Image<Srgb>, hidden: Hidden<'_>) -> Result<f64,
 
 /// Windows of SSIM without a hidden pixel.
 struct OpenWindows {
-    /// Of each window, row by row, whether it holds no hidden pixel; empty where none is hidden.
+    /// Whether each window, row by row, has no hidden pixel. Empty if no pixel is hidden.
     open: Vec<bool>,
     count: usize,
 }
@@ -84,7 +85,7 @@ impl OpenWindows {
         }
     }
 
-    /// Returns those of one row of windows; empty where all are open.
+    /// Returns those of one row of windows. Empty if all are open.
     fn row(&self, row: usize, columns: usize) -> &[bool] {
         self.open
             .get(row * columns..(row + 1) * columns)
@@ -115,7 +116,7 @@ fn ssim_channel(a: &Image<Srgb>, b: &Image<Srgb>, channel: usize, windows: &Open
     sum / windows.count as f64
 }
 
-/// Returns the moments along one row, for each window that lies inside it.
+/// Returns the moments along one row, for each window inside it.
 fn filter_row(a: &[[u8; 3]], b: &[[u8; 3]], channel: usize) -> Vec<Moments> {
     let products: Vec<Moments> = (a.iter().zip(b))
         .map(|(a, b)| {
@@ -129,7 +130,7 @@ fn filter_row(a: &[[u8; 3]], b: &[[u8; 3]], channel: usize) -> Vec<Moments> {
         .collect()
 }
 
-/// Returns the sum of the SSIM of all open windows that these rows cover; `open` is empty where all are.
+/// Returns the sum of the SSIM of all open windows that these rows cover. `open` is empty if all are.
 fn ssim_of_rows(rows: &VecDeque<Vec<Moments>>, open: &[bool]) -> f64 {
     let columns = rows.front().map_or(0, Vec::len);
     (0..columns)

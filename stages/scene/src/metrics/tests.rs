@@ -8,7 +8,7 @@ fn flat(value: u8) -> Image<Srgb> {
     Image::from_fn(16, 12, |_, _| [value; 3])
 }
 
-/// Returns two images by formulas; scikit-image computed the expected values on the same formulas.
+/// Returns two images by formulas. scikit-image computed the expected values on the same formulas.
 fn patterns(width: u32, height: u32) -> (Image<Srgb>, Image<Srgb>) {
     let a = Image::from_fn(width, height, |x, y| {
         [(x * 7 + y * 3) % 256, (x * x + y) % 256, (x * y) % 256].map(|v| v as u8)
@@ -170,7 +170,7 @@ fn what_is_hidden_changes_nothing_and_all_hidden_is_an_error() {
     assert_eq!(psnr(&a, &b, &hidden), psnr(&a, &spoilt, &hidden));
     assert_eq!(psnr_paper(&a, &b, &hidden), psnr_paper(&a, &spoilt, &hidden));
     assert_eq!(ssim(&a, &b, &hidden), ssim(&a, &spoilt, &hidden));
-    // What is left of the columns is a picture of its own.
+    // The remaining columns are a separate picture.
     let right = |image: &Image<Srgb>| Image::from_fn(32, 30, |column, row| image.at(column + 8, row));
     assert_eq!(psnr(&a, &b, &hidden), psnr(&right(&a), &right(&b), &[]));
     let (found, expected) = (

@@ -13,9 +13,10 @@ const SAME_PLACE: f64 = 1e-6;
 
 /// Returns a smooth open path of `frames` viewpoints that passes through training cameras.
 ///
-/// Up to eight cameras that lie far apart are joined by their shortest tour; between them position and
-/// rotation follow cubic Hermite curves with even speed, the horizon being that of the photos.
-/// Extremes: one camera, or all at one place, gives that camera `frames` times; none gives no viewpoint.
+/// Up to eight cameras that are far apart are joined by their shortest tour. Between them position and rotation follow cubic Hermite curves
+/// with even speed, with the horizon of the photos.
+///
+/// Extremes: one camera, or all at one place, gives that camera `frames` times. Without a camera there is no viewpoint.
 pub fn flythrough(scene: &Scene, frames: u32, width: u32) -> Vec<Viewpoint> {
     let poses: Vec<Pose> = training(scene).iter().map(|frame| frame.cam_from_world).collect();
     let Some(keys) = keys(&poses) else {
@@ -26,8 +27,8 @@ pub fn flythrough(scene: &Scene, frames: u32, width: u32) -> Vec<Viewpoint> {
 
 /// Returns a smooth open path of `frames` viewpoints of one camera that passes through poses in their order, from the first to the last.
 ///
-/// Between them it is as [`flythrough`]. Extremes: poses that follow each other at one place with one direction count once; a single
-/// pose is returned `frames` times, none gives no viewpoint.
+/// Between them it is as [`flythrough`]. Extremes: consecutive poses with the same place and direction count once. A single pose is
+/// returned `frames` times. Without a pose there is no viewpoint.
 pub fn through(poses: &[Pose], camera: Camera, frames: u32) -> Vec<Viewpoint> {
     let spread = spread(poses).unwrap_or(0.0);
     let mut keys = Keys {
@@ -46,7 +47,7 @@ struct Keys {
     spread: f64,
 }
 
-/// Returns poses on the curve through the keys with even speed; none without keys.
+/// Returns poses on the curve through the keys with even speed. Empty without keys.
 fn along(keys: &Keys, frames: u32) -> Vec<Pose> {
     let knots = knots(&keys.poses, keys.spread);
     let Some(last) = knots.last().map(|knot| knot.at) else {
@@ -57,7 +58,7 @@ fn along(keys: &Keys, frames: u32) -> Vec<Pose> {
     (0..frames).map(|index| pose_at(&knots, at(index))).collect()
 }
 
-/// Returns the median distance of poses from their mean centre; `None` of none.
+/// Returns the median distance of poses from their mean centre, or `None` without poses.
 fn spread(poses: &[Pose]) -> Option<f64> {
     let middle = mean(poses.iter().map(Pose::centre));
     lower_median(poses.iter().map(|pose| (pose.centre() - middle).norm()))
@@ -83,7 +84,7 @@ fn camera_distance(a: &Pose, b: &Pose, spread: f64) -> f64 {
     moved + (forward(a) - forward(b)).norm()
 }
 
-/// Chooses cameras far from each other and orders them as a short tour; `None` without cameras.
+/// Chooses cameras far from each other and orders them as a short tour. `None` without cameras.
 fn keys(poses: &[Pose]) -> Option<Keys> {
     let middle = mean(poses.iter().map(Pose::centre));
     let spread = spread(poses)?;
@@ -112,7 +113,7 @@ fn keys(poses: &[Pose]) -> Option<Keys> {
     })
 }
 
-/// Returns the first index with the largest value; `None` without poses.
+/// Returns the first index with the largest value, or `None` without poses.
 fn farthest(poses: &[Pose], value: impl Fn(&Pose) -> f64) -> Option<usize> {
     let values = poses.iter().map(value).enumerate();
     values
@@ -155,7 +156,7 @@ fn knots(keys: &[Pose], spread: f64) -> Vec<Knot> {
         let mut turn = quaternion(pose);
         let mut at = 0.0;
         if let Some(before) = knots.last() {
-            // q and -q are one rotation; the nearer one keeps the curve short.
+            // q and -q are one rotation. The nearer one keeps the curve short.
             turn *= if before.turn.dot(&turn) < 0.0 { -1.0 } else { 1.0 };
             at = before.at + camera_distance(&keys[index - 1], pose, spread);
         }
@@ -210,7 +211,7 @@ fn hermite<const N: usize>(
         + slope(knots, high, &value) * (span * (t3 - t2))
 }
 
-/// Returns the slope at a knot of the parabola through it and its two neighbours; at an end, that parabola's slope there.
+/// Returns the slope at a knot of the parabola through it and its two neighbours. At an end it is the slope of the end's parabola.
 fn slope<const N: usize>(
     knots: &[Knot],
     index: usize,

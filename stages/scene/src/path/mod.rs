@@ -59,7 +59,7 @@ fn training(scene: &Scene) -> Vec<&Frame> {
     scene.frames.iter().filter(|frame| !frame.held_out).collect()
 }
 
-/// Returns the mean of vectors; zero of none.
+/// Returns the mean of vectors. Without vectors it is zero.
 fn mean(vectors: impl ExactSizeIterator<Item = Vector3<f64>>) -> Vector3<f64> {
     let count = vectors.len().max(1) as f64;
     vectors.fold(Vector3::zeros(), |sum, vector| sum + vector) / count

@@ -6,8 +6,8 @@ use nalgebra::{Matrix3, Vector3};
 use super::{Viewpoint, forward, mean, numbered, training, typical_camera};
 use crate::{Frame, Pose, Scene};
 
-/// Least determinant of the normal matrix (its diagonal is at most 1) at which views count as converging;
-/// 1e-4 is a spread of about half a degree in one direction or 1 degree in both.
+/// Least determinant of the normal matrix (its diagonal is at most 1) at which views count as converging. 1e-4 is a spread of about half a
+/// degree in one direction or 1 degree in both.
 const CONVERGING: f64 = 1e-4;
 /// Cameras whose mean direction from the target is shorter than this are all around it.
 const ALL_AROUND: f64 = 0.5;
@@ -17,9 +17,9 @@ const LEAST_UP: f64 = 1e-9;
 
 /// Returns `frames` viewpoints that circle the point the training cameras look at.
 ///
-/// Distance and height are the median ones of the cameras. Where these are all around the point the path is a
-/// full circle; else it swings between the outermost cameras, so that it stays where photos were taken.
-/// Up is that of [`up_direction`], else z. Extremes: no camera gives no viewpoint.
+/// Distance and height are the median ones of the cameras. If the cameras are all around the point, the path is a full circle. Otherwise it
+/// swings between the outermost cameras, so that it stays where photos were taken. Up is that of [`up_direction`], else z. Extremes: no
+/// camera gives no viewpoint.
 pub fn orbit(scene: &Scene, frames: u32, width: u32) -> Vec<Viewpoint> {
     let cameras = training(scene);
     if cameras.is_empty() {
@@ -44,7 +44,7 @@ pub fn focus_point(scene: &Scene) -> Vector3<f64> {
     converging_point(&cameras).unwrap_or_else(|| point_ahead(scene, &cameras))
 }
 
-/// Returns the point with the least sum of squared distances to the viewing axes; `None` where they do not converge.
+/// Returns the point with the least sum of squared distances to the viewing axes, or `None` if they do not converge.
 ///
 /// Solves Σ (I - d dᵀ) x = Σ (I - d dᵀ) c over axes with direction d through c.
 fn converging_point(cameras: &[&Frame]) -> Option<Vector3<f64>> {
@@ -82,8 +82,8 @@ fn point_ahead(scene: &Scene, cameras: &[&Frame]) -> Vector3<f64> {
     centre + ahead * if range > 0.0 { range } else { 1.0 }
 }
 
-/// Returns the up direction of the scene as a unit vector, or the mean of the training cameras where it knows none; `None` where these
-/// cancel each other out.
+/// Returns the up direction of the scene as a unit vector. If it is unknown, returns the mean of the training cameras, or `None` where
+/// these cancel each other out.
 pub fn up_direction(scene: &Scene) -> Option<Vector3<f64>> {
     let rows: Vec<Vector3<f64>> = training(scene)
         .iter()
@@ -99,10 +99,10 @@ pub fn up_direction(scene: &Scene) -> Option<Vector3<f64>> {
 struct Circle {
     centre: Vector3<f64>,
     radius: f64,
-    /// Unit vectors in the plane of the circle; the first points to the middle of the cameras.
+    /// Unit vectors in the plane of the circle. The first points to the middle of the cameras.
     along: Vector3<f64>,
     across: Vector3<f64>,
-    /// Tangent of the half angle of the swing; `None` for a full circle.
+    /// Tangent of the half angle of the swing. `None` for a full circle.
     swing: Option<f64>,
 }
 
@@ -131,7 +131,7 @@ impl Circle {
             radius,
             along,
             across: up.cross(&along),
-            // Beyond 80 degrees to a side (cos 0.17) the tangent grows without limit; the swing ends there.
+            // Beyond 80 degrees to a side (cos 0.17) the tangent grows without limit. The swing ends there.
             swing: (middle.norm() >= ALL_AROUND).then(|| {
                 let cos = widest.clamp(0.17, 1.0);
                 ((1.0 - cos * cos) / (cos * cos)).sqrt()

@@ -8,10 +8,10 @@ use super::{foreign, jpeg, other, tagged};
 impl Photo {
     /// Decodes a JPEG, PNG, WebP, GIF, TIFF or PNM.
     ///
-    /// Strict: a JPEG that is cut short or damaged is refused (the `image` crate alone fills the rest with grey). EXIF
-    /// rotation is applied, 16 bits are reduced to 8, alpha is blended over black, of an animation the first
-    /// frame is taken and of a TIFF the first page; [`Photo::notes`] says so. A TIFF may have strips or tiles; one whose colours lie in
-    /// planes of their own is refused. At most [`MAX_DECODED_BYTES`] are decoded.
+    /// Strict: a JPEG that is cut short or damaged is refused (the `image` crate alone fills the rest with grey). EXIF rotation is applied,
+    /// 16 bits are reduced to 8, and alpha is blended over black. Of an animation the first frame is taken, of a TIFF the first page.
+    /// [`Photo::notes`] says so. A TIFF may have strips or tiles. One with a separate plane for each colour is refused. At most
+    /// [`MAX_DECODED_BYTES`] are decoded.
     ///
     /// # Errors
     /// See [`DecodeError`].
@@ -19,7 +19,7 @@ impl Photo {
         Self::decode_within(bytes, MAX_DECODED_BYTES)
     }
 
-    /// As [`Photo::decode`], where the decoded samples may take so many bytes.
+    /// As [`Photo::decode`], with a limit for the bytes of the decoded samples.
     ///
     /// # Errors
     /// See [`DecodeError`].
@@ -47,12 +47,12 @@ impl Photo {
         }
     }
 
-    /// Returns the name of the format of the bytes, whatever their file is called; `None` of one that is not decoded.
+    /// Returns the name of the format of the bytes, whatever their file is called. `None` for a format that is not decoded.
     pub fn format(bytes: &[u8]) -> Option<&'static str> {
         guess(bytes).and_then(format_name)
     }
 
-    /// Returns width and height in pixels from the header alone, before EXIF rotation; `None` without a known header.
+    /// Returns width and height in pixels from the header alone, before EXIF rotation. `None` without a known header.
     pub fn size_px(bytes: &[u8]) -> Option<(u32, u32)> {
         ImageReader::with_format(Cursor::new(bytes), guess(bytes)?)
             .into_dimensions()
@@ -60,7 +60,7 @@ impl Photo {
     }
 }
 
-/// Returns the format of bytes by their start; `None` of one that is not decoded.
+/// Returns the format of bytes by their start, or `None` if it is not decoded.
 fn guess(bytes: &[u8]) -> Option<ImageFormat> {
     if tagged::BIG.iter().any(|start| bytes.starts_with(start)) {
         return Some(ImageFormat::Tiff);

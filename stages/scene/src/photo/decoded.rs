@@ -11,9 +11,9 @@ pub const MAX_DECODED_BYTES: u64 = 1_000_000_000;
 /// A decoded photo: upright, three channels over black.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Photo {
-    /// The pixels, blended over black; one band is repeated three times.
+    /// The pixels, blended over black. One band is repeated three times.
     pub image: Image<Srgb>,
-    /// Opacity of the pixels, `[height * width]`, 255: nothing shows through; empty where nothing shows through any.
+    /// Opacity of the pixels, `[height * width]`, 255 is opaque. Empty if all pixels are opaque.
     pub alpha: Vec<u8>,
     /// Bands stored in the file: 1 or 3 (alpha is blended over black and not counted).
     pub bands: u8,
@@ -24,7 +24,7 @@ pub struct Photo {
 /// Bytes that cannot be decoded as a photo.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum DecodeError {
-    /// The bytes are no picture of a known format.
+    /// The bytes are not a picture of a known format.
     #[error("not a JPEG, PNG, WebP, GIF, TIFF or PNM (starts with {start})")]
     Format {
         /// The first bytes, in hexadecimal.
@@ -52,7 +52,7 @@ pub enum DecodeError {
 /// A photo whose decoded samples take more memory than the limit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "{width} x {height} pixels take {} MB in memory; the limit is {} MB",
+    "{width} x {height} pixels take {} MB in memory, above the limit of {} MB",
     needed_bytes.div_ceil(1_000_000),
     limit_bytes / 1_000_000
 )]
@@ -68,7 +68,7 @@ pub struct TooLarge {
 }
 
 impl TooLarge {
-    /// Checks that the samples of a photo, so many bytes a pixel, fit in a limit.
+    /// Checks that the samples of a photo, at `pixel_bytes` a pixel, fit in a limit.
     ///
     /// # Errors
     /// The size and the limit if they do not.
@@ -131,7 +131,7 @@ impl Photo {
         }
     }
 
-    /// Returns the photo of the pixels of a decoder; `None` if they are too few or too many.
+    /// Returns the photo of the pixels of a decoder, or `None` if they are too few or too many.
     pub(super) fn from_pixels(width: u32, height: u32, pixels: Vec<u8>) -> Option<Self> {
         let pixels = bytemuck::allocation::try_cast_vec(pixels);
         let pixels: Vec<[u8; 3]> = pixels.unwrap_or_else(|(_, bytes)| bytes.as_chunks().0.to_vec());
@@ -154,7 +154,7 @@ impl Photo {
         }
     }
 
-    /// Encodes the photo as PNG, which decodes to the same pixels and opacities; equal photos give equal bytes.
+    /// Encodes the photo as PNG, which decodes to the same pixels and opacities. Equal photos give equal bytes.
     ///
     /// # Errors
     /// As [`encode_png`].
@@ -185,7 +185,7 @@ impl Photo {
     }
 }
 
-/// Encodes an image as PNG; equal images give equal bytes.
+/// Encodes an image as PNG. Equal images give equal bytes.
 ///
 /// # Errors
 /// An image of zero pixels.
@@ -209,7 +209,7 @@ fn png_of(
     Ok(bytes)
 }
 
-/// Returns the name of a format that is decoded; `None` for all others.
+/// Returns the name of a format that is decoded, or `None` for all others.
 pub(super) fn format_name(format: ImageFormat) -> Option<&'static str> {
     match format {
         ImageFormat::Jpeg => Some("JPEG"),
@@ -229,7 +229,7 @@ pub(crate) fn damaged(format: &'static str, error: &dyn std::fmt::Display) -> De
     DecodeError::Damaged { format, message }
 }
 
-/// Returns the pixels blended over black, and their alpha unless all are opaque; 8-bit colour without alpha is copied once and not
+/// Returns the pixels blended over black, and their alpha unless all are opaque. 8-bit colour without alpha is copied once and not
 /// converted.
 fn over_black(decoded: DynamicImage, stored: Alpha) -> (Image<Srgb>, Vec<u8>) {
     let (width, height) = (decoded.width(), decoded.height());

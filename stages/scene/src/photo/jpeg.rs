@@ -12,9 +12,9 @@ use super::decoded::{Alpha, DecodeError, Photo, TooLarge, damaged};
 use super::other::upright;
 use super::scan;
 
-/// Decodes a JPEG strictly and requires its end marker: a file cut in half, or with a damaged scan, must not become
-/// training data. (The `image` crate decodes with the same library, but leniently.) What follows the end marker is not
-/// part of the picture: phones append a film, others a second picture or zeros.
+/// Decodes a JPEG strictly and requires its end marker: a file cut in half, or with a damaged scan, must not become training data. (The
+/// `image` crate decodes with the same library, but leniently.) Bytes after the end marker are not part of the picture. Phones append a
+/// film, others a second picture or zeros.
 pub(super) fn decode(bytes: &[u8], limit_bytes: u64) -> Result<Photo, DecodeError> {
     let fail = |error: DecodeErrors| damaged("JPEG", &format!("{error:?}"));
     let Some(end) = scan::end(bytes) else {
@@ -58,7 +58,7 @@ fn options() -> DecoderOptions {
         .set_max_height(usize::MAX)
 }
 
-/// Decodes an upright JPEG of three channels straight into its pixels; `None` for anything else, errors included.
+/// Decodes an upright JPEG of three channels straight into its pixels. `None` for anything else, errors included.
 ///
 /// The same decoder as in [`decode`], but without counting the units of the scan. Where it returns `None`, [`Photo::decode`] finds the error.
 pub(super) fn decode_plain(bytes: &[u8]) -> Option<Photo> {

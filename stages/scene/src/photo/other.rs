@@ -42,7 +42,7 @@ fn orientation(decoder: &mut impl ImageDecoder) -> image::ImageResult<Orientatio
     prefixed.map_or_else(|| decoder.orientation(), Ok)
 }
 
-/// Applies an EXIF orientation; returns the picture, and a note if it was turned.
+/// Applies an EXIF orientation. Returns the picture, and a note if it was turned.
 pub(super) fn upright(mut decoded: DynamicImage, orientation: Orientation) -> (DynamicImage, Vec<String>) {
     let mut notes = Vec::new();
     if orientation.to_exif() != 1 {

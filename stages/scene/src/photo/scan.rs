@@ -7,7 +7,7 @@
 /// Most bytes between the last block and the next marker: none in our photos, but some encoders pad.
 const MAX_LEFT_OVER: usize = 2;
 
-/// What is wrong with a scan.
+/// A fault of a scan.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub(super) enum ScanError {
     /// A segment reaches beyond the file, or contradicts another.
@@ -26,7 +26,7 @@ pub(super) enum ScanError {
     LeftOver(usize),
 }
 
-/// Returns the position behind the end marker (EOI) of the picture that a JPEG begins with; `None` without one.
+/// Returns the position behind the end marker (EOI) of the first picture of a JPEG, or `None` without one.
 ///
 /// Segments are skipped by their length, so that a preview in one of them does not end the picture.
 pub(super) fn end(bytes: &[u8]) -> Option<usize> {
@@ -83,7 +83,7 @@ pub(super) fn check(bytes: &[u8]) -> Result<(), ScanError> {
     }
 }
 
-/// Returns the next marker from `from` on and the position of its segment; `None` if there is none.
+/// Returns the next marker from `from` on and the position of its segment, or `None` without one.
 fn next_marker(bytes: &[u8], from: usize) -> Option<(u8, usize)> {
     let rest = bytes.get(from..)?;
     let is_marker = |pair: &[u8]| pair[0] == 0xff && !matches!(pair[1], 0x00 | 0xff);
@@ -100,12 +100,12 @@ struct Jpeg {
     components: Vec<(u8, usize, usize)>,
     width: usize,
     height: usize,
-    /// Units between restarts; 0 is none.
+    /// Units between restarts. 0 means no restarts.
     restart: usize,
 }
 
 impl Jpeg {
-    /// Reads a frame header (SOF); `None` if it is damaged.
+    /// Reads a frame header (SOF). `None` if it is damaged.
     fn frame(&mut self, body: &[u8]) -> Option<()> {
         let number = |at: usize| Some(usize::from(*body.get(at)?) << 8 | usize::from(*body.get(at + 1)?));
         (self.height, self.width) = (number(1)?, number(3)?);
@@ -118,7 +118,7 @@ impl Jpeg {
             .then_some(())
     }
 
-    /// Reads Huffman tables (DHT); `None` if they are damaged.
+    /// Reads Huffman tables (DHT). `None` if they are damaged.
     fn tables(&mut self, mut body: &[u8]) -> Option<()> {
         while let Some((&kind, rest)) = body.split_first() {
             let counts = rest.first_chunk::<16>()?;
@@ -131,7 +131,7 @@ impl Jpeg {
         Some(())
     }
 
-    /// Reads a scan header (SOS); `None` if it is damaged or names a table that is missing.
+    /// Reads a scan header (SOS). `None` if it is damaged or names a table that is missing.
     fn scan(&self, body: &[u8]) -> Option<Scan<'_>> {
         let count = usize::from(*body.first()?);
         let chosen = body.get(1..1 + 2 * count)?.chunks_exact(2);
@@ -169,7 +169,7 @@ struct Scan<'a> {
 }
 
 impl Scan<'_> {
-    /// Counts the units from `at` on; returns the position behind the last one.
+    /// Counts the units from `at` on. Returns the position behind the last one.
     fn count(&self, bytes: &[u8], at: usize) -> Result<usize, ScanError> {
         let mut bits = Bits {
             bytes,
@@ -196,14 +196,14 @@ impl Scan<'_> {
     }
 }
 
-/// Bits of the codes that are looked up at once; longer ones are rare.
+/// Bits of the codes that are looked up at once. Longer ones are rare.
 const SHORT: u32 = 10;
 /// Bits that are looked up at once for several coefficients.
 const RUN: u32 = 12;
 
 /// A Huffman table with codes of up to 16 bits.
 struct Huffman {
-    /// Steps by the next [`SHORT`] bits; none for longer codes.
+    /// Steps by the next [`SHORT`] bits. Longer codes have none.
     short: Vec<Step>,
     /// Steps by the next 16 bits.
     long: Vec<Step>,
@@ -214,7 +214,7 @@ struct Huffman {
 /// The coefficients (AC) that some bits hold whole, with the numbers behind their codes.
 #[derive(Clone, Copy, Default)]
 struct Run {
-    /// Bits of them all; 0 if not even the first is whole.
+    /// Bits of them all, 0 if not even the first is whole.
     bits: u8,
     /// Places in the block that they take.
     places: u8,
@@ -222,17 +222,17 @@ struct Run {
     ends: bool,
 }
 
-/// What a code stands for.
+/// Meaning of a code.
 #[derive(Clone, Copy, Default)]
 struct Step {
-    /// Bits of the code and of the number behind it, whose length is the lower half of the symbol; 0 is no code.
+    /// Bits of the code and of the number behind it, whose length is the lower half of the symbol. 0 means that the code is not valid.
     bits: u8,
     /// The symbol: in its upper half, the coefficients that are zero before the number.
     symbol: u8,
 }
 
 impl Huffman {
-    /// Builds the table from the number of codes of each length and their symbols; `None` if there are too many codes.
+    /// Builds the table from the number of codes of each length and their symbols. `None` if there are too many codes.
     fn new(counts: &[u8; 16], symbols: &[u8]) -> Option<Self> {
         let (mut short, mut long) = (vec![Step::default(); 1 << SHORT], vec![Step::default(); 1 << 16]);
         let (mut next, mut symbols) = (0_usize, symbols.iter());
@@ -290,7 +290,7 @@ impl Run {
     }
 }
 
-/// A reader of the bits of a scan; it stops at the next marker.
+/// A reader of the bits of a scan. It stops at the next marker.
 struct Bits<'a> {
     bytes: &'a [u8],
     at: usize,
@@ -302,7 +302,7 @@ struct Bits<'a> {
 impl Bits<'_> {
     /// Reads bytes until more than 48 bits are held, or up to the next marker.
     fn fill(&mut self) {
-        // Four bytes at once, where none of them can begin a marker.
+        // Four bytes at once, if no byte of them can begin a marker.
         if let Some(four) = self.bytes.get(self.at..).and_then(|rest| rest.first_chunk::<4>())
             && self.count <= 32
             && !four.contains(&0xff)
@@ -328,7 +328,7 @@ impl Bits<'_> {
         }
     }
 
-    /// Reads a code and skips the number behind it; returns the symbol.
+    /// Reads a code and skips the number behind it. Returns the symbol.
     fn coefficient(&mut self, table: &Huffman) -> Option<u8> {
         // A code of 16 bits and a number of 15.
         if self.count < 31 {
@@ -340,7 +340,7 @@ impl Bits<'_> {
         (step.bits > 0).then_some(step.symbol)
     }
 
-    /// Reads one block; `None` if it is incomplete or damaged.
+    /// Reads one block. `None` if it is incomplete or damaged.
     fn block(&mut self, dc: &Huffman, ac: &Huffman) -> Option<()> {
         self.coefficient(dc)?;
         let mut place = 1;

@@ -21,14 +21,14 @@ type Tiff<'a> = Decoder<Cursor<&'a [u8]>>;
 
 /// Decodes the first page of a TIFF.
 ///
-/// Planes of their own are refused before they are decoded: `image` 0.25.10 panics on some that have 16 bits.
+/// Separate planes are refused before they are decoded: `image` 0.25.10 panics on some that have 16 bits.
 pub(super) fn decode(bytes: &[u8], limit_bytes: u64) -> Result<Photo, DecodeError> {
     let mut decoder = Decoder::new(Cursor::new(bytes)).map_err(fail)?;
     let planes = decoder
         .find_tag_unsigned::<u16>(Tag::PlanarConfiguration)
         .map_err(fail)?;
     if planes.is_some_and(|planes| planes != CHUNKY) {
-        let message = "its colours lie in planes of their own (PlanarConfiguration 2), which are not read: save it with pixels in one plane";
+        let message = "its colours are in separate planes (PlanarConfiguration 2), which are not read: save it with pixels in one plane";
         return Err(damaged("TIFF", &message));
     }
     let pages = decoder
@@ -55,7 +55,7 @@ fn fail(error: TiffError) -> DecodeError {
 /// The samples of a pixel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Stored {
-    /// One, and further ones that are no opacity.
+    /// One, and further ones other than opacity.
     Gray {
         samples: usize,
     },
@@ -144,7 +144,7 @@ fn page(
     Ok((decoded, notes))
 }
 
-/// Returns the picture of samples of 8 or 16 bits; `None` if they are too few.
+/// Returns the picture of samples of 8 or 16 bits, or `None` if they are too few.
 fn image(samples: DecodingResult, stored: Stored, width: u32, height: u32) -> Option<DynamicImage> {
     match samples {
         DecodingResult::U8(samples) => {

@@ -98,7 +98,7 @@ fn an_error_is_one_line() {
     assert!(!error.contains('\n') && !error.ends_with(' '), "{error:?}");
 }
 
-/// A little-endian TIFF: short values by tag, then strips or tiles, whose offsets and lengths stand in `offsets` and `lengths`.
+/// A little-endian TIFF: short values by tag, then strips or tiles, with offsets and lengths in `offsets` and `lengths`.
 pub(super) fn tiff_of(shorts: &[(u16, &[u16])], [offsets, lengths]: [u16; 2], parts: &[Vec<u8>]) -> Vec<u8> {
     let mut tags: Vec<(u16, u16, Vec<u8>)> = shorts
         .iter()
@@ -212,7 +212,7 @@ fn tiff_and_pnm_are_read_with_8_and_16_bits() {
     assert_eq!(Photo::format(b"<html>"), None);
 }
 
-/// 10 x 12 gray pixels in a tile of 16 x 16; and 2 x 2 pixels of 16 bits with a plane for each of three colours.
+/// 10 x 12 gray pixels in a tile of 16 x 16, and 2 x 2 pixels of 16 bits with a plane for each of three colours.
 #[test]
 fn a_tiff_of_tiles_is_read_and_one_of_planes_is_refused_in_words() {
     let tile: Vec<u8> = (0..=255).collect();
@@ -248,7 +248,7 @@ fn a_tiff_of_tiles_is_read_and_one_of_planes_is_refused_in_words() {
         &[vec![1; 8], vec![2; 8], vec![3; 8]],
     );
     let error = Photo::decode(&planes).unwrap_err().to_string();
-    assert!(error.contains("planes of their own"), "{error}");
+    assert!(error.contains("separate planes"), "{error}");
 }
 
 #[test]
@@ -270,7 +270,7 @@ fn a_tiff_that_asks_for_more_than_the_limit_is_refused_before_it_is_decoded() {
         let error = Photo::decode_within(&bomb, limit_mb * 1_000_000).unwrap_err();
         assert_eq!(
             error.to_string(),
-            format!("{side} x {side} pixels take {needed_mb} MB in memory; the limit is {limit_mb} MB")
+            format!("{side} x {side} pixels take {needed_mb} MB in memory, above the limit of {limit_mb} MB")
         );
     }
     assert!(Photo::decode(b"P5\n65535 65535\n255\n").is_err());
@@ -353,7 +353,7 @@ fn damaged_tiffs_are_decoded_or_refused() {
     for cut in (0..whole.len()).step_by(7) {
         let _ = Photo::decode(&whole[..cut]);
     }
-    // The directory stands at the end: its bytes decide everything.
+    // The directory is at the end. Its bytes decide everything.
     let directory = whole.len().saturating_sub(400);
     for at in (0..8).chain(directory..whole.len()) {
         for value in [0, 1, 2, 3, 4, 5, 7, 16, 32, 127, 128, 255] {

@@ -41,11 +41,11 @@ impl Tones {
         Ok(Self::default())
     }
 
-    /// Returns samples of 8 or 16 bits over their whole range; others are reduced to 8 bits, with a note.
+    /// Returns samples of 8 or 16 bits over their whole range. Other types are reduced to 8 bits, with a note.
     ///
-    /// Integers of 8 and 16 bits without a tag are white at their type's largest number. MaxSampleValue is often the largest sample
-    /// that occurs: it counts only where all its bits are ones. Where no tag says what is white in 32-bit integers and
-    /// in floats, the smallest usual range that holds them is taken, and the note says so.
+    /// Integers of 8 and 16 bits without a tag are white at their type's largest number. MaxSampleValue is often the largest sample that
+    /// occurs, so it counts only if all its bits are ones. Without a tag for white in 32-bit integers and floats, the smallest usual range
+    /// that holds them is taken, and the note says so.
     pub fn displayed(&self, samples: DecodingResult, notes: &mut Vec<String>) -> DecodingResult {
         let format = Format::from_samples(&samples);
         let white = self.white(&samples, format, notes);
@@ -72,7 +72,7 @@ impl Tones {
         if !is_sure {
             let most = statistics.most;
             notes.push(format!(
-                "doubtful tones: the largest sample is {most} and no tag says what is white; {white} is taken (set the tag SMaxSampleValue)"
+                "doubtful tones: the largest sample is {most} and no tag defines white, so {white} is taken (set the tag SMaxSampleValue)"
             ));
         }
         white
@@ -100,7 +100,7 @@ fn largest(value: &Value) -> Option<f64> {
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Format {
     name: &'static str,
-    /// Largest number of an integer type; 1 of floats.
+    /// Largest number of an integer type, or 1 for floats.
     white: f64,
     is_float: bool,
 }
@@ -127,13 +127,13 @@ impl Format {
         }
     }
 
-    /// Tells whether the number of a tag can be the range of the type, and not only the largest sample that occurs.
+    /// Returns whether the number of a tag can be the range of the type, and not only the largest sample that occurs.
     fn may_be_white(&self, largest: f64) -> bool {
         let all_ones = (largest + 1.0).log2().fract() == 0.0;
         all_ones && (self.is_float || largest <= self.white)
     }
 
-    /// Returns what is white without a tag, and whether that is sure.
+    /// Returns the white level without a tag, and whether it is sure.
     fn guess(&self, statistics: &Statistics) -> (f64, bool) {
         let most = statistics.most;
         let usual = |most: f64| USUAL.into_iter().find(|white| *white >= most);
@@ -163,7 +163,7 @@ const USUAL: [f64; 4] = [255.0, 65_535.0, 16_777_215.0, 4_294_967_295.0];
 /// Largest float over its range: sharpening and resampling go beyond it.
 const OVERSHOOT: f64 = 1.1;
 
-/// Largest and mean sample; NaN and infinities are left out.
+/// Largest and mean sample. NaN and infinities are left out.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Statistics {
     most: f64,

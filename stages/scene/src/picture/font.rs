@@ -17,7 +17,7 @@ pub fn text_width_px(text: &str, zoom: u32) -> u32 {
 
 /// Draws a line of text with its upper left corner at (left, top), each dot `zoom` pixels wide and high.
 ///
-/// Letters that the font lacks become `?`; dots outside the picture are left out.
+/// Letters that the font lacks become `?`. Dots outside the picture are left out.
 pub fn draw_text(picture: &mut Image<Srgb>, left: u32, top: u32, zoom: u32, text: &str) {
     for (index, letter) in (0_u32..).zip(text.chars()) {
         let rows = glyph(letter);

@@ -8,13 +8,13 @@ use crate::{Image, Srgb, metrics::ln};
 pub struct ColorScale {
     /// Title of the map.
     pub title: String,
-    /// Unit of the values; empty for a plain number.
+    /// Unit of the values. Empty for a plain number.
     pub unit: String,
     /// Value of the lowest colour.
     pub low: f64,
-    /// Value of the highest colour; larger values have the same one.
+    /// Value of the highest colour. Larger values have the same one.
     pub high: f64,
-    /// Whether equal steps of colour are equal factors, not equal differences; `low` is above 0 then, and smaller values have its colour.
+    /// Whether equal steps of colour are equal factors, not equal differences. `low` is above 0 then, and smaller values have its colour.
     pub logarithmic: bool,
     /// The colours.
     pub palette: Palette,
@@ -33,7 +33,7 @@ impl ColorScale {
         }
     }
 
-    /// Returns the scale with equal factors, over so many powers of ten below its highest value.
+    /// Returns the scale with equal factors, over `decades` powers of ten below its highest value.
     #[must_use]
     pub fn over_decades(self, decades: i32) -> Self {
         Self {
@@ -44,7 +44,7 @@ impl ColorScale {
         }
     }
 
-    /// Returns the colour of a value; negative ones have none and are gray.
+    /// Returns the colour of a value. Negative ones have none and are gray.
     pub fn color(&self, value: f32) -> [u8; 3] {
         if value < 0.0 {
             return NO_VALUE;
@@ -60,7 +60,7 @@ impl ColorScale {
     }
 }
 
-/// Powers of ten that the colours of depths span: what is near takes most of a picture, and the farthest sets the end.
+/// Powers of ten that the colours of depths span: near ground takes most of a picture, and the farthest point sets the end.
 pub const DEPTH_DECADES: i32 = 2;
 /// Those of their spread and of their intervals.
 pub const DEPTH_SPREAD_DECADES: i32 = 4;
@@ -72,7 +72,7 @@ const GROUND: [u8; 3] = [24, 24, 28];
 
 /// Draws values as colours, the title above and the colour scale with its two ends below.
 ///
-/// `values`: `[height * width]`, row-major from the top; negative ones have no value and are gray.
+/// `values`: `[height * width]`, row-major from the top. Negative ones have no value and are gray.
 /// The picture is at least as wide as its text, the map is centred in it.
 pub fn draw_map(values: &[f32], width: u32, height: u32, scale: &ColorScale) -> Image<Srgb> {
     let Layout { zoom, gap, line } = Layout::new(width);
@@ -113,7 +113,7 @@ pub fn draw_map(values: &[f32], width: u32, height: u32, scale: &ColorScale) -> 
     picture
 }
 
-/// Sizes of what stands around a map, pixels.
+/// Sizes of the parts around a map, pixels.
 struct Layout {
     /// Factor of the text.
     zoom: u32,
@@ -186,7 +186,7 @@ pub fn round_upper_limit(values: &[f32], share: f64) -> f64 {
         .unwrap_or(1e30)
 }
 
-/// Returns the value that `share` of the values do not exceed; those below zero do not count, and of none it is 0.
+/// Returns the value that `share` of the values do not exceed. Values below zero do not count. Without any it is 0.
 pub fn quantile(values: &[f32], share: f64) -> f32 {
     let mut sorted: Vec<f32> = values.iter().copied().filter(|value| *value >= 0.0).collect();
     sorted.sort_unstable_by(f32::total_cmp);
@@ -318,7 +318,7 @@ mod tests {
         );
     }
 
-    /// Frames of a film have one size, and what is seen in one panel stands at the same row in the next.
+    /// Frames of a film have one size, and a feature in one panel is at the same row in the next.
     #[test]
     fn maps_on_one_scale_have_one_size_and_a_titled_picture_stands_at_their_height() {
         for width in [8, 60, 300, 960] {

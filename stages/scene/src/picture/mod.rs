@@ -1,4 +1,4 @@
-//! Drawn pictures: colour maps with a scale, text; measured quantities as pictures of 16 bits.
+//! Drawn pictures: colour maps with a scale, text, and measured quantities as pictures of 16 bits.
 
 mod font;
 mod map;

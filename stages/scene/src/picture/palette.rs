@@ -21,7 +21,7 @@ const VIRIDIS: [u32; 10] = [
 ];
 
 impl Palette {
-    /// Returns the sRGB colour of a share in [0, 1]; outside, the colour of the nearer end; NaN is the low end.
+    /// Returns the sRGB colour of a share in [0, 1]. Outside it is the colour of the nearer end. NaN is the low end.
     pub fn color(self, share: f32) -> [u8; 3] {
         let anchors = match self {
             Self::Inferno => &INFERNO,

@@ -1,4 +1,4 @@
-//! Pictures of 16 bits with text beside the pixels: heights, spreads, depths.
+//! Pictures of 16 bits with text chunks: heights, spreads, depths.
 
 use std::io::Cursor;
 
@@ -18,7 +18,7 @@ impl From<png::EncodingError> for PngError {
 /// Values of a picture of 16 bits without that of "nothing".
 pub const MOST: f64 = 65_534.0;
 
-/// Writes gray pixels of 16 bits, rows from the top, with `tEXt` chunks (keyword, text; Latin-1).
+/// Writes gray pixels of 16 bits, rows from the top, with `tEXt` chunks (keyword and text in Latin-1).
 ///
 /// # Errors
 /// A picture without pixels, or text that is not Latin-1.
@@ -65,7 +65,7 @@ fn encode(
     Ok(bytes)
 }
 
-/// What the values of a picture are; it stands in the texts `marf:NAME-step`, `marf:NAME-unit` and `marf:NAME-kind`.
+/// Meaning of the values of a picture. It is stored in the texts `marf:NAME-step`, `marf:NAME-unit` and `marf:NAME-kind`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Quantity<'a> {
     /// `depth`, `uncertainty`.
@@ -78,8 +78,8 @@ pub struct Quantity<'a> {
 
 /// Writes a quantity as gray of 16 bits: `factor · values = written · step`, written 0 where there is none.
 ///
-/// `step` is the largest value / 65,534, so that reading back ([`read_quantity`]) is off by at most half of it, or by one step for what
-/// is above 0 and below half of it. What is not finite or not above 0 counts as none.
+/// `step` is the largest value / 65,534, so that reading back ([`read_quantity`]) is off by at most half of it. Values above 0 and below
+/// half of it are off by up to one step. Values that are not finite or not above 0 are written as 0.
 ///
 /// # Errors
 /// As [`gray`].
@@ -135,7 +135,8 @@ pub fn depth(width: u32, height: u32, depth: &[f32], metres: Option<f64>) -> Res
     quantity(width, height, depth, metres.unwrap_or(1.0), &of_depth)
 }
 
-/// Reads what [`quantity`] wrote of a name: width, height and values, 0 where there is none. `None` if the bytes are anything else.
+/// Reads the quantity `name` that [`quantity`] wrote: width, height and values, 0 where there is none. `None` if the bytes are anything
+/// else.
 pub fn read_quantity(bytes: &[u8], name: &str) -> Option<(u32, u32, Vec<f32>)> {
     let limits = Limits { bytes: MOST_BYTES };
     let mut reader = Decoder::new_with_limits(Cursor::new(bytes), limits)
@@ -209,7 +210,7 @@ mod tests {
         let png = quantity(2, 2, &values, 1.0, &spread).unwrap();
         let (width, height, back) = read_quantity(&png, "uncertainty").unwrap();
         assert_eq!((width, height), (2, 2));
-        // Half of .5 / 65,534; what is above 0 stays above it.
+        // Half of 0.5 / 65,534. Values above 0 stay above it.
         for (back, value) in back.iter().zip(values) {
             assert!((back - value).abs() <= 7.7e-6, "{value}: {back}");
         }

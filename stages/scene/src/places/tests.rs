@@ -160,7 +160,7 @@ fn ten_thousand_cameras_are_split() {
     assert!((1_200..=1_300).contains(&held_out), "{held_out}");
 }
 
-/// Points nearer than the cameras' own spread tell that photos a step apart show different things.
+/// Points nearer than the cameras' own spread show that photos a step apart see different things.
 #[test]
 fn sparse_points_decide_what_is_near() {
     let walk = Set::new((0..64).map(|index| {
@@ -229,7 +229,7 @@ fn there_are_as_many_folds_as_places_and_none_is_empty() {
     assert!(folds(&[], &[], 4).is_empty());
 }
 
-/// Tells what is known of the photos of a set whose first ones were in an earlier one.
+/// Returns what is known of each photo if the first ones were in an earlier set.
 fn known(before: &[bool], photos: usize) -> Vec<Option<bool>> {
     let known = before.iter().copied().map(Some);
     known.chain(std::iter::repeat(None)).take(photos).collect()
@@ -276,7 +276,7 @@ fn a_new_photo_beside_a_known_one_is_held_out_with_it() {
     assert_eq!(after[40..], before, "each second eye is as its first");
 }
 
-/// Nothing known is the same as a new set; and a share of 0 holds none out, whatever was before.
+/// Without known photos the result is that of a new set. A share of 0 holds no photo out, whatever was before.
 #[test]
 fn without_known_photos_nothing_is_other_than_before() {
     let set = Set::scattered(60);
@@ -289,7 +289,7 @@ fn without_known_photos_nothing_is_other_than_before() {
     );
 }
 
-/// A share that was raised holds out some of what is new, not all of it; one that was lowered holds out no more.
+/// A raised share holds out some of the new photos, not all. A lowered share holds out no more.
 #[test]
 fn another_share_than_before_changes_only_what_is_new() {
     let set = Set::scattered(240);
@@ -303,8 +303,8 @@ fn another_share_than_before_changes_only_what_is_new() {
     assert_eq!((&fewer[..200], count(&fewer[200..])), (before.as_slice(), 0));
 }
 
-/// Whatever became of an earlier set, at least one photo is held out and one is not; unless all new ones stand beside known ones, as the
-/// last two of 12 do.
+/// Whatever the earlier set was, at least one photo is held out and one is not. The exception is that all new ones are at known places, as
+/// the last two of 12 are.
 #[test]
 fn a_set_whose_known_photos_are_of_one_kind_has_both_kinds() {
     let set = Set::scattered(12);

@@ -1,15 +1,15 @@
 use crate::Point;
 
-/// Longest header; those of other programs stay below 2 KB.
+/// Longest header. Those of other programs stay below 2 KB.
 const MAX_HEADER_BYTES: usize = 64 * 1024;
 
 /// A PLY file that cannot be read.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{problem}")]
 pub struct PlyError {
-    /// Line of the header, or the vertex; empty for the whole file.
+    /// Line of the header, or the vertex. Empty for the whole file.
     pub place: String,
-    /// What is wrong, with the value.
+    /// The fault, with the value.
     pub problem: String,
 }
 
@@ -29,14 +29,14 @@ impl PlyError {
 
 /// Reads the vertices of a PLY file as points, in their order.
 ///
-/// Forms `ascii` and `binary_little_endian`, version 1.0, lines ending in LF or CRLF. A vertex has x, y, z as float
-/// or double; red, green, blue count where all three are uchar; other scalars are skipped, and so are elements
-/// before and after the vertices. The number of photos that see a point is not known: `views` is 0.
+/// Forms `ascii` and `binary_little_endian`, version 1.0, lines ending in LF or CRLF. A vertex has x, y, z as float or double. Red, green
+/// and blue are read if all three are uchar. Other scalars are skipped, and so are elements before and after the vertices. The number of
+/// photos that see a point is not known: `views` is 0.
 ///
 /// # Errors
-/// Names the line of the header, or the vertex: another form, a header without end within 64 KiB, no
-/// x, y, z, a list at or before the vertices, a file shorter than its counts or longer than its last vertex, a
-/// coordinate that is NaN or infinite. Counts in a file are never trusted with memory.
+/// Names the line of the header, or the vertex. Refused are another form, a header without end within 64 KiB, missing x, y, z, and a list
+/// at or before the vertices. So are a file shorter than its counts or longer than its last vertex, and a coordinate that is NaN or
+/// infinite. No memory is reserved for a count before the file is known to have it.
 pub fn read_points(bytes: &[u8]) -> Result<Vec<Point>, PlyError> {
     let header = Header::read(bytes)?;
     let (vertex, before) = match header.elements.split_last() {
@@ -73,7 +73,7 @@ enum Scalar {
     Float,
     Double,
     Uchar,
-    /// One that is only skipped, of so many bytes.
+    /// One that is only skipped, of this many bytes.
     Other(usize),
 }
 
@@ -110,7 +110,7 @@ struct Element {
 }
 
 impl Element {
-    /// Bytes of a record; of a text the fewest: a character and a separator for each property.
+    /// Bytes of a record. For a text it is the least number: a character and a separator for each property.
     fn width(&self, form: Form) -> usize {
         match form {
             Form::Ascii => 2 * self.properties.len(),
@@ -126,7 +126,7 @@ enum More {
     Elements,
 }
 
-/// What stands before the body.
+/// The header, up to the body.
 struct Header {
     form: Option<Form>,
     /// Elements up to and with the vertices.
@@ -179,7 +179,7 @@ impl Header {
             }
             ["property", scalar, name] => self.property(scalar, name),
             words => Err(format!(
-                "`{}` is no line of a PLY header",
+                "`{}` is not a line of a PLY header",
                 short(&words.join(" "))
             )),
         }
@@ -204,7 +204,7 @@ impl Header {
     /// Reads a line `property`.
     fn property(&mut self, scalar: &str, name: &str) -> Result<(), String> {
         let read = Scalar::named(scalar);
-        let scalar = read.ok_or_else(|| format!("`{}` is no type of a property", short(scalar)))?;
+        let scalar = read.ok_or_else(|| format!("`{}` is not a type of a property", short(scalar)))?;
         let element = self.elements.last_mut();
         let element = element.ok_or_else(|| "a property of no element".to_owned())?;
         if element.properties.iter().any(|(known, _)| known == name) {
@@ -221,7 +221,7 @@ fn form_of(form: &str, version: &str) -> Result<Form, String> {
         ("ascii", "1.0") => Ok(Form::Ascii),
         ("binary_little_endian", "1.0") => Ok(Form::LittleEndian),
         _ => Err(format!(
-            "the form `{} {}` is not read; these are: ascii 1.0, binary_little_endian 1.0",
+            "the form `{} {}` is not read: supported are ascii 1.0 and binary_little_endian 1.0",
             short(form),
             short(version)
         )),
@@ -233,7 +233,7 @@ fn short(word: &str) -> &str {
     word.char_indices().nth(40).map_or(word, |(cut, _)| &word[..cut])
 }
 
-/// Where in a record a property stands.
+/// Place of a property in a record.
 #[derive(Clone, Copy)]
 struct Column {
     index: usize,
@@ -314,10 +314,10 @@ fn text_number(word: &str, scalar: Scalar) -> Result<f64, String> {
         Scalar::Uchar => word.parse::<u8>().ok().map(f64::from),
         _ => word.parse().ok(),
     };
-    number.ok_or_else(|| format!("`{}` is no number of its property", short(word)))
+    number.ok_or_else(|| format!("`{}` is not a number of its property", short(word)))
 }
 
-/// The number that the bytes begin with; only positions and colours are asked for.
+/// The number that the bytes begin with. Only positions and colours are read.
 fn byte_number(bytes: &[u8], scalar: Scalar) -> f64 {
     let (mut single, mut double) = ([0; 4], [0; 8]);
     match scalar {
@@ -333,7 +333,7 @@ fn byte_number(bytes: &[u8], scalar: Scalar) -> f64 {
     }
 }
 
-/// Returns the length of what stands before the vertices: bytes, of a text the lines that are not empty.
+/// Returns the length of the elements before the vertices: bytes, or for a text the lines that are not empty.
 ///
 /// Refuses counts that the body is too short for.
 fn skipped(form: Form, before: &[Element], vertex: &Element, there: usize) -> Result<usize, String> {
@@ -387,7 +387,7 @@ fn binary(vertex: &Element, layout: &Layout, body: &[u8], skipped: usize) -> Res
 /// Reads vertices of a text body.
 fn ascii(vertex: &Element, layout: &Layout, body: &[u8], skipped: usize) -> Result<Vertices, PlyError> {
     let columns = vertex.properties.len();
-    let text = std::str::from_utf8(body).map_err(|_| PlyError::whole("its body is no text"))?;
+    let text = std::str::from_utf8(body).map_err(|_| PlyError::whole("its body is not text"))?;
     let mut lines = text
         .lines()
         .filter(|line| !line.trim_ascii().is_empty())

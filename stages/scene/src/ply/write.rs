@@ -7,7 +7,7 @@ pub struct HeaderWriter {
 }
 
 impl HeaderWriter {
-    /// Begins a header with comments; a line break in one becomes a space.
+    /// Begins a header with comments. A line break in one becomes a space.
     pub fn new(comments: &[String]) -> Self {
         let lines = comments
             .iter()
@@ -35,13 +35,13 @@ impl HeaderWriter {
         self
     }
 
-    /// Returns the whole header; the records follow it.
+    /// Returns the whole header. The records follow it.
     pub fn into_bytes(self) -> Vec<u8> {
         (self.text + "end_header\n").into_bytes()
     }
 }
 
-/// Appends a number as `float`; one beyond 3.4e38 becomes the largest f32 of its sign.
+/// Appends a number as `float`. One beyond 3.4e38 becomes the largest f32 of its sign.
 pub fn push_float(bytes: &mut Vec<u8>, number: f64) {
     bytes.extend((number as f32).clamp(f32::MIN, f32::MAX).to_le_bytes());
 }

@@ -30,12 +30,12 @@ pub(super) const FIRST: u32 = 3;
 pub(super) const MORE: u32 = 2;
 /// Most members.
 const MOST: u32 = 21;
-/// Less change of AUSE than this is none.
+/// A smaller change of AUSE counts as no change.
 const LEAST_CHANGE: f64 = 0.01;
 /// Longest side of the photos it is measured on, pixels.
 pub(super) const SIDE_PX: u32 = 160;
 
-/// Tells whether the last two members have changed AUSE by less than 0.01, or there are 21.
+/// Returns whether the last two members have changed AUSE by less than 0.01, or there are 21 members.
 ///
 /// # Errors
 /// No photo held out, or what keeps a field from being rendered.
@@ -95,7 +95,7 @@ pub(super) fn rounds(
 struct SmallView {
     camera: Camera,
     cam_from_world: Pose,
-    /// Of the photo; negative where its mask hides it.
+    /// Gray of the photo, negative where its mask hides it.
     gray: Vec<f64>,
     /// Of the photo as the members wrote it.
     digest: Digest,
@@ -138,7 +138,7 @@ fn small_views(ctx: &Ctx<'_>, scene: &Scene, first: &Child<'_>) -> Result<Vec<Sm
     Ok(views)
 }
 
-/// Returns the gray renders of a member at every view; each is a memo, so that a further round renders only its own members.
+/// Returns the gray renders of a member at every view. Each is a memo, so that a further round renders only its own members.
 fn grays(
     ctx: &Ctx<'_>,
     device: &Device,

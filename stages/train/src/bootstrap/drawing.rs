@@ -15,7 +15,7 @@ use crate::io::put_png;
 
 /// Gray levels of a picture.
 const LEVELS: f64 = 255.0;
-/// Widest interval of gray that can be told from none.
+/// Widest interval of gray that a map can show.
 const MOST_LEVELS: f64 = 127.5;
 
 /// Colour scales of all maps, one for each quantity, so that viewpoints can be compared, and what makes intervals.
@@ -90,15 +90,15 @@ impl Scales {
         }
     }
 
-    /// Returns lengths in metres where the scene knows them, -1 where there is none.
+    /// Returns lengths in metres if the scene knows its scale. -1 marks pixels without a length.
     fn in_metres(&self, lengths: &[f32]) -> Vec<f32> {
         let metres = self.metres_per_unit.unwrap_or(1.0) as f32;
         let convert = |length: &f32| if *length < 0.0 { -1.0 } else { length * metres };
         lengths.iter().map(convert).collect()
     }
 
-    /// Writes every map of a viewpoint as a picture with its scale, and the raw values as arrays; lengths in metres where the scene knows
-    /// them.
+    /// Writes every map of a viewpoint as a picture with its scale, and the raw values as arrays. Lengths are in metres if the scene knows
+    /// its scale.
     pub fn put_view(
         &self,
         ctx: &Ctx<'_>,
@@ -167,7 +167,7 @@ fn rounded(high: f64) -> f64 {
     round_upper_limit(&[high as f32], 1.0)
 }
 
-/// Returns half the width of the 90 % interval of gray, levels of 255; -1 where no photo saw what the pixel shows.
+/// Returns half the width of the 90 % interval of gray, levels of 255, or -1 where no photo saw what the pixel shows.
 fn gray_interval(maps: &Maps, calibration: &Calibration) -> Vec<f32> {
     let spreads = maps.local_spread();
     let halves = spreads.iter().enumerate().map(|(pixel, spread)| {
@@ -177,7 +177,7 @@ fn gray_interval(maps: &Maps, calibration: &Calibration) -> Vec<f32> {
     halves.collect()
 }
 
-/// Returns half the width of the 90 % interval of the depth, world units; -1 where there is no depth or no photo saw it.
+/// Returns half the width of the 90 % interval of the depth, world units, or -1 where there is no depth or no photo saw it.
 fn depth_interval(maps: &Maps, calibration: &Calibration) -> Vec<f32> {
     let local = locally(&maps.depth_std, maps.width);
     let halves = local.iter().enumerate().map(|(pixel, spread)| {

@@ -1,9 +1,8 @@
-//! Intervals that hold: the spread of the members widened until errors on held-out photos lie within it as often as stated.
+//! Intervals that hold: the spread of the members widened until errors on held-out photos are within it as often as stated.
 
 use marf_schema::bootstrap::Calibration;
 
-/// z with P(|Z| <= z) = 0.05, 0.10, .. 0.95 for a standard normal Z; written out because erf differs between
-/// libraries.
+/// z with P(|Z| <= z) = 0.05, 0.10, .. 0.95 for a standard normal Z, as a table because erf differs between libraries.
 const Z: [f64; 19] = [
     0.062706777943214,
     0.125661346855074,
@@ -31,9 +30,9 @@ const ONE_SD: f64 = 0.682_689_492_137_086;
 const INSIDE: f64 = 0.9;
 /// Fewer places than this cannot be left out in turn.
 const LEAST_PLACES: usize = 2;
-/// Below so many the share of one new place may be far from the mean of these; the note says so.
+/// With fewer places, the share of a new one may be far from their mean. The note says so.
 const FEW_PLACES: usize = 8;
-/// Fewer errors tell no share.
+/// Fewest errors from which a share is computed.
 const LEAST_ERRORS: usize = 100;
 /// Most errors of a view that are looked at, evenly spaced: shares of more are the same.
 const MOST_ERRORS: usize = 1 << 14;
@@ -51,7 +50,7 @@ pub(crate) const DEPTH_FLOORS: [f64; 6] = [0.000_5, 0.001, 0.002, 0.004, 0.008, 
 pub(crate) struct Errors {
     /// Number of the place that the photo was taken at.
     pub place: usize,
-    /// Spread of the members and error beside it, in one unit.
+    /// Spread of the members and error of their mean, both in the same unit.
     pub pairs: Vec<(f32, f32)>,
     /// Share of the view's pixels that have no interval, since no photo saw them.
     pub unseen_share: f64,
@@ -83,8 +82,8 @@ pub(crate) fn widened(spread: f32, floor: f64) -> f64 {
     (spread * spread + floor * floor).sqrt()
 }
 
-/// Returns the calibration that the errors at all viewpoints give, checked by leaving out one place at a time: fitted on the others, its
-/// intervals are compared with the errors of that place.
+/// Fits the calibration to the errors at all viewpoints and checks it by leaving out one place at a time. The intervals fitted on the other
+/// places are compared with the errors of that place.
 ///
 /// `None` with fewer than two places or 100 errors.
 pub(crate) fn calibrate(views: &[Errors], floors: &[f64]) -> Option<Calibration> {
@@ -135,7 +134,7 @@ pub(crate) fn calibrate(views: &[Errors], floors: &[f64]) -> Option<Calibration>
     })
 }
 
-/// Returns the floor for which errors are most nearly normal, with the factors for it; none without errors.
+/// Returns the floor for which errors are most nearly normal, with its factors, or `None` without errors.
 fn fit(views: &[&Errors], floors: &[f64]) -> Option<Fit> {
     let fits = floors.iter().filter_map(|floor| {
         let scores = scores(views, *floor);
@@ -164,7 +163,7 @@ impl Check {
     }
 }
 
-/// Returns how a fit holds at views that it has not seen; none without errors.
+/// Checks a fit at views that it has not seen. `None` without errors.
 fn check(views: &[&Errors], fit: &Fit) -> Option<Check> {
     let scores = scores(views, fit.floor);
     (!scores.is_empty()).then(|| Check {
@@ -204,15 +203,16 @@ fn calibration_error(inside: &[f64]) -> f64 {
     gaps.sum::<f64>() / Z.len() as f64
 }
 
-/// Returns which of `count` sorted scores (1 is the least) bounds a share `inside` of new ones: ⌈(count + 1) inside⌉; none if that is
-/// beyond the last (split conformal prediction: the bound holds whatever the distribution is).
+/// Returns which of `count` sorted scores (1 is the least) bounds a share `inside` of new ones: ⌈(count + 1) inside⌉.
+///
+/// `None` if that is beyond the last score (split conformal prediction: the bound holds whatever the distribution is).
 pub(crate) fn conformal_rank(count: usize, inside: f64) -> Option<usize> {
     // 1e-9: a product that is whole must not be lifted by its rounding.
     let rank = ((count + 1) as f64 * inside - 1e-9).ceil().max(1.0) as usize;
     (rank <= count).then_some(rank)
 }
 
-/// Returns the score that bounds a share of new ones; none where there are too few scores.
+/// Returns the score that bounds a share of new ones, or `None` if there are too few scores.
 fn score_within(sorted: &[f64], inside: f64) -> Option<f64> {
     conformal_rank(sorted.len(), inside).map(|rank| sorted[rank - 1])
 }
@@ -223,8 +223,8 @@ pub(crate) fn locally(values: &[f32], width: u32) -> Vec<f32> {
     locally_within(values, width, AROUND)
 }
 
-/// Returns the root of the mean of the squares of the values up to `around` rows and columns from each; negative ones have no value and
-/// stay, and are not averaged.
+/// Returns the root mean square of the values up to `around` rows and columns from each. Negative values mean no value: they stay and are
+/// not averaged.
 pub(crate) fn locally_within(values: &[f32], width: u32, around: usize) -> Vec<f32> {
     let width = width.max(1) as usize;
     let height = values.len() / width;
@@ -302,7 +302,7 @@ mod tests {
 
     #[test]
     fn the_floor_that_makes_errors_normal_is_taken() {
-        // The members agree more and more from view to view; the photos have noise of 4 of 255.
+        // The members agree more and more from view to view. The photos have noise of 4 of 255.
         let views: Vec<Errors> = [0.05_f32, 0.02, 0.004, 0.0]
             .into_iter()
             .enumerate()

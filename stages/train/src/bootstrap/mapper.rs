@@ -1,7 +1,7 @@
 //! Maps of every viewpoint, from the renders of all members.
 //!
-//! Viewpoints are walked through twice, since scales and intervals follow from all of them: the maps of one at a time are in memory,
-//! and those of the first walk are kept among the checkpoints for the second.
+//! Viewpoints are visited twice, since scales and intervals follow from all of them. The maps of one viewpoint at a time are in memory.
+//! Those of the first pass are kept among the checkpoints for the second.
 
 use marf_cache::{Digest, digest_of};
 use marf_field::{Field, Render};
@@ -24,7 +24,7 @@ use crate::{
 /// Renders the fields of all members and maps where they disagree.
 pub(super) struct Mapper<'a> {
     ctx: &'a Ctx<'a>,
-    /// Stands for the node and its fields.
+    /// Identity of the node and its fields.
     identity: Digest,
     pub fields: Vec<Field>,
     /// What photos saw, by the member with the lowest seed: the delivered field, where it is a member.
@@ -35,7 +35,7 @@ pub(super) struct Mapper<'a> {
 }
 
 impl<'a> Mapper<'a> {
-    /// Returns the mapper of so many viewpoints; `identity` stands for the node and its fields.
+    /// Returns the mapper of `count` viewpoints. `identity` identifies the node and its fields.
     pub fn new(
         ctx: &'a Ctx<'a>,
         identity: Digest,

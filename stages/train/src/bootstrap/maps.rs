@@ -7,7 +7,7 @@ use crate::view::floats;
 
 /// Spread of the members at one viewpoint, all `[height * width]`, rows from the top.
 ///
-/// Colours are sRGB in [0, 1]; gray is (R + G + B) / 3 of a member's render.
+/// Colours are sRGB in [0, 1]. Gray is (R + G + B) / 3 of a member's render.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Maps {
     /// Pixels a row.
@@ -26,20 +26,20 @@ pub(crate) struct Maps {
     pub rgb_std: Vec<[f32; 3]>,
     /// (1 - c)², c the share of the pixel that photos have seen ([`Visibility::seen`]): 1 where no photo looked.
     pub unseen: Vec<f32>,
-    /// What all members get wrong alike: the error of gray that one of them has where the photos it was trained on show what the pixel
-    /// shows, root mean square over these photos; 0 where none does.
+    /// Error that all members share: the error of gray of one member in the photos it was trained on that show what the pixel shows. It is
+    /// the root mean square over these photos, and 0 without any.
     pub residual: Vec<f32>,
     /// √(divisor-B variance + `unseen` + `residual`²).
     pub total: Vec<f32>,
-    /// Mean depth along the ray, world units; -1 where the mean opacity is at most 0.5: sky, or nothing.
+    /// Mean depth along the ray, world units, or -1 where the mean opacity is at most 0.5: sky, or nothing.
     pub depth: Vec<f32>,
-    /// Sample standard deviation of the depth, world units; -1 where there is no depth.
+    /// Sample standard deviation of the depth, world units, or -1 where there is no depth.
     pub depth_std: Vec<f32>,
     /// Photos that show what the pixel shows: the surface at its depth, or the sky.
     pub photos: Vec<f32>,
-    /// Distance of the nearest of them to the surface, world units; -1 without any, and in the sky.
+    /// Distance of the nearest of them to the surface, world units, or -1 without any and in the sky.
     pub photo_distance: Vec<f32>,
-    /// Least angle between the surface's normal and the direction to one of them, degrees; -1 where it is unknown.
+    /// Least angle between the surface's normal and the direction to one of them, degrees, or -1 where it is unknown.
     pub incidence_deg: Vec<f32>,
 }
 
@@ -101,15 +101,15 @@ pub(crate) fn moments(values: &mut [f64]) -> Moments {
 /// Depths and opacities of the members, `[height * width]`.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Surfaces {
-    /// The median, world units along the ray; whatever the opacity is. Where members disagree, their mean may lie behind all surfaces.
+    /// The median, world units along the ray, whatever the opacity is. Where members disagree, their mean may be behind all surfaces.
     pub depth: Vec<f64>,
     /// The mean, in [0, 1].
     pub opacity: Vec<f32>,
 }
 
-/// Returns the spread of the members' renders of one viewpoint, which have one size; `visibilities`: what photos saw of each pixel.
+/// Returns the spread of the members' renders of one viewpoint, which have one size. `visibilities` computes what photos saw of each pixel.
 ///
-/// Extremes: one member has spread 0 everywhere, which says nothing; the stage refuses B = 1.
+/// Extremes: one member has spread 0 everywhere, which says nothing. The stage refuses B = 1.
 ///
 /// # Errors
 /// A request to stop.
@@ -210,7 +210,7 @@ impl Maps {
         values.flat_map(|value| value.to_le_bytes()).collect()
     }
 
-    /// Reads what [`Maps::pack`] wrote of a viewpoint of that width and height; none if it is anything else.
+    /// Reads the bytes of [`Maps::pack`] for a viewpoint of that width and height. `None` if they are anything else.
     pub fn unpack(bytes: &[u8], width: u32, height: u32) -> Option<Self> {
         let values = floats(bytes)?;
         let count = width as usize * height as usize;
@@ -379,7 +379,7 @@ pub(crate) mod tests {
         }
     }
 
-    /// Asserts six decimals, as the example is printed; f32 renders leave 1e-7.
+    /// Asserts six decimals, as the example is printed. f32 renders leave 1e-7.
     pub(crate) fn close(found: impl Into<f64>, expected: f64, what: &str) {
         let found = found.into();
         assert!((found - expected).abs() < 6e-7, "{what}: {found}, not {expected}");

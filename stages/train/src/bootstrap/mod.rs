@@ -1,4 +1,4 @@
-//! `bootstrap`: B retrainings to maps of where they disagree; every member is a `train` node.
+//! Bootstrap (`bootstrap`): maps where B retrainings disagree. Every member is a `train` node.
 //!
 //! Members are sorted pixel by pixel before they are summed, so no map depends on their order.
 
@@ -36,8 +36,8 @@ use reduce::reduce;
 
 /// Trains B fields that differ in seed or photos, and maps where they disagree.
 ///
-/// With `training`, a `train` node, members are that training with other seeds or photos: its steps, image scale, box, sizes and
-/// configuration, whatever it found them by. Without it they are trainings of their own, by `quality` and its fellows.
+/// With `training`, a `train` node, members are that training with other seeds or photos. They take its steps, image scale, box, sizes and
+/// configuration, however it found them. Without `training`, members are planned by `quality` and related parameters.
 #[derive(Debug)]
 pub struct Bootstrap {
     params: BootstrapParams,
@@ -109,7 +109,7 @@ fn member(params: &BootstrapParams, index: u32) -> TrainParams {
         seed,
         scale: params.scale,
         resample: (params.mode == Mode::Photos).then_some(seed),
-        // Members differ by their seed or photos alone: none tries parts of its own.
+        // Members differ by their seed or photos alone, so no member tries parts.
         trials: TrialsParams {
             steps: Some(0),
             ..TrialsParams::default()
@@ -155,7 +155,7 @@ mod tests {
         assert_eq!(asked(json!({}))[0].params.get("resample"), None);
     }
 
-    /// The keys of members follow from these: other parameters would train all stores anew.
+    /// The keys of members follow from these. Other parameters would retrain the members of every store.
     #[test]
     fn a_member_has_the_parameters_it_always_had() {
         let field = json!({"background": "black"});

@@ -25,7 +25,7 @@ pub(crate) fn coverage(std: &[f32], error: &[f32], widths: f64) -> f64 {
 /// Returns the mean negative log-likelihood of the errors under normal distributions of standard deviation
 /// `t · max(s, 1/255)`, in nats.
 ///
-/// Uses the platform's logarithm; a caller that stores it rounds it.
+/// Uses the platform's logarithm. A caller that stores the result rounds it.
 pub(crate) fn nll(std: &[f32], error: &[f32], t: f64) -> f64 {
     mean(std.iter().zip(error).map(|(std, error)| {
         let std = t * f64::from(*std).max(MIN_STD);
@@ -52,7 +52,7 @@ mod tests {
         (maps.std, error)
     }
 
-    /// Four decimals, as the example is printed; f32 renders leave some 1e-6.
+    /// Four decimals, as the example is printed. f32 renders leave some 1e-6.
     fn close(found: f64, expected: f64, what: &str) {
         assert!((found - expected).abs() < 6e-5, "{what}: {found}, not {expected}");
     }

@@ -1,6 +1,6 @@
 /// Returns f32 values as a NumPy array file, version 1.0, little endian, C order.
 ///
-/// `shape`: rows, columns and so on; its product is the number of values. `numpy.load` reads it as float32.
+/// `shape`: rows, columns and so on. Its product is the number of values. `numpy.load` reads it as float32.
 pub(crate) fn encode_npy(shape: &[u32], values: impl IntoIterator<Item = f32>) -> Vec<u8> {
     let sizes: Vec<String> = shape.iter().map(u32::to_string).collect();
     // A tuple of one element needs its comma.

@@ -20,9 +20,9 @@ struct BagScores {
     in_bag: Option<f64>,
 }
 
-/// Compares every photo with the mean of the members that did not draw it, and that did; none where members have not drawn photos.
+/// Compares every photo with the mean of the members that did not draw it, and with the mean of those that did.
 ///
-/// `identity` stands for the node and its fields.
+/// `None` if a member has not drawn photos. `identity` identifies the node and its fields.
 pub(super) fn out_of_bag(
     identity: Digest,
     members: &[train::Metrics],
@@ -66,7 +66,7 @@ pub(super) fn out_of_bag(
     Ok(summary(&compared))
 }
 
-/// Returns the means over photos that at least one member did not draw; none without any.
+/// Returns the means over photos that at least one member did not draw, or `None` without such a photo.
 fn summary(compared: &[BagScores]) -> Option<OutOfBag> {
     let out: Vec<f64> = compared.iter().filter_map(|photo| photo.out_of_bag).collect();
     let both: Vec<f64> = compared
@@ -80,7 +80,7 @@ fn summary(compared: &[BagScores]) -> Option<OutOfBag> {
     })
 }
 
-/// Returns the PSNR of the mean render of some members, dB; none without members.
+/// Returns the PSNR of the mean render of some members, dB, or `None` without members.
 fn mean_psnr<'a>(
     named: &NamedFrame<'_>,
     photo: &ScaledPhoto,

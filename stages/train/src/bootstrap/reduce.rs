@@ -14,7 +14,7 @@ use crate::{
     split::{NamedFrame, split},
 };
 
-/// Renders every member at every viewpoint, and writes maps and figures; `identity` stands for the node and its fields.
+/// Renders every member at every viewpoint, and writes maps and figures. `identity` identifies the node and its fields.
 pub(super) fn reduce(
     ctx: &Ctx<'_>,
     identity: Digest,
@@ -26,7 +26,7 @@ pub(super) fn reduce(
     let members = Retrainings::read(ctx, outputs_of_members)?;
     let first = &members.metrics[0];
     let training = split(&scene, first.holdout, first.fold)?.training;
-    // What no member was trained on is no witness.
+    // A photo that no member was trained on is not a witness.
     let used = training.iter().filter(|named| members.has_used(named));
     let used: Vec<NamedFrame<'_>> = used.cloned().collect();
     let photos = PhotoReader::new(ctx, &scene, first.scale);

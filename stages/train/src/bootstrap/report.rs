@@ -53,7 +53,7 @@ fn weighted(values: impl Iterator<Item = f64>, weights: &[f64]) -> f64 {
     sum / weights.iter().sum::<f64>().max(1.0)
 }
 
-/// Returns the figures over all held-out photos; `None` where there are none.
+/// Returns the figures over all held-out photos, or `None` without any.
 fn held_out(views: &[ViewStudy], members: &[Member]) -> Option<HeldOut> {
     let photos: Vec<&PhotoReport> = views
         .iter()

@@ -20,7 +20,7 @@ impl<'a> Retrainings<'a> {
     /// Reads the metrics of the members.
     ///
     /// # Errors
-    /// No member; one whose metrics cannot be read.
+    /// There is no member, or the metrics of one cannot be read.
     pub fn read(ctx: &Ctx<'_>, outputs: &'a [Outputs]) -> Result<Self, StageError> {
         let children = Child::numbered("member", outputs);
         if children.is_empty() {
@@ -76,7 +76,7 @@ impl<'a> Retrainings<'a> {
         Ok(MemberFields(weights.collect::<Result<_, _>>()?))
     }
 
-    /// Returns what the report says of every member.
+    /// Returns the entry of every member in the report.
     pub fn report(&self) -> Vec<Member> {
         let member = |metrics: &train::Metrics| Member {
             seed: metrics.seed,

@@ -27,8 +27,8 @@ pub(crate) fn hundredths() -> Vec<f64> {
 
 /// Returns the areas for pixels removed step by step, the most uncertain first (as `bayesrays/metrics/ause.py` does).
 ///
-/// `uncertainty`, `error`: one value a pixel, errors not negative. `removed`: shares in [0, 1), rising; of N
-/// pixels ⌊(1 - r) N + 0.5⌋ are kept, at least one. Ties keep the order of the pixels.
+/// `uncertainty`, `error`: one value a pixel, errors not negative. `removed`: shares in [0, 1), rising. Of N pixels ⌊(1 - r) N + 0.5⌋ are
+/// kept, at least one. Ties keep the order of the pixels.
 /// Extremes: without an error anywhere the area is 0.
 pub(crate) fn sparsify(uncertainty: &[f32], error: &[f32], removed: &[f64], norm: Norm) -> Sparsification {
     let curve = left(uncertainty, error, removed, norm);
@@ -80,7 +80,7 @@ fn area(curve: &[f64], oracle: &[f64], removed: &[f64]) -> f64 {
     strips.sum()
 }
 
-/// Returns the correlation of two lists, in [-1, 1]; 0 where one of them is constant.
+/// Returns the correlation of two lists, in [-1, 1], or 0 if one of them is constant.
 pub(crate) fn pearson(a: &[f64], b: &[f64]) -> f64 {
     let count = a.len().max(1) as f64;
     let (mean_a, mean_b) = (a.iter().sum::<f64>() / count, b.iter().sum::<f64>() / count);
@@ -97,12 +97,12 @@ pub(crate) fn pearson(a: &[f64], b: &[f64]) -> f64 {
     }
 }
 
-/// Returns the correlation of the ranks of two lists, in [-1, 1]; equal values share their mean rank.
+/// Returns the correlation of the ranks of two lists, in [-1, 1]. Equal values share their mean rank.
 pub(crate) fn spearman(a: &[f32], b: &[f32]) -> f64 {
     pearson(&ranks(a), &ranks(b))
 }
 
-/// Returns the rank of every value, from 0; equal values share their mean rank.
+/// Returns the rank of every value, from 0. Equal values share their mean rank.
 fn ranks(values: &[f32]) -> Vec<f64> {
     let mut order: Vec<usize> = (0..values.len()).collect();
     order.sort_by(|a, b| values[*a].total_cmp(&values[*b]));

@@ -12,7 +12,7 @@ use super::{
 };
 use crate::TrainError;
 
-/// Share of the pixels that a scale reaches; what lies above has the top colour, and the label says so.
+/// Share of the pixels within a colour scale. Values above have the top colour, and the label says so.
 const REACH: f64 = 0.995;
 /// Photos that see a sparse point, at least, for it to be compared with: two may be a wrong match.
 const LEAST_VIEWS: u32 = 3;
@@ -21,7 +21,7 @@ const CELL_PX: u32 = 16;
 /// A sparse point is hidden if it is farther than this many times the nearest one around it.
 const HIDDEN: f64 = 1.1;
 
-/// What is kept of a viewpoint when its maps are dropped.
+/// Figures of a viewpoint that remain when its maps are dropped.
 #[derive(Debug)]
 pub(crate) struct ViewStudy {
     pub report: ViewReport,
@@ -45,7 +45,7 @@ pub(crate) struct HeldOutStudy {
     pub depth: Errors,
 }
 
-/// Values that nearly all of a viewpoint's pixels are below, on the scale of 1, 2, 5, 10, ..; lengths in world units.
+/// Values that nearly all of a viewpoint's pixels are below, on the scale of 1, 2, 5, 10, .. Lengths are in world units.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(crate) struct Tops {
     pub std: f64,
@@ -61,7 +61,7 @@ pub(crate) struct Tops {
 /// A photo that was held out, with the number of the place it was taken at.
 pub(crate) struct Truth<'a> {
     pub photo: &'a Image<Srgb>,
-    /// What its mask hides; empty without a mask.
+    /// Pixels that its mask hides. Empty without a mask.
     pub hidden: &'a [bool],
     pub place: usize,
 }
@@ -208,7 +208,7 @@ fn photo_report(
     })
 }
 
-/// Returns what a photo taken at the place `number` says: `error` of every pixel, and spread and error of depths.
+/// Returns the study of a photo taken at the place `number`: `error` of every pixel, and spread and error of depths.
 fn held_out(
     maps: &Maps,
     number: usize,

@@ -25,7 +25,7 @@ pub(super) struct MapView {
 /// A photo that was held out, as the first member wrote it.
 pub(super) struct HeldOutPhoto {
     pub digest: Digest,
-    /// What its mask hides; empty without a mask.
+    /// Pixels that its mask hides. Empty without a mask.
     hidden: Vec<bool>,
     /// Number of the place it was taken at.
     place: usize,
@@ -44,7 +44,7 @@ impl MapView {
         Ok(Some(decoded?.image))
     }
 
-    /// Returns what the maps are compared with: the photo with its mask.
+    /// Returns the photo with its mask, to compare the maps with.
     pub fn truth<'a>(&'a self, image: Option<&'a Image<Srgb>>) -> Option<Truth<'a>> {
         let photo = self.photo.as_ref()?;
         Some(Truth {
@@ -55,7 +55,7 @@ impl MapView {
     }
 }
 
-/// Returns the viewpoints that maps are made at, kind by kind; `photos`: at the scale of the members.
+/// Returns the viewpoints to map, kind by kind. `photos` reads at the scale of the members.
 ///
 /// # Errors
 /// A kind that has no viewpoint in this scene.

@@ -11,12 +11,12 @@ use crate::{checkpoint::Journal, error::field_failed, photos::PhotoReader, split
 
 /// Longest side at which depths of the photos are rendered, pixels: what hides a point is known to one of these.
 const SIDE_PX: u32 = 160;
-/// Of a pixel less than this share matter, or sky, has no part in what is seen of it.
+/// Least share of a pixel that matter, or sky, must have for its visibility to count.
 const LEAST_SHARE: f32 = 0.02;
-/// Rows and columns on each side of a pixel of a photo whose errors are averaged with its own: where two or three photos show a point,
+/// Rows and columns on each side of a pixel of a photo whose errors are averaged with its own. Where only two or three photos show a point,
 /// single errors say little.
 const AROUND: usize = 1;
-/// Neighbouring pixels farther apart in depth than this share are no one surface.
+/// Neighbouring pixels farther apart in depth than this share are not one surface.
 const ONE_SURFACE: f64 = 0.2;
 
 /// The photos that a field is trained on, with the depths of the field at their views, and how far its colours are from theirs.
@@ -27,7 +27,7 @@ pub(crate) struct Witnesses {
 }
 
 impl Witnesses {
-    /// Renders the photos' views with a field; `of` stands for the node and its field.
+    /// Renders the photos' views with a field. `of` identifies the node and its field.
     pub fn new(
         of: Digest,
         field: &Field,
@@ -38,7 +38,7 @@ impl Witnesses {
         let ctx = photos.ctx;
         let mut journal = Journal::new(ctx, "witnesses", digest_of(&(of, "witnesses")));
         let observers = frames.iter().enumerate().map(|(index, named)| {
-            let note = format!("what {} saw", named.name);
+            let note = format!("depths of photo {}", named.name);
             ctx.progress.at(index as u64, frames.len() as u64, &note);
             let sample = Sample::new(&named.frame.camera.box_reduced(photos.scale));
             let pixels = sample.camera.width as usize * sample.camera.height as usize;
@@ -67,7 +67,7 @@ impl Witnesses {
         })
     }
 
-    /// Returns what the photos saw of each pixel of a view with these depths and opacities.
+    /// Returns the visibility of each pixel of a view with these depths and opacities.
     pub fn visibilities(&self, place: &Viewpoint, surfaces: &Surfaces) -> Vec<Visibility> {
         let coverage = Coverage::from_viewpoint(&self.observers, &place.cam_from_world, self.reach);
         let rays = rays(place);
@@ -97,10 +97,10 @@ const UNSEEN: Visibility = Visibility {
     residual: 0.0,
 };
 
-/// Some of the pixels of a photo, as those of a smaller one: their errors are those of single pixels, where those of a shrunk photo would
-/// be without what is finer than its pixels.
+/// Some of the pixels of a photo, as those of a smaller one. Their errors are those of single pixels. A shrunk photo would lack what is
+/// finer than its pixels.
 struct Sample {
-    /// Every so many columns and rows have a pixel in it.
+    /// Distance of the sampled columns and rows, pixels of the photo.
     every: u32,
     /// Whose pixels see what those of the photo see.
     camera: Camera,
@@ -152,7 +152,7 @@ impl Sample {
     }
 }
 
-/// Returns the unit vector of the world along every pixel of a view; none where the lens has no ray for it.
+/// Returns the unit vector of the world along every pixel of a view. `None` where the lens has no ray for it.
 fn rays(place: &Viewpoint) -> Vec<Option<Vector3<f64>>> {
     let (camera, world_from_cam) = (&place.camera, place.cam_from_world.inverse());
     let at = |place: u32| f64::from(place) + 0.5;
@@ -201,13 +201,14 @@ fn visibility(
     visibility
 }
 
-/// Returns how certain the space before a point is of which photos looked through a share: wholly from a half on, since a camera stands in
-/// space that others hardly see.
+/// Returns how certain the space before a point is if this share of the photos looked through it.
+///
+/// From a half on it is certain, since a camera's own surroundings are hardly seen by others.
 fn known(looked_through: f64) -> f64 {
     (2.0 * looked_through).min(1.0)
 }
 
-/// Returns the normal of the surface at a pixel from its four neighbours, towards the eye; none at an edge.
+/// Returns the normal of the surface at a pixel from its four neighbours, towards the eye. `None` at an edge.
 fn normal(
     rays: &[Option<Vector3<f64>>],
     surfaces: &Surfaces,

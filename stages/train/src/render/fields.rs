@@ -14,9 +14,9 @@ use crate::{TrainError, io::read_field, view::render_view};
 
 /// The fields that a path is rendered with.
 pub(super) struct Fields {
-    /// The delivered field; none where only retrainings are asked for.
+    /// The delivered field. `None` if only retrainings are requested.
     own: Option<Field>,
-    /// The retrainings; none where no uncertainty is asked for.
+    /// The retrainings. Empty if no uncertainty is requested.
     members: Vec<Field>,
     /// What they are: their digests, and what renders them.
     own_id: Digest,
@@ -27,7 +27,7 @@ impl Fields {
     /// Reads the fields that the outputs need.
     ///
     /// # Errors
-    /// No retrainings where their uncertainty is asked for; a field that cannot be read.
+    /// The uncertainty is requested without retrainings, or a field cannot be read.
     pub fn read(ctx: &Ctx<'_>, inputs: &Inputs, params: &RenderParams) -> Result<Self, StageError> {
         let backend = marf_field_gpu::backend_id(&params.device);
         let weights = inputs.required(WEIGHTS)?;
@@ -50,7 +50,7 @@ impl Fields {
         })
     }
 
-    /// Returns what the fields are that a layer shows.
+    /// Returns the identity of the fields that a layer shows.
     pub fn id(&self, layer: Layer) -> Digest {
         match layer {
             Layer::Rgb | Layer::Depth => self.own_id,
@@ -58,7 +58,7 @@ impl Fields {
         }
     }
 
-    /// Renders a viewpoint with the delivered field; `identity` stands for the fields and the viewpoint.
+    /// Renders a viewpoint with the delivered field. `identity` identifies the fields and the viewpoint.
     pub fn own(&self, ctx: &Ctx<'_>, identity: Digest, place: &Viewpoint) -> Result<Rendered, StageError> {
         let missing = || StageError::new("a field that is needed was not rendered");
         let field = self.own.as_ref().ok_or_else(missing)?;

@@ -1,4 +1,4 @@
-//! What is made at every viewpoint: colour, depth, uncertainty, each as values and as a drawing.
+//! Layers of every viewpoint: colour, depth, uncertainty, each as values and as a drawing.
 
 use marf_cache::{Digest, digest_of};
 use marf_field::Render as Rendered;
@@ -30,7 +30,7 @@ const MIN_OPACITY: f32 = 0.5;
 /// A colour scale reaches this share of the values of every picture: a few far ones would leave the others few colours.
 const SCALE_SHARE: f64 = 0.95;
 
-/// What is kept of a rendered viewpoint, layer by layer.
+/// Kept pictures of a rendered viewpoint, layer by layer.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub(super) struct Frame(Vec<LayerPicture>);
@@ -40,7 +40,7 @@ pub(super) struct Frame(Vec<LayerPicture>);
 struct LayerPicture {
     /// The picture (PNG): colours of 8 bits, or values of 16.
     png: Digest,
-    /// The value that [`SCALE_SHARE`] of the pixels do not exceed; 0 of colours.
+    /// The value that [`SCALE_SHARE`] of the pixels do not exceed. 0 for colours.
     top: f32,
 }
 
@@ -52,8 +52,8 @@ pub(super) struct LayerSource<'a> {
 }
 
 impl LayerSource<'_> {
-    /// Returns the layers of a viewpoint, kept as pictures: what is known of the same fields and camera is taken, the rest is rendered.
-    /// `identity` stands for the fields and the viewpoint.
+    /// Returns the layers of a viewpoint, kept as pictures. Kept layers of the same fields and camera are reused, the rest is rendered.
+    /// `identity` identifies the fields and the viewpoint.
     ///
     /// # Errors
     /// A field that cannot be rendered, a picture that cannot be stored.
@@ -67,7 +67,7 @@ impl LayerSource<'_> {
                 let kept = uncertainty(ctx, &self.fields.members(ctx, identity, place)?)?;
                 return keep(ctx, &key(*layer), kept);
             }
-            // One render gives colour and depth; whoever asks for one may ask for the other later.
+            // One render gives colour and depth. A later request for the other one reuses it.
             let render = self.fields.own(ctx, identity, place)?;
             let colour = keep(ctx, &key(Layer::Rgb), colours(ctx, &render)?)?;
             let depth = keep(
@@ -88,7 +88,7 @@ fn keep(ctx: &Ctx<'_>, key: &Digest, kept: LayerPicture) -> Result<LayerPicture,
     Ok(kept)
 }
 
-/// Version of [`LayerPicture`] as this module makes it: raised with what is in its picture.
+/// Version of [`LayerPicture`], raised when the content of its picture changes.
 const KEPT_VERSION: u32 = 1;
 
 /// Returns the key of a layer: all that its picture depends on. The name of the viewpoint is not among it.
@@ -99,7 +99,7 @@ fn memo_key(layer: Layer, fields: &Fields, place: &Viewpoint, metres_per_unit: O
     digest_of(&("render layer", KEPT_VERSION, shown))
 }
 
-/// Returns a layer that is known; none if its picture is not stored any more.
+/// Returns a kept layer, or `None` if its picture is not stored any more.
 fn known(ctx: &Ctx<'_>, key: &Digest) -> Option<LayerPicture> {
     let kept: LayerPicture = serde_json::from_slice(&ctx.memos.load(key)?).ok()?;
     ctx.blobs.contains(&kept.png).then_some(kept)
@@ -153,7 +153,7 @@ fn name(layer: Layer) -> &'static str {
     }
 }
 
-/// Returns the depth along every ray, world units; -1 where the ray met too little.
+/// Returns the depth along every ray, world units, or -1 where the ray met too little.
 fn depth_of(render: &Rendered) -> Vec<f32> {
     let pixels = render.depth.iter().zip(&render.opacity);
     pixels
@@ -161,7 +161,7 @@ fn depth_of(render: &Rendered) -> Vec<f32> {
         .collect()
 }
 
-/// Returns the sample standard deviation of gray over the renders of the retrainings, whatever their order; white = 1.
+/// Returns the sample standard deviation of gray over the renders of the retrainings, whatever their order. White is 1.
 fn spread(members: &[Rendered]) -> Vec<f32> {
     let pixels = members.first().map_or(0, |render| render.rgb.len());
     let mut values = vec![0.0; members.len()];
@@ -174,7 +174,7 @@ fn spread(members: &[Rendered]) -> Vec<f32> {
     (0..pixels).map(spread_at).collect()
 }
 
-/// Returns the size of the pictures of a film, pixels; the least, where texts are wider than pictures.
+/// Returns the size of the pictures of a film, pixels. It is a lower bound where texts are wider than pictures.
 pub(super) fn film_size(camera: &Camera, layers: &[Layer]) -> (u32, u32) {
     if layers == [Layer::Rgb] {
         return (camera.width, camera.height);
@@ -187,7 +187,7 @@ pub(super) fn film_size(camera: &Camera, layers: &[Layer]) -> (u32, u32) {
 /// Draws what was rendered, all pictures of a layer on one colour scale.
 pub(super) struct Drawing<'a> {
     layers: &'a [Layer],
-    /// One a layer; that of colours is not used.
+    /// One a layer. The scale of a colour layer is not used.
     scales: Vec<ColorScale>,
 }
 
@@ -273,7 +273,7 @@ impl FramePictures {
         serde_json::to_vec(self).map_err(|error| StageError::new(error.to_string()))
     }
 
-    /// Reads what [`FramePictures::pack`] wrote; none if a picture is not stored any more.
+    /// Reads the bytes of [`FramePictures::pack`]. `None` if a picture is not stored any more.
     pub fn unpack(ctx: &Ctx<'_>, bytes: &[u8]) -> Option<Self> {
         let drawn: Self = serde_json::from_slice(bytes).ok()?;
         let is_stored = |picture: &Digest| ctx.blobs.contains(picture);
@@ -288,7 +288,7 @@ fn colour(ctx: &Ctx<'_>, kept: &LayerPicture) -> Result<Image<Srgb>, StageError>
     Ok(read.map_err(|error| unreadable(Layer::Rgb, &error))?.image)
 }
 
-/// Draws kept values as colours; where a ray has no depth it is gray.
+/// Draws kept values as colours. A ray without depth is gray.
 fn map(
     ctx: &Ctx<'_>,
     layer: Layer,

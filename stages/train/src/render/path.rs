@@ -12,7 +12,7 @@ use crate::{TrainError, split::named_frames};
 /// Returns the cameras along the path.
 ///
 /// # Errors
-/// A scene that has no such path; a film that no video can hold, before its first picture is rendered.
+/// The scene has no such path, or no video can hold the film. The check comes before the first picture is rendered.
 pub(super) fn viewpoints(scene: &Scene, params: &RenderParams) -> Result<Vec<Viewpoint>, TrainError> {
     let mut path = match params.path {
         PathKind::Flythrough => path::flythrough(scene, params.frames, params.width),

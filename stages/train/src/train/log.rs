@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use super::planner::PlannerState;
 use crate::TrainError;
 
-/// Counts beside the weights; part of a checkpoint, so that a resumed training reports the same.
+/// Counts kept with the weights. Part of a checkpoint, so that a resumed training reports the same.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct TrainingLog {
     pub curve: Curve,
@@ -40,8 +40,8 @@ impl TrainingLog {
         Ok(())
     }
 
-    /// Returns about how long the steps took that an unfinished run had taken, seconds: as long each as those since, which took `own_s`.
-    /// 0 where none is its own.
+    /// Estimates how long the steps of the unfinished run took, seconds: as long each as those since, which took `own_s`. 0 before the
+    /// first own step.
     pub fn before_stop_s(&self, steps: u64, own_s: f64) -> f64 {
         match steps.saturating_sub(self.resumed_at) {
             0 => 0.0,
@@ -91,7 +91,7 @@ pub(crate) fn pack<T: Serialize>(facts: &T, bytes: &[u8]) -> Vec<u8> {
     [length.as_slice(), &facts, bytes].concat()
 }
 
-/// Reads what [`pack`] wrote; none if it is anything else.
+/// Reads the bytes of [`pack`]. `None` if they are anything else.
 pub(crate) fn unpack<T: DeserializeOwned>(state: &[u8]) -> Option<(T, &[u8])> {
     let (length, rest) = state.split_first_chunk::<8>()?;
     let (facts, bytes) = rest.split_at_checked(usize::try_from(u64::from_le_bytes(*length)).ok()?)?;

@@ -25,7 +25,7 @@ stage! {
     Partial { params: PartialParams },
     Set,
     Threads::All,
-    about: "trains a part of the steps of a training, which `train` then goes on from",
+    about: "trains the first steps of a training, from which `train` continues",
     version: 11,
     ports: [
         Port::required("input", SCENE),
@@ -56,7 +56,7 @@ impl Set for Partial {
         planner.until = Some(*until);
         let mut run = run_of(plan, &curve_photos, planner);
         let log = train_to(ctx, &mut run, &mut trainer)?;
-        // Judging is asked whether to stop, too: nothing is trained twice.
+        // Judging can be stopped, too. With the state saved, nothing is trained twice.
         save(ctx, &run, &log, &mut trainer)?;
         let field = trainer.field().map_err(TrainError::from)?;
         let held_out = &plan.photos.split.held_out;

@@ -13,7 +13,7 @@ pub(super) struct Part {
     pub without: fn(&Config) -> Config,
 }
 
-/// Whether colours depend on the direction is none of them: a short trial says that they should not where the whole training gains by it
+/// Whether colours depend on the direction is not tried: a short trial rejects it even where the whole training gains by it
 /// (`benches/time.md`).
 pub(super) const PARTS: [Part; 3] = [
     Part {

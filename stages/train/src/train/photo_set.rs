@@ -20,7 +20,7 @@ pub(super) struct PhotoSet<'a> {
 }
 
 impl<'a> PhotoSet<'a> {
-    /// Splits the photos of a scene; `resample` is the seed with which training photos are drawn.
+    /// Splits the photos of a scene. `resample` is the seed with which training photos are drawn.
     ///
     /// # Errors
     /// No photo to train on, to judge by, or to watch a target by.

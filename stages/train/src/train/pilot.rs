@@ -1,4 +1,4 @@
-//! A training by the clock is measured before it begins: how many steps its time is for, of how many samples, on photos of which size.
+//! Measures a training by the clock before it begins: the number of steps for its time, the samples of a step and the size of the photos.
 
 use std::time::Instant;
 
@@ -19,9 +19,9 @@ use crate::{
     views::{new_trainer, training_views},
 };
 
-/// Part of the photos' pixels that a training should see at least: photos are shrunk further until it does. Mock-up, 80 photos, judged
-/// at 720 x 960 pixels: 700 steps are .3 dB better on photos of 180 x 240 (a fifth seen) than of 360 x 480 (a twentieth), 1,400 steps
-/// .3 dB worse.
+/// Part of the photos' pixels that a training should see at least. Photos are shrunk further until it does. Mock-up, 80 photos, judged at
+/// 720 x 960 pixels: 700 steps are 0.3 dB better on photos of 180 x 240 (a fifth seen) than of 360 x 480 (a twentieth). 1,400 steps are 0.3
+/// dB worse.
 const LEAST_SEEN: f64 = 1.0 / 12.0;
 /// Longest side below which photos are not shrunk for that, pixels.
 const LEAST_SIDE_PX: u32 = 160;
@@ -42,11 +42,11 @@ struct PilotResult {
     expected_s: f64,
 }
 
-/// Trains for a moment to find how many steps the time is for, and plans for so many and for photos of the size that they can
-/// see. The field of the pilot is lost. A training without a time stays as it is planned.
+/// Trains for a moment to find how many steps fit the time, and plans for these steps and for photos of a matching size. The field of the
+/// pilot is lost. A training without a time stays as planned.
 ///
 /// # Errors
-/// Those of a training; a wait that leaves no time for one.
+/// Those of a training, or a wait that leaves no time for one.
 pub(super) fn plan_by_time(
     ctx: &Ctx<'_>,
     params: &TrainParams,
@@ -128,7 +128,7 @@ impl PilotResult {
         let scale = params
             .scale
             .unwrap_or_else(|| plan.settings.scale.max(scale_for_rays(plan, pace.rays * open_s)));
-        // The training reads its photos again; if they keep their size, they were shrunk by now.
+        // The training reads its photos again. If they keep their size, they are already shrunk.
         let read_again_s = if scale == plan.settings.scale {
             let read = Instant::now();
             drop(views()?);
@@ -162,7 +162,7 @@ impl PilotResult {
     }
 }
 
-/// Returns what judging will take, at the pace of a training that has just begun.
+/// Returns the expected cost of judging, at the pace of a training that has just begun.
 fn judging_cost(plan: &Plan<'_>, trainer: &Trainer, pace: &Pace) -> JudgingCost {
     let held_out = plan.photos.split.held_out.len();
     let earlier = plan.start.field.as_ref();
@@ -175,14 +175,14 @@ fn judging_cost(plan: &Plan<'_>, trainer: &Trainer, pace: &Pace) -> JudgingCost 
     }
 }
 
-/// Returns the least factor by which photos must be shrunk for so many rays to see the least part of them.
+/// Returns the least factor by which photos must be shrunk for `rays` to see the least part of them.
 fn scale_for_rays(plan: &Plan<'_>, rays: f64) -> u32 {
     let training = plan.photos.split.training.iter();
     let cameras = training.map(|named| &named.frame.camera);
     scale_for(cameras.map(|camera| [camera.width, camera.height]), rays)
 }
 
-/// Returns the least factor by which photos of these sizes must be shrunk for so many rays to see the least part of their pixels.
+/// Returns the least factor by which photos of these sizes must be shrunk for `rays` to see the least part of their pixels.
 fn scale_for(sizes_px: impl Iterator<Item = [u32; 2]> + Clone, rays: f64) -> u32 {
     let longest = sizes_px.clone().map(|[width, height]| width.max(height)).max();
     let most = (longest.unwrap_or(0) / LEAST_SIDE_PX).max(1);
@@ -198,8 +198,8 @@ fn scale_for(sizes_px: impl Iterator<Item = [u32; 2]> + Clone, rays: f64) -> u32
 mod tests {
     use super::*;
 
-    /// 80 photos of 1440 x 1920 pixels are 221.184 million, a twelfth of them 18.432: a tenth of that as rays asks for a tenth of the
-    /// pixels, so for photos shrunk by 3.2.
+    /// 80 photos of 1440 x 1920 pixels are 221.184 million, a twelfth of them 18.432. A tenth of that as rays needs a tenth of the pixels,
+    /// so photos shrunk by 3.2.
     #[test]
     fn photos_are_shrunk_until_the_rays_see_a_part_of_them() {
         let photos = |side: u32| [[side * 3 / 4, side]; 80].into_iter();

@@ -1,4 +1,4 @@
-//! What is known of a training before its first step.
+//! Plan of a training before its first step.
 
 use std::time::Instant;
 
@@ -27,7 +27,7 @@ use crate::{
 /// Longest side of the photos that judging is measured on, pixels.
 const MEASURED_SIDE_PX: u32 = 96;
 
-/// What is known of a training before its first step.
+/// Plan of a training before its first step.
 pub(super) struct Plan<'a> {
     pub photos: PhotoSet<'a>,
     pub settings: Settings,
@@ -50,7 +50,7 @@ pub(super) struct JudgingPlan {
 }
 
 impl<'a> Plan<'a> {
-    /// Reads all that a training depends on, and decides it but for its time.
+    /// Reads everything that a training depends on, and decides all but its time.
     ///
     /// # Errors
     /// Inputs that cannot be used, a scene without photos to train on or to judge by, too little memory.
@@ -112,7 +112,7 @@ impl<'a> Plan<'a> {
         Some(seen.map(|index| used[index].clone()).collect())
     }
 
-    /// Returns what its trainer begins with.
+    /// Returns the start of its trainer.
     pub fn begin(&self) -> Begin<'_> {
         match (&self.start.field, &self.settings.given) {
             (Some(field), _) => Begin::From(field),
@@ -127,8 +127,8 @@ impl<'a> Plan<'a> {
         rays(&first.box_reduced(self.judging.scale))
     }
 
-    /// Returns the seconds that judging a photo will take: held-out photos are judged now at a small size, and counted at their size
-    /// with the shorter steps of the end.
+    /// Estimates the seconds that judging a photo will take. Held-out photos are judged now at a small size. The time is scaled to their
+    /// full size and to the shorter steps of the end.
     ///
     /// # Errors
     /// A photo that cannot be read, a field that cannot be rendered.

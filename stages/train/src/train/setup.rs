@@ -25,7 +25,7 @@ pub(super) struct Settings {
     pub until: Option<u64>,
     pub scale: u32,
     pub memory: Memory,
-    /// Most training photos that are used; none: all.
+    /// Most training photos that are used. `None` means all.
     pub photos: Option<u64>,
     pub holdout: Holdout,
     pub fold: Option<Fold>,
@@ -48,8 +48,8 @@ pub(super) struct GivenSizes {
 }
 
 impl Settings {
-    /// Returns the setup that the input `training` names, or else what the parameters say; a budget is planned as for a machine of two
-    /// cores, until it is measured.
+    /// Returns the setup of the input `training`, or one from the parameters. Until it is measured, a budget is planned as for a machine of
+    /// two cores.
     pub fn resolve(
         ctx: &Ctx<'_>,
         params: &TrainParams,
@@ -80,7 +80,7 @@ impl Settings {
         })
     }
 
-    /// Plans for so many steps, of so many samples each, before the first one: sizes follow.
+    /// Plans for `steps` of `batch_samples` each, before the first step, since sizes follow from them.
     pub fn plan_steps(&mut self, steps: u64, batch_samples: u32) {
         self.schedule = Schedule::once(steps);
         self.config.steps = Some(self.schedule.first());
@@ -112,7 +112,7 @@ impl Settings {
         self.follows || self.given.is_some()
     }
 
-    /// Takes over a setup; a fold trains its share of the steps, with step size and length of steps along rays to match.
+    /// Takes over a setup. A fold trains its share of the steps, with step size and length of steps along rays to match.
     fn from_setup(setup: Setup, fold: Option<Fold>) -> Self {
         let schedule = match fold {
             Some(fold) => Schedule::once(fold.steps_of(setup.steps)),
@@ -142,7 +142,7 @@ impl Settings {
         }
     }
 
-    /// Returns what says after how many steps the training ends, for the identity of its checkpoints.
+    /// Returns the text that fixes after how many steps the training ends, for the identity of its checkpoints.
     pub fn length(&self) -> String {
         format!("{:?} {:?}", self.schedule, self.until)
     }
@@ -208,7 +208,7 @@ impl Settings {
 /// How long a training was.
 pub(super) struct TrainingLength {
     pub steps: u64,
-    /// None where the end was planned once and came then.
+    /// `None` if the end was planned once and not moved.
     pub schedule: Option<Schedule>,
     /// Steps of each trial.
     pub trial_steps: u64,

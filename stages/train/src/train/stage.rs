@@ -10,15 +10,15 @@ use crate::{io::read_scene, photos::PhotoReader};
 
 /// Trains a field on a scene and measures it on the photos held out.
 ///
-/// With `budget` or `within` it trains by the clock and is no pure function: its first result stands. The key holds the time; the
+/// With `budget` or `within` it trains by the clock and is not a pure function, so its first result is kept. The key holds the time. The
 /// schedule that was run, as setup and metrics print it, repeats the bytes anywhere (`schedule`).
 ///
-/// With `from`, the state that `partial` gave of this very training, it goes on from there, to the same field as without.
+/// With `from`, a state that `partial` saved of this very training, it continues from there and gives the same field as without.
 ///
-/// With `warm_start` it starts from the field of its own last run, where that fits the scene, and says where it does not.
+/// With `warm_start` it starts from the field of its own last run if that fits the scene, and reports why if it does not.
 ///
-/// With `training`, the setup of another training of the scene, it is that training again: only seed and draw of photos are its
-/// own, nothing is derived from the photos drawn and nothing is tried.
+/// With `training`, the setup of another training of the scene, it repeats that training with its own seed and draw of photos. Nothing is
+/// derived from the photos drawn, and nothing is tried.
 #[derive(Debug)]
 pub struct Train {
     params: TrainParams,

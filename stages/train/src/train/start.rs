@@ -15,26 +15,26 @@ use marf_stage::{Ctx, EARLIER, Inputs, StageError};
 use super::{parts::decided_keys, photo_set::PhotoSet, setup::Settings};
 use crate::split::NamedFrame;
 
-/// Fewest photos of the field that are still in the scene, to tell whether its frame is the same.
+/// Fewest photos of the field that must still be in the scene, to check whether its frame is the same.
 const LEAST_COMMON: usize = 2;
-/// Farthest that half of the photos may be from where they were, as a share of the distance to what they show, or turned, radians: at
-/// 360 pixels a photo is 5 pixels off.
+/// Farthest that half of the photos may have moved, as a share of the distance to what they show, or turned, radians. At 360 pixels a photo
+/// is 5 pixels off.
 const MOVED: f64 = 0.01;
 /// Farthest that a scene may reach from the middle of the field's box, in half sides of it.
 const REACH: f64 = 1.25;
 
 /// What a training starts from.
 pub(super) struct Start {
-    /// The field of the last run; none for a training that starts anew.
+    /// The field of the last run. `None` for a cold start.
     pub field: Option<Field>,
-    /// As setup and metrics report it; none without `warm_start`.
+    /// As setup and metrics report it. `None` without `warm_start`.
     pub report: Option<WarmStart>,
-    /// The state that it goes on from; none for step 0.
+    /// The state to continue from. `None` for step 0.
     pub state: Option<Arc<[u8]>>,
 }
 
 impl Start {
-    /// Decides whether the training starts from the field of its node's last run, and lets the settings follow that field then.
+    /// Decides whether the training starts from the field of its node's last run. If so, the settings follow that field.
     ///
     /// # Errors
     /// A field or a state that cannot be read from the store.
@@ -90,7 +90,7 @@ impl Start {
             }
             Err(why) => {
                 ctx.progress.warn(&format!(
-                    "it starts anew, not from the field of the last run: {why}"
+                    "it starts from scratch, not from the field of the last run: {why}"
                 ));
                 Ok(Self::cold(Some(why)))
             }

@@ -27,7 +27,7 @@ impl<'a> Training<'a> {
     /// Decides the parts of the field by trials, and reads the photos.
     ///
     /// # Errors
-    /// A photo that cannot be read; those of a training.
+    /// A photo that cannot be read, or the errors of a training.
     pub fn new(
         ctx: &Ctx<'_>,
         params: &TrainParams,

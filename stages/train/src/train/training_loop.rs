@@ -27,7 +27,7 @@ const CURVE_SIDE_PX: u32 = 64;
 pub(crate) struct Run<'a> {
     /// Decides after how many steps it ends.
     pub planner: Planner<'a>,
-    /// The state that it begins with, as [`packed_state`] returns it; none for step 0.
+    /// The state that it begins with, as [`packed_state`] returns it. `None` for step 0.
     pub from: Option<&'a [u8]>,
     /// Name of the checkpoint.
     pub part: &'a str,
@@ -35,7 +35,7 @@ pub(crate) struct Run<'a> {
     pub identity: Digest,
     /// Begins the notes of its progress.
     pub note: &'a str,
-    /// Photos that the curve is measured on; without any there is no curve.
+    /// Photos that the curve is measured on. Without any there is no curve.
     pub curve_photos: &'a [(NamedFrame<'a>, ScaledPhoto)],
 }
 
@@ -53,10 +53,10 @@ impl<'a> Run<'a> {
     }
 }
 
-/// Trains from the last checkpoint, or the state that the run begins with, until the step after which it stops.
+/// Trains from the last checkpoint, or the state that the run begins with, up to the step after which it stops.
 ///
 /// # Errors
-/// A state of another training, or of a later step; a step that fails.
+/// A state of another training or of a later step, or a step that fails.
 pub(crate) fn train_to(
     ctx: &Ctx<'_>,
     run: &mut Run<'_>,
@@ -103,7 +103,7 @@ pub(crate) fn train_to(
     }
 }
 
-/// Measures what is due after the steps taken last, and returns whether the field has the target.
+/// Measures the points and looks that are due after the last steps, and returns whether the field has the target.
 fn look(
     ctx: &Ctx<'_>,
     run: &Run<'_>,
@@ -128,8 +128,8 @@ fn look(
     Ok(has_target)
 }
 
-/// Reads all held-out photos, so that one that cannot be read stops a training before it begins, and returns up to
-/// three, evenly spaced and thinned, to measure the curve on.
+/// Reads all held-out photos and returns up to three, evenly spaced and thinned, to measure the curve on. A photo that cannot be read stops
+/// a training before it begins.
 pub(crate) fn curve_photos<'a>(
     photos: &PhotoReader<'_>,
     held_out: &[NamedFrame<'a>],
@@ -177,7 +177,7 @@ fn begin(ctx: &Ctx<'_>, run: &Run<'_>, trainer: &mut Trainer) -> Result<Training
     }
 }
 
-/// Saves a checkpoint; the log is settled.
+/// Saves a checkpoint. The log must be settled.
 pub(crate) fn save(
     ctx: &Ctx<'_>,
     run: &Run<'_>,

@@ -43,8 +43,8 @@ pub(super) struct TrialResults {
 
 /// Returns the plan's configuration with the parts that gain more than `least_gain_db`, and the reports of all trials.
 ///
-/// A part whose key is set is left as it is. There are no trials at quality `draft`, with `fit = "fixed"`, where another
-/// training has decided, or where steps or photos are too few.
+/// A part whose key is set is left as it is. There are no trials at quality `draft`, with `fit = "fixed"`, where another training has
+/// decided, or where steps or photos are too few.
 pub(super) fn decide(
     ctx: &Ctx<'_>,
     params: &TrainParams,
@@ -119,7 +119,7 @@ fn run_by_default(params: &TrainParams) -> bool {
     params.quality != Quality::Draft && params.fit == Fit::Scene
 }
 
-/// Returns the steps of one trial where `open` parts are tried beside the configuration as it is; 0 for none.
+/// Returns the steps of one trial where `open` parts are tried in addition to the configuration as it is. 0 means no trials.
 fn steps_each(params: &TrainParams, steps: u64, open: u64) -> u64 {
     let share = steps / (PART * (open + 1));
     match params.trials.steps {
@@ -218,7 +218,7 @@ struct TrialPhotos<'a> {
 }
 
 impl<'a> TrialSetup<'a> {
-    /// Holds back one training photo in eight, by place; `None` where that leaves none to train on, or none to judge.
+    /// Holds back one training photo in eight, by place. `None` if that leaves no photo to train on or to judge.
     fn new(params: &'a TrainParams, plan: &'a Plan<'a>, steps: u64) -> Result<Option<Self>, StageError> {
         let split = hold_out_by_place(plan.photos.split.training.clone(), &plan.photos.scene.points);
         if split.training.is_empty() || split.held_out.is_empty() {

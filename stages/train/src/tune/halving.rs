@@ -1,6 +1,6 @@
-//! Successive halving: all trials begin, the best go on, and the last rung is the training that is wanted.
+//! Successive halving: all trials begin, the best go on, and the last rung is the whole training.
 //!
-//! What a rung has is derived anew from the outputs of the nodes before it, so nothing is remembered between two rounds.
+//! A rung is derived from the outputs of the nodes before it, so nothing is remembered between two rounds.
 
 use std::collections::BTreeMap;
 
@@ -59,7 +59,7 @@ pub(super) fn rungs(horizon: u64, eta: u32) -> Vec<u64> {
     rungs
 }
 
-/// Returns the nodes of the next rung, the last one with the defaults and another seed; none after it.
+/// Returns the nodes of the next rung, or none after the last. The last rung also has the defaults with another seed.
 pub(super) fn next_rung(
     ctx: &Ctx<'_>,
     params: &TuneParams,
@@ -93,7 +93,7 @@ pub(super) fn next_rung(
 /// Returns how all trials came out.
 ///
 /// # Errors
-/// Other nodes than were asked for, an output that cannot be read.
+/// Nodes other than the planned ones, or an output that cannot be read.
 pub(super) fn standing(ctx: &Ctx<'_>, params: &TuneParams, done: &[Outputs]) -> Result<Standing, StageError> {
     let climb = Climb::read(ctx, params, done)?;
     let other_seed = climb.other_seed.ok_or_else(|| miscounted(params, done.len()))?;
@@ -157,7 +157,7 @@ impl Climb {
         Ok(())
     }
 
-    /// Returns the trials of a rung with the best PSNR, so many, and the defaults in any case; of equals the first.
+    /// Returns the `count` trials of a rung with the best PSNR, and the defaults in any case. Of equals the first is taken.
     fn best(&self, rung: &Rung, count: usize) -> Vec<u32> {
         let psnr = |trial: &u32| self.judged.get(trial).map_or(f64::MIN, |judged| judged.psnr);
         let mut best = rung.trials.clone();
@@ -210,7 +210,7 @@ mod tests {
             }
         }
 
-        /// Asks for the next rung and gives each of its nodes the PSNR of its trial; returns their names.
+        /// Requests the next rung, gives each of its nodes the PSNR of its trial and returns the nodes.
         fn climb(&mut self, psnr: &dyn Fn(u32) -> f64) -> Vec<NodeSpec> {
             let ctx = self.harness.ctx();
             let nodes = if self.done.is_empty() {
@@ -316,7 +316,7 @@ mod tests {
     fn only_a_trial_that_is_ahead_is_looked_at_again_and_with_another_seed() {
         for (psnr, again) in [(20.0, vec![]), (20.05, vec![]), (21.0, vec!["scatter-01"])] {
             let mut search = Search::new(json!({"scale": 1, "trials": 2, "seed": 7}));
-            // The second trial leads on its way; its last rung decides.
+            // The second trial leads until the last rung, which decides.
             search.climb(&|trial| 10.0 + f64::from(trial));
             search.climb(&|trial| 10.0 + f64::from(trial));
             let last = search.climb(&|trial| if trial == 1 { psnr } else { 20.0 });

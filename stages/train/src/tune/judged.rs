@@ -10,7 +10,7 @@ pub(super) struct Standing {
     pub judged: Vec<TrialScore>,
     /// The defaults with another seed.
     pub other_seed: TrialScore,
-    /// The best trial with another seed, if it was asked for.
+    /// The best trial with another seed, if it was run.
     pub best_with_other_seed: Option<TrialScore>,
 }
 
@@ -41,7 +41,7 @@ impl Standing {
         })
     }
 
-    /// Returns the best trial of those that went furthest; of equals the first.
+    /// Returns the best trial of those that went furthest. Of equals the first is taken.
     pub fn best(&self) -> u32 {
         self.ranking().first().map_or(0, |best| *best as u32)
     }
@@ -58,10 +58,10 @@ impl Standing {
     }
 }
 
-/// Returns the error of outputs that do not belong to what was asked for.
+/// Returns the error of outputs that do not belong to the planned nodes.
 pub(super) fn miscounted(params: &TuneParams, came: usize) -> StageError {
     StageError::new(format!(
-        "the nodes of {} trials and the scatter were asked for, {came} came",
+        "expected the outputs of {} trials and the scatter, got {came}",
         params.trials
     ))
 }

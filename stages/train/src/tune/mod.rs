@@ -1,7 +1,7 @@
-//! `tune`: search of the field's hyper-parameters by successive halving, or at random; every training is a node.
+//! Search (`tune`) of the field's hyper-parameters by successive halving, or at random. Every training is a node.
 //!
-//! What a trial sets depends on the seed, its number and the key alone, so more trials, or another key, leave the
-//! earlier trials as they were.
+//! The values of a trial depend on the seed, its number and the key alone. More trials, or another key, leave the earlier trials as they
+//! were.
 
 mod halving;
 mod judged;
@@ -27,9 +27,9 @@ use reduce::{is_ahead, reduce};
 use sampling::sample_params;
 use trainings::{scatter, train_of};
 
-/// Trains with drawn parameter sets and keeps the best, unless the defaults are as good as far as the scatter tells.
+/// Trains with drawn parameter sets and keeps the best, or the defaults if the scatter explains the difference.
 ///
-/// Trials are measured on one training photo in eight, by place; those that `calibrate` holds out are never read.
+/// Trials are measured on one training photo in eight, by place. Those that `calibrate` holds out are never read.
 #[derive(Debug)]
 pub struct Tune {
     params: TuneParams,
@@ -121,8 +121,8 @@ fn all_at_once(params: &TuneParams, inputs: &Inputs) -> Result<Vec<NodeSpec>, St
     Ok(nodes)
 }
 
-/// Returns the training of the best trial with another seed, where it is ahead of the defaults and that was not asked for yet:
-/// the best of many is the luckiest, too.
+/// Returns the training of the best trial with another seed, if it beats the defaults and has not run with another seed yet. The best of
+/// many is the luckiest, too.
 fn confirmation(
     params: &TuneParams,
     inputs: &Inputs,
@@ -226,7 +226,7 @@ mod tests {
         assert_eq!(nodes[0].params["field"], nodes[2].params["field"]);
     }
 
-    /// A wrong default can be planted, and every draw lies over it.
+    /// A wrong default can be planted, and every draw is above it.
     #[test]
     fn the_base_lies_under_every_trial_and_the_scatter() {
         let table = json!({"trials": 2, "field": {"learning_rate": 0.2, "average": 0.9}});
@@ -240,7 +240,7 @@ mod tests {
         assert_eq!(halving[1].params["train"]["field"], nodes[1].params["field"]);
     }
 
-    /// The keys of trials follow from these: other parameters would train all stores anew.
+    /// The keys of trials follow from these. Other parameters would retrain the trials of every store.
     #[test]
     fn a_trial_of_a_random_search_has_the_parameters_it_always_had() {
         let device = json!("gpu:a100");

@@ -6,7 +6,7 @@ use crate::random::random_u64;
 
 /// Returns the keys of one trial: a value for every key of the space, drawn by seed, trial and key alone.
 ///
-/// Trial 0 sets none: it is the defaults, with which the others are compared.
+/// Trial 0 sets no parameter: it is the defaults, with which the others are compared.
 pub(crate) fn sample_params(space: &Space, seed: u64, trial: u32) -> Overrides {
     let mut drawn = Overrides::default();
     if trial == 0 {
@@ -23,7 +23,7 @@ pub(crate) fn sample_params(space: &Space, seed: u64, trial: u32) -> Overrides {
     drawn
 }
 
-/// Returns the value at a place in the range; 0 is the low end, the largest u64 the high one.
+/// Returns the value at a place in the range. 0 is the low end, the largest u64 the high one.
 fn value_at(range: &Range, place: u64) -> Value {
     match range {
         Range::Log([low, high]) => Value::from(log_uniform(*low, *high, place)),
@@ -50,7 +50,7 @@ fn log_uniform(low: f64, high: f64, place: u64) -> f64 {
             value *= factor;
         }
     }
-    // Three digits are printed and read back; an end of the range may lie between two such numbers.
+    // Three digits are printed and read back. An end of the range may be between two such numbers.
     let rounded = format!("{value:.2e}").parse().unwrap_or(value);
     rounded.clamp(low, high)
 }

@@ -32,7 +32,7 @@ fn photo(camera: &Camera, cam_from_world: &Pose) -> Image<Srgb> {
     })
 }
 
-/// Places on a ring of radius 3, 2 above the floor, looking at its middle; exact, without sin or cos.
+/// Places on a ring of radius 3, 2 above the floor, looking at its middle. Exact, without sin or cos.
 fn ring(index: u32, count: u32) -> Vector3<f64> {
     let t = (f64::from(index) + 0.5) / f64::from(count) * 4.0;
     let (side, along) = (t as u32, t.fract() * 2.0 - 1.0);
@@ -45,7 +45,7 @@ fn ring(index: u32, count: u32) -> Vector3<f64> {
     Vector3::new(3.0 * x, 3.0 * y, -2.0)
 }
 
-/// Stores photos and scene; every 4th photo from the third is held out.
+/// Stores photos and scene. Every 4th photo from the third is held out.
 pub fn scene(harness: &Harness, count: u32) -> Scene {
     scene_of(harness, count, WIDTH, HEIGHT)
 }

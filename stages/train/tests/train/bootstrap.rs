@@ -18,7 +18,7 @@ const HEIGHT: u32 = 24;
 /// Colour of the wall y = 0 at (x, z), or of the sky in a direction.
 type Seen = fn(hit: Vector3<f64>, ray: Vector3<f64>) -> [u8; 3];
 
-/// Stripes of a wall; the cameras stand at y = -3.
+/// Stripes of a wall. The cameras are at y = -3.
 fn stripes(hit: Vector3<f64>, _ray: Vector3<f64>) -> [u8; 3] {
     if (hit.x * 2.0).floor() as i64 % 2 == 0 {
         [210, 150, 90]
@@ -27,7 +27,7 @@ fn stripes(hit: Vector3<f64>, _ray: Vector3<f64>) -> [u8; 3] {
     }
 }
 
-/// Stripes with a black shadow from x = -0.5 to 0.5; above 0.6, where -z is up, a sky that grows dark upwards.
+/// Stripes with a black shadow from x = -0.5 to 0.5. Above 0.6, where -z is up, there is a sky that grows dark upwards.
 fn shadow_and_sky(hit: Vector3<f64>, ray: Vector3<f64>) -> [u8; 3] {
     if hit.z < -0.6 {
         let up = (-ray.z / ray.norm()).clamp(0.0, 1.0);
@@ -254,8 +254,8 @@ fn median(mut values: Vec<f32>) -> f32 {
     values[values.len() / 2]
 }
 
-/// A wall with a black shadow below a learnt sky, and a view of a part of it that no photo trained on shows: what is black and what
-/// is sky was seen, and the hole was not.
+/// A wall with a black shadow below a learnt sky, and a view of a part of it that no photo trained on shows. Shadow and sky were seen, and
+/// the hole was not.
 #[test]
 fn shadow_and_sky_are_told_apart_from_a_hole() {
     let harness = Harness::default();
@@ -304,7 +304,7 @@ fn shadow_and_sky_are_told_apart_from_a_hole() {
     let aside = report.views.iter().find(|view| view.name == "aside").unwrap();
     assert!(aside.unseen_share > 0.7, "{aside:?}");
 
-    // View 05 looks at the shadow from 0.2 beside its middle; its first rows are sky.
+    // View 05 looks at the shadow from 0.2 off its middle. Its first rows are sky.
     let (middle, rows) = (total("05"), WIDTH as usize);
     let shadow = middle[12 * rows + 14..][..3].to_vec();
     let sky = middle[..2 * rows].to_vec();

@@ -37,7 +37,7 @@ fn a_training_by_the_clock_is_repeated_by_its_schedule() {
         let plain: Train = stage(serde_json::to_value(repeating).unwrap());
         assert_eq!(marf_stage::Stage::varies(&plain), None);
         assert_eq!(made, run(&plain, &harness.ctx(), &scene).unwrap(), "{more}");
-        // The weights tell of the trials, of which a member has none; and a member has the last box from its first step on.
+        // Trials are recorded in the weights, and a member has no trials. A member has the last box from its first step on.
         if more.get("trials").is_some() || more.get("field").is_some() {
             continue;
         }
@@ -76,7 +76,7 @@ fn a_training_by_the_clock_on_a_gpu_is_repeated_with_the_batch_of_its_pace() {
     assert_eq!(made, run(&plain, &harness.ctx(), &scene).unwrap());
 }
 
-/// The end is looked at, too, however short a training is; a wait that is over is told, not trained in.
+/// The end is looked at, too, however short a training is. A wait that is over is an error, and nothing is trained.
 #[test]
 fn a_short_training_may_reach_its_target_and_no_time_is_an_error() {
     let harness = Harness::default();

@@ -83,7 +83,7 @@ fn in_pieces_it_gives_the_field_the_curve_and_the_metrics_of_one_piece() {
 #[test]
 fn a_state_of_another_training_is_refused_and_what_differs_is_named() {
     let tried = Tried::new();
-    // Trials of another training may decide otherwise, which is told before all else.
+    // Trials of another training may decide otherwise, which is reported before all else.
     let table = || {
         let mut table = table();
         table["trials"] = json!({"steps": 0});

@@ -10,7 +10,7 @@ use marf_stage::{Ctx, Define, Inputs, Memos, harness::Harness};
 use marf_train::{Render, Train};
 use serde_json::{Value, json};
 
-/// Trains a field and returns what `render` reads of it.
+/// Trains a field and returns its outputs as inputs of `render`.
 fn downstream(harness: &Harness) -> Inputs {
     after(harness, 32)
 }
@@ -83,7 +83,7 @@ fn layers_stand_side_by_side_in_the_film_and_as_values_of_16_bits() {
     assert!(!outputs.contains_key("frames/0001.png"));
 }
 
-/// Memos that count what is saved.
+/// Memos that count the saved ones.
 struct Counted<'a> {
     memos: &'a dyn Memos,
     saved: AtomicUsize,
@@ -208,7 +208,10 @@ fn photos_whose_up_directions_cancel_out_have_no_orbit() {
         .insert("scene".to_owned(), harness.put(&scene.encode().unwrap()));
     let render: Render = stage(json!({"path": "orbit", "frames": 1, "width": 8}));
     let error = run(&render, &harness.ctx(), &inputs).unwrap_err();
-    assert!(error.to_string().contains("knows no up"), "{error}");
+    assert!(
+        error.to_string().contains("up direction of the scene is unknown"),
+        "{error}"
+    );
 }
 
 #[test]

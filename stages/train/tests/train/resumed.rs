@@ -65,8 +65,7 @@ fn run_for(blobs: &Counted<'_>, checks: u64, work: Work<'_>) -> Result<Outputs, 
     })
 }
 
-/// Stops the work after every `stride` questions and continues it, and returns what came out with how often it was
-/// stopped.
+/// Stops the work after every `stride` checks and continues it. Returns the outputs and the number of stops.
 fn in_pieces(blobs: &Counted<'_>, stride: u64, work: Work<'_>) -> (Outputs, u64) {
     for stops in 0.. {
         match run_for(blobs, stride, work) {
@@ -81,8 +80,8 @@ fn in_pieces(blobs: &Counted<'_>, stride: u64, work: Work<'_>) -> (Outputs, u64)
 /// A node on inputs of its own harness.
 type Node = Box<dyn Fn(&Ctx<'_>) -> Result<Outputs, StageError>>;
 
-/// Asserts that a node has the same outputs when it is stopped once anywhere, after every `step`-th question; returns how
-/// many questions are enough without a stop.
+/// Asserts that a node has the same outputs when it is stopped once anywhere, after every `step`-th check. Returns the number of checks
+/// without a stop.
 ///
 /// `fresh` stores the inputs in a new harness and returns the work on them.
 fn same_when_stopped_once(step: usize, fresh: &dyn Fn(&Harness) -> Node) -> u64 {
@@ -105,8 +104,8 @@ fn same_when_stopped_once(step: usize, fresh: &dyn Fn(&Harness) -> Node) -> u64 
     unreachable!("the loop returns")
 }
 
-/// As [`same_when_stopped_once`], also when it is stopped again and again after `stride` questions. Of these at most
-/// `overhead` may be asked before it goes on where it was, and no picture is stored twice.
+/// As [`same_when_stopped_once`], also when it is stopped again and again after `stride` checks. At most `overhead` of these may pass
+/// before it continues from where it was, and no picture is stored twice.
 fn same_when_stopped(step: usize, stride: u64, overhead: u64, fresh: &dyn Fn(&Harness) -> Node) {
     let questions = same_when_stopped_once(step, fresh);
     let whole = Harness::default();
@@ -139,7 +138,7 @@ fn training(harness: &Harness, more: Value) -> Node {
     Box::new(move |ctx| run(&train, ctx, &inputs))
 }
 
-/// Trials of which a part is open, so that they and the training take part in every piece.
+/// Trials with one open part, so that trials and training take part in every piece.
 fn trials() -> Value {
     let mut field = small();
     field["gain"] = json!("off");
@@ -192,7 +191,7 @@ fn damaged_checkpoints_cost_only_time() {
     }
 }
 
-/// Where it stops is up to the clock; wherever it was stopped, the schedule that came of it gives the same bytes at once.
+/// The clock decides where it stops. The schedule of the whole run gives the same bytes without a stop.
 #[test]
 fn a_budget_is_trained_on_from_where_it_was_stopped() {
     for checks in [1, 4, 40, 150] {

@@ -8,7 +8,7 @@ use marf_stage::{Expand, Outputs, harness::Harness};
 use marf_train::{Partial, Train, Tune};
 use serde_json::{Value, json};
 
-/// Runs a search round by round, as the engine does; returns its outputs, and those of its nodes by name.
+/// Runs a search round by round, as the engine does. Returns its outputs, and those of its nodes by name.
 fn searched(harness: &Harness, scene: Digest, table: Value) -> (Outputs, BTreeMap<String, Outputs>) {
     let (tune, inputs): (Tune, _) = (stage(table), inputs(&[("scene", scene)]));
     let ctx = harness.ctx();

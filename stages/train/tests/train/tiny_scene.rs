@@ -137,7 +137,7 @@ fn parts_are_tried_on_training_photos_and_the_decisions_stand_in_metrics_and_hea
         (told("gain"), told("width")),
         ("not tried: `gain` says so", "not tried: `density_width` says so")
     );
-    // 9 training photos, each a place of its own: one judges.
+    // 9 training photos, each in a separate place. One judges.
     let decision = told("background");
     assert!(
         decision.contains("on 1 validation photos after 12 steps"),

@@ -1,4 +1,4 @@
-//! A training that starts from the field of its node's last run, and the reasons for which it starts anew.
+//! A training that starts from the field of its node's last run, and the reasons for a cold start.
 
 use std::sync::Mutex;
 use std::time::Instant;
@@ -12,7 +12,7 @@ use marf_train::{Bootstrap, Folds, Train};
 use nalgebra::Vector3;
 use serde_json::{Value, json};
 
-/// Photos of the whole ring; every fifth comes later.
+/// Photos of the whole ring. Every fifth comes later.
 const PHOTOS: u32 = 20;
 
 fn table() -> Value {
@@ -29,7 +29,7 @@ fn with(key: &str, value: Value) -> Value {
 struct Grown {
     harness: Harness,
     first: Scene,
-    /// All photos; those of before are as they were.
+    /// All photos. The earlier ones are unchanged.
     scene: Scene,
     earlier: Outputs,
 }
@@ -131,7 +131,7 @@ fn a_scene_that_has_grown_goes_on_from_its_field() {
     assert!(warm > cold + 1.0, "{warm} dB, from nothing {cold} dB");
 }
 
-/// Each has a store of its own: the checkpoints of one would end the next.
+/// Each has a separate store, since the checkpoints of one would end the next.
 #[test]
 fn its_bytes_do_not_depend_on_threads_or_on_a_stop() {
     let train = |grown: &Grown| grown.train(&grown.scene, table(), grown.weights());
@@ -291,7 +291,7 @@ fn what_does_not_fit_starts_anew_and_says_why() {
     }
 }
 
-/// What trials have decided is no key that differs, unless it is set now.
+/// A part that trials decided is not a differing key, unless it is set now.
 #[test]
 fn parts_that_trials_decided_are_taken_over() {
     let grown = Grown::new();

@@ -7,13 +7,13 @@ use crate::export::tracks::{TrackPoint, Tracks};
 
 /// A scene with the numbers that a model of COLMAP has.
 pub(super) struct Model<'a> {
-    /// Different cameras; the first has the number 1.
+    /// Distinct cameras, numbered from 1.
     pub cameras: Vec<Camera>,
     pub images: Vec<ModelImage<'a>>,
     pub points: Vec<ModelPoint<'a>>,
 }
 
-/// An image; the first has the number 1.
+/// An image, numbered from 1.
 pub(super) struct ModelImage<'a> {
     pub frame: &'a Frame,
     pub camera: u32,
@@ -21,7 +21,7 @@ pub(super) struct ModelImage<'a> {
     pub features: Vec<([f64; 2], u64)>,
 }
 
-/// A point; the first has the number 1.
+/// A point, numbered from 1.
 pub(super) struct ModelPoint<'a> {
     pub track: &'a TrackPoint,
     /// Number of the image and index of the feature there.

@@ -11,7 +11,7 @@ use crate::import::lens::Lens;
 /// Longest name of an image.
 const MAX_NAME_BYTES: usize = 4096;
 
-/// What is left of a file.
+/// The unread rest of a file.
 struct Bytes<'a> {
     file: &'a str,
     rest: &'a [u8],
@@ -71,7 +71,7 @@ impl<'a> Bytes<'a> {
         let fail = |problem: &str| ImportError::new(self.file, place, problem);
         let end = self.rest.iter().take(MAX_NAME_BYTES).position(|byte| *byte == 0);
         let end = end.ok_or_else(|| fail("a name without end"))?;
-        let name = std::str::from_utf8(&self.rest[..end]).map_err(|_| fail("a name that is no UTF-8"))?;
+        let name = std::str::from_utf8(&self.rest[..end]).map_err(|_| fail("a name that is not UTF-8"))?;
         let name = name.to_owned();
         self.rest = &self.rest[end + 1..];
         Ok(name)
@@ -124,7 +124,7 @@ pub(super) fn images(file: &str, bytes: &[u8]) -> Result<Vec<Image>, ImportError
         let mut observations = Vec::new();
         for _ in 0..features {
             let (position, point) = (bytes.floats(&place)?, bytes.u64(&place)?);
-            // u64::MAX stands for "no point".
+            // u64::MAX means "no point".
             if point != u64::MAX {
                 observations.push((position, point));
             }

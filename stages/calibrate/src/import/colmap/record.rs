@@ -61,7 +61,7 @@ pub(super) fn lens(name: &str, size: [u64; 2], params: &[f64]) -> Result<Lens, S
         return Err(format!("the lens {name} has the parameter {bad}"));
     }
     if *fx <= 0.0 || *fy <= 0.0 {
-        return Err(format!("{fx} and {fy} are no focal lengths in pixels"));
+        return Err(format!("{fx} and {fy} are not focal lengths in pixels"));
     }
     let side = |side: u64| {
         u32::try_from(side)

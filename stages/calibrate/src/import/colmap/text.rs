@@ -56,7 +56,7 @@ impl<'a> Words<'a> {
 /// Lines without comments, with their numbers.
 fn lines<'a>(file: &'a str, bytes: &'a [u8]) -> Result<impl Iterator<Item = Words<'a>>, ImportError> {
     let bytes = bytes.strip_prefix(BYTE_ORDER_MARK).unwrap_or(bytes);
-    let text = std::str::from_utf8(bytes).map_err(|_| ImportError::new(file, "", "no UTF-8 text"))?;
+    let text = std::str::from_utf8(bytes).map_err(|_| ImportError::new(file, "", "not UTF-8 text"))?;
     let records = text
         .lines()
         .enumerate()

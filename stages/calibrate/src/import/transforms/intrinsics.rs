@@ -83,19 +83,19 @@ fn distortion<'a>(find: &impl Fn(&str) -> Option<JsonNode<'a>>) -> Result<Distor
     Ok(rational.simplest())
 }
 
-/// A whole number of pixels; some files write `1440.0`.
+/// A whole number of pixels. Some files write `1440.0`.
 fn side(node: &JsonNode<'_>) -> Result<u32, ImportError> {
     let number = node.number()?;
     let whole = number >= 1.0 && number <= f64::from(MAX_SIDE_PX) && number.fract() == 0.0;
     let refuse = || {
         node.error(format!(
-            "{number} is no size in whole pixels from 1 to {MAX_SIDE_PX}"
+            "{number} is not a size in whole pixels from 1 to {MAX_SIDE_PX}"
         ))
     };
     whole.then_some(number as u32).ok_or_else(refuse)
 }
 
-/// Returns the focal length of a frame. An angle of its own counts more than a focal length at the top.
+/// Returns the focal length of a frame. The frame's angle takes precedence over a focal length at the top.
 fn focal<'a>(
     frame: &JsonNode<'a>,
     find: &impl Fn(&str) -> Option<JsonNode<'a>>,

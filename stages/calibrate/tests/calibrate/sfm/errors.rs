@@ -17,7 +17,7 @@ pub struct Errors {
     pub scale: f64,
 }
 
-/// Returns the errors of a scene; photos are compared by file name, without the extension.
+/// Returns the errors of a scene. Photos are compared by file name, without the extension.
 pub fn errors_of(scene: &Scene, truth: &[(String, Pose)]) -> Errors {
     let stem = |name: &str| name.rsplit_once('.').map_or(name, |parts| parts.0).to_owned();
     let pairs: Vec<(Pose, Pose)> = scene

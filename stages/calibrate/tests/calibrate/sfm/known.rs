@@ -76,7 +76,7 @@ fn cameras_without_points_get_those_that_the_photos_to_train_on_show() {
     assert!(count * 10 >= before * 6, "{count} of {before}");
     assert!(distances[count / 2] < 0.01, "{}", distances[count / 2]);
     for photo in &output.metrics.photos {
-        // What is held out tells nothing of the field that it judges.
+        // A held-out photo contributes nothing to the field that it judges.
         assert_eq!(photo.error_px.is_none(), photo.held_out, "{photo:?}");
         assert!(photo.error_px.is_none_or(|error| error < 1.0), "{photo:?}");
     }

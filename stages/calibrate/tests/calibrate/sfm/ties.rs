@@ -85,7 +85,7 @@ impl Places {
     }
 }
 
-/// A scene that no label places, in a unit and axes of its own.
+/// A scene that no label places, with an arbitrary unit and axes.
 fn without_labels(scene: &Scene) -> Scene {
     let mut free = scene.clone();
     (free.site, free.metres_per_unit, free.up) = (None, None, None);
@@ -157,7 +157,7 @@ fn a_scene_that_no_label_places_lies_where_the_ground_it_shares_is() {
     }
 }
 
-/// Ground of the same kind elsewhere looks alike; a scene without points shows nothing.
+/// Ground of the same kind elsewhere looks alike. A scene without points shows nothing.
 #[test]
 fn nothing_but_shared_ground_ties_scenes() {
     let places = places();

@@ -66,7 +66,7 @@ fn other_bytes_before_the_end_marker_are_damage() {
     assert!(error.contains("left over"), "{error}");
 }
 
-/// A preview in a segment has an end marker of its own.
+/// A preview in a segment has a separate end marker.
 #[test]
 fn the_end_marker_of_a_preview_is_not_that_of_the_picture() {
     let (whole, preview) = (whole(), [0xff, 0xd8, 0xff, 0xd9]);

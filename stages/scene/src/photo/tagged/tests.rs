@@ -48,7 +48,7 @@ fn premultiplied_alpha_is_not_blended_again() {
     assert_eq!(straight.image.pixels[0], [50, 50, 46]);
 }
 
-/// A fourth sample that is no opacity by its tag hides nothing.
+/// A fourth sample that is not an opacity by its tag hides nothing.
 #[test]
 fn an_extra_sample_that_is_no_opacity_is_left_out() {
     let bytes = tiff::<RGBA8>(&[10, 20, 30, 0], 1, |tags| {
@@ -61,7 +61,7 @@ fn an_extra_sample_that_is_no_opacity_is_left_out() {
     );
 }
 
-/// By hand: 2048 of 4095 is 127.5 of 255, which rounds to 128; 2048 of 65535 is 8.
+/// By hand: 2048 of 4095 is 127.5 of 255, which rounds to 128, and 2048 of 65535 is 8.
 #[test]
 fn twelve_bits_in_sixteen_are_scaled_by_their_tag_and_reported_without_one() {
     let samples = [0_u16, 2048, 4095];
@@ -77,7 +77,7 @@ fn twelve_bits_in_sixteen_are_scaled_by_their_tag_and_reported_without_one() {
         notes.contains("doubtful tones: the largest sample is 4095"),
         "{notes}"
     );
-    // The largest sample that occurs is no range.
+    // The largest sample that occurs is not a range.
     let bytes = tiff::<RGB16>(&[0, 2048, 40_000], 1, |tags| {
         tags.write_tag(Tag::MaxSampleValue, 40_000_u16).unwrap();
     });

@@ -140,7 +140,7 @@ fn a_wrong_header_is_named_by_its_line() {
             ply("element vertex 1\nproperty float x\n", b""),
             "its vertices have no `y`",
         ),
-        (ply("\u{1}\u{2}\n", b""), "is no line of a PLY header"),
+        (ply("\u{1}\u{2}\n", b""), "is not a line of a PLY header"),
     ];
     for (bytes, part) in cases {
         let error = read(&bytes).unwrap_err();
@@ -189,11 +189,11 @@ fn every_cut_and_every_surplus_of_a_body_is_refused() {
         assert!(error.contains(part), "{error}");
     }
     let error = read(&ply(&lines, &[0xff; 20])).unwrap_err();
-    assert!(error.contains("its body is no text"), "{error}");
+    assert!(error.contains("its body is not text"), "{error}");
     let colored = format!("{lines}property uchar red\nproperty uchar green\nproperty uchar blue\n");
     let error = read(&ply(&colored, b"1 2 3 4 5 6\n1 2 3 4 256 6\n")).unwrap_err();
     assert!(
-        error.contains("vertex 1: `256` is no number of its property"),
+        error.contains("vertex 1: `256` is not a number of its property"),
         "{error}"
     );
 }

@@ -6,8 +6,8 @@ use crate::{TrainError, scoring::JudgedPhotos};
 
 /// Samples of a training that take as long as a ray of a render before any halving: 1.2 on lego, 2.5 on the fox, 3.3 on the mock-up.
 const SAMPLES_A_RAY: f64 = 3.0;
-/// By how much longer a render takes where steps along rays are half as long: 1.12 on the fox, 1.26 on lego, 1.3 on the mock-up, means of
-/// three halvings (`benches/time.md`).
+/// Factor by which a render takes longer where steps along rays are half as long: 1.12 on the fox, 1.26 on lego, 1.3 on the mock-up, means
+/// of three halvings (`benches/time.md`).
 const LONGER: f64 = 1.25;
 /// Share of a wait that is kept for judging where all photos would take longer.
 pub(crate) const JUDGED_SHARE: f64 = 0.25;
@@ -27,25 +27,25 @@ pub(crate) struct JudgingCost {
 }
 
 impl JudgingCost {
-    /// Returns the seconds of a photo with so many rays before any halving, where a training takes so many samples a second.
+    /// Returns the seconds of a photo of `rays` rays before any halving, for a training of `samples_per_s`.
     pub fn unhalved_s(rays: f64, samples_per_s: f64) -> f64 {
         rays * SAMPLES_A_RAY / samples_per_s
     }
 
-    /// Returns the seconds of a photo after so many halvings.
+    /// Returns the seconds of a photo after this number of halvings.
     fn photo_s(&self, halvings: u32) -> f64 {
         self.unhalved_s * slower(halvings)
     }
 
-    /// Returns the seconds of all photos, those trained on too, after so many steps.
+    /// Returns the seconds of all photos after `steps`, including those trained on.
     pub fn all_s(&self, steps: u64) -> f64 {
         let reached = self.most_halvings.min((steps / STEPS_A_HALVING) as u32);
         let halvings = self.first_halvings.max(reached);
         self.photo_s(halvings) * (self.held_out + self.seen) as f64
     }
 
-    /// Returns the most steps that fit into the `left_s` seconds that remain of a wait of `wait_s`, at `steps_per_s`, and the seconds of
-    /// the judging after them.
+    /// Returns the most steps that fit into the `left_s` seconds that remain of a wait of `wait_s`, at `steps_per_s`. Also returns the
+    /// seconds of the judging after them.
     ///
     /// # Errors
     /// [`TrainError::NoTime`] if judging alone takes longer.
@@ -62,20 +62,20 @@ impl JudgingCost {
     }
 }
 
-/// Returns how much slower a render is after so many halvings.
+/// Returns how much slower a render is after this number of halvings.
 pub(crate) fn slower(halvings: u32) -> f64 {
     LONGER.powi(halvings as i32)
 }
 
-/// Returns the seconds of a wait that are kept for judging photos, one of which takes `photo_s`: for all, or for as many as its share
+/// Returns the seconds of a wait that are kept for judging photos at `photo_s` each. They are for all photos, or for as many as their share
 /// of the wait allows, but for a few at least.
 pub(super) fn kept_s(photo_s: f64, photos: usize, wait_s: f64) -> f64 {
     let all_s = |photos: usize| photo_s * photos as f64;
     all_s(photos).min((JUDGED_SHARE * wait_s).max(all_s(JudgedPhotos::LEAST)))
 }
 
-/// Returns the most steps that, with the judging after them, fit into a time, and the seconds of that judging: every halving of the
-/// steps along rays, after [`STEPS_A_HALVING`] steps each, lets judging take longer.
+/// Returns the most steps that, with the judging after them, fit into a time, and the seconds of that judging. Every halving of the steps
+/// along rays, after [`STEPS_A_HALVING`] steps each, makes judging slower.
 fn most_steps(
     left_s: f64,
     steps_per_s: f64,
@@ -103,8 +103,9 @@ fn most_steps(
 mod tests {
     use super::*;
 
-    /// 100 steps a second and 60 s, judging 5 s and twice as long with each halving: 3,840 steps have six halvings of 640 steps,
-    /// which judging forbids; after three it takes 40 s and leaves 2,000 steps, after two 20 s, and the third comes at step 1,920.
+    /// 100 steps a second and 60 s, judging 5 s and twice as long with each halving. 3,840 steps have six halvings of 640 steps, which
+    /// judging forbids. After three halvings judging takes 40 s and leaves 2,000 steps. After two it takes 20 s, but the third comes at
+    /// step 1,920.
     #[test]
     fn judging_that_becomes_slower_with_the_steps_leaves_as_many_as_fit() {
         let judging = |halvings: u32| 5.0 * 2_f64.powi(halvings as i32);
@@ -115,7 +116,8 @@ mod tests {
         assert_eq!(most_steps(1.0, 100.0, 6, judging).0, 1, "no time is left");
     }
 
-    /// 24 photos of a second each: a quarter longer with each halving, after 640 steps each and not more than four; a warm start begins with three.
+    /// 24 photos of 1 s each, a quarter longer with each halving, after 640 steps each and four times at most. A warm start begins with
+    /// three.
     #[test]
     fn judging_becomes_slower_with_the_halvings_of_a_field() {
         let judging = |first: u32| JudgingCost {
@@ -140,7 +142,8 @@ mod tests {
         ));
     }
 
-    /// Of 60 s a quarter is for judging: 12 photos of 1 s fit it, of 5 s three would, and four are judged; two are all there are.
+    /// Of 60 s a quarter is for judging. It fits 12 photos of 1 s. It fits three of 5 s, but at least four are judged. Of two photos both
+    /// are judged.
     #[test]
     fn judging_has_its_share_of_a_wait() {
         assert_eq!(kept_s(1.0, 12, 60.0), 12.0);

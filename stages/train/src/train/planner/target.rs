@@ -13,18 +13,18 @@ use crate::{
     split::{NamedFrame, spread},
 };
 
-/// The first look, in steps, and looks for every doubling of the steps: what is trained beyond the target is a sixth at most.
+/// The first look, in steps, and looks for every doubling of the steps. At most a sixth is trained beyond the target.
 const FIRST: f64 = 256.0;
 const A_DOUBLING: f64 = 4.0;
-/// Photos of a look, at most; where these have the target all are looked at.
+/// Photos of a look, at most. If these have the target, all are looked at.
 const PHOTOS: usize = 12;
-/// Longest side in pixels of the photos of a small look, thinned, which costs little; a whole look has all pixels of the training.
+/// Longest side in pixels of the thinned photos of a small look, which costs little. A whole look has all pixels of the training.
 const SIDE_PX: u32 = 64;
 /// A whole look follows where the small one, less the difference of the last two, misses the target by no more than this, dB.
 const NEAR_DB: f64 = 0.1;
 /// Share of the training after which its end is predicted, from the looks of the last two doublings.
 const PREDICTED_FROM: f64 = 0.125;
-/// By how much a forecast must miss the target to be told, dB.
+/// Least miss of the target by a forecast that is reported, dB.
 const CLEAR_DB: f64 = 0.5;
 
 /// A target, and the photos that it is looked on.
@@ -35,12 +35,12 @@ pub(crate) struct PsnrTarget<'a> {
     small: Vec<(NamedFrame<'a>, ScaledPhoto)>,
 }
 
-/// How far a field was from its target at every look; part of a checkpoint.
+/// How far a field was from its target at every look. Part of a checkpoint.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct TargetLooks {
     /// Steps and PSNR of the small looks.
     looks: Vec<(u64, f64)>,
-    /// By how much the last whole look was less than the small one, dB; 0 before there was one.
+    /// By how much the last whole look was less than the small one, dB. 0 before the first whole look.
     whole_less: f64,
     forecast: Option<Forecast>,
     /// Steps after which all photos held back had the target, and their PSNR.
@@ -164,14 +164,14 @@ impl TargetLooks {
         }
     }
 
-    /// Returns what is said beside the progress.
+    /// Returns the note on the target, which precedes the loss in the progress.
     pub fn note(&self, target: f64) -> String {
         match (&self.forecast, self.looks.last()) {
             (Some(forecast), _) => {
                 let psnr = forecast.psnr;
-                format!("target {target} dB out of reach, about {psnr:.1} dB at the end; ")
+                format!("target {target} dB out of reach (about {psnr:.1} dB at the end), ")
             }
-            (None, Some((_, psnr))) => format!("target {target} dB, {psnr:.1} dB at a small look; "),
+            (None, Some((_, psnr))) => format!("target {target} dB ({psnr:.1} dB at a small look), "),
             (None, None) => String::new(),
         }
     }
@@ -185,8 +185,8 @@ fn looks_due(steps: u64) -> u64 {
     (libm::log2(steps as f64 / FIRST) * A_DOUBLING) as u64 + 1
 }
 
-/// Returns the PSNR at the end if it went on to grow with the logarithm of the steps as over the last two doublings, which is
-/// as much as a curve that flattens can reach; none before there are as many.
+/// Returns the PSNR at the end if it grows with the logarithm of the steps as over the last two doublings. A curve that flattens reaches at
+/// most this. `None` before there are two doublings.
 fn predicted_psnr(looks: &[(u64, f64)], end: u64) -> Option<f64> {
     let (steps, psnr) = *looks.last()?;
     let (before, psnr_before) = *looks.iter().rev().find(|(at, _)| at.saturating_mul(4) <= steps)?;

@@ -18,7 +18,7 @@ const CLEAR_AT: u64 = 1_280;
 /// Part of the wait after which judging is measured again.
 const JUDGED_EVERY: f64 = 1.0 / 12.0;
 
-/// The time of a training; part of a checkpoint.
+/// The time of a training. Part of a checkpoint.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(crate) struct TrainingTime {
     /// Seconds that it may take.
@@ -92,7 +92,7 @@ impl TimePlan {
         }
     }
 
-    /// Returns the time with what is used of it now.
+    /// Returns the time with the seconds used until now.
     pub fn time(&self) -> TrainingTime {
         self.time.after(self.began.elapsed().as_secs_f64())
     }
@@ -158,8 +158,8 @@ mod tests {
         TimePlan::new(time, 0)
     }
 
-    /// Of 64 s, looked at every 2 s: 100 steps a second as planned change nothing; half as many move the end by what is left
-    /// at the mean of both rates, and the time that is over ends it with the next step.
+    /// Of 64 s, looked at every 2 s: 100 steps a second as planned change nothing. Half as many move the end by the remaining time at the
+    /// mean of both rates. When the time is over, the next step is the last.
     #[test]
     fn the_end_follows_the_rate_and_the_time_that_is_left() {
         let mut clock = started(64.0);
@@ -173,11 +173,11 @@ mod tests {
         assert_eq!(
             clock.end(201, 6_400, 2.0),
             None,
-            "less than a hundredth of what is left"
+            "less than a hundredth of the remaining time"
         );
     }
 
-    /// Whatever the rate does, a training ends within a tenth of its time; only one that becomes faster at the end ends early.
+    /// Whatever the rate does, a training ends within a tenth of its time. Only one that becomes faster at the end ends early.
     #[test]
     fn a_training_ends_with_its_time_at_any_rate() {
         let rates: [fn(f64) -> f64; 4] = [

@@ -12,8 +12,8 @@ use super::{
 /// Measures the seconds that judging a photo will take when the field is trained.
 type JudgingTime<'a> = dyn Fn(&mut Trainer) -> Result<f64, StageError> + 'a;
 
-/// Decides after how many steps a training ends: those of its schedule, fewer where it is to stop before or has its target, and as
-/// many as its time is for.
+/// Decides after how many steps a training ends: those of its schedule, fewer if it has to stop before or reaches its target, and the
+/// number that fits its time.
 pub(crate) struct Planner<'a> {
     /// The schedule at step 0.
     pub schedule: Schedule,
@@ -29,7 +29,7 @@ pub(crate) struct Planner<'a> {
     clock: Option<TimePlan>,
 }
 
-/// What a planner has measured and planned; part of a checkpoint.
+/// Measurements and plan of a planner. Part of a checkpoint.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct PlannerState {
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -130,7 +130,7 @@ impl<'a> Planner<'a> {
         Ok(has_target)
     }
 
-    /// Returns the target with what was seen of it, for the notes of progress.
+    /// Returns the note on the target and its looks for the progress.
     pub fn note(&self, state: &PlannerState) -> String {
         let target = self.target.as_ref().zip(state.looks.as_ref());
         target.map_or_else(String::new, |(target, looks)| looks.note(target.psnr))
