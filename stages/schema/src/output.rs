@@ -52,7 +52,7 @@ pub const SPLAT_FILES: &str = "splats/";
 pub const SPLATS: &str = "splats/splats.ply";
 /// Pictures splats | field at the views of held-out photos, of `surface`: `splats/views/<name>.png`.
 pub const SPLAT_VIEWS: &str = "splats/views/";
-/// Maps of `surface`: `map/height.png`, and `map/height.pgw` beside it.
+/// Maps of `surface`: `map/height.png`, with `map/height.pgw`.
 pub const SURFACE_MAPS: &str = "map/";
-/// Maps of `changes`: `changes/map.png`, and `changes/map.pgw` beside it.
+/// Maps of `changes`: `changes/map.png`, with `changes/map.pgw`.
 pub const CHANGE_MAPS: &str = "changes/";

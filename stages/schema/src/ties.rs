@@ -53,7 +53,7 @@ impl TiesParams {
 /// Output `ties` of `ties`.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Ties {
-    /// Every scene, sorted by name, and the frame it lies in.
+    /// Every scene with its frame, sorted by name.
     pub scenes: Vec<TiedScene>,
     /// Pairs of scenes that show the same ground, sorted.
     pub ties: Vec<SceneTie>,
@@ -75,7 +75,8 @@ pub struct TiedScene {
     pub frame: String,
     /// What puts it there.
     pub by: By,
-    /// The scenes through which ties lead to that frame, from the first that lies in it by itself; none for that one.
+    /// The scenes that tie it to that frame, from the first, which belongs to the frame by itself. Empty for
+    /// that one.
     pub through: Vec<String>,
     /// The frame from the scene's world.
     pub frame_from_world: Similarity,
@@ -126,13 +127,14 @@ pub struct SceneTie {
     pub points: u32,
     /// Those of them that agree with the tie.
     pub inliers: u32,
-    /// Median distance, over these, of where a photo shows a point from where the point of the other scene falls; pixels of photos of 1,000.
+    /// Median distance, over these, of where a photo shows a point from where the point of the other scene
+    /// falls, in pixels of photos of 1,000.
     pub median_px: f64,
-    /// Median distance of the points of each pair, metres; none where the first scene has no scale.
+    /// Median distance of the points of each pair, metres. `None` if the first scene has no scale.
     pub median_m: Option<f64>,
     /// The first scene's world from that of the second.
     pub first_from_second: Similarity,
-    /// How far labels put them from there; none unless both lie in one site by labels.
+    /// How far labels put them from there. `None` unless both belong to one site by labels.
     pub labels: Option<LabelGap>,
 }
 
