@@ -7,7 +7,7 @@ use super::raster::Raster;
 use super::{Picture, Splat};
 use crate::ply::to_byte;
 
-/// Pictures of splats beside those of the field.
+/// Comparison of pictures of splats with those of the field.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SplatComparison {
     /// PSNR over the pixels where the field shows a surface, before black, dB.
@@ -20,7 +20,7 @@ pub struct SplatComparison {
     pub field: Image<Srgb>,
 }
 
-/// Compares a picture of splats with the field's; none where the field shows no surface at all.
+/// Compares a picture of splats with the field's. `None` if the field shows no surface at all.
 pub fn judge(splats: &[Splat], picture: &Picture<'_>) -> Option<SplatComparison> {
     let drawn = Raster::new(splats, picture.camera, picture.cam_from_world).picture(splats);
     let hidden: Vec<bool> = picture.opacity.iter().map(|opacity| *opacity <= 0.0).collect();

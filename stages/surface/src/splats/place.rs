@@ -11,9 +11,10 @@ use crate::extract::SurfaceLimits;
 use crate::view::SurfaceView;
 use crate::volume::Place;
 
-/// Least side of a cell, in pixels of the view that shows it; sides are powers of two, so that it is less than twice as much.
+/// Least side of a cell, in pixels of the view that shows it. Sides are powers of two, so a side is less than
+/// twice as much.
 const PIXELS: f64 = 1.0;
-/// A cell of which finer ones cover this share is left to them.
+/// A cell is left to finer ones if they cover this share of it.
 const COVERED: f32 = 0.5;
 /// Levels of cells, each twice as wide as the one before.
 const LEVELS: u8 = 24;
@@ -36,11 +37,11 @@ struct Sum {
 /// Shares of cells that splats cover, of one level.
 type Cover = BTreeMap<Place, f32>;
 
-/// Returns a splat for every cell in which pixels of the views show a surface: the mean of these pixels, each by cos² θ / r² as in
-/// [`crate::Volume::fuse`]. A pixel falls into the finest cells that are as wide as itself, or wider; where finer cells cover a surface,
-/// what views from afar say of it is left out.
+/// Returns a splat for every cell in which pixels of the views show a surface: the mean of these pixels, each
+/// by cos² θ / r² as in [`crate::Volume::fuse`]. A pixel falls into the finest cells that are as wide as
+/// itself, or wider. Where finer cells cover a surface, pixels of distant views are left out.
 ///
-/// - `views`: with the opacities of their pixels; `observers`: how far the photo of each saw.
+/// - `views`: with the opacities of their pixels. `observers`: how far the photo of each saw.
 /// - `limits`: no cell is narrower than its cell, no pixel farther than its reach, no splat shown by less than its photos.
 ///
 /// In the order of levels and cells: the same for any number of threads.
