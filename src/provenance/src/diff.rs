@@ -42,7 +42,7 @@ pub enum Presence {
     Second,
 }
 
-/// How two sets of photos differ; ids, sorted.
+/// Difference of two sets of photos, as sorted ids.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct ProductsDiff {
     /// In the second set alone.
@@ -53,8 +53,8 @@ pub struct ProductsDiff {
     pub edited: Vec<String>,
 }
 
-/// Returns the nodes that differ between two runs of a store, in the order of the second run; those that only the first has
-/// come last.
+/// Returns the nodes that differ between two runs of a store, in the order of the second run. Nodes of the
+/// first run alone come last.
 ///
 /// # Errors
 /// A store that cannot be read. What the store has lost of a set or a document is not compared.
@@ -131,7 +131,7 @@ fn of_node(store: &Store, before: Option<&RunNode>, after: Option<&RunNode>) -> 
     Ok(diff)
 }
 
-/// Compares two sets of photos; leaves that both have are not read.
+/// Compares two sets of photos. Leaves that both have are not read.
 fn of_sets(store: &Store, was: &Digest, is: &Digest) -> Result<ProductsDiff, RunError> {
     let (was, is) = (set(store, was)?.leaves, set(store, is)?.leaves);
     let shared: BTreeSet<Digest> = was.iter().map(|leaf| leaf.leaf).collect();

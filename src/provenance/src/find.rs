@@ -1,4 +1,4 @@
-//! Finds a content in a store: as what, and by which nodes of which runs.
+//! Finds a content in a store: its role, and the nodes and runs that have it.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -44,7 +44,7 @@ pub enum Place {
         /// Which of its blobs.
         role: String,
     },
-    /// A file of an archive of which no product was made.
+    /// A file of an archive that no product was made of.
     File {
         /// The source.
         node: String,
@@ -53,7 +53,7 @@ pub enum Place {
         /// Name in the archive.
         file: String,
     },
-    /// Something that a node stored beside its outputs.
+    /// Something that a node stored in addition to its outputs.
     Stored(String),
 }
 
@@ -62,16 +62,16 @@ pub enum Place {
 pub struct Maker {
     /// As what.
     pub place: Place,
-    /// Key of the node's result; none for what belongs to the run as a whole.
+    /// Key of the node's result. `None` for a content of the run as a whole.
     pub key: Option<Digest>,
     /// Numbers of the runs that have it, oldest first.
     pub runs: Vec<u64>,
-    /// Number of the run that made it; none if that run is gone, and the others reused what it made.
+    /// Number of the run that made it. `None` if that run is gone, and the others reused the result.
     pub made_in: Option<u64>,
 }
 
 impl Place {
-    /// Returns the node; none for what belongs to the run as a whole.
+    /// Returns the node. `None` for a content of the run as a whole.
     pub fn node(&self) -> Option<&str> {
         match self {
             Self::Root | Self::Document(_) => None,
@@ -85,7 +85,7 @@ impl Place {
     }
 }
 
-/// Returns everybody who has a content, those first that name it in the run root; `runs` are oldest first.
+/// Returns every maker of a content, those named in the run root first. `runs` are oldest first.
 ///
 /// What only objects of the store name (sols, photos, labels) is looked for where no root names the content.
 ///
@@ -272,7 +272,7 @@ fn in_sets(store: &Store, node: &NodeRun, content: &Digest) -> Result<Vec<Place>
     Ok(places)
 }
 
-/// Tells whether a record lists a blob among what it needs.
+/// Returns true if a record lists a blob among its needs.
 fn has_need(store: &Store, record: &Record, content: &Digest) -> Result<bool, RunError> {
     let Some(list) = record.needs else {
         return Ok(false);

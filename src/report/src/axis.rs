@@ -18,11 +18,11 @@ const LEGEND_ROW: f64 = 18.0;
 pub(super) enum Scale {
     /// Equal differences, equal steps.
     Linear,
-    /// Equal ratios, equal steps; values of 0 and below are left out.
+    /// Equal ratios, equal steps. Values of 0 and below are left out.
     Log,
 }
 
-/// A line: its name, empty where it is the only one, and its points by x; those that are not finite are left out.
+/// A line: its name, empty for the only one, and its points by x. Points that are not finite are left out.
 pub(super) type Line<'a> = (&'a str, Vec<(f64, f64)>);
 
 /// A chart.
@@ -154,7 +154,7 @@ fn share(value: f64, ticks: &[f64], scale: Scale) -> f64 {
     }
 }
 
-/// Multiples of 1, 2 or 5 times a power of ten that enclose all values; five to ten of them.
+/// Five to ten multiples of 1, 2 or 5 times a power of ten that enclose all values.
 pub(super) fn linear_ticks(values: impl Iterator<Item = f64>) -> Vec<f64> {
     let (low, high) = range(values);
     // A flat line gets a margin above and below, else it would coincide with the frame.

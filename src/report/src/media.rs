@@ -22,7 +22,7 @@ pub struct File {
 pub struct LinkedPage {
     /// The page.
     pub html: String,
-    /// What was made for it, by digest: `object/DIGEST`.
+    /// Files made for it, by digest: `object/DIGEST`.
     pub files: HashMap<Digest, File>,
     /// The objects of the store that it shows under the same addresses.
     pub objects: BTreeSet<Digest>,

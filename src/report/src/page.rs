@@ -114,7 +114,7 @@ impl<'a> Page<'a> {
     }
 }
 
-/// Tells whether a node is of the stage that writes this document, and has it.
+/// Returns true if a node is of the stage that writes this document, and has it.
 pub(super) fn has_document<D: Document>(node: &RunNode) -> bool {
     node.run.stage == D::STAGE && node.digest(D::OUTPUT).is_some()
 }

@@ -9,16 +9,16 @@ use serde_json::Value;
 
 use super::trade::Trade;
 
-/// Looks up the bytes of a digest; `None` where the store does not have them.
+/// Looks up the bytes of a digest. `None` if the store does not have them.
 pub type ReadBlob<'a> = dyn Fn(&Digest) -> Option<Arc<[u8]>> + 'a;
 
-/// What a report is written from.
+/// Input of a report.
 pub struct Report<'a> {
     /// The run, with what an earlier one made of nodes that it has no result of.
     pub run: &'a Run<'a>,
-    /// When it started, RFC 3339; only shown.
+    /// When it started, RFC 3339. Only shown.
     pub started: String,
-    /// The scene whose page this is; none: all that the scenes share.
+    /// The scene of this page. `None`: the page of everything that the scenes share.
     pub scene: Option<&'a str>,
     /// The nodes of the page, without those that other nodes asked for. Producers before consumers reads best.
     pub nodes: Vec<&'a RunNode>,
@@ -26,7 +26,7 @@ pub struct Report<'a> {
     pub scenes: Vec<ScenePage<'a>>,
     /// Parameters of the nodes by name, as given.
     pub params: &'a BTreeMap<String, Value>,
-    /// What changed since the last run that had other results; absent if there was none.
+    /// Changes since the last run with other results. Absent if there was none.
     pub changes: Option<Changes>,
     /// The last trade of time against quality that was measured around the pipeline.
     pub trade: Option<Trade>,

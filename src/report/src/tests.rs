@@ -298,7 +298,7 @@ fn a_scene_of_few_photos_is_judged_on_all_and_one_of_many_says_that_it_is_not() 
     (metrics.photos, metrics.judged) = (24, None);
     assert!(shown(&metrics).contains("24 photos: not judged by folds"));
     metrics.photos = 2;
-    assert!(shown(&metrics).contains("All photos stand in one place"));
+    assert!(shown(&metrics).contains("All photos were taken at one place"));
 }
 
 #[test]
