@@ -41,7 +41,7 @@ pub enum ExportError {
         /// The error of the reader.
         cause: ManifestError,
     },
-    /// The bytes under a key are no action.
+    /// The bytes under a key are not an action.
     #[error("the action of `{node}` cannot be read: {cause}")]
     BadAction {
         /// The node.
@@ -82,10 +82,10 @@ impl ExportError {
     pub fn hint(&self) -> Option<&'static str> {
         match self {
             Self::Unfinished { .. } => {
-                Some("`marf run` finishes it; `marf log` lists the runs that are done")
+                Some("finish it with `marf run`, or choose a finished run from `marf log`")
             }
             Self::Object { .. } | Self::BadSet { .. } | Self::BadAction { .. } => {
-                Some("`marf run` makes lost results again; then export the new run")
+                Some("make lost results again with `marf run`, then export the new run")
             }
             Self::UnknownItem { .. } => Some("`marf photos` lists the names of all photos"),
             Self::UnknownNode { .. } => Some("`marf status` lists the nodes"),

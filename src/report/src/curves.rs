@@ -58,7 +58,9 @@ fn folded(page: &Page<'_>, node: &RunNode) -> Markup {
         None if metrics.photos >= u64::from(metrics.below) => html! {
             p.quiet { (metrics.photos) " photos: not judged by folds, which is for scenes of fewer than " (metrics.below) "." }
         },
-        None => html! { p.quiet { "All photos were taken at one place: a fold would hold out all or none." } },
+        None => {
+            html! { p.quiet { "All photos were taken at one place: a fold would hold out all or none." } }
+        }
     }
 }
 

@@ -74,7 +74,7 @@ fn known_figures_have_their_unit() {
         "PSNR 24.00 dB",
         "nearest photo trained on 3 m, 90°",
         "figcaption>standard deviation<",
-        "where, from above; ringed: nearest trained on",
+        "where, from above, ringed: nearest trained on",
         "filled by mean reprojection error",
         "class=\"held-out error0\"",
         "24.57 dB",

@@ -24,7 +24,7 @@ pub struct Site {
     device: Device,
 }
 
-/// Runs that are kept for pages that show them still; another is read anew.
+/// Runs that are kept for pages that still show them. Any other run is read again.
 const MOST_RUNS: usize = 3;
 
 impl Site {
@@ -64,7 +64,7 @@ impl Site {
     /// Returns a field of the run that a page shows, also where another run is shown by now.
     ///
     /// # Errors
-    /// One sentence: no such run; a field that is lost.
+    /// One sentence: no such run, or a lost field.
     pub fn field(&self, run: u64, index: usize) -> Result<(Arc<Content>, SharedField), String> {
         let content = self.content_of(run)?;
         let field = content.field(index, self.source.as_ref(), &self.device)?;

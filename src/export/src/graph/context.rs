@@ -44,7 +44,8 @@ impl<'a> Context<'a> {
         &self.input.run.record
     }
 
-    /// Returns the id of the file that tells the pipeline: as it was written, or the run root of a run that kept no text.
+    /// Returns the id of the file that describes the pipeline: as it was written, or the run root of a run
+    /// that kept no text.
     pub(super) fn pipeline(&self) -> &'a str {
         let written = self.record().documents.get(document::WRITTEN);
         let written = written.and_then(|output| self.ids.get(&output.digest));
