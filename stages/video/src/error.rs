@@ -22,7 +22,7 @@ pub enum VideoError {
     },
     /// A picture beyond the limits of the encoder.
     #[error(
-        "pictures have {width} x {height} pixels; a video has at most {MAX_LONG_PX} x {MAX_SHORT_PX}, in either orientation"
+        "pictures have {width} x {height} pixels: a video has at most {MAX_LONG_PX} x {MAX_SHORT_PX}, in either orientation"
     )]
     TooLarge {
         /// Its width.
@@ -45,13 +45,13 @@ pub enum VideoError {
         first_height: u32,
     },
     /// A rate out of range.
-    #[error("{rate} pictures a second; a video has 1 to 240")]
+    #[error("{rate} pictures a second: a video has 1 to 240")]
     Rate {
         /// Pictures a second.
         rate: u32,
     },
     /// A quantiser out of range.
-    #[error("quantiser {quantizer}; a video has 12 (finest) to 51")]
+    #[error("quantiser {quantizer}: a video has 12 (finest) to 51")]
     Quantizer {
         /// The quantiser.
         quantizer: u32,

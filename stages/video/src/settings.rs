@@ -5,7 +5,8 @@ use crate::error::VideoError;
 
 /// Least and most pictures a second.
 pub const RATES: std::ops::RangeInclusive<u32> = 1..=240;
-/// Quantisers (QP of H.264) of both codecs, finest first; OpenH264 keeps to no finer one than 12. AV1 takes the nearest of its own.
+/// Quantisers (QP of H.264) of both codecs, finest first. OpenH264 keeps to none finer than 12. AV1 takes its
+/// nearest.
 pub const QUANTIZERS: std::ops::RangeInclusive<u32> = 12..=51;
 /// Pictures from one from which decoding can begin to the next: two seconds at 24 a second, so that a player can jump.
 #[cfg(any(feature = "h264", feature = "av1"))]

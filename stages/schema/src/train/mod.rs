@@ -47,7 +47,7 @@ impl Fold {
 
     fn check(&self) -> Result<(), ParamError> {
         if self.count < 2 {
-            let message = format!("{} folds hold out all or nothing; at least 2", self.count);
+            let message = format!("{} folds hold out all or nothing: use at least 2", self.count);
             return Err(ParamError::new("fold.count", message));
         }
         if self.index >= self.count {
@@ -318,7 +318,7 @@ impl TrainParams {
         match other.iter().find(|(_, is_given)| *is_given) {
             Some((key, _)) => Err(ParamError::new(
                 "target_psnr",
-                format!("with `{key}` there is no photo to watch a target by: keep one of the two"),
+                format!("with `{key}` no photo is left to measure the target: keep one of the two"),
             )),
             None => Ok(()),
         }

@@ -174,7 +174,7 @@ pub fn noise(width: u32, height: u32, index: u32) -> Image<Srgb> {
     })
 }
 
-/// Runs a program of ffmpeg on a file; none where it is not installed.
+/// Runs a program of ffmpeg on a file. `None` if it is not installed.
 fn reads(program: &str, file: &[u8], args: &[&str], behind: &[&str]) -> Option<Output> {
     let folder = std::env::temp_dir();
     let thread = std::thread::current();
@@ -192,7 +192,7 @@ fn reads(program: &str, file: &[u8], args: &[&str], behind: &[&str]) -> Option<O
     Some(output)
 }
 
-/// What ffprobe says of a file is what was asked for.
+/// Asserts that ffprobe reports these lines for a file, if it is installed.
 pub fn ffprobe_finds(file: &[u8], lines: &[&str]) {
     let asked = "stream=codec_name,width,height,r_frame_rate,nb_frames,pix_fmt,color_range,color_space";
     let args = [
@@ -216,7 +216,7 @@ pub fn ffprobe_finds(file: &[u8], lines: &[&str]) {
     }
 }
 
-/// Returns the pictures of a file as ffmpeg decodes them; none without ffmpeg.
+/// Returns the pictures of a file as ffmpeg decodes them. `None` without ffmpeg.
 pub fn ffmpeg_decodes(file: &[u8], width: u32, height: u32) -> Option<Vec<Image<Srgb>>> {
     let raw = [
         "-pix_fmt",
