@@ -1,4 +1,4 @@
-//! Which objects of the store go into a crate, and under which paths.
+//! Selects the objects of the store for a crate, and their paths.
 
 mod entries;
 mod file;

@@ -30,11 +30,11 @@ pub enum Data {
     Named,
 }
 
-/// What a crate is to hold.
+/// Contents and options of a crate.
 pub struct CrateOptions<'a> {
-    /// Whether data go along.
+    /// Whether data are included.
     pub data: Data,
-    /// Of which photos.
+    /// Photos whose bytes are included.
     pub photos: Photos,
     /// Returns the file name of an output elsewhere. `None` for sets, which are many files.
     pub file_name: fn(&str) -> Option<&str>,
@@ -44,7 +44,7 @@ pub struct CrateOptions<'a> {
     pub key: Option<&'a SigningKey>,
 }
 
-/// What was written.
+/// Summary of a written crate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Written {
     /// Files of the payload.

@@ -1,4 +1,4 @@
-//! Why a run cannot be handed out.
+//! Errors of exports.
 
 use std::path::PathBuf;
 
@@ -20,7 +20,7 @@ pub enum ExportError {
     Unfinished {
         /// Name of the run.
         id: String,
-        /// How it ended.
+        /// Outcome of the run.
         outcome: String,
     },
     /// An object that the store does not give.
@@ -28,7 +28,7 @@ pub enum ExportError {
     Object {
         /// The object.
         digest: Digest,
-        /// What it is, for people.
+        /// Description, for people.
         what: String,
         /// The error of the store.
         cause: String,
@@ -36,7 +36,7 @@ pub enum ExportError {
     /// A set that is none.
     #[error("{what} cannot be read: {cause}")]
     BadSet {
-        /// What it is, for people.
+        /// Description, for people.
         what: String,
         /// The error of the reader.
         cause: ManifestError,
@@ -52,13 +52,13 @@ pub enum ExportError {
     /// A photo that the run did not look at.
     #[error("the run has no photo `{id}`")]
     UnknownItem {
-        /// The name that was asked for.
+        /// The requested name.
         id: String,
     },
     /// A node that the run does not have.
     #[error("the run has no node `{node}`")]
     UnknownNode {
-        /// The name that was asked for.
+        /// The requested name.
         node: String,
     },
     /// Something is where the crate shall go.

@@ -1,4 +1,4 @@
-//! What ran on what, as JSON-LD: RO-Crate 1.1 and the Provenance Run Crate profile 0.5.
+//! The run as a graph in JSON-LD: RO-Crate 1.1 and the Provenance Run Crate profile 0.5.
 //!
 //! ```text
 //! ./ ─ mainEntity ─ the pipeline ─ step ─ #step/NODE ─ workExample ─ #tool/STAGE/VERSION

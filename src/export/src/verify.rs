@@ -27,7 +27,7 @@ pub use open::{OpenCrate, OpenError};
 pub use signature::Signature;
 pub use trace::{Product, Role, Step, Trace};
 
-/// What a check found.
+/// Result of a check.
 #[derive(Debug, Serialize)]
 pub struct Report {
     /// Name of the run.
@@ -44,7 +44,7 @@ pub struct Report {
     pub actions: u64,
     /// Photos that were followed to the files of the archive.
     pub photos: u64,
-    /// Whether it is signed by the key that was given.
+    /// State of the signature under the given key.
     pub signature: Signature,
     /// All faults, one sentence each. Empty for a sound crate.
     pub faults: Vec<String>,

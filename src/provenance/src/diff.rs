@@ -1,4 +1,4 @@
-//! What changed between two runs, node by node.
+//! Changes between two runs, node by node.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -13,14 +13,14 @@ use serde::Serialize;
 
 use crate::difference::values;
 
-/// What changed of a node.
+/// Changes of a node.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct NodeDiff {
     /// Its name.
     pub node: String,
     /// Whether both runs have it.
     pub presence: Presence,
-    /// What of its action differs: parameters, versions, inputs, backend.
+    /// Differences of its action: parameters, versions, inputs, backend.
     pub changes: Vec<Change>,
     /// Products that its set of photos has and had not, had and has not, and has with other bytes or facts.
     pub products: ProductsDiff,

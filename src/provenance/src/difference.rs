@@ -1,10 +1,10 @@
-//! Where and by how much two contents differ.
+//! Place and size of the difference of two contents.
 
 use marf_engine::{Change, changes};
 use serde::Serialize;
 use serde_json::Value;
 
-/// How two contents differ.
+/// Difference of two contents.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Difference {
     /// Lengths, bytes.

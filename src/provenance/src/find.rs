@@ -12,7 +12,7 @@ use marf_model::{
 use marf_stage::{PHOTOS, VERDICTS};
 use serde::Serialize;
 
-/// As what a run knows a content.
+/// Role of a content in a run.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Place {
@@ -41,7 +41,7 @@ pub enum Place {
         sol: u32,
         /// The product.
         id: String,
-        /// Which of its blobs.
+        /// Role of the blob.
         role: String,
     },
     /// A file of an archive that no product was made of.
@@ -60,7 +60,7 @@ pub enum Place {
 /// A node, or a run as a whole, that has a content.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Maker {
-    /// As what.
+    /// Role of the content.
     pub place: Place,
     /// Key of the node's result. `None` for a content of the run as a whole.
     pub key: Option<Digest>,
@@ -87,7 +87,8 @@ impl Place {
 
 /// Returns every maker of a content, those named in the run root first. `runs` are oldest first.
 ///
-/// What only objects of the store name (sols, photos, labels) is looked for where no root names the content.
+/// Contents that only objects of the store name (sols, photos, labels) are searched if no root names the
+/// content.
 ///
 /// # Errors
 /// A store that cannot be read. What the store has lost is passed over.
@@ -155,7 +156,7 @@ fn named_by(run: &RunRecord, content: &Digest, makers: &mut Makers) {
     }
 }
 
-/// What was searched already: most results are those of many runs.
+/// Results searched already: most are in many runs.
 #[derive(Default)]
 struct Seen {
     /// Places of the content by the key of the node's result.

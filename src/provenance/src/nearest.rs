@@ -1,4 +1,4 @@
-//! Which of some objects a file resembles most.
+//! Finds the object that a file resembles most.
 
 use std::collections::HashMap;
 

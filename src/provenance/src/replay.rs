@@ -1,4 +1,4 @@
-//! What a run needs to be made again, and how what came compares with it.
+//! Needs of a replay, and the comparison of its results with the run.
 
 use std::collections::BTreeMap;
 
@@ -121,7 +121,7 @@ pub fn copy_record(key: &Digest, from: &Store, to: &Store) -> Result<Record, Run
     Ok(record)
 }
 
-/// How a node came out of a replay.
+/// Result of the replay of a node.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Replayed {
     /// Its name.

@@ -11,7 +11,7 @@
 
 use marf_cache::Digest;
 
-/// What an exported copy says of itself.
+/// Mark in an exported copy.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Stamp {
     /// The object of the store that it is a copy of.
@@ -20,7 +20,7 @@ pub struct Stamp {
     pub run: Digest,
 }
 
-/// Where a mark stands and what it is wrapped in. Its length follows from the format alone.
+/// Place and wrapping of a mark. Its length follows from the format alone.
 struct Form {
     at: usize,
     before: Vec<u8>,
@@ -60,7 +60,7 @@ impl Stamp {
 
     /// Splits a copy into the bytes of the object and the mark. `None` without a whole mark.
     ///
-    /// Whether these bytes have the digest that the mark names is for the caller to check.
+    /// The caller must check that these bytes have the digest in the mark.
     pub fn take_from(copy: &[u8]) -> Option<(Vec<u8>, Self)> {
         let (object, text) = cut(copy)?;
         let stamp = Self::parse(text)?;

@@ -1,4 +1,4 @@
-//! What a product went into: the nodes of each run that read it, or read something that was made from it.
+//! Everything derived from a product: the nodes of each run that read it, or read a result made from it.
 
 use std::collections::{BTreeMap, BTreeSet};
 

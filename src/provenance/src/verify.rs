@@ -6,7 +6,7 @@ use marf_cache::{Digest, FsckOptions, FsckReport, MissingObject, Role, Sha256, S
 use marf_model::{Run, RunError, RunNode, product::origins, unless_lost};
 use serde::Serialize;
 
-/// What a verification found.
+/// Result of a verification.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct Verified {
     /// Objects of the lineage that are in the store: records and blobs.
@@ -28,7 +28,7 @@ pub struct Fault {
     pub object: Option<Digest>,
     /// Whose it is, or the file of the store.
     pub of: String,
-    /// What is wrong.
+    /// The fault.
     pub what: String,
 }
 
@@ -37,7 +37,7 @@ pub struct Fault {
 pub struct Lost {
     /// The blob, or the key of the record.
     pub digest: Digest,
-    /// As what it is named (`output`, `record`).
+    /// Role under which it is named (`output`, `record`).
     pub role: &'static str,
     /// The node whose it is, as far as that is known, else the key or set that names it.
     pub of: String,

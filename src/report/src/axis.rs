@@ -13,7 +13,7 @@ const BOTTOM: f64 = 42.0;
 /// Height of a row of the legend.
 const LEGEND_ROW: f64 = 18.0;
 
-/// How values become heights.
+/// Scale of an axis.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Scale {
     /// Equal differences, equal steps.
@@ -27,7 +27,7 @@ pub(super) type Line<'a> = (&'a str, Vec<(f64, f64)>);
 
 /// A chart.
 pub(super) struct Chart<'a> {
-    /// What it shows, for screen readers.
+    /// Description, for screen readers.
     pub(super) title: &'a str,
     /// Quantity and unit along x.
     pub(super) x_label: &'a str,
@@ -68,7 +68,7 @@ impl Chart<'_> {
         };
         let x_of = |x: f64| LEFT + share(x, &x_ticks, Scale::Linear) * (WIDTH - LEFT - RIGHT);
         let y_of = |y: f64| HEIGHT - BOTTOM - share(y, &y_ticks, self.scale) * (HEIGHT - TOP - BOTTOM);
-        // The legend stands above the plot.
+        // The legend is above the plot.
         let named = lines.iter().filter(|(_, (name, _))| !name.is_empty()).count();
         let legend_height = LEGEND_ROW * named as f64;
         let (above, height) = (px(-legend_height), px(HEIGHT + legend_height));

@@ -129,7 +129,7 @@ fn error_class(rank: usize) -> String {
     format!("error{rank}")
 }
 
-/// Where single cameras of a scene stand, seen from above.
+/// Plan of single cameras of a scene, seen from above.
 pub(super) struct Plan {
     scene: Scene,
 }
@@ -187,13 +187,13 @@ struct Axes {
     right: Vec3,
     ahead: Vec3,
     up: Vec3,
-    /// What `ahead` is called in the drawing.
+    /// Name of `ahead` in the drawing.
     ahead_name: &'static str,
     right_name: &'static str,
     words: &'static str,
 }
 
-/// What a drawing shows: two directions of the world, to the right and to the top of the page.
+/// View of a drawing: two directions of the world, to the right and to the top of the page.
 struct View {
     right: Vec3,
     top: Vec3,

@@ -20,7 +20,7 @@ const FILM_BYTES: usize = 6_000_000;
 /// A map that takes more than this as PNG becomes a JPEG.
 const MAP_BYTES: usize = 120_000;
 
-/// How a picture is embedded.
+/// Form of an embedded picture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Form {
     /// JPEG of at most 160 px a side.

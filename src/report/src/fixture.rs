@@ -169,7 +169,7 @@ pub(super) fn node(name: &str, upstream: &[&str]) -> RunNode {
     }
 }
 
-/// A node that another one asked for.
+/// A child node of another one.
 pub(super) fn child(parent: &RunNode, name: &str, state: NodeState, worked_s: Option<f64>) -> RunNode {
     let mut child = node(name, &[]);
     child.run.parent = Some(parent.run.name.clone());

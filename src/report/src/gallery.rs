@@ -16,7 +16,7 @@ use super::verdicts::Summary;
 pub(super) fn rejected(page: &Page<'_>) -> Markup {
     let galleries: Vec<Markup> = page
         .judged()
-        // What a source rejects has become no photo.
+        // A product that a source rejects has not become a photo.
         .filter(|(node, _)| !node.run.edges.is_empty())
         .filter_map(|(node, sum)| rejected_by(page, node, sum))
         .collect();

@@ -1,4 +1,4 @@
-//! What stands still in the pictures of a camera: proposed masks, and how to take one.
+//! Static parts of the pictures of a camera: proposed masks, and how to use one.
 
 use marf_model::RunNode;
 use marf_schema::masks::{CameraReport, Metrics};

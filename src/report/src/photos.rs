@@ -26,7 +26,7 @@ pub(super) struct PhotoEntry {
     pub(super) image: Option<Digest>,
 }
 
-/// Where a photo is looked for: its sol, and its id.
+/// Address of a photo: its sol, and its id.
 pub(super) type Spot = (u32, String);
 
 /// Photos by id, and what of the sets could not be read.
@@ -139,7 +139,7 @@ pub(super) fn last_photo_nodes<'a>(report: &'a Report<'_>) -> Vec<&'a str> {
     names.filter(|name| !consumed.contains(name)).collect()
 }
 
-/// What stayed at the end of the filters.
+/// Photos that pass all filters.
 pub(super) struct Kept {
     /// Number of photos.
     pub(super) count: usize,

@@ -20,7 +20,7 @@ pub struct Report<'a> {
     pub started: String,
     /// The scene of this page. `None`: the page of everything that the scenes share.
     pub scene: Option<&'a str>,
-    /// The nodes of the page, without those that other nodes asked for. Producers before consumers reads best.
+    /// The nodes of the page, without the children of other nodes. Producers before consumers reads best.
     pub nodes: Vec<&'a RunNode>,
     /// The scenes that the photos are split into, each with its nodes, which are not among `nodes`.
     pub scenes: Vec<ScenePage<'a>>,
@@ -32,7 +32,7 @@ pub struct Report<'a> {
     pub trade: Option<Trade>,
     /// The store.
     pub read: &'a ReadBlob<'a>,
-    /// Where pictures as they are shown are kept from report to report.
+    /// Memory of scaled pictures, kept from report to report.
     pub memos: &'a dyn marf_stage::Memos,
 }
 
@@ -85,7 +85,7 @@ pub struct ScenePage<'a> {
     pub nodes: Vec<&'a RunNode>,
 }
 
-/// What changed since an earlier run.
+/// Changes since an earlier run.
 #[derive(Debug, Clone)]
 pub struct Changes {
     /// Number of that run.

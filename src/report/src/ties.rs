@@ -1,4 +1,4 @@
-//! How the scenes of a mission lie to each other.
+//! Relative positions of the scenes of a mission.
 
 use marf_schema::ties::{SceneTie, TiedScene, Ties};
 use maud::{Markup, html};

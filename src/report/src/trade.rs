@@ -1,4 +1,4 @@
-//! What time buys: the points of a trade, the best for each time, and what each knob is worth.
+//! Quality against time: the points of a trade, the best for each time, and the effect of each knob.
 
 use marf_cache::Digest;
 use maud::{Markup, PreEscaped, html};
@@ -18,7 +18,7 @@ pub struct Trade {
     pub program: String,
     /// Points. The first is the pipeline as it is.
     pub points: Vec<Point>,
-    /// What one value of one knob changes, in the order of its points.
+    /// Effect of one value of one knob, in the order of its points.
     pub effects: Vec<Effect>,
     /// Indices of the points that no other beats in time and quality at once, the fastest first.
     pub front: Vec<usize>,
@@ -88,7 +88,7 @@ pub struct Interval {
     pub half: Option<f64>,
 }
 
-/// What a point with one knob turned changes, compared seed by seed with the pipeline as it is.
+/// Effect of a point with one knob turned, compared seed by seed with the pipeline as it is.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Effect {
     /// Its point.

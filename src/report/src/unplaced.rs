@@ -10,7 +10,7 @@ use super::format::count;
 /// Rows of a table. The others are counted by advice.
 const MOST_ROWS: usize = 200;
 
-/// How reasons begin, and what to do about them.
+/// Beginnings of reasons, with the advice for each.
 const ADVICE: [(&str, &str); 10] = [
     (
         "too few features",

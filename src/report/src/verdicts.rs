@@ -41,7 +41,7 @@ pub(super) struct Summary {
     pub(super) rejected: BTreeMap<String, u64>,
     /// The first rejections.
     pub(super) first_rejected: Vec<Judged>,
-    /// What a person has decided against the filter.
+    /// Decisions of a person against the filter.
     pub(super) by_hand: Vec<Judged>,
     /// Verdicts that rest on a score and a threshold.
     pub(super) calls: usize,

@@ -1,4 +1,4 @@
-//! A run as it is served: the live page, its files, and its fields, each read when it is first asked for.
+//! The content of a run: the live page, its files, and its fields. Each is read at the first request.
 
 use std::collections::{BTreeSet, HashMap};
 use std::sync::Arc;
@@ -27,7 +27,7 @@ pub struct Content {
     pub number: Option<u64>,
     /// The page.
     pub page: LinkedPage,
-    /// Pages of scenes that were asked for, by file name.
+    /// Pages of scenes that were requested, by file name.
     opened: Mutex<HashMap<String, Arc<LinkedPage>>>,
     objects: BTreeSet<Digest>,
     fields: Vec<(FieldSource, Mutex<Option<Arc<Field>>>)>,

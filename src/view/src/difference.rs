@@ -1,4 +1,4 @@
-//! How far the render of a photo's pose is from the photo.
+//! Difference between a photo and the render of its pose.
 
 use marf_scene::{Frame, Image, Photo, Srgb};
 

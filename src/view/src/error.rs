@@ -35,7 +35,7 @@ pub enum ViewError {
 }
 
 impl ViewError {
-    /// Returns what the user can do about it, if we know it.
+    /// Returns a hint for the user, if there is one.
     pub fn hint(&self) -> Option<&'static str> {
         match self {
             Self::Listen { cause, .. } if cause.kind() == io::ErrorKind::AddrInUse => {

@@ -1,4 +1,4 @@
-//! What running programs do, read from the files in which they leave their events.
+//! Events of running programs, read from the files in which they leave them.
 //!
 //! ```text
 //! FOLDER/<run>.jsonl     a line an event, as `marf run --json` prints them (the first names the pipeline and its nodes)
@@ -16,7 +16,7 @@ use tokio::sync::mpsc;
 
 use crate::source::Source;
 
-/// How often files are looked at.
+/// Interval between two looks at the files.
 const EVERY: Duration = Duration::from_millis(250);
 /// Most bytes read at once.
 const MOST_BYTES: u64 = 1 << 20;

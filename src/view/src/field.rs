@@ -72,7 +72,7 @@ struct Ends {
     difference: [f64; 2],
 }
 
-/// What the page knows of a field.
+/// Facts of a field for the page.
 #[derive(Debug, Serialize)]
 pub struct SceneView<'a> {
     node: &'a str,
@@ -83,7 +83,7 @@ pub struct SceneView<'a> {
     up: [f64; 3],
     /// The point that the photos look at, in the world.
     focus: [f64; 3],
-    /// Where the view begins.
+    /// Initial view.
     start: Pose,
     /// The camera of the view, 640 pixels wide.
     camera: Camera,

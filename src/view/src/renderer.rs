@@ -63,7 +63,8 @@ impl Renderer {
         run(&self.pool, &self.turn, work).await
     }
 
-    /// Renders a view for a page, coarse first. It ends when the receiver is dropped, and when the page asks for another view.
+    /// Renders a view for a page, coarse first. It ends when the receiver is dropped, and when the page
+    /// requests another view.
     pub fn frames(&self, viewer: u64, field: SharedField, view: View, shown: Shown) -> Frames {
         let ticket = self.ticket(viewer);
         let (sender, receiver) = mpsc::channel(1);

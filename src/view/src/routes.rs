@@ -196,7 +196,7 @@ async fn scene(State(site): State<Arc<Site>>, Path((run, field)): Path<(u64, usi
     }
 }
 
-/// What a page wants to see.
+/// Layer that a page requests.
 #[derive(Clone, Copy, Deserialize)]
 #[serde(rename_all = "lowercase")]
 enum Mode {
@@ -206,7 +206,7 @@ enum Mode {
     Difference,
 }
 
-/// A view that a page asks for.
+/// A view that a page requests.
 #[derive(Deserialize)]
 struct FramesRequest {
     run: u64,
@@ -257,7 +257,7 @@ async fn shown(site: &Arc<Site>, field: &SharedField, request: &FramesRequest) -
     })
 }
 
-/// A point of a view that a page asks for.
+/// A point of a view that a page requests.
 #[derive(Deserialize)]
 struct PickRequest {
     run: u64,
@@ -288,7 +288,7 @@ async fn picked(State(site): State<Arc<Site>>, body: Bytes) -> Response {
     rendered(site.renderer.run(work).await)
 }
 
-/// Two points whose distance a page asks for.
+/// Two points whose distance a page requests.
 #[derive(Deserialize)]
 struct DistanceRequest {
     run: u64,
@@ -367,7 +367,7 @@ async fn blocking<T: Send + 'static>(
     done.unwrap_or_else(|error| Err(format!("the request failed: {error}")))
 }
 
-/// Answers a file, or the part of it that is asked for.
+/// Answers with a file, or the requested part of it.
 fn file(found: Result<File, String>, range: Option<&str>) -> Response {
     let file = match found {
         Ok(file) => file,

@@ -14,25 +14,25 @@ use crate::routes::routes;
 use crate::site::Site;
 use crate::source::Source;
 
-/// How often the wish to stop is looked at.
+/// Interval between two checks of the wish to stop.
 const STOP_EVERY: Duration = Duration::from_millis(100);
-/// How long requests may go on after it.
+/// Longest time for open requests after it.
 const LAST_WORK: Duration = Duration::from_millis(500);
 
-/// How the page is served.
+/// Options of the server.
 #[derive(Debug, Clone)]
 pub struct Options {
     /// Name or address to listen on.
     pub host: String,
     /// Port. 0 takes a free one.
     pub port: u16,
-    /// What a request has to bring.
+    /// Token that a request has to bring.
     pub token: Option<String>,
     /// Path prefix of all addresses, without a slash at its end. Empty for none.
     pub prefix: String,
     /// Threads that render. `None`: one a core.
     pub threads: Option<NonZero<usize>>,
-    /// What renders.
+    /// Device that renders.
     pub device: Device,
 }
 

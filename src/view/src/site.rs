@@ -1,4 +1,4 @@
-//! What all requests share: the store, who may ask, and the runs that pages show.
+//! Shared state of all requests: the store, the access checks, and the runs that pages show.
 
 use std::sync::Arc;
 
@@ -11,7 +11,7 @@ use crate::field::SharedField;
 use crate::renderer::Renderer;
 use crate::source::Source;
 
-/// What all requests share.
+/// Shared state of all requests.
 pub struct Site {
     /// The store.
     pub source: Arc<dyn Source>,
@@ -79,7 +79,7 @@ impl Site {
         let content = Arc::new(Content::read(self.source.as_ref(), Some(run))?);
         contents.push(Arc::clone(&content));
         if contents.len() > MOST_RUNS {
-            // The first is the one that is shown, the last the one that is asked for.
+            // The first is the one that is shown, the last the one that is requested.
             contents.remove(1);
         }
         Ok(content)

@@ -1,4 +1,4 @@
-//! What the program gives the page.
+//! Interface through which the program gives the page its data.
 
 use std::collections::BTreeSet;
 use std::path::PathBuf;

@@ -8,7 +8,7 @@ use tokio::sync::mpsc::Receiver;
 
 /// Received messages, as a stream that ends with the last sender.
 pub struct Received<T> {
-    /// What was received already.
+    /// The message received already.
     first: Option<T>,
     rest: Receiver<T>,
 }

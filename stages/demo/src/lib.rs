@@ -122,7 +122,7 @@ pub struct Above {
     pub height_m: f64,
     /// Its light, linear RGB.
     pub light: [f64; 3],
-    /// Whether the sun does not reach it.
+    /// Whether it is in shadow.
     pub is_shaded: bool,
 }
 

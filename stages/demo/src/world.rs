@@ -31,7 +31,7 @@ pub struct World {
     is_changed: bool,
 }
 
-/// What a ray sees.
+/// A sample of a ray.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RaySample {
     /// Linear RGB.

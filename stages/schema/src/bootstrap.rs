@@ -82,7 +82,7 @@ impl Default for ViewpointList {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, JsonSchema)]
 #[schemars(with = "MembersWritten")]
 pub enum Members {
-    /// So many.
+    /// This number.
     Count(u32),
     /// Three, then two more at a time until the order of errors is as good as with two fewer.
     Auto,

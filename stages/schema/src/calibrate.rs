@@ -4,7 +4,7 @@ use marf_stage::{Document, ParamError, Params};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// How cameras are found, and what is done with the photos.
+/// Parameters of `calibrate`: how cameras are found, and how photos are prepared.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct CalibrateParams {
@@ -60,7 +60,7 @@ pub struct CalibrateParams {
     pub colmap: Option<String>,
 }
 
-/// Where cameras come from.
+/// Source of the cameras.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Method {
@@ -86,7 +86,7 @@ pub enum Hold {
     Every,
 }
 
-/// Where the search for features begins.
+/// Start of the search for features.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum FirstOctaveParam {
@@ -109,7 +109,7 @@ pub enum Pairs {
     Sequential,
 }
 
-/// Which lens terms the cameras get.
+/// Lens terms of the cameras.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum LensParam {
@@ -125,7 +125,7 @@ pub enum LensParam {
     Opencv,
 }
 
-/// What becomes of the principal point.
+/// Principal point of the cameras.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum PrincipalPoint {
@@ -233,7 +233,7 @@ pub struct Metrics {
     pub tie: Option<Tie>,
 }
 
-/// How far cameras lie from where the labels of their site put them.
+/// Distances of cameras from their positions by the labels of their site.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Tie {
     /// Number of the site.

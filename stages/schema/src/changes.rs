@@ -122,7 +122,7 @@ impl ChangesParams {
     }
 }
 
-/// What a patch of ground did between the two times.
+/// Change of a patch of ground between the two times.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Change {
@@ -171,7 +171,7 @@ pub struct Noise {
     pub factor: f64,
 }
 
-/// What was taken away as the difference of the two times as a whole.
+/// Difference of the two times as a whole, which was removed.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Registration {
     /// Later height less earlier one at the middle of the map, metres.
@@ -185,7 +185,7 @@ pub struct Registration {
 /// Ground that changed in one way.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Patch {
-    /// What changed.
+    /// The change.
     pub change: Change,
     /// Its area on the map, square metres.
     pub area_m2: f64,
@@ -224,7 +224,7 @@ pub struct ChangesReport {
     pub changed_m2: f64,
     /// Part of it that is [`Change::Undecided`], square metres.
     pub undecided_m2: f64,
-    /// What the two times differ by as a whole.
+    /// Difference of the two times as a whole.
     pub registration: Registration,
     /// Noise of the height, metres.
     pub height: Noise,

@@ -64,7 +64,7 @@ pub struct Metrics {
     pub judged: Option<Judged>,
 }
 
-/// What the folds of a scene give.
+/// Result of the folds of a scene.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Judged {
     /// On all photos, each judged by the field that was trained without it.

@@ -48,7 +48,7 @@ pub struct Metrics {
     pub cameras: Vec<CameraReport>,
 }
 
-/// What was found in the photos of one camera: those of one instrument and size.
+/// Findings in the photos of one camera: those of one instrument and size.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CameraReport {
     /// Name of its files: `<instrument>-<width>x<height>`, or the size alone.
@@ -66,7 +66,7 @@ pub struct CameraReport {
     /// Share of the picture that does not move and is not masked. 0 if nothing was found or nothing can be
     /// said.
     pub share: f64,
-    /// What was found, as a sentence.
+    /// The finding, as a sentence.
     pub found: String,
 }
 

@@ -8,7 +8,7 @@ use marf_stage::{Document, ParamError, Params};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Where the camera goes.
+/// Path of the camera.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum PathKind {
@@ -61,7 +61,7 @@ pub enum Layer {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct RenderParams {
-    /// Where the camera goes.
+    /// Path of the camera.
     pub path: PathKind,
     /// The cameras of the paths `keyframes` and `stills`, in order: what `marf view` saves as bookmarks.
     #[serde(skip_serializing_if = "Vec::is_empty")]

@@ -41,7 +41,7 @@ pub struct SurfaceParams {
     pub device: Device,
 }
 
-/// What a surface is coloured by.
+/// Colours of a surface.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ColorBy {
@@ -135,11 +135,11 @@ pub struct SurfaceReport {
     pub map: Option<MapReport>,
     /// The splats. `None` if they were not requested.
     pub splats: Option<SplatReport>,
-    /// What the scene cannot give, with the reason, by output.
+    /// Outputs that the scene cannot give, with the reason.
     pub refused: BTreeMap<String, String>,
 }
 
-/// What differs at a point of a surface.
+/// Quantity that differs at a point of a surface.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SpreadOf {
@@ -152,7 +152,7 @@ pub enum SpreadOf {
 /// How sure the vertices of a mesh are, in the unit of the report.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct UncertaintyReport {
-    /// What differs.
+    /// The quantity that differs.
     pub of: SpreadOf,
     /// Retrainings. 0 without a bootstrap.
     pub members: u32,

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 /// How a training with `target_psnr` ended. The photos held out have no part in it: they are judged once, afterwards.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Target {
-    /// Mean PSNR asked for, dB.
+    /// Requested mean PSNR, dB.
     pub psnr: f64,
     /// Steps after which the validation photos had it. `None`: missed, and the training ended as planned.
     pub reached_at: Option<u64>,
@@ -18,7 +18,7 @@ pub struct Target {
     pub forecast: Option<Forecast>,
 }
 
-/// The end of a training as its curve foretold it.
+/// Forecast of the end of a training from its curve.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Forecast {
     /// Steps that had been taken.

@@ -66,14 +66,14 @@ impl Document for Ties {
     const OUTPUT: &'static str = "ties";
 }
 
-/// Where a scene lies.
+/// Position of a scene.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct TiedScene {
     /// Its name.
     pub name: String,
     /// The frame: `site 3`, or `NAME` for the world of the scene of that name.
     pub frame: String,
-    /// What puts it there.
+    /// Reason for that frame.
     pub by: By,
     /// The scenes that tie it to that frame, from the first, which belongs to the frame by itself. Empty for
     /// that one.
@@ -82,13 +82,13 @@ pub struct TiedScene {
     pub frame_from_world: Similarity,
 }
 
-/// What puts a scene into its frame.
+/// Reason why a scene belongs to a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum By {
     /// The labels of its photos.
     Labels,
-    /// What its photos show of a scene in that frame.
+    /// Its photos show parts of a scene in that frame.
     Overlap,
     /// Nothing: the frame is its own.
     Itself,
@@ -138,7 +138,7 @@ pub struct SceneTie {
     pub labels: Option<LabelGap>,
 }
 
-/// How far two scenes that labels put into one site lie from where what they show puts them.
+/// Gap between the labels and the photos of two scenes in one site.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct LabelGap {
     /// Mean of second minus first over the points that agree, metres in the site: north, east, down.

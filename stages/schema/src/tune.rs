@@ -140,7 +140,7 @@ impl TuneParams {
     }
 }
 
-/// What may be tried for each key.
+/// Search range of each key.
 pub type Space = BTreeMap<String, Range>;
 
 /// Values from which one is drawn.
@@ -232,7 +232,7 @@ pub struct Trial {
     pub psnr_paper: Option<f64>,
     /// Mean SSIM.
     pub ssim: Option<f64>,
-    /// What was set.
+    /// Keys that were set.
     pub params: Overrides,
 }
 
@@ -245,9 +245,9 @@ pub struct Scatter {
     /// look.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub best_psnr: Option<[f64; 2]>,
-    /// What another seed changes, dB, the larger of both: gains below it may be chance.
+    /// PSNR difference between seeds, dB, the larger of both: gains below it may be chance.
     pub difference_db: f64,
-    /// What the best trial has above the defaults, dB, in the mean over the seeds that both were trained with.
+    /// Gain of the best trial over the defaults, dB, in the mean over the seeds that both were trained with.
     pub best_minus_default_db: f64,
     /// Number of the trial whose keys are the output `params`. 0: the defaults.
     pub chosen: u32,

@@ -10,7 +10,7 @@ use crate::mesh::{Vertex, Witnesses};
 use crate::view::SurfaceView;
 use crate::volume::Place;
 
-/// What fell into a cell: sums of position and normal by weight.
+/// Pixels of a cell: sums of position and normal by weight.
 #[derive(Debug, Clone, Copy)]
 struct Sum {
     place: Place,

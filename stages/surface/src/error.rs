@@ -1,6 +1,6 @@
 use marf_stage::{Cancel, StageError};
 
-/// What keeps a surface from being made or written.
+/// Errors of making or writing a surface.
 #[derive(Debug, thiserror::Error)]
 pub enum SurfaceError {
     /// The user asked to stop.
@@ -17,7 +17,7 @@ pub enum SurfaceError {
     Mask {
         /// The photo.
         id: String,
-        /// What is wrong.
+        /// The fault.
         cause: String,
     },
     /// No photo to look from.

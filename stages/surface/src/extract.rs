@@ -25,7 +25,7 @@ const COARSER: f64 = 1.26;
 /// Smaller pieces are taken for floating matter.
 const LEAST_TRIANGLES: usize = 100;
 
-/// How a surface is made.
+/// Limits of a surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SurfaceLimits {
     /// Distance between samples, world units. `None`: from the footprints of the pixels.

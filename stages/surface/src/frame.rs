@@ -8,7 +8,7 @@ use crate::SurfaceError;
 /// An axis counts as up or down within this cosine.
 const ALONG_AXIS: f64 = 0.999_999;
 
-/// What a scene says of its unit and of where up is.
+/// Unit and up direction of a scene.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ExportFrame {
     /// Metres a world unit. `None` if the scene has no scale.

@@ -97,11 +97,11 @@ pub struct FieldViews {
     pub views: Vec<SurfaceView>,
     /// How far each photo saw.
     pub observers: Vec<Observer>,
-    /// The same with far and rough surfaces, where splats are wanted.
+    /// The same with far and rough surfaces, if splats are requested.
     pub shown: Vec<SurfaceView>,
     /// Of each view `[height * width]`, 0 where it shows no surface.
     pub opacities: Vec<Vec<f32>>,
-    /// Of each view `[height * width]` as [`RenderedView::distance`], where splats are wanted.
+    /// Of each view `[height * width]` as [`RenderedView::distance`], if splats are requested.
     pub distances: Vec<Vec<f32>>,
 }
 

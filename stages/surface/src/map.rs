@@ -281,7 +281,8 @@ fn blend(
     }
 }
 
-/// Returns the distance between heights: 1 mm, or as many times 1, 2 or 5 of a power of ten as the range asks for.
+/// Returns the distance between heights: 1 mm, or as many times 1, 2 or 5 of a power of ten as the range
+/// requires.
 fn interval(range_m: f64) -> f64 {
     let mut steps =
         (0..12).flat_map(|power| [1.0, 2.0, 5.0].map(|step| step * FINEST_M * 10_f64.powi(power)));

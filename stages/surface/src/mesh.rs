@@ -31,13 +31,14 @@ pub struct Vertex {
 /// Sample standard deviations over the retrainings at a point. Negative if too few show it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Retrained {
-    /// Of where the surface lies along the normal, world units.
+    /// Of the surface's position along the normal, world units.
     pub depth: f32,
     /// Of the gray of the colour, sRGB in [0, 1].
     pub color: f32,
 }
 
-/// What views show at a point: means over those with a surface within the band, each by cos² θ / r² as in [`crate::Volume::fuse`].
+/// Views at a point: means over those with a surface within the band, each by cos² θ / r² as in
+/// [`crate::Volume::fuse`].
 #[derive(Debug, Clone, Copy)]
 pub struct SurfaceSample {
     /// Signed distance from the surface to the point, world units, positive towards the cameras.

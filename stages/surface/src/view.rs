@@ -1,4 +1,4 @@
-//! What a field shows at the view of a photo, as planes in space: one a pixel.
+//! The view of a field at a photo, as planes in space: one a pixel.
 
 use marf_scene::{Camera, Pose};
 use nalgebra::{Matrix3, Vector2, Vector3};
@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 /// Pixels to each side of a pixel that its plane is fitted to.
 const REACH: i64 = 2;
-/// What counts as a surface.
+/// Rules for a surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PlaneRules {
     /// Pixels of the window that must lie on one surface with its middle, of 25.
@@ -29,7 +29,7 @@ impl PlaneRules {
         roughest: 0.01,
         least_cosine: 0.105,
     };
-    /// What can be looked at: far ground, which is seen flat, and rough edges too.
+    /// Rules for looking only: far ground, which is seen flat, and rough edges too.
     pub const SHOWN: Self = Self {
         least_pixels: 6,
         one_surface: 0.2,

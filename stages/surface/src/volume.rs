@@ -21,7 +21,7 @@ const FARTHEST: f64 = 1e8;
 /// A sample's place on the grid.
 pub type Place = [i32; 3];
 
-/// How a volume is laid out.
+/// Layout of a volume.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Layout {
     /// Distance between samples, world units, above 0.

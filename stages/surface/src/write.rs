@@ -11,7 +11,7 @@ use crate::frame::ExportFrame;
 use crate::map::SurfaceMap;
 use crate::{SurfaceError, glb, members, ply};
 
-/// What `surface` has made of a field.
+/// Products of `surface` from a field.
 pub struct SurfaceResult {
     /// Mesh and points.
     pub surface: Surface,

@@ -34,7 +34,7 @@ impl Av1 {
     /// Opens an encoder for checked settings and even sides of 16 and more.
     ///
     /// # Errors
-    /// What rav1e says.
+    /// An error of rav1e.
     pub fn new(settings: &Settings, width: u32, height: u32) -> Result<Self, String> {
         // Built without threads: the number is that of a pool that is never asked for.
         let config = Config::new().with_encoder_config(config(settings, width, height));

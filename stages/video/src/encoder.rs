@@ -107,7 +107,7 @@ impl Encoder {
 /// Opens a codec for checked settings and a size, which H.264 learns from its pictures.
 ///
 /// # Errors
-/// What the encoder says.
+/// An error of the encoder.
 #[cfg_attr(not(feature = "av1"), allow(unused_variables, reason = "the size is for AV1"))]
 fn open(settings: &Settings, width: u32, height: u32) -> Result<Box<dyn Coder>, String> {
     match settings.codec {

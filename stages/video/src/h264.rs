@@ -34,7 +34,7 @@ impl H264 {
     /// Opens an encoder for checked settings.
     ///
     /// # Errors
-    /// What OpenH264 says.
+    /// An error of OpenH264.
     pub fn new(settings: &Settings) -> Result<Self, String> {
         let encoder = Encoder::with_api_config(OpenH264API::from_source(), config(settings));
         Ok(Self {

@@ -2,7 +2,7 @@
 
 use crate::{mp4::boxed, sample::Sample};
 
-/// What the units of one picture are.
+/// Units of one picture.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(crate) struct Units {
     /// Sequence parameter set, without start code.

@@ -15,13 +15,13 @@ pub(crate) trait Coder {
     /// Encodes the next picture. Its sample may come with a later one.
     ///
     /// # Errors
-    /// What the encoder says.
+    /// An error of the encoder.
     fn encode(&mut self, picture: &Yuv) -> Result<Vec<Sample>, String>;
 
     /// Returns the samples that have not come yet.
     ///
     /// # Errors
-    /// What the encoder says.
+    /// An error of the encoder.
     fn finish(&mut self) -> Result<Vec<Sample>, String> {
         Ok(Vec::new())
     }

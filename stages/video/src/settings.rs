@@ -1,4 +1,4 @@
-//! What pictures may be, and how they are encoded.
+//! Limits of pictures, and settings of their encoding.
 
 use crate::codec::{Codec, MAX_LONG_PX, MAX_SHORT_PX};
 use crate::error::VideoError;
@@ -29,10 +29,10 @@ impl Codec {
     }
 }
 
-/// How pictures are encoded.
+/// Settings of the encoding.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Settings {
-    /// What they become.
+    /// Their codec.
     pub codec: Codec,
     /// Pictures a second, in [`RATES`].
     pub frames_per_second: u32,

@@ -22,7 +22,7 @@ pub struct Bag {
     pub faults: Vec<BagFault>,
 }
 
-/// What a manifest lists.
+/// Entries of a manifest.
 type Listed = BTreeMap<String, Sha256>;
 
 /// Something wrong with a bag. `file` is a path in it.
@@ -72,9 +72,9 @@ pub enum BagFault {
     /// `bag-info.txt` counts other files or bytes.
     #[error("`bag-info.txt` counts {listed} bytes and files, there are {found}")]
     Oxum {
-        /// What is there: bytes, a point, files.
+        /// Bytes and files found, separated by a point.
         found: String,
-        /// What it says.
+        /// Bytes and files listed.
         listed: String,
     },
 }

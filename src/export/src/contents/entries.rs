@@ -1,4 +1,4 @@
-//! What goes into a crate: files that the graph describes, and objects of sets.
+//! Contents of a crate: files that the graph describes, and objects of sets.
 
 use std::collections::BTreeMap;
 
@@ -25,11 +25,11 @@ pub struct Contents {
     pub actions: BTreeMap<Digest, Action>,
     /// Lists of the files that sources read of their archives and where these came from, by node.
     pub origins: BTreeMap<String, Vec<Digest>>,
-    /// What was decided on each chosen photo.
+    /// Decisions on each chosen photo.
     pub items: Vec<ItemVerdict>,
 }
 
-/// What a node decided on a chosen photo.
+/// Decision of a node on a chosen photo.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ItemVerdict {
     /// Id of the photo.

@@ -18,7 +18,7 @@ pub enum Photos {
     Chosen(Vec<String>),
 }
 
-/// Where the bytes of a file come from.
+/// Source of the bytes of a file.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Content {
     /// An object of the store.
@@ -27,7 +27,7 @@ pub enum Content {
     Bytes(Vec<u8>),
 }
 
-/// What a file is for.
+/// Purpose of a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Purpose {
     /// It records the run and is always included.
@@ -41,11 +41,11 @@ pub enum Purpose {
 pub struct File {
     /// Its path in the payload.
     pub path: String,
-    /// What it is called, for people.
+    /// Title, for people.
     pub name: String,
     /// Its bytes.
     pub content: Content,
-    /// What it is for.
+    /// Its purpose.
     pub purpose: Purpose,
 }
 

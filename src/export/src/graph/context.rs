@@ -1,4 +1,4 @@
-//! What the parts of the graph look up.
+//! Lookup tables for the parts of the graph.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -9,7 +9,7 @@ use marf_model::{Run, RunNode};
 use super::input::GraphInput;
 use super::tools::Tools;
 
-/// What the parts of the graph look up.
+/// Lookup tables for the parts of the graph.
 pub(super) struct Context<'a> {
     pub(super) input: &'a GraphInput<'a>,
     pub(super) ids: BTreeMap<Digest, &'a str>,

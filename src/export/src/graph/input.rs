@@ -1,4 +1,4 @@
-//! What a graph is made of.
+//! Input of a graph.
 
 use marf_engine::RunRecord;
 use marf_model::Run;
@@ -30,7 +30,7 @@ pub struct Described<'a> {
 pub struct GraphInput<'a> {
     /// The run.
     pub run: &'a Run<'a>,
-    /// What goes into the crate.
+    /// Contents of the crate.
     pub contents: &'a Contents,
     /// Its described files.
     pub files: &'a [Described<'a>],

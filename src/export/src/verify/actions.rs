@@ -48,7 +48,7 @@ pub(super) fn check(opened: &OpenCrate, faults: &mut Vec<String>) -> u64 {
 struct Context<'a> {
     by_id: BTreeMap<&'a str, &'a Value>,
     digests: BTreeMap<&'a str, Digest>,
-    /// What nodes read and made, and the objects of photos.
+    /// Inputs and outputs of nodes, and the objects of photos.
     known: BTreeSet<Digest>,
 }
 
@@ -119,7 +119,7 @@ impl Context<'_> {
             }
         }
         for file in ["object", "result"].iter().flat_map(|field| ids(&entity[*field])) {
-            // What a source read and verdicts on photos are checked with the lineage.
+            // Files that a source read and verdicts on photos are checked with the lineage.
             let is_checked = file.starts_with("inputs/") || file.starts_with("items/");
             let digest = self.digests.get(file);
             if !is_checked && digest.is_some_and(|digest| !self.known.contains(digest)) {

@@ -47,7 +47,7 @@ fn check_inputs(opened: &OpenCrate, actions: &BTreeMap<&str, Action>, faults: &m
     for node in &opened.run.nodes {
         let inputs = actions.get(node.name.as_str()).map(|action| &action.inputs);
         for (name, digest) in inputs.into_iter().flatten() {
-            // What a parent hands to a child need not be an output.
+            // An input that a parent gives to a child need not be an output.
             let is_foreign = matches!(name.as_str(), LISTING | COMPANIONS | EARLIER) || node.parent.is_some();
             match (made.contains(digest), is_foreign) {
                 (true, _) => {}

@@ -60,7 +60,7 @@ pub enum OpenError {
     BadRun {
         /// The folder.
         path: PathBuf,
-        /// What is wrong with it.
+        /// The fault.
         cause: ExportError,
     },
     /// The user wants to stop.

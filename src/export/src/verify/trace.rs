@@ -13,7 +13,7 @@ use super::lineage::origins;
 use super::open::OpenCrate;
 use crate::contents::rows;
 
-/// Where bytes came from.
+/// Origin of some bytes.
 #[derive(Debug, Serialize)]
 pub struct Trace {
     /// Name of the run.
@@ -24,7 +24,7 @@ pub struct Trace {
     pub command: String,
     /// The program with its version.
     pub program: String,
-    /// What the bytes are: results of nodes, or objects of a photo.
+    /// Roles of the bytes: results of nodes, or objects of a photo.
     pub is: Vec<Role>,
     /// The nodes it took, sources first.
     pub steps: Vec<Step>,
@@ -32,7 +32,7 @@ pub struct Trace {
     pub products: Vec<Product>,
 }
 
-/// What some bytes are.
+/// Role of some bytes.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Role {

@@ -1,4 +1,4 @@
-//! What a bootstrap says of its members, its maps and the photos held out.
+//! Results of a bootstrap: its members, its maps and the held-out photos.
 
 use marf_cache::Digest;
 use marf_stage::{Document, Params};
@@ -138,7 +138,7 @@ pub struct PhotoReport {
     pub spearman: f64,
 }
 
-/// What the photos held out say about the spread.
+/// Statistics of the spread on the held-out photos.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct HeldOut {
     /// Means of [`PhotoReport`] over photos, `spearman` as the median.
@@ -150,7 +150,7 @@ pub struct HeldOut {
     pub psnr_members_mean: f64,
     /// Share of pixels whose error lies within the spread.
     pub coverage: Coverage,
-    /// What these would be, were the errors normal with that spread.
+    /// These shares for normal errors with that spread.
     pub coverage_nominal: Coverage,
     /// Mean negative log-likelihood of the errors, nats, to six decimals.
     pub nll: f64,
@@ -217,6 +217,6 @@ pub struct Calibration {
     pub views: u64,
     /// Share of pixels without an interval, since no photo trained on saw them.
     pub unseen_share: f64,
-    /// What to keep in mind.
+    /// Caveats.
     pub note: String,
 }

@@ -8,7 +8,8 @@ use serde::{Deserialize, Serialize};
 use super::{Fit, Fold, Holdout, Memory, Target, TrainParams};
 use crate::scores::Scores;
 
-/// How well a field reproduces photos that it was trained on, which is not how good it is elsewhere: the protocol of the paper.
+/// How well a field reproduces photos that it was trained on (the protocol of the paper). It says nothing
+/// about other views.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct OnTraining {
     /// Photos that were compared: as many as are held out, spread evenly over those trained on.
@@ -21,7 +22,7 @@ pub struct OnTraining {
     pub ssim: Option<f64>,
 }
 
-/// What a training with `warm_start` began from.
+/// Start of a training with `warm_start`.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum WarmStart {
@@ -43,7 +44,7 @@ pub struct Metrics {
     /// What it began from. Only with `warm_start`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub warm_start: Option<WarmStart>,
-    /// How `target_psnr` went.
+    /// Result of `target_psnr`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub target: Option<Target>,
     /// Optimiser steps.

@@ -31,7 +31,7 @@ pub enum Holdout {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Fold {
-    /// Which of them, from 0.
+    /// Index of this fold, from 0.
     pub index: u32,
     /// Number of folds. A scene of fewer places has fewer.
     pub count: u32,
@@ -285,7 +285,7 @@ impl TrainParams {
         check_scale(self.judged_scale).map_err(|error| ParamError::new("judged_scale", error.message))
     }
 
-    /// A training that another one asks for has no last run of its own.
+    /// A child training has no last run of its own.
     fn check_warm_start(&self) -> Result<(), ParamError> {
         let other = [
             ("fold", self.fold.is_some()),

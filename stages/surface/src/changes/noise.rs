@@ -1,4 +1,4 @@
-//! What the trainings of one time agree on, cell by cell, and how far they differ.
+//! Mean of the trainings of one time, cell by cell, and their differences.
 
 use super::cells::{Extent, Grid, Values, around};
 

@@ -26,15 +26,15 @@ pub(super) struct PatchCells {
     pub change: Change,
     /// Places, rising.
     pub cells: Vec<usize>,
-    /// How many of them differ by as much as was asked for.
+    /// Number of cells that differ by the requested limit.
     pub strong: usize,
-    /// How many there are with one more all around.
+    /// Number of cells with one more all around.
     pub widened: usize,
 }
 
-/// What a cell shows.
+/// State of a cell.
 pub(super) struct CellChange {
-    /// Its change by the limit that was asked for.
+    /// Its change by the requested limit.
     pub strong: Option<Change>,
     /// Its change by the weaker limit.
     pub weak: Option<Change>,

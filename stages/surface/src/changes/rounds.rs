@@ -1,4 +1,4 @@
-//! Which nodes are asked for, round by round.
+//! Nodes of a comparison, round by round.
 
 use marf_cache::Digest;
 use marf_schema::changes::ChangesParams;
@@ -19,7 +19,7 @@ const SPREAD: f64 = 3.0;
 /// photos resolve.
 const REACH: f64 = 0.5;
 
-/// How fine and how far surfaces are, metres.
+/// Resolution and reach of surfaces, metres.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Size {
     pub cell_m: f64,

@@ -1,4 +1,4 @@
-//! Planted changes on made maps, and which nodes are asked for.
+//! Planted changes on made maps, and the nodes of each round.
 
 use marf_scene::{Camera, Pose};
 use marf_schema::changes::{Change, ChangesParams, Time};

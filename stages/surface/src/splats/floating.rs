@@ -1,4 +1,4 @@
-//! Which splats float before the surface that the views show.
+//! Removal of splats that float before the surface that the views show.
 
 use rayon::prelude::*;
 
@@ -11,7 +11,7 @@ const FLOATS: f32 = 1.0 / 3.0;
 /// A pixel that passes more of the light than this shows a gap.
 const GAP: f32 = 0.3;
 
-/// What a view shows at the place of a splat.
+/// View of the place of a splat.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Look {
     /// The surface behind it by more than its width, at its pixel and all around it.
@@ -33,7 +33,7 @@ enum Look {
 ///   nothing, NaN where a mask hides it.
 ///
 /// # Errors
-/// Those of `before_view`, which is called before each view is asked: to stop.
+/// Those of `before_view`, which is called before each view, to stop.
 pub fn without_floating<E>(
     splats: &[Splat],
     pictures: &[Picture<'_>],

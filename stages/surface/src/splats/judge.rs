@@ -1,4 +1,4 @@
-//! How near pictures of splats come to those of the field.
+//! Comparison of pictures of splats with those of the field.
 
 use marf_scene::metrics::psnr;
 use marf_scene::{Image, Srgb};
@@ -14,9 +14,9 @@ pub struct SplatComparison {
     pub psnr_db: f64,
     /// Share of the pixels that were compared.
     pub share: f64,
-    /// What the splats show.
+    /// Picture of the splats.
     pub splats: Image<Srgb>,
-    /// What the field shows, black where it shows no surface.
+    /// Picture of the field, black where it shows no surface.
     pub field: Image<Srgb>,
 }
 

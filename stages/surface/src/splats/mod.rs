@@ -47,7 +47,7 @@ impl Splat {
     }
 }
 
-/// What a field shows at a view.
+/// Picture of a field at a view.
 #[derive(Debug, Clone, Copy)]
 pub struct Picture<'a> {
     /// The camera.

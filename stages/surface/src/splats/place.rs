@@ -1,4 +1,4 @@
-//! Where splats lie: the surfaces that views show, in cells as wide as their pixels.
+//! Placement of splats on the surfaces that views show, in cells as wide as their pixels.
 
 use std::collections::BTreeMap;
 
@@ -21,7 +21,7 @@ const LEVELS: u8 = 24;
 /// The file has the logit of an opacity, and no viewer blends more.
 const MOST_OPACITY: f32 = 0.99;
 
-/// What fell into a cell: sums by weight.
+/// Pixels of a cell: sums by weight.
 #[derive(Debug, Clone, Copy)]
 struct Sum {
     level: u8,
@@ -140,7 +140,7 @@ fn merged(sorted: &[Sum]) -> Vec<Sum> {
     sorted.chunk_by(|a, b| key(a) == key(b)).map(add).collect()
 }
 
-/// Returns what cells cover of those twice as wide: each is a quarter of the surface.
+/// Returns the cover of cells twice as wide: each cell is a quarter of the surface of its parent.
 fn parents(cover: &Cover) -> Cover {
     let mut parents = Cover::new();
     for (place, share) in cover {

@@ -95,7 +95,7 @@ impl Footprint {
     }
 }
 
-/// What a splat adds to a pixel.
+/// Contribution of a splat to a pixel.
 #[derive(Debug, Clone, Copy)]
 pub struct Share {
     /// The splat.

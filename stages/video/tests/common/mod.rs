@@ -1,4 +1,4 @@
-//! What tests of both codecs share: pictures, a reader of boxes of its own, readers that are not ours.
+//! Shared parts of the tests of both codecs: pictures, an own reader of boxes, and independent readers.
 #![allow(dead_code, reason = "no test uses all of it")]
 
 use std::collections::BTreeMap;
@@ -75,7 +75,7 @@ pub fn boxes<'a>(bytes: &'a [u8], path: &str, found: &mut BTreeMap<String, &'a [
     }
 }
 
-/// What a file says of itself.
+/// Contents of a file by its boxes.
 pub struct Parsed {
     pub width: u32,
     pub height: u32,
