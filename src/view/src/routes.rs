@@ -244,7 +244,9 @@ async fn frames(State(site): State<Arc<Site>>, body: Bytes) -> Response {
 
 /// Returns what a picture has to show. For a difference it reads the photo.
 async fn shown(site: &Arc<Site>, field: &SharedField, request: &FramesRequest) -> Result<Shown, String> {
-    let photo = request.photo.ok_or("a difference is from a photo: none is named");
+    let photo = request
+        .photo
+        .ok_or("a difference needs a photo: the request names none");
     Ok(match request.mode {
         Mode::Color => Shown::Color,
         Mode::Depth => Shown::Depth,
