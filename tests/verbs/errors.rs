@@ -77,7 +77,8 @@ fn a_memory_that_cannot_do_is_refused_with_the_one_that_can() {
     }
     let ran = marf(dir.path(), &["fit", "photos", "--memory", "lots"]).exits(2);
     assert!(
-        ran.stderr.contains("`lots` is no memory; write `2GB`"),
+        ran.stderr
+            .contains("`lots` is not an amount of memory: write `2GB`"),
         "{}",
         ran.stderr
     );

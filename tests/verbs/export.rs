@@ -79,7 +79,7 @@ fn a_run_is_handed_over_and_checked_without_its_store() {
     )
     .unwrap();
     let newer = run(elsewhere.path(), "verify crate").exits(8);
-    says(&newer, &["is a crate of version 7; this program reads up to 1"]);
+    says(&newer, &["is a crate of version 7: this program reads up to 1"]);
 }
 
 #[test]
@@ -146,7 +146,7 @@ fn bad_input_has_one_clear_answer() {
             1,
             &["key.pem holds no result of run"],
         ),
-        ("verify nowhere", 2, &["nowhere is no crate"]),
+        ("verify nowhere", 2, &["nowhere is not a crate"]),
         (
             "verify crate --key key.pem",
             2,

@@ -70,7 +70,7 @@ fn a_filter_that_rejects_every_photo_says_once_what_keeps_them() {
             .save(dir.path().join(format!("photos/{seed}.png")))
             .unwrap();
     }
-    let warning = "`grayscale` rejects all 3 photos that it is given; `keep = \"all\"`";
+    let warning = "`grayscale` rejects all 3 photos that it is given: `keep = \"all\"`";
     let said = marf(dir.path(), &["run"]).exits(0);
     assert_eq!(said.stderr.matches(warning).count(), 1, "{}", said.stderr);
     let report = std::fs::read_to_string(dir.path().join("out/report.html")).unwrap();

@@ -120,7 +120,7 @@ fn a_view_is_sent_in_four_sizes_and_the_same_view_is_the_same_picture() {
     let mut of_none = view.clone();
     of_none["mode"] = json!("difference");
     let refused = |view: &serde_json::Value| viewer.post("/frames", view).is(422).text();
-    assert!(refused(&of_none).contains("none is named"));
+    assert!(refused(&of_none).contains("the request names none"));
     of_none["photo"] = json!("0".repeat(64));
     assert!(refused(&of_none).contains("no such photo"));
 }

@@ -1,4 +1,4 @@
-//! Which objects of the store go into a crate, and under which paths.
+//! Selects the objects of the store for a crate, and their paths.
 
 mod entries;
 mod file;
@@ -18,7 +18,7 @@ pub use file::{Content, File, OBJECTS, Photos, Purpose, RUN_ROOT};
 pub(crate) use objects::{object, read_action};
 pub use sets::{leaves, rows};
 
-/// Finds everything that belongs to a run; `file_name` names the file that an output is, if it is one file.
+/// Finds everything that belongs to a run. `file_name` returns the file name of an output that is one file.
 ///
 /// # Errors
 /// An object that cannot be read or is not what it should be, or a chosen photo that the run does not have.

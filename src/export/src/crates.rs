@@ -18,10 +18,10 @@ use crate::statement::{Subject, statement_on_run};
 use marf_keys::SigningKey;
 use marf_model::Run;
 
-/// Name of the signed statement on a crate, beside the payload.
+/// Name of the signed statement on a crate, next to the payload.
 pub const ATTESTATION: &str = "attestation.dsse.json";
 
-/// Whether the bytes of photos and results go along.
+/// Whether the bytes of photos and results are included.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Data {
     /// They do.
@@ -30,13 +30,13 @@ pub enum Data {
     Named,
 }
 
-/// What a crate is to hold.
+/// Contents and options of a crate.
 pub struct CrateOptions<'a> {
-    /// Whether data go along.
+    /// Whether data are included.
     pub data: Data,
-    /// Of which photos.
+    /// Photos whose bytes are included.
     pub photos: Photos,
-    /// Names the file that an output is elsewhere; none for sets, which are many files.
+    /// Returns the file name of an output elsewhere. `None` for sets, which are many files.
     pub file_name: fn(&str) -> Option<&str>,
     /// Licence of the crate: an SPDX id or a URL.
     pub license: Option<&'a str>,
@@ -44,7 +44,7 @@ pub struct CrateOptions<'a> {
     pub key: Option<&'a SigningKey>,
 }
 
-/// What was written.
+/// Summary of a written crate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Written {
     /// Files of the payload.
@@ -53,15 +53,15 @@ pub struct Written {
     pub bytes: u64,
     /// Files that are named and not included.
     pub named: u64,
-    /// Digest of the manifest of the payload: it stands for every byte of it.
+    /// Digest of the manifest of the payload, and so of every byte of it.
     pub manifest: Sha256,
 }
 
 /// Writes a run as a crate in a new folder. The same run and options give the same bytes.
 ///
 /// # Errors
-/// An object that cannot be read, a photo that the run does not have, or a place that cannot be written; then nothing
-/// is left there.
+/// An object that cannot be read, a photo that the run does not have, or a place that cannot be written.
+/// Nothing is left there after an error.
 pub fn write_crate(run: &Run<'_>, options: &CrateOptions<'_>, folder: &Path) -> Result<Written, ExportError> {
     check_finished(&run.record)?;
     if folder.exists() {
@@ -82,7 +82,7 @@ pub fn write_crate(run: &Run<'_>, options: &CrateOptions<'_>, folder: &Path) -> 
     written
 }
 
-/// Returns a name beside a folder under which it is written first.
+/// Returns the temporary name, next to a folder, under which it is first written.
 fn beside(folder: &Path) -> PathBuf {
     let name = folder.file_name().unwrap_or_default().to_string_lossy();
     folder.with_file_name(format!(".{name}.{}.part", std::process::id()))

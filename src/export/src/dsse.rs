@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use marf_keys::{PublicKey, SigningKey};
 
-/// What is in an envelope of ours: an in-toto statement.
+/// Payload type of our envelopes: an in-toto statement.
 pub const PAYLOAD_TYPE: &str = "application/vnd.in-toto+json";
 
 /// A payload with its signatures, as it is kept in a file.
@@ -22,7 +22,7 @@ pub struct Envelope {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Signature {
-    /// Name of the key; nothing is trusted for it.
+    /// Name of the key. It is not trusted.
     #[serde(default)]
     keyid: String,
     /// The signature in base64.
@@ -32,10 +32,10 @@ struct Signature {
 /// An envelope that is not to be trusted.
 #[derive(Debug, thiserror::Error)]
 pub enum EnvelopeError {
-    /// The bytes are no envelope.
+    /// The bytes are not an envelope.
     #[error("not a signed envelope (DSSE): {0}")]
     Malformed(#[from] serde_json::Error),
-    /// The payload is no base64.
+    /// The payload is not base64.
     #[error("the payload of the envelope is not base64")]
     NotBase64,
     /// The payload is of another type.
@@ -74,7 +74,7 @@ impl Envelope {
         bytes
     }
 
-    /// Reads an envelope; trusts nothing in it.
+    /// Reads an envelope and trusts nothing in it.
     ///
     /// # Errors
     /// Bytes that are none.
@@ -85,7 +85,7 @@ impl Envelope {
     /// Returns the payload, whoever signed it.
     ///
     /// # Errors
-    /// A payload that is no base64, or no in-toto statement by its type.
+    /// A payload that is not base64, or not an in-toto statement by its type.
     pub fn payload(&self) -> Result<Vec<u8>, EnvelopeError> {
         if self.payload_type != PAYLOAD_TYPE {
             return Err(EnvelopeError::PayloadType {

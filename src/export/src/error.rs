@@ -1,4 +1,4 @@
-//! Why a run cannot be handed out.
+//! Errors of exports.
 
 use std::path::PathBuf;
 
@@ -20,7 +20,7 @@ pub enum ExportError {
     Unfinished {
         /// Name of the run.
         id: String,
-        /// How it ended.
+        /// Outcome of the run.
         outcome: String,
     },
     /// An object that the store does not give.
@@ -28,7 +28,7 @@ pub enum ExportError {
     Object {
         /// The object.
         digest: Digest,
-        /// What it is, for people.
+        /// Description, for people.
         what: String,
         /// The error of the store.
         cause: String,
@@ -36,12 +36,12 @@ pub enum ExportError {
     /// A set that is none.
     #[error("{what} cannot be read: {cause}")]
     BadSet {
-        /// What it is, for people.
+        /// Description, for people.
         what: String,
         /// The error of the reader.
         cause: ManifestError,
     },
-    /// The bytes under a key are no action.
+    /// The bytes under a key are not an action.
     #[error("the action of `{node}` cannot be read: {cause}")]
     BadAction {
         /// The node.
@@ -52,13 +52,13 @@ pub enum ExportError {
     /// A photo that the run did not look at.
     #[error("the run has no photo `{id}`")]
     UnknownItem {
-        /// The name that was asked for.
+        /// The requested name.
         id: String,
     },
     /// A node that the run does not have.
     #[error("the run has no node `{node}`")]
     UnknownNode {
-        /// The name that was asked for.
+        /// The requested name.
         node: String,
     },
     /// Something is where the crate shall go.
@@ -82,10 +82,10 @@ impl ExportError {
     pub fn hint(&self) -> Option<&'static str> {
         match self {
             Self::Unfinished { .. } => {
-                Some("`marf run` finishes it; `marf log` lists the runs that are done")
+                Some("finish it with `marf run`, or choose a finished run from `marf log`")
             }
             Self::Object { .. } | Self::BadSet { .. } | Self::BadAction { .. } => {
-                Some("`marf run` makes lost results again; then export the new run")
+                Some("make lost results again with `marf run`, then export the new run")
             }
             Self::UnknownItem { .. } => Some("`marf photos` lists the names of all photos"),
             Self::UnknownNode { .. } => Some("`marf status` lists the nodes"),

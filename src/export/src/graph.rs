@@ -1,9 +1,9 @@
-//! What ran on what, as JSON-LD: RO-Crate 1.1 and the Provenance Run Crate profile 0.5.
+//! The run as a graph in JSON-LD: RO-Crate 1.1 and the Provenance Run Crate profile 0.5.
 //!
 //! ```text
 //! ./ ─ mainEntity ─ the pipeline ─ step ─ #step/NODE ─ workExample ─ #tool/STAGE/VERSION
 //!  └─ mentions ─ #run (CreateAction, instrument the pipeline)
-//!              └ #action/NODE (CreateAction, instrument the tool; object its inputs and parameters; result its outputs)
+//!              └ #action/NODE (CreateAction, instrument the tool, object its inputs and parameters, result its outputs)
 //! #marf/run (OrganizeAction) ─ object ─ #control/NODE (ControlAction, instrument the step) ─ object ─ #action/NODE
 //! ```
 //! Every reference leads to an entity of the graph, without exception. An action is named by its key, and `subjectOf`

@@ -107,7 +107,7 @@ fn links(ids: &[&str], by_id: &Entities<'_>) -> Markup {
     }
 }
 
-/// Links a file that is in the crate; names one that is not.
+/// Links a file that is in the crate, or names one that is not.
 fn link(id: &str, name: &str) -> Markup {
     html! {
         @if id.contains(':') { (name) " (not included)" } @else { a href=(id) { (name) } }

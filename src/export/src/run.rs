@@ -1,4 +1,4 @@
-//! What a run must have to be exported.
+//! Requirements on a run for its export.
 
 use marf_engine::{Outcome, RunRecord};
 

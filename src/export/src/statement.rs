@@ -17,7 +17,7 @@ use crate::time::{end_of, known_time};
 const STATEMENT_TYPE: &str = "https://in-toto.io/Statement/v1";
 /// Type of what it says.
 const PREDICATE_TYPE: &str = "https://slsa.dev/provenance/v1";
-/// How the program builds: what the parameters mean is told in ARCHITECTURE.md.
+/// How the program builds. docs/design/crates-and-audit.md describes the parameters.
 const BUILD_TYPE: &str = "urn:x-marf:build:1";
 const BUILDER: &str = "urn:x-marf:builder:1";
 
@@ -162,7 +162,8 @@ fn encode(
     Ok(marf_cache::canonical_json(&statement))
 }
 
-/// Returns names and digests of what a statement is about; none if the bytes are no statement with SLSA provenance.
+/// Returns names and digests of the subjects of a statement. `None` if the bytes are not a statement with
+/// SLSA provenance.
 pub fn subjects_in(statement: &[u8]) -> Option<Vec<(String, Sha256)>> {
     let statement: Value = serde_json::from_slice(statement).ok()?;
     if statement["_type"] != STATEMENT_TYPE || statement["predicateType"] != PREDICATE_TYPE {

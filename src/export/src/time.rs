@@ -10,14 +10,16 @@ pub fn iso_time(unix_s: u64) -> String {
     known_time(unix_s).unwrap_or_else(|| "unknown".to_owned())
 }
 
-/// Returns a time in seconds since 1970 as `2026-11-21T07:01:02Z`, past the year 9999 as its end; none of 0, which is unknown.
+/// Returns a time in seconds since 1970 as `2026-11-21T07:01:02Z`, past the year 9999 as its end. `None` for
+/// 0, which is unknown.
 pub(crate) fn known_time(unix_s: u64) -> Option<String> {
     let since_1970 = Duration::from_secs(unix_s.min(LAST_UNIX_S));
     let time = humantime::format_rfc3339_seconds(SystemTime::UNIX_EPOCH + since_1970);
     (unix_s > 0).then(|| time.to_string())
 }
 
-/// Returns the end of what began at a time and took so many seconds, in whole seconds since 1970; 0 if the start is unknown.
+/// Returns the end of a process that began at a time and took `seconds`, in whole seconds since 1970. 0 if
+/// the start is unknown.
 pub(crate) fn end_of(started_unix_s: u64, seconds: f64) -> u64 {
     let end = started_unix_s.saturating_add(seconds.max(0.0) as u64);
     if started_unix_s == 0 { 0 } else { end }

@@ -2,9 +2,9 @@
 //!
 //! ```text
 //! bag      every file is listed and has the listed digest          (bag/read.rs)
-//! graph    it is of a form we know; every reference leads somewhere; files have the digests it gives (entities.rs)
-//! actions  bytes of actions give their keys; tools, inputs, parameters and results are those of the graph (actions.rs)
-//! lineage  what is read was made by an action or read from an archive; photos lead to files of the archive (lineage.rs)
+//! graph    its form is known, every reference leads somewhere, files have the digests it gives (entities.rs)
+//! actions  bytes of actions give their keys, and tools, inputs, parameters and results are those of the graph (actions.rs)
+//! lineage  inputs were made by an action or read from an archive, and photos lead to files of the archive (lineage.rs)
 //! signature (signature.rs)
 //! ```
 
@@ -27,7 +27,7 @@ pub use open::{OpenCrate, OpenError};
 pub use signature::Signature;
 pub use trace::{Product, Role, Step, Trace};
 
-/// What a check found.
+/// Result of a check.
 #[derive(Debug, Serialize)]
 pub struct Report {
     /// Name of the run.
@@ -44,17 +44,17 @@ pub struct Report {
     pub actions: u64,
     /// Photos that were followed to the files of the archive.
     pub photos: u64,
-    /// Whether it is signed by the key that was given.
+    /// State of the signature under the given key.
     pub signature: Signature,
-    /// All that is wrong, one sentence each; none in a crate that holds.
+    /// All faults, one sentence each. Empty for a sound crate.
     pub faults: Vec<String>,
 }
 
 /// Checks a crate: all of it, and the signature against a key if one is given.
 ///
 /// # Errors
-/// A folder that is no crate of ours, or one of a newer form; the wish of the user to stop. Anything else that is wrong is a fault of
-/// the report.
+/// A folder that is not a crate of ours, or one of a newer form. The wish of the user to stop. All other
+/// faults are in the report.
 pub fn verify(folder: &Path, key: Option<&PublicKey>, cancel: &Cancel) -> Result<Report, OpenError> {
     let opened = OpenCrate::open(folder, cancel)?;
     let mut faults: Vec<String> = opened.bag.faults.iter().map(ToString::to_string).collect();

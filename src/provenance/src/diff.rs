@@ -1,4 +1,4 @@
-//! What changed between two runs, node by node.
+//! Changes between two runs, node by node.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -13,14 +13,14 @@ use serde::Serialize;
 
 use crate::difference::values;
 
-/// What changed of a node.
+/// Changes of a node.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct NodeDiff {
     /// Its name.
     pub node: String,
     /// Whether both runs have it.
     pub presence: Presence,
-    /// What of its action differs: parameters, versions, inputs, backend.
+    /// Differences of its action: parameters, versions, inputs, backend.
     pub changes: Vec<Change>,
     /// Products that its set of photos has and had not, had and has not, and has with other bytes or facts.
     pub products: ProductsDiff,
@@ -42,7 +42,7 @@ pub enum Presence {
     Second,
 }
 
-/// How two sets of photos differ; ids, sorted.
+/// Difference of two sets of photos, as sorted ids.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct ProductsDiff {
     /// In the second set alone.
@@ -53,8 +53,8 @@ pub struct ProductsDiff {
     pub edited: Vec<String>,
 }
 
-/// Returns the nodes that differ between two runs of a store, in the order of the second run; those that only the first has
-/// come last.
+/// Returns the nodes that differ between two runs of a store, in the order of the second run. Nodes of the
+/// first run alone come last.
 ///
 /// # Errors
 /// A store that cannot be read. What the store has lost of a set or a document is not compared.
@@ -131,7 +131,7 @@ fn of_node(store: &Store, before: Option<&RunNode>, after: Option<&RunNode>) -> 
     Ok(diff)
 }
 
-/// Compares two sets of photos; leaves that both have are not read.
+/// Compares two sets of photos. Leaves that both have are not read.
 fn of_sets(store: &Store, was: &Digest, is: &Digest) -> Result<ProductsDiff, RunError> {
     let (was, is) = (set(store, was)?.leaves, set(store, is)?.leaves);
     let shared: BTreeSet<Digest> = was.iter().map(|leaf| leaf.leaf).collect();

@@ -1,15 +1,15 @@
-//! Where and by how much two contents differ.
+//! Place and size of the difference of two contents.
 
 use marf_engine::{Change, changes};
 use serde::Serialize;
 use serde_json::Value;
 
-/// How two contents differ.
+/// Difference of two contents.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Difference {
     /// Lengths, bytes.
     pub bytes: (u64, u64),
-    /// The first byte that differs, from 0 on; the length of the shorter one where the other goes on.
+    /// The first byte that differs, counted from 0, or the length of the shorter one if the other continues.
     pub first_byte: u64,
     /// Bytes that differ, and those that only one of them has.
     pub differing_bytes: u64,
@@ -18,7 +18,7 @@ pub struct Difference {
     pub values: Vec<Change>,
 }
 
-/// Returns how two contents differ; none if they are equal.
+/// Returns how two contents differ. `None` if they are equal.
 pub fn difference(one: &[u8], two: &[u8]) -> Option<Difference> {
     let first = one.iter().zip(two).position(|(a, b)| a != b);
     if first.is_none() && one.len() == two.len() {
@@ -34,7 +34,7 @@ pub fn difference(one: &[u8], two: &[u8]) -> Option<Difference> {
     })
 }
 
-/// Returns the values that differ between two JSON documents; none for other contents.
+/// Returns the values that differ between two JSON documents. Empty for other contents.
 pub fn values(one: &[u8], two: &[u8]) -> Vec<Change> {
     let parse = |bytes: &[u8]| serde_json::from_slice::<Value>(bytes).ok();
     match (parse(one), parse(two)) {

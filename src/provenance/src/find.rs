@@ -1,4 +1,4 @@
-//! Finds a content in a store: as what, and by which nodes of which runs.
+//! Finds a content in a store: its role, and the nodes and runs that have it.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -12,7 +12,7 @@ use marf_model::{
 use marf_stage::{PHOTOS, VERDICTS};
 use serde::Serialize;
 
-/// As what a run knows a content.
+/// Role of a content in a run.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Place {
@@ -41,10 +41,10 @@ pub enum Place {
         sol: u32,
         /// The product.
         id: String,
-        /// Which of its blobs.
+        /// Role of the blob.
         role: String,
     },
-    /// A file of an archive of which no product was made.
+    /// A file of an archive that no product was made of.
     File {
         /// The source.
         node: String,
@@ -53,25 +53,25 @@ pub enum Place {
         /// Name in the archive.
         file: String,
     },
-    /// Something that a node stored beside its outputs.
+    /// Something that a node stored in addition to its outputs.
     Stored(String),
 }
 
 /// A node, or a run as a whole, that has a content.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Maker {
-    /// As what.
+    /// Role of the content.
     pub place: Place,
-    /// Key of the node's result; none for what belongs to the run as a whole.
+    /// Key of the node's result. `None` for a content of the run as a whole.
     pub key: Option<Digest>,
     /// Numbers of the runs that have it, oldest first.
     pub runs: Vec<u64>,
-    /// Number of the run that made it; none if that run is gone, and the others reused what it made.
+    /// Number of the run that made it. `None` if that run is gone, and the others reused the result.
     pub made_in: Option<u64>,
 }
 
 impl Place {
-    /// Returns the node; none for what belongs to the run as a whole.
+    /// Returns the node. `None` for a content of the run as a whole.
     pub fn node(&self) -> Option<&str> {
         match self {
             Self::Root | Self::Document(_) => None,
@@ -85,9 +85,10 @@ impl Place {
     }
 }
 
-/// Returns everybody who has a content, those first that name it in the run root; `runs` are oldest first.
+/// Returns every maker of a content, those named in the run root first. `runs` are oldest first.
 ///
-/// What only objects of the store name (sols, photos, labels) is looked for where no root names the content.
+/// Contents that only objects of the store name (sols, photos, labels) are searched if no root names the
+/// content.
 ///
 /// # Errors
 /// A store that cannot be read. What the store has lost is passed over.
@@ -155,7 +156,7 @@ fn named_by(run: &RunRecord, content: &Digest, makers: &mut Makers) {
     }
 }
 
-/// What was searched already: most results are those of many runs.
+/// Results searched already: most are in many runs.
 #[derive(Default)]
 struct Seen {
     /// Places of the content by the key of the node's result.
@@ -272,7 +273,7 @@ fn in_sets(store: &Store, node: &NodeRun, content: &Digest) -> Result<Vec<Place>
     Ok(places)
 }
 
-/// Tells whether a record lists a blob among what it needs.
+/// Returns true if a record lists a blob among its needs.
 fn has_need(store: &Store, record: &Record, content: &Digest) -> Result<bool, RunError> {
     let Some(list) = record.needs else {
         return Ok(false);

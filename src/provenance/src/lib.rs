@@ -3,12 +3,12 @@
 //! ```text
 //! run.rs   a run: nodes with actions and records, inputs with the outputs that they are
 //! product.rs   what a source read: products, and where their files came from
-//! find.rs      a content: as what, and by which nodes of which runs
-//! nearest.rs   a file that nobody made: which object it resembles most
+//! find.rs      a content: its role, and the nodes and runs that have it
+//! nearest.rs   a file that no node made: the object it resembles most
 //! stamp.rs     marks in exported copies
-//! taint.rs     a product: what it went into
-//! replay.rs    what a run needs to be made again, and how what came compares with it
-//! diff.rs      what changed between two runs
+//! taint.rs     a product: everything derived from it
+//! replay.rs    needs of a replay, and the comparison of its results with the run
+//! diff.rs      changes between two runs
 //! difference.rs where and by how much two contents differ
 //! verify.rs    every byte of a lineage against its digest
 //! ```

@@ -1,10 +1,10 @@
-//! Which of some objects a file resembles most.
+//! Finds the object that a file resembles most.
 
 use std::collections::HashMap;
 
 use marf_cache::Digest;
 
-/// A stretch ends where so many low bits of the rolling hash are zero: after 64 bytes in the mean.
+/// A stretch ends where this many low bits of the rolling hash are zero: after 64 bytes in the mean.
 const END_BITS: u32 = 6;
 /// As [`END_BITS`] for a file below [`SMALL_BYTES`]: after 8 bytes in the mean, so that one change leaves most stretches.
 const SMALL_END_BITS: u32 = 3;
@@ -41,7 +41,7 @@ impl Outline {
         }
     }
 
-    /// Tells whether an object of this length can share enough with the file.
+    /// Returns true if an object of this length can share enough with the file.
     pub fn may_resemble(&self, bytes: u64) -> bool {
         let (least, most) = (self.bytes.min(bytes as usize), self.bytes.max(bytes as usize));
         least as f64 >= LEAST_SHARE * most as f64

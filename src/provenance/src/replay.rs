@@ -1,4 +1,4 @@
-//! What a run needs to be made again, and how what came compares with it.
+//! Needs of a replay, and the comparison of its results with the run.
 
 use std::collections::BTreeMap;
 
@@ -14,7 +14,7 @@ use serde::Serialize;
 
 use crate::difference::{Difference, difference};
 
-/// Returns what a source met, to be read again in place of its archive.
+/// Returns the archive that a source met, to be read again instead of the real one.
 ///
 /// # Errors
 /// Something of it that is lost, or was not noted.
@@ -121,7 +121,7 @@ pub fn copy_record(key: &Digest, from: &Store, to: &Store) -> Result<Record, Run
     Ok(record)
 }
 
-/// How a node came out of a replay.
+/// Result of the replay of a node.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Replayed {
     /// Its name.
@@ -130,7 +130,7 @@ pub struct Replayed {
     pub equal: u64,
     /// Outputs that are not.
     pub differs: Vec<DifferingOutput>,
-    /// Why there is nothing to compare; absent for a node that was made again.
+    /// Why there is nothing to compare. Absent for a node that was made again.
     #[serde(flatten)]
     pub not_made: Option<NotMade>,
 }
@@ -139,9 +139,9 @@ pub struct Replayed {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum NotMade {
-    /// Its stage says that its results may differ, and why; the recorded result was taken over.
+    /// Its stage says that its results may differ, and why. The recorded result was used.
     TakenOver(String),
-    /// It cannot be made here, or failed; why.
+    /// It cannot be made here, or failed, with the reason.
     NotMade(String),
 }
 
@@ -150,9 +150,9 @@ pub enum NotMade {
 pub struct DifferingOutput {
     /// Its name.
     pub output: String,
-    /// What the run has; none if it had no such output.
+    /// Output of the run. `None` if it had no such output.
     pub was: Option<Digest>,
-    /// What the replay gave; none if it gave no such output.
+    /// Output of the replay. `None` if it gave no such output.
     pub is: Option<Digest>,
     /// Where and how much, where both can be read.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -160,13 +160,14 @@ pub struct DifferingOutput {
 }
 
 impl Replayed {
-    /// Tells whether the node was made again, to the same digests.
+    /// Returns true if the node was made again, to the same digests.
     pub fn is_equal(&self) -> bool {
         self.not_made.is_none() && self.differs.is_empty()
     }
 }
 
-/// Compares nodes of a run with those of its replay; `not_made` holds, by name, the nodes that it was not asked to make.
+/// Compares nodes of a run with those of its replay. `not_made` holds, by name, the nodes that the replay
+/// left out.
 ///
 /// # Errors
 /// A store that cannot be read.

@@ -11,7 +11,7 @@
 
 use marf_cache::Digest;
 
-/// What an exported copy says of itself.
+/// Mark in an exported copy.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Stamp {
     /// The object of the store that it is a copy of.
@@ -20,7 +20,7 @@ pub struct Stamp {
     pub run: Digest,
 }
 
-/// Where a mark stands and what it is wrapped in. Its length follows from the format alone.
+/// Place and wrapping of a mark. Its length follows from the format alone.
 struct Form {
     at: usize,
     before: Vec<u8>,
@@ -41,7 +41,7 @@ const CHECK: usize = 16;
 const TEXT: usize = 7 + DIGITS + 1 + 4 + DIGITS + 1 + 6 + CHECK;
 
 impl Stamp {
-    /// Returns the copy of an object with the mark; none if its format has no place for one.
+    /// Returns the copy of an object with the mark. `None` if its format has no place for one.
     pub fn add_to(&self, object: &[u8]) -> Option<Vec<u8>> {
         let form = form_of(object)?;
         let (start, rest) = object.split_at_checked(form.at)?;
@@ -58,16 +58,16 @@ impl Stamp {
         Some(copy)
     }
 
-    /// Takes a mark off a copy: the bytes of the object, and what the mark says; none if there is no whole mark.
+    /// Splits a copy into the bytes of the object and the mark. `None` without a whole mark.
     ///
-    /// Whether these bytes have the digest that the mark names is for the caller to check.
+    /// The caller must check that these bytes have the digest in the mark.
     pub fn take_from(copy: &[u8]) -> Option<(Vec<u8>, Self)> {
         let (object, text) = cut(copy)?;
         let stamp = Self::parse(text)?;
         (stamp.add_to(&object).as_deref() == Some(copy)).then_some((object, stamp))
     }
 
-    /// Returns the bytes of the object from a copy whose mark was altered; none if nothing stands where a mark would.
+    /// Returns the bytes of the object from a copy with an altered mark. `None` without the frame of a mark.
     pub fn take_altered_from(copy: &[u8]) -> Option<Vec<u8>> {
         cut(copy).map(|(object, _)| object)
     }
@@ -123,7 +123,7 @@ fn place_in(copy: &[u8]) -> Option<usize> {
     }
 }
 
-/// Returns the wrapping of a mark at a place of an object or a copy; none if the format has none.
+/// Returns the wrapping of a mark at a place of an object or a copy. `None` if the format has none.
 fn form_at(bytes: &[u8], at: usize) -> Option<Form> {
     let form = |before: &[u8], after: &[u8]| Form {
         at,
@@ -269,7 +269,7 @@ mod tests {
             }
         }
 
-        /// A copy in which one bit of the object is flipped still says what it was, or is no copy any more.
+        /// A copy with one flipped bit still says what it was, or is not a copy any more.
         #[test]
         fn a_flipped_bit_is_never_the_object(at: prop::sample::Index, bit in 0_u32..8, which in 0_usize..4) {
             let (_, object) = objects().swap_remove(which);

@@ -1,4 +1,4 @@
-//! What a product went into: the nodes of each run that read it, or read something that was made from it.
+//! Everything derived from a product: the nodes of each run that read it, or read a result made from it.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -59,11 +59,11 @@ pub fn product_of(run: &Run<'_>, wanted: &str) -> Result<Option<Product>, RunErr
     Ok(None)
 }
 
-/// Returns what a product went into in one run; none if no source of the run read it.
+/// Returns everything derived from a product in one run. `None` if no source of the run read it.
 ///
-/// A set of photos holds the product or not; anything else is tainted if one of the inputs of its maker is. A filter that
-/// rejects a product has looked at it, and what it says of others may depend on it: it is among the nodes, what follows from
-/// its photos is not.
+/// A set of photos is tainted if it holds the product, any other output if one of the inputs of its maker is.
+/// A filter that rejects a product has looked at it, and its verdicts on others may depend on it. Such a
+/// filter is among the nodes, but results from its photos are not.
 ///
 /// # Errors
 /// A store that cannot be read, or has lost a set.
@@ -117,7 +117,7 @@ pub fn tainted(run: &Run<'_>, product: &Product) -> Result<Option<Tainted>, RunE
     Ok((!answer.nodes.is_empty()).then_some(answer))
 }
 
-/// Tells whether a set holds a product. Only the leaves of its sol are read.
+/// Returns true if a set holds a product. Only the leaves of its sol are read.
 fn holds(store: &Store, root: &Digest, product: &Product) -> Result<bool, RunError> {
     for leaf in set(store, root)?
         .leaves

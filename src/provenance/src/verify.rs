@@ -6,7 +6,7 @@ use marf_cache::{Digest, FsckOptions, FsckReport, MissingObject, Role, Sha256, S
 use marf_model::{Run, RunError, RunNode, product::origins, unless_lost};
 use serde::Serialize;
 
-/// What a verification found.
+/// Result of a verification.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct Verified {
     /// Objects of the lineage that are in the store: records and blobs.
@@ -15,20 +15,20 @@ pub struct Verified {
     pub bytes: u64,
     /// Products of archives whose SHA-256 was compared too.
     pub products: u64,
-    /// What is not as its digest or the run root says.
+    /// Contents that disagree with their digest or with the run root.
     pub faults: Vec<Fault>,
-    /// What is named and not in the store: collected or lost.
+    /// Named objects that are not in the store: collected or lost.
     pub missing: Vec<Lost>,
 }
 
 /// Something that is not as it should be.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Fault {
-    /// The object, or the key of a record; none for a fault of the run root.
+    /// The object, or the key of a record. `None` for a fault of the run root.
     pub object: Option<Digest>,
     /// Whose it is, or the file of the store.
     pub of: String,
-    /// What is wrong.
+    /// The fault.
     pub what: String,
 }
 
@@ -37,7 +37,7 @@ pub struct Fault {
 pub struct Lost {
     /// The blob, or the key of the record.
     pub digest: Digest,
-    /// As what it is named (`output`, `record`).
+    /// Role under which it is named (`output`, `record`).
     pub role: &'static str,
     /// The node whose it is, as far as that is known, else the key or set that names it.
     pub of: String,
@@ -55,11 +55,11 @@ pub fn check(store: &Store) -> Result<FsckReport, RunError> {
     })?)
 }
 
-/// Compares everything that some nodes of a run consist of and were made from, and the run's documents, with their digests
-/// and with what the run root says of them; `check` is what [`check`] found.
+/// Compares all contents and inputs of some nodes of a run, and the run's documents, with their digests and
+/// with the run root. `check` is the result of [`check`].
 ///
 /// # Errors
-/// A store that cannot be read. Faults are no errors.
+/// A store that cannot be read. Faults are not errors.
 pub fn verify(run: &Run<'_>, nodes: &[&RunNode], check: &FsckReport) -> Result<Verified, RunError> {
     let store = run.store();
     let damaged: BTreeMap<Digest, (String, &str)> = check
@@ -107,7 +107,7 @@ impl Verified {
         verified
     }
 
-    /// Returns what two verifications found together.
+    /// Merges the results of two verifications.
     #[must_use]
     pub fn and(mut self, other: Self) -> Self {
         self.objects += other.objects;
@@ -195,7 +195,7 @@ fn files(
             let Some(sha256) = file.sha256.filter(|_| is_read) else {
                 continue;
             };
-            // A lost file is among what is missing.
+            // A lost file is in `missing`.
             let Some(bytes) = unless_lost(store.get(&file.blake3).map_err(RunError::from))? else {
                 continue;
             };

@@ -13,21 +13,21 @@ const BOTTOM: f64 = 42.0;
 /// Height of a row of the legend.
 const LEGEND_ROW: f64 = 18.0;
 
-/// How values become heights.
+/// Scale of an axis.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Scale {
     /// Equal differences, equal steps.
     Linear,
-    /// Equal ratios, equal steps; values of 0 and below are left out.
+    /// Equal ratios, equal steps. Values of 0 and below are left out.
     Log,
 }
 
-/// A line: its name, empty where it is the only one, and its points by x; those that are not finite are left out.
+/// A line: its name, empty for the only one, and its points by x. Points that are not finite are left out.
 pub(super) type Line<'a> = (&'a str, Vec<(f64, f64)>);
 
 /// A chart.
 pub(super) struct Chart<'a> {
-    /// What it shows, for screen readers.
+    /// Description, for screen readers.
     pub(super) title: &'a str,
     /// Quantity and unit along x.
     pub(super) x_label: &'a str,
@@ -68,7 +68,7 @@ impl Chart<'_> {
         };
         let x_of = |x: f64| LEFT + share(x, &x_ticks, Scale::Linear) * (WIDTH - LEFT - RIGHT);
         let y_of = |y: f64| HEIGHT - BOTTOM - share(y, &y_ticks, self.scale) * (HEIGHT - TOP - BOTTOM);
-        // The legend stands above the plot.
+        // The legend is above the plot.
         let named = lines.iter().filter(|(_, (name, _))| !name.is_empty()).count();
         let legend_height = LEGEND_ROW * named as f64;
         let (above, height) = (px(-legend_height), px(HEIGHT + legend_height));
@@ -154,7 +154,7 @@ fn share(value: f64, ticks: &[f64], scale: Scale) -> f64 {
     }
 }
 
-/// Multiples of 1, 2 or 5 times a power of ten that enclose all values; five to ten of them.
+/// Five to ten multiples of 1, 2 or 5 times a power of ten that enclose all values.
 pub(super) fn linear_ticks(values: impl Iterator<Item = f64>) -> Vec<f64> {
     let (low, high) = range(values);
     // A flat line gets a margin above and below, else it would coincide with the frame.

@@ -14,7 +14,7 @@ pub struct Call {
 }
 
 impl Call {
-    /// Reads it from a verdict; none where there is no score or threshold, or a person has decided.
+    /// Reads it from a verdict. `None` without a score or threshold, or if a person has decided.
     pub fn from_verdict(verdict: &Verdict) -> Option<Self> {
         let manual =
             verdict.reason.starts_with("kept by hand") || verdict.reason.starts_with("rejected by hand");
@@ -27,13 +27,13 @@ impl Call {
         (sound && !manual).then_some(call)
     }
 
-    /// Returns how far the score lies above the threshold, as a share of it; negative below.
+    /// Returns how far the score is above the threshold, as a share of it. Negative below.
     pub fn margin(&self) -> f64 {
         (self.score - self.threshold) / self.threshold.abs()
     }
 
-    /// Tells whether the verdict would be another one if the threshold were so many times as large. Only this score
-    /// counts: other measures of the filter stay as they are.
+    /// Returns true if the verdict would change with `factor` times the threshold. Only this score counts:
+    /// other measures of the filter stay as they are.
     pub fn flips_at(&self, factor: f64) -> bool {
         // The side on which photos go: where a rejected one is, and a kept one is not.
         let high_goes = (self.score >= self.threshold) != self.keeps;

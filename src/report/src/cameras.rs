@@ -1,4 +1,4 @@
-//! Where the cameras stood and looked, from above and from the side.
+//! Positions and directions of the cameras, from above and from the side.
 
 use std::collections::BTreeMap;
 
@@ -27,16 +27,17 @@ const MARGIN: f64 = 126.0;
 const MOST_POINTS: usize = 3_000;
 /// An axis whose cosine with up is larger counts as up, within 2.6 degrees.
 const LEVEL: f64 = 0.999;
-/// Length of a drawn view, as a share of the longer side of what is shown; that of the one camera of a plan.
+/// Length of a drawn view, as a share of the longer side of the drawing, and that of the one camera of a
+/// plan.
 const VIEW_SHARE: f64 = 0.06;
 const PLAN_SHARE: f64 = 0.16;
-/// Width of a plan beside pictures, pixels, and most cameras that it shows, evenly from all.
+/// Width of a plan next to pictures, pixels, and most cameras that it shows, evenly from all.
 const PLAN_WIDTH: f64 = 220.0;
 const MOST_CAMERAS: usize = 500;
 /// With more cameras than this they have no names in the drawings, and most that are drawn then.
 const MOST_NAMED: usize = 500;
 const MOST_DRAWN: usize = 2_000;
-/// Reprojection errors up to which a camera has the first colours, pixels; the last is for all above.
+/// Reprojection errors up to which a camera has the first colours, pixels. The last colour is for all above.
 const ERRORS_PX: [f64; 3] = [0.5, 1.0, 2.0];
 
 /// Every scene of the run once, with the nodes that hold it.
@@ -128,14 +129,14 @@ fn error_class(rank: usize) -> String {
     format!("error{rank}")
 }
 
-/// Where single cameras of a scene stand, seen from above.
+/// Plan of single cameras of a scene, seen from above.
 pub(super) struct Plan {
     scene: Scene,
 }
 
 impl Plan {
-    /// Reads the scene of a node, or of one that it reads; none without a scene, or with one that cannot be read: the section on cameras
-    /// says why.
+    /// Reads the scene of a node, or of one that it reads. `None` without a readable scene: the section on
+    /// cameras says why.
     pub(super) fn new(page: &Page<'_>, node: &RunNode) -> Option<Self> {
         let upstream = page.report.upstream(node).into_iter();
         let read = upstream.filter_map(|name| page.report.node(name));
@@ -145,7 +146,8 @@ impl Plan {
         Some(Self { scene })
     }
 
-    /// Draws where a photo was taken, and the nearest photo trained on, among all; none without a camera of this id.
+    /// Draws the position of a photo, and of the nearest photo trained on, among all. `None` without a camera
+    /// of this id.
     pub(super) fn whereabouts(&self, id: &str, nearest: Option<&str>) -> Option<Markup> {
         let find = |id: &str| self.scene.frames.iter().find(|frame| frame.id == id);
         let (own, nearest) = (find(id)?, nearest.and_then(find));
@@ -185,13 +187,13 @@ struct Axes {
     right: Vec3,
     ahead: Vec3,
     up: Vec3,
-    /// What `ahead` is called in the drawing.
+    /// Name of `ahead` in the drawing.
     ahead_name: &'static str,
     right_name: &'static str,
     words: &'static str,
 }
 
-/// What a drawing shows: two directions of the world, to the right and to the top of the page.
+/// View of a drawing: two directions of the world, to the right and to the top of the page.
 struct View {
     right: Vec3,
     top: Vec3,
@@ -200,7 +202,7 @@ struct View {
 }
 
 impl Axes {
-    /// Cameras in metres with z down stand in the site frame of labels (x north, y east): there north is known.
+    /// Cameras in metres with z down are in the site frame of labels (x north, y east): there north is known.
     fn new(scene: &Scene) -> Self {
         let given = scene.up.and_then(unit);
         let up = given.unwrap_or([0.0, 0.0, 1.0]);
@@ -318,7 +320,7 @@ fn fitted<'v>(scene: &Scene, view: &'v View) -> Fit<'v> {
     }
 }
 
-/// Values below which this share, and all but this share, lie; an empty list has none.
+/// Values below which this share, and all but this share, lie. (∞, -∞) for an empty list.
 fn quantiles(mut values: Vec<f64>, share: f64) -> (f64, f64) {
     values.retain(|value| value.is_finite());
     values.sort_by(f64::total_cmp);
@@ -390,7 +392,7 @@ fn many(scene: &Scene, fit: &Fit<'_>) -> BTreeMap<(bool, String), String> {
     paths
 }
 
-/// Returns at most so many of all, evenly.
+/// Returns at most `most` of all, evenly.
 fn evenly<T>(all: &[T], most: usize) -> impl Iterator<Item = &T> {
     all.iter().step_by(all.len().div_ceil(most).max(1))
 }
@@ -433,7 +435,7 @@ fn scale_bar(scene: &Scene, fit: &Fit<'_>) -> Markup {
     }
 }
 
-/// Names of the directions, in the corner; nothing where they have no name.
+/// Names of the directions, in the corner. Empty if they have no name.
 fn compass(view: &View, fit: &Fit<'_>) -> Markup {
     let (x, y) = (WIDTH - 60.0, fit.height - 22.0);
     html! {

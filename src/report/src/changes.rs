@@ -1,4 +1,4 @@
-//! What changed since an earlier run, as `marf diff` tells it.
+//! Changes since an earlier run, as in `marf diff`.
 
 use maud::{Markup, html};
 

@@ -58,7 +58,9 @@ fn folded(page: &Page<'_>, node: &RunNode) -> Markup {
         None if metrics.photos >= u64::from(metrics.below) => html! {
             p.quiet { (metrics.photos) " photos: not judged by folds, which is for scenes of fewer than " (metrics.below) "." }
         },
-        None => html! { p.quiet { "All photos stand in one place: a fold would hold out all or none." } },
+        None => {
+            html! { p.quiet { "All photos were taken at one place: a fold would hold out all or none." } }
+        }
     }
 }
 
@@ -77,7 +79,7 @@ fn sentence(missing: Missing) -> Markup {
     html! { (missing) }
 }
 
-/// The means alone: each photo's scores stand beside its pictures.
+/// The means alone, as each photo's scores are shown next to its pictures.
 fn without_views(scores: &Scores) -> Scores {
     Scores {
         views: Vec::new(),
@@ -121,15 +123,15 @@ fn curves(page: &Page<'_>, node: &RunNode) -> Markup {
             p.quiet {
                 (number(last.rays as f64)) " rays, " (number(last.samples as f64)) " samples in all."
                 @if seconds.is_some() {
-                    " Seconds: the time of all steps on the machine that made it, shared out by samples; reading photos and judging come on top."
+                    " Seconds: the time of all steps on the machine that made it, shared out by samples. Reading photos and judging take additional time."
                 }
             }
         }
     }
 }
 
-/// Returns when each point of a curve was reached: the seconds of all steps, shared out by samples, which are what a step costs. None
-/// where no sample was taken.
+/// Returns when each point of a curve was reached: the seconds of all steps, divided in proportion to
+/// samples, which are the cost of a step. `None` if no sample was taken.
 fn seconds(points: &[CurvePoint], whole_s: f64) -> Option<Vec<f64>> {
     let all = points.last()?.samples;
     let at = |point: &CurvePoint| whole_s * point.samples as f64 / all as f64;

@@ -20,18 +20,19 @@ const FILM_BYTES: usize = 6_000_000;
 /// A map that takes more than this as PNG becomes a JPEG.
 const MAP_BYTES: usize = 120_000;
 
-/// How a picture is embedded.
+/// Form of an embedded picture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Form {
     /// JPEG of at most 160 px a side.
     Thumb,
     /// JPEG of at most 480 px a side.
     Photo,
-    /// PNG of at most 480 px a side, since colours carry numbers; JPEG where noise makes it too large.
+    /// PNG of at most 480 px a side, since colours carry numbers. JPEG if noise makes it too large.
     Map,
 }
 
-/// A picture ready for an `img`; kept in the store, so that a report after a new threshold decodes nothing.
+/// A picture ready for an `img`. It is kept in the store, so that a report after a new threshold decodes
+/// nothing.
 #[derive(Debug, Clone, PartialEq)]
 struct Picture {
     width: u32,
@@ -104,16 +105,16 @@ impl<'a> Pictures<'a> {
     /// Shows a film (MP4) as it is stored.
     ///
     /// # Errors
-    /// The sentence that stands in its place.
+    /// The sentence shown instead of it.
     pub(super) fn film(&self, report: &Report<'_>, digest: &Digest, alt: &str) -> Result<Markup, String> {
         let bytes = (report.read)(digest).ok_or_else(|| not_stored("The film", digest))?;
         if bytes.get(4..8) != Some(b"ftyp".as_slice()) {
-            return Err("The film is no MP4 and is not shown.".to_owned());
+            return Err("The film is not an MP4 and is not shown.".to_owned());
         }
         if !self.fits(&self.film_bytes, bytes.len() / 3 * 4, FILM_BYTES) {
             let (size, digest) = (megabytes(bytes.len()), digest.short());
             return Err(format!(
-                "The film has {size}, too much for this page; it is object {digest} of the store."
+                "The film has {size}, too much for this page. It is object {digest} of the store."
             ));
         }
         let address = self.media.stored("video/mp4", digest, &bytes);
@@ -133,7 +134,7 @@ impl<'a> Pictures<'a> {
         html! { img loading=[loading] src=(address) alt=(alt) width=(picture.width) height=(picture.height); }
     }
 
-    /// Counts bytes of the page; tells whether they are still within a limit. What is linked takes none.
+    /// Counts bytes of the page and returns true if they are still within a limit. Linked files take none.
     fn fits(&self, used: &Cell<usize>, bytes: usize, most: usize) -> bool {
         let sum = used.get() + bytes;
         let fits = self.media.live().is_some() || sum <= most;
@@ -147,7 +148,7 @@ impl<'a> Pictures<'a> {
 /// Version of the memos: to be raised when the same picture would be shown as other bytes.
 const VERSION: u32 = 2;
 
-/// Makes of a stored picture what is shown, or takes what an earlier report made of it.
+/// Scales a stored picture for the page, or takes the result of an earlier report.
 fn scaled_of(report: &Report<'_>, digest: &Digest, form: Form) -> Result<Picture, String> {
     let key = Digest::from_content(format!("picture {VERSION} {form:?} {digest}").as_bytes());
     let known = report.memos.load(&key);
@@ -167,7 +168,7 @@ pub(super) fn decode(report: &Report<'_>, digest: &Digest) -> Result<Image<Srgb>
     Ok(photo.image)
 }
 
-/// Shrinks to what is shown, never enlarges.
+/// Shrinks to the shown size, never enlarges.
 pub(super) fn shrunk(image: &Image<Srgb>, most_px: u32) -> Result<Image<Srgb>, String> {
     marf_scene::shrunk(image, most_px).ok_or_else(|| "The picture has no pixels.".to_owned())
 }

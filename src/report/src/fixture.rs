@@ -28,7 +28,7 @@ const NAMES: [&str; 5] = ["a.jpg", "b.jpg", "c.jpg", "d.jpg", "e.jpg"];
 #[derive(Default)]
 pub(super) struct Store {
     pub(super) blobs: BTreeMap<Digest, Arc<[u8]>>,
-    /// Parameters by node; of others a seed.
+    /// Parameters by node. Other nodes get a seed.
     pub(super) params: BTreeMap<String, Value>,
 }
 
@@ -63,7 +63,7 @@ impl Store {
         digest
     }
 
-    /// Stores a document; returns the name of its output with its digest.
+    /// Stores a document and returns the name of its output with its digest.
     pub(super) fn document<D: Document>(&mut self, document: &D) -> (&'static str, Digest) {
         (D::OUTPUT, self.put(&document.encode().unwrap()))
     }
@@ -169,7 +169,7 @@ pub(super) fn node(name: &str, upstream: &[&str]) -> RunNode {
     }
 }
 
-/// A node that another one asked for.
+/// A child node of another one.
 pub(super) fn child(parent: &RunNode, name: &str, state: NodeState, worked_s: Option<f64>) -> RunNode {
     let mut child = node(name, &[]);
     child.run.parent = Some(parent.run.name.clone());

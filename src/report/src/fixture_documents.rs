@@ -218,7 +218,7 @@ fn intervals(floor: f64) -> bootstrap::Calibration {
     }
 }
 
-/// A trade of three settings, one of which could not be trained.
+/// A trade of three settings. One of them could not be trained.
 pub(super) fn trade() -> trade::Trade {
     let run = |psnr, seconds| trade::PointRun {
         seed: 0,

@@ -1,6 +1,6 @@
 //! Numbers, times and counts as text.
 
-/// Up to four significant digits, thousands with commas; very small and very large ones with an exponent.
+/// Up to four significant digits, thousands with commas. Very small and very large numbers have an exponent.
 pub(super) fn number(value: f64) -> String {
     let size = value.abs();
     if !value.is_finite() {
@@ -79,7 +79,7 @@ pub(super) fn megabytes(bytes: usize) -> String {
     format!("{:.1} MB", bytes as f64 / 1e6)
 }
 
-/// A coordinate of an SVG, a tenth of a pixel exact; what is not finite becomes 0.
+/// A coordinate of an SVG, a tenth of a pixel exact. 0 if it is not finite.
 pub(super) fn px(value: f64) -> String {
     let value = if value.is_finite() {
         (value * 10.0).round() / 10.0

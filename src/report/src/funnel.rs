@@ -1,4 +1,4 @@
-//! How many photos went into each filter, and how many came out.
+//! Number of photos into and out of each filter.
 
 use marf_model::RunNode;
 use maud::{Markup, html};

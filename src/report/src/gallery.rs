@@ -16,7 +16,7 @@ use super::verdicts::Summary;
 pub(super) fn rejected(page: &Page<'_>) -> Markup {
     let galleries: Vec<Markup> = page
         .judged()
-        // What a source rejects has become no photo.
+        // A product that a source rejects has not become a photo.
         .filter(|(node, _)| !node.run.edges.is_empty())
         .filter_map(|(node, sum)| rejected_by(page, node, sum))
         .collect();
@@ -78,7 +78,7 @@ fn score(verdict: &Verdict) -> Option<String> {
     ))
 }
 
-/// What was left at the end of the filters.
+/// The photos that all filters keep.
 pub(super) fn kept(page: &Page<'_>) -> Markup {
     if page.kept.is_empty() {
         return page.absent("photos");
@@ -110,7 +110,7 @@ fn kept_by(page: &Page<'_>, node: &RunNode, kept: &Result<Kept, Missing>) -> Mar
     }
 }
 
-/// Tells how many of some photos are not among those that are shown.
+/// Says how many photos are not shown.
 pub(super) fn not_shown(number: usize, shown: usize) -> Markup {
     let rest = number.saturating_sub(shown);
     html! { @if rest > 0 { p.quiet { (count(rest, "photo")) " not shown." } } }

@@ -157,7 +157,7 @@ impl Layout {
         y
     }
 
-    /// One path for each edge; a line that leaves a band goes on at the left of the next.
+    /// One path for each edge. A line that leaves a band continues at the left of the next.
     fn paths(&self, report: &Report<'_>) -> BTreeSet<String> {
         let edges = edges(report);
         edges
@@ -235,7 +235,7 @@ fn arrow(at: (f64, f64)) -> String {
     format!("M{back} {up}L{} {}L{back} {down}", px(at.0), px(at.1))
 }
 
-/// (Producer, consumer) as places in the list; names that are not in it are left out.
+/// (Producer, consumer) as places in the list. Names outside of it are left out.
 fn edges(report: &Report<'_>) -> BTreeSet<(usize, usize)> {
     let nodes = || report.nodes.iter().enumerate();
     let places: BTreeMap<&str, usize> = nodes()

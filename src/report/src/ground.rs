@@ -14,7 +14,7 @@ const MOST_PATCHES: usize = 30;
 /// The maps, with what they show.
 const MAPS: [(&str, &str); 3] = [("map", "What changed"), ("before", "Before"), ("after", "After")];
 
-/// Tells whether a run has compared two times.
+/// Returns true if a run has compared two times.
 pub(super) fn is_compared(page: &Page<'_>) -> bool {
     page.with_document::<ChangesReport>().next().is_some()
 }
@@ -49,7 +49,7 @@ fn of_node(page: &Page<'_>, node: &RunNode) -> Markup {
         }
         p.legend {
             (key("higher", "higher")) (key("lower", "lower")) (key("colour", "another colour")) (key("undecided", "undecided"))
-            span { "dark: one time alone; black: not seen" }
+            span { "dark: one time alone, black: not seen" }
         }
         @if report.patches.is_empty() { p { "No patch is larger than the noise." } } @else { (table(&report.patches)) }
     }

@@ -1,4 +1,4 @@
-//! What stands still in the pictures of a camera: proposed masks, and how to take one.
+//! Static parts of the pictures of a camera: proposed masks, and how to use one.
 
 use marf_model::RunNode;
 use marf_schema::masks::{CameraReport, Metrics};
@@ -9,7 +9,7 @@ use super::embed::{Form, words};
 use super::format::{count, number};
 use super::page::Page;
 
-/// The proposals of every node that made some; nothing without one.
+/// The proposals of every node that made some. Empty without one.
 pub(super) fn body(page: &Page<'_>) -> Markup {
     html! { @for node in page.with_document::<Metrics>() { h3 { (node.run.name) } (of_node(page, node)) } }
 }

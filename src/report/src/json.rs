@@ -14,8 +14,8 @@ const MOST_ROWS: usize = 200;
 /// Most entries of a list that are written out.
 const MOST_ENTRIES: usize = 12;
 
-/// Shows all fields of a document: single values as one table, each list of objects as its own; empty lists are left
-/// out.
+/// Shows all fields of a document: single values as one table, each list of objects as its own. Empty lists
+/// are left out.
 pub(super) fn fields(document: &impl Document) -> Markup {
     tables(&value(document))
 }
@@ -46,7 +46,7 @@ fn tables(value: &Value) -> Markup {
     }
 }
 
-/// Shows a list of objects, one row each; nested keys get a dot.
+/// Shows a list of objects, one row each. Nested keys get a dot.
 pub(super) fn table(rows: &[Value]) -> Markup {
     let columns = columns(rows);
     html! {
@@ -97,7 +97,7 @@ pub(super) fn cell(row: &Value, column: &str) -> Markup {
     }
 }
 
-/// Single values of an object with dotted keys; lists of objects are left to [`tables`].
+/// Single values of an object with dotted keys. Lists of objects are left to [`tables`].
 fn flat(value: &Value) -> Vec<(String, Value)> {
     let mut found = Vec::new();
     walk("", value, &mut |key, value| {
@@ -135,7 +135,7 @@ fn walk<'v>(key: &str, value: &'v Value, found: &mut impl FnMut(&str, &'v Value)
     }
 }
 
-/// Returns a value as text; the key of a PSNR or SSIM sets its decimals.
+/// Returns a value as text. The key of a PSNR or SSIM sets its decimals.
 fn figure_or_text(key: &str, value: &Value) -> String {
     let short = key.starts_with("psnr") || key.starts_with("ssim");
     match value.as_f64() {

@@ -1,8 +1,9 @@
 //! report.html: what ran, what was kept, how good it is.
 //!
 //! One file, complete in itself: pictures as data URIs, charts as inline SVG, no script, no request to
-//! anywhere. Or a page that is served (`linked`): pictures, films and style are files under their digests. Invariant: no text of the outside (file names, labels, reasons) reaches the page unescaped, and
-//! a sentence stands in place of an output that is absent or unreadable.
+//! anywhere. Or a page that is served (`linked`): pictures, films and style are files under their digests.
+//! Invariants: no text of the outside (file names, labels, reasons) reaches the page unescaped. A sentence
+//! replaces an output that is absent or unreadable.
 
 mod axis;
 mod call;
@@ -66,7 +67,8 @@ pub use review::percent;
 /// The way from the page of a scene to that of all, on disk and where it is served.
 const ALL_SCENES: [&str; 2] = ["../report.html", "../"];
 
-/// Writes the report as one HTML file. The same report gives the same bytes; nothing in it can make it panic.
+/// Writes the report as one HTML file. The same report gives the same bytes, and nothing in it can make it
+/// panic.
 pub fn write(report: &Report<'_>) -> String {
     page_of(report, &Media::Embedded)
 }
@@ -196,7 +198,7 @@ fn sections(page: &Page<'_>) -> Vec<Section> {
     sections
 }
 
-/// Tells whether the nodes shown only find, filter and split photos, so that there is no scene to show.
+/// Returns true if the shown nodes only find, filter and split photos, so that there is no scene to show.
 fn filters_alone(report: &Report<'_>) -> bool {
     let judges = |node: &&RunNode| {
         let judges = stage(node).is_some_and(|def| def.outputs.contains(&marf_stage::VERDICTS));

@@ -43,8 +43,8 @@ pub(super) fn body(page: &Page<'_>) -> Markup {
     html! { @for node in nodes { h3 { (node.run.name) } (of_node(page, node)) } }
 }
 
-/// Returns the map of uncertainty of a view, with its heading, of a node that reads a training or what this reads; none where there
-/// is no such node, or it has not looked there.
+/// Returns the uncertainty map of a view, with its heading. The node that made it reads the training or a
+/// node upstream of it. `None` without such a node, or if it has no map of this view.
 pub(super) fn uncertainty_of<'p>(
     page: &Page<'p>,
     training: &RunNode,
@@ -101,7 +101,8 @@ fn reliability(metrics: &Metrics) -> Markup {
     }
 }
 
-/// Says why there are so many members, and what photos say of those that did not draw them.
+/// Shows how the number of members was chosen, and how well photos agree with the members that did not draw
+/// them.
 fn members(metrics: &Metrics) -> Markup {
     let in_bag = |psnr: Option<f64>| psnr.map(|psnr| format!(", {} dB where they did", decibels(psnr)));
     html! {
@@ -133,7 +134,7 @@ fn intervals(held_out: &HeldOut) -> Markup {
                 "90 % interval of " (unit) ": " (number(calibration.factor90)) " times the spread, which is at least " (floor)
                 ". At a place that it was not fitted on it covers " (percent(calibration.coverage90)) " of the errors ("
                 (percent(calibration.coverage90_range[0])) " to " (percent(calibration.coverage90_range[1])) " in "
-                (count(calibration.places as usize, "place")) "); shares inside differ from those stated by "
+                (count(calibration.places as usize, "place")) "). Shares inside differ from the stated shares by "
                 (percent(calibration.ece)) " in the mean. " (percent(calibration.unseen_share))
                 " of the pixels have none: no photo saw what they show."
                 @if !calibration.note.is_empty() { " Note: " (calibration.note) "." }
@@ -152,7 +153,8 @@ fn intervals(held_out: &HeldOut) -> Markup {
     }
 }
 
-/// What is left of the error without the most uncertain pixels, and how many errors lie inside what the intervals state.
+/// Curves of the remaining error without the most uncertain pixels, and of the share of errors inside the
+/// stated intervals.
 fn curves(held_out: &HeldOut) -> Markup {
     let curves = &held_out.sparsification;
     let line = |values: &[f64]| -> Vec<(f64, f64)> {
@@ -201,7 +203,7 @@ fn curves(held_out: &HeldOut) -> Markup {
     }
 }
 
-/// Name and value of what is known of the spread.
+/// Name and value of each measure of the spread.
 fn spread(metrics: &Metrics) -> Vec<(&'static str, f64)> {
     let mut found = vec![
         ("mean standard deviation", metrics.std),
@@ -252,7 +254,7 @@ fn row(
     }
 }
 
-/// Colours of a map carry numbers and stay exact; photos may be JPEG.
+/// Colours of a map carry numbers and stay exact. Photos may be JPEG.
 fn form(kind: &str) -> Form {
     if matches!(kind, "photo" | "mean") {
         Form::Photo
@@ -268,7 +270,7 @@ fn heading(kind: &str) -> &str {
         .map_or(kind, |(_, heading)| heading)
 }
 
-/// View to (column to (kind, picture)); endings that are not known come last.
+/// View to (column to (kind, picture)). Unknown endings come last.
 fn by_view(node: &RunNode) -> BTreeMap<&str, BTreeMap<usize, (&str, &Digest)>> {
     let mut views: BTreeMap<&str, BTreeMap<usize, (&str, &Digest)>> = BTreeMap::new();
     for (name, digest) in node.outputs_under(output::MAPS) {

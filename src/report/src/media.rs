@@ -1,4 +1,4 @@
-//! Where the pictures and films of a page are: in it, or next to it under their digests.
+//! Places of the pictures and films of a page: in it, or next to it under their digests.
 
 use std::cell::RefCell;
 use std::collections::{BTreeSet, HashMap};
@@ -22,13 +22,13 @@ pub struct File {
 pub struct LinkedPage {
     /// The page.
     pub html: String,
-    /// What was made for it, by digest: `object/DIGEST`.
+    /// Files made for it, by digest: `object/DIGEST`.
     pub files: HashMap<Digest, File>,
     /// The objects of the store that it shows under the same addresses.
     pub objects: BTreeSet<Digest>,
 }
 
-/// What a page that is served has in addition to the report.
+/// Parts that a served page has in addition to the report.
 pub struct LiveParts {
     /// From the page to the folder in which `object/` is: empty, or `../`.
     pub up: &'static str,
@@ -36,11 +36,11 @@ pub struct LiveParts {
     pub head: Markup,
     /// Links at the beginning of the contents.
     pub navigation: Markup,
-    /// What comes before the report.
+    /// Parts before the report.
     pub main: Markup,
 }
 
-/// Where the pictures and films of a page are.
+/// Places of the pictures and films of a page.
 pub(super) enum Media<'a> {
     /// In the page, as data URIs.
     Embedded,

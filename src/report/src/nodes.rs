@@ -34,7 +34,7 @@ fn counts(states: impl Iterator<Item = &'static str> + Clone) -> Vec<String> {
     some.map(|(number, word)| format!("{number} {word}")).collect()
 }
 
-/// Time of the nodes that worked in this run; what reused ones once took does not count.
+/// Time of the nodes that worked in this run. The earlier time of reused ones does not count.
 fn worked_s(report: &Report<'_>) -> Option<f64> {
     let worked = report
         .nodes
@@ -44,7 +44,7 @@ fn worked_s(report: &Report<'_>) -> Option<f64> {
     (!times.is_empty()).then(|| times.iter().sum())
 }
 
-/// Names every node that failed, with its message; nothing if none did.
+/// Names every node that failed, with its message. Empty if none did.
 pub(super) fn failures(report: &Report<'_>) -> Markup {
     let of_scenes = report.scenes.iter().flat_map(|scene| &scene.nodes);
     let nodes = report.nodes.iter().chain(of_scenes);
@@ -58,7 +58,7 @@ pub(super) fn failures(report: &Report<'_>) -> Markup {
     }
 }
 
-/// Names the nodes whose outputs are of an earlier run; nothing if there are none.
+/// Names the nodes whose outputs are of an earlier run. Empty if there are none.
 pub(super) fn of_earlier_run(report: &Report<'_>) -> Markup {
     let nodes = report.nodes.iter().filter(|node| node.of_run.is_some());
     let names: Vec<&str> = nodes.clone().map(|node| node.run.name.as_str()).collect();
@@ -105,7 +105,7 @@ fn row(report: &Report<'_>, node: &RunNode) -> Markup {
     }
 }
 
-/// What a reused node took when it ran stands in brackets.
+/// The earlier time of a reused node, in brackets.
 fn time(node: &RunNode) -> String {
     let time = node.worked_s.map_or_else(|| "–".to_owned(), seconds);
     if node.worked_s.is_some() && ["reused", SKIPPED].contains(&state(node)) {

@@ -13,12 +13,13 @@ use super::report::{FAILED, Report, SKIPPED, state};
 use super::sets::Set;
 use super::verdicts::{ClosestCall, Summary, closest_calls};
 
-/// What all sections share: the report, the verdicts summed up, the photos that are shown, and the pictures shown so far.
+/// Data of all sections: the report, the summary of the verdicts, the photos that are shown, and the pictures
+/// shown so far.
 pub(super) struct Page<'a> {
     pub(super) report: &'a Report<'a>,
     pub(super) photos: PhotoIndex,
     pub(super) pictures: Pictures<'a>,
-    /// What stayed, by the nodes that no other node filters further.
+    /// The remaining photos, by the nodes that no other node filters further.
     pub(super) kept: Vec<(&'a RunNode, Result<Kept, Missing>)>,
     /// The closest call on each photo of `kept`.
     pub(super) closest: BTreeMap<String, ClosestCall<'a>>,
@@ -114,7 +115,7 @@ impl<'a> Page<'a> {
     }
 }
 
-/// Tells whether a node is of the stage that writes this document, and has it.
+/// Returns true if a node is of the stage that writes this document, and has it.
 pub(super) fn has_document<D: Document>(node: &RunNode) -> bool {
     node.run.stage == D::STAGE && node.digest(D::OUTPUT).is_some()
 }

@@ -1,4 +1,4 @@
-//! The photos that the page shows; a million others are not read.
+//! The photos that the page shows. A million others are not read.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -26,7 +26,7 @@ pub(super) struct PhotoEntry {
     pub(super) image: Option<Digest>,
 }
 
-/// Where a photo is looked for: its sol, and its id.
+/// Address of a photo: its sol, and its id.
 pub(super) type Spot = (u32, String);
 
 /// Photos by id, and what of the sets could not be read.
@@ -139,7 +139,7 @@ pub(super) fn last_photo_nodes<'a>(report: &'a Report<'_>) -> Vec<&'a str> {
     names.filter(|name| !consumed.contains(name)).collect()
 }
 
-/// What stayed at the end of the filters.
+/// Photos that pass all filters.
 pub(super) struct Kept {
     /// Number of photos.
     pub(super) count: usize,
@@ -147,8 +147,8 @@ pub(super) struct Kept {
     pub(super) shown: Vec<Spot>,
 }
 
-/// A photo in the order of the digests of ids: the first few are a sample in which every photo has the same chance, and
-/// which a new sol changes little.
+/// A photo in the order of the digests of ids. The first few are a sample in which every photo has the same
+/// chance, and a new sol changes the sample little.
 type Drawn = (Digest, Spot);
 
 impl Kept {
@@ -181,7 +181,7 @@ fn sample(set: &Set<'_>, block: &BlockRef) -> Result<Vec<Drawn>, Missing> {
     Ok(drawn)
 }
 
-/// Returns what an earlier report made of the same objects, or makes it.
+/// Returns the result of an earlier report for the same objects, or makes it.
 pub(super) fn remembered<T: Serialize + DeserializeOwned>(
     report: &Report<'_>,
     key: &Digest,
@@ -192,7 +192,7 @@ pub(super) fn remembered<T: Serialize + DeserializeOwned>(
         return Ok(known);
     }
     let made = make()?;
-    // Strings and finite numbers always serialise; a table that is empty is made anew.
+    // Strings and finite numbers always serialise. An empty table is made again.
     report
         .memos
         .save(key, &serde_json::to_vec(&made).unwrap_or_default());

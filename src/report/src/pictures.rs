@@ -1,4 +1,4 @@
-//! Renders of held-out photos beside these photos, and films.
+//! Renders of held-out photos next to these photos, and films.
 
 use std::collections::BTreeSet;
 
@@ -19,7 +19,7 @@ use super::read::Missing;
 
 /// Most views of one node.
 const MOST_VIEWS: usize = 12;
-/// Most single frames in place of a film.
+/// Most single frames instead of a film.
 const MOST_FRAMES: usize = 12;
 /// Error pictures show the difference this many times larger.
 const ERROR_GAIN: u8 = 4;
@@ -113,7 +113,7 @@ fn judged(
                 @if let Some((heading, map)) = uncertainty_of(page, node, name) {
                     figure { (stored(Some(map), heading)) figcaption { (heading) } }
                 }
-                @if let Some(place) = place { figure { (place) figcaption { "where, from above; ringed: nearest trained on" } } }
+                @if let Some(place) = place { figure { (place) figcaption { "where, from above, ringed: nearest trained on" } } }
             }
         }
     }
@@ -161,7 +161,7 @@ fn difference(a: &Image<Srgb>, b: &Image<Srgb>) -> Result<Image<Srgb>, String> {
     })
 }
 
-/// Films; single frames where a node has no film, or none that can be shown.
+/// Films, or single frames of a node without a usable film.
 pub(super) fn flights(page: &Page<'_>) -> Markup {
     let nodes = &page.report.nodes;
     let is_film = |node: &RunNode| node.digest(output::VIDEO).is_some();
@@ -179,7 +179,7 @@ pub(super) fn flights(page: &Page<'_>) -> Markup {
     html! { @for node in nodes { (flight(page, node)) } }
 }
 
-/// Tells whether a node made the single pictures of a film.
+/// Returns true if a node made the single pictures of a film.
 fn has_frames(node: &RunNode) -> bool {
     frames(node).next().is_some()
 }

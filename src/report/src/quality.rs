@@ -127,7 +127,8 @@ fn percent(share: f64) -> String {
     format!("{:.0} %", share * 100.0)
 }
 
-/// Shows the photos of a node by their distance to the nearest photo trained on, nearest first; empty where none is known.
+/// Shows the photos of a node by their distance to the nearest photo trained on, nearest first. Empty if no
+/// distance is known.
 pub(super) fn by_distance(scores: &Scores) -> Markup {
     let views = scores.views.iter();
     let mut rows: Vec<(&PhotoScores, &Nearest)> = views

@@ -6,7 +6,7 @@ use maud::{Markup, Render, html};
 
 use super::report::Report;
 
-/// The sentence that stands in place of something that cannot be shown.
+/// The sentence shown instead of an unavailable object.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Missing(pub(super) String);
 

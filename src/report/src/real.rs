@@ -54,7 +54,7 @@ fn rows(store: &mut Store) -> Vec<Row> {
     files.into_iter().map(row).collect()
 }
 
-/// A filter that rejects every `nth` photo; what it says is made up, the pictures are not.
+/// A filter that rejects every `nth` photo. Its verdicts are made up, the pictures are not.
 fn filter(store: &mut Store, name: &str, upstream: &str, rows: &mut Vec<Row>, nth: usize) -> RunNode {
     let judge = |(index, row): (usize, &Row)| match index % nth == nth - 1 {
         false => verdict(&row.id, "keep"),
@@ -86,7 +86,7 @@ fn filter(store: &mut Store, name: &str, upstream: &str, rows: &mut Vec<Row>, nt
     )
 }
 
-/// The authors' cameras; transforms.json has y up and z backward in the camera.
+/// The authors' cameras. transforms.json has y up and z backward in the camera.
 fn scene() -> Scene {
     let text = std::fs::read(shared_data().join("rover/transforms.json")).unwrap();
     let all: Value = serde_json::from_slice(&text).unwrap();
@@ -172,7 +172,7 @@ fn scores(index: usize, id: &str) -> PhotoScores {
     }
 }
 
-/// Photos beside a coarse copy of themselves, as a field of few steps would render them.
+/// Photos next to a coarse copy of themselves, as a field of few steps would render them.
 fn train(store: &mut Store, rows: &[Row], scene: Digest) -> RunNode {
     let mut node = giving(node("train", &["calibrate", "tune"]), [(output::SCENE, scene)]);
     node.run.edges[1].key = "params".to_owned();

@@ -9,30 +9,30 @@ use serde_json::Value;
 
 use super::trade::Trade;
 
-/// Looks up the bytes of a digest; `None` where the store does not have them.
+/// Looks up the bytes of a digest. `None` if the store does not have them.
 pub type ReadBlob<'a> = dyn Fn(&Digest) -> Option<Arc<[u8]>> + 'a;
 
-/// What a report is written from.
+/// Input of a report.
 pub struct Report<'a> {
     /// The run, with what an earlier one made of nodes that it has no result of.
     pub run: &'a Run<'a>,
-    /// When it started, RFC 3339; only shown.
+    /// When it started, RFC 3339. Only shown.
     pub started: String,
-    /// The scene whose page this is; none: all that the scenes share.
+    /// The scene of this page. `None`: the page of everything that the scenes share.
     pub scene: Option<&'a str>,
-    /// The nodes of the page, without those that other nodes asked for. Producers before consumers reads best.
+    /// The nodes of the page, without the children of other nodes. Producers before consumers reads best.
     pub nodes: Vec<&'a RunNode>,
     /// The scenes that the photos are split into, each with its nodes, which are not among `nodes`.
     pub scenes: Vec<ScenePage<'a>>,
     /// Parameters of the nodes by name, as given.
     pub params: &'a BTreeMap<String, Value>,
-    /// What changed since the last run that had other results; absent if there was none.
+    /// Changes since the last run with other results. Absent if there was none.
     pub changes: Option<Changes>,
     /// The last trade of time against quality that was measured around the pipeline.
     pub trade: Option<Trade>,
     /// The store.
     pub read: &'a ReadBlob<'a>,
-    /// Where pictures as they are shown are kept from report to report.
+    /// Memory of scaled pictures, kept from report to report.
     pub memos: &'a dyn marf_stage::Memos,
 }
 
@@ -85,7 +85,7 @@ pub struct ScenePage<'a> {
     pub nodes: Vec<&'a RunNode>,
 }
 
-/// What changed since an earlier run.
+/// Changes since an earlier run.
 #[derive(Debug, Clone)]
 pub struct Changes {
     /// Number of that run.

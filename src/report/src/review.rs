@@ -60,7 +60,7 @@ fn overruled(judged: &[(&str, &Summary)]) -> Markup {
 }
 
 fn closest_of(page: &Page<'_>, name: &str, sum: &Summary) -> Markup {
-    // What an archive's reader rejects has become no photo.
+    // A product that an archive's reader rejects has not become a photo.
     let calls = sum
         .closest
         .iter()

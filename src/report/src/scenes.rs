@@ -1,4 +1,4 @@
-//! The scenes of a mission: where they are, how each fared, and what is none.
+//! The scenes of a mission: where they are, how each fared, and the groups that are not scenes.
 
 use std::collections::BTreeMap;
 
@@ -20,9 +20,9 @@ const LEAST_HEIGHT: f64 = 200.0;
 const MARGIN: f64 = 64.0;
 /// Least extent of a map, metres: one stop alone is a dot in it.
 const LEAST_EXTENT_M: f64 = 10.0;
-/// Most maps, one a site; the table names the scenes of all.
+/// Most maps, one a site. The table names the scenes of all.
 const MOST_MAPS: usize = 12;
-/// Most groups that are no scene, which are listed.
+/// Most groups that are not scenes in the list.
 const MOST_LEFT_OUT: usize = 200;
 
 /// The maps, the table of scenes, and the groups that are none.

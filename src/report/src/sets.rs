@@ -21,7 +21,7 @@ pub(super) struct Set<'a> {
 }
 
 impl<'a> Set<'a> {
-    /// Opens the photos or the verdicts of a node; nothing where it has none.
+    /// Opens the photos or the verdicts of a node. `None` if it has none.
     pub(super) fn open(
         report: &'a Report<'a>,
         node: &'a RunNode,
@@ -43,7 +43,7 @@ impl<'a> Set<'a> {
         &self.node.run.name
     }
 
-    /// Tells whether the node takes no photos of another node.
+    /// Returns true if the node takes no photos of another node.
     pub(super) fn is_of_source(&self) -> bool {
         self.node.run.edges.is_empty()
     }

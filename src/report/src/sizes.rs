@@ -1,4 +1,4 @@
-//! What a field was sized by: every number beside what decided it, and the parts that were tried.
+//! Numbers that decided the size of a field, each with its reason, and the parts that were tried.
 
 use marf_field::Facts;
 use maud::{Markup, html};

@@ -74,7 +74,7 @@ fn known_figures_have_their_unit() {
         "PSNR 24.00 dB",
         "nearest photo trained on 3 m, 90°",
         "figcaption>standard deviation<",
-        "where, from above; ringed: nearest trained on",
+        "where, from above, ringed: nearest trained on",
         "filled by mean reprojection error",
         "class=\"held-out error0\"",
         "24.57 dB",
@@ -298,7 +298,7 @@ fn a_scene_of_few_photos_is_judged_on_all_and_one_of_many_says_that_it_is_not() 
     (metrics.photos, metrics.judged) = (24, None);
     assert!(shown(&metrics).contains("24 photos: not judged by folds"));
     metrics.photos = 2;
-    assert!(shown(&metrics).contains("All photos stand in one place"));
+    assert!(shown(&metrics).contains("All photos were taken at one place"));
 }
 
 #[test]

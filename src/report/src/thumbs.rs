@@ -3,7 +3,7 @@ use maud::Markup;
 use super::embed::{Form, words};
 use super::page::Page;
 
-/// Returns the file name of a photo; its id where no manifest names it.
+/// Returns the file name of a photo, or its id if no manifest names it.
 pub(super) fn name_of<'p>(page: &'p Page<'_>, id: &'p str) -> &'p str {
     page.photos.get(id).map_or(id, |photo| photo.file.as_str())
 }

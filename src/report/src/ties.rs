@@ -1,4 +1,4 @@
-//! How the scenes of a mission lie to each other.
+//! Relative positions of the scenes of a mission.
 
 use marf_schema::ties::{SceneTie, TiedScene, Ties};
 use maud::{Markup, html};
@@ -6,10 +6,10 @@ use maud::{Markup, html};
 use super::format::{count, number};
 use super::page::Page;
 
-/// Most rows of a table; `ties.json` has all.
+/// Most rows of a table. `ties.json` has all.
 const MOST_ROWS: usize = 100;
 
-/// What ties scenes, how well, and where each lies; nothing where no node tells.
+/// Ties between scenes, their quality, and the frame of each scene. Empty without a node that ties scenes.
 pub(super) fn body(page: &Page<'_>) -> Markup {
     let read = page
         .with_document::<Ties>()
@@ -51,7 +51,7 @@ fn of_ties(ties: &Ties) -> Markup {
     }
 }
 
-/// Returns what a reader should know first.
+/// Returns the introduction of the section.
 fn said(ties: &Ties) -> String {
     let gaps = ties.ties.iter().filter_map(|tie| tie.labels.as_ref());
     let mut shifts: Vec<f64> = gaps.map(|gap| length(&gap.shift_m)).collect();

@@ -1,4 +1,4 @@
-//! What time buys: the points of a trade, the best for each time, and what each knob is worth.
+//! Quality against time: the points of a trade, the best for each time, and the effect of each knob.
 
 use marf_cache::Digest;
 use maud::{Markup, html};
@@ -16,9 +16,9 @@ pub struct Trade {
     pub machine: String,
     /// Program with version and commit.
     pub program: String,
-    /// Points; the first is the pipeline as it is.
+    /// Points. The first is the pipeline as it is.
     pub points: Vec<Point>,
-    /// What one value of one knob changes, in the order of its points.
+    /// Effect of one value of one knob, in the order of its points.
     pub effects: Vec<Effect>,
     /// Indices of the points that no other beats in time and quality at once, the fastest first.
     pub front: Vec<usize>,
@@ -27,7 +27,7 @@ pub struct Trade {
 /// A setting of the knobs, and what came of it.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Point {
-    /// The settings as the command line takes them (`train.scale=2`); none: as it is.
+    /// The settings as the command line takes them (`train.scale=2`). Empty: as it is.
     pub sets: Vec<String>,
     /// Its runs, one for each seed.
     pub runs: Vec<PointRun>,
@@ -41,7 +41,8 @@ pub struct Point {
 pub struct PointRun {
     /// Its seed.
     pub seed: u64,
-    /// Stands for the photos that judge it: others are another figure. A calibration may hold out others. Absent in older trades.
+    /// Digest of the photos that judge it: PSNR on other photos is another figure. A calibration may hold out
+    /// others. Absent in older trades.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub judged_by: Option<Digest>,
     /// Factor by which the photos that judge it were shrunk: PSNR at another factor is another figure.
@@ -73,12 +74,12 @@ pub struct PointRun {
     pub parameters: u64,
     /// Bytes of the weights.
     pub bytes: u64,
-    /// Largest memory of the program, MB; 0 where the system does not tell.
+    /// Largest memory of the program, MB. 0 if the system does not report it.
     pub peak_mb: u64,
 }
 
-/// A value with the interval that holds its mean at 95 %, by Student's t and the variance between seeds in all points together;
-/// without one where there is one seed.
+/// A value with the interval that holds its mean at 95 %, by Student's t and the variance between seeds in
+/// all points together. One seed has no interval.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Interval {
     /// Mean over seeds.
@@ -87,7 +88,7 @@ pub struct Interval {
     pub half: Option<f64>,
 }
 
-/// What a point with one knob turned changes, compared seed by seed with the pipeline as it is.
+/// Effect of a point with one knob turned, compared seed by seed with the pipeline as it is.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Effect {
     /// Its point.
@@ -115,13 +116,13 @@ impl Point {
         self.sets.chunks(2).map(|sets| sets.join(" ")).collect()
     }
 
-    /// Tells whether it is judged by the same photos as another, at the same size.
+    /// Returns true if it is judged by the same photos as another, at the same size.
     pub fn is_comparable(&self, other: &Self) -> bool {
         let judged = |point: &Self| point.runs.first().map(|run| (run.judged_scale, run.judged_by));
         judged(self).is_some() && judged(self) == judged(other)
     }
 
-    /// Returns what can be said of a point that is judged by other photos than the pipeline as it is; none of one that is not.
+    /// Describes a point that is judged by other photos than the pipeline as it is. `None` for all others.
     pub fn apart(&self, base: &Self) -> Option<String> {
         let (run, as_it_is) = (self.runs.first()?, base.runs.first()?);
         if self.is_comparable(base) {
@@ -131,19 +132,19 @@ impl Point {
         let cameras = run.position_error.zip(as_it_is.position_error);
         let cameras = cameras.map_or_else(String::new, |(error, before)| {
             format!(
-                "cameras are off by {} in place of {}, and ",
+                "cameras are off by {} instead of {}, and ",
                 number(error),
                 number(before)
             )
         });
         Some(format!(
-            "{}: its calibration holds out other photos, so that its PSNR cannot be compared; {cameras}it takes {:.2} of the time.",
+            "{}: its calibration holds out other photos, so its PSNR cannot be compared: {cameras}it takes {:.2} of the time.",
             self.name(),
             time / before
         ))
     }
 
-    /// Returns the means of PSNR, dB, and seconds; none without a run.
+    /// Returns the means of PSNR, dB, and seconds. `None` without a run.
     pub fn means(&self) -> Option<(f64, f64)> {
         let mean =
             |value: fn(&PointRun) -> f64| self.runs.iter().map(value).sum::<f64>() / self.runs.len() as f64;
@@ -152,7 +153,7 @@ impl Point {
 }
 
 impl Interval {
-    /// Tells whether the gain may be none: seeds alone change the PSNR by about a tenth of a decibel.
+    /// Returns true if the gain may be none: seeds alone change the PSNR by about a tenth of a decibel.
     fn may_be_none(&self) -> bool {
         self.mean.abs() <= self.half.unwrap_or(0.2)
     }
@@ -180,22 +181,22 @@ impl Effect {
         let (what, advice) = match (unsure, gain.mean > 0.0) {
             (true, _) if faster => (
                 format!("changes the quality by no more than seeds do, {quality}"),
-                "take it",
+                "Take it",
             ),
             (true, _) if slower => (
                 format!("changes the quality by no more than seeds do, {quality}"),
-                "leave it",
+                "Leave it",
             ),
             (true, _) => (
-                format!("changes nothing that these seeds can tell, {quality}"),
-                "it does not matter",
+                format!("changes nothing that these seeds can show, {quality}"),
+                "It does not matter",
             ),
-            (false, true) if slower => (format!("gains {quality}"), "worth it where there is time"),
-            (false, true) => (format!("gains {quality}"), "take it"),
-            (false, false) if faster => (format!("costs {quality}"), "for when it must be fast"),
-            (false, false) => (format!("costs {quality}"), "leave it"),
+            (false, true) if slower => (format!("gains {quality}"), "Use it if there is time"),
+            (false, true) => (format!("gains {quality}"), "Take it"),
+            (false, false) if faster => (format!("costs {quality}"), "Use it if it must be fast"),
+            (false, false) => (format!("costs {quality}"), "Leave it"),
         };
-        format!("{}: {what}, and {clock}; {advice}.", point.name())
+        format!("{}: {what}, and {clock}. {advice}.", point.name())
     }
 }
 
@@ -266,7 +267,7 @@ const TOP: f64 = 16.0;
 const BOTTOM: f64 = 46.0;
 /// Room of a name in the drawing of effects.
 const NAMES: f64 = 290.0;
-/// Room of a time there, and of half a dot beside it.
+/// Room of a time there, and of half a dot next to it.
 const TIMES: f64 = 110.0;
 const ROW: f64 = 20.0;
 
@@ -475,27 +476,27 @@ mod tests {
         for (effect, sentence) in [
             (
                 effect(-0.9, 0.1, 0.45),
-                "train.scale=2: costs 0.90 dB (± 0.10), and saves 55 % of the time; for when it must be fast.",
+                "train.scale=2: costs 0.90 dB (± 0.10), and saves 55 % of the time. Use it if it must be fast.",
             ),
             (
                 effect(0.5, 0.1, 2.0),
-                "train.scale=2: gains 0.50 dB (± 0.10), and takes 100 % more time; worth it where there is time.",
+                "train.scale=2: gains 0.50 dB (± 0.10), and takes 100 % more time. Use it if there is time.",
             ),
             (
                 effect(0.5, 0.1, 1.02),
-                "train.scale=2: gains 0.50 dB (± 0.10), and takes as long; take it.",
+                "train.scale=2: gains 0.50 dB (± 0.10), and takes as long. Take it.",
             ),
             (
                 effect(-0.5, 0.1, 1.5),
-                "train.scale=2: costs 0.50 dB (± 0.10), and takes 50 % more time; leave it.",
+                "train.scale=2: costs 0.50 dB (± 0.10), and takes 50 % more time. Leave it.",
             ),
             (
                 effect(0.05, 0.1, 0.5),
-                "train.scale=2: changes the quality by no more than seeds do, 0.05 dB (± 0.10), and saves 50 % of the time; take it.",
+                "train.scale=2: changes the quality by no more than seeds do, 0.05 dB (± 0.10), and saves 50 % of the time. Take it.",
             ),
             (
                 effect(0.05, 0.1, 1.0),
-                "train.scale=2: changes nothing that these seeds can tell, 0.05 dB (± 0.10), and takes as long; it does not matter.",
+                "train.scale=2: changes nothing that these seeds can show, 0.05 dB (± 0.10), and takes as long. It does not matter.",
             ),
         ] {
             assert_eq!(effect.sentence(&point), sentence);

@@ -7,10 +7,10 @@ use maud::{Markup, html};
 
 use super::format::count;
 
-/// Rows of a table; the others are counted by what is to be done.
+/// Rows of a table. The others are counted by advice.
 const MOST_ROWS: usize = 200;
 
-/// How reasons begin, and what to do about them.
+/// Beginnings of reasons, with the advice for each.
 const ADVICE: [(&str, &str); 10] = [
     (
         "too few features",
@@ -43,7 +43,7 @@ const ADVICE: [(&str, &str); 10] = [
     ("a single photo", "add photos from other places"),
     (
         "no label",
-        "fetch the labels beside the photos, or take `method = \"sfm\"`, which needs none",
+        "fetch the labels with the photos, or take `method = \"sfm\"`, which needs none",
     ),
     (
         "an ideal pinhole",
@@ -56,7 +56,7 @@ fn advice(reason: &str) -> &'static str {
     known.map_or("", |(_, advice)| advice)
 }
 
-/// Draws the table; nothing if every photo has a camera.
+/// Draws the table. Empty if every photo has a camera.
 pub(super) fn table(unplaced: &[Unplaced]) -> Markup {
     let (shown, more) = unplaced.split_at(unplaced.len().min(MOST_ROWS));
     html! {
@@ -80,7 +80,7 @@ pub(super) fn table(unplaced: &[Unplaced]) -> Markup {
     }
 }
 
-/// Counts photos by what is to be done about them.
+/// Counts photos by the advice for them.
 fn by_advice(unplaced: &[Unplaced]) -> BTreeMap<&str, usize> {
     let mut counted = BTreeMap::new();
     for photo in unplaced {

@@ -32,7 +32,7 @@ pub(super) fn scaled(a: Vec3, factor: f64) -> Vec3 {
     a.map(|value| value * factor)
 }
 
-/// `None` for what is too short to have a direction, or not finite.
+/// `None` for a vector that is too short to have a direction, or not finite.
 pub(super) fn unit(a: Vec3) -> Option<Vec3> {
     let length = dot(a, a).sqrt();
     (length > 1e-9 && length.is_finite()).then(|| scaled(a, 1.0 / length))

@@ -1,5 +1,5 @@
-//! What the page tells of the verdicts of a node: a summary that is kept block by block, so that after a new sol the
-//! page reads the verdicts of that sol's block alone.
+//! Summary of the verdicts of a node. It is kept block by block, so that after a new sol the page reads the
+//! verdicts of that sol's block alone.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -18,7 +18,7 @@ use super::sets::Set;
 pub(super) const MOST_REJECTED: usize = 30;
 /// Closest calls of a node that are shown.
 const CLOSEST: usize = 6;
-/// What is further from its threshold than this share of it is no close call.
+/// A score further from its threshold than this share of it is not a close call.
 const NEAR: f64 = 0.5;
 /// Version of the memos: to be raised when the same verdicts would be summed up otherwise.
 const VERSION: u32 = 1;
@@ -30,7 +30,7 @@ pub(super) struct Judged {
     pub(super) verdict: Verdict,
 }
 
-/// A sum over verdicts in the order of their set; [`Summary::append`] adds what comes behind.
+/// A sum over verdicts in the order of their set. [`Summary::append`] adds the following ones.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct Summary {
     /// Verdicts.
@@ -41,7 +41,7 @@ pub(super) struct Summary {
     pub(super) rejected: BTreeMap<String, u64>,
     /// The first rejections.
     pub(super) first_rejected: Vec<Judged>,
-    /// What a person has decided against the filter.
+    /// Decisions of a person against the filter.
     pub(super) by_hand: Vec<Judged>,
     /// Verdicts that rest on a score and a threshold.
     pub(super) calls: usize,
@@ -132,7 +132,7 @@ impl Summary {
     }
 }
 
-/// Distance of a score from its threshold, as a share of it; infinite where there is none.
+/// Distance of a score from its threshold, as a share of it. Infinite without a score.
 fn distance(judged: &Judged) -> f64 {
     Call::from_verdict(&judged.verdict).map_or(f64::INFINITY, |call| call.margin().abs())
 }
@@ -159,7 +159,7 @@ pub(super) fn closest_calls<'s, 'a: 's>(
     let shards: BTreeSet<u32> = spots.iter().map(|(shard, _)| *shard).collect();
     let mut closest: BTreeMap<String, ClosestCall<'a>> = BTreeMap::new();
     for (set, shard) in sets.flat_map(|set| shards.iter().map(move |shard| (set, *shard))) {
-        // What cannot be read is told where it is summed up; behind a kept sum the caption alone is missing.
+        // The summary reports unreadable leaves. For a kept sum only the caption is missing.
         let leaves = set.leaves_of(shard).unwrap_or_default();
         let verdicts = leaves
             .iter()
@@ -240,7 +240,7 @@ mod tests {
         let sum = sum(&all);
         assert_eq!((sum.seen, sum.kept, sum.calls, sum.calls_rejected), (4, 2, 4, 2));
         assert_eq!(sum.rejected, BTreeMap::from([("blur".to_owned(), 2)]));
-        // 0.8 and 0.9 keep c as well (9.0 is no less than 8 and 9), 0.95 does not; 1.05 rejects b.
+        // 0.8 and 0.9 keep c as well (9.0 is not less than 8 and 9), 0.95 does not. 1.05 rejects b.
         assert_eq!(sum.flips, [1, 1, 0, 1, 1, 1]);
         assert_eq!(sum.near, 2);
         assert_eq!(sum.closest, [all[1].clone(), all[2].clone()]);

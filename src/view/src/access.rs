@@ -12,17 +12,17 @@ const LEAST_TOKEN_CHARS: usize = 16;
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum AccessError {
     /// An address that others reach, without a token.
-    #[error("{0} is no loopback address, so that others can reach the page: it needs a token")]
+    #[error("{0} is not a loopback address, so others can reach the page: it needs a token")]
     NoToken(String),
     /// A token that can be guessed, or that no cookie can hold.
-    #[error("the token has {0} characters; it needs 16 or more, letters and digits alone")]
+    #[error("the token has {0} characters: it needs 16 or more, letters and digits alone")]
     BadToken(usize),
 }
 
 impl AccessError {
-    /// Returns what to do.
+    /// Returns how to solve it.
     pub fn hint(&self) -> &'static str {
-        "`--token \"$(openssl rand -hex 16)\"` makes one; or leave `--host` out and use `ssh -L`"
+        "make one with `--token \"$(openssl rand -hex 16)\"`, or leave `--host` out and use `ssh -L`"
     }
 }
 
@@ -59,7 +59,7 @@ impl Access {
     /// Returns the checks of a server on `host`.
     ///
     /// # Errors
-    /// A host that others reach, without a token; a token that is too short.
+    /// A host that others can reach, without a token. A token that is too short or has other characters.
     pub fn new(host: &str, token: Option<&str>) -> Result<Self, AccessError> {
         if let Some(token) = token
             && (token.len() < LEAST_TOKEN_CHARS || !token.bytes().all(|byte| byte.is_ascii_alphanumeric()))
@@ -106,7 +106,7 @@ impl Access {
         self.is_own(host_of(authority)).then_some(()).ok_or(Refusal::Host)
     }
 
-    /// Tells whether a text is the token. Digests are compared, so that the time tells nothing of the token.
+    /// Returns true if a text is the token. Digests are compared, so that the time does not reveal the token.
     pub fn is_token(&self, given: &str) -> bool {
         self.token == Some(Digest::from_content(given.as_bytes()))
     }
@@ -131,7 +131,7 @@ impl Access {
     }
 }
 
-/// Tells whether a name is this machine alone.
+/// Returns true if a name is this machine alone.
 pub fn is_loopback(name: &str) -> bool {
     name.eq_ignore_ascii_case("localhost")
         || name.parse::<IpAddr>().is_ok_and(|address| address.is_loopback())
@@ -150,7 +150,8 @@ fn host_of(authority: &str) -> &str {
     }
 }
 
-/// Tells whether a request comes from a page of this server; browsers send the origin with all but plain reading.
+/// Returns true if a request comes from a page of this server. Browsers send the origin with every request
+/// except plain reading.
 fn is_same_origin(headers: &HeaderMap, authority: &str) -> bool {
     let origin = text(headers, &header::ORIGIN).unwrap_or_default();
     let stripped = origin
@@ -159,7 +160,8 @@ fn is_same_origin(headers: &HeaderMap, authority: &str) -> bool {
     stripped.is_some_and(|origin| origin.eq_ignore_ascii_case(authority))
 }
 
-/// Tells whether a foreign page has asked for more than to show this one: browsers say so in these headers, which no page can set.
+/// Returns true if a foreign page has requested more than to show this one. Browsers say so in these headers,
+/// which no page can set.
 fn is_of_foreign_page(headers: &HeaderMap) -> bool {
     let fetch = |name: &'static str| text(headers, &HeaderName::from_static(name));
     let is_own = matches!(fetch("sec-fetch-site"), None | Some("same-origin" | "none"));
@@ -288,7 +290,7 @@ mod tests {
     #[test]
     fn an_open_address_without_a_good_token_is_no_server() {
         let message = |host, token| Access::new(host, token).unwrap_err().to_string();
-        assert!(message("0.0.0.0", None).starts_with("0.0.0.0 is no loopback address"));
+        assert!(message("0.0.0.0", None).starts_with("0.0.0.0 is not a loopback address"));
         assert!(message("rover.example", None).contains("token"));
         assert!(message("127.0.0.1", Some("short")).contains("has 5"));
         assert!(message("127.0.0.1", Some("0123456789abcde; Path=/")).contains("16 or more"));

@@ -1,4 +1,4 @@
-//! A run as it is served: the live page, its files, and its fields, each read when it is first asked for.
+//! The content of a run: the live page, its files, and its fields. Each is read at the first request.
 
 use std::collections::{BTreeSet, HashMap};
 use std::sync::Arc;
@@ -13,21 +13,21 @@ use crate::field::Field;
 use crate::page::{live_parts, scene_parts};
 use crate::source::{FieldSource, Source};
 
-/// Longest side of a photo beside its render, pixels, and its JPEG quality.
+/// Longest side of a photo next to its render, pixels, and its JPEG quality.
 const PHOTO_PX: u32 = 960;
 const PHOTO_QUALITY: u8 = 88;
 
-/// What is shown while there is no run.
+/// Text shown without a run.
 const NO_RUN: &str =
     "No run of this store has ended with a report or a field yet. What runs now is shown here.";
 
 /// A run that is shown.
 pub struct Content {
-    /// Its number; none if there is no run yet.
+    /// Its number. `None` if there is no run yet.
     pub number: Option<u64>,
     /// The page.
     pub page: LinkedPage,
-    /// Pages of scenes that were asked for, by file name.
+    /// Pages of scenes that were requested, by file name.
     opened: Mutex<HashMap<String, Arc<LinkedPage>>>,
     objects: BTreeSet<Digest>,
     fields: Vec<(FieldSource, Mutex<Option<Arc<Field>>>)>,
@@ -64,7 +64,7 @@ impl Content {
         })
     }
 
-    /// Returns what the page shows under a digest, or an object that the run names.
+    /// Returns a file of the page by its digest, or an object that the run names.
     pub fn file(&self, source: &dyn Source, digest: &Digest) -> Option<File> {
         let opened = self.opened.lock();
         let pages = || std::iter::once(&self.page).chain(opened.values().map(Arc::as_ref));

@@ -1,4 +1,4 @@
-//! How far the render of a photo's pose is from the photo.
+//! Difference between a photo and the render of its pose.
 
 use marf_scene::{Frame, Image, Photo, Srgb};
 
@@ -11,7 +11,7 @@ pub const SCALE_END: f64 = 0.2;
 #[derive(Debug)]
 pub struct Reference {
     photo: Image<Srgb>,
-    /// What is not white is hidden; none without a mask.
+    /// Pixels that are not white are hidden. `None` without a mask.
     mask: Option<Image<Srgb>>,
 }
 
@@ -19,7 +19,7 @@ impl Reference {
     /// Reads a photo of a scene, with its mask.
     ///
     /// # Errors
-    /// One sentence: what is lost, damaged or of another size.
+    /// One sentence: a file is lost, damaged or of another size.
     pub fn read(source: &dyn Source, frame: &Frame) -> Result<Self, String> {
         let file = &frame.file;
         let read = |digest| {
@@ -38,7 +38,8 @@ impl Reference {
         Err(format!("{file} or its mask has another size than its camera"))
     }
 
-    /// Returns |gray of a render - gray of the photo| of every pixel, white = 1; -1 where the mask hides any of it.
+    /// Returns |gray of a render - gray of the photo| of every pixel, white = 1. -1 where the mask hides any
+    /// of it.
     ///
     /// A pixel of the render is compared with the mean of the photo's pixels that it covers, of a finer render with the one below it.
     pub fn differences(&self, render: &Image<Srgb>) -> Vec<f32> {

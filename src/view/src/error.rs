@@ -18,8 +18,10 @@ pub enum ViewError {
     /// Options that would leave the page open to others.
     #[error(transparent)]
     Access(#[from] AccessError),
-    /// A prefix that is no path.
-    #[error("the prefix `{0}` is no path: it begins with `/` and has letters, digits, `-`, `_`, `.` and `/`")]
+    /// A prefix that is not a path.
+    #[error(
+        "the prefix `{0}` is not a path: it begins with `/` and has letters, digits, `-`, `_`, `.` and `/`"
+    )]
     Prefix(String),
     /// The run cannot be read.
     #[error("{0}")]
@@ -33,7 +35,7 @@ pub enum ViewError {
 }
 
 impl ViewError {
-    /// Returns what the user can do about it, if we know it.
+    /// Returns a hint for the user, if there is one.
     pub fn hint(&self) -> Option<&'static str> {
         match self {
             Self::Listen { cause, .. } if cause.kind() == io::ErrorKind::AddrInUse => {

@@ -1,7 +1,7 @@
-//! What running programs do, read from the files in which they leave their events.
+//! Events of running programs, read from the files in which they leave them.
 //!
 //! ```text
-//! FOLDER/<run>.jsonl     a line an event, as `marf run --json` prints them; the first names the pipeline and its nodes
+//! FOLDER/<run>.jsonl     a line an event, as `marf run --json` prints them (the first names the pipeline and its nodes)
 //! FOLDER/<run>.lock      locked while the program runs
 //! ```
 
@@ -16,12 +16,12 @@ use tokio::sync::mpsc;
 
 use crate::source::Source;
 
-/// How often files are looked at.
+/// Interval between two looks at the files.
 const EVERY: Duration = Duration::from_millis(250);
 /// Most bytes read at once.
 const MOST_BYTES: u64 = 1 << 20;
 
-/// Something to tell the page.
+/// A message to the page.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Message {
     /// No program runs, at the beginning or any more.
@@ -77,7 +77,8 @@ pub fn follow(source: Arc<dyn Source>) -> mpsc::Receiver<Result<Event, std::conv
     receiver
 }
 
-/// Returns what each program that runs now has told so far, a line an event; the one that began last comes first.
+/// Returns the events of each program that runs now, a line an event. The program that began last comes
+/// first.
 pub fn lines_of_running(folder: &Path) -> Vec<Vec<String>> {
     all_running(folder).map(OpenFile::whole).collect()
 }
@@ -106,7 +107,7 @@ impl Follower {
         }
     }
 
-    /// Returns what happened since the last call.
+    /// Returns the messages since the last call.
     fn poll(&mut self) -> Vec<Message> {
         if self.open.is_none() {
             self.open = all_running(&self.folder).next();
@@ -184,7 +185,7 @@ fn all_running(folder: &Path) -> impl Iterator<Item = OpenFile> {
     locks.into_iter().filter_map(OpenFile::open)
 }
 
-/// Tells whether a program holds this file; the lock that is tried is given back at once.
+/// Returns true if a program holds this file. The tried lock is released at once.
 fn is_locked(path: &Path) -> bool {
     match File::open(path).map(|file| file.try_lock_shared()) {
         Ok(Err(std::fs::TryLockError::WouldBlock)) => true,

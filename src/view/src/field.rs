@@ -72,18 +72,18 @@ struct Ends {
     difference: [f64; 2],
 }
 
-/// What the page knows of a field.
+/// Facts of a field for the page.
 #[derive(Debug, Serialize)]
 pub struct SceneView<'a> {
     node: &'a str,
     scene: Digest,
-    /// Metres per unit of the world; none where the scene has no scale.
+    /// Metres per unit of the world. `None` if the scene has no scale.
     metres_per_unit: Option<f64>,
     /// Unit vector in the world.
     up: [f64; 3],
     /// The point that the photos look at, in the world.
     focus: [f64; 3],
-    /// Where the view begins.
+    /// Initial view.
     start: Pose,
     /// The camera of the view, 640 pixels wide.
     camera: Camera,
@@ -106,7 +106,7 @@ impl Field {
     /// Reads a field.
     ///
     /// # Errors
-    /// One sentence: what is lost or damaged, or a device that is not there.
+    /// One sentence: a lost or damaged object, or an unavailable device.
     pub fn read(of: &FieldSource, source: &dyn Source, device: &Device) -> Result<Self, String> {
         let object = |digest: &Digest| source.object(digest).ok_or_else(|| lost(&of.node, digest));
         let trained = |digest: &Digest| -> Result<Trained, String> {
@@ -147,7 +147,7 @@ impl Field {
         &self.members
     }
 
-    /// Returns what makes an interval of how far the retrainings' depths differ.
+    /// Returns the factors for an interval from the spread of the retrainings' depths.
     pub fn depth_interval(&self) -> Option<DepthInterval> {
         self.depth_interval
     }
@@ -162,7 +162,7 @@ impl Field {
         found.ok_or_else(|| "the scene has no such photo".to_owned())
     }
 
-    /// Returns what the page knows of it.
+    /// Returns the facts of the field for the page.
     pub fn view(&self) -> SceneView<'_> {
         let photos = self.scene.frames.iter().map(|frame| PhotoView {
             file: &frame.file,
@@ -204,7 +204,7 @@ impl Field {
     }
 }
 
-/// Returns the depth along every ray, world units; -1 where the ray met too little.
+/// Returns the depth along every ray, world units. -1 where the ray met too little.
 pub fn depths(render: &Render) -> Vec<f32> {
     let pixels = render.depth.iter().zip(&render.opacity);
     pixels
@@ -212,7 +212,7 @@ pub fn depths(render: &Render) -> Vec<f32> {
         .collect()
 }
 
-/// Returns the sample standard deviation (B - 1) of gray over renders, white = 1; empty for fewer than two.
+/// Returns the sample standard deviation (B - 1) of gray over renders, white = 1. Empty for fewer than two.
 pub fn spread(renders: &[Render]) -> Vec<f32> {
     let [first, _, ..] = renders else {
         return Vec::new();

@@ -1,4 +1,4 @@
-//! Pictures of a field for the 3-D view: coarse first, then finer, until a newer pose is asked for.
+//! Pictures of a field for the 3-D view: coarse first, then finer, until a newer pose is requested.
 
 use std::sync::Arc;
 
@@ -14,13 +14,13 @@ use crate::field::{Field, depths, spread};
 pub const DIVISORS: [u32; 4] = [8, 4, 2, 1];
 /// Most pixels of a picture.
 const MOST_PX: u64 = 4 << 20;
-/// Pixels between two looks at whether a picture is still wanted: some hundredths of a second of work.
+/// Pixels between two checks whether a picture is still wanted: some hundredths of a second of work.
 const BAND_PX: u32 = 1 << 14;
 /// Rows of a band are a multiple of this, the height of what the renderer traces at once: its pixels are then those of the
 /// whole picture.
 const BAND_ROWS: u32 = 32;
 
-/// What a picture shows.
+/// Content of a picture.
 #[derive(Debug, Clone)]
 pub enum Shown {
     /// Colour.
@@ -33,7 +33,7 @@ pub enum Shown {
     Difference(Arc<Reference>),
 }
 
-/// A view that is asked for.
+/// A requested view.
 #[derive(Debug, Clone, Deserialize)]
 pub struct View {
     /// Its camera.
@@ -59,7 +59,7 @@ impl View {
     }
 }
 
-/// Why there is no picture.
+/// Reason for a missing picture.
 #[derive(Debug, thiserror::Error)]
 pub enum FrameError {
     /// A newer view is wanted.

@@ -1,7 +1,8 @@
 //! The live page: the report of a run, the progress of a running one, and a 3-D view of its field, served on one port.
 //!
-//! It knows no pipeline and writes nothing: what is shown comes from a [`Source`]. Invariant: a request reaches objects of the
-//! store by their digest alone, and only those that shown runs name; every answer passes the checks of `access`.
+//! It knows no pipeline and writes nothing: all contents come from a [`Source`]. Invariant: a request reaches
+//! objects of the store by their digest alone, and only those that shown runs name. Every answer passes the
+//! checks of `access`.
 
 mod access;
 mod content;

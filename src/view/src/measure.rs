@@ -38,9 +38,10 @@ pub struct Picked {
 pub struct Distance {
     /// World units.
     pub length: f64,
-    /// Ends of its 90 % interval; none where photos held out do not tell it.
+    /// Ends of its 90 % interval. `None` if held-out photos do not give it.
     pub interval: Option<[f64; 2]>,
-    /// Sample standard deviation over the retrainings that have a surface at both points; none with fewer than two.
+    /// Sample standard deviation over the retrainings that have a surface at both points. `None` with fewer
+    /// than two.
     pub spread: Option<f64>,
     /// Those retrainings.
     pub members: usize,
@@ -49,7 +50,7 @@ pub struct Distance {
 /// Returns the point of the surface that a pixel of a view shows.
 ///
 /// # Errors
-/// A pixel outside the picture; a field that cannot be rendered.
+/// A pixel outside the picture. A field that cannot be rendered.
 pub fn pick(field: &Field, view: &View, [column, row]: [u32; 2]) -> Result<Picked, FrameError> {
     let View {
         camera,
@@ -104,7 +105,7 @@ fn ray_of(camera: &Camera, cam_from_world: &Pose, [column, row]: [u32; 2]) -> Op
     Some(cam_from_world.rotation.transpose() * ray.normalize())
 }
 
-/// Returns the mean depth of renders at a pixel; none where their mean opacity is too little.
+/// Returns the mean depth of renders at a pixel. `None` if their mean opacity is too low.
 fn mean_depth(renders: &[Render], pixel: usize) -> Option<f64> {
     let mean = |value: fn(&Render, usize) -> f32| {
         let sum: f64 = renders.iter().map(|render| f64::from(value(render, pixel))).sum();
@@ -114,7 +115,8 @@ fn mean_depth(renders: &[Render], pixel: usize) -> Option<f64> {
     (opacity > f64::from(MIN_OPACITY)).then(|| mean(|render, pixel| render.depth[pixel]))
 }
 
-/// Returns the root of the mean variance of the depth over the pixels that have one, world units; none of fewer than two renders.
+/// Returns the root of the mean variance of the depth over the pixels that have one, world units. `None` with
+/// fewer than two renders.
 fn local_spread(renders: &[Render]) -> Option<f64> {
     let [first, _, ..] = renders else { return None };
     let variance = |pixel: usize| {
@@ -133,7 +135,7 @@ fn half_width(interval: DepthInterval, spread: f64) -> f64 {
     interval.factor * spread.hypot(interval.floor)
 }
 
-/// Returns the distance of two picked points; none where one has no surface.
+/// Returns the distance of two picked points. `None` if one has no surface.
 ///
 /// Errors along both rays and across them are taken as independent, and only what changes the distance counts: along the line between
 /// the points. An error of the scene's scale is not in it.
@@ -158,7 +160,7 @@ pub fn distance(a: &Picked, b: &Picked) -> Option<Distance> {
     })
 }
 
-/// Returns the sample standard deviation (divisor B - 1); none of fewer than two values.
+/// Returns the sample standard deviation (divisor B - 1). `None` with fewer than two values.
 fn sample_deviation(values: &[f64]) -> Option<f64> {
     let count = values.len() as f64;
     let mean = values.iter().sum::<f64>() / count;
@@ -246,7 +248,7 @@ mod tests {
             opacity: vec![0.9, 0.9, opacity],
             ..Render::empty(3, 1)
         };
-        // Variances .02 and .08; the third pixel has no surface.
+        // Variances 0.02 and 0.08. The third pixel has no surface.
         let found = local_spread(&[render(1.0, 0.1), render(1.2, 0.1)]).unwrap();
         assert!((found - 0.05_f64.sqrt()).abs() < 1e-6, "{found}");
         assert_eq!(local_spread(&[render(1.0, 0.1)]), None);

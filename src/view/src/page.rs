@@ -17,7 +17,7 @@ pub fn live_parts(number: Option<u64>, fields: &[&str]) -> LiveParts {
     }
 }
 
-/// Returns what a page in the folder next to the live page has: nothing on it lives.
+/// Returns the parts of a page in the folder next to the live page, which has nothing live.
 pub fn scene_parts() -> LiveParts {
     LiveParts {
         up: "../",
@@ -67,7 +67,7 @@ fn view(fields: &[&str]) -> Markup {
         .zip(fields.iter().copied())
         .collect();
     html! {
-        noscript { p.missing { "The 3-D view needs scripts; everything below does not." } }
+        noscript { p.missing { "The 3-D view needs scripts. Everything below does not." } }
         div.tools {
             (choice("view-field", "Field", &fields))
             (choice("view-mode", "Show", &[("color", "colour"), ("depth", "depth"), ("uncertainty", "uncertainty"), ("difference", "difference from a photo")]))

@@ -2,8 +2,8 @@
 
 use std::ops::Range;
 
-/// Returns the part that a `Range` header asks for, of a file of a length; none where the whole is to be sent: no such header,
-/// several parts, or a form that is not known.
+/// Returns the part that a `Range` header requests, of a file of a length. `None` if the whole is to be sent:
+/// without such a header, with several parts, or with an unknown form.
 pub fn part(header: Option<&str>, length: usize) -> Option<Range<usize>> {
     let (first, last) = header?.strip_prefix("bytes=")?.split_once('-')?;
     let number = |text: &str| text.parse::<usize>().ok();

@@ -1,4 +1,4 @@
-//! Renders one picture at a time; of the views of one page the newest wins.
+//! Renders one picture at a time. Of the views of one page the newest wins.
 
 use std::collections::HashMap;
 use std::num::NonZero;
@@ -12,7 +12,7 @@ use crate::ViewError;
 use crate::field::SharedField;
 use crate::frames::{DIVISORS, FrameError, Shown, View, frame};
 
-/// Pages that are remembered; with more all are forgotten, which stops no picture.
+/// Pages that are remembered. With more all are forgotten, which stops no picture.
 const MOST_VIEWERS: usize = 64;
 
 /// Renders pictures for pages.
@@ -41,7 +41,7 @@ impl Ticket {
 pub type Frames = mpsc::Receiver<Result<Vec<u8>, FrameError>>;
 
 impl Renderer {
-    /// Returns a renderer of as many threads; without a number, of one a core.
+    /// Returns a renderer of as many threads. Without a number, of one a core.
     ///
     /// # Errors
     /// Threads that cannot be started.
@@ -58,12 +58,13 @@ impl Renderer {
         })
     }
 
-    /// Runs work on the threads that render, in its turn; none if the server ends.
+    /// Runs work on the threads that render, in its turn. `None` if the server ends.
     pub async fn run<T: Send + 'static>(&self, work: impl FnOnce() -> T + Send + 'static) -> Option<T> {
         run(&self.pool, &self.turn, work).await
     }
 
-    /// Renders a view for a page, coarse first. It ends when the receiver is dropped, and when the page asks for another view.
+    /// Renders a view for a page, coarse first. It ends when the receiver is dropped, and when the page
+    /// requests another view.
     pub fn frames(&self, viewer: u64, field: SharedField, view: View, shown: Shown) -> Frames {
         let ticket = self.ticket(viewer);
         let (sender, receiver) = mpsc::channel(1);

@@ -1,4 +1,4 @@
-//! What is answered to which address.
+//! Answers to the addresses of the site.
 
 use std::sync::Arc;
 
@@ -29,7 +29,8 @@ use crate::stream::Received;
 /// Most bytes of a request: a view has some hundred.
 const MOST_BODY_BYTES: usize = 16 << 10;
 
-/// What a page may do: nothing but read from here; no script or style in it, no frame around it.
+/// Content security policy: a page reads only from here, has no script or style in it, and no frame around
+/// it.
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; media-src 'self'; \
     connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
@@ -195,7 +196,7 @@ async fn scene(State(site): State<Arc<Site>>, Path((run, field)): Path<(u64, usi
     }
 }
 
-/// What a page wants to see.
+/// Layer that a page requests.
 #[derive(Clone, Copy, Deserialize)]
 #[serde(rename_all = "lowercase")]
 enum Mode {
@@ -205,7 +206,7 @@ enum Mode {
     Difference,
 }
 
-/// A view that a page asks for.
+/// A view that a page requests.
 #[derive(Deserialize)]
 struct FramesRequest {
     run: u64,
@@ -233,7 +234,7 @@ async fn frames(State(site): State<Arc<Site>>, body: Bytes) -> Response {
         Err(message) => return refusal(StatusCode::UNPROCESSABLE_ENTITY, &message),
     };
     let mut frames = site.renderer.frames(request.viewer, field, request.view, shown);
-    // The first picture decides about the status: what cannot be rendered is told as text.
+    // The first picture decides the status: a failed render is answered as text.
     match frames.recv().await {
         Some(Ok(first)) => answer(BYTES, Body::from_stream(Received::after(Ok(first), frames))),
         Some(Err(error)) => refusal(StatusCode::UNPROCESSABLE_ENTITY, &error.to_string()),
@@ -241,9 +242,11 @@ async fn frames(State(site): State<Arc<Site>>, body: Bytes) -> Response {
     }
 }
 
-/// Returns what a picture is to show; of a difference the photo is read.
+/// Returns what a picture has to show. For a difference it reads the photo.
 async fn shown(site: &Arc<Site>, field: &SharedField, request: &FramesRequest) -> Result<Shown, String> {
-    let photo = request.photo.ok_or("a difference is from a photo: none is named");
+    let photo = request
+        .photo
+        .ok_or("a difference needs a photo: the request names none");
     Ok(match request.mode {
         Mode::Color => Shown::Color,
         Mode::Depth => Shown::Depth,
@@ -256,7 +259,7 @@ async fn shown(site: &Arc<Site>, field: &SharedField, request: &FramesRequest) -
     })
 }
 
-/// A point of a view that a page asks for.
+/// A point of a view that a page requests.
 #[derive(Deserialize)]
 struct PickRequest {
     run: u64,
@@ -287,7 +290,7 @@ async fn picked(State(site): State<Arc<Site>>, body: Bytes) -> Response {
     rendered(site.renderer.run(work).await)
 }
 
-/// Two points whose distance a page asks for.
+/// Two points whose distance a page requests.
 #[derive(Deserialize)]
 struct DistanceRequest {
     run: u64,
@@ -317,7 +320,7 @@ async fn measured(State(site): State<Arc<Site>>, body: Bytes) -> Response {
     rendered(site.renderer.run(work).await)
 }
 
-/// Answers what was rendered; none if the server ends.
+/// Answers with rendered values, or with an error if the server ends.
 fn rendered<T: Serialize>(made: Option<Result<T, FrameError>>) -> Response {
     match made {
         Some(Ok(made)) => json(&made),
@@ -366,7 +369,7 @@ async fn blocking<T: Send + 'static>(
     done.unwrap_or_else(|error| Err(format!("the request failed: {error}")))
 }
 
-/// Answers a file, or the part of it that is asked for.
+/// Answers with a file, or the requested part of it.
 fn file(found: Result<File, String>, range: Option<&str>) -> Response {
     let file = match found {
         Ok(file) => file,

@@ -14,25 +14,25 @@ use crate::routes::routes;
 use crate::site::Site;
 use crate::source::Source;
 
-/// How often the wish to stop is looked at.
+/// Interval between two checks of the wish to stop.
 const STOP_EVERY: Duration = Duration::from_millis(100);
-/// How long requests may go on after it.
+/// Longest time for open requests after it.
 const LAST_WORK: Duration = Duration::from_millis(500);
 
-/// How the page is served.
+/// Options of the server.
 #[derive(Debug, Clone)]
 pub struct Options {
     /// Name or address to listen on.
     pub host: String,
-    /// Port; 0 takes a free one.
+    /// Port. 0 takes a free one.
     pub port: u16,
-    /// What a request has to bring.
+    /// Token that a request has to bring.
     pub token: Option<String>,
-    /// Path below which everything is, without a slash at its end; empty for none.
+    /// Path prefix of all addresses, without a slash at its end. Empty for none.
     pub prefix: String,
-    /// Threads that render; none: one a core.
+    /// Threads that render. `None`: one a core.
     pub threads: Option<NonZero<usize>>,
-    /// What renders.
+    /// Device that renders.
     pub device: Device,
 }
 
@@ -48,7 +48,7 @@ impl Server {
     /// Takes the port, and reads the run to show.
     ///
     /// # Errors
-    /// A port that is taken; an address that others reach, without a token; a run that cannot be read.
+    /// A port that is taken. An address that others can reach, without a token. A run that cannot be read.
     pub fn bind(options: Options, source: Arc<dyn Source>) -> Result<Self, ViewError> {
         check_prefix(&options.prefix)?;
         let access = Access::new(&options.host, options.token.as_deref())?;
@@ -82,7 +82,7 @@ impl Server {
         format!("http://{host}:{port}{prefix}/{}", token.unwrap_or_default())
     }
 
-    /// Answers requests until `stop` tells so.
+    /// Answers requests until `stop` returns true.
     ///
     /// # Errors
     /// A port that is lost, threads that cannot be started.

@@ -1,4 +1,4 @@
-//! What all requests share: the store, who may ask, and the runs that pages show.
+//! Shared state of all requests: the store, the access checks, and the runs that pages show.
 
 use std::sync::Arc;
 
@@ -11,7 +11,7 @@ use crate::field::SharedField;
 use crate::renderer::Renderer;
 use crate::source::Source;
 
-/// What all requests share.
+/// Shared state of all requests.
 pub struct Site {
     /// The store.
     pub source: Arc<dyn Source>,
@@ -24,7 +24,7 @@ pub struct Site {
     device: Device,
 }
 
-/// Runs that are kept for pages that show them still; another is read anew.
+/// Runs that are kept for pages that still show them. Any other run is read again.
 const MOST_RUNS: usize = 3;
 
 impl Site {
@@ -64,7 +64,7 @@ impl Site {
     /// Returns a field of the run that a page shows, also where another run is shown by now.
     ///
     /// # Errors
-    /// One sentence: no such run; a field that is lost.
+    /// One sentence: no such run, or a lost field.
     pub fn field(&self, run: u64, index: usize) -> Result<(Arc<Content>, SharedField), String> {
         let content = self.content_of(run)?;
         let field = content.field(index, self.source.as_ref(), &self.device)?;
@@ -79,7 +79,7 @@ impl Site {
         let content = Arc::new(Content::read(self.source.as_ref(), Some(run))?);
         contents.push(Arc::clone(&content));
         if contents.len() > MOST_RUNS {
-            // The first is the one that is shown, the last the one that is asked for.
+            // The first is the one that is shown, the last the one that is requested.
             contents.remove(1);
         }
         Ok(content)

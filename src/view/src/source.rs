@@ -1,4 +1,4 @@
-//! What the program gives the page.
+//! Interface through which the program gives the page its data.
 
 use std::collections::BTreeSet;
 use std::path::PathBuf;
@@ -9,7 +9,7 @@ use marf_report::{LinkedPage, LiveParts};
 
 /// The store, as far as the page reads it.
 pub trait Source: Send + Sync {
-    /// Returns the number of the run to show now; none if there is none.
+    /// Returns the number of the run to show now. `None` without a run.
     ///
     /// # Errors
     /// One sentence: a named run that is not there, or a store that cannot be read.
@@ -30,10 +30,10 @@ pub trait Source: Send + Sync {
     /// Writes the report of a run, or the page of one of its scenes.
     ///
     /// # Errors
-    /// As [`Source::fields`]; no such scene.
+    /// As [`Source::fields`]. An unknown scene.
     fn page(&self, run: u64, scene: Option<&str>, live: &LiveParts) -> Result<LinkedPage, String>;
 
-    /// Reads an object; none if the store does not have it.
+    /// Reads an object. `None` if the store does not have it.
     fn object(&self, digest: &Digest) -> Option<Arc<[u8]>>;
 
     /// Returns the folder in which running programs leave their events.
@@ -49,9 +49,9 @@ pub struct FieldSource {
     pub weights: Digest,
     /// Its scene.
     pub scene: Digest,
-    /// Fields of the retrainings whose uncertainty is shown; empty if there are none.
+    /// Fields of the retrainings whose uncertainty is shown. Empty if there are none.
     pub members: Vec<Digest>,
-    /// What makes an interval of how far their depths differ; none where photos held out do not tell it.
+    /// Factors for an interval from the spread of their depths. `None` if held-out photos do not give them.
     pub depth_interval: Option<DepthInterval>,
 }
 

@@ -6,9 +6,9 @@ use std::task::{Context, Poll};
 use futures_core::Stream;
 use tokio::sync::mpsc::Receiver;
 
-/// What is received, as a stream that ends with the last sender.
+/// Received messages, as a stream that ends with the last sender.
 pub struct Received<T> {
-    /// What was received already.
+    /// The message received already.
     first: Option<T>,
     rest: Receiver<T>,
 }
@@ -19,7 +19,7 @@ impl<T> Received<T> {
         Self { first: None, rest }
     }
 
-    /// Returns the stream of a channel of which something was received already.
+    /// Returns the stream of a channel that something was received from already.
     pub fn after(first: T, rest: Receiver<T>) -> Self {
         let first = Some(first);
         Self { first, rest }

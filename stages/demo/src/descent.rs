@@ -18,11 +18,12 @@ const LOWEST_M: f64 = 1.5;
 const OCTAVES: f64 = 5.1875;
 /// Distance of a camera from the plumb line over the place, in heights.
 const ASIDE: f64 = 0.3;
-/// Angle from one camera to the next around the plumb line, degrees: no two lie in one direction (the golden angle).
+/// Angle from one camera to the next around the plumb line, degrees (the golden angle): no two are in one
+/// direction.
 const TURN_DEG: f64 = 137.508;
 /// Focal length, widths of a photo: as a descent camera of 53 degrees.
 const FOCAL_WIDTHS: f64 = 1.0;
-/// Of so many photos one is held out.
+/// One photo in this many is held out.
 const HELD_OUT_EVERY: u32 = 8;
 
 impl Demo {
@@ -114,7 +115,7 @@ impl Demo {
     }
 }
 
-/// Returns the height so many octaves above the lowest, straight within each.
+/// Returns the height `octaves` octaves above the lowest, straight within each.
 fn height_m(octaves: f64) -> f64 {
     let whole = octaves as u32;
     LOWEST_M * f64::from(1_u32 << whole) * (1.0 + octaves - f64::from(whole))

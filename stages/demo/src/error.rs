@@ -7,7 +7,7 @@ pub enum DemoError {
     #[error("stopped")]
     Cancelled,
     /// A sol that does not exist.
-    #[error("the demo has no sol {sol}; ask for one of {} to {}", SOLS.start(), SOLS.end())]
+    #[error("the demo has no sol {sol}: use one of {} to {}", SOLS.start(), SOLS.end())]
     Sol {
         /// The sol.
         sol: u32,

@@ -49,7 +49,7 @@ pub fn smeared(image: &Image<Srgb>) -> Image<Srgb> {
     mean(image, &line)
 }
 
-/// Returns the mean of the pixels at these offsets; the border is repeated.
+/// Returns the mean of the pixels at these offsets. The border is repeated.
 fn mean(image: &Image<Srgb>, offsets: &[[i64; 2]]) -> Image<Srgb> {
     let count = offsets.len() as u32;
     let within = |at: i64, side: u32| at.clamp(0, i64::from(side) - 1) as u32;

@@ -13,8 +13,8 @@ pub const OUTCROP: [f64; 2] = [7.0, 3.0];
 const FINE_M: f64 = 20.48;
 /// The grids: nodes per side, metres between them. The first has ripples and lumps, the others the large forms only.
 const LEVELS: [Lattice; 3] = [lattice(1025, 0.04), lattice(513, 0.4), lattice(513, 2.5)];
-/// Slope that ray marching assumes. Ripples are steeper, but a step is at most about ten times the height above
-/// ground, too short to pass through one; where it ends below ground, the change of sign is detected.
+/// Slope that ray marching assumes. Ripples are steeper, but a step is at most about ten times the height
+/// above ground, too short to pass through one. If it ends below ground, the change of sign is detected.
 const STEEPEST: f64 = 0.10;
 /// Upper bound of the ground's height, metres.
 const CEILING: f64 = 1.6;
@@ -32,7 +32,7 @@ pub struct GroundPoint {
     pub sand: f64,
     /// Share of dust in the colour.
     pub dusty: f64,
-    /// Relative brightness of the colour; 0 is the mean.
+    /// Relative brightness of the colour. 0 is the mean.
     pub tone: f64,
 }
 
@@ -162,7 +162,7 @@ impl Ground {
         chord(above, below)
     }
 
-    /// Reads from the finest grid that holds a point; beyond the last grid, its border is repeated.
+    /// Reads from the finest grid that holds a point. Beyond the last grid, its border is repeated.
     fn at<T>(&self, x: f64, y: f64, read: impl Fn(&Grid, &Spot) -> T) -> T {
         let (x, y) = (x - OUTCROP[0], y - OUTCROP[1]);
         let far = x.abs().max(y.abs());
@@ -304,7 +304,7 @@ pub fn plain(x: f64, y: f64, salt: u32) -> f64 {
     0.10 * swell(7.0, salt ^ 1) + rise + far * 0.7 * swell(46.0, salt ^ 3) + 0.14 * swell(19.0, salt ^ 2)
 }
 
-/// Returns the share of drifted sand, 0 to 1; sand has ripples and few stones.
+/// Returns the share of drifted sand, 0 to 1. Sand has ripples and few stones.
 pub fn sandiness(x: f64, y: f64, salt: u32) -> f64 {
     let patches = noise2(x / 3.1, y / 3.1, salt ^ 21).0 + 0.4 * noise2(x / 1.1, y / 1.1, salt ^ 22).0;
     smoothstep(-0.25, 0.45, patches)

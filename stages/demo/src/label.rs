@@ -18,7 +18,7 @@ const COUNTERS: [&str; 10] = [
     "SITE", "DRIVE", "POSE", "ARM", "SHA", "DRILL", "RSM", "HGA", "BITCAR", "SEAL",
 ];
 
-/// What a label is written from.
+/// Input of a label.
 pub struct Facts<'a> {
     pub sol: u32,
     pub view: &'a View,

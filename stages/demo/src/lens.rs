@@ -4,7 +4,7 @@ use marf_scene::{Cahvor, Camera, Pose};
 
 use super::math::{V3, v3};
 
-/// A CAHVOR camera; integer pixel = pixel centre, 0-based.
+/// A CAHVOR camera. Integer pixel = pixel centre, 0-based.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Lens {
     pub c: V3,
@@ -15,7 +15,7 @@ pub struct Lens {
     pub r: [f64; 3],
 }
 
-/// Radial distortion of the demo's lens; mild, as that of a wide rover camera.
+/// Radial distortion of the demo's lens: mild, as that of a wide rover camera.
 const RADIAL: [f64; 3] = [0.0002, -0.035, 0.012];
 const OPTICAL_TILT: (f64, f64) = (0.006, -0.004);
 
@@ -39,7 +39,7 @@ impl Lens {
         }
     }
 
-    /// Returns an ideal pinhole; the camera's distortion is left out.
+    /// Returns an ideal pinhole without the camera's distortion.
     pub fn pinhole(cam_from_site: &Pose, camera: &Camera) -> Self {
         let axis = |row: usize| {
             let row = cam_from_site.rotation.row(row);
@@ -58,7 +58,7 @@ impl Lens {
         }
     }
 
-    /// Returns the pixel of a point; `None` behind the camera.
+    /// Returns the pixel of a point. `None` behind the camera.
     #[cfg(test)]
     pub fn project(&self, point: V3) -> Option<(f64, f64)> {
         let p = point - self.c;

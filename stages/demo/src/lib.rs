@@ -48,10 +48,11 @@ pub use error::DemoError;
 pub use plan::FlawKind;
 pub use truth::{Flaw, RangeMap, TruePhoto, Truth};
 
-/// Version of what the demo draws and writes; raised when any byte of it may change.
+/// Version of the demo's drawings and files. Raise it when any of their bytes may change.
 pub const DEMO_VERSION: u32 = 1;
 
-/// Sols that exist; 1 and 2 are the usual ones. Each hundred is of another site: 101 is the first at the second.
+/// Sols that exist. 1 and 2 are the usual ones. Each hundred is of another site: 101 is the first at the
+/// second.
 pub const SOLS: RangeInclusive<u32> = plan::SOLS;
 
 /// Options of the demo.
@@ -90,18 +91,18 @@ impl Default for DemoOptions {
 /// A file of the demo's archive.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct DemoFile {
-    /// Name; photos of a descent are below `images/`.
+    /// Name. Photos of a descent are below `images/`.
     pub name: String,
     /// Contents.
     pub bytes: Vec<u8>,
 }
 
-/// Receives progress as (files done, files in all) of a sol; called from several threads.
+/// Receives progress as (files done, files in all) of a sol. Called from several threads.
 pub type OnProgress<'a> = &'a (dyn Fn(u64, u64) + Sync);
-/// Returns whether to stop; called from several threads, before each photo.
+/// Returns whether to stop. Called from several threads, before each photo.
 pub type IsCancelled<'a> = &'a (dyn Fn() -> bool + Sync);
 
-/// The demo with its options; the landscape of a site is built when first needed, in about half a second.
+/// The demo with its options. The landscape of a site is built when first needed, in about half a second.
 pub struct Demo {
     options: DemoOptions,
     /// By site, the first one first.
@@ -114,14 +115,14 @@ pub struct Demo {
 /// Height from which [`Demo::from_above`] looks down, metres.
 const ABOVE_M: f64 = 20.0;
 
-/// What is seen from straight above a place.
+/// The view from straight above a place.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Above {
     /// Height of the ground or of the rock on it, metres.
     pub height_m: f64,
     /// Its light, linear RGB.
     pub light: [f64; 3],
-    /// Whether the sun does not reach it.
+    /// Whether it is in shadow.
     pub is_shaded: bool,
 }
 
@@ -146,8 +147,8 @@ impl Demo {
         })
     }
 
-    /// Returns the demo with a change at the site of a sol, from that sol on: a stone of 64 cm lies there, and dust is gone from a strip of
-    /// 1.4 by 0.3 m. Photos of all other sols keep their bytes.
+    /// Returns the demo with a change at the site of a sol, from that sol on: there is a new stone of 64 cm,
+    /// and no dust on a strip of 1.4 by 0.3 m. Photos of all other sols keep their bytes.
     ///
     /// # Errors
     /// [`DemoError::Sol`].
@@ -159,7 +160,7 @@ impl Demo {
         })
     }
 
-    /// Returns a digest of everything [`Demo::files`] depends on; draws nothing.
+    /// Returns a digest of everything [`Demo::files`] depends on. Draws nothing.
     ///
     /// # Errors
     /// [`DemoError::Sol`].
@@ -201,7 +202,7 @@ impl Demo {
         Ok(files.collect::<Result<Vec<_>, _>>()?.concat())
     }
 
-    /// Returns the ground truth of a sol; draws nothing.
+    /// Returns the ground truth of a sol. Draws nothing.
     ///
     /// # Errors
     /// [`DemoError::Sol`].
@@ -270,7 +271,7 @@ impl Demo {
         Ok(shot.photo(&SrgbEncoder::new()))
     }
 
-    /// Returns what is seen from straight above a place (x and y in the site frame, metres) on a sol.
+    /// Returns the view from straight above a place (x and y in the site frame, metres) on a sol.
     ///
     /// # Errors
     /// [`DemoError::Sol`].

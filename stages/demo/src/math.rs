@@ -78,7 +78,7 @@ impl Mul<f64> for V3 {
 
 pub const DEGREE: f64 = std::f64::consts::PI / 180.0;
 
-/// Returns (sin, cos) by Taylor's series after reduction to a quarter turn; within 1e-14 for |angle| < 1000.
+/// Returns (sin, cos) by Taylor's series after reduction to a quarter turn, within 1e-14 for |angle| < 1000.
 pub fn sin_cos(angle_rad: f64) -> (f64, f64) {
     let quarters = (angle_rad / std::f64::consts::FRAC_PI_2 + 0.5).floor();
     let a = angle_rad - quarters * std::f64::consts::FRAC_PI_2;
@@ -105,7 +105,7 @@ pub fn sin_cos(angle_rad: f64) -> (f64, f64) {
     }
 }
 
-/// Returns 0 below `from`, 1 above `to`, and a smooth transition between; decreasing if `from` > `to`.
+/// Returns 0 below `from`, 1 above `to`, and a smooth transition between. Decreasing if `from` > `to`.
 pub fn smoothstep(from: f64, to: f64, x: f64) -> f64 {
     let t = ((x - from) / (to - from)).clamp(0.0, 1.0);
     t * t * (3.0 - 2.0 * t)
@@ -138,7 +138,7 @@ fn unit_of(bits: u32) -> f64 {
 pub struct Rng(marf_numeric::Rng);
 
 impl Rng {
-    /// Returns one of the streams of a seed; streams of different numbers are independent.
+    /// Returns one of the streams of a seed. Streams of different numbers are independent.
     pub fn new(seed: u64, stream: u64) -> Self {
         let mut rng = marf_numeric::Rng::new(seed ^ stream.wrapping_mul(0xd134_2543_de82_ef95));
         rng.bits();
@@ -170,7 +170,7 @@ impl Rng {
     }
 }
 
-/// Returns a number's floor and fraction; `f64::floor` is a function call on baseline x86-64, this is not.
+/// Returns a number's floor and fraction. `f64::floor` is a function call on baseline x86-64, this is not.
 pub fn split_floor(x: f64) -> (i64, f64) {
     let cut = x as i64;
     let floor = cut - i64::from(x < cut as f64);

@@ -51,7 +51,8 @@ pub enum FlawKind {
 }
 
 impl FlawKind {
-    /// Returns the filters of which one should reject it, the likeliest first; `decode` means extraction itself.
+    /// Returns the filters, one of them expected to reject it, the likeliest first. `decode` means extraction
+    /// itself.
     pub const fn expected(self) -> &'static [&'static str] {
         match self {
             Self::Thumbnail => &["shape", "size"],

@@ -14,8 +14,8 @@ const CORNERS: [(f64, f64); 4] = [(-0.375, -0.125), (0.125, -0.375), (0.375, 0.1
 /// Relative difference of range above which two neighbours are on an edge.
 const EDGE: f64 = 0.03;
 
-/// Share of a pixel's light that falls on each neighbour along a row or column: about 0.6 pixels of blur,
-/// as good optics have; it also suppresses aliasing of the point samples.
+/// Share of a pixel's light that falls on each neighbour along a row or column: about 0.6 pixels of blur, as
+/// good optics have. It also suppresses aliasing of the point samples.
 const SPREAD: f64 = 0.17;
 
 /// A camera in the site frame (z down), and what it photographs.
@@ -27,7 +27,7 @@ pub struct Shot<'a> {
 }
 
 impl Shot<'_> {
-    /// Renders the photo, rows in parallel; every pixel is a function of its position alone.
+    /// Renders the photo, rows in parallel. Every pixel is a function of its position alone.
     pub fn photo(&self, encoder: &SrgbEncoder) -> Image<Srgb> {
         let width = self.width as usize;
         let first: Vec<RaySample> = self.each(|x, y| self.trace(x, y));
@@ -52,7 +52,7 @@ impl Shot<'_> {
         }
     }
 
-    /// Returns the light on a pixel after the lens's blur; the border is repeated.
+    /// Returns the light on a pixel after the lens's blur. The border is repeated.
     fn spread(&self, light: &[V3], index: usize) -> V3 {
         let (width, height) = (self.width as usize, self.height as usize);
         let (x, y) = (index % width, index / width);
@@ -64,7 +64,7 @@ impl Shot<'_> {
             + (along_row(y.saturating_sub(1)) + along_row((y + 1).min(height - 1))) * SPREAD
     }
 
-    /// Returns the distance from the camera's centre along each pixel's ray, metres; infinite for the sky.
+    /// Returns the distance from the camera's centre along each pixel's ray, metres. Infinite for the sky.
     pub fn ranges_m(&self) -> Vec<f32> {
         self.each(|x, y| {
             let (from, along) = self.ray(x, y);
@@ -86,7 +86,7 @@ impl Shot<'_> {
             .trace(from, along, 1.0 / self.lens.h.cross(self.lens.a).norm())
     }
 
-    /// Traces a pixel's ray; z is up in the world and down in the site.
+    /// Traces a pixel's ray. z is up in the world and down in the site.
     fn ray(&self, x: f64, y: f64) -> (V3, V3) {
         let up = |p: V3| v3(p.x, p.y, -p.z);
         (up(self.lens.c), up(self.lens.ray(x, y)))

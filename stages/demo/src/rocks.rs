@@ -2,7 +2,7 @@
 
 use super::math::{Rng, V3, sin_cos, v3};
 
-/// Planes that cut the corners of a shape, beside the six of its box.
+/// Planes that cut the corners of a shape, in addition to the six of its box.
 const CUTS: usize = 18;
 const PLANES: usize = CUTS + 6;
 const SHAPES: usize = 48;
@@ -58,7 +58,7 @@ pub struct Rocks {
     nodes: Vec<Node>,
 }
 
-/// A node of the hierarchy; single precision halves the memory, and the exact test follows at the rock.
+/// A node of the hierarchy. Single precision halves the memory, and the exact test follows at the rock.
 struct Node {
     low: [f32; 3],
     high: [f32; 3],
@@ -85,7 +85,7 @@ pub struct Ray {
 
 impl Ray {
     pub fn new(from: V3, along: V3) -> Self {
-        // A component of exactly zero would give 0 · inf; a tiny one gives a very large number instead.
+        // A component of exactly zero would give 0 · inf. A tiny one gives a very large number instead.
         let inverse = |d: f64| (1.0 / if d.abs() < 1e-30 { 1e-30 } else { d }) as f32;
         Self {
             from,
@@ -175,16 +175,18 @@ impl Shape {
         shape
     }
 
-    /// Returns the distance at which a ray enters, if below `limit`; 0 if it starts inside.
+    /// Returns the distance at which a ray enters, if below `limit`. 0 if it starts inside.
     fn enter(&self, from: V3, along: V3, limit: f64) -> Option<f64> {
         let (mut enter, mut leave) = (0.0_f64, limit);
-        // Six planes at a time without a branch, which vectorises; the box's planes come first and reject most rays.
+        // Six planes at a time without a branch, which vectorises. The box's planes come first and reject
+        // most rays.
         for first in (0..PLANES).step_by(6) {
             for i in first..first + 6 {
                 let speed = self.nx[i] * along.x + self.ny[i] * along.y + self.nz[i] * along.z;
                 let distance =
                     self.reach[i] - (self.nx[i] * from.x + self.ny[i] * from.y + self.nz[i] * from.z);
-                // Parallel rays give ±inf, which is right inside and outside; on the plane itself NaN changes nothing.
+                // Parallel rays give ±inf, which is right inside and outside. On the plane itself NaN changes
+                // nothing.
                 let t = distance / speed;
                 let (entry, exit) = if speed < 0.0 { (t, f64::INFINITY) } else { (0.0, t) };
                 enter = if entry > enter { entry } else { enter };
@@ -266,7 +268,7 @@ impl Rocks {
         rock.world(normal.times(rock.inverse_half)).unit()
     }
 
-    /// Calls `hit` for intersections before the limit it last returned; `None` ends the traversal.
+    /// Calls `hit` for intersections before the limit it last returned. `None` ends the traversal.
     fn visit(&self, ray: &Ray, mut limit: f64, mut hit: impl FnMut(f64, usize) -> Option<f64>) {
         let mut stack = [0_u32; 48];
         let mut depth = 1;
@@ -317,7 +319,8 @@ fn bounds(rocks: &[Rock]) -> (V3, V3) {
     (low, high)
 }
 
-/// Builds the hierarchy over `all[from..to]`, sorting it in place; the longer axis is split at its median rock.
+/// Builds the hierarchy over `all[from..to]`, sorting it in place. The longer axis is split at its median
+/// rock.
 fn grow(nodes: &mut Vec<Node>, all: &mut [Rock], from: usize, to: usize) {
     if from == to {
         return;

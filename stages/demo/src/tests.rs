@@ -40,8 +40,8 @@ fn lens(model: &Cahvor) -> Lens {
     }
 }
 
-/// Sol 101 is the first of the second site: another landscape, another site in names and labels, and a frame of its own, in which the
-/// rover stands as near to the outcrop as on sol 1.
+/// Sol 101 is the first of the second site. It has another landscape, another site in names and labels, and a
+/// frame of its own. In it the rover is as near to the outcrop as on sol 1.
 #[test]
 fn each_hundred_sols_are_of_another_site() {
     let demo = small();

@@ -22,15 +22,15 @@ pub struct Truth {
 pub struct TruePhoto {
     /// Name of the file.
     pub file: String,
-    /// The true lens in the rover's frame; the label states a slightly different one.
+    /// The true lens in the rover's frame. The label states a slightly different one.
     pub rover_model: Cahvor,
-    /// The rover's true pose; the label states a slightly different one.
+    /// The rover's true pose. The label states a slightly different one.
     pub site_from_rover: Pose,
     /// The same lens in the site frame.
     pub site_model: Cahvor,
     /// Pose of the ideal pinhole within the lens (x right, y down, z forward along A).
     pub cam_from_site: Pose,
-    /// That pinhole, without the radial terms; pixel (0, 0) is a corner.
+    /// That pinhole, without the radial terms. Pixel (0, 0) is a corner.
     pub pinhole: Camera,
 }
 
@@ -39,7 +39,7 @@ pub struct TruePhoto {
 pub struct Flaw {
     /// Name of the file.
     pub file: String,
-    /// What is wrong with it.
+    /// Its flaw.
     pub kind: FlawKind,
     /// The good photo it was made from. Of an exact copy and its original, either may be kept.
     pub twin: Option<String>,
@@ -52,7 +52,7 @@ pub struct RangeMap {
     pub width: u32,
     /// Rows.
     pub height: u32,
-    /// `[height * width]`, metres from the camera's centre along the pixel's ray; infinite for the sky.
+    /// `[height * width]`, metres from the camera's centre along the pixel's ray. Infinite for the sky.
     pub range_m: Vec<f32>,
 }
 

@@ -13,11 +13,12 @@ const SHADOWS_M: f64 = 120.0;
 /// Longest shadow, metres along the sunlight.
 const SHADOW_M: f64 = 6.0;
 
-/// Where the stone is that lies there after the change, metres in the site.
+/// Position of the stone that is there after the change, metres in the site.
 const NEW_STONE: (f64, f64) = (7.25, 1.20);
 /// Half extents of that stone, metres.
 const NEW_HALF: V3 = v3(0.32, 0.25, 0.20);
-/// The strip from which dust is gone after the change: its middle, the direction along it, half its length and width, metres in the site.
+/// The strip without dust after the change: its middle, the direction along it, half its length and width,
+/// metres in the site.
 const STRIP: ((f64, f64), (f64, f64), (f64, f64)) = ((5.35, 4.2), (0.0, 1.0), (0.7, 0.15));
 /// Albedo without that dust, as a share: darker, and less red.
 const BARED: V3 = v3(0.70, 0.78, 0.88);
@@ -30,14 +31,14 @@ pub struct World {
     is_changed: bool,
 }
 
-/// What a ray sees.
+/// A sample of a ray.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RaySample {
     /// Linear RGB.
     pub light: V3,
-    /// Metres along the ray; infinite for the sky.
+    /// Metres along the ray. Infinite for the sky.
     pub range_m: f64,
-    /// The surface; where neighbours differ, there is an edge.
+    /// The surface. There is an edge where neighbours differ.
     pub surface: Surface,
 }
 
@@ -86,7 +87,7 @@ impl World {
         )
     }
 
-    /// Traces a ray; `pixel_rad` is the angle of a pixel, below which no detail is drawn.
+    /// Traces a ray. `pixel_rad` is the angle of a pixel, and finer detail is not drawn.
     pub fn trace(&self, from: V3, along: V3, pixel_rad: f64) -> RaySample {
         let ray = Ray::new(from, along);
         let ground_m = self.ground.first(&ray);
@@ -103,7 +104,7 @@ impl World {
         }
     }
 
-    /// Returns the range of a ray alone, metres; infinite for the sky.
+    /// Returns the range of a ray alone, metres. Infinite for the sky.
     pub fn range_m(&self, from: V3, along: V3) -> f64 {
         let ray = Ray::new(from, along);
         let ground = self.ground.first(&ray).filter(|&range| range < FAR);
@@ -167,7 +168,7 @@ fn is_bared(x: f64, y: f64) -> bool {
     (dx * along.0 + dy * along.1).abs() < half.0 && (dy * along.0 - dx * along.1).abs() < half.1
 }
 
-/// Returns the stone that lies there after the change.
+/// Returns the stone that is there after the change.
 fn new_stone(salt: u32) -> Place {
     let ground_z = ground::plain(NEW_STONE.0, NEW_STONE.1, salt);
     Place {
@@ -201,7 +202,7 @@ fn places(seed: u64, salt: u32) -> Vec<Place> {
     all
 }
 
-/// Returns a random size; the number of rocks larger than r falls as r^-2, as on Mars.
+/// Returns a random size. The number of rocks larger than r falls as r^-2, as on Mars.
 fn power_law(rng: &mut Rng, least_m: f64, most_m: f64) -> f64 {
     (least_m / rng.within(0.0, 1.0).max(1e-9).sqrt()).min(most_m)
 }
@@ -240,7 +241,7 @@ fn buried_share(index: usize) -> f64 {
     [0.12, 0.3, 0.45, 0.2][index % 4]
 }
 
-/// Returns a stone of the plain; none where sand has drifted, unless it is large.
+/// Returns a stone of the plain. `None` in drifted sand, unless it is large.
 fn stone(rng: &mut Rng, at: [f64; 2], size: f64, salt: u32) -> Option<Place> {
     let half = v3(size, size * rng.within(0.6, 0.95), size * rng.within(0.4, 0.8));
     let tilt = (rng.within(-0.25, 0.25), rng.within(-0.25, 0.25));

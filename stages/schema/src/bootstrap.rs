@@ -21,7 +21,7 @@ pub enum Mode {
     /// The seed: first weights and order of rays, as in the paper.
     #[default]
     Seeds,
-    /// The seed and the photos, drawn anew with replacement: a bootstrap in the sense of statistics.
+    /// The seed and the photos, which are drawn with replacement: a bootstrap in the sense of statistics.
     Photos,
 }
 
@@ -82,7 +82,7 @@ impl Default for ViewpointList {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, JsonSchema)]
 #[schemars(with = "MembersWritten")]
 pub enum Members {
-    /// So many.
+    /// This number.
     Count(u32),
     /// Three, then two more at a time until the order of errors is as good as with two fewer.
     Auto,
@@ -152,22 +152,24 @@ const AUTO: &str = "auto";
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct BootstrapParams {
-    /// Retrainings: at least 2, five rank pixels well and intervals want ten; or `auto`, which takes three and two more at a time, up to
-    /// 21, until AUSE moves by less than 0.01. `auto` wants photos held out.
+    /// Retrainings: at least 2. Ranking pixels well takes five, intervals take ten. `auto` starts with three
+    /// and adds two at a time, up to 21, until AUSE moves by less than 0.01. `auto` needs held-out photos.
     pub b: Members,
     /// What differs between members.
     pub mode: Mode,
-    /// Seed of the first member; each further one adds 1. With `training` and its seed the first member is that training again.
+    /// Seed of the first member. Each further member adds 1. With the seed of `training` the first member
+    /// repeats that training.
     pub seed: u64,
-    /// Steps, size of the photos and size of the field, as for `train`; `training` decides all four keys from here to `field`.
+    /// Steps, size of the photos and size of the field, as for `train`. `training` decides all four keys from
+    /// here to `field`.
     pub quality: Quality,
     /// Optimiser steps of a member, instead of those of `quality`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub steps: Option<u64>,
-    /// Whole factor by which photos are shrunk; absent: as for `train`.
+    /// Whole factor by which photos are shrunk. Default: as for `train`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub scale: Option<u32>,
-    /// Keys of the field; they win over those of the input `params`.
+    /// Keys of the field. They override those of the input `params`.
     pub field: Overrides,
     /// Where maps are made: `heldout`, `train`, `flythrough`, `orbit`, or a list of these.
     pub viewpoints: ViewpointList,
@@ -195,7 +197,7 @@ impl Default for BootstrapParams {
     }
 }
 
-/// Most members; beyond it a number is a slip.
+/// Most members. A larger number is taken for a mistake.
 const MAX_MEMBERS: u32 = 1000;
 /// Most viewpoints along a path.
 const MAX_FRAMES: u32 = 10_000;
@@ -223,7 +225,7 @@ impl BootstrapParams {
             }
         };
         let above_zero = |key: &str, value: u64| match value {
-            0 => Err(ParamError::new(key, "0 gives nothing; at least 1")),
+            0 => Err(ParamError::new(key, "0 is too few: use at least 1")),
             _ => Ok(()),
         };
         if let Members::Count(count) = self.b {
@@ -233,13 +235,13 @@ impl BootstrapParams {
         let ViewpointList(viewpoints) = &self.viewpoints;
         for (index, kind) in viewpoints.iter().enumerate() {
             if viewpoints[..index].contains(kind) {
-                return Err(ParamError::new("viewpoints", "a kind stands twice in the list"));
+                return Err(ParamError::new("viewpoints", "a kind is listed twice"));
             }
         }
         if viewpoints.is_empty() {
             return Err(ParamError::new(
                 "viewpoints",
-                "no kind of viewpoint; at least one",
+                "the list is empty: name at least one kind",
             ));
         }
         above_zero("map_frames", u64::from(self.map_frames))?;

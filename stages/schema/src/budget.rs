@@ -3,16 +3,16 @@ use std::{fmt, str::FromStr, time::Duration};
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
 
-/// A time to train for, written as `60s`, `5m`, `1.5h` or `800ms`; whole milliseconds, above zero.
+/// Training time, written as `60s`, `5m`, `1.5h` or `800ms`: whole milliseconds, above zero.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct Budget {
     milliseconds: u64,
 }
 
-/// A text that is no budget.
+/// A text that is not a budget.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("`{text}` is no time; write `60s`, `5m`, `1h` or `800ms`")]
+#[error("`{text}` is not a time: write `60s`, `5m`, `1h` or `800ms`")]
 pub struct ParseBudgetError {
     text: String,
 }

@@ -4,26 +4,26 @@ use marf_stage::{Document, ParamError, Params};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// How cameras are found, and what is done with the photos.
+/// Parameters of `calibrate`: how cameras are found, and how photos are prepared.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct CalibrateParams {
-    /// Where cameras come from: `sfm` (the photos themselves, labels as priors), `labels` (the archive's labels
-    /// as they are), `import` (transforms.json or a COLMAP model beside the photos) or `colmap` (an installed
-    /// COLMAP is run on the photos).
+    /// Source of the cameras: `sfm` (the photos themselves, labels as priors), `labels` (the archive's labels
+    /// as they are), `import` (transforms.json or a COLMAP model next to the photos) or `colmap` (an
+    /// installed COLMAP is run on the photos).
     pub method: Method,
-    /// Which photos are kept from training and measured: `place` (whole places, spread over the scene: stereo pairs,
-    /// versions and neighbours together) or `every` (one in so many by file name, starting with the first, as in
-    /// papers). An import with train and test file names decides by itself.
+    /// Which photos are kept from training and measured: `place` (whole places, spread over the scene: stereo
+    /// pairs, versions and neighbours together) or `every` (one in `hold_every` by file name, starting with
+    /// the first, as in papers). An import with train and test file names decides by itself.
     pub hold: Hold,
-    /// About one in so many photos is kept from training; 0 keeps none.
+    /// About one photo in this many is kept from training. 0 keeps none.
     pub hold_every: u32,
     /// Longest side of the photos the field is trained on, in pixels: larger ones are reduced by a whole
     /// factor. Without it photos keep their size.
     pub longest_side_px: Option<u32>,
-    /// Fewest photos with a camera; with fewer the node fails and says why.
+    /// Fewest photos with a camera. With fewer the node fails and says why.
     pub min_registered: u32,
-    /// `labels`: the site (first number of the rover motion counter) to build; without it the one with most
+    /// `labels`: the site (first number of the rover motion counter) to build. Default: the one with most
     /// photos. Frames of different sites agree to metres only.
     pub site: Option<i64>,
     /// `sfm`: most features of a photo.
@@ -41,25 +41,26 @@ pub struct CalibrateParams {
     pub lens: LensParam,
     /// `sfm`: which photos share a camera: `camera` (one instrument, size and focal length) or `photo` (none).
     pub intrinsics: Intrinsics,
-    /// `sfm`: principal point: `centre` (of the photo, or the label's), `free`, or `auto` (free where 20 photos
-    /// and more look from all sides, no label tells it, and the photos ask for it).
+    /// `sfm`: principal point: `centre` (of the photo, or the label's), `free`, or `auto` (free if 20 photos
+    /// or more look from all sides, no label gives it, and the photos ask for it).
     pub principal_point: PrincipalPoint,
     /// `sfm`: seed of all random samples.
     pub seed: u64,
     /// `import`: the file to read (`transforms.json`, `sparse/0/cameras.bin`), where there are several.
     pub file: Option<String>,
-    /// `import`: whether points are sought in the photos to train on where the file with the cameras names none: they tell the
-    /// box of the field, and where rays begin and end. Features and pairs are chosen by the keys of `sfm`.
+    /// `import`: whether to find points in the photos to train on if the file with the cameras names none.
+    /// They decide the box of the field, and where rays begin and end. Features and pairs are chosen by the
+    /// keys of `sfm`.
     pub find_points: bool,
-    /// `sfm`: keep the scene of the last run as it is and register only the photos that are new. Photos kept from training stay
-    /// so, and of the new ones as many are as `hold_every` asks for. That scene is then an input of this node; without it, or with
-    /// `false`, the scene is built anew.
+    /// `sfm`: keep the scene of the last run as it is and register only the new photos. Photos kept from
+    /// training stay so. Of the new ones, `hold_every` decides how many are. That scene is then an input of
+    /// this node. Without it, or with `false`, the scene is built from scratch.
     pub extend: bool,
-    /// `colmap`: the program to run; without it the `colmap` that is found on PATH.
+    /// `colmap`: the program to run. Default: the `colmap` on PATH.
     pub colmap: Option<String>,
 }
 
-/// Where cameras come from.
+/// Source of the cameras.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Method {
@@ -69,9 +70,9 @@ pub enum Method {
     Labels,
     /// Cameras of another program.
     Import,
-    /// An installed COLMAP; its answer is not the same to the byte on every machine.
+    /// An installed COLMAP. Its answer may differ in bytes between machines.
     Colmap,
-    /// `import` where a file with cameras lies beside the photos, else `sfm`.
+    /// `import` if a file with cameras is next to the photos, else `sfm`.
     Auto,
 }
 
@@ -81,11 +82,11 @@ pub enum Method {
 pub enum Hold {
     /// Whole places: groups of photos near in position and direction.
     Place,
-    /// One in so many, by file name.
+    /// One in `hold_every`, by file name.
     Every,
 }
 
-/// Where the search for features begins.
+/// Start of the search for features.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum FirstOctaveParam {
@@ -99,7 +100,8 @@ pub enum FirstOctaveParam {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Pairs {
-    /// All of up to 60 photos; of more, neighbours by name, those that look alike and those whose labels say so.
+    /// All of up to 60 photos. Of more: neighbours by name, those that look alike and those whose labels say
+    /// so.
     Auto,
     /// All.
     Exhaustive,
@@ -107,7 +109,7 @@ pub enum Pairs {
     Sequential,
 }
 
-/// Which lens terms the cameras get.
+/// Lens terms of the cameras.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum LensParam {
@@ -123,7 +125,7 @@ pub enum LensParam {
     Opencv,
 }
 
-/// What becomes of the principal point.
+/// Principal point of the cameras.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum PrincipalPoint {
@@ -196,7 +198,7 @@ impl CalibrateParams {
         if self.hold_every == 1 {
             return Err(ParamError::new(
                 "hold_every",
-                "1 would keep every photo from training; 0 keeps none",
+                "1 would keep every photo from training: 0 keeps none",
             ));
         }
         if self.extend && self.method != Method::Sfm {
@@ -208,7 +210,7 @@ impl CalibrateParams {
         match self.longest_side_px {
             Some(side) if side < 16 => Err(ParamError::new(
                 "longest_side_px",
-                format!("{side} px are no photo, at least 16"),
+                format!("{side} px are too few: use at least 16"),
             )),
             _ => Ok(()),
         }
@@ -226,19 +228,19 @@ pub struct Metrics {
     pub photos: Vec<PhotoMetrics>,
     /// Files the import has a camera for that are not among the photos, sorted by name.
     pub missing: Vec<Missing>,
-    /// What ties the world to the site of its labels; absent where nothing does.
+    /// What ties the world to the site of its labels. Absent without such a tie.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tie: Option<Tie>,
 }
 
-/// How far cameras lie from where the labels of their site put them.
+/// Distances of cameras from their positions by the labels of their site.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Tie {
     /// Number of the site.
     pub site: i64,
     /// Placed photos with a label of it.
     pub photos: usize,
-    /// Median distance, metres; 0 where the labels are the cameras.
+    /// Median distance, metres. 0 if the labels are the cameras.
     pub median_m: f64,
     /// Largest distance, metres.
     pub largest_m: f64,
@@ -274,7 +276,7 @@ pub struct Totals {
     pub components: Option<usize>,
     /// Mean over the photos that have one of their mean reprojection error, pixels.
     pub error_px: Option<f64>,
-    /// The same at the size at which features were sought, pixels; `sfm` only.
+    /// The same at the size at which features were sought, pixels. `sfm` only.
     pub error_working_px: Option<f64>,
 }
 
@@ -297,13 +299,13 @@ pub struct PhotoMetrics {
     pub inliers: Option<u32>,
     /// Mean reprojection error of those features, pixels of its camera.
     pub error_px: Option<f64>,
-    /// Standard deviation of its attitude relative to the scene's first photo, degrees; `sfm` only.
+    /// Standard deviation of its attitude relative to the scene's first photo, degrees. `sfm` only.
     pub angle_sigma_deg: Option<f64>,
-    /// Standard deviation of its centre, likewise, in the scene's unit; `sfm` only.
+    /// Standard deviation of its centre, likewise, in the scene's unit. `sfm` only.
     pub centre_sigma: Option<f64>,
     /// A remark (a label that disagrees with the photos).
     pub note: Option<String>,
-    /// Why it has no camera; empty if it has.
+    /// Why it has no camera. Empty if it has one.
     pub reason: String,
 }
 

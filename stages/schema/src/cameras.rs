@@ -10,8 +10,8 @@ use serde::{Deserialize, Serialize};
 pub struct CamerasParams {
     /// Whether photos are resampled to ideal pinholes: straight lines are straight, and no lens has a term.
     pub undistort: bool,
-    /// Folder of `photos` as seen from transforms.json (`../photos`): what lies there as it is needed is named there. Without it all photos
-    /// are written beside transforms.json.
+    /// Folder of `photos` as seen from transforms.json (`../photos`). A photo stored there in the needed form
+    /// is referred to. Without the key all photos are written next to transforms.json.
     pub photos_at: Option<String>,
 }
 
@@ -28,7 +28,7 @@ impl CamerasParams {
         match &self.photos_at {
             Some(folder) if folder.starts_with('/') || folder.contains('\\') => Err(ParamError::new(
                 "photos_at",
-                format!("`{folder}` is no relative path with `/`"),
+                format!("`{folder}` is not a relative path with `/`"),
             )),
             _ => Ok(()),
         }

@@ -9,7 +9,7 @@ use crate::check::check_scale;
 
 /// Most retrainings of each time.
 const MAX_MEMBERS: u32 = 20;
-/// Largest picture that a field is looked at with; beyond it a number is a slip.
+/// Largest picture of the field. A larger number is taken for a mistake.
 const MAX_SIDE_PX: u32 = 4096;
 
 /// Parameters of `changes`.
@@ -22,14 +22,14 @@ pub struct ChangesParams {
     pub after: Sols,
     /// Trainings of each time, at least 2: how far they differ is the noise that a change must exceed.
     pub b: u32,
-    /// Seed of the first training; each further one adds 1.
+    /// Seed of the first training. Each further one adds 1.
     pub seed: u64,
     /// Steps, size of the photos and size of the field, as for `train`.
     pub quality: Quality,
     /// Optimiser steps, instead of those of `quality`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub steps: Option<u64>,
-    /// Whole factor by which photos are shrunk; absent: as for `train`.
+    /// Whole factor by which photos are shrunk. Default: as for `train`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub scale: Option<u32>,
     /// Width of a cell of the map, metres. Without it: the coarser of the cells that `surface` takes for both times.
@@ -39,7 +39,7 @@ pub struct ChangesParams {
     pub side_px: u32,
     /// How many standard deviations a cell must differ to be a change.
     pub sigmas: f64,
-    /// Fewest cells of a patch that differ by so much, for it to be told.
+    /// Fewest cells that a patch needs to be reported.
     pub least_cells: u32,
     /// Which processor trains and renders: `auto` (a GPU where there is one, never a software adapter), `cpu`, `gpu`, or `gpu:NAME` for
     /// the adapter whose name holds NAME. Only what was opened is in the key.
@@ -79,11 +79,14 @@ impl ChangesParams {
         for (key, sols) in [("before", &self.before), ("after", &self.after)] {
             match sols {
                 Sols::Ranges(ranges) if ranges.is_empty() => {
-                    return refuse(key, "no sols; write `3`, `1..=5` or `1,4,7..=9`".to_owned());
+                    return refuse(
+                        key,
+                        "no sols are named: write `3`, `1..=5` or `1,4,7..=9`".to_owned(),
+                    );
                 }
                 Sols::Ranges(_) => {}
                 Sols::All | Sols::Latest => {
-                    return refuse(key, format!("`{sols}` changes with every new sol; name the sols"));
+                    return refuse(key, format!("`{sols}` changes with every new sol: list the sols"));
                 }
             }
         }
@@ -98,7 +101,7 @@ impl ChangesParams {
         }
         check_scale(self.scale)?;
         if self.cell.is_some_and(|cell| !cell.is_finite() || cell <= 0.0) {
-            return refuse("cell", format!("{:?} is no length above 0", self.cell));
+            return refuse("cell", format!("{:?} is not a length above 0", self.cell));
         }
         if !(16..=MAX_SIDE_PX).contains(&self.side_px) {
             return refuse(
@@ -119,7 +122,7 @@ impl ChangesParams {
     }
 }
 
-/// What a patch of ground did between the two times.
+/// Change of a patch of ground between the two times.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Change {
@@ -129,12 +132,13 @@ pub enum Change {
     Lower,
     /// The same shape in another colour: the ratio of the channels differs.
     Colour,
-    /// Brighter or darker alone, or so much that it may be a shadow: light or ground, which photos of one light each cannot tell apart.
+    /// Brighter or darker alone, or by so much that it may be a shadow: light or ground, which photos of one
+    /// light each cannot separate.
     Undecided,
 }
 
 impl Change {
-    /// Returns what it is called.
+    /// Returns its name in reports.
     pub const fn word(self) -> &'static str {
         match self {
             Self::Higher => "higher",
@@ -167,7 +171,7 @@ pub struct Noise {
     pub factor: f64,
 }
 
-/// What was taken away as the difference of the two times as a whole.
+/// Difference of the two times as a whole, which was removed.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Registration {
     /// Later height less earlier one at the middle of the map, metres.
@@ -181,7 +185,7 @@ pub struct Registration {
 /// Ground that changed in one way.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Patch {
-    /// What changed.
+    /// The change.
     pub change: Change,
     /// Its area on the map, square metres.
     pub area_m2: f64,
@@ -218,9 +222,9 @@ pub struct ChangesReport {
     pub compared_m2: f64,
     /// Of it what changed, [`Change::Undecided`] left out, square metres.
     pub changed_m2: f64,
-    /// Of it what is [`Change::Undecided`], square metres.
+    /// Part of it that is [`Change::Undecided`], square metres.
     pub undecided_m2: f64,
-    /// What the two times differ by as a whole.
+    /// Difference of the two times as a whole.
     pub registration: Registration,
     /// Noise of the height, metres.
     pub height: Noise,

@@ -11,7 +11,7 @@ pub(crate) fn check_scale(scale: Option<u32>) -> Result<(), ParamError> {
     match scale {
         Some(0) => Err(ParamError::new(
             "scale",
-            "photos cannot be shrunk by 0; 1 keeps them",
+            "photos cannot be shrunk by 0: 1 keeps their size",
         )),
         _ => Ok(()),
     }
@@ -34,6 +34,6 @@ pub(crate) fn check_share(path: &str, share: f64) -> Result<(), ParamError> {
     if share > 0.0 && share <= 1.0 {
         return Ok(());
     }
-    let message = format!("{share} of the steps; above 0, up to 1");
+    let message = format!("{share} of the steps is not above 0 and at most 1");
     Err(ParamError::new(path, message))
 }

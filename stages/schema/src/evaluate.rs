@@ -26,7 +26,7 @@ pub enum Which {
 pub struct EvaluateParams {
     /// Photos that are compared.
     pub views: Which,
-    /// Whole factor by which photos are shrunk; absent: that of the training.
+    /// Whole factor by which photos are shrunk. Default: that of the training.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub scale: Option<u32>,
     /// Which processor trains and renders: `auto` (a GPU where there is one, never a software adapter), `cpu`, `gpu`,
@@ -49,7 +49,7 @@ impl EvaluateParams {
 }
 
 impl Which {
-    /// Tells whether a photo is among them that is held out, or is not.
+    /// Returns true if it includes photos with this `is_held_out`.
     pub fn has(self, is_held_out: bool) -> bool {
         match self {
             Self::Heldout => is_held_out,

@@ -8,7 +8,7 @@ use crate::{
     train::{self, Fit, Holdout},
 };
 
-/// Returns metrics of a training with seed 0 on two photos, one of which is held out.
+/// Returns metrics of a training with seed 0 on two photos. One of them is held out.
 pub fn train_metrics() -> train::Metrics {
     train::Metrics {
         scores: scores(),

@@ -11,9 +11,10 @@ use crate::{check::check_share, scores::Scores};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct FoldsParams {
-    /// Scenes of fewer photos are judged by folds; of others so many are held out that nothing is trained here.
+    /// Scenes of fewer photos are judged by folds. Larger scenes hold out enough photos, so nothing is
+    /// trained here.
     pub below: u32,
-    /// Trainings, each without another part of the photos; fewer where there are fewer places.
+    /// Trainings, each without another part of the photos. Fewer if there are fewer places.
     pub folds: u32,
     /// Share of the steps of the node `training` that each takes: with 0.25 four folds take as long as that training.
     pub share: f64,
@@ -44,7 +45,7 @@ impl FoldsParams {
     /// Names the key that is out of range.
     pub fn check(&self) -> Result<(), ParamError> {
         if self.folds < 2 {
-            let message = format!("{} folds hold out all or nothing; at least 2", self.folds);
+            let message = format!("{} folds hold out all or nothing: use at least 2", self.folds);
             return Err(ParamError::new("folds", message));
         }
         check_share("share", self.share)
@@ -58,12 +59,12 @@ pub struct Metrics {
     pub photos: u64,
     /// Scenes of fewer are judged by folds.
     pub below: u32,
-    /// What the folds give; none where there are enough photos, or all stand in one place.
+    /// Result of the folds. `None` if there are enough photos, or all were taken at one place.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub judged: Option<Judged>,
 }
 
-/// What the folds of a scene give.
+/// Result of the folds of a scene.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Judged {
     /// On all photos, each judged by the field that was trained without it.

@@ -5,10 +5,10 @@
 //! JSON output ([`Document`](marf_stage::Document)). Stages, commands and the report read and write these types, so
 //! that a field that is renamed or gone fails to compile. Names of outputs that are not JSON are in [`output`].
 //!
-//! Invariant: the order of fields, `rename` and `skip_serializing_if` decide stored bytes and keys, which hold
-//! parameters as JSON; a change needs a new version of the stage.
+//! Invariant: the order of fields, `rename` and `skip_serializing_if` decide stored bytes and keys, which
+//! hold parameters as JSON. A change needs a new version of the stage.
 //!
-//! Parameters of filters and of archives are not here: they stand in the one file of the filter or archive.
+//! Parameters of filters and of archives are not here: each is in the file of its filter or archive.
 
 pub mod bootstrap;
 mod budget;

@@ -31,7 +31,7 @@ impl MasksParams {
         match self.photos {
             0..4 => {
                 let message = format!(
-                    "{} photos have too few pairs to tell what stands still; at least 4",
+                    "{} photos have too few pairs to detect what does not move: use at least 4",
                     self.photos
                 );
                 Err(ParamError::new("photos", message))
@@ -48,7 +48,7 @@ pub struct Metrics {
     pub cameras: Vec<CameraReport>,
 }
 
-/// What was found in the photos of one camera: those of one instrument and size.
+/// Findings in the photos of one camera: those of one instrument and size.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CameraReport {
     /// Name of its files: `<instrument>-<width>x<height>`, or the size alone.
@@ -63,9 +63,10 @@ pub struct CameraReport {
     pub pairs: u32,
     /// ... between which the camera has moved.
     pub moved: u32,
-    /// Share of the picture that stands still and is not masked; 0 where nothing was found or nothing can be said.
+    /// Share of the picture that does not move and is not masked. 0 if nothing was found or nothing can be
+    /// said.
     pub share: f64,
-    /// What was found, as a sentence.
+    /// The finding, as a sentence.
     pub found: String,
 }
 

@@ -3,18 +3,19 @@ use std::{fmt, str::FromStr};
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
 
-/// Memory that a training may take, written as `2GB` or `800MB`; whole megabytes of 10^6 bytes.
+/// Memory that a training may take, written as `2GB` or `800MB`: whole megabytes of 10^6 bytes.
 ///
-/// A number of its own and not a share of the machine's: what is kept of the photos follows from it.
+/// An absolute number instead of a share of the machine's memory, as it decides which pixels of the photos
+/// are kept.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct Memory {
     megabytes: u64,
 }
 
-/// A text that is no memory.
+/// A text that is not an amount of memory.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("`{text}` is no memory; write `2GB` or `800MB`, from 1MB to 1000000GB")]
+#[error("`{text}` is not an amount of memory: write `2GB` or `800MB`, from 1MB to 1000000GB")]
 pub struct ParseMemoryError {
     text: String,
 }

@@ -14,7 +14,7 @@ pub const SPARSE_IMAGES: &str = "sparse/0/images.bin";
 pub const SPARSE_POINTS: &str = "sparse/0/points3D.bin";
 /// The folder of `cameras`: `cameras/transforms.json`, `cameras/sparse/0/images.txt`, `cameras/<photo>`.
 pub const CAMERAS: &str = "cameras/";
-/// Proposed masks, black where a picture stands still, of `masks`: `masks/<camera>.png`.
+/// Proposed masks of `masks`, black where a picture does not move: `masks/<camera>.png`.
 pub const MASKS: &str = "masks/";
 /// A photo with the proposed mask in red, of `masks`: `overlay/<camera>.png`.
 pub const OVERLAY: &str = "overlay/";
@@ -46,13 +46,13 @@ pub const MAPS: &str = "maps/";
 pub const MESH_PLY: &str = "mesh.ply";
 /// The surface of a field as GLB, of `surface`.
 pub const MESH_GLB: &str = "mesh.glb";
-/// What `surface` makes where splats are wanted.
+/// Files of `surface` for splats, if requested.
 pub const SPLAT_FILES: &str = "splats/";
 /// The surface of a field as Gaussian splats (PLY), of `surface`.
 pub const SPLATS: &str = "splats/splats.ply";
 /// Pictures splats | field at the views of held-out photos, of `surface`: `splats/views/<name>.png`.
 pub const SPLAT_VIEWS: &str = "splats/views/";
-/// Maps of `surface`: `map/height.png`, and `map/height.pgw` beside it.
+/// Maps of `surface`: `map/height.png`, with `map/height.pgw`.
 pub const SURFACE_MAPS: &str = "map/";
-/// Maps of `changes`: `changes/map.png`, and `changes/map.pgw` beside it.
+/// Maps of `changes`: `changes/map.png`, with `changes/map.pgw`.
 pub const CHANGE_MAPS: &str = "changes/";

@@ -52,7 +52,7 @@ impl PartialParams {
         }
         if self.train.warm_start {
             let message =
-                "a training that is stopped on its way starts anew: its state is what is gone on from";
+                "a training that is stopped on its way starts from scratch: only its own state is continued";
             return Err(ParamError::new("train.warm_start", message));
         }
         if self.train.fold.is_some() {
@@ -61,13 +61,16 @@ impl PartialParams {
         }
         let (until, steps) = (self.until, self.train.planned_steps());
         let message = match until {
-            0 => "0 steps train nothing; at least 16".to_owned(),
+            0 => "0 steps train nothing: use at least 16".to_owned(),
             _ if until > steps => format!("{until} steps of a training of {steps}"),
             _ if until < steps && !until.is_multiple_of(STEPS_AT_ONCE) => {
-                format!("{until} steps; a training is stopped after a multiple of {STEPS_AT_ONCE}")
+                format!("{until} steps are not a multiple of {STEPS_AT_ONCE}: a training can only stop there")
             }
             _ if self.judged_px == 0 => {
-                return Err(ParamError::new("judged_px", "0 pixels show nothing; at least 1"));
+                return Err(ParamError::new(
+                    "judged_px",
+                    "0 pixels show nothing: use at least 1",
+                ));
             }
             _ => return Ok(()),
         };

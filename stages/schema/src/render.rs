@@ -8,7 +8,7 @@ use marf_stage::{Document, ParamError, Params};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Where the camera goes.
+/// Path of the camera.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum PathKind {
@@ -45,7 +45,7 @@ impl PathKind {
     }
 }
 
-/// What is made at every viewpoint.
+/// Layer rendered at every viewpoint.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Layer {
@@ -61,19 +61,21 @@ pub enum Layer {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct RenderParams {
-    /// Where the camera goes.
+    /// Path of the camera.
     pub path: PathKind,
     /// The cameras of the paths `keyframes` and `stills`, in order: what `marf view` saves as bookmarks.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub keyframes: Vec<Place>,
-    /// Pictures along the path; for `heldout` and `train` at most so many, for `stills` one a keyframe.
+    /// Pictures along the path. For `heldout` and `train` the most pictures, for `stills` pictures a
+    /// keyframe.
     pub frames: u32,
     /// Width of a picture, pixels.
     pub width: u32,
-    /// Height of a picture, pixels: more or less is seen above and below. Without it: as the photos, or the keyframes, ask for.
+    /// Height of a picture, pixels: more or less is seen above and below. Default: as the photos or the
+    /// keyframes require.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub height: Option<u32>,
-    /// What is made at every viewpoint, and stands side by side in the film: `rgb`, `depth`, `uncertainty`.
+    /// Layers of every viewpoint, side by side in the film: `rgb`, `depth`, `uncertainty`.
     pub outputs: Vec<Layer>,
     /// Which processor trains and renders: `auto` (a GPU where there is one, never a software adapter), `cpu`, `gpu`,
     /// or `gpu:NAME` for the adapter whose name holds NAME. Only what was opened is in the key.
@@ -94,11 +96,11 @@ impl Default for RenderParams {
     }
 }
 
-/// Largest picture and longest path; beyond it a number is a slip.
+/// Largest picture and longest path. A larger number is taken for a mistake.
 const MAX_SIDE_PX: u32 = 4096;
 const MAX_FRAMES: u32 = 10_000;
-/// Cameras whose focal length and height, as shares of the width, differ by no more see alike: rounding to whole pixels moves them by
-/// up to half of this at a width of 100 pixels.
+/// Cameras whose focal length and height, as shares of the width, differ by no more have the same view.
+/// Rounding to whole pixels moves them by up to half of this at a width of 100 pixels.
 const SAME_LENS: f64 = 0.01;
 
 impl Params for RenderParams {
@@ -112,7 +114,7 @@ impl RenderParams {
     /// Names the key that is out of range, and the keyframe.
     pub fn check(&self) -> Result<(), ParamError> {
         let within = |key: &str, value: u32, most: u32| match value {
-            0 => Err(ParamError::new(key, "0 makes no picture; at least 1")),
+            0 => Err(ParamError::new(key, "0 makes no picture: use at least 1")),
             _ if value > most => Err(ParamError::new(key, format!("{value} is more than {most}"))),
             _ => Ok(()),
         };
@@ -127,10 +129,10 @@ impl RenderParams {
         let refuse = |message: &str| Err(ParamError::new("outputs", message));
         let mut layers = (0..).zip(&self.outputs);
         if self.outputs.is_empty() {
-            return refuse("nothing to make; at least one of `rgb`, `depth`, `uncertainty`");
+            return refuse("the list is empty: name at least one of `rgb`, `depth`, `uncertainty`");
         }
         if layers.any(|(index, layer)| self.outputs[..index].contains(layer)) {
-            return refuse("one of them stands twice in the list");
+            return refuse("an output is listed twice");
         }
         Ok(())
     }
@@ -146,7 +148,7 @@ impl RenderParams {
         };
         if !self.path.has_keyframes() {
             return refuse(format!(
-                "the path `{path}` has none; take `keyframes` or `stills`"
+                "the path `{path}` has none: take `keyframes` or `stills`"
             ));
         }
         if self.keyframes.len() > MAX_FRAMES as usize {
@@ -161,7 +163,7 @@ impl RenderParams {
             }
             if self.path == PathKind::Keyframes && !has_lens_of(&place.camera, &first.camera) {
                 return refuse(format!(
-                    "number {number}, `{name}`, has another field of view than the first; make stills of them, or give all the same"
+                    "number {number}, `{name}`, has another field of view than the first: make stills of them, or give all the same"
                 ));
             }
         }
@@ -169,7 +171,7 @@ impl RenderParams {
     }
 }
 
-/// Tells whether a camera shows what another of any size shows.
+/// Returns true if two cameras of any size have the same field of view.
 fn has_lens_of(camera: &Camera, other: &Camera) -> bool {
     let shares = |camera: &Camera| {
         let width = f64::from(camera.width);
@@ -195,7 +197,7 @@ impl Document for Poses {
 pub struct Place {
     /// Name of the viewpoint.
     pub name: String,
-    /// Size, focal length and principal point, pixels; distortion.
+    /// Size, focal length and principal point, pixels, and distortion.
     #[schemars(with = "BTreeMap<String, f64>")]
     pub camera: Camera,
     /// Where it stands and looks: the rows of (R | t), world units.

@@ -10,20 +10,20 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ScenesParams {
-    /// What tells where a photo was taken: `label` (site, drive and position), `overlap` (what the photos show) or `auto` (labels;
-    /// photos without one go where they show the same).
+    /// How photos are assigned to places: `label` (site, drive and position), `overlap` (what the photos
+    /// show) or `auto` (labels, and photos without one go with those that show the same).
     pub by: By,
-    /// Fewest photos of a scene; smaller groups are named and left out.
+    /// Fewest photos of a scene. Smaller groups are named and left out.
     pub min_photos: u32,
     /// Most photos of a scene: a place with more is split.
     pub max_photos: u32,
-    /// Largest distance of two cameras of a scene, metres, where labels tell it.
+    /// Largest distance of two cameras of a scene, metres, if labels give it.
     pub max_span_m: f64,
     /// Groups made by hand, by name. They come before all others, and have no limits but `min_photos`.
     pub groups: BTreeMap<String, HandMade>,
 }
 
-/// What tells where a photo was taken.
+/// How photos are assigned to places.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum By {
@@ -65,11 +65,11 @@ impl ScenesParams {
     /// Checks what a type cannot.
     ///
     /// # Errors
-    /// Names the key: fewer than two photos, limits that no scene meets, a name that cannot stand in the names of nodes and folders,
-    /// a group of nothing.
+    /// Names the key: fewer than two photos, limits that no scene meets, an empty group, or a name that is
+    /// not allowed for nodes and folders.
     pub fn check(&self) -> Result<(), ParamError> {
         if self.min_photos < 2 {
-            let message = format!("{} photos are no scene, at least 2", self.min_photos);
+            let message = format!("{} photos do not make a scene: use at least 2", self.min_photos);
             return Err(ParamError::new("min_photos", message));
         }
         if self.max_photos < self.min_photos {
@@ -99,20 +99,20 @@ impl ScenesParams {
     }
 }
 
-/// Tells whether a text can be the name of a scene.
+/// Returns true if a text can be the name of a scene.
 pub fn is_name(text: &str) -> bool {
     let allowed = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
     !text.is_empty() && text.len() <= 64 && text.chars().all(allowed)
 }
 
-/// Output `scenes` of `scenes`: which photos are of which place.
+/// Output `scenes` of `scenes`: the photos of each place.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Scenes {
-    /// The scenes, sorted by name; the photos of each are the output `photos/NAME`.
+    /// The scenes, sorted by name. The photos of each are the output `photos/NAME`.
     pub scenes: Vec<PhotoGroup>,
-    /// Groups that are no scene, with the reason, sorted by name.
+    /// Groups that do not become scenes, with the reason, sorted by name.
     pub skipped: Vec<PhotoGroup>,
-    /// Where the rover stood, by site and drive.
+    /// Stops of the rover, by site and drive.
     pub stops: Vec<Stop>,
 }
 
@@ -126,7 +126,7 @@ impl Document for Scenes {
 pub struct PhotoGroup {
     /// Its name.
     pub name: String,
-    /// What made it, or why it is no scene, in a sentence.
+    /// What formed the scene, or why it is not a scene, in a sentence.
     pub reason: String,
     /// Ids of its photos, sorted.
     pub photos: Vec<String>,
@@ -137,12 +137,12 @@ pub struct PhotoGroup {
     pub span_m: Option<f64>,
 }
 
-/// Where the rover stood while it took photos.
+/// A position from which the rover took photos.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Stop {
     /// First number of the rover motion counter: positions of one site share a frame.
     pub site: i64,
-    /// Second number of it; none where a label does not tell.
+    /// Second number of it. `None` if a label lacks it.
     pub drive: Option<i64>,
     /// Mean of the cameras in the site's frame, metres: north, east.
     pub position_m: [f64; 2],

@@ -1,4 +1,4 @@
-//! How well a field reproduces photos; part of the metrics of `train` and `evaluate`.
+//! How well a field reproduces photos, as part of the metrics of `train` and `evaluate`.
 
 use marf_scene::Nearest;
 use serde::{Deserialize, Serialize};
@@ -12,13 +12,13 @@ pub struct PhotoScores {
     pub file: String,
     /// Name of its pictures (`heldout/<name>.png`, `photo/<name>.png`).
     pub name: String,
-    /// Peak signal-to-noise ratio, peak 1, dB; 100 at most, which equal pictures have.
+    /// Peak signal-to-noise ratio, peak 1, dB. At most 100, the value of equal pictures.
     pub psnr: f64,
-    /// The paper's definition, peak = largest value of the photo, dB; none for a black photo.
+    /// The paper's definition, peak = largest value of the photo, dB. `None` for a black photo.
     pub psnr_paper: Option<f64>,
-    /// Structural similarity, at most 1; none for a photo smaller than its window of 11 pixels.
+    /// Structural similarity, at most 1. `None` for a photo smaller than its window of 11 pixels.
     pub ssim: Option<f64>,
-    /// How far it lies from the photos trained on; none for one of these.
+    /// Its distance from the photos trained on. `None` for one of these.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub nearest: Option<Nearest>,
 }
@@ -30,7 +30,7 @@ pub struct Apart {
     pub extrapolated: u64,
     /// Mean of their PSNR, dB.
     pub psnr_extrapolated: f64,
-    /// Mean PSNR of the others, dB; none where all extrapolate.
+    /// Mean PSNR of the others, dB. `None` if all extrapolate.
     pub psnr_others: Option<f64>,
 }
 
@@ -43,7 +43,7 @@ pub struct Scores {
     pub psnr_paper: Option<f64>,
     /// Mean of [`PhotoScores::ssim`] over the photos that have one.
     pub ssim: Option<f64>,
-    /// PSNR of photos that look where no photo trained on does, told apart; none where no photo does.
+    /// Separate PSNR of photos that look where no photo trained on does. `None` if no photo does.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub apart: Option<Apart>,
     /// Every photo.

@@ -7,7 +7,7 @@ use marf_stage::{Document, ParamError, Params};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Largest picture that a field is looked at with; beyond it a number is a slip.
+/// Largest picture of the field. A larger number is taken for a mistake.
 const MAX_SIDE_PX: u32 = 4096;
 
 /// Parameters of `surface`.
@@ -17,13 +17,13 @@ pub struct SurfaceParams {
     /// Distance between samples of the surface, metres (units of the scene where it has no scale). Without it: twice the width of a
     /// pixel on the nearer quarter of what the photos show.
     pub cell: Option<f64>,
-    /// Largest distance from a photo to what is taken from it, metres (or units of the scene). Without it: where a pixel is four cells
-    /// wide.
+    /// Largest distance from a photo to a surface taken from it, metres (or units of the scene). Default:
+    /// where a pixel is four cells wide.
     pub reach: Option<f64>,
-    /// Photos that must show a point; of less there is a hole.
+    /// Photos that must show a point. With fewer there is a hole.
     pub least_photos: u32,
-    /// Largest root mean square of the distances between a point and the surfaces that the views show there, metres (or units of the
-    /// scene); of more there is a hole. Without it: a cell.
+    /// Largest root mean square of the distances between a point and the surfaces that the views show there,
+    /// metres (or units of the scene). With more there is a hole. Default: a cell.
     pub most_spread: Option<f64>,
     /// Longest side of the pictures with which the field is looked at, pixels.
     pub side_px: u32,
@@ -41,7 +41,7 @@ pub struct SurfaceParams {
     pub device: Device,
 }
 
-/// What a surface is coloured by.
+/// Colours of a surface.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ColorBy {
@@ -86,13 +86,16 @@ impl SurfaceParams {
             ("map_cell", self.map_cell),
         ] {
             if length.is_some_and(|length| !length.is_finite() || length <= 0.0) {
-                return Err(ParamError::new(key, format!("{length:?} is no length above 0")));
+                return Err(ParamError::new(
+                    key,
+                    format!("{length:?} is not a length above 0"),
+                ));
             }
         }
         if self.least_photos == 0 {
             return Err(ParamError::new(
                 "least_photos",
-                "0 would keep what no photo saw; at least 1",
+                "0 would keep what no photo saw: use at least 1",
             ));
         }
         match self.side_px {
@@ -105,7 +108,7 @@ impl SurfaceParams {
     }
 }
 
-/// Output `surface` of `surface`: what was made, and with which numbers.
+/// Output `surface` of `surface`: the products and their numbers.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SurfaceReport {
     /// Unit of all lengths here and in the files.
@@ -128,15 +131,15 @@ pub struct SurfaceReport {
     pub points: u64,
     /// How sure the vertices of the mesh are.
     pub uncertainty: UncertaintyReport,
-    /// The height map; none where it is refused.
+    /// The height map. `None` if it is refused.
     pub map: Option<MapReport>,
-    /// The splats; none where they were not asked for.
+    /// The splats. `None` if they were not requested.
     pub splats: Option<SplatReport>,
-    /// What the scene cannot give, with the reason, by output.
+    /// Outputs that the scene cannot give, with the reason.
     pub refused: BTreeMap<String, String>,
 }
 
-/// What differs at a point of a surface.
+/// Quantity that differs at a point of a surface.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SpreadOf {
@@ -149,9 +152,9 @@ pub enum SpreadOf {
 /// How sure the vertices of a mesh are, in the unit of the report.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct UncertaintyReport {
-    /// What differs.
+    /// The quantity that differs.
     pub of: SpreadOf,
-    /// Retrainings; 0 without a bootstrap.
+    /// Retrainings. 0 without a bootstrap.
     pub members: u32,
     /// The value that half of the vertices are below.
     pub median: f64,
@@ -174,11 +177,13 @@ pub struct SplatReport {
     pub coarsest: f64,
     /// Steps by which their colours were adjusted to the field's pictures.
     pub color_steps: u32,
-    /// Against the field's pictures at the views of the photos trained on, whose colours were adjusted; none where nothing was compared.
+    /// Against the field's pictures at the views of the photos trained on, whose colours were adjusted.
+    /// `None` if nothing was compared.
     pub trained_on: Option<SplatPsnr>,
     /// The same at the views of held-out photos, whose pictures no splat was made of.
     pub held_out: Option<SplatPsnr>,
-    /// The same without the pixels of a surface that no photo trained on saw: the field makes it up there, and there are no splats.
+    /// The same without the pixels of a surface that no photo trained on saw: the field invents them, and no
+    /// splat covers them.
     pub held_out_seen: Option<SplatPsnr>,
 }
 
@@ -195,7 +200,7 @@ pub struct SplatPsnr {
     pub share: f64,
 }
 
-/// What is to be known of height map and orthophoto.
+/// Numbers of height map and orthophoto.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct MapReport {
     /// Columns.

@@ -53,7 +53,7 @@ impl TiesParams {
 /// Output `ties` of `ties`.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Ties {
-    /// Every scene, sorted by name, and the frame it lies in.
+    /// Every scene with its frame, sorted by name.
     pub scenes: Vec<TiedScene>,
     /// Pairs of scenes that show the same ground, sorted.
     pub ties: Vec<SceneTie>,
@@ -66,28 +66,29 @@ impl Document for Ties {
     const OUTPUT: &'static str = "ties";
 }
 
-/// Where a scene lies.
+/// Position of a scene.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct TiedScene {
     /// Its name.
     pub name: String,
     /// The frame: `site 3`, or `NAME` for the world of the scene of that name.
     pub frame: String,
-    /// What puts it there.
+    /// Reason for that frame.
     pub by: By,
-    /// The scenes through which ties lead to that frame, from the first that lies in it by itself; none for that one.
+    /// The scenes that tie it to that frame, from the first, which belongs to the frame by itself. Empty for
+    /// that one.
     pub through: Vec<String>,
     /// The frame from the scene's world.
     pub frame_from_world: Similarity,
 }
 
-/// What puts a scene into its frame.
+/// Reason why a scene belongs to a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum By {
     /// The labels of its photos.
     Labels,
-    /// What its photos show of a scene in that frame.
+    /// Its photos show parts of a scene in that frame.
     Overlap,
     /// Nothing: the frame is its own.
     Itself,
@@ -126,17 +127,18 @@ pub struct SceneTie {
     pub points: u32,
     /// Those of them that agree with the tie.
     pub inliers: u32,
-    /// Median distance, over these, of where a photo shows a point from where the point of the other scene falls; pixels of photos of 1,000.
+    /// Median distance, over these, of where a photo shows a point from where the point of the other scene
+    /// falls, in pixels of photos of 1,000.
     pub median_px: f64,
-    /// Median distance of the points of each pair, metres; none where the first scene has no scale.
+    /// Median distance of the points of each pair, metres. `None` if the first scene has no scale.
     pub median_m: Option<f64>,
     /// The first scene's world from that of the second.
     pub first_from_second: Similarity,
-    /// How far labels put them from there; none unless both lie in one site by labels.
+    /// How far labels put them from there. `None` unless both belong to one site by labels.
     pub labels: Option<LabelGap>,
 }
 
-/// How far two scenes that labels put into one site lie from where what they show puts them.
+/// Gap between the labels and the photos of two scenes in one site.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct LabelGap {
     /// Mean of second minus first over the points that agree, metres in the site: north, east, down.

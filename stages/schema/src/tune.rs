@@ -14,8 +14,8 @@ use crate::{check::check_field, train::Fit};
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Search {
-    /// By successive halving: all are trained for a ninth of the steps, the best third of them goes on to a third, the best
-    /// third of these, with the defaults, to the end.
+    /// By successive halving: all are trained for a ninth of the steps, the best third continues to a third
+    /// of them. The best third of these continues to the end, together with the defaults.
     #[default]
     Halving,
     /// All are trained to the same step, as in the paper.
@@ -30,26 +30,29 @@ pub struct TuneParams {
     pub search: Search,
     /// Parameter sets that are tried, the defaults among them.
     pub trials: u32,
-    /// With `halving`, of so many trials one goes on, and rungs lie at this and its square as parts of the steps; 2 to 10.
+    /// With `halving` one trial in this many continues, and the rungs are at this and its square as parts of
+    /// the steps. 2 to 10.
     pub eta: u32,
     /// Seed of the draws, and of every trial's weights and rays.
     pub seed: u64,
     /// Size of the photos and of the field that the draws are laid over.
     pub quality: Quality,
-    /// Optimiser steps: with `halving` of the training that is tuned, absent: those of `quality`; with `random` of a trial,
-    /// absent: a quarter of those.
+    /// Optimiser steps. With `halving`: of the training that is tuned, default those of `quality`. With
+    /// `random`: of a trial, default a quarter of those.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub steps: Option<u64>,
-    /// Whole factor by which photos are shrunk; absent: the least that brings them to 480 pixels, with `random` to half of
-    /// that. With `halving` all but the last rung are judged by photos of at most 128 pixels.
+    /// Whole factor by which photos are shrunk. Default: the least that brings them to 480 pixels, with
+    /// `random` to half of that. With `halving` all but the last rung are judged by photos of at most 128
+    /// pixels.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub scale: Option<u32>,
     /// Keys of the field that all trials have, the defaults too: draws are laid over them, and the keys chosen hold them.
     pub field: Overrides,
-    /// Least gain over the defaults for which a trial is chosen, dB; it must also be more than another seed changes.
+    /// Least gain over the defaults for which a trial is chosen, dB. The gain must also exceed the difference
+    /// between seeds.
     pub least_gain_db: f64,
-    /// What may be tried: key = `{ log = [low, high] }`, `{ int = [low, high] }` or `{ choice = [..] }`; a choice that
-    /// is a table sets its own keys, and its name here is only a name.
+    /// Search space: key = `{ log = [low, high] }`, `{ int = [low, high] }` or `{ choice = [..] }`. A choice
+    /// that is a table sets its own keys, and its key here is only a name.
     pub space: Space,
     /// Which processor trains and renders: `auto` (a GPU where there is one, never a software adapter), `cpu`, `gpu`,
     /// or `gpu:NAME` for the adapter whose name holds NAME. Only what was opened is in the key.
@@ -74,7 +77,7 @@ impl Default for TuneParams {
     }
 }
 
-/// Most trials; beyond it a number is a slip.
+/// Most trials. A larger number is taken for a mistake.
 const MAX_TRIALS: u32 = 1000;
 
 impl Params for TuneParams {
@@ -98,21 +101,24 @@ impl TuneParams {
     pub fn check(&self) -> Result<(), ParamError> {
         if !(1..=MAX_TRIALS).contains(&self.trials) {
             let message = format!(
-                "{} trials; from 1, which is the defaults, to {MAX_TRIALS}",
+                "{} trials: use from 1, which is the defaults, to {MAX_TRIALS}",
                 self.trials
             );
             return Err(ParamError::new("trials", message));
         }
         for (key, value) in [("steps", self.steps), ("scale", self.scale.map(u64::from))] {
             if value == Some(0) {
-                return Err(ParamError::new(key, "0 gives nothing; at least 1"));
+                return Err(ParamError::new(key, "0 is too few: use at least 1"));
             }
         }
         if !(2..=10).contains(&self.eta) {
-            return Err(ParamError::new("eta", format!("{}; from 2 to 10", self.eta)));
+            return Err(ParamError::new(
+                "eta",
+                format!("{} is not from 2 to 10", self.eta),
+            ));
         }
         if !(0.0..=100.0).contains(&self.least_gain_db) {
-            let message = format!("{} dB; from 0 to 100", self.least_gain_db);
+            let message = format!("{} dB is not from 0 to 100", self.least_gain_db);
             return Err(ParamError::new("least_gain_db", message));
         }
         check_field(&Fit::Scene.config(), &self.field)?;
@@ -134,23 +140,23 @@ impl TuneParams {
     }
 }
 
-/// What may be tried for each key.
+/// Search range of each key.
 pub type Space = BTreeMap<String, Range>;
 
 /// Values from which one is drawn.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Range {
-    /// From the first to the second number, evenly by factor; rounded to three digits.
+    /// From the first to the second number, evenly by factor, rounded to three digits.
     Log([f64; 2]),
     /// A whole number from the first to the second, both included.
     Int([i64; 2]),
-    /// One of these; a table sets several keys at once.
+    /// One of these. A table sets several keys at once.
     Choice(Vec<Value>),
 }
 
-/// Returns what is searched by default: step size, length of a step along a ray, features an entry; and factors on what the
-/// scene asks for: table and finest level, from which the number of levels follows.
+/// Returns the default search space: step size, length of a step along a ray, features an entry, and factors
+/// on the scene's table size and finest level, from which the number of levels follows.
 pub fn default_space() -> Space {
     let features = [4, 2].map(Value::from);
     Space::from([
@@ -172,7 +178,7 @@ impl Range {
         }
     }
 
-    /// Returns what is wrong with the range itself.
+    /// Returns the fault of the range itself.
     fn fault(&self) -> Option<String> {
         match self {
             Self::Log([low, high]) => {
@@ -210,22 +216,23 @@ impl Document for Trials {
 /// A row of the output `trials`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Trial {
-    /// Its number; 0 is the defaults.
+    /// Its number. 0 is the defaults.
     pub trial: u32,
-    /// 1 is the best PSNR of those that went furthest; of equals the first.
+    /// 1 is the best PSNR of those that went furthest. Equals are ordered by number.
     pub rank: u32,
     /// Optimiser steps that it was trained for.
     pub steps: u64,
-    /// Longest side of the grid of pixels of each photo that it was judged by; absent: it was judged by all pixels.
+    /// Longest side of the grid of pixels of each photo that it was judged by. Absent if it was judged by all
+    /// pixels.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub judged_px: Option<u32>,
     /// Mean PSNR on the validation photos after these steps, dB.
     pub psnr: f64,
-    /// The paper's definition; absent for a trial that was stopped on its way, as SSIM.
+    /// The paper's definition. Like SSIM it is absent for a trial that was stopped early.
     pub psnr_paper: Option<f64>,
     /// Mean SSIM.
     pub ssim: Option<f64>,
-    /// What was set.
+    /// Keys that were set.
     pub params: Overrides,
 }
 
@@ -234,14 +241,15 @@ pub struct Trial {
 pub struct Scatter {
     /// PSNR of the defaults with the seed and with the next one, dB.
     pub psnr: [f64; 2],
-    /// PSNR of the best trial with the same two seeds, dB; absent where it was not far enough ahead to be looked at again.
+    /// PSNR of the best trial with the same two seeds, dB. Absent if it was not far enough ahead for a second
+    /// look.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub best_psnr: Option<[f64; 2]>,
-    /// What another seed changes, dB, the larger of both: gains below it may be chance.
+    /// PSNR difference between seeds, dB, the larger of both: gains below it may be chance.
     pub difference_db: f64,
-    /// What the best trial has above the defaults, dB, in the mean over the seeds that both were trained with.
+    /// Gain of the best trial over the defaults, dB, in the mean over the seeds that both were trained with.
     pub best_minus_default_db: f64,
-    /// Number of the trial whose keys are the output `params`; 0: the defaults.
+    /// Number of the trial whose keys are the output `params`. 0: the defaults.
     pub chosen: u32,
     /// Why, in one sentence.
     pub decision: String,

@@ -15,8 +15,8 @@ pub enum Codec {
     /// H.264, constrained baseline: every browser and player reads it. Needs the cargo feature `h264`.
     #[default]
     H264,
-    /// AV1: its makers license their patents without fees; browsers and players since about 2020 read it. Takes some ten times as long. Needs the
-    /// cargo feature `av1`.
+    /// AV1: its makers license their patents without fees, and browsers and players since about 2020 read it.
+    /// Takes about ten times as long. Needs the cargo feature `av1`.
     Av1,
 }
 
@@ -38,8 +38,8 @@ pub struct VideoParams {
     pub codec: Codec,
     /// Pictures a second, 1 to 240.
     pub fps: u32,
-    /// Quantiser of every block, 12 (finest, largest file) to 51: 6 more halve the precision, and about the bytes. The numbers are those
-    /// of H.264; AV1 takes the nearest step of its own.
+    /// Quantiser of every block, 12 (finest, largest file) to 51. 6 more halve the precision, and about the
+    /// bytes. The numbers are those of H.264. AV1 takes its nearest step.
     pub quantizer: u32,
 }
 

@@ -10,7 +10,7 @@ use crate::mesh::{Vertex, Witnesses};
 use crate::view::SurfaceView;
 use crate::volume::Place;
 
-/// What fell into a cell: sums of position and normal by weight.
+/// Pixels of a cell: sums of position and normal by weight.
 #[derive(Debug, Clone, Copy)]
 struct Sum {
     place: Place,
@@ -19,8 +19,9 @@ struct Sum {
     weight: f64,
 }
 
-/// Returns a point for every cell in which pixels of the views show a surface: the mean of these pixels, each by cos² θ / r² as in
-/// [`crate::Volume::fuse`]. What is farther than `reach` from its photo (world units) is left out.
+/// Returns a point for every cell in which pixels of the views show a surface: the mean of these pixels, each
+/// by cos² θ / r² as in [`crate::Volume::fuse`]. Pixels farther than `reach` from their photo (world units)
+/// are left out.
 ///
 /// In the order of the cells: the same for any number of threads.
 ///

@@ -1,8 +1,9 @@
 //! Marching cubes: from signed distances on a grid to triangles.
 //!
-//! W. Lorensen and H. Cline, Marching Cubes, SIGGRAPH 1987. The table is not typed in but derived: on each face of a cube the surface cuts
-//! off every corner that is inside by itself, which both cubes of the face agree on, so that no crack is left. The loops that arise are cut
-//! into triangles without a diagonal on a face, so that an edge never has more than two triangles.
+//! W. Lorensen and H. Cline, Marching Cubes, SIGGRAPH 1987. The table is derived by a rule: on each face of a
+//! cube the surface cuts off every corner that is inside by itself. Both cubes of the face agree on this, so
+//! there is no crack. The loops are cut into triangles without a diagonal on a face, so an edge never has
+//! more than two triangles.
 
 use std::sync::LazyLock;
 
@@ -60,13 +61,14 @@ type Key = (Place, u8);
 /// A triangle: the edges of the grid on which its corners lie, and where.
 type Corners = [(Key, Vector3<f64>); 3];
 
-/// Returns the surface where the signed distances change from negative (inside) to positive. Cubes with a corner of which nothing is known
-/// (NaN) have none: the surface ends there.
+/// Returns the surface where the signed distances change from negative (inside) to positive. Cubes with an
+/// unknown corner (NaN) have none: the surface ends there.
 ///
 /// Vertices are in the order of their edges, triangles in the order of cubes: the same for any number of threads.
 ///
 /// # Errors
-/// [`SurfaceError::NotFinite`] names a sample that is infinite; [`SurfaceError::TooLarge`] with more vertices than u32 can count.
+/// [`SurfaceError::NotFinite`] names a sample that is infinite. [`SurfaceError::TooLarge`] with more vertices
+/// than u32 can count.
 pub fn march(volume: &Volume) -> Result<Triangles, SurfaceError> {
     let of_blocks = volume.places().par_iter().map(|place| march_block(volume, place));
     let of_blocks: Vec<Vec<Corners>> = of_blocks.collect::<Result<_, _>>()?;
@@ -153,8 +155,8 @@ fn triangles_of(case: usize) -> Vec<[usize; 3]> {
     triangles
 }
 
-/// Returns the segments of the surface on a face, from edge to edge, with the inside to the right as seen from outside of the cube: of the
-/// cubes on both sides of the face one runs forth and the other back.
+/// Returns the segments of the surface on a face, from edge to edge, with the inside to the right as seen
+/// from outside of the cube. The two cubes of a face run along it in opposite directions.
 fn segments(case: usize, face: [usize; 4]) -> Vec<(usize, usize)> {
     let inside = |at: usize| case >> face[at % 4] & 1 == 1;
     let edge = |at: usize| edge_between(face[at % 4], face[(at + 1) % 4]);

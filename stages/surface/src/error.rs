@@ -1,6 +1,6 @@
 use marf_stage::{Cancel, StageError};
 
-/// What keeps a surface from being made or written.
+/// Errors of making or writing a surface.
 #[derive(Debug, thiserror::Error)]
 pub enum SurfaceError {
     /// The user asked to stop.
@@ -17,7 +17,7 @@ pub enum SurfaceError {
     Mask {
         /// The photo.
         id: String,
-        /// What is wrong.
+        /// The fault.
         cause: String,
     },
     /// No photo to look from.
@@ -29,7 +29,7 @@ pub enum SurfaceError {
         /// Photos looked from.
         photos: usize,
     },
-    /// A cell or a band that is no length, or far too short for where the scene lies.
+    /// A cell or a band that is not a length, or far too short for the extent of the scene.
     #[error("cells of {cell} and a band of {band} make no grid for this scene")]
     Layout {
         /// Distance between samples, world units.
@@ -61,10 +61,10 @@ pub enum SurfaceError {
         /// Vertices.
         vertices: usize,
     },
-    /// A scene that cannot give what was asked for.
+    /// A scene that cannot give the requested product.
     #[error("{what} cannot be made: {why}")]
     Refused {
-        /// What was asked for.
+        /// The requested product.
         what: &'static str,
         /// What the scene lacks.
         why: String,

@@ -14,7 +14,7 @@ use crate::volume::{Layout, Volume};
 const FINER: f64 = 0.25;
 /// Pixels of that width a cell: where a field is as fine as its photos, less than that is noise.
 const PIXELS: f64 = 2.0;
-/// Cells a pixel may be wide: what is farther away is too coarse for the grid.
+/// Cells a pixel may be wide: farther surfaces are too coarse for the grid.
 const COARSEST: f64 = 4.0;
 /// Width of the band around a surface, cells.
 const BAND: f64 = 4.0;
@@ -25,16 +25,18 @@ const COARSER: f64 = 1.26;
 /// Smaller pieces are taken for floating matter.
 const LEAST_TRIANGLES: usize = 100;
 
-/// How a surface is made.
+/// Limits of a surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SurfaceLimits {
-    /// Distance between samples, world units; none: from the footprints of the pixels.
+    /// Distance between samples, world units. `None`: from the footprints of the pixels.
     pub cell: Option<f64>,
-    /// Largest distance from a photo to what is taken from it, world units; none: where a pixel is four cells wide.
+    /// Largest distance from a photo to a surface taken from it, world units. `None`: where a pixel is four
+    /// cells wide.
     pub reach: Option<f64>,
     /// Photos that must show a point.
     pub least_photos: u32,
-    /// Largest spread of a point ([`Vertex::spread`]), world units; none: a cell. What one view alone shows has none and is left out.
+    /// Largest spread of a point ([`Vertex::spread`]), world units. `None`: a cell. A point that only one
+    /// view shows has no spread and is left out.
     pub most_spread: Option<f64>,
 }
 
@@ -57,11 +59,13 @@ pub struct Surface {
 
 /// Makes mesh and cloud of what the views show.
 ///
-/// The cell is twice the width of a pixel on the surface, at the quartile of the finest over all views, unless it is given; where it gives
-/// more blocks than fit into memory, it is widened by 26 % until they do. One that is given and too fine is refused.
+/// Without a given cell, the cell is twice the width of a pixel on the surface, at the quartile of the finest
+/// over all views. If it gives more blocks than fit into memory, it is widened by 26 % until they do. A given
+/// cell that is too fine is refused.
 ///
 /// # Errors
-/// [`SurfaceError::NoSurface`] without a pixel that shows one; those of [`Volume::fuse`] and [`march`]; the wish to stop.
+/// [`SurfaceError::NoSurface`] without a pixel that shows one. Those of [`Volume::fuse`] and [`march`]. The
+/// wish to stop.
 pub fn extract(
     views: &[SurfaceView],
     observers: &[Observer],
@@ -115,7 +119,8 @@ pub fn extract(
     }
 }
 
-/// Returns the width of a pixel on the surface that a quarter of all pixels stay below, world units; none without a surface.
+/// Returns the width of a pixel on the surface that a quarter of all pixels stay below, world units. `None`
+/// without a surface.
 fn quartile(views: &[SurfaceView]) -> Option<f64> {
     let mut widths: Vec<f32> = Vec::new();
     for view in views {
@@ -144,7 +149,7 @@ mod tests {
     /// Height of the floor, between samples of the grid.
     const FLOOR: f64 = 0.017;
 
-    /// A camera 2 above the floor of the world (z up) that looks straight down; distances may be moved by an error of its own.
+    /// A camera 2 above the floor of the world (z up) that looks straight down. `error` moves its distances.
     fn above(x: f64, error: f64) -> (SurfaceView, Observer) {
         let camera = Camera::pinhole(80, 60, 60.0);
         let eye = Vector3::new(x, 0.0, FLOOR + 2.0);

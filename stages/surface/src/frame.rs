@@ -8,14 +8,14 @@ use crate::SurfaceError;
 /// An axis counts as up or down within this cosine.
 const ALONG_AXIS: f64 = 0.999_999;
 
-/// What a scene says of its unit and of where up is.
+/// Unit and up direction of a scene.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ExportFrame {
-    /// Metres a world unit; none where the scene has no scale.
+    /// Metres a world unit. `None` if the scene has no scale.
     pub metres_per_unit: Option<f64>,
-    /// Unit vector of the world that points up; none where the scene does not know.
+    /// Unit vector of the world that points up. `None` if the scene does not know up.
     pub up: Option<Vector3<f64>>,
-    /// Where the world lies in a site: maps are in that frame, so that those of its scenes fit each other.
+    /// Place of the world in a site: maps are in that frame, so that those of its scenes fit each other.
     pub site: Option<SiteFrame>,
 }
 
@@ -72,8 +72,9 @@ impl ExportFrame {
         }
     }
 
-    /// Returns the axes of a map: in a site frame of Mars (z down, x north, y east) north is at the top; in one with z up y is. In any
-    /// other frame the top is the horizontal part of x, or of y where x is steeper.
+    /// Returns the axes of a map. In a site frame of Mars (z down, x north, y east) north is at the top. In a
+    /// frame with z up, y is at the top. In any other frame the top is the horizontal part of x, or of y
+    /// where x is steeper.
     pub fn map_axes(&self) -> Option<MapAxes> {
         let up = self.up?;
         let guide = if up.z > ALONG_AXIS {
@@ -109,8 +110,8 @@ impl ExportFrame {
         Ok((axes, metres))
     }
 
-    /// Returns the rotation from the world to axes with y up (glTF: x right, y up, z towards the viewer); the axes of the scene itself
-    /// where up is not known.
+    /// Returns the rotation from the world to axes with y up (glTF: x right, y up, z towards the viewer).
+    /// Without a known up it keeps the axes of the scene.
     pub fn y_up(&self) -> Matrix3<f64> {
         match self.map_axes() {
             Some(axes) => {
@@ -120,7 +121,7 @@ impl ExportFrame {
         }
     }
 
-    /// Returns what the axes of files in the scene's own frame are, in words.
+    /// Describes the axes of files in the scene's own frame.
     pub fn up_words(&self) -> String {
         let up = match self.up {
             Some(up) => format!("up is ({} {} {})", up.x, up.y, up.z),

@@ -1,7 +1,8 @@
 //! Maps as GeoTIFF (OGC 19-008r4), which programs for maps read.
 //!
-//! Pixels are areas, rows run from the top. The coordinates are those of a local frame in metres: no ellipsoid, no projection; its name is the
-//! citation. What has no value is NaN (float) or transparent (colour).
+//! Pixels are areas, rows run from the top. The coordinates are those of a local frame in metres, without
+//! ellipsoid and projection. The citation holds the name of the frame. Pixels without a value are NaN (float)
+//! or transparent (colour).
 
 use std::io::Cursor;
 
@@ -22,7 +23,7 @@ const USER_DEFINED: u16 = 32_767;
 const PIXEL_IS_AREA: u16 = 1;
 const METRE: u16 = 9001;
 
-/// Returns a map of one quantity; NaN where there is no value.
+/// Returns a map of one quantity. NaN where there is no value.
 ///
 /// - `values`: `[rows * columns]`, from the top. `quantity`: what they are, in words. `unit`: as GDAL names it, `m`.
 ///

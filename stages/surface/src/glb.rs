@@ -92,7 +92,7 @@ pub fn mesh(mesh: &Mesh, frame: &ExportFrame, generator: &str, colors: &str) -> 
     container(&json, buffer.bytes)
 }
 
-/// Bytes with their views; all parts are whole words.
+/// Bytes with their views. All parts are whole words.
 #[derive(Default)]
 struct Buffer {
     bytes: Vec<u8>,
@@ -195,7 +195,7 @@ mod tests {
         let primitive = node.mesh().unwrap().primitives().next().unwrap();
         let reader = primitive.reader(|_| Some(&blob));
         let positions: Vec<[f32; 3]> = reader.read_positions().unwrap().collect();
-        // East is x, up is y, south is z; 1 mm of a unit is still told apart at 1,000 km.
+        // East is x, up is y, south is z. 1 mm of a unit remains distinct at 1,000 km.
         let apart = positions[2][2] - positions[0][2];
         assert!((apart + 0.002).abs() < 1e-6, "{apart}");
         assert!((positions[1][0] - positions[0][0] - 2.0).abs() < 1e-6);

@@ -1,8 +1,9 @@
 //! Surfaces of trained fields: meshes, clouds of points, Gaussian splats, height maps and orthophotos, in the formats of other programs.
 //!
-//! What a field shows at the views of its photos (where its rays end) is averaged into signed distances on a grid, and the surface is where
-//! these change their sign. Everything but the stage is pure: no file, no clock. Invariant: the same bytes for any number of threads; what
-//! no photo saw is a hole; nothing is in metres, and nothing knows up, that the scene does not know.
+//! The distances at which the rays of a field end, at the views of its photos, are averaged into signed
+//! distances on a grid. The surface is where these change their sign. Everything but the stage is pure: no
+//! file, no clock. Invariants: the bytes are the same for any number of threads. Parts that no photo saw are
+//! holes. Metres and up are used only if the scene knows them.
 
 mod changes;
 mod cloud;

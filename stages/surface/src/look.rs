@@ -17,7 +17,8 @@ const MIN_OPACITY: f32 = 0.9;
 pub struct RenderedView {
     /// The camera, shrunk.
     pub camera: Camera,
-    /// `[height * width]`, along the ray, world units; infinite where the ray ends nowhere, NaN where a mask hides the pixel.
+    /// `[height * width]`, along the ray, world units. Infinite if the ray ends nowhere, NaN if a mask hides
+    /// the pixel.
     pub distance: Vec<f32>,
     /// `[height * width]`, in [0, 1].
     pub opacity: Vec<f32>,
@@ -62,7 +63,8 @@ impl RenderedView {
             .collect()
     }
 
-    /// Returns what [`shown`](Self::shown) does, 0 as well where a point of the surface (world) is not asked for.
+    /// Returns the values of [`shown`](Self::shown), and 0 where `is_wanted` rejects the point of the surface
+    /// (world).
     pub fn shown_where(
         &self,
         cam_from_world: &Pose,
@@ -95,11 +97,11 @@ pub struct FieldViews {
     pub views: Vec<SurfaceView>,
     /// How far each photo saw.
     pub observers: Vec<Observer>,
-    /// The same with far and rough surfaces, where splats are wanted.
+    /// The same with far and rough surfaces, if splats are requested.
     pub shown: Vec<SurfaceView>,
     /// Of each view `[height * width]`, 0 where it shows no surface.
     pub opacities: Vec<Vec<f32>>,
-    /// Of each view `[height * width]` as [`RenderedView::distance`], where splats are wanted.
+    /// Of each view `[height * width]` as [`RenderedView::distance`], if splats are requested.
     pub distances: Vec<Vec<f32>>,
 }
 

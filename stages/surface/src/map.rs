@@ -21,25 +21,25 @@ const FINEST_M: f64 = 0.001;
 pub struct SurfaceMap {
     /// Sizes, scales and axes.
     pub report: MapReport,
-    /// `[rows * columns]`, from the top: height and colour of the highest surface; none where there is no surface.
+    /// `[rows * columns]`, from the top: height and colour of the highest surface. `None` without a surface.
     cells: Vec<Option<Cell>>,
 }
 
-/// What is seen in a pixel of a map.
+/// Surface in a pixel of a map.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Cell {
     /// Along up from the origin of the map's frame, metres.
     height_m: f64,
     color: [f32; 3],
-    /// Metres; negative where only one view shows it.
+    /// Metres. Negative if only one view shows it.
     spread_m: f64,
 }
 
 impl SurfaceMap {
     /// Draws a mesh from above: at the centre of each pixel the highest triangle, linear between its vertices.
     ///
-    /// `pixel_m`: width of a pixel, metres; pixels lie on a grid through the origin of the site (of the world without one), so that maps
-    /// of one site fit each other.
+    /// `pixel_m`: width of a pixel, metres. Pixels are on a grid through the origin of the site (of the world
+    /// without one), so that maps of one site fit each other.
     ///
     /// # Errors
     /// [`SurfaceError::Refused`] for a scene without scale or up, a mesh without triangles and a map of more than 64 million pixels.
@@ -194,7 +194,7 @@ impl SurfaceMap {
         self.cells.iter().map(pixel).collect()
     }
 
-    /// Returns the heights as GeoTIFF of 32-bit floats, metres; NaN where there is no surface.
+    /// Returns the heights as GeoTIFF of 32-bit floats, metres. NaN where there is no surface.
     ///
     /// # Errors
     /// [`SurfaceError::Tiff`].
@@ -203,7 +203,8 @@ impl SurfaceMap {
         self.quantity_tiff(height, "height along up from the origin")
     }
 
-    /// Returns how far the views differ in each pixel as GeoTIFF of 32-bit floats, metres; NaN where less than two views show a surface.
+    /// Returns how far the views differ in each pixel as GeoTIFF of 32-bit floats, metres. NaN where less
+    /// than two views show a surface.
     ///
     /// # Errors
     /// [`SurfaceError::Tiff`].
@@ -235,8 +236,8 @@ impl SurfaceMap {
         Ok(geotiff::colors(&self.report, &self.pixels())?)
     }
 
-    /// Returns the world file of all maps: six lines, pixel to metres on the map (ESRI; the fifth and sixth are the centre of the first
-    /// pixel).
+    /// Returns the world file of all maps (ESRI): six lines, pixel to metres on the map. The fifth and sixth
+    /// are the centre of the first pixel.
     pub fn world_file(&self) -> String {
         let MapReport { pixel_m, first_m, .. } = self.report;
         format!("{pixel_m}\n0\n0\n{}\n{}\n{}\n", -pixel_m, first_m[0], first_m[1])
@@ -280,7 +281,8 @@ fn blend(
     }
 }
 
-/// Returns the distance between heights: 1 mm, or as many times 1, 2 or 5 of a power of ten as the range asks for.
+/// Returns the distance between heights: 1 mm, or as many times 1, 2 or 5 of a power of ten as the range
+/// requires.
 fn interval(range_m: f64) -> f64 {
     let mut steps =
         (0..12).flat_map(|power| [1.0, 2.0, 5.0].map(|step| step * FINEST_M * 10_f64.powi(power)));
@@ -339,7 +341,7 @@ mod tests {
     fn north_is_at_the_top_and_the_highest_surface_is_seen() {
         let map = SurfaceMap::draw(&house(), &frame(), 1.0).unwrap();
         let report = &map.report;
-        // 4 m to the east, 6 m to the north; the border at 4 m and 6 m belongs to one pixel more.
+        // 4 m to the east, 6 m to the north. The border at 4 m and 6 m belongs to one pixel more.
         assert_eq!((report.columns, report.rows), (5, 7));
         assert_eq!((report.lowest_m, report.interval_m), (-2.0, 0.001));
         let heights = values(&map.height_png().unwrap());

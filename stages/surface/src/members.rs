@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use crate::mesh::{Retrained, Vertex, Witnesses};
 
-/// Share of the points that the colours tell apart: the highest are at the end of the scale.
+/// Share of the points within the scale of colours: the highest are at its end.
 const TOLD_APART: f64 = 0.95;
 
 /// Sums over members at each point of a surface.
@@ -47,8 +47,8 @@ impl MemberSpread {
         });
     }
 
-    /// Gives each point the sample standard deviations over the members; unknown where fewer than two, or fewer than half of them, show a
-    /// surface within the band.
+    /// Gives each point the sample standard deviations over the members. They are unknown if fewer than two,
+    /// or fewer than half of them, show a surface within the band.
     pub fn give(&self, points: &mut [Vertex]) {
         let least = self.members.div_ceil(2).max(2);
         for (point, sums) in points.iter_mut().zip(&self.sums) {
@@ -78,14 +78,15 @@ impl Sums {
     }
 }
 
-/// Returns what is known of the uncertainty of a point, world units: the standard deviation of the retrainings along the normal where there
-/// are any, else how far the views differ.
+/// Returns the uncertainty of a point, world units: the standard deviation of the retrainings along the
+/// normal if there are any, else how far the views differ.
 fn uncertainty(point: &Vertex) -> Option<f64> {
     let value = point.retrained.map_or(point.spread, |retrained| retrained.depth);
     (value >= 0.0).then_some(f64::from(value))
 }
 
-/// Returns what the uncertainties of points are and how large: median, and the value at the end of the colours (95 of 100 are below).
+/// Reports kind and size of the uncertainties of points: median, and the value at the end of the colours (95
+/// of 100 are below).
 ///
 /// `scale`: from world units to the unit of exports.
 pub fn report(points: &[Vertex], members: u32, scale: f64) -> UncertaintyReport {

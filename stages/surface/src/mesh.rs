@@ -15,29 +15,30 @@ use crate::view::SurfaceView;
 pub struct Vertex {
     /// Position, world units.
     pub position: Vector3<f64>,
-    /// Unit normal in the world, outward; zero where it is not known.
+    /// Unit normal in the world, outward. Zero if unknown.
     pub normal: Vector3<f64>,
     /// sRGB in [0, 1].
     pub color: [f32; 3],
     /// Photos that show it.
     pub photos: u32,
-    /// Root mean square of the distances, along the normal, between it and the surfaces that the views show, world units; negative where
-    /// only one view shows it.
+    /// Root mean square of the distances, along the normal, between it and the surfaces that the views show,
+    /// world units. Negative if only one view shows it.
     pub spread: f32,
-    /// How far the retrainings of a bootstrap differ; none without a bootstrap.
+    /// How far the retrainings of a bootstrap differ. `None` without a bootstrap.
     pub retrained: Option<Retrained>,
 }
 
-/// Sample standard deviations over the retrainings at a point; negative where too few show it.
+/// Sample standard deviations over the retrainings at a point. Negative if too few show it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Retrained {
-    /// Of where the surface lies along the normal, world units.
+    /// Of the surface's position along the normal, world units.
     pub depth: f32,
     /// Of the gray of the colour, sRGB in [0, 1].
     pub color: f32,
 }
 
-/// What views show at a point: means over those with a surface within the band, each by cos² θ / r² as in [`crate::Volume::fuse`].
+/// Views at a point: means over those with a surface within the band, each by cos² θ / r² as in
+/// [`crate::Volume::fuse`].
 #[derive(Debug, Clone, Copy)]
 pub struct SurfaceSample {
     /// Signed distance from the surface to the point, world units, positive towards the cameras.
@@ -59,7 +60,7 @@ pub struct Mesh {
     pub triangles: Vec<[u32; 3]>,
 }
 
-/// What is asked of each vertex.
+/// Views and photos that describe each vertex.
 #[derive(Debug, Clone, Copy)]
 pub struct Witnesses<'a> {
     /// The field at the views of the photos.
@@ -71,7 +72,7 @@ pub struct Witnesses<'a> {
 }
 
 impl Witnesses<'_> {
-    /// Returns what the views show at a point; none where none shows a surface within the band.
+    /// Returns what the views show at a point. `None` if none shows a surface within the band.
     pub fn at(&self, position: &Vector3<f64>) -> Option<SurfaceSample> {
         let (mut color, mut weights, mut sum, mut squares, mut count) = (Vector3::zeros(), 0.0, 0.0, 0.0, 0);
         for view in self.views {
@@ -97,7 +98,7 @@ impl Witnesses<'_> {
         })
     }
 
-    /// Returns a point as the views show it; grey where none does.
+    /// Returns a point as the views show it, or a grey one if none does.
     pub fn vertex(&self, position: Vector3<f64>, normal: Vector3<f64>) -> Vertex {
         let seen = self.at(&position);
         let color = seen.map_or(Vector3::repeat(0.5), |seen| seen.color);
@@ -134,7 +135,8 @@ impl Mesh {
         })
     }
 
-    /// Returns the mesh without triangles of which a vertex is not to be kept, and without pieces of fewer triangles than `least`.
+    /// Returns the mesh without triangles with a rejected vertex, and without pieces of fewer triangles than
+    /// `least`.
     #[must_use]
     pub fn retaining(mut self, is_kept: impl Fn(&Vertex) -> bool, least: usize) -> Self {
         let vertices = &self.vertices;

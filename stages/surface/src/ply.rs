@@ -7,10 +7,12 @@ use crate::mesh::{Mesh, Vertex};
 
 /// Returns a mesh as binary little-endian PLY, in the axes of the scene, in metres where the scene has a scale.
 ///
-/// A vertex: x, y, z, nx, ny, nz (float), red, green, blue (uchar, sRGB), photos (ushort: photos that show it, at most 65,535), spread
-/// (float: root mean square of the distances of the views' surfaces from it along the normal, in the unit of the file; -1 where only one
-/// view shows it). With a bootstrap also depth_std (float, the same unit) and color_std (float, gray of sRGB, white = 1): how far its
-/// retrainings differ, -1 where too few show it. A face: a list of three ints. Comments state unit and axes.
+/// A vertex: x, y, z, nx, ny, nz (float), red, green, blue (uchar, sRGB), photos (ushort: photos that show
+/// it, at most 65,535), spread (float). The spread is the root mean square of the distances of the views'
+/// surfaces from it along the normal, in the unit of the file, or -1 if only one view shows it. With a
+/// bootstrap also depth_std (float, the same unit) and color_std (float, gray of sRGB, white = 1): how far
+/// its retrainings differ, -1 where too few show it. A face: a list of three ints. Comments state unit and
+/// axes.
 ///
 /// # Extremes
 /// A coordinate beyond 3.4e38 is written as the largest f32 of its sign. An empty mesh is a file with a header alone.

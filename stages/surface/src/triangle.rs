@@ -8,7 +8,7 @@ pub struct CoveredPixel {
     pub column: u32,
     /// From the top.
     pub row: u32,
-    /// Shares of the three corners at its centre; their sum is 1.
+    /// Shares of the three corners at its centre. Their sum is 1.
     pub shares: [f64; 3],
 }
 

@@ -1,4 +1,4 @@
-//! What a field shows at the view of a photo, as planes in space: one a pixel.
+//! The view of a field at a photo, as planes in space: one a pixel.
 
 use marf_scene::{Camera, Pose};
 use nalgebra::{Matrix3, Vector2, Vector3};
@@ -6,29 +6,30 @@ use rayon::prelude::*;
 
 /// Pixels to each side of a pixel that its plane is fitted to.
 const REACH: i64 = 2;
-/// What counts as a surface.
+/// Rules for a surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PlaneRules {
     /// Pixels of the window that must lie on one surface with its middle, of 25.
     pub least_pixels: usize,
     /// A neighbour whose inverse depth differs by more than this share is on another surface.
     pub one_surface: f64,
-    /// Root mean square of the residuals of the fit, as a share of the inverse depth, above which there is no plane: an edge, or fog.
+    /// Root mean square of the residuals of the fit, as a share of the inverse depth, above which there is no
+    /// plane: an edge, or fog.
     pub roughest: f64,
     /// Least cosine of the angle between ray and normal.
     pub least_cosine: f64,
 }
 
 impl PlaneRules {
-    /// What can be measured: planes of half a window that scatter by 1 %, seen no flatter than 84 degrees, beyond which there is no depth to
-    /// speak of.
+    /// The measurable ones: planes of half a window that scatter by 1 %, seen no flatter than 84 degrees.
+    /// Flatter views give no usable depth.
     pub const MEASURED: Self = Self {
         least_pixels: 13,
         one_surface: 0.06,
         roughest: 0.01,
         least_cosine: 0.105,
     };
-    /// What can be looked at: far ground, which is seen flat, and rough edges too.
+    /// Rules for looking only: far ground, which is seen flat, and rough edges too.
     pub const SHOWN: Self = Self {
         least_pixels: 6,
         one_surface: 0.2,
@@ -54,7 +55,7 @@ pub struct SurfaceView {
     camera: Camera,
     cam_from_world: Pose,
     centre: Vector3<f64>,
-    /// `[height * width]`; none where the pixel shows no surface that one can rely on.
+    /// `[height * width]`. `None` if the pixel shows no reliable surface.
     patches: Vec<Option<Patch>>,
     /// `[height * width]`, sRGB in [0, 1].
     colors: Vec<[f32; 3]>,
@@ -63,13 +64,14 @@ pub struct SurfaceView {
 impl SurfaceView {
     /// Fits a plane to the surroundings of every pixel.
     ///
-    /// A plane n · x = d in the camera's frame has the inverse depth 1/z = (n / d) · (X, Y, 1) at the ray (X, Y, 1), which is linear
-    /// in the ray: least squares over 5 x 5 pixels give normal and depth at once. Pixels whose inverse depth differs by more than
-    /// 6 % from the middle are left out; there is no plane where fewer than 13 remain, where they scatter by more than 1 %, and where
-    /// the surface is seen flatter than 84 degrees from its normal ([`PlaneRules::MEASURED`]).
+    /// A plane n · x = d in the camera's frame has the inverse depth 1/z = (n / d) · (X, Y, 1) at the ray (X,
+    /// Y, 1), which is linear in the ray: least squares over 5 x 5 pixels give normal and depth at once.
+    /// Pixels whose inverse depth differs by more than 6 % from the middle are left out. There is no plane if
+    /// fewer than 13 remain, if they scatter by more than 1 %, or if the surface is seen flatter than 84
+    /// degrees from its normal ([`PlaneRules::MEASURED`]).
     ///
-    /// - `distance`: `[height * width]`, along the ray of each pixel, world units; infinite where the ray meets nothing, NaN where the
-    ///   pixel is hidden by a mask.
+    /// - `distance`: `[height * width]`, along the ray of each pixel, world units. Infinite where the ray
+    ///   meets nothing, NaN where a mask hides the pixel.
     /// - `colors`: `[height * width]`, sRGB in [0, 1].
     ///
     /// # Panics
@@ -78,7 +80,7 @@ impl SurfaceView {
         Self::with_rules(camera, cam_from_world, distance, colors, &PlaneRules::MEASURED)
     }
 
-    /// Returns what [`new`](Self::new) does, with other rules.
+    /// Like [`new`](Self::new), with other rules.
     ///
     /// # Panics
     /// As there.
@@ -168,8 +170,9 @@ impl SurfaceView {
         })
     }
 
-    /// Returns the patch and the colour at the pixel that shows a point of the world, with the signed distance from the patch's plane to
-    /// the point (world units, positive towards the camera); none outside of the picture and where it shows no surface.
+    /// Returns the patch and the colour at the pixel that shows a point of the world, with the signed
+    /// distance from the patch's plane to the point (world units, positive towards the camera). `None`
+    /// outside of the picture and where it shows no surface.
     pub fn at(&self, point: &Vector3<f64>) -> Option<(f64, Patch, [f32; 3])> {
         let in_camera = self.cam_from_world.point(point);
         let at = self.camera.project(&in_camera)?;
@@ -189,16 +192,16 @@ impl SurfaceView {
         Some((signed, patch, self.colors[pixel]))
     }
 
-    /// Tells whether a ball (world units) may be in the picture.
+    /// Returns true if a ball (world units) may be in the picture.
     pub fn may_show(&self, middle: &Vector3<f64>, radius: f64) -> bool {
         let in_camera = self.cam_from_world.point(middle);
         if in_camera.z <= radius {
-            // Around the camera or behind it: a ball that reaches before it is asked point by point.
+            // Around the camera or behind it: a ball that reaches in front of it is checked point by point.
             return in_camera.z > -radius;
         }
         let margin = radius / (in_camera.z - radius);
         let (width, height) = (f64::from(self.camera.width), f64::from(self.camera.height));
-        // Lenses bend rays at the edge; half a picture more is asked point by point.
+        // Lenses bend rays at the edge. Half a picture more is checked point by point.
         let spare = if self.camera.k1 == 0.0 && self.camera.k2 == 0.0 {
             0.0
         } else {

@@ -21,41 +21,42 @@ const FARTHEST: f64 = 1e8;
 /// A sample's place on the grid.
 pub type Place = [i32; 3];
 
-/// How a volume is laid out.
+/// Layout of a volume.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Layout {
     /// Distance between samples, world units, above 0.
     pub cell: f64,
-    /// Samples farther from a surface than this are not averaged, world units; at least one cell.
+    /// Samples farther from a surface than this are not averaged, world units. At least one cell.
     pub band: f64,
     /// Most blocks that are taken.
     pub most_blocks: usize,
 }
 
-/// Signed distances on a grid of which only blocks near surfaces are there.
+/// Signed distances on a grid that stores only blocks near surfaces.
 #[derive(Debug, Clone)]
 pub struct Volume {
     cell: f64,
     /// Places of the blocks in units of blocks, sorted.
     places: Vec<Place>,
     index: HashMap<Place, u32>,
-    /// `[blocks][512]`, x fastest; signed distance in cells, positive before the surface; NaN where nothing is known.
+    /// `[blocks][512]`, x fastest: signed distance in cells, positive before the surface, NaN if unknown.
     blocks: Vec<[f32; SAMPLES]>,
 }
 
 impl Volume {
     /// Averages the signed distances that the views show.
     ///
-    /// D(x) = Σ wᵢ dᵢ / Σ wᵢ (Curless and Levoy, A Volumetric Method for Building Complex Models from Range Images, SIGGRAPH 1996,
-    /// eq. 3): dᵢ is the distance from x to the plane that view i shows at the pixel of x, wᵢ = cos² θ / r² with the angle θ between
-    /// normal and ray and the distance r to the camera: a pixel covers r / cos θ of the surface. What a view shows more than a band
-    /// behind its surface is not known to it; more than a band before it counts as one band.
+    /// D(x) = Σ wᵢ dᵢ / Σ wᵢ (Curless and Levoy, A Volumetric Method for Building Complex Models from Range
+    /// Images, SIGGRAPH 1996, eq. 3). dᵢ is the distance from x to the plane that view i shows at the pixel
+    /// of x. wᵢ = cos² θ / r² with the angle θ between normal and ray and the distance r to the camera, as a
+    /// pixel covers r / cos θ of the surface. A view says nothing about points more than a band behind its
+    /// surface. More than a band before it counts as one band.
     ///
     /// Blocks run in parallel, each over the views in their order: the values do not depend on the number of threads.
     ///
     /// # Errors
-    /// [`SurfaceError::TooFine`] where the surfaces touch more blocks than the layout allows; [`SurfaceError::Layout`] for a cell or a
-    /// band that is no length; the wish to stop.
+    /// [`SurfaceError::TooFine`] if the surfaces touch more blocks than the layout allows.
+    /// [`SurfaceError::Layout`] for a cell or a band that is not a length. The wish to stop.
     pub fn fuse(
         views: &[SurfaceView],
         layout: Layout,
@@ -72,8 +73,9 @@ impl Volume {
         Ok(Self::from_blocks(layout.cell, places, blocks))
     }
 
-    /// Samples a function on all blocks of a box of `blocks` blocks a side, the first at the origin of the grid: NaN where the function
-    /// is not known, else the signed distance in cells, positive outside.
+    /// Samples a function on all blocks of a box of `blocks` blocks a side, the first at the origin of the
+    /// grid. The function returns NaN where it is unknown, else the signed distance in cells, positive
+    /// outside.
     pub fn sampled(cell: f64, blocks: [u32; 3], value: impl Fn(Vector3<f64>) -> f32) -> Self {
         let [nx, ny, nz] = blocks.map(|side| side as i32);
         let mut places: Vec<Place> = Vec::new();
@@ -160,8 +162,9 @@ fn sample_place(block: &Place, index: usize) -> Place {
     [0, 1, 2].map(|axis| block[axis] * SIDE as i32 + step[axis] as i32)
 }
 
-/// Returns the blocks within a cell more than the band of any surface that is nearer than `reach` to its camera, sorted: around each pixel
-/// also half of what it covers of the surface, so that there is no gap between pixels that lie far apart on it.
+/// Returns the blocks within a cell more than the band of any surface that is nearer than `reach` to its
+/// camera, sorted. Half of a pixel's footprint around it is included, so there is no gap between pixels that
+/// are far apart on the surface.
 fn touched(
     views: &[SurfaceView],
     layout: Layout,

@@ -11,7 +11,7 @@ use crate::frame::ExportFrame;
 use crate::map::SurfaceMap;
 use crate::{SurfaceError, glb, members, ply};
 
-/// What `surface` has made of a field.
+/// Products of `surface` from a field.
 pub struct SurfaceResult {
     /// Mesh and points.
     pub surface: Surface,
@@ -19,14 +19,14 @@ pub struct SurfaceResult {
     pub photos: usize,
     /// Retrainings that were looked at.
     pub members: u32,
-    /// What became of the splats, which are written already; none where they were not wanted.
+    /// Report of the splats, which are written already. `None` if they were not requested.
     pub splats: Option<SplatReport>,
 }
 
 /// Writes mesh, points, maps and the report.
 ///
 /// # Errors
-/// A store that cannot be written; a picture that cannot be encoded.
+/// A store that cannot be written. A picture that cannot be encoded.
 pub fn write(
     ctx: &Ctx<'_>,
     params: &SurfaceParams,
@@ -50,7 +50,7 @@ pub fn write(
             put_maps(ctx, &map, outputs)?;
             report.map = Some(map.report);
         }
-        // The mesh is worth having without a map; whoever asks for one gets the reason.
+        // The mesh is useful without a map, and the report holds the reason why there is none.
         Err(refused @ SurfaceError::Refused { .. }) => {
             report
                 .refused
@@ -110,7 +110,7 @@ fn report(made: SurfaceResult, uncertainty: UncertaintyReport, frame: &ExportFra
     }
 }
 
-/// Returns what the colours are, in words.
+/// Describes the colours.
 fn color_words(color: ColorBy, uncertainty: &UncertaintyReport, frame: &ExportFrame) -> String {
     let spread = match uncertainty.of {
         SpreadOf::Retrainings => format!("standard deviation of {} retrainings", uncertainty.members),

@@ -16,8 +16,8 @@ use crate::{
 /// (benches/video.md).
 const SPEED: u8 = 10;
 
-/// Index of AV1's quantisers for every QP of H.264 from 12: the one whose step is nearest to 8 x 0.625 x 2^(QP/6), AV1's
-/// transforms being scaled by 8 (AV1 specification, section 7.12.2, `Ac_Qlookup` of 8 bits).
+/// Index of AV1's quantisers for every QP of H.264 from 12: the one whose step is nearest to 8 x 0.625 x
+/// 2^(QP/6), as AV1's transforms are scaled by 8 (AV1 specification, section 7.12.2, `Ac_Qlookup` of 8 bits).
 const INDEX: [u8; 40] = [
     13, 15, 18, 21, 25, 29, 33, 38, 43, 50, 56, 64, 73, 83, 94, 101, 107, 115, 123, 129, 137, 143, 150, 156,
     162, 169, 175, 182, 188, 194, 200, 206, 212, 218, 224, 231, 237, 242, 249, 254,
@@ -34,7 +34,7 @@ impl Av1 {
     /// Opens an encoder for checked settings and even sides of 16 and more.
     ///
     /// # Errors
-    /// What rav1e says.
+    /// An error of rav1e.
     pub fn new(settings: &Settings, width: u32, height: u32) -> Result<Self, String> {
         // Built without threads: the number is that of a pool that is never asked for.
         let config = Config::new().with_encoder_config(config(settings, width, height));
@@ -83,8 +83,8 @@ impl Coder for Av1 {
 
 /// Returns the configuration: nothing adapts to content or to a rate, and pictures are encoded in their order.
 ///
-/// Reordering them saves a tenth of the bytes and takes half as long again; weighing blocks by what an eye sees costs a third
-/// more time and gains nothing in PSNR (benches/video.md).
+/// Reordering them saves a tenth of the bytes and takes half as long again. Weighing blocks by visibility
+/// costs a third more time and gains nothing in PSNR (benches/video.md).
 fn config(settings: &Settings, width: u32, height: u32) -> EncoderConfig {
     let mut config = EncoderConfig::with_speed_preset(SPEED);
     (config.width, config.height) = (width as usize, height as usize);
@@ -113,8 +113,8 @@ fn index(quantizer: u32) -> u8 {
 const SEQUENCE_HEADER: u8 = 1;
 const TEMPORAL_DELIMITER: u8 = 2;
 
-/// Returns a packet as the file holds it: without the temporal delimiter ("AV1 Codec ISO Media File Format Binding", section
-/// 2.4), with an `av1C` where a sequence header came with it (section 2.3).
+/// Returns a packet as the file holds it, without the temporal delimiter ("AV1 Codec ISO Media File Format
+/// Binding", section 2.4). A packet with a sequence header also gives the `av1C` (section 2.3).
 fn sample(record: &[u8], packet: &Packet<u8>) -> Result<Sample, String> {
     let mut sample = Sample {
         is_key: packet.frame_type == FrameType::KEY,
@@ -138,7 +138,8 @@ fn sample(record: &[u8], packet: &Packet<u8>) -> Result<Sample, String> {
     Ok(sample)
 }
 
-/// Returns the bytes of the first unit of a stream, header included; none of one that does not tell (sections 5.3.2, 4.10.5).
+/// Returns the bytes of the first unit of a stream, header included. `None` if it does not state its size
+/// (sections 5.3.2, 4.10.5).
 fn unit_length(stream: &[u8]) -> Option<usize> {
     let header = *stream.first()?;
     let has_extension = header & 4 != 0;
@@ -182,7 +183,7 @@ mod tests {
         }
     }
 
-    /// QP 12 has step 2.5, 20 of AV1's units; QP 51 has 226, 1810 of them.
+    /// QP 12 has step 2.5, 20 of AV1's units. QP 51 has 226, 1810 of them.
     #[test]
     fn quantisers_get_coarser_by_one_at_least() {
         let indices: Vec<u8> = crate::QUANTIZERS.map(index).collect();

@@ -1,11 +1,11 @@
-//! What pictures are encoded as, and how large they may be.
+//! Codecs, and the largest pictures that they take.
 
 /// Most pixels along the longer side of a picture, and along the shorter one: what OpenH264 takes (rav1e takes more).
 pub const MAX_LONG_PX: u32 = 3840;
 /// See [`MAX_LONG_PX`].
 pub const MAX_SHORT_PX: u32 = 2160;
 
-/// What pictures are encoded as.
+/// Codec of a video.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Codec {
     /// H.264, constrained baseline, by OpenH264.

@@ -7,7 +7,7 @@ use crate::{
     yuv::{Yuv, side},
 };
 
-/// Encodes pictures one after the other; only what they become is kept in memory.
+/// Encodes pictures one after the other. Only their samples are kept in memory.
 pub struct Encoder {
     settings: Settings,
     /// Opened by the first picture, whose size it needs.
@@ -20,7 +20,7 @@ pub struct Encoder {
 }
 
 impl Encoder {
-    /// Checks the settings; the codec itself is opened by the first picture.
+    /// Checks the settings. The codec itself is opened by the first picture.
     ///
     /// # Errors
     /// Settings out of range, a codec that this build lacks.
@@ -40,7 +40,7 @@ impl Encoder {
     /// repeat the last.
     ///
     /// # Errors
-    /// A size that cannot be encoded or is not that of the first picture; a failure of the encoder.
+    /// A size that cannot be encoded or is not that of the first picture. A failure of the encoder.
     pub fn push(&mut self, picture: &Image<Srgb>) -> Result<(), VideoError> {
         let (width, height) = (picture.width, picture.height);
         if self.coder.is_none() {
@@ -107,7 +107,7 @@ impl Encoder {
 /// Opens a codec for checked settings and a size, which H.264 learns from its pictures.
 ///
 /// # Errors
-/// What the encoder says.
+/// An error of the encoder.
 #[cfg_attr(not(feature = "av1"), allow(unused_variables, reason = "the size is for AV1"))]
 fn open(settings: &Settings, width: u32, height: u32) -> Result<Box<dyn Coder>, String> {
     match settings.codec {

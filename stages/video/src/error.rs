@@ -1,12 +1,12 @@
 use crate::codec::{Codec, MAX_LONG_PX, MAX_SHORT_PX};
 
-/// Why pictures did not become a video.
+/// Errors of encoding a video.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum VideoError {
     /// The program was built without the encoder.
     #[error("this build has no encoder of {codec} (cargo feature `{}`)", codec.feature())]
     NoEncoder {
-        /// What it cannot encode.
+        /// The codec that it lacks.
         codec: Codec,
     },
     /// Nothing to encode.
@@ -22,7 +22,7 @@ pub enum VideoError {
     },
     /// A picture beyond the limits of the encoder.
     #[error(
-        "pictures have {width} x {height} pixels; a video has at most {MAX_LONG_PX} x {MAX_SHORT_PX}, in either orientation"
+        "pictures have {width} x {height} pixels: a video has at most {MAX_LONG_PX} x {MAX_SHORT_PX}, in either orientation"
     )]
     TooLarge {
         /// Its width.
@@ -33,7 +33,7 @@ pub enum VideoError {
     /// Pictures of two sizes.
     #[error("picture {picture} has {width} x {height} pixels, the first one {first_width} x {first_height}")]
     Size {
-        /// Which one, from 1.
+        /// Number of the picture, from 1.
         picture: usize,
         /// Its width.
         width: u32,
@@ -45,13 +45,13 @@ pub enum VideoError {
         first_height: u32,
     },
     /// A rate out of range.
-    #[error("{rate} pictures a second; a video has 1 to 240")]
+    #[error("{rate} pictures a second: a video has 1 to 240")]
     Rate {
         /// Pictures a second.
         rate: u32,
     },
     /// A quantiser out of range.
-    #[error("quantiser {quantizer}; a video has 12 (finest) to 51")]
+    #[error("quantiser {quantizer}: a video has 12 (finest) to 51")]
     Quantizer {
         /// The quantiser.
         quantizer: u32,
@@ -65,11 +65,11 @@ pub enum VideoError {
     /// The encoder failed.
     #[error("picture {picture}: the encoder of {codec} failed: {cause}")]
     Encoder {
-        /// Which one, from 1.
+        /// Number of the picture, from 1.
         picture: usize,
-        /// Which encoder.
+        /// The encoder.
         codec: Codec,
-        /// What it said.
+        /// Its message.
         cause: String,
     },
 }

@@ -19,7 +19,7 @@ use crate::{
 /// Chooses the level that the stream claims and nothing else: 3.1 and up, at most 14 Mb/s (table A-1), which every player of
 /// the last fifteen years takes.
 const LEVEL_BITS_PER_SECOND: u32 = 12_000_000;
-/// OpenH264 takes no higher rate; only the level follows from it.
+/// OpenH264 takes no higher rate. Only the level follows from it.
 const MAX_LEVEL_RATE: u32 = 60;
 
 /// An encoder of one video.
@@ -34,7 +34,7 @@ impl H264 {
     /// Opens an encoder for checked settings.
     ///
     /// # Errors
-    /// What OpenH264 says.
+    /// An error of OpenH264.
     pub fn new(settings: &Settings) -> Result<Self, String> {
         let encoder = Encoder::with_api_config(OpenH264API::from_source(), config(settings));
         Ok(Self {
@@ -63,8 +63,8 @@ impl Coder for H264 {
 
 /// Returns the configuration: everything that adapts to content or to a rate is off.
 ///
-/// Of the modes of rate control only `Bufferbased` takes a quantiser for all blocks and no bit rate to hold: its quantiser
-/// is clipped to the range, which has one value.
+/// Only the rate control mode `Bufferbased` takes a quantiser for all blocks and no target bit rate. Its
+/// quantiser is clipped to the range, which has one value.
 fn config(settings: &Settings) -> EncoderConfig {
     let quantizer = settings.quantizer as u8;
     EncoderConfig::new()

@@ -7,13 +7,15 @@
 //! Invariant: the same pictures and settings give the same bytes. No clock is read and one thread encodes. A bit rate is never
 //! aimed at, so no picture is dropped or spoilt to hold one.
 //!
-//! Between machines: OpenH264 is built to give the same bits on every instruction set; its C code and its AVX2 code (built where
-//! `nasm` is found) gave equal streams in 16 of 16 cases from 18 x 34 to 1920 x 1080. rav1e is built without assembler and decides
-//! in integers, but for what a bit weighs against an error: floats, multiplied and added alike everywhere, under a factor from the
-//! `exp` of the platform's C library. Where that differs in its last bit, a block may be split otherwise: such streams have not
-//! been seen, and cannot be ruled out. Decoders of AV1 give the same pixels everywhere.
+//! Between machines: OpenH264 is built to give the same bits on every instruction set. Its C code and its
+//! AVX2 code (built if `nasm` is found) gave equal streams in 16 of 16 cases from 18 x 34 to 1920 x 1080.
+//! rav1e is built without assembler and decides in integers, except for the weight of a bit against an error.
+//! That weight is in floats, multiplied and added alike everywhere, under a factor from the `exp` of the
+//! platform's C library. If `exp` differs in its last bit, a block may be split otherwise. Such streams have
+//! not been seen, and cannot be ruled out. Decoders of AV1 give the same pixels everywhere.
 //!
-//! A codec is a cargo feature (`h264`, `av1`, both on by default); [`Encoder::new`] refuses one that is not built in.
+//! A codec is a cargo feature (`h264`, `av1`, both on by default). [`Encoder::new`] refuses one that is not
+//! built in.
 #![cfg_attr(
     not(any(feature = "h264", feature = "av1")),
     allow(dead_code, reason = "without a codec nothing is encoded")

@@ -14,11 +14,11 @@
 
 use crate::{Codec, VideoError, sample::Sample};
 
-/// Units of time a picture takes; a second has `rate` times as many.
+/// Units of time a picture takes. A second has `rate` times as many.
 const TICKS: u32 = 1000;
 /// 1.0 as 16.16.
 const ONE: u32 = 0x1_0000;
-/// There is no sound.
+/// Volume of the sound: the file has no sound.
 const VOLUME: u16 = 0;
 /// Rows of the matrix that leaves pictures as they are: 16.16, the last column 2.30.
 const IDENTITY: [u32; 9] = [ONE, 0, 0, 0, ONE, 0, 0, 0, 0x4000_0000];

@@ -2,7 +2,7 @@
 
 use crate::{mp4::boxed, sample::Sample};
 
-/// What the units of one picture are.
+/// Units of one picture.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(crate) struct Units {
     /// Sequence parameter set, without start code.
@@ -22,7 +22,7 @@ const SPS: u8 = 7;
 const PPS: u8 = 8;
 
 impl Units {
-    /// Adds a unit with its start code; what is neither a slice nor a parameter set is left out.
+    /// Adds a unit that begins with its start code. Only slices and parameter sets are kept.
     pub fn add(&mut self, unit: &[u8]) {
         let unit = without_start_code(unit);
         match unit.first().map(|header| header & 0x1f) {
@@ -51,7 +51,7 @@ impl Units {
     }
 }
 
-/// Profile, level and parameter sets (ISO/IEC 14496-15, section 5.3.3.1); lengths of units have 4 bytes.
+/// Profile, level and parameter sets (ISO/IEC 14496-15, section 5.3.3.1). Lengths of units have 4 bytes.
 fn avcc(sps: &[u8], pps: &[u8]) -> Option<Vec<u8>> {
     let [_, profile, compatible, level] = *sps.first_chunk()?;
     let length = |set: &[u8]| (set.len() as u16).to_be_bytes();

@@ -6,22 +6,22 @@ pub(crate) struct Sample {
     pub bytes: Vec<u8>,
     /// Whether decoding can begin here.
     pub is_key: bool,
-    /// The box of what a decoder has to know before the first picture, where the codec tells it with this one.
+    /// The box that a decoder needs before the first picture, if the codec gives it with this sample.
     pub config: Option<Vec<u8>>,
 }
 
 /// A codec: pictures of one size to samples, one for one and in order.
 pub(crate) trait Coder {
-    /// Encodes the next picture; its sample may come with a later one.
+    /// Encodes the next picture. Its sample may come with a later one.
     ///
     /// # Errors
-    /// What the encoder says.
+    /// An error of the encoder.
     fn encode(&mut self, picture: &Yuv) -> Result<Vec<Sample>, String>;
 
     /// Returns the samples that have not come yet.
     ///
     /// # Errors
-    /// What the encoder says.
+    /// An error of the encoder.
     fn finish(&mut self) -> Result<Vec<Sample>, String> {
         Ok(Vec::new())
     }

@@ -1,11 +1,12 @@
-//! What pictures may be, and how they are encoded.
+//! Limits of pictures, and settings of their encoding.
 
 use crate::codec::{Codec, MAX_LONG_PX, MAX_SHORT_PX};
 use crate::error::VideoError;
 
 /// Least and most pictures a second.
 pub const RATES: std::ops::RangeInclusive<u32> = 1..=240;
-/// Quantisers (QP of H.264) of both codecs, finest first; OpenH264 keeps to no finer one than 12. AV1 takes the nearest of its own.
+/// Quantisers (QP of H.264) of both codecs, finest first. OpenH264 keeps to none finer than 12. AV1 takes its
+/// nearest.
 pub const QUANTIZERS: std::ops::RangeInclusive<u32> = 12..=51;
 /// Pictures from one from which decoding can begin to the next: two seconds at 24 a second, so that a player can jump.
 #[cfg(any(feature = "h264", feature = "av1"))]
@@ -28,10 +29,10 @@ impl Codec {
     }
 }
 
-/// How pictures are encoded.
+/// Settings of the encoding.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Settings {
-    /// What they become.
+    /// Their codec.
     pub codec: Codec,
     /// Pictures a second, in [`RATES`].
     pub frames_per_second: u32,

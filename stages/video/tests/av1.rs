@@ -44,7 +44,8 @@ fn samples_are_frames_and_key_ones_begin_with_the_sequence_header_of_the_record(
     assert_eq!((parsed.width, parsed.height), (208, 120));
     assert_eq!((parsed.timescale, parsed.delta), (24_000, 1000));
     assert_eq!((parsed.samples.len(), parsed.keys.as_slice()), (60, &[1, 49][..]));
-    // Version 1; main profile, no limit of level; 4:2:0 of 8 bits at a place that is not told; no delay told.
+    // Version 1. Main profile, no limit of level. 4:2:0 of 8 bits, chroma position unspecified. No delay
+    // stated.
     assert_eq!(parsed.config[..4], [0x81, 31, 0x0c, 0]);
     for (sample, number) in parsed.samples.iter().zip(1..) {
         let (units, is_key) = (units(sample), parsed.keys.contains(&number));
@@ -61,7 +62,7 @@ fn samples_are_frames_and_key_ones_begin_with_the_sequence_header_of_the_record(
     }
 }
 
-/// What ffmpeg decodes (dav1d or libaom) is what was encoded, colours too. Measured: 37.6, 37.0 and 33.4 dB.
+/// ffmpeg (dav1d or libaom) decodes the encoded pictures, colours included. Measured: 37.6, 37.0 and 33.4 dB.
 #[test]
 fn ffmpeg_decodes_a_moving_pattern_the_better_the_finer_the_quantiser() {
     let pictures = pictures(208, 120, 50);
@@ -148,8 +149,8 @@ fn noise_is_whole() {
     noise_is_encoded_whole(Codec::Av1);
 }
 
-/// If this digest changes, videos change: raise the version of the stage that makes them, unless only this machine's `exp`
-/// differs in its last bit (see the head of the crate).
+/// If this digest changes, videos change. Then raise the version of the stage that makes them, unless only
+/// this machine's `exp` differs in its last bit (see the head of the crate).
 #[test]
 fn the_same_pictures_give_the_same_bytes_in_any_thread() {
     assert_eq!(digest_of_any_thread(Codec::Av1), "fba8c8359009");

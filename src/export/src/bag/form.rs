@@ -41,7 +41,7 @@ impl FileDigest {
     /// Returns length and digests of all that a reader gives, without holding it.
     ///
     /// # Errors
-    /// What the reader cannot read; the wish of the user to stop.
+    /// A reader that fails. The wish of the user to stop.
     pub fn from_reader(reader: impl io::Read, cancel: &Cancel) -> io::Result<Self> {
         let mut reader = Sha256Reader::new(Stoppable { reader, cancel });
         let (blake3, bytes) = Digest::from_reader(&mut reader)?;

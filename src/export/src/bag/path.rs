@@ -12,7 +12,8 @@ pub fn decode_path(text: &str) -> String {
     lines.replace("%25", "%")
 }
 
-/// Tells whether a path with `/` stays in its folder on every system: no empty, `.` or `..` part, no `\`, `:` or NUL.
+/// Returns true if a path with `/` stays in its folder on every system: no empty, `.` or `..` part, no `\`,
+/// `:` or NUL.
 pub fn is_safe(path: &str) -> bool {
     let is_plain = |part: &str| !matches!(part, "" | "." | "..") && !part.contains(['\\', ':', '\0']);
     path.split('/').all(is_plain)

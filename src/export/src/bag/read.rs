@@ -22,10 +22,10 @@ pub struct Bag {
     pub faults: Vec<BagFault>,
 }
 
-/// What a manifest lists.
+/// Entries of a manifest.
 type Listed = BTreeMap<String, Sha256>;
 
-/// Something wrong with a bag; `file` is a path in it.
+/// Something wrong with a bag. `file` is a path in it.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, thiserror::Error)]
 pub enum BagFault {
     /// A file that must be there is not, or cannot be read.
@@ -58,8 +58,8 @@ pub enum BagFault {
         /// The file.
         file: String,
     },
-    /// A line of a manifest that is none, or names a file twice or out of the bag.
-    #[error("line {line} of `{file}` is no digest and path of a file in the bag")]
+    /// A malformed line of a manifest, or one that names a file twice or out of the bag.
+    #[error("line {line} of `{file}` is not a digest and path of a file in the bag")]
     BadLine {
         /// The manifest.
         file: String,
@@ -72,9 +72,9 @@ pub enum BagFault {
     /// `bag-info.txt` counts other files or bytes.
     #[error("`bag-info.txt` counts {listed} bytes and files, there are {found}")]
     Oxum {
-        /// What is there: bytes, a point, files.
+        /// Bytes and files found, separated by a point.
         found: String,
-        /// What it says.
+        /// Bytes and files listed.
         listed: String,
     },
 }
@@ -102,7 +102,7 @@ impl Bag {
     /// Returns the bytes of a file of the payload.
     ///
     /// # Errors
-    /// A file that cannot be read; the wish of the user to stop.
+    /// A file that cannot be read. The wish of the user to stop.
     pub fn get(&self, path: &str) -> io::Result<Vec<u8>> {
         if self.cancel.is_set() {
             return Err(io::Error::other("stopped"));
@@ -110,7 +110,7 @@ impl Bag {
         read_member(&self.folder, &format!("{PAYLOAD}/{path}"))
     }
 
-    /// Returns the bytes of a file beside the payload; none if it cannot be read.
+    /// Returns the bytes of a file next to the payload. `None` if it cannot be read.
     pub fn tag(&self, name: &str) -> Option<Vec<u8>> {
         read_member(&self.folder, name).ok()
     }
@@ -137,7 +137,7 @@ impl Bag {
         }
     }
 
-    /// Reads a file and compares it; its digests if it could be read, altered or not.
+    /// Reads a file, compares it, and returns its digests if it could be read, altered or not.
     fn compare(&mut self, file: &str, listed: &Sha256) -> Option<FileDigest> {
         let member = file::below(&self.folder, file).and_then(|path| file::open(&path, Links::Refused));
         let digest = member.and_then(|member| FileDigest::from_reader(member, &self.cancel));

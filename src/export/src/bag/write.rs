@@ -67,7 +67,7 @@ impl BagWriter {
         self.tag(MANIFEST, text.as_bytes())
     }
 
-    /// Adds a file beside the payload.
+    /// Adds a file next to the payload.
     ///
     /// # Errors
     /// A file that cannot be written.
@@ -77,7 +77,7 @@ impl BagWriter {
         Ok(digest)
     }
 
-    /// Writes what is told of the bag, and the manifest of the files beside the payload.
+    /// Writes the facts of the bag, and the manifest of the files next to the payload.
     ///
     /// # Errors
     /// A file that cannot be written.

@@ -1,4 +1,4 @@
-//! What goes into a crate: files that the graph describes, and objects of sets.
+//! Contents of a crate: files that the graph describes, and objects of sets.
 
 use std::collections::BTreeMap;
 
@@ -25,11 +25,11 @@ pub struct Contents {
     pub actions: BTreeMap<Digest, Action>,
     /// Lists of the files that sources read of their archives and where these came from, by node.
     pub origins: BTreeMap<String, Vec<Digest>>,
-    /// What was decided on each chosen photo.
+    /// Decisions on each chosen photo.
     pub items: Vec<ItemVerdict>,
 }
 
-/// What a node decided on a chosen photo.
+/// Decision of a node on a chosen photo.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ItemVerdict {
     /// Id of the photo.
@@ -45,7 +45,8 @@ pub struct ItemVerdict {
 }
 
 impl Contents {
-    /// Finds what belongs to a run without its photos; `file_name` names the file that an output is, if it is one file.
+    /// Finds everything that belongs to a run without its photos. `file_name` returns the file name of an
+    /// output that is one file.
     ///
     /// # Errors
     /// An object that cannot be read or is not what it should be.
@@ -176,7 +177,7 @@ impl Contents {
             }
             let title = format!("input `{name}` of `{}`", node.run.name);
             let bytes = object(run, &digest, || title.clone())?;
-            // What an archive lists is a set whose leaves are fingerprints; any other input is no set.
+            // The listing of an archive is a set whose leaves are fingerprints. Any other input is not a set.
             self.add_blocks(&bytes);
             let ending = if name == LISTING { ".jsonl" } else { "" };
             self.add(
@@ -199,7 +200,7 @@ impl Contents {
         Ok(())
     }
 
-    /// Adds the blocks that the bytes of a root name; bytes that are no root name none.
+    /// Adds the blocks that the bytes of a root name. Other bytes name none.
     fn add_blocks(&mut self, root: &[u8]) {
         for block in Root::blocks(root).unwrap_or_default() {
             self.add_object(block.digest, Purpose::Record);

@@ -9,7 +9,7 @@ pub const RUN_ROOT: &str = "run.json";
 /// Folder of the actions, one file a key.
 pub const ACTIONS: &str = "actions/";
 
-/// Of which photos the bytes and every verdict go along.
+/// Photos whose bytes and verdicts are included.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Photos {
     /// The bytes of all, and no lineage photo by photo.
@@ -18,7 +18,7 @@ pub enum Photos {
     Chosen(Vec<String>),
 }
 
-/// Where the bytes of a file come from.
+/// Source of the bytes of a file.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Content {
     /// An object of the store.
@@ -27,12 +27,12 @@ pub enum Content {
     Bytes(Vec<u8>),
 }
 
-/// What a file is for.
+/// Purpose of a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Purpose {
-    /// It tells what happened; it is always there.
+    /// It records the run and is always included.
     Record,
-    /// It went in or came out; a crate without data names it only.
+    /// It is input or output. A crate without data only names it.
     Data,
 }
 
@@ -41,15 +41,15 @@ pub enum Purpose {
 pub struct File {
     /// Its path in the payload.
     pub path: String,
-    /// What it is called, for people.
+    /// Title, for people.
     pub name: String,
     /// Its bytes.
     pub content: Content,
-    /// What it is for.
+    /// Its purpose.
     pub purpose: Purpose,
 }
 
-/// Tells whether a text is a path or identifier that is the same in a file system, a manifest and a URI.
+/// Returns true if a text is a path or identifier that is the same in a file system, a manifest and a URI.
 pub(crate) fn is_plain(text: &str) -> bool {
     let is_plain = |char: char| char.is_ascii_alphanumeric() || matches!(char, '.' | '_' | '-' | '/');
     crate::bag::is_safe(text) && text.chars().all(is_plain)

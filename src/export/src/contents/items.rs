@@ -48,7 +48,7 @@ pub(super) fn add_photos(
     add_chosen(contents, run, &found)
 }
 
-/// Tells whether a node brings photos in: it reads none.
+/// Returns true if a node brings photos in: it reads none.
 fn is_source(contents: &Contents, node: &RunNode) -> bool {
     let action = contents.action(node);
     action.is_some_and(|action| !action.inputs.contains_key(PHOTOS))

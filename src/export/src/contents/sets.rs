@@ -24,10 +24,10 @@ impl From<ManifestError> for Fault {
     }
 }
 
-/// Returns the leaves of a set, in order; `what` names it in errors.
+/// Returns the leaves of a set, in order. `what` names it in errors.
 ///
 /// # Errors
-/// An object that cannot be read, or is no set.
+/// An object that cannot be read, or is not a set.
 pub fn leaves(root: &Digest, read: &ReadObject<'_>, what: &str) -> Result<Vec<LeafRef>, ExportError> {
     named(what, sets::leaves(root, getter(read)))
 }

@@ -1,4 +1,4 @@
-//! What ran: the run, each node, and each decision on a chosen photo.
+//! Actions: the run, each node, and each decision on a chosen photo.
 
 use marf_model::RunNode;
 use serde_json::Value;

@@ -1,4 +1,4 @@
-//! What the parts of the graph look up.
+//! Lookup tables for the parts of the graph.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -9,7 +9,7 @@ use marf_model::{Run, RunNode};
 use super::input::GraphInput;
 use super::tools::Tools;
 
-/// What the parts of the graph look up.
+/// Lookup tables for the parts of the graph.
 pub(super) struct Context<'a> {
     pub(super) input: &'a GraphInput<'a>,
     pub(super) ids: BTreeMap<Digest, &'a str>,
@@ -44,7 +44,8 @@ impl<'a> Context<'a> {
         &self.input.run.record
     }
 
-    /// Returns the id of the file that tells the pipeline: as it was written, or the run root of a run that kept no text.
+    /// Returns the id of the file that describes the pipeline: as it was written, or the run root of a run
+    /// that kept no text.
     pub(super) fn pipeline(&self) -> &'a str {
         let written = self.record().documents.get(document::WRITTEN);
         let written = written.and_then(|output| self.ids.get(&output.digest));

@@ -23,7 +23,7 @@ impl Entity {
         Self(fields)
     }
 
-    /// Adds a field, or replaces it; leaves it out if its value is not known.
+    /// Adds a field, or replaces it. An unknown value leaves it out.
     pub(super) fn with(mut self, name: &str, value: impl Into<Value>) -> Self {
         let value = value.into();
         if !value.is_null() {
@@ -32,7 +32,7 @@ impl Entity {
         self
     }
 
-    /// Adds references: none leave the field out, one is no list.
+    /// Adds references. Without any the field is left out, and a single one is not a list.
     pub(super) fn with_ids<S: Into<String>>(self, name: &str, ids: impl IntoIterator<Item = S>) -> Self {
         let mut ids: Vec<Value> = ids.into_iter().map(|id| reference(id)).collect();
         match ids.len() {
@@ -51,7 +51,8 @@ fn reference(id: impl Into<String>) -> Value {
     json!({"@id": id.into()})
 }
 
-/// Returns the id of an entity about something with this name: `#kind/name`, with a digest for a name that is no URI.
+/// Returns the id of an entity about something with this name: `#kind/name`, with a digest if the name is not
+/// a URI.
 pub(super) fn id_of(kind: &str, name: &str) -> String {
     if is_plain(name) {
         format!("#{kind}/{name}")

@@ -85,7 +85,7 @@ fn ends<'a>(context: &Context<'a>) -> impl Iterator<Item = (&'a str, &'a str)> {
     })
 }
 
-/// Makes the file that tells the pipeline the workflow of the crate.
+/// Makes the file that describes the pipeline the workflow of the crate.
 fn pipeline(context: &Context<'_>, file: Entity) -> Value {
     let kinds = ["File", "SoftwareSourceCode", "ComputationalWorkflow", "HowTo"];
     let steps = context.record().nodes.iter();
@@ -118,7 +118,7 @@ fn steps(context: &Context<'_>) -> Vec<Value> {
     nodes.map(|(position, node)| step(position, node)).collect()
 }
 
-/// Returns the media type of a file by its ending; sets and listings are lines of JSON.
+/// Returns the media type of a file by its ending. Sets and listings are lines of JSON.
 fn media_type(path: &str) -> &'static str {
     let extension = path.rsplit_once('.').map_or("", |(_, extension)| extension);
     match extension {

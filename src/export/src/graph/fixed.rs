@@ -1,4 +1,5 @@
-//! What every graph has: the descriptor, the crate itself, its profiles and its licence, the program.
+//! Fixed entities of every graph: the descriptor, the crate itself, its profiles and its licence, the
+//! program.
 
 use serde_json::{Value, json};
 

@@ -1,4 +1,4 @@
-//! What a graph is made of.
+//! Input of a graph.
 
 use marf_engine::RunRecord;
 use marf_model::Run;
@@ -10,9 +10,9 @@ use crate::contents::{Contents, File};
 pub const METADATA: &str = "ro-crate-metadata.json";
 /// Name of the page for people in the payload.
 pub const PREVIEW: &str = "ro-crate-preview.html";
-/// Version of the form of our crates; a newer one is refused.
+/// Version of the form of our crates. A newer one is refused.
 pub const CRATE_FORMAT: u32 = 1;
-/// What [`CRATE_FORMAT`] stands behind in the id of the profile of our crates.
+/// Prefix of [`CRATE_FORMAT`] in the id of the profile of our crates.
 pub const CRATE_PROFILE: &str = "urn:x-marf:crate:";
 
 /// A file of the graph: in the crate, or named by its digest alone.
@@ -30,11 +30,11 @@ pub struct Described<'a> {
 pub struct GraphInput<'a> {
     /// The run.
     pub run: &'a Run<'a>,
-    /// What goes into the crate.
+    /// Contents of the crate.
     pub contents: &'a Contents,
     /// Its described files.
     pub files: &'a [Described<'a>],
-    /// Licence of the crate: an SPDX id or a URL; none if none was stated.
+    /// Licence of the crate: an SPDX id or a URL. `None` if none was stated.
     pub license: Option<&'a str>,
 }
 

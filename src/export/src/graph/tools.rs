@@ -114,7 +114,7 @@ pub(super) fn slot_id(of: &str, role: Role, name: &str) -> String {
     format!("{of}/{}", id.trim_start_matches('#'))
 }
 
-/// Returns what outputs like `heldout/NAME.png` have in common.
+/// Returns the common part of outputs like `heldout/NAME.png`.
 pub(super) fn group(output: &str) -> &str {
     output.split_once('/').map_or(output, |(group, _)| group)
 }

@@ -9,7 +9,7 @@ use serde_json::Value;
 use super::open::{OpenCrate, text};
 use crate::graph::{action_id, ids, tool_id};
 
-/// Checks the action of every node; returns how many gave their keys.
+/// Checks the action of every node and returns how many gave their keys.
 pub(super) fn check(opened: &OpenCrate, faults: &mut Vec<String>) -> u64 {
     let by_id: BTreeMap<&str, &Value> = opened
         .entities
@@ -48,16 +48,16 @@ pub(super) fn check(opened: &OpenCrate, faults: &mut Vec<String>) -> u64 {
 struct Context<'a> {
     by_id: BTreeMap<&'a str, &'a Value>,
     digests: BTreeMap<&'a str, Digest>,
-    /// What nodes read and made, and the objects of photos.
+    /// Inputs and outputs of nodes, and the objects of photos.
     known: BTreeSet<Digest>,
 }
 
-/// Returns what nodes read and made, and the objects of photos.
+/// Returns inputs and outputs of nodes, and the objects of photos.
 fn known(opened: &OpenCrate) -> BTreeSet<Digest> {
     let mut known = BTreeSet::new();
     for node in &opened.run.nodes {
         known.extend(node.outputs.values().map(|output| output.digest));
-        // An action that cannot be read is told by itself.
+        // An unreadable action is reported separately.
         known.extend(
             opened
                 .action(node)
@@ -91,7 +91,7 @@ impl Context<'_> {
         let objects = ids(&entity["object"]);
         let read = self.digests_of(&objects);
         let inputs: BTreeSet<Digest> = action.inputs.values().copied().collect();
-        // A source also tells which files it read.
+        // A source also records which files it read.
         let is_told = if action.inputs.contains_key(LISTING) {
             inputs.is_subset(&read)
         } else {
@@ -119,11 +119,11 @@ impl Context<'_> {
             }
         }
         for file in ["object", "result"].iter().flat_map(|field| ids(&entity[*field])) {
-            // What a source read and verdicts on photos are checked with the lineage.
+            // Files that a source read and verdicts on photos are checked with the lineage.
             let is_checked = file.starts_with("inputs/") || file.starts_with("items/");
             let digest = self.digests.get(file);
             if !is_checked && digest.is_some_and(|digest| !self.known.contains(digest)) {
-                faults.push(format!("`{id}` tells of `{file}`, which no node read or made"));
+                faults.push(format!("`{id}` refers to `{file}`, which no node read or made"));
             }
         }
     }

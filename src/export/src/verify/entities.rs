@@ -9,8 +9,8 @@ use crate::contents::OBJECTS;
 use crate::crates::name_of;
 use crate::graph::{METADATA, PREVIEW, references};
 
-/// Returns what is wrong: ids that are there twice, references to nothing, files with other digests than given, files that
-/// the graph does not tell.
+/// Returns the faults: duplicate ids, references to nothing, files with other digests than given, files that
+/// the graph does not describe.
 pub(super) fn check(opened: &OpenCrate) -> Vec<String> {
     let mut faults = Vec::new();
     let mut ids: BTreeSet<&str> = BTreeSet::new();
@@ -52,13 +52,13 @@ fn check_files(opened: &OpenCrate) -> Vec<String> {
             (None, true) => faults.push(format!(
                 "`{id}` is not the name of the SHA-256 that the graph gives"
             )),
-            (None, false) => faults.push(format!("the graph tells of `{id}`, which is not in the bag")),
+            (None, false) => faults.push(format!("the graph describes `{id}`, which is not in the bag")),
         }
     }
     faults
 }
 
-/// Finds files of the payload that the graph does not tell, and objects whose name is not their digest.
+/// Finds files of the payload that the graph does not describe, and objects whose name is not their digest.
 fn check_untold(opened: &OpenCrate) -> Vec<String> {
     let described = opened.described();
     let mut faults = Vec::new();
@@ -68,7 +68,7 @@ fn check_untold(opened: &OpenCrate) -> Vec<String> {
             Some(name) if name.parse::<Digest>() == Ok(digest.blake3) => {}
             Some(_) => faults.push(format!("`{path}` is not named by its blake3 digest")),
             None if is_told => {}
-            None => faults.push(format!("the graph does not tell of `{path}`")),
+            None => faults.push(format!("the graph does not describe `{path}`")),
         }
     }
     faults

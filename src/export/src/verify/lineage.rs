@@ -11,7 +11,7 @@ use super::open::{OpenCrate, text};
 use crate::contents::{leaves, rows};
 use crate::graph::{action_id, ids, root_name};
 
-/// Checks that what is read was made, and that photos come from files; returns how many photos were followed.
+/// Checks that inputs were made, and that photos come from files. Returns how many photos were followed.
 pub(super) fn check(opened: &OpenCrate, faults: &mut Vec<String>) -> u64 {
     check_root(opened, faults);
     let actions: BTreeMap<&str, Action> = opened
@@ -40,13 +40,14 @@ fn check_root(opened: &OpenCrate, faults: &mut Vec<String>) {
     }
 }
 
-/// What a node reads was made by a node before it or its children, or is told to come from outside.
+/// Checks that an earlier node or its children made each input, or that an input from outside is in the
+/// crate.
 fn check_inputs(opened: &OpenCrate, actions: &BTreeMap<&str, Action>, faults: &mut Vec<String>) {
     let mut made: BTreeSet<Digest> = BTreeSet::new();
     for node in &opened.run.nodes {
         let inputs = actions.get(node.name.as_str()).map(|action| &action.inputs);
         for (name, digest) in inputs.into_iter().flatten() {
-            // What a parent hands to a child need not be an output.
+            // An input that a parent gives to a child need not be an output.
             let is_foreign = matches!(name.as_str(), LISTING | COMPANIONS | EARLIER) || node.parent.is_some();
             match (made.contains(digest), is_foreign) {
                 (true, _) => {}
@@ -61,7 +62,8 @@ fn check_inputs(opened: &OpenCrate, actions: &BTreeMap<&str, Action>, faults: &m
     }
 }
 
-/// Photos that a node lets through are among those it read, with the same bytes; all sets are whole.
+/// Checks that the photos of a node are among those it read, with the same bytes, and that all sets are
+/// whole.
 fn check_sets(opened: &OpenCrate, actions: &BTreeMap<&str, Action>, faults: &mut Vec<String>) {
     for node in &opened.run.nodes {
         let out = match opened.photos(node) {
@@ -115,7 +117,7 @@ fn check_verdicts(opened: &OpenCrate, faults: &mut Vec<String>) {
     }
     for (path, digest) in &opened.bag.payload {
         if path.starts_with("items/") && !lines.contains(&digest.blake3) {
-            faults.push(format!("`{path}` is no verdict of the run"));
+            faults.push(format!("`{path}` is not a verdict of the run"));
         }
     }
 }
@@ -140,7 +142,7 @@ pub(super) fn origins(
         }
         let bytes = opened.object(&file.blake3)?;
         let listed =
-            Origin::decode(&bytes).map_err(|error| format!("`{object}` is no list of files: {error}"))?;
+            Origin::decode(&bytes).map_err(|error| format!("`{object}` is not a list of files: {error}"))?;
         origins.extend(listed.into_iter().map(|origin| (origin.blake3, origin)));
     }
     Ok(origins)
@@ -163,7 +165,7 @@ fn check_origins(opened: &OpenCrate, actions: &BTreeMap<&str, Action>, faults: &
                 continue;
             }
         };
-        // A run that did not note its files tells nothing of them.
+        // A run that did not note its files gives no origins.
         let is_told = !origins.is_empty();
         for row in opened.rows(node).iter().filter(|_| is_told) {
             let mut files = ["raw", "image"].iter().filter_map(|role| row.blobs.get(*role));

@@ -16,7 +16,7 @@ use crate::error::ExportError;
 use crate::graph::{CRATE_FORMAT, CRATE_PROFILE, METADATA, ids};
 use crate::run::check_finished;
 
-/// An opened crate. What is in it is not trusted.
+/// An opened crate. Its contents are not trusted.
 pub struct OpenCrate {
     /// The bag, with its faults.
     pub bag: Bag,
@@ -24,7 +24,7 @@ pub struct OpenCrate {
     pub entities: Vec<Value>,
     /// The bytes of the run root.
     pub root: Vec<u8>,
-    /// The run that they tell.
+    /// The run that it describes.
     pub run: RunRecord,
     /// Paths of the payload by the digest of their bytes.
     paths: BTreeMap<Digest, String>,
@@ -34,7 +34,7 @@ pub struct OpenCrate {
 #[derive(Debug, thiserror::Error)]
 pub enum OpenError {
     /// There is no crate.
-    #[error("{} is no crate: {cause}", path.display())]
+    #[error("{} is not a crate: {cause}", path.display())]
     NoCrate {
         /// The folder.
         path: PathBuf,
@@ -48,7 +48,7 @@ pub enum OpenError {
         path: PathBuf,
     },
     /// A crate of a newer form.
-    #[error("{} is a crate of version {found}; this program reads up to {CRATE_FORMAT}", path.display())]
+    #[error("{} is a crate of version {found}: this program reads up to {CRATE_FORMAT}", path.display())]
     Newer {
         /// The folder.
         path: PathBuf,
@@ -60,7 +60,7 @@ pub enum OpenError {
     BadRun {
         /// The folder.
         path: PathBuf,
-        /// What is wrong with it.
+        /// The fault.
         cause: ExportError,
     },
     /// The user wants to stop.
@@ -72,7 +72,8 @@ impl OpenCrate {
     /// Reads a crate. Every file is read once and compared with the bag's manifests.
     ///
     /// # Errors
-    /// A folder without a graph or a run root that can be read, or a crate of a newer form; the wish of the user to stop.
+    /// A folder without a readable graph or run root, or a crate of a newer form. The wish of the user to
+    /// stop.
     pub fn open(folder: &Path, cancel: &Cancel) -> Result<Self, OpenError> {
         let path = || folder.to_owned();
         let no_crate = |cause: String| OpenError::NoCrate { path: path(), cause };
@@ -107,7 +108,7 @@ impl OpenCrate {
         })
     }
 
-    /// Returns the bytes of an object that the payload holds; the error is a sentence.
+    /// Returns the bytes of an object that the payload holds. The error is a sentence.
     ///
     /// # Errors
     /// An object that is not there or cannot be read.
@@ -130,7 +131,7 @@ impl OpenCrate {
         Action::decode(&self.object(&key)?).map_err(|error| error.to_string())
     }
 
-    /// Reads the photos that a node gives; none of a node that gives none.
+    /// Reads the photos that a node gives. `None` if it gives none.
     ///
     /// # Errors
     /// A set that is not there or cannot be read.
@@ -147,7 +148,7 @@ impl OpenCrate {
         self.photos(node).ok().flatten().unwrap_or_default()
     }
 
-    /// Tells whether the payload holds the bytes of this digest.
+    /// Returns true if the payload holds the bytes of this digest.
     pub fn holds(&self, digest: &Digest) -> bool {
         self.paths.contains_key(digest)
     }
@@ -172,7 +173,7 @@ impl OpenCrate {
     }
 }
 
-/// Refuses what is no crate of ours, or of a newer form.
+/// Refuses a folder that is not a crate of ours, or of a newer form.
 fn check_version(folder: &Path, entities: &[Value]) -> Result<(), OpenError> {
     let root = entities.iter().find(|entity| text(entity, "@id") == "./");
     let profiles = root.map(|root| ids(&root["conformsTo"])).unwrap_or_default();
@@ -188,12 +189,12 @@ fn check_version(folder: &Path, entities: &[Value]) -> Result<(), OpenError> {
     }
 }
 
-/// Returns a text field of an entity; empty if it has none.
+/// Returns a text field of an entity. Empty if it has none.
 pub(super) fn text<'a>(entity: &'a Value, field: &str) -> &'a str {
     entity[field].as_str().unwrap_or_default()
 }
 
-/// Tells whether an entity is of a type.
+/// Returns true if an entity is of a type.
 pub(super) fn is(entity: &Value, kind: &str) -> bool {
     match &entity["@type"] {
         Value::Array(kinds) => kinds.iter().any(|found| found == kind),

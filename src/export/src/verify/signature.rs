@@ -10,7 +10,7 @@ use marf_cache::Sha256;
 use marf_keys::PublicKey;
 use serde::Serialize;
 
-/// What is known of the signature.
+/// State of the signature.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Signature {
@@ -24,7 +24,7 @@ pub enum Signature {
     Bad,
 }
 
-/// Checks the statement beside the payload against a key, and what it says against the crate.
+/// Checks the statement next to the payload against a key, and its contents against the crate.
 pub(super) fn check(opened: &OpenCrate, key: Option<&PublicKey>, faults: &mut Vec<String>) -> Signature {
     let (bytes, key) = match (opened.bag.tag(ATTESTATION), key) {
         (None, None) => return Signature::None,
@@ -49,7 +49,7 @@ pub(super) fn check(opened: &OpenCrate, key: Option<&PublicKey>, faults: &mut Ve
     }
 }
 
-/// Returns what is wrong with the subjects of a signed statement: they must be the manifest and the run root.
+/// Returns the fault of the subjects of a signed statement: they must be the manifest and the run root.
 fn wrong_subjects(opened: &OpenCrate, statement: &[u8]) -> Option<String> {
     let Some(subjects) = subjects_in(statement) else {
         return Some(format!("`{ATTESTATION}` is signed, but holds no statement"));

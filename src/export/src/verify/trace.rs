@@ -1,4 +1,4 @@
-//! Where bytes came from, told by a crate alone.
+//! Traces bytes to their origin, from a crate alone.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -13,7 +13,7 @@ use super::lineage::origins;
 use super::open::OpenCrate;
 use crate::contents::rows;
 
-/// Where bytes came from.
+/// Origin of some bytes.
 #[derive(Debug, Serialize)]
 pub struct Trace {
     /// Name of the run.
@@ -24,7 +24,7 @@ pub struct Trace {
     pub command: String,
     /// The program with its version.
     pub program: String,
-    /// What the bytes are: results of nodes, or objects of a photo.
+    /// Roles of the bytes: results of nodes, or objects of a photo.
     pub is: Vec<Role>,
     /// The nodes it took, sources first.
     pub steps: Vec<Step>,
@@ -32,7 +32,7 @@ pub struct Trace {
     pub products: Vec<Product>,
 }
 
-/// What some bytes are.
+/// Role of some bytes.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Role {
@@ -61,7 +61,7 @@ pub struct Step {
     pub key: Digest,
     /// Everything the result depends on.
     pub action: Action,
-    /// What it read, with the node that made it; none for what came from outside.
+    /// Its inputs, each with the node that made it. `None` for inputs from outside.
     pub reads: BTreeMap<String, Option<String>>,
 }
 
@@ -72,7 +72,7 @@ pub struct Product {
     pub id: String,
     /// Its objects by role.
     pub blobs: BTreeMap<String, Digest>,
-    /// The files of the archive that they are; none of a run that did not note them.
+    /// The files of the archive that they are. Empty if the run did not note them.
     pub files: Vec<Origin>,
 }
 
@@ -109,7 +109,7 @@ impl fmt::Display for Trace {
 }
 
 impl OpenCrate {
-    /// Tells where the bytes of a digest came from; none if they are no result and no photo of the run.
+    /// Traces the bytes of a digest. `None` if they are neither a result nor a photo of the run.
     ///
     /// # Errors
     /// An action or a list that is not in the crate or is damaged.
@@ -230,7 +230,7 @@ impl OpenCrate {
         })
     }
 
-    /// Returns the photos that are what is asked for, or that nodes on the way read without passing them on.
+    /// Returns the traced photos, or those that nodes on the way read without passing them on.
     fn products(
         &self,
         actions: &BTreeMap<&str, Action>,

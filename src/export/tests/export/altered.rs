@@ -1,4 +1,4 @@
-//! Crates that somebody touched: every kind of file, in one bit; and with the bag made anew.
+//! Altered crates: every kind of file, in one bit, also with a new bag.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -80,7 +80,7 @@ fn one_bit_in_any_kind_of_file_is_found() {
     assert_eq!(check(&folder).faults, Vec::<String>::new());
 }
 
-/// Whoever makes the bag anew after a change is found by the graph, by an action or by the signature.
+/// A change with a new bag is found by the graph, by an action or by the signature.
 #[test]
 fn one_bit_under_a_new_manifest_is_found() {
     let dir = tempfile::tempdir().unwrap();
@@ -142,7 +142,7 @@ fn a_graph_that_was_edited_is_found() {
         ),
         (
             |graph| graph.retain(|entity| entity["@id"] != "outputs/fit/weights.bin"),
-            "the graph does not tell of `outputs/fit/weights.bin`",
+            "the graph does not describe `outputs/fit/weights.bin`",
         ),
         (
             |graph| entity(graph, "#value/fit/parameter/seed")["value"] = "9".into(),
@@ -162,7 +162,7 @@ fn a_graph_that_was_edited_is_found() {
                 entity(graph, "#run")["result"] =
                     serde_json::json!([{"@id": "pipeline.toml"}, {"@id": action["@id"]}]);
             },
-            "`#run` tells of `pipeline.toml`, which no node read or made",
+            "`#run` refers to `pipeline.toml`, which no node read or made",
         ),
         (
             |graph| {
@@ -193,7 +193,7 @@ fn a_file_that_was_taken_out_is_found() {
     rebag(&folder);
     assert_eq!(
         check(&folder).faults,
-        ["the graph tells of `outputs/fit/weights.bin`, which is not in the bag"]
+        ["the graph describes `outputs/fit/weights.bin`, which is not in the bag"]
     );
 }
 

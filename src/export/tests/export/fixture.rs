@@ -294,7 +294,7 @@ pub fn check(folder: &Path) -> Report {
     verify(folder, None, &Cancel::default()).unwrap()
 }
 
-/// Makes the bag anew from whatever is in its payload, as a forger would who knows BagIt.
+/// Makes a new bag from the files of its payload, as a forger would who knows BagIt.
 pub fn rebag(folder: &Path) {
     let payload = folder.join("data");
     let info = std::fs::read_to_string(folder.join("bag-info.txt")).unwrap();
@@ -328,7 +328,7 @@ pub fn rebag(folder: &Path) {
     assert_eq!(Bag::read(folder, &Cancel::default()).faults, []);
 }
 
-/// Changes the graph of a crate and makes the bag anew.
+/// Changes the graph of a crate and makes a new bag.
 pub fn edit_graph(folder: &Path, edit: impl FnOnce(&mut Vec<Value>)) {
     let path = folder.join("data/ro-crate-metadata.json");
     let mut graph: Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();

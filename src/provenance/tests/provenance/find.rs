@@ -57,7 +57,7 @@ fn every_kind_of_content_is_found_with_its_maker() {
     );
 }
 
-/// One sum in two runs is one maker; the same text from other parameters is another.
+/// One sum in two runs is one maker. The same text from other parameters is another.
 #[test]
 fn a_reused_result_has_the_run_that_made_it_and_an_ambiguous_content_all_makers() {
     let (_dir, store) = fresh_store();

@@ -57,7 +57,7 @@ fn damage_is_named_and_tells_only_those_who_depend_on_it() {
     assert_eq!(verified(&store, run.number, "sum"), found);
 }
 
-/// A run root that was written anew, with a digest that fits, tells what its objects do not.
+/// A rewritten run root with a fitting digest disagrees with its objects.
 #[test]
 fn a_run_root_that_says_other_than_its_objects_is_found() {
     let (_dir, store) = fresh_store();
@@ -89,7 +89,7 @@ fn a_run_root_that_says_other_than_its_objects_is_found() {
 fn what_was_collected_is_named_and_the_rest_verified() {
     let (dir, store) = fresh_store();
     let run = Pipeline::default().run(&store);
-    // What a store that is open has used is not collected.
+    // Objects that an open store has used are not collected.
     drop(store);
     let store = Store::open(dir.path().join(".marf")).unwrap();
     let keep = run.node("pick").unwrap().key.unwrap();

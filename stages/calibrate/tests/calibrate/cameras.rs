@@ -200,7 +200,7 @@ fn where_photos_lie_is_not_guessed() {
         "{message}"
     );
     let refused = ExportCameras::new(serde_json::from_value(json!({"photos_at": "/x"})).unwrap());
-    assert!(refused.unwrap_err().to_string().contains("no relative path"));
+    assert!(refused.unwrap_err().to_string().contains("not a relative path"));
 }
 
 /// If this fails, `cameras` answers differently: raise its VERSION, then put the new pair here.

@@ -283,7 +283,7 @@ fn a_parameter_out_of_range_is_named() {
     assert!(few.contains("3 is too few, at least 64"), "{few}");
     assert!(complain(json!({"hold_every": 1})).contains("keep every photo from training"));
     assert!(complain(json!({"method": "labels", "extend": true})).contains("only method = \"sfm\""));
-    assert!(complain(json!({"longest_side_px": 15})).contains("15 px are no photo"));
+    assert!(complain(json!({"longest_side_px": 15})).contains("15 px are too few"));
     assert!(complain(json!({"metod": "labels"})).contains("unknown field `metod`"));
     let alone = complain(json!({"method": "labels", "min_registered": 1, "site": 4, "hold": "every"}));
     assert!(

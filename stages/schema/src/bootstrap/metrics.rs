@@ -1,4 +1,4 @@
-//! What a bootstrap says of its members, its maps and the photos held out.
+//! Results of a bootstrap: its members, its maps and the held-out photos.
 
 use marf_cache::Digest;
 use marf_stage::{Document, Params};
@@ -31,24 +31,24 @@ pub struct Metrics {
     pub std_rgb: [f64; 3],
     /// Mean term of what no photo saw: (1 - c)², c the share of a pixel that photos have seen.
     pub unseen_term: f64,
-    /// Mean total standard deviation: √(divisor-B variance + that term + r²), r the error of gray that a member has where the photos it
-    /// was trained on show the same, root mean square.
+    /// Mean total standard deviation: √(divisor-B variance + that term + r²). r is the root mean square error
+    /// of gray of a member where the photos it was trained on show the same.
     pub total_sd: f64,
     /// Mean sample standard deviation of the depth where there is one, world units.
     pub depth_std: Option<f64>,
-    /// Share of pixels of which photos saw less than half.
+    /// Share of pixels that the photos saw less than half of.
     pub unseen_share: f64,
     /// Share of pixels that show sky which photos saw.
     pub sky_share: f64,
     /// The members, in order.
     pub members: Vec<Member>,
-    /// How good the order of errors was with fewer of them; only with `b = "auto"`.
+    /// How well fewer members ordered the errors. Only with `b = "auto"`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub rounds: Vec<Round>,
-    /// What photos say of the members that did not draw them; only in mode `photos`.
+    /// Photos compared with the members that did not draw them. Only in mode `photos`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub out_of_bag: Option<OutOfBag>,
-    /// What the photos held out say; none where the viewpoints are not photos.
+    /// Errors on the held-out photos. `None` if the viewpoints are not photos.
     pub heldout: Option<HeldOut>,
     /// Every viewpoint.
     pub views: Vec<ViewReport>,
@@ -62,7 +62,7 @@ impl Document for Metrics {
 /// The first members of a bootstrap.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Round {
-    /// So many.
+    /// Number of members.
     pub b: u32,
     /// Mean AUSE by their standard deviation over the photos held out, shrunk to at most 160 pixels.
     pub ause_mae: f64,
@@ -75,7 +75,7 @@ pub struct OutOfBag {
     pub photos: u64,
     /// Mean PSNR of the means of those that did not, dB.
     pub psnr: f64,
-    /// Mean PSNR of the means of those that did, of the same photos, dB; none where no photo has both.
+    /// Mean PSNR of the means of those that did, of the same photos, dB. `None` if no photo has both.
     pub psnr_in_bag: Option<f64>,
 }
 
@@ -107,14 +107,14 @@ pub struct ViewReport {
     pub total_sd: f64,
     /// Mean standard deviation of the depth where there is one, world units.
     pub depth_std: Option<f64>,
-    /// Share of pixels of which photos saw less than half.
+    /// Share of pixels that the photos saw less than half of.
     pub unseen_share: f64,
     /// Share of pixels that show sky which photos saw.
     pub sky_share: f64,
     /// Number of the place of a photo: photos of one place stand near each other and look the same way.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub place: Option<u64>,
-    /// How well the spread ranks the errors; only where there is a photo.
+    /// How well the spread ranks the errors. `None` without a photo.
     #[serde(flatten, skip_serializing_if = "Option::is_none")]
     pub photo: Option<PhotoReport>,
 }
@@ -138,7 +138,7 @@ pub struct PhotoReport {
     pub spearman: f64,
 }
 
-/// What the photos held out say about the spread.
+/// Statistics of the spread on the held-out photos.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct HeldOut {
     /// Means of [`PhotoReport`] over photos, `spearman` as the median.
@@ -150,18 +150,19 @@ pub struct HeldOut {
     pub psnr_members_mean: f64,
     /// Share of pixels whose error lies within the spread.
     pub coverage: Coverage,
-    /// What these would be, were the errors normal with that spread.
+    /// These shares for normal errors with that spread.
     pub coverage_nominal: Coverage,
     /// Mean negative log-likelihood of the errors, nats, to six decimals.
     pub nll: f64,
-    /// The 90 % interval of gray, in sRGB of [0, 1]; none with fewer than two places held out.
+    /// The 90 % interval of gray, in sRGB of [0, 1]. `None` with fewer than two held-out places.
     pub calibration: Option<Calibration>,
-    /// The 90 % interval of the depth, as shares of the depth, from the sparse points that the photos show; none with fewer than two
-    /// places or 100 points.
+    /// The 90 % interval of the depth, as shares of the depth, from the sparse points that the photos show.
+    /// `None` with fewer than two places or 100 points.
     pub depth_calibration: Option<Calibration>,
 }
 
-/// Mean absolute error of gray, sRGB in [0, 1], of the pixels that are left; mean over photos, one value for each of `removed`.
+/// Mean absolute error of gray, sRGB in [0, 1], of the remaining pixels, as a mean over photos. One value for
+/// each of `removed`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SparsificationCurves {
     /// Shares of the pixels that are taken away.
@@ -187,24 +188,26 @@ pub struct Coverage {
 
 /// Intervals fitted on the photos held out, and how far they hold at places they were not fitted on: each place is left out in turn.
 ///
-/// The spread of a pixel is √(v + r² + floor²), v the mean variance of the members over 5 x 5 pixels around it, and r, of gray, the error of
-/// a member where the photos it was trained on show the same; of depths it is 0.
+/// The spread of a pixel is √(v + r² + floor²). v is the mean variance of the members over 5 x 5 pixels
+/// around it. r of gray is the error of a member where the photos it was trained on show the same. r of
+/// depths is 0.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Calibration {
     /// Least spread: noise, and what no field resolves.
     pub floor: f64,
-    /// 68.3 % of the errors are at most so many spreads.
+    /// 68.3 % of the errors are at most this many spreads.
     pub t: f64,
-    /// 90 % of the errors are at most so many spreads: half of the width of the interval that maps show.
+    /// 90 % of the errors are at most this many spreads: half of the width of the interval that maps show.
     pub factor90: f64,
-    /// Mean |share inside - nominal| over 19 nominal shares of a normal distribution of `t` spreads, at the place left out; mean over
-    /// places.
+    /// Mean |share inside - nominal| over 19 nominal shares of a normal distribution of `t` spreads, at the
+    /// place left out, as a mean over places.
     pub ece: f64,
     /// Least and largest of a place.
     pub ece_range: [f64; 2],
-    /// Share of the errors at the place left out that intervals of nominal shares 0.05, 0.10, .. 0.95 hold; mean over places.
+    /// Share of the errors at the place left out within intervals of nominal shares 0.05, 0.10, .. 0.95, as a
+    /// mean over places.
     pub inside: Vec<f64>,
-    /// Share of the errors at the place left out that its 90 % interval covers; mean over places.
+    /// Share of the errors at the place left out that its 90 % interval covers, as a mean over places.
     pub coverage90: f64,
     /// Least and largest of a place.
     pub coverage90_range: [f64; 2],
@@ -214,6 +217,6 @@ pub struct Calibration {
     pub views: u64,
     /// Share of pixels without an interval, since no photo trained on saw them.
     pub unseen_share: f64,
-    /// What to keep in mind.
+    /// Caveats.
     pub note: String,
 }

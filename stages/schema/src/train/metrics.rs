@@ -1,4 +1,4 @@
-//! What `train` writes beside the weights.
+//! Metrics and setup that `train` writes in addition to the weights.
 
 use marf_cache::Digest;
 use marf_field::{Config, Derived, Facts, Schedule};
@@ -8,20 +8,21 @@ use serde::{Deserialize, Serialize};
 use super::{Fit, Fold, Holdout, Memory, Target, TrainParams};
 use crate::scores::Scores;
 
-/// How well a field reproduces photos that it was trained on, which is not how good it is elsewhere: the protocol of the paper.
+/// How well a field reproduces photos that it was trained on (the protocol of the paper). It says nothing
+/// about other views.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct OnTraining {
     /// Photos that were compared: as many as are held out, spread evenly over those trained on.
     pub photos: u64,
     /// Mean peak signal-to-noise ratio, peak 1, dB.
     pub psnr: f64,
-    /// Mean of the paper's definition, peak = largest value of the photo, dB; none where all photos are black.
+    /// Mean of the paper's definition, peak = largest value of the photo, dB. `None` if all photos are black.
     pub psnr_paper: Option<f64>,
-    /// Mean structural similarity; none where all photos are smaller than its window.
+    /// Mean structural similarity. `None` if all photos are smaller than its window.
     pub ssim: Option<f64>,
 }
 
-/// What a training with `warm_start` began from.
+/// Start of a training with `warm_start`.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum WarmStart {
@@ -37,18 +38,18 @@ pub struct Metrics {
     /// On the photos held out.
     #[serde(flatten)]
     pub scores: Scores,
-    /// On some of the photos trained on; only where those of the final metric are held out.
+    /// On some of the photos trained on. Only if those of the final metric are held out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub on_training: Option<OnTraining>,
-    /// What it began from; only with `warm_start`.
+    /// What it began from. Only with `warm_start`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub warm_start: Option<WarmStart>,
-    /// How `target_psnr` went.
+    /// Result of `target_psnr`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub target: Option<Target>,
     /// Optimiser steps.
     pub steps: u64,
-    /// As the end was planned on the way; absent: it was planned once.
+    /// The end as planned during the training. Absent if it was planned once.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub schedule: Option<Schedule>,
     /// Rays trained.
@@ -59,10 +60,10 @@ pub struct Metrics {
     pub loss: f64,
     /// Factor by which photos were shrunk.
     pub scale: u32,
-    /// Factor by which the photos that judge it were shrunk; absent: the same.
+    /// Factor by which the photos that judge it were shrunk. Absent if the same.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub judged_scale: Option<u32>,
-    /// One pixel of so many of each training photo was kept; absent: all.
+    /// One pixel in this many of each training photo was kept. Absent: all.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub thinned: Option<u32>,
     /// Seed.
@@ -76,12 +77,12 @@ pub struct Metrics {
     pub train_photos: u64,
     /// Photos held out.
     pub held_out_photos: u64,
-    /// Ids of the photos drawn, as often as they were; only with `resample` or `photos`.
+    /// Ids of the drawn photos, repeated as drawn. Only with `resample` or `photos`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub drawn: Option<Vec<String>>,
     /// What decided how large the field is.
     pub fit: Fit,
-    /// The GPU that trained, with driver and interface; absent: the CPU.
+    /// The GPU that trained, with driver and interface. Absent: the CPU.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub gpu: Option<String>,
     /// The configuration as it was used.
@@ -91,7 +92,7 @@ pub struct Metrics {
 }
 
 impl Metrics {
-    /// Tells whether it trained on a photo that was not held out.
+    /// Returns true if it trained on a photo that was not held out.
     pub fn has_drawn(&self, id: &str) -> bool {
         let is_it = |drawn: &Vec<String>| drawn.iter().any(|drawn| drawn == id);
         self.drawn.as_ref().is_none_or(is_it)
@@ -103,18 +104,18 @@ impl Document for Metrics {
     const OUTPUT: &'static str = "metrics";
 }
 
-/// Output `setup` of `train`: all that a training depends on beside its scene, its seed and the draw of its photos, with
-/// everything that was derived or decided on the way.
+/// Output `setup` of `train`: everything a training depends on except its scene, its seed and the draw of its
+/// photos, including all derived and decided values.
 ///
 /// A training that reads it through its port `training` is the same training with another seed or draw.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Setup {
     /// Optimiser steps.
     pub steps: u64,
-    /// As the end was planned on the way; absent: it was planned once.
+    /// The end as planned during the training. Absent if it was planned once.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub schedule: Option<Schedule>,
-    /// Steps of each trial that decided parts of the field; 0: there were none.
+    /// Steps of each trial that decided parts of the field. 0 without trials.
     #[serde(default)]
     pub trial_steps: u64,
     /// Whether one training photo in eight, by place, was held back to watch a target by.
@@ -122,11 +123,11 @@ pub struct Setup {
     pub watched: bool,
     /// Factor by which photos are shrunk.
     pub scale: u32,
-    /// One pixel of so many of each training photo is kept.
+    /// One pixel in this many of each training photo is kept.
     pub kept_every: u32,
     /// Memory that the training may take.
     pub memory: Memory,
-    /// Most training photos that are used; absent: all.
+    /// Most training photos that are used. Absent: all.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub photos: Option<u64>,
     /// Which photos are held out.
@@ -134,7 +135,7 @@ pub struct Setup {
     /// Which fold is held out instead.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub fold: Option<Fold>,
-    /// What it began from; only with `warm_start`.
+    /// What it began from. Only with `warm_start`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub warm_start: Option<WarmStart>,
     /// What decided how large the field is.

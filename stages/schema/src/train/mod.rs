@@ -31,9 +31,9 @@ pub enum Holdout {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Fold {
-    /// Which of them, from 0.
+    /// Index of this fold, from 0.
     pub index: u32,
-    /// How many there are; a scene of fewer places has fewer.
+    /// Number of folds. A scene of fewer places has fewer.
     pub count: u32,
     /// Share of the steps that are really trained, above 0 and up to 1.
     pub share: f64,
@@ -47,7 +47,7 @@ impl Fold {
 
     fn check(&self) -> Result<(), ParamError> {
         if self.count < 2 {
-            let message = format!("{} folds hold out all or nothing; at least 2", self.count);
+            let message = format!("{} folds hold out all or nothing: use at least 2", self.count);
             return Err(ParamError::new("fold.count", message));
         }
         if self.index >= self.count {
@@ -69,14 +69,15 @@ pub enum Fit {
     Fixed,
 }
 
-/// Short trainings that tell which parts of the field pay.
+/// Short trainings that measure which parts of the field improve it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct TrialsParams {
-    /// Steps of one trial, 0 for none; absent: none at quality `draft`, else all together a fifth of the training.
+    /// Steps of one trial, 0 for none. Default: none at quality `draft`, else a fifth of the training for all
+    /// trials together.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub steps: Option<u64>,
-    /// Least gain for which a part is kept, dB; seeds differ by about a tenth.
+    /// Least gain for which a part is kept, dB. Seeds differ by about a tenth.
     pub least_gain_db: f64,
 }
 
@@ -98,12 +99,12 @@ pub struct TrainParams {
     /// Optimiser steps, instead of those of `quality`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub steps: Option<u64>,
-    /// Time to train for (`60s`, `5m`), instead of `steps`: trials and optimiser steps, not decoding or judging. The end is
-    /// planned anew as the clock goes, and the metrics hold the schedule that was run.
+    /// Time to train for (`60s`, `5m`), instead of `steps`: trials and optimiser steps, not decoding or
+    /// judging. The end is planned again as time passes, and the metrics hold the schedule that was run.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub budget: Option<Budget>,
-    /// Time of the whole wait (`5m`), instead of `steps`: from the start of the run to the end of this training, judging and
-    /// pictures included; what is left of it after all else is the training's.
+    /// Time of the whole wait (`5m`), instead of `steps`: from the start of the run to the end of this
+    /// training, including judging and pictures. The training gets the time that everything else leaves.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub within: Option<Budget>,
     /// The schedule of a training with a budget (`[[0, 4000], [250, 3700]]`: before step 250 the end was moved to step 3,700),
@@ -111,46 +112,49 @@ pub struct TrainParams {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(with = "Option<Vec<[u64; 2]>>")]
     pub schedule: Option<Schedule>,
-    /// Mean PSNR at which the training stops, dB, on the training photos held back to watch it by, one in eight, by place; at the latest
-    /// it ends as `quality`, `steps` or `budget` says.
+    /// Mean PSNR at which the training stops, dB. It is measured on the training photos held back for it, one
+    /// in eight, by place. The training ends no later than `quality`, `steps` or `budget` says.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub target_psnr: Option<f64>,
     /// Seed of weights and rays.
     pub seed: u64,
-    /// Whole factor by which photos are shrunk; absent: the least that brings them to 480 pixels and, with `budget` or
-    /// `within`, lets the time be enough to see a twelfth of their pixels.
+    /// Whole factor by which photos are shrunk. Default: the least that brings them to 480 pixels and, with
+    /// `budget` or `within`, leaves time to see a twelfth of their pixels.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub scale: Option<u32>,
-    /// Memory that the training may take (`2GB`); where the photos do not fit, one pixel of every few is kept.
+    /// Memory that the training may take (`2GB`). If the photos do not fit, one pixel of every few is kept.
     pub memory: Memory,
     /// Photos that are kept away from training.
     pub holdout: Holdout,
     /// Holds out these photos instead, and trains a share of the steps: what `folds` asks for.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub fold: Option<Fold>,
-    /// At most so many training photos, spread evenly over them; absent: all.
+    /// Most training photos, spread evenly over them. Default: all.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub photos: Option<u64>,
-    /// At most so many of the photos held out are judged by, spread evenly, and none of those trained on; absent: all, and as many of
-    /// those trained on. A training with `within` chooses by its time.
+    /// Most held-out photos that judge the training, spread evenly. Photos trained on then do not judge it.
+    /// Default: all held-out photos, and as many of those trained on. A training with `within` chooses by its
+    /// time.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub judged_photos: Option<u64>,
-    /// Whole factor by which the photos that it is judged by are shrunk; absent: `scale`, or the least that brings them to 480 pixels.
+    /// Whole factor by which the photos that judge it are shrunk. Default: `scale`, or the least that brings
+    /// them to 480 pixels.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub judged_scale: Option<u32>,
     /// Seed with which as many training photos are drawn as there are, with replacement (a bootstrap sample).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub resample: Option<u64>,
-    /// Starts from the field of this node's last finished run, where the scene has only grown: new photos cost fewer steps. That
-    /// field is then an input of this node, so the result depends on what was run before. Where it does not fit (other frame,
-    /// other keys of the field, a box outgrown, a photo held out now that it was trained on) the training starts anew and says why.
+    /// Starts from the field of this node's last finished run if the scene has only grown: new photos cost
+    /// fewer steps. That field is then an input of this node, so the result depends on earlier runs. If it
+    /// does not fit (other frame, other keys of the field, a box outgrown, a photo held out now that it was
+    /// trained on), the training starts from scratch and says why.
     #[serde(skip_serializing_if = "is_false")]
     pub warm_start: bool,
     /// What decides how large the field is.
     pub fit: Fit,
     /// Short trainings that hold back one training photo in eight, by place: width, exposure and sky by their gain.
     pub trials: TrialsParams,
-    /// Keys of the field; they win over those of the input `params`.
+    /// Keys of the field. They override those of the input `params`.
     pub field: Overrides,
     /// Which processor trains and renders: `auto` (a GPU where there is one, never a software adapter), `cpu`, `gpu`,
     /// or `gpu:NAME` for the adapter whose name holds NAME. Only what was opened is in the key.
@@ -184,7 +188,8 @@ impl Params for TrainParams {
     const STAGE: &'static str = "train";
 }
 
-/// Part of the time of a training that an unfinished run took, about; it is not in the seconds of the node.
+/// Part of the time of a training that an unfinished run took, approximately. It is not in the seconds of the
+/// node.
 pub const BEFORE_STOP: &str = "before the stop";
 
 impl Fit {
@@ -210,8 +215,8 @@ impl TrainParams {
         training.or(self.within.map(Limit::Wait))
     }
 
-    /// Returns the parameters that repeat a training with a budget to the bit, on any machine; none where there is no budget,
-    /// as the parameters then do so themselves.
+    /// Returns the parameters that repeat a training with a budget to the bit, on any machine. `None` without
+    /// a budget, as the parameters themselves then do so.
     pub fn repeating(&self, setup: &Setup, metrics: &Metrics) -> Option<Self> {
         self.limit()?;
         let mut field = self.field.clone();
@@ -244,7 +249,7 @@ impl TrainParams {
     /// Names the key that is out of range.
     pub fn check(&self) -> Result<(), ParamError> {
         if self.steps == Some(0) {
-            return Err(ParamError::new("steps", "0 steps train nothing; at least 1"));
+            return Err(ParamError::new("steps", "0 steps train nothing: use at least 1"));
         }
         let lengths = [
             ("steps", self.steps.is_some()),
@@ -254,7 +259,7 @@ impl TrainParams {
         ];
         let mut given = lengths.iter().filter(|(_, is_given)| *is_given);
         if let (Some((first, _)), Some((second, _))) = (given.next(), given.next()) {
-            let message = format!("`{first}` is given too; keep one of the two");
+            let message = format!("`{first}` is given too: keep one of the two");
             return Err(ParamError::new(*second, message));
         }
         self.check_target()?;
@@ -263,7 +268,7 @@ impl TrainParams {
         check_scale(self.scale)?;
         self.check_judged()?;
         if !(0.0..=100.0).contains(&self.trials.least_gain_db) {
-            let message = format!("{} dB; from 0 to 100", self.trials.least_gain_db);
+            let message = format!("{} dB is not from 0 to 100", self.trials.least_gain_db);
             return Err(ParamError::new("trials.least_gain_db", message));
         }
         check_field(&self.fit.config(), &self.field)
@@ -274,13 +279,13 @@ impl TrainParams {
     fn check_judged(&self) -> Result<(), ParamError> {
         for (key, photos) in [("photos", self.photos), ("judged_photos", self.judged_photos)] {
             if photos == Some(0) {
-                return Err(ParamError::new(key, "0 photos tell nothing; at least 1"));
+                return Err(ParamError::new(key, "0 photos measure nothing: use at least 1"));
             }
         }
         check_scale(self.judged_scale).map_err(|error| ParamError::new("judged_scale", error.message))
     }
 
-    /// A training that another one asks for has no last run of its own.
+    /// A child training has no last run of its own.
     fn check_warm_start(&self) -> Result<(), ParamError> {
         let other = [
             ("fold", self.fold.is_some()),
@@ -289,7 +294,7 @@ impl TrainParams {
         match other.iter().find(|(_, is_given)| self.warm_start && *is_given) {
             Some((key, _)) => Err(ParamError::new(
                 "warm_start",
-                format!("`{key}` is given too; keep one of the two"),
+                format!("`{key}` is given too: keep one of the two"),
             )),
             None => Ok(()),
         }
@@ -302,7 +307,7 @@ impl TrainParams {
         if !(psnr > 0.0 && psnr <= 100.0) {
             return Err(ParamError::new(
                 "target_psnr",
-                format!("{psnr} dB; above 0, up to 100"),
+                format!("{psnr} dB is not above 0 and at most 100"),
             ));
         }
         let other = [
@@ -313,7 +318,7 @@ impl TrainParams {
         match other.iter().find(|(_, is_given)| *is_given) {
             Some((key, _)) => Err(ParamError::new(
                 "target_psnr",
-                format!("with `{key}` there is no photo to watch a target by; keep one of the two"),
+                format!("with `{key}` no photo is left to measure the target: keep one of the two"),
             )),
             None => Ok(()),
         }

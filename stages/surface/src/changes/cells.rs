@@ -10,7 +10,7 @@ use marf_stage::{Ctx, Outputs, StageError};
 /// Least linear light of a channel: below it 8 bits are noise.
 const DARKEST: f64 = 0.002;
 
-/// Of nine cells around a place so many make it known.
+/// Known cells among the nine around a place from which on the place is known.
 const LEAST_KNOWN: u32 = 3;
 
 /// Numbers of a cell: height (metres), ln of the brightness, ln of red over green, ln of blue over green.
@@ -43,7 +43,7 @@ impl Extent {
         self.columns as usize * self.rows as usize
     }
 
-    /// Returns the place of a cell of another extent in this one; none outside.
+    /// Returns the place of a cell of another extent in this one. `None` outside.
     pub fn place(&self, other: &Self, column: u32, row: u32) -> Option<usize> {
         let across = u32::try_from(other.left - self.left + i64::from(column)).ok()?;
         let down = u32::try_from(self.top - other.top + i64::from(row)).ok()?;
@@ -51,7 +51,8 @@ impl Extent {
         is_inside.then(|| down as usize * self.columns as usize + across as usize)
     }
 
-    /// Returns the part of it that has all of some places, and some cells around them; none without a place.
+    /// Returns the part of it that has all of some places, and some cells around them. `None` without a
+    /// place.
     pub fn around(&self, places: impl Iterator<Item = usize>, margin: i64) -> Option<Self> {
         let columns = self.columns as usize;
         let corners = places.map(|place| {
@@ -77,9 +78,9 @@ impl Extent {
 pub(super) struct Grid {
     pub extent: Extent,
     pub cell_m: f64,
-    /// `[rows * columns]`; none where there is no surface.
+    /// `[rows * columns]`. `None` without a surface.
     pub values: Vec<Option<Values>>,
-    /// `[rows * columns]`: how far the views of the field differ there, metres; 0 where it is not known.
+    /// `[rows * columns]`: how far the views of the field differ there, metres. 0 if unknown.
     pub spread_m: Vec<f64>,
 }
 
@@ -87,7 +88,7 @@ impl Grid {
     /// Reads height map and orthophoto of a surface.
     ///
     /// # Errors
-    /// A surface without a map, with the reason; maps that are damaged.
+    /// A surface without a map, with the reason. Damaged maps.
     pub fn read(ctx: &Ctx<'_>, outputs: &Outputs) -> Result<Self, StageError> {
         let report: SurfaceReport = super::outputs::document(ctx, outputs)?;
         let Some(map) = report.map else {
@@ -132,7 +133,8 @@ impl Grid {
         ))
     }
 
-    /// Averages numbers over each cell and those around it, where at least three are known: what is finer is noise in a field.
+    /// Averages numbers over each cell and those around it, where at least three are known: finer structure
+    /// of a field is noise.
     fn smoothed(extent: Extent, cell_m: f64, values: &[Option<Values>], spread_m: Vec<f64>) -> Self {
         let mean = |place: usize| {
             let (mut count, mut sum) = (0_u32, [0.0; 4]);
@@ -175,7 +177,7 @@ pub(super) fn values(height_m: f64, srgb: [u8; 3]) -> Values {
     ]
 }
 
-/// Returns the colour (linear RGB) of numbers, of which the brightness is that of green: a picture for people.
+/// Returns the colour (linear RGB) of numbers, with the brightness as that of green: a picture for people.
 pub(super) fn colour([_, brightness, red, blue]: Values) -> [f64; 3] {
     let (r, b) = (libm::exp(red), libm::exp(blue));
     let g = libm::exp(brightness) / (0.2126 * r + 0.7152 + 0.0722 * b);

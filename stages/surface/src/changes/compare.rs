@@ -23,18 +23,18 @@ const WEAK: f64 = 2.0 / 3.0;
 const UNCHANGED: f64 = 0.9;
 /// Least factor from how far trainings and views differ to the noise: it is never taken for less.
 const LEAST_FACTOR: f64 = 1.0;
-/// Cells to each side of a cell that are asked whether both times show them, and how many of all must be: at the edge of what photos saw
-/// surfaces bend.
+/// Cells to each side of a cell that are checked for a surface at both times, and how many of all must have
+/// one: surfaces bend at the edge of what photos saw.
 const EDGE: i64 = 2;
 const LEAST_AROUND: usize = 20;
-/// Beyond so many standard deviations a cell is no part of a plane (Tukey's biweight).
+/// Beyond this many standard deviations a cell is not part of a plane (Tukey's biweight).
 const TUKEY: f64 = 4.685;
 /// Rounds of the fit of a plane.
 const ROUNDS: usize = 12;
-/// A factor of the light from which on a shadow may be what changed it: half of the light of the open Martian ground and less is left in
-/// one (the sky gives a third to a half of all light at an optical depth of 0.5).
+/// A factor of the light from which on the cause may be a shadow. A shadow keeps half of the light of the
+/// open Martian ground or less (the sky gives a third to a half of all light at an optical depth of 0.5).
 const SHADOW: f64 = 0.6;
-/// Least standard deviations: a millimetre, the step of heights; a gray level of the photos.
+/// Least standard deviations: a millimetre, which is the step of heights, and a gray level of the photos.
 const FLOORS: Values = [0.001, 0.01, 0.01, 0.01];
 const HEIGHT: usize = 0;
 const BRIGHTNESS: usize = 1;
@@ -55,7 +55,7 @@ impl CellDifference {
         (self.difference[quantity] / self.sigma[quantity]).abs()
     }
 
-    /// Returns what changed, if it differs by more than so many standard deviations.
+    /// Returns what changed, if it differs by more than `sigmas` standard deviations.
     fn change(&self, sigmas: f64) -> Option<Change> {
         if self.off(HEIGHT) > sigmas {
             return Some(if self.difference[HEIGHT] > 0.0 {

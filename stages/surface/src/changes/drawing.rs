@@ -35,7 +35,8 @@ pub(super) fn pictures(
     ])
 }
 
-/// Draws what changed in colours over the ground in gray; dark where one time alone shows it, transparent where none does.
+/// Draws the changes in colours over the ground in gray. A cell is dark if only one time shows it,
+/// transparent if none does.
 fn changes(map: &Comparison) -> Result<Vec<u8>, SurfaceError> {
     let ground = map.after.cells.iter().zip(&map.before.cells);
     let pixel = |(place, (after, before)): (usize, (&Option<_>, &Option<_>))| {

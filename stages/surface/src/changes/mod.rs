@@ -1,7 +1,10 @@
-//! `changes`: one place photographed at two times. Each time is trained apart, several times; maps of their surfaces are compared.
+//! `changes`: one place photographed at two times. Each time is trained separately, several times, and maps
+//! of their surfaces are compared.
 //!
-//! Rounds of nodes: the first field of each time; its retrainings and, where no cell is given, the surfaces of the first fields; the surfaces
-//! of all fields with one cell.
+//! Rounds of nodes:
+//! 1. the first field of each time,
+//! 2. its retrainings and, if no cell is given, the surfaces of the first fields,
+//! 3. the surfaces of all fields with one cell.
 
 mod cells;
 mod compare;
@@ -31,17 +34,20 @@ use compare::Comparison;
 use outputs::document;
 use rounds::Rounds;
 
-/// Fewest photos of a time: of fewer there is no surface to speak of.
+/// Fewest photos of a time. Fewer give no usable surface.
 const LEAST_PHOTOS: usize = 4;
-/// Photos of which about one is held out where the whole scene holds none of a time out: as many as `calibrate` does.
+/// One photo in this many, approximately, is held out of a time without held-out photos of the whole scene.
+/// The same as in `calibrate`.
 const HOLD_EVERY: u32 = 8;
 /// Compares a place at two times.
 ///
-/// - In: a scene of photos of both times; the set of photos, which tells their sols.
-/// - Out: what changed, as a list of patches and as maps; nothing is told where one of the times shows no ground.
-/// - The noise is how far the trainings of a time and the views of a field differ, scaled to what the ground shows: nine tenths of it are taken
-///   for unchanged. Where more changed the noise is told too large, and less is found.
-/// - Brightness alone is never told as a change of the ground: a shadow does the same.
+/// - In: a scene of photos of both times, and the set of photos, which gives their sols.
+/// - Out: the changes, as a list of patches and as maps. Nothing is reported if one of the times shows no
+///   ground.
+/// - The noise is how far the trainings of a time and the views of a field differ, scaled to what the ground
+///   shows: nine tenths of it are taken for unchanged. If more changed, the noise is overestimated and less
+///   is found.
+/// - Brightness alone is never reported as a change of the ground: a shadow does the same.
 #[derive(Debug)]
 pub struct FindChanges {
     params: ChangesParams,

@@ -1,4 +1,4 @@
-//! What the trainings of one time agree on, cell by cell, and how far they differ.
+//! Mean of the trainings of one time, cell by cell, and their differences.
 
 use super::cells::{Extent, Grid, Values, around};
 
@@ -6,7 +6,7 @@ use super::cells::{Extent, Grid, Values, around};
 const POOLED: i64 = 2;
 /// Half width of 90 % of a normal distribution, standard deviations.
 pub(super) const NINETY: f64 = 1.644_85;
-/// Share of a cell by which two maps may lie beside each other.
+/// Share of a cell by which two maps may be shifted against each other.
 const BESIDE: f64 = 0.25;
 
 /// Mean and variance of a cell over the trainings of a time.

@@ -7,17 +7,17 @@ use super::cells::{Extent, around};
 
 /// Cells of nine that must have changed alike, else one that did is noise.
 const ALIKE: usize = 4;
-/// One cell of so many of a patch must be beyond the limit, else the patch is noise that grew together.
+/// One cell in this many of a patch must be beyond the limit, else the patch is noise that grew together.
 const STRONG: usize = 3;
-/// Share of its median change of colour at which a patch of colour ends: photos and fields blur the edge of what lies flat, and half of the
-/// change is left there.
+/// Share of its median change of colour at which a patch of colour ends. Photos and fields blur the edge of a
+/// flat object, and half of the change remains there.
 const HALF: f64 = 0.5;
 
 /// The patches of a map.
 pub(super) struct Patches {
     /// The largest first.
     pub list: Vec<PatchCells>,
-    /// What changed in each cell; none where nothing did or nothing is known.
+    /// The change in each cell. `None` if nothing changed or nothing is known.
     pub of_cell: Vec<Option<Change>>,
 }
 
@@ -26,15 +26,15 @@ pub(super) struct PatchCells {
     pub change: Change,
     /// Places, rising.
     pub cells: Vec<usize>,
-    /// How many of them differ by as much as was asked for.
+    /// Number of cells that differ by the requested limit.
     pub strong: usize,
-    /// How many there are with one more all around.
+    /// Number of cells with one more all around.
     pub widened: usize,
 }
 
-/// What a cell shows.
+/// State of a cell.
 pub(super) struct CellChange {
-    /// Its change by the limit that was asked for.
+    /// Its change by the requested limit.
     pub strong: Option<Change>,
     /// Its change by the weaker limit.
     pub weak: Option<Change>,
@@ -42,8 +42,8 @@ pub(super) struct CellChange {
     pub colour: f64,
 }
 
-/// Returns the patches: cells beyond the limit with their neighbours beyond two thirds of it, without single ones; `least`: fewest cells
-/// beyond the limit. `found`: none where nothing is known.
+/// Returns the patches: cells beyond the limit with their neighbours beyond two thirds of it, without single
+/// ones. `least`: fewest cells beyond the limit. `found`: `None` for unknown cells.
 pub(super) fn patches(extent: &Extent, found: &[Option<CellChange>], least: usize) -> Patches {
     let grown = grown(extent, found);
     let kept: Vec<Option<Change>> = (0..grown.len())

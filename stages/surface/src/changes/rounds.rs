@@ -1,4 +1,4 @@
-//! Which nodes are asked for, round by round.
+//! Nodes of a comparison, round by round.
 
 use marf_cache::Digest;
 use marf_schema::changes::ChangesParams;
@@ -12,17 +12,18 @@ use super::outputs::{digest, document};
 /// The two times, as nodes call them.
 const TIMES: [&str; 2] = ["before", "after"];
 
-/// Cells that the views of a field may differ by where they still show ground: what is rough is noisy, and no hole.
+/// Cells that the views of a field may differ by and still show ground: rough ground is noisy, but not a
+/// hole.
 const SPREAD: f64 = 3.0;
 /// Share of the reach of a surface within which it is compared: where a pixel is two cells wide. Beyond it two times differ by what their
 /// photos resolve.
 const REACH: f64 = 0.5;
 
-/// How fine and how far surfaces are, metres.
+/// Resolution and reach of surfaces, metres.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Size {
     pub cell_m: f64,
-    /// Largest distance from a photo; none: as the surface takes it.
+    /// Largest distance from a photo. `None`: the default of the surface.
     pub reach_m: Option<f64>,
 }
 
@@ -175,7 +176,7 @@ pub(super) fn training(params: &ChangesParams, index: u32) -> TrainParams {
     }
 }
 
-/// Returns how the surface of a field is made; `size`: none for one that follows from the photos.
+/// Returns the parameters of the surface of a field. `size`: `None` for one that follows from the photos.
 pub(super) fn surface(params: &ChangesParams, size: Option<Size>) -> SurfaceParams {
     let cell_m = size.map(|size| size.cell_m);
     SurfaceParams {

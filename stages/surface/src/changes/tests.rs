@@ -1,4 +1,4 @@
-//! Planted changes on made maps, and which nodes are asked for.
+//! Planted changes on made maps, and the nodes of each round.
 
 use marf_scene::{Camera, Pose};
 use marf_schema::changes::{Change, ChangesParams, Time};
@@ -26,7 +26,7 @@ fn params() -> ChangesParams {
 fn maps(seed: u64, change: &dyn Fn(f64, f64, &mut Values)) -> Vec<Grid> {
     let mut state = seed;
     let mut noise = move || {
-        // Numerical Recipes' generator; four draws are normal enough.
+        // Numerical Recipes' generator. The sum of four draws is sufficiently normal.
         let mut draw = || {
             state = state
                 .wrapping_mul(6_364_136_223_846_793_005)
@@ -143,7 +143,7 @@ fn a_planted_stone_and_a_pit_are_found_with_area_height_and_volume() {
         );
         assert!((patch.height_m[0] - rise).abs() < patch.height_m[1], "{patch:?}");
         assert!((patch.volume_m3 - rise).abs() < 0.1 * rise.abs(), "{patch:?}");
-        // Columns begin 3 cells right of the origin; the top row is the 8th above it.
+        // Columns begin 3 cells right of the origin. The top row is the 8th above it.
         let middle = [1.5 + 3.5 * CELL_M, 2.5 + (8.0 - 0.5 - 80.0) * CELL_M];
         let off = [0, 1].map(|axis| (patch.middle_m[axis] - middle[axis]).abs());
         assert!(off[0] < CELL_M && off[1] < CELL_M, "{patch:?} {middle:?}");
@@ -174,7 +174,7 @@ fn another_colour_is_a_change_and_a_shadow_is_undecided() {
     assert!((shadow.undecided_m2 - 1.0).abs() < 0.15, "{shadow:?}");
 }
 
-/// Much is beyond the limits where little of the change is left, and none of it is told.
+/// Many cells are beyond the limits where little of the change is left, and none of them is reported.
 #[test]
 fn a_blurred_edge_of_a_colour_lies_where_half_of_the_change_is_left() {
     let share = |x: f64, middle: f64| ((0.5 - (x - middle).abs()) / 0.3 + 0.5).clamp(0.0, 1.0);
@@ -283,7 +283,7 @@ fn rounds_follow_from_what_is_done() {
     assert!(rounds.results(&[]).is_err());
 }
 
-/// Sixteen photos in a row, eight a time; `held_out` of these.
+/// Sixteen photos in a row, eight a time. `held_out` selects some.
 fn two_times(held_out: &dyn Fn(usize) -> bool) -> (Scene, BTreeMap<String, u32>) {
     let frame = |index: usize| Frame {
         id: format!("p{index:02}"),

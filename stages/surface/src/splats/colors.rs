@@ -8,13 +8,14 @@ type Sums = [f64; 4];
 
 /// Moves the colours of splats towards those with which their pictures are the field's, by `sweeps` steps.
 ///
-/// A picture is linear in the colours: p = W c with the weights of [`Raster`], whose rows sum to at most 1. A step is
-/// c ← c + D Wᵀ (p* - W c) with D = 1 / column sums, the simultaneous iterative reconstruction technique (Gilbert 1972; its convergence:
-/// Gregor and Benson, IEEE TMI 2008), over all pixels of all views that show a surface; colours are held within [0, 1].
-/// Splats that no pixel shows keep theirs. Sums run in the order of views and tiles: the same for any number of threads.
+/// A picture is linear in the colours: p = W c with the weights of [`Raster`], whose rows sum to at most 1. A
+/// step is c ← c + D Wᵀ (p* - W c) with D = 1 / column sums, over all pixels of all views that show a
+/// surface. This is the simultaneous iterative reconstruction technique (Gilbert 1972, convergence: Gregor
+/// and Benson, IEEE TMI 2008). Colours are held within [0, 1]. Splats that no pixel shows keep theirs. Sums
+/// run in the order of views and tiles: the same for any number of threads.
 ///
 /// # Errors
-/// Those of `before_view`, which is called with step and view before each: to tell progress, and to stop.
+/// Those of `before_view`, which is called with step and view before each, to report progress and to stop.
 pub fn adjust_colors<E>(
     splats: &mut [Splat],
     pictures: &[Picture<'_>],
@@ -73,7 +74,7 @@ mod tests {
 
     use super::*;
 
-    /// A wall of discs a quarter of a unit apart at z = 2, all gray; and its camera.
+    /// A wall of discs a quarter of a unit apart at z = 2, all gray, and its camera.
     fn wall() -> (Vec<Splat>, Camera) {
         let at = |index: i32| f64::from(index) * 0.25;
         let places = (-4..=4).flat_map(|y| (-4..=4).map(move |x| Vector3::new(at(x), at(y), 2.0)));

@@ -15,12 +15,17 @@ pub const PROPERTIES: [&str; 17] = [
     "scale_2", "rot_0", "rot_1", "rot_2", "rot_3",
 ];
 
-/// Returns splats as binary little-endian PLY in the layout of the reference code of 3-D Gaussian splatting, which viewers read; in the axes of
-/// the scene, in metres where the scene has a scale.
+/// Returns splats as binary little-endian PLY in the layout of the reference code of 3-D Gaussian splatting,
+/// which viewers read. Positions are in the axes of the scene, in metres if the scene has a scale.
 ///
-/// A vertex, all float: x, y, z; nx, ny, nz; f_dc_0 to 2 (sRGB, as (colour - 0.5) / 0.2821: the colour does not depend on the direction, so
-/// there is no f_rest); opacity (logit); scale_0 to 2 (natural logarithm of the standard deviations along the disc's axes, the third along
-/// its normal); rot_0 to 3 (unit quaternion w, x, y, z that turns z into the normal).
+/// Properties of a vertex, all float:
+/// - x, y, z and nx, ny, nz
+/// - f_dc_0 to 2: sRGB, as (colour - 0.5) / 0.2821. The colour does not depend on the direction, so there is
+///   no f_rest.
+/// - opacity (logit)
+/// - scale_0 to 2: natural logarithm of the standard deviations along the disc's axes, the third along its
+///   normal
+/// - rot_0 to 3: unit quaternion w, x, y, z that turns z into the normal
 pub fn ply(splats: &[Splat], frame: &ExportFrame, comments: &[String]) -> Vec<u8> {
     let header = HeaderWriter::new(&with_frame(frame, comments))
         .element("vertex", splats.len())
@@ -48,8 +53,8 @@ fn numbers(splat: &Splat, scale: f64) -> [f64; 17] {
     ]
 }
 
-/// Returns the unit quaternion (w, x, y, z) of the shortest turn from z to a unit vector: (1 + z · n, z × n), normalised; half a turn about x
-/// for -z.
+/// Returns the unit quaternion (w, x, y, z) of the shortest turn from z to a unit vector: (1 + z · n, z × n),
+/// normalised. For -z it is half a turn about x.
 fn turned_to(nx: f64, ny: f64, nz: f64) -> [f64; 4] {
     let turn = Vector4::new(1.0 + nz, -ny, nx, 0.0);
     turn.try_normalize(1e-12).unwrap_or_else(Vector4::y).into()

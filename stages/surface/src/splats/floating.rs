@@ -1,37 +1,39 @@
-//! Which splats float before the surface that the views show.
+//! Removal of splats that float before the surface that the views show.
 
 use rayon::prelude::*;
 
 use super::raster::Raster;
 use super::{Picture, Splat};
 
-/// Views that look through a splat, of those that look through it or show it there, from which on it floats: on the demo a third and a
-/// fifth have the same PSNR within 0.2 dB.
+/// Share of the views that look through a splat, among those that look through it or show it there, above
+/// which it floats. On the demo a third and a fifth have the same PSNR within 0.2 dB.
 const FLOATS: f32 = 1.0 / 3.0;
 /// A pixel that passes more of the light than this shows a gap.
 const GAP: f32 = 0.3;
 
-/// What a view shows at the place of a splat.
+/// View of the place of a splat.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Look {
-    /// What lies behind it by more than its width, at its pixel and all around it.
+    /// The surface behind it by more than its width, at its pixel and all around it.
     Through,
     /// A surface there, at this pixel.
     Surface(usize),
-    /// Nothing that tells of it: it is hidden, outside, or masked.
+    /// No evidence: it is hidden, outside, or masked.
     Nothing,
 }
 
 /// Returns the splats without those that float, and how many these are.
 ///
-/// The depths of views differ by more than a splat is thick, and a picture shows the nearest: splats of the views that see a surface too near
-/// would hide it in all others. One through which a third of the views look goes, unless a view that shows a surface at its place
-/// would have a gap there: it comes back then. In their order: the same for any number of threads.
+/// The depths of views differ by more than a splat is thick, and a picture shows the nearest. Splats of the
+/// views that see a surface too near would hide it in all others. A splat that more than a third of these
+/// views look through is removed. It is restored if a view that shows a surface at its place would have a gap
+/// there. Splats keep their order: the same for any number of threads.
 ///
-/// - `distances`: of each picture `[height * width]`, along the ray, world units; infinite where it meets nothing, NaN where a mask hides it.
+/// - `distances`: of each picture `[height * width]`, along the ray, world units. Infinite where it meets
+///   nothing, NaN where a mask hides it.
 ///
 /// # Errors
-/// Those of `before_view`, which is called before each view is asked: to stop.
+/// Those of `before_view`, which is called before each view, to stop.
 pub fn without_floating<E>(
     splats: &[Splat],
     pictures: &[Picture<'_>],
@@ -195,7 +197,7 @@ mod tests {
             let view = View::of(|_| 2.0);
             assert_eq!(look(&disc(z), &view.picture(), &view.distance), wanted, "{z}");
         }
-        // The wall at the left reaches to the column beside the axis: it may be that edge that is seen.
+        // The wall at the left reaches to the column next to the axis: that edge may be the one in view.
         let edge = View::of(|column| if column < 20 { 1.5 } else { 2.0 });
         assert_eq!(look(&disc(1.5), &edge.picture(), &edge.distance), on);
         let sky = View::of(|_| f64::INFINITY);
@@ -214,7 +216,7 @@ mod tests {
     fn what_a_third_of_the_views_look_through_goes_where_something_is_behind_it() {
         let splats = [&wall(2.0)[..], &[disc(1.8)]].concat();
         let (near, far) = (|| View::of(|_| 1.8), || View::of(|_| 2.0));
-        // One view of two looks through it; one of three; one of four.
+        // One view of two looks through it, one of three, one of four.
         for (views, floating) in [
             (vec![near(), far()], 1),
             (vec![near(), near(), far()], 0),
@@ -235,7 +237,7 @@ mod tests {
         // Nobody shows a surface where these are: no gap is theirs.
         let views = [View::of(|_| 2.0), View::of(|_| 2.0)];
         assert_eq!(left(&splats, &views).1, splats.len() as u64);
-        // What no view tells of stays.
+        // A splat without evidence from any view stays.
         assert!(left(&splats, &[]) == (splats.clone(), 0));
     }
 

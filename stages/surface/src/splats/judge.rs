@@ -1,4 +1,4 @@
-//! How near pictures of splats come to those of the field.
+//! Comparison of pictures of splats with those of the field.
 
 use marf_scene::metrics::psnr;
 use marf_scene::{Image, Srgb};
@@ -7,20 +7,20 @@ use super::raster::Raster;
 use super::{Picture, Splat};
 use crate::ply::to_byte;
 
-/// Pictures of splats beside those of the field.
+/// Comparison of pictures of splats with those of the field.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SplatComparison {
     /// PSNR over the pixels where the field shows a surface, before black, dB.
     pub psnr_db: f64,
     /// Share of the pixels that were compared.
     pub share: f64,
-    /// What the splats show.
+    /// Picture of the splats.
     pub splats: Image<Srgb>,
-    /// What the field shows, black where it shows no surface.
+    /// Picture of the field, black where it shows no surface.
     pub field: Image<Srgb>,
 }
 
-/// Compares a picture of splats with the field's; none where the field shows no surface at all.
+/// Compares a picture of splats with the field's. `None` if the field shows no surface at all.
 pub fn judge(splats: &[Splat], picture: &Picture<'_>) -> Option<SplatComparison> {
     let drawn = Raster::new(splats, picture.camera, picture.cam_from_world).picture(splats);
     let hidden: Vec<bool> = picture.opacity.iter().map(|opacity| *opacity <= 0.0).collect();

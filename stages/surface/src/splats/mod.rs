@@ -41,13 +41,13 @@ pub struct Splat {
 }
 
 impl Splat {
-    /// Returns the side of the cell that it stands for, world units.
+    /// Returns the side of the cell that it represents, world units.
     pub fn width(&self) -> f64 {
         self.sigma / SIGMA
     }
 }
 
-/// What a field shows at a view.
+/// Picture of a field at a view.
 #[derive(Debug, Clone, Copy)]
 pub struct Picture<'a> {
     /// The camera.
@@ -56,6 +56,7 @@ pub struct Picture<'a> {
     pub cam_from_world: &'a Pose,
     /// `[height * width]`, sRGB in [0, 1].
     pub rgb: &'a [[f32; 3]],
-    /// `[height * width]`, in [0, 1]; 0 where the field shows no surface and where a mask hides it: such pixels are not compared.
+    /// `[height * width]`, in [0, 1]. 0 if the field shows no surface or a mask hides it: such pixels are not
+    /// compared.
     pub opacity: &'a [f32],
 }

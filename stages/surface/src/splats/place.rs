@@ -1,4 +1,4 @@
-//! Where splats lie: the surfaces that views show, in cells as wide as their pixels.
+//! Placement of splats on the surfaces that views show, in cells as wide as their pixels.
 
 use std::collections::BTreeMap;
 
@@ -11,16 +11,17 @@ use crate::extract::SurfaceLimits;
 use crate::view::SurfaceView;
 use crate::volume::Place;
 
-/// Least side of a cell, in pixels of the view that shows it; sides are powers of two, so that it is less than twice as much.
+/// Least side of a cell, in pixels of the view that shows it. Sides are powers of two, so a side is less than
+/// twice as much.
 const PIXELS: f64 = 1.0;
-/// A cell of which finer ones cover this share is left to them.
+/// A cell is left to finer ones if they cover this share of it.
 const COVERED: f32 = 0.5;
 /// Levels of cells, each twice as wide as the one before.
 const LEVELS: u8 = 24;
 /// The file has the logit of an opacity, and no viewer blends more.
 const MOST_OPACITY: f32 = 0.99;
 
-/// What fell into a cell: sums by weight.
+/// Pixels of a cell: sums by weight.
 #[derive(Debug, Clone, Copy)]
 struct Sum {
     level: u8,
@@ -36,11 +37,11 @@ struct Sum {
 /// Shares of cells that splats cover, of one level.
 type Cover = BTreeMap<Place, f32>;
 
-/// Returns a splat for every cell in which pixels of the views show a surface: the mean of these pixels, each by cos² θ / r² as in
-/// [`crate::Volume::fuse`]. A pixel falls into the finest cells that are as wide as itself, or wider; where finer cells cover a surface,
-/// what views from afar say of it is left out.
+/// Returns a splat for every cell in which pixels of the views show a surface: the mean of these pixels, each
+/// by cos² θ / r² as in [`crate::Volume::fuse`]. A pixel falls into the finest cells that are as wide as
+/// itself, or wider. Where finer cells cover a surface, pixels of distant views are left out.
 ///
-/// - `views`: with the opacities of their pixels; `observers`: how far the photo of each saw.
+/// - `views`: with the opacities of their pixels. `observers`: how far the photo of each saw.
 /// - `limits`: no cell is narrower than its cell, no pixel farther than its reach, no splat shown by less than its photos.
 ///
 /// In the order of levels and cells: the same for any number of threads.
@@ -139,7 +140,7 @@ fn merged(sorted: &[Sum]) -> Vec<Sum> {
     sorted.chunk_by(|a, b| key(a) == key(b)).map(add).collect()
 }
 
-/// Returns what cells cover of those twice as wide: each is a quarter of the surface.
+/// Returns the cover of cells twice as wide: each cell is a quarter of the surface of its parent.
 fn parents(cover: &Cover) -> Cover {
     let mut parents = Cover::new();
     for (place, share) in cover {

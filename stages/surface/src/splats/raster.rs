@@ -6,7 +6,8 @@ use rayon::prelude::*;
 
 use super::{Splat, THIN};
 
-/// Variance that is added to a footprint, pixels²: none is narrower than a pixel (the reference code of 3-D Gaussian splatting).
+/// Variance that is added to a footprint, pixels²: no footprint is narrower than a pixel (the reference code
+/// of 3-D Gaussian splatting).
 const LOW_PASS: f64 = 0.3;
 /// Largest share of the light that one splat takes, and smallest that is drawn (the same).
 const MOST_ALPHA: f32 = 0.99;
@@ -36,9 +37,10 @@ pub struct Footprint {
 }
 
 impl Footprint {
-    /// Projects a splat: Σ' = J W Σ Wᵀ Jᵀ + 0.3 I, with the rotation W of the camera, the Jacobian J of the projection at the centre of the
-    /// splat and Σ = σ² (I - n nᵀ) + t² n nᵀ (Zwicker et al., EWA Splatting, TVCG 2002, eq. 24 to 31; Kerbl et al., 3D Gaussian Splatting,
-    /// SIGGRAPH 2023, eq. 5, and its reference code for 0.3). The distortion of the lens moves the centre; in J it is left out.
+    /// Projects a splat: Σ' = J W Σ Wᵀ Jᵀ + 0.3 I, with the rotation W of the camera, the Jacobian J of the
+    /// projection at the centre of the splat and Σ = σ² (I - n nᵀ) + t² n nᵀ. Sources: Zwicker et al., EWA
+    /// Splatting, TVCG 2002, eq. 24 to 31. Kerbl et al., 3D Gaussian Splatting, SIGGRAPH 2023, eq. 5, and its
+    /// reference code for 0.3. The distortion of the lens moves the centre but is left out of J.
     ///
     /// None behind the camera, or too near to it for the approximation.
     pub fn project(index: u32, splat: &Splat, camera: &Camera, cam_from_world: &Pose) -> Option<Self> {
@@ -69,7 +71,8 @@ impl Footprint {
         })
     }
 
-    /// Returns the pixels that it may touch, first and one past the last, of columns and of rows; none outside of the picture.
+    /// Returns the pixels that it may touch, first and one past the last, of columns and of rows. `None`
+    /// outside of the picture.
     fn pixels(&self, camera: &Camera) -> Option<[std::ops::Range<usize>; 2]> {
         let [xx, _, yy] = self.covariance;
         let along = |at: f32, variance: f64, side: u32| {
@@ -92,7 +95,7 @@ impl Footprint {
     }
 }
 
-/// What a splat adds to a pixel.
+/// Contribution of a splat to a pixel.
 #[derive(Debug, Clone, Copy)]
 pub struct Share {
     /// The splat.
@@ -142,8 +145,8 @@ impl Raster {
         }
     }
 
-    /// Returns what a function makes of each tile, in the order of the tiles; it gets what the splats add to the tile's pixels, those of one
-    /// pixel from front to back.
+    /// Maps each tile with `of_tile`, in the order of the tiles. `of_tile` gets the contributions of splats
+    /// to the tile's pixels, those of one pixel from front to back.
     pub fn map_tiles<T: Send>(&self, splats: &[Splat], of_tile: impl Fn(&[Share]) -> T + Sync) -> Vec<T> {
         let tiles = (0..self.tiles.len()).into_par_iter();
         tiles.map(|tile| of_tile(&self.shares(splats, tile))).collect()
@@ -174,13 +177,14 @@ impl Raster {
         colors
     }
 
-    /// Returns where a pixel lies in its tile.
+    /// Returns the index of a pixel in its tile.
     pub fn slot(&self, pixel: u32) -> usize {
         let (column, row) = (pixel % self.camera.width, pixel / self.camera.width);
         row as usize % TILE * TILE + column as usize % TILE
     }
 
-    /// Returns what splats add to the pixels of a tile: α = min(0.99, o exp(-dᵀ Σ'⁻¹ d / 2)) at the centres of pixels, none where less than 1/255.
+    /// Returns the contributions of splats to the pixels of a tile: α = min(0.99, o exp(-dᵀ Σ'⁻¹ d / 2)) at
+    /// the centres of pixels. Those below 1/255 are left out.
     fn shares(&self, splats: &[Splat], tile: usize) -> Vec<Share> {
         let (width, height) = (self.camera.width as usize, self.camera.height as usize);
         let columns = width.div_ceil(TILE);
@@ -274,7 +278,7 @@ mod tests {
         let mut turned = splat(2.0, 0.05, 1.0, 0.9);
         turned.normal = Vector3::new(-(60_f64.to_radians().sin()), 0.0, -0.5);
         let found = Footprint::project(0, &turned, &camera(), &Pose::identity()).unwrap();
-        // Half of 2.5 px squared; its thickness of a tenth of σ adds 3/4 of a hundredth of 6.25.
+        // Half of 2.5 px squared. Its thickness of a tenth of σ adds 3/4 of a hundredth of 6.25.
         let wanted = [6.25 * (0.25 + 0.75 * THIN * THIN) + 0.3, 0.0, 6.55];
         for (value, wanted) in found.covariance.into_iter().zip(wanted) {
             assert!((value - wanted).abs() < 1e-9, "{:?}", found.covariance);
@@ -289,7 +293,8 @@ mod tests {
             ..splat(2.0, 0.05, 1.0, 0.9)
         };
         let found = Footprint::project(0, &aside, &camera(), &Pose::identity()).unwrap();
-        // Along its disc (y, z) only z moves the column: -f x / z² = -10 px a unit, 0.5 px for σ; its thickness 50 px a unit, 0.25 px.
+        // Along its disc (y, z) only z moves the column: -f x / z² = -10 px a unit, 0.5 px for σ. Its
+        // thickness moves it 50 px a unit, 0.25 px.
         assert!(
             (found.covariance[0] - (0.25 + 0.0625 + 0.3)).abs() < 1e-9,
             "{:?}",

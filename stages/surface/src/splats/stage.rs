@@ -42,7 +42,7 @@ impl SplatSet {
     /// Makes the splats of what the views show.
     ///
     /// # Errors
-    /// [`SurfaceError::NoSurface`] where the views show none; the wish to stop.
+    /// [`SurfaceError::NoSurface`] if the views show none. The wish to stop.
     pub fn new(ctx: &Ctx<'_>, seen: &FieldViews, limits: &SurfaceLimits) -> Result<Self, StageError> {
         let views = seen.shown.iter().zip(&seen.opacities);
         let views: Vec<_> = views.map(|(view, opacity)| (view, &opacity[..])).collect();
@@ -65,7 +65,7 @@ impl SplatSet {
     /// Compares the splats with the field and writes them, with pictures splats | field at the held-out views.
     ///
     /// # Errors
-    /// The wish to stop; a store that cannot be written.
+    /// The wish to stop. A store that cannot be written.
     pub fn write(
         self,
         ctx: &Ctx<'_>,
@@ -108,7 +108,7 @@ impl SplatSet {
     }
 }
 
-/// Returns what the field shows at the views of the photos.
+/// Returns the pictures of the field at the views of the photos.
 fn pictures(seen: &FieldViews) -> Vec<Picture<'_>> {
     let views = seen.shown.iter().zip(&seen.opacities);
     let pictures = views.map(|(view, opacity)| Picture {
@@ -131,7 +131,7 @@ impl HeldOutView {
     }
 }
 
-/// Returns the mean and the least of what was judged; none of nothing.
+/// Returns the mean and the least of the comparisons. `None` without any.
 fn psnr(judged: &[SplatComparison]) -> Option<SplatPsnr> {
     let mean =
         |value: fn(&SplatComparison) -> f64| judged.iter().map(value).sum::<f64>() / judged.len() as f64;

@@ -1,4 +1,4 @@
-//! What tests of both codecs share: pictures, a reader of boxes of its own, readers that are not ours.
+//! Shared parts of the tests of both codecs: pictures, an own reader of boxes, and independent readers.
 #![allow(dead_code, reason = "no test uses all of it")]
 
 use std::collections::BTreeMap;
@@ -75,7 +75,7 @@ pub fn boxes<'a>(bytes: &'a [u8], path: &str, found: &mut BTreeMap<String, &'a [
     }
 }
 
-/// What a file says of itself.
+/// Contents of a file by its boxes.
 pub struct Parsed {
     pub width: u32,
     pub height: u32,
@@ -174,7 +174,7 @@ pub fn noise(width: u32, height: u32, index: u32) -> Image<Srgb> {
     })
 }
 
-/// Runs a program of ffmpeg on a file; none where it is not installed.
+/// Runs a program of ffmpeg on a file. `None` if it is not installed.
 fn reads(program: &str, file: &[u8], args: &[&str], behind: &[&str]) -> Option<Output> {
     let folder = std::env::temp_dir();
     let thread = std::thread::current();
@@ -192,7 +192,7 @@ fn reads(program: &str, file: &[u8], args: &[&str], behind: &[&str]) -> Option<O
     Some(output)
 }
 
-/// What ffprobe says of a file is what was asked for.
+/// Asserts that ffprobe reports these lines for a file, if it is installed.
 pub fn ffprobe_finds(file: &[u8], lines: &[&str]) {
     let asked = "stream=codec_name,width,height,r_frame_rate,nb_frames,pix_fmt,color_range,color_space";
     let args = [
@@ -216,7 +216,7 @@ pub fn ffprobe_finds(file: &[u8], lines: &[&str]) {
     }
 }
 
-/// Returns the pictures of a file as ffmpeg decodes them; none without ffmpeg.
+/// Returns the pictures of a file as ffmpeg decodes them. `None` without ffmpeg.
 pub fn ffmpeg_decodes(file: &[u8], width: u32, height: u32) -> Option<Vec<Image<Srgb>>> {
     let raw = [
         "-pix_fmt",
