@@ -164,7 +164,9 @@ fn fsck(store: &Store, args: &FsckArgs) -> Result<(), Error> {
         return Ok(());
     }
     if report.is_repaired {
-        eprint_line("repaired: damaged files are in quarantine. A run computes their results again when it needs them");
+        eprint_line(
+            "repaired: damaged files are in quarantine. A run computes their results again when it needs them",
+        );
         return Ok(());
     }
     Err(Error::Failed(

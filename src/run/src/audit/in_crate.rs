@@ -11,7 +11,7 @@ use crate::copies::object_of;
 use crate::error::{Answer, Diagnostic, Error};
 use crate::export::{open_crate, verify_crate};
 
-/// Returns what the run of a crate says of a file.
+/// Traces a file in the run of a crate.
 ///
 /// # Errors
 /// A file or a crate that cannot be read; the answers "altered", of the file or of the crate, and "not ours".

@@ -23,8 +23,8 @@ pub struct Attestation {
     pub key_id: String,
 }
 
-/// Signs a statement on a run, by default the newest whole one, with the private key in a file (PEM). `subject` is a node or a file with the
-/// bytes of a result, by default all results of the run.
+/// Signs a statement on a run, by default the newest whole one, with the private key in a file (PEM). `subject` is a node or a file with
+/// the bytes of a result. By default, the statement covers all results of the run.
 ///
 /// # Errors
 /// A key, a run or a result that is not there.
