@@ -199,7 +199,7 @@ fn bad_words_for_cache_verbs_are_refused_with_what_to_write() {
     );
     let refused = marf(dir.path(), &["cache", "unpin", "x"]).exits(1);
     assert!(
-        refused.stderr.contains("there is no pin `x`"),
+        refused.stderr.contains("unknown pin `x`"),
         "{}",
         refused.stderr
     );

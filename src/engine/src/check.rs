@@ -106,7 +106,7 @@ pub enum GraphError {
         node: String,
     },
     /// A key names a node that does not exist.
-    #[error("`{node}.{key}` names the node `{upstream}`, which is not there; there are {}", known.join(", "))]
+    #[error("`{node}.{key}` names the node `{upstream}`, which does not exist. The nodes are {}", known.join(", "))]
     UnknownUpstream {
         /// The node with the key.
         node: String,
@@ -118,7 +118,7 @@ pub enum GraphError {
         known: Vec<String>,
     },
     /// A key that the stage lacks.
-    #[error("`{node}` has no input `{key}`; it has {}", known.join(", "))]
+    #[error("`{node}` has no input `{key}`. Its inputs are {}", known.join(", "))]
     UnknownKey {
         /// The node.
         node: String,
@@ -138,7 +138,7 @@ pub enum GraphError {
         output: String,
     },
     /// The upstream node lacks the output that an input needs.
-    #[error("`{key}` of `node.{node}` needs `{output}`; `node.{upstream}` (stage `{stage}`) gives {}", outputs.join(", "))]
+    #[error("`{key}` of `node.{node}` needs `{output}`, but `node.{upstream}` (stage `{stage}`) gives {}", outputs.join(", "))]
     NoSuchOutput {
         /// The node.
         node: String,

@@ -195,7 +195,7 @@ impl fmt::Display for Change {
         };
         if let Some(input) = self.path.strip_prefix("inputs.") {
             return match input {
-                LISTING => write!(f, "what the archive lists {became}"),
+                LISTING => write!(f, "the archive listing {became}"),
                 _ => write!(f, "input {input} {became}"),
             };
         }
@@ -286,7 +286,7 @@ mod tests {
                         .inputs
                         .extend([(LISTING.to_owned(), Digest::from_content(b"b"))])
                 },
-                "what the archive lists is new",
+                "the archive listing is new",
             ),
             (
                 |action| action.params["rule"] = json!("Robust"),

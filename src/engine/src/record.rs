@@ -184,7 +184,7 @@ pub enum EngineError {
     #[error(transparent)]
     Store(#[from] StoreError),
     /// A name that is not in the graph.
-    #[error("there is no node `{node}`; there are {}", known.join(", "))]
+    #[error("there is no node `{node}`. The nodes are {}", known.join(", "))]
     UnknownNode {
         /// The name.
         node: String,
@@ -373,7 +373,7 @@ fn read(store: &Store, number: u64, warn: &impl Fn(String)) -> Option<RunRecord>
     match run_of(store, number) {
         Ok(run) => Some(run),
         Err(error) => {
-            warn(format!("{error}; it is passed over"));
+            warn(format!("{error}. This run is skipped"));
             None
         }
     }

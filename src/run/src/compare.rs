@@ -109,7 +109,7 @@ fn without(run: &RunRecord, scene: Option<&str>) -> Error {
     let (message, hint) = match (scene, scenes.as_slice()) {
         (Some(scene), []) => (
             format!(
-                "run {} does not split its photos by place: there is no scene `{scene}`",
+                "run {} does not split its photos by place, so it has no scene `{scene}`",
                 run.number
             ),
             "leave the scene out".to_owned(),

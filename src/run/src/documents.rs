@@ -65,7 +65,7 @@ pub fn resolved(store: &Store, run: &RunRecord) -> Result<Value, Error> {
     let number = run.number;
     let resolved = run.documents.get(document::RESOLVED).ok_or_else(|| {
         Error::failed(format!(
-            "run {number} is of an earlier version, whose root does not hold the pipeline"
+            "run {number} is of an earlier version, whose root does not contain the pipeline"
         ))
     })?;
     let bytes = store.get(&resolved.digest)?;

@@ -75,6 +75,6 @@ mod tests {
         assert_eq!(build(&store, None).unwrap().blake3, Digest::from_content(b"kept"));
         known.state = state_of(&table).unwrap();
         std::fs::write(&table, serde_json::to_vec(&known).unwrap()).unwrap();
-        assert_eq!(build(&store, None), Some(first), "another file is read anew");
+        assert_eq!(build(&store, None), Some(first), "another file is read again");
     }
 }

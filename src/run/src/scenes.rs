@@ -112,7 +112,7 @@ pub fn selected(session: &Session, selection: &Selection) -> Result<SelectedNode
         None => session.scenes.clone(),
         Some(scene) if session.scenes.contains(scene) => vec![scene.clone()],
         Some(scene) => {
-            let diagnostic = Diagnostic::new(format!("--scene {scene}: there is no such scene"));
+            let diagnostic = Diagnostic::new(format!("--scene {scene}: unknown scene"));
             let known = format!("the scenes are {}", session.scenes.join(", "));
             return Err(Error::Usage(diagnostic.hint(known)));
         }

@@ -56,9 +56,7 @@ impl Shared {
         });
         let refuse = |error: &RemoteError| {
             let hint = error.hint().map(|hint| format!(" ({hint})")).unwrap_or_default();
-            context.warn(format!(
-                "{error}{hint}. The run goes on without the shared store"
-            ));
+            context.warn(format!("{error}{hint}. The run goes on without the shared store"));
         };
         let sharing = opened.inspect_err(refuse).ok();
         Ok(sharing.map(|sharing| Arc::new(Self(sharing))))

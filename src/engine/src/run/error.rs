@@ -46,7 +46,7 @@ pub enum ActionError {
         here: String,
     },
     /// This program makes another key of the action.
-    #[error("stage `{stage}` of another marf: {difference}; this program would make the key {key} of it", key = key.short())]
+    #[error("stage `{stage}` of another marf: {difference}. This program would give it the key {key}", key = key.short())]
     Key {
         /// Name of the stage.
         stage: String,

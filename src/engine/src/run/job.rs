@@ -150,7 +150,7 @@ impl Job<'_> {
 
     /// Waits for the lease on the key.
     fn lease(&self) -> Result<Lease, StageError> {
-        let busy = || self.warn("the same result is being made elsewhere; waiting for it".to_owned());
+        let busy = || self.warn("waiting for another process that computes the same result".to_owned());
         Lease::take(
             self.context.store.dir(),
             &self.prepared.key.digest,

@@ -40,7 +40,7 @@ pub(super) fn recover(state: &mut RunState<'_>, index: usize, lost: &Digest) {
     };
     state.context.listener.on_event(&Event::Warning {
         node: Some(state.tasks[index].name.clone()),
-        message: format!("blob {} is missing or damaged; {again}", lost.short()),
+        message: format!("blob {} is missing or damaged: {again}", lost.short()),
     });
     let mut before = BTreeSet::new();
     for &producer in &producers {

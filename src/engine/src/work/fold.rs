@@ -45,7 +45,7 @@ fn added_by(run: &StageRun<'_>, mut chain: Digest) -> Result<Vec<Digest>, StageE
         let link = run.ctx.get(&chain)?;
         let ([before, last], []) = link.as_chunks::<32>() else {
             return Err(contract_violation(format!(
-                "{} is no link of a chain",
+                "{} is not a link of a chain",
                 chain.short()
             )));
         };
@@ -193,7 +193,7 @@ impl Steps<'_> {
     fn push(&mut self, key: Digest, part: Part) -> Result<(), StageError> {
         let added = part
             .added
-            .ok_or_else(|| contract_violation("a step of a fold lacks what it added".to_owned()))?;
+            .ok_or_else(|| contract_violation("a step of a fold has no output `added`".to_owned()))?;
         self.before = after(&self.before, &added);
         self.keys.push(key);
         self.parts.push(part);

@@ -399,7 +399,7 @@ pub(super) fn keep_fetched(
     for fetched in measures {
         let Some(digest) = digests.get(fetched.id.as_str()) else {
             return Err(contract_violation(format!(
-                "a measure is of `{}`, which is no row",
+                "a measure is of `{}`, which is not a row",
                 fetched.id
             )));
         };

@@ -82,7 +82,7 @@ pub fn unpin(store: &Store, name: &str) -> Result<(), Error> {
     if !path.exists() {
         let known: Vec<String> = pins(store)?.into_keys().collect();
         return Err(Error::failed(format!(
-            "there is no pin `{name}`; there are: {}",
+            "unknown pin `{name}`. The pins are {}",
             known.join(", ")
         )));
     }

@@ -92,7 +92,7 @@ fn first_point(base: &Base, request: &TradeRequest) -> Result<Point, Error> {
         && run.position_error.is_none()
     {
         return Err(Error::usage(format!(
-            "--truth {}: fewer than three of its cameras are of photos that were placed, or all of these stand on one line",
+            "--truth {}: fewer than three of its cameras are of photos that were placed, or all of these are on one line",
             file.display()
         )));
     }
