@@ -198,11 +198,7 @@ fn bad_words_for_cache_verbs_are_refused_with_what_to_write() {
         refused.stderr
     );
     let refused = marf(dir.path(), &["cache", "unpin", "x"]).exits(1);
-    assert!(
-        refused.stderr.contains("unknown pin `x`"),
-        "{}",
-        refused.stderr
-    );
+    assert!(refused.stderr.contains("unknown pin `x`"), "{}", refused.stderr);
 }
 
 /// Reads the folder of `common::photos`; the photos are too small for the other nodes.

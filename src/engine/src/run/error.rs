@@ -55,7 +55,7 @@ pub enum ActionError {
         /// The key that this program makes.
         key: Digest,
     },
-    /// The work failed; the listener was told why.
+    /// The work failed. The listener got the cause.
     #[error("{0}")]
     Failed(String),
     /// The user wanted to stop.
