@@ -70,7 +70,7 @@ fn add_children(
     for child in expand.children() {
         let def = table.get(child.stage).ok_or_else(|| {
             contract_violation(format!(
-                "its children are of the stage `{}`, which is not there",
+                "its children are of the stage `{}`, which does not exist",
                 child.stage
             ))
         })?;

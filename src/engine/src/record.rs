@@ -167,7 +167,7 @@ pub enum NodeState {
 #[derive(Debug, thiserror::Error)]
 pub enum RecordError {
     /// They are of another form.
-    #[error("it has form {found} and this marf reads form {RUN_FORMAT} alone")]
+    #[error("it has form {found}, and this marf reads only form {RUN_FORMAT}")]
     Form {
         /// Their form, or 0 if they name none.
         found: u32,

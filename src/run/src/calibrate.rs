@@ -103,7 +103,7 @@ fn refuse_to_replace(path: &Path, digest: &Digest, dir: &Path) -> Result<(), Err
         return Ok(());
     }
     let message = format!(
-        "{} is one of the photos, and another picture is to be written there",
+        "{} is one of the photos, and would be overwritten",
         path.display()
     );
     Err(Error::Usage(

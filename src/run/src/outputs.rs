@@ -199,8 +199,8 @@ pub fn report(context: &Context, path: &Path) -> Result<(), Error> {
     one(&store, &run, &report.digest, path)
 }
 
-/// Returns the file an output becomes; `None` for manifests, which only the store can resolve.
-/// A name that would lead out of its folder has none.
+/// Returns the file an output becomes. None for manifests, which only the store can resolve, and for names that would lead out of the
+/// folder.
 pub fn file_name(output: &str) -> Option<&str> {
     if let Some((_, file)) = NAMED.iter().find(|(name, _)| *name == output) {
         return Some(file);

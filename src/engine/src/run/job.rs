@@ -129,8 +129,7 @@ impl Job<'_> {
         match look_up(store, &key.digest)? {
             Lookup::Hit(record) => Ok(JobOutput::Finished(record)),
             Lookup::Miss | Lookup::MissingOutput(_) => {
-                let error =
-                    StageError::new("what computes it elsewhere says that it is done, and brought no result");
+                let error = StageError::new("the other machine reports success, but it stored no result");
                 Err(error.into())
             }
         }

@@ -152,7 +152,7 @@ impl<'a> RunState<'a> {
         let name = format!("{}/{}", self.tasks[parent].name, spec.name);
         let Some(def) = self.context.graph.table.get(spec.stage.as_str()) else {
             return Err(contract_violation(format!(
-                "`{name}` is of the stage `{}`, which is not there",
+                "`{name}` is of the stage `{}`, which does not exist",
                 spec.stage
             )));
         };

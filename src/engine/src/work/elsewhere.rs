@@ -110,7 +110,7 @@ fn take_over(run: &StageRun<'_>, stage: &dyn Measure, shard: u32, key: &Digest) 
     let record = run.store.hit(key).map_err(store_error)?;
     let Some(record) = record else {
         return Err(contract_violation(format!(
-            "shard {shard} was measured elsewhere, and its measures did not come"
+            "shard {shard} was measured on another machine, but its measures are missing"
         )));
     };
     for table in stage.together() {
@@ -127,7 +127,7 @@ fn take_over(run: &StageRun<'_>, stage: &dyn Measure, shard: u32, key: &Digest) 
 
 fn unread(shard: u32, table: Table) -> StageError {
     contract_violation(format!(
-        "shard {shard} was measured elsewhere, and its table `{}` is not whole",
+        "shard {shard} was measured on another machine, but its table `{}` is incomplete",
         table.name
     ))
 }

@@ -149,8 +149,7 @@ fn check_map(kind: SurfaceKind, store: &Store, trained: &NodeRun) -> Result<(), 
 }
 
 /// What leaves a surface empty.
-const EMPTY: &str =
-    "lower --least-photos, or widen --most-spread or --cell: what few photos show alike is left out";
+const EMPTY: &str = "lower --least-photos, or widen --most-spread or --cell: points with too few or differing photos are left out";
 
 /// Refuses a map that the surface does not have, and warns of a surface without a triangle or point.
 fn check_surface(context: &Context, kind: SurfaceKind, report: &SurfaceReport) -> Result<(), Error> {

@@ -98,7 +98,7 @@ fn bookmarks(file: &Path) -> Result<Vec<Bookmark>, Error> {
         let words = WORDS.map(|(word, _)| word);
         let near = did_you_mean(&name.to_string(), words);
         let all = format!("take one of {}, or a file of bookmarks", words.join(", "));
-        let message = format!("--path {name}: it is not a path, and not a file that can be read: {error}");
+        let message = format!("--path {name}: not a path, and not a readable file: {error}");
         Error::Usage(Diagnostic::new(message).hint(near.unwrap_or(all)))
     })?;
     let refuse = |why: String| {
