@@ -124,7 +124,7 @@ fn add_origin(text: &mut String, origin: &Origin) {
     let by = match origin.maker.made_in {
         _ if is_input => "read in",
         Some(_) => "made in",
-        None => "the run that made it is gone, the oldest that has it is",
+        None => "the run that made it is gone. The oldest that has it is",
     };
     line!(
         text,

@@ -106,8 +106,8 @@ fn has_key(stage: &str, key: &str) -> bool {
     stages.any(|def| (def.schema)().to_value()["properties"].get(key).is_some())
 }
 
-/// Returns a document of the last run of the pipeline, if all nodes that it shows are unchanged: this run computed none of them, and they
-/// have the same keys.
+/// Returns a document of the last run of the pipeline, if all nodes that it shows are unchanged: this run
+/// reused all of them, with the same keys.
 ///
 /// # Errors
 /// A store that cannot be read.
