@@ -9,7 +9,7 @@ fn main() -> ExitCode {
     survive_file_limit();
     let cancel = Cancel::default();
     let asked = cancel.clone();
-    // The first Ctrl-C asks to stop at the next check; the second stops now, which the store survives.
+    // The first Ctrl-C asks to stop at the next check. The second stops at once, which the store survives.
     let handler = ctrlc::set_handler(move || {
         if asked.is_set() {
             #[allow(clippy::exit, reason = "the user has asked twice")]

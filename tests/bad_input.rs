@@ -76,7 +76,7 @@ fn a_film_of_a_bootstrap_is_refused_with_the_render_that_makes_it() {
                  [node.video]\ninput = \"bootstrap\"\n";
     let dir = with_pipeline(&format!("{HEAD}{nodes}"));
     let ran = marf(dir.path(), &["plan"]).exits(2);
-    let message = "`input` of `node.video` needs `film`; `node.bootstrap` (stage `bootstrap`) gives";
+    let message = "`input` of `node.video` needs `film`, but `node.bootstrap` (stage `bootstrap`) gives";
     assert!(ran.stderr.contains(message), "{}", ran.stderr);
     assert!(
         ran.stderr.contains("hint: name a node of `render`") && ran.stderr.contains("members = "),

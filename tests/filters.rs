@@ -122,7 +122,7 @@ fn a_person_has_the_last_word_and_it_is_in_the_key() {
     let ran = marf(work.path(), &["run"]).exits(0);
     assert!(
         ran.stderr
-            .contains("[reject] `palce_4.png` names no photo of this run; did you mean `place_4.png`?"),
+            .contains("[reject] `palce_4.png` names no photo of this run: did you mean `place_4.png`?"),
         "{}",
         ran.stderr
     );

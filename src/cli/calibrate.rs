@@ -15,8 +15,7 @@ use crate::terminal::{escape_control, print_line};
 pub struct CalibrateArgs {
     /// Folder with photos, and labels or cameras next to them
     pub dir: PathBuf,
-    /// transforms.json to write; metrics.json, sparse/0 (COLMAP's model, binary and text), points.ply and undistorted photos are written
-    /// next to it
+    /// transforms.json to write. Next to it go metrics.json, sparse/0 (COLMAP's model, binary and text), points.ply and undistorted photos
     #[arg(long, value_name = "FILE", default_value = "transforms.json")]
     pub out: PathBuf,
     /// Write undistorted photos as PNG

@@ -1,4 +1,4 @@
-//! `marf compare`: what changed at a place between two times.
+//! `marf compare`: maps what changed on the ground between two times.
 
 use std::path::PathBuf;
 
@@ -37,7 +37,7 @@ pub struct CompareArgs {
     /// Optimiser steps of a training [default: by quality]
     #[arg(long, value_name = "STEPS")]
     pub steps: Option<u64>,
-    /// Number of trainings for each time, at least 2; their differences measure the noise
+    /// Number of trainings for each time, at least 2, whose differences measure the noise
     #[arg(short = 'b', long = "members", value_name = "COUNT", default_value_t = ChangesParams::default().b)]
     pub members: u32,
     /// Width of a cell of the map, metres [default: as fine as the photos allow]
@@ -86,11 +86,11 @@ pub fn compare(args: CompareArgs, context: Context) -> Result<(), Error> {
     Ok(())
 }
 
-/// Says what changed.
+/// Returns the changes as lines of text.
 fn text(report: &ChangesReport) -> Vec<String> {
     let time = |time: &marf_schema::changes::Time| {
         format!(
-            "{} photos, {:.1} dB, {:.1} m2",
+            "{} photos, {:.1} dB, {:.1} m²",
             time.photos, time.psnr, time.area_m2
         )
     };
@@ -98,11 +98,11 @@ fn text(report: &ChangesReport) -> Vec<String> {
         format!("before   {}", time(&report.before)),
         format!("after    {}", time(&report.after)),
         format!(
-            "compared {:.2} m2 in cells of {:.3} m; where nothing changed 90 % of the heights differ by less than {:.3} m",
+            "compared {:.2} m² in cells of {:.3} m. Where nothing changed, 90 % of the heights differ by less than {:.3} m",
             report.compared_m2, report.cell_m, report.height.interval
         ),
         format!(
-            "changed  {:.3} m2 in {} patches; undecided {:.3} m2",
+            "changed  {:.3} m² in {} patches, undecided {:.3} m²",
             report.changed_m2,
             report
                 .patches
@@ -115,7 +115,7 @@ fn text(report: &ChangesReport) -> Vec<String> {
     for patch in report.patches.iter().take(MOST_LISTED) {
         let word = patch.change.word();
         lines.push(format!(
-            "  {word:<14} {:.3} m2 ({:.3} to {:.3}) at {:.2} m right, {:.2} m up; {:+.3} m +- {:.3}, light x {:.2}",
+            "  {word:<14} {:.3} m² ({:.3} to {:.3}) at {:.2} m right, {:.2} m up, {:+.3} m ± {:.3}, light x {:.2}",
             patch.area_m2,
             patch.area_interval_m2[0],
             patch.area_interval_m2[1],

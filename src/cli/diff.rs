@@ -35,7 +35,7 @@ pub fn diff(args: DiffArgs, context: Context) -> Result<(), Error> {
         print_line(&escape_control(&text));
     }
     print_line(&format!(
-        "{} of {} nodes differ between {} and {}; --json lists everything",
+        "{} of {} nodes differ between {} and {} (--json lists everything)",
         diff.nodes.len(),
         diff.of_nodes,
         names.first,

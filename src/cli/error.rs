@@ -35,7 +35,7 @@ fn answer_code(answer: Answer) -> u8 {
 /// Returns the text of an error for stderr.
 pub fn text(error: &Error) -> String {
     error.diagnostic().map_or_else(
-        || "stopped; what was computed is kept, run again to go on".to_owned(),
+        || "stopped. Results so far are kept: run again to go on".to_owned(),
         diagnostic_text,
     )
 }

@@ -14,7 +14,7 @@ use crate::terminal::{eprint_line, print_line};
 pub struct FilterArgs {
     /// Folder with photos
     pub dir: PathBuf,
-    /// CSV to write: file, verdict, score, threshold, twin, reason; a page with the photos is written next to it as .html
+    /// CSV to write: file, verdict, score, threshold, twin, reason. A page with the photos is written next to it as .html
     #[arg(long, value_name = "FILE", default_value = "verdicts.csv")]
     pub out: PathBuf,
     /// Keep this photo (product id or file name), even if a filter rejects it

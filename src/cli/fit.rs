@@ -12,13 +12,13 @@ use crate::terminal::print_line;
 /// Arguments of `fit`.
 #[derive(Debug, Clone, Args)]
 pub struct FitArgs {
-    /// Folder with photos; cameras are read from a transforms.json (nerfstudio, instant-ngp, NeRF) or a COLMAP model in it, or found by
+    /// Folder with photos. Their cameras come from a transforms.json (nerfstudio, instant-ngp, NeRF) or a COLMAP model in it, or from
     /// structure from motion
     pub dir: PathBuf,
     /// Training times, e.g. `10s,60s,5m`, without decoding and scoring
     #[arg(long, value_name = "TIMES", default_value = "60s", value_delimiter = ',')]
     pub budget: Vec<String>,
-    /// Total time instead, e.g. `5m`: decoding, training, scoring and pictures; without folds
+    /// Total time instead, e.g. `5m`, for decoding, training, scoring and pictures, without folds
     #[arg(long, value_name = "TIME", conflicts_with = "budget")]
     pub within: Option<String>,
     /// Stop at this PSNR on validation photos, dB
@@ -66,7 +66,7 @@ pub fn fit(args: FitArgs, context: Context) -> Result<(), Error> {
 
 fn print_scores(name: &str, scores: &FitScores) {
     print_line(&format!(
-        "{name:>6}  PSNR {:.2} dB  SSIM {:.3}  {} steps in {:.1} s, {:.2} M samples/s; {:.1} s in all, {:.0} foreseen",
+        "{name:>6}  PSNR {:.2} dB  SSIM {:.3}  {} steps in {:.1} s, {:.2} M samples/s, {:.1} s in all, {:.0} s foreseen",
         scores.psnr,
         scores.ssim.unwrap_or(f64::NAN),
         scores.steps,
@@ -102,13 +102,13 @@ fn target_text(target: &Target, held_out_psnr: f64) -> String {
     let Some(steps) = reached_at else {
         let foreseen = forecast.map_or_else(String::new, |forecast| {
             format!(
-                "; {:.1} dB were foreseen after {} steps",
+                " ({:.1} dB were foreseen after {} steps)",
                 forecast.psnr, forecast.at
             )
         });
         return format!(
-            "target {psnr} dB missed: {validation_psnr:.2} dB on {photos}, {held_out_psnr:.2} dB on those held out{foreseen}; \
-             a longer time or more photos would help"
+            "target {psnr} dB missed: {validation_psnr:.2} dB on {photos}, {held_out_psnr:.2} dB on those held out{foreseen}. \
+             A longer time or more photos would help"
         );
     };
     let verdict = if held_out_psnr >= *psnr { "and" } else { "but" };

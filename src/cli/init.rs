@@ -22,7 +22,7 @@ fn missions() -> [PossibleValue; TEMPLATES.len()] {
     TEMPLATES.map(|template| PossibleValue::new(template.name).help(template.about))
 }
 
-/// `marf init`: writes a commented pipeline; an existing file stays as it is.
+/// `marf init`: writes a commented pipeline. An existing file is not changed.
 pub fn init(args: &InitArgs) -> Result<(), Error> {
     let (file, name) = (&args.file, &args.mission);
     if file.exists() {

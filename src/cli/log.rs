@@ -45,7 +45,7 @@ pub fn log(args: LogArgs, context: Context) -> Result<(), Error> {
     Ok(())
 }
 
-/// Says what a run was made for and from which run; none of a run of a pipeline or folder.
+/// Returns the purpose and the base of a derived run. None for a run of a pipeline or folder.
 fn derived(runs: &[RunRecord], run: &RunRecord) -> Option<String> {
     let RunSource::Derived { from, purpose } = run.source else {
         return None;

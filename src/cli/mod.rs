@@ -67,7 +67,7 @@ pub fn main(cancel: &Cancel) -> ExitCode {
     }
 }
 
-/// Returns the context of a verb without options; progress goes to stderr.
+/// Returns the context of a verb without options. Progress goes to stderr.
 fn context(cancel: &Cancel) -> Context {
     let file = PathBuf::from("pipeline.toml");
     Context {

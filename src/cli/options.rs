@@ -41,7 +41,7 @@ pub struct StoreArgs {
 #[derive(Debug, Clone, Args)]
 #[command(next_help_heading = "Computation")]
 pub struct ThreadsArg {
-    /// Number of CPU cores to use [default: all]; results do not depend on it
+    /// Number of CPU cores to use, which does not affect results [default: all]
     #[arg(long, value_name = "N")]
     threads: Option<NonZero<usize>>,
 }
@@ -50,7 +50,7 @@ pub struct ThreadsArg {
 #[derive(Debug, Clone, Args)]
 #[command(next_help_heading = "Computation")]
 pub struct DeviceArg {
-    /// Device for training and rendering: `auto` (a GPU if there is one), `cpu`, `gpu` or `gpu:NAME`; a node's own `device` takes
+    /// Device for training and rendering: `auto` (a GPU if there is one), `cpu`, `gpu` or `gpu:NAME`. A node's own `device` takes
     /// precedence
     #[arg(long, value_name = "DEVICE")]
     device: Option<Device>,
@@ -116,7 +116,7 @@ pub struct PipelineArgs {
     nodes: NodeArgs,
     #[command(flatten)]
     device: DeviceArg,
-    /// Fetch exactly the products that marf.lock lists; fail if their bytes differ
+    /// Fetch exactly the products that marf.lock lists, and fail if their bytes differ
     #[arg(long, help_heading = "Archives on servers")]
     locked: bool,
     /// Like --locked, but open no connection

@@ -23,7 +23,7 @@ pub struct PhotosArgs {
     nodes: NodeArgs,
 }
 
-/// `marf photos [DIR]`: what was read of every photo, of a folder or of the pipeline's newest run, and which files were not read.
+/// `marf photos [DIR]`: lists the photos of a folder or of the pipeline's newest run, and the files that were not read.
 pub fn photos(args: PhotosArgs, context: Context) -> Result<(), Error> {
     let context = args.nodes.context(args.record.store.context(context));
     let table = marf_run::photos::photos(&context, args.dir.as_deref(), &args.node)?;

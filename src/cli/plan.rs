@@ -80,11 +80,11 @@ fn summary(nodes: &[PlannedNode]) -> String {
     let will = format!("{will} of {} nodes will run", nodes.len());
     match may {
         0 => will,
-        may => format!("{will}; {may} may, if what is upstream of them comes out otherwise than before"),
+        may => format!("{will}, {may} more if their inputs change"),
     }
 }
 
-/// Returns the line of a node: state, reason, what it will look at, how long it took last.
+/// Returns the line of a node: state, reason, photos to look at, time of the last run.
 fn line(node: &PlannedNode) -> String {
     let mut line = format!("{:<16} {:<9} {}", node.node, node.state.word(), node.reason);
     if node.state.is_open() {
@@ -94,7 +94,7 @@ fn line(node: &PlannedNode) -> String {
             .seconds
             .map(|seconds| format!("{} last time", duration(seconds)));
         for part in looks.into_iter().chain(took) {
-            line.push_str(&format!("; {part}"));
+            line.push_str(&format!(", {part}"));
         }
     }
     line.trim_end().to_owned()
@@ -116,7 +116,7 @@ fn counted(number: u64, what: &str) -> String {
     }
 }
 
-/// `marf why NODE`: everything that differs from what made its last result; with `--files` every photo too.
+/// `marf why NODE`: every difference from the action of its last result, with `--files` also every photo.
 pub fn why(args: WhyArgs, context: Context) -> Result<(), Error> {
     let request = WhyRequest {
         node: args.node,

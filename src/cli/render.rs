@@ -34,7 +34,7 @@ pub struct RenderArgs {
     /// Folder to write
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Number of viewpoints along the path [default: 96; all photos for `train` and `heldout`; one for each bookmark of a FILE]
+    /// Number of viewpoints along the path [default: 96, all photos for `train` and `heldout`, one for each bookmark of a FILE]
     #[arg(long, value_name = "COUNT")]
     pub frames: Option<u32>,
     #[command(flatten)]
@@ -61,10 +61,10 @@ copies them, and a command that was stopped continues.";
 /// Options of the size.
 #[derive(Debug, Clone, Default, Args)]
 pub struct SizeArgs {
-    /// Width of a picture, pixels [default: 640; that of the first bookmark for a FILE]
+    /// Width of a picture, pixels [default: 640, for a FILE that of the first bookmark]
     #[arg(long, value_name = "PIXELS", conflicts_with = "scale")]
     pub width: Option<u32>,
-    /// Height of a picture, pixels [default: by the photos or bookmarks]; with --width it crops or extends the view
+    /// Height of a picture, pixels, which with --width crops or extends the view [default: by the photos or bookmarks]
     #[arg(long, value_name = "PIXELS", conflicts_with = "scale")]
     pub height: Option<u32>,
     /// Size as a factor of that of the photos, or of the first bookmark, e.g. 0.5
@@ -109,7 +109,7 @@ pub fn render(args: RenderArgs, context: Context) -> Result<(), Error> {
     Ok(())
 }
 
-/// Says what was made.
+/// Returns the size and the contents of the pictures as text.
 fn text(outputs: &[Layer], result: &RenderResult) -> String {
     let words = outputs.iter().map(|layer| match layer {
         Layer::Rgb => "colour",

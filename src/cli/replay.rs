@@ -95,11 +95,11 @@ fn difference(output: &marf_provenance::replay::DifferingOutput) -> String {
     if let Some(found) = &output.difference {
         let (was, is) = found.bytes;
         text.push_str(&format!(
-            "; from byte {} on, {} bytes of {was} ({is} now)",
+            ", from byte {} on, {} bytes of {was} ({is} now)",
             found.first_byte, found.differing_bytes
         ));
         for value in found.values.iter().take(MOST_VALUES) {
-            text.push_str(&format!("; {}", value_text(value)));
+            text.push_str(&format!(", {}", value_text(value)));
         }
     }
     text

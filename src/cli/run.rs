@@ -26,7 +26,7 @@ pub struct RunArgs {
     /// Compute trainings as jobs of a batch system: `slurm`, or another that the site file describes
     #[arg(long = "on", value_enum, value_name = "SYSTEM", hide_possible_values = true)]
     pub batch_system: Option<BatchSystem>,
-    /// Site file: shared store, job folder, commands and limits of the batch system; results do not depend on it
+    /// Site file: shared store, job folder, commands and limits of the batch system. Results do not depend on it
     #[arg(long, value_name = "FILE", default_value = "site.toml")]
     pub site: PathBuf,
     /// Print events to stdout, one JSON object a line
@@ -39,7 +39,7 @@ pub struct RunArgs {
 /// A batch system.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum BatchSystem {
-    /// Slurm, or what has its commands
+    /// Slurm, or a program with its commands
     Slurm,
 }
 

@@ -18,7 +18,7 @@ pub struct StatusArgs {
     record: RecordArgs,
 }
 
-/// `marf status`: the running programs of the pipeline, the nodes of the last one that was started first; or the nodes of the newest run.
+/// `marf status`: the running programs of the pipeline with the nodes of the one that was started first, or the nodes of the newest run.
 pub fn status(args: StatusArgs, context: Context) -> Result<(), Error> {
     let context = &args.record.store.context(context);
     let store = context.existing_store()?;
@@ -42,7 +42,7 @@ fn print_run(run: &RunRecord) {
         duration(run.seconds)
     ));
     let mut nodes: Vec<&NodeRun> = run.nodes.iter().collect();
-    // What all scenes share comes first, then scene by scene.
+    // Nodes that all scenes share come first, then scene by scene.
     nodes.sort_by_key(|node| scene_of(parent_of(&node.name)));
     for node in nodes {
         let key = node.key.map(|key| key.short()).unwrap_or_default();
@@ -56,17 +56,17 @@ fn print_run(run: &RunRecord) {
     }
 }
 
-/// Returns the text on programs that run: the nodes of the first, a line each of the others; none if nothing runs.
+/// Returns the text on running programs: the nodes of the first, a line for each of the others. None if no program runs.
 fn running_text(programs: &[RunningProgram]) -> Option<String> {
     let (first, others) = programs.split_first()?;
     let mut text = page(first);
     for other in others {
-        text += &format!("\nbeside it {}", heading(other).join(": "));
+        text += &format!("\nnext to it {}", heading(other).join(": "));
     }
     Some(text)
 }
 
-/// Returns what runs and, once it is known, how far it is.
+/// Returns the running command and, once it is known, how far it is.
 fn heading(program: &RunningProgram) -> Vec<String> {
     let standing = program.standing.as_ref();
     let far = standing.map(|standing| format!("{}, after {}", standing.text(), duration(standing.seconds)));

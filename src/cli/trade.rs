@@ -1,4 +1,4 @@
-//! `marf trade`: what each knob costs in time and gains in quality, measured on this machine.
+//! `marf trade`: measures what each parameter costs in time and gains in quality, on this machine.
 
 use std::path::PathBuf;
 
@@ -48,7 +48,7 @@ pub struct TradeArgs {
 const AFTER_HELP: &str = "\
 Every point is a training of the pipeline with other values, and its result is kept in the store. A trade that was stopped continues, \
 and more seeds, parameters or points can be added later. `[trade]` in pipeline.toml lists the parameters and their values, e.g. \
-`\"train.scale\" = [1, 2, 3]`; the default is values around those of the pipeline. Times are wall time: run nothing else meanwhile.";
+`\"train.scale\" = [1, 2, 3]`. The default is values around those of the pipeline. Times are wall time: run nothing else meanwhile.";
 
 /// Runs `marf trade`.
 pub fn trade(args: TradeArgs, context: Context) -> Result<(), Error> {

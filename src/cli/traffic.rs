@@ -7,7 +7,7 @@ pub fn megabytes(bytes: u64) -> String {
     format!("{:.1} MB", bytes as f64 / 1e6)
 }
 
-/// Returns what moved between this machine and a shared store.
+/// Returns the requests and bytes between this machine and a shared store.
 pub fn traffic_text(traffic: Traffic) -> String {
     format!(
         "{} requests, {} sent, {} received",

@@ -1,4 +1,4 @@
-//! `marf verify`: checks what was handed over, without a store.
+//! `marf verify`: checks a crate or a signed statement, without a store.
 
 use std::path::PathBuf;
 
@@ -44,7 +44,7 @@ pub fn verify(args: &VerifyArgs, cancel: &Cancel) -> Result<(), Error> {
             for (name, file) in found {
                 print_line(&format!("{} is {name}", file.display()));
             }
-            print_line(&format!("signed by this key; files it is about: {subjects}"));
+            print_line(&format!("signed by this key, files covered: {subjects}"));
             Ok(())
         }
     }
@@ -56,12 +56,12 @@ fn print_report(report: &Report) {
         print_line(&format!("manifest SHA-256 {manifest}"));
     }
     print_line(&format!(
-        "{} files in the bag, {} named only; {} actions gave their keys; {} photos followed to files of the archive",
+        "{} files in the bag, {} named only, {} actions match their keys, {} photos traced to files of the archive",
         report.files, report.named, report.actions, report.photos
     ));
     print_line(match report.signature {
         Signature::None => "not signed",
-        Signature::NotChecked => "signed; name a public key with --key to check by whom",
+        Signature::NotChecked => "signed. Name a public key with --key to check the signature",
         Signature::Good => "signed by this key",
         Signature::Bad => "the signature does not hold",
     });

@@ -18,13 +18,13 @@ pub struct ViewArgs {
     /// Number of the run [default: the newest one at each load of the page]
     #[arg(long, value_name = "NUMBER")]
     pub run: Option<u64>,
-    /// Port; 0 chooses a free one
+    /// Port, or 0 for a free one
     #[arg(long, value_name = "PORT", default_value_t = 8460)]
     pub port: u16,
-    /// Name or address to listen on; an address that other machines can reach needs a token
+    /// Name or address to listen on. An address that other machines can reach needs a token
     #[arg(long, value_name = "HOST", default_value = "127.0.0.1")]
     pub host: String,
-    /// Access token, at least 16 letters and digits; the printed address contains it
+    /// Access token, at least 16 letters and digits, which the printed address contains
     #[arg(long, value_name = "TOKEN")]
     pub token: Option<String>,
     /// Path prefix of all pages, for a proxy, e.g. `/mars`

@@ -58,7 +58,7 @@ fn a_run_is_handed_over_and_checked_without_its_store() {
     let held = run(elsewhere.path(), "verify crate --key pub.pem").exits(0);
     says(
         &held,
-        &["3 actions gave their keys", "signed by this key", "holds"],
+        &["3 actions match their keys", "signed by this key", "holds"],
     );
     let json: serde_json::Value =
         serde_json::from_str(&run(elsewhere.path(), "verify crate --json").exits(0).stdout).unwrap();
@@ -87,7 +87,7 @@ fn a_statement_is_signed_and_checked() {
     let dir = with_keys();
     run(dir.path(), "export attest --key key.pem --out size.json size").exits(0);
     let held = run(dir.path(), "verify size.json --key pub.pem").exits(0);
-    says(&held, &["signed by this key; files it is about: 2"]);
+    says(&held, &["signed by this key, files covered: 2"]);
     let other = run(dir.path(), "verify size.json --key other.pem").exits(4);
     says(&other, &["none of its 1 signatures is of this key"]);
     let nobody = run(dir.path(), "verify size.json").exits(2);
@@ -102,7 +102,7 @@ fn a_statement_is_signed_and_checked() {
     assert_eq!(stdout.lines().count(), 1, "one line of JSON");
     std::fs::write(dir.path().join("run.json"), stdout).unwrap();
     let held = run(dir.path(), "verify run.json --key pub.pem").exits(0);
-    says(&held, &["files it is about: 7"]);
+    says(&held, &["files covered: 7"]);
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! `marf audit`: who made a file, from which bytes; and what a product went into.
+//! `marf audit`: traces a file's provenance, or lists everything derived from a product.
 
 mod tree;
 mod uses;
@@ -73,7 +73,7 @@ fn audit_file(record: &RecordArgs, request: &AuditRequest, context: &Context) ->
     audit::is_whole(report.answer, &report.file)
 }
 
-/// Prints what the run of a crate says of a file.
+/// Prints the origin of a file from the run of a crate.
 fn in_crate(record: &RecordArgs, file: &Path, folder: &Path, cancel: &Cancel) -> Result<(), Error> {
     let trace = audit::trace(file, folder, cancel)?;
     if record.json {

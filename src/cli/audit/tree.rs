@@ -16,7 +16,7 @@ macro_rules! line {
     ($text:expr, $($rest:tt)*) => { let _ = writeln!($text, $($rest)*); };
 }
 
-/// Returns the answer as text: what the file is, who made it, the tree, what was verified.
+/// Returns the answer as text: the identity of the file, its makers, the tree, and what was verified.
 pub(super) fn text(report: &AuditReport) -> String {
     let mut text = String::new();
     line!(text, "{}: {}", report.file.display(), verdict(&report.identity));
@@ -66,7 +66,7 @@ fn verdict(identity: &Identity) -> String {
         Identity::Whole { object, makers } => {
             let several = match makers.len() {
                 1 => String::new(),
-                count => format!("; {count} makers, all are named"),
+                count => format!(", {count} makers, all listed"),
             };
             let is = if identity.is_input() {
                 "read by marf and unaltered"
@@ -102,7 +102,7 @@ fn floor_percent(share: f64) -> f64 {
     (share * 1000.0).floor() / 10.0
 }
 
-/// Returns as what a run knows a content.
+/// Returns the place that a content has in a run.
 pub(super) fn place(place: &Place) -> String {
     match place {
         Place::Root => "the run root".to_owned(),
@@ -114,7 +114,7 @@ pub(super) fn place(place: &Place) -> String {
             format!("the {role} of product {id} of sol {sol}, read by node `{node}`")
         }
         Place::File { node, sol, file } => format!("the file {file} of sol {sol}, met by node `{node}`"),
-        Place::Stored(node) => format!("stored by node `{node}` beside its outputs"),
+        Place::Stored(node) => format!("stored by node `{node}` next to its outputs"),
     }
 }
 
@@ -124,7 +124,7 @@ fn add_origin(text: &mut String, origin: &Origin) {
     let by = match origin.maker.made_in {
         _ if is_input => "read in",
         Some(_) => "made in",
-        None => "the run that made it is gone; the oldest that has it is",
+        None => "the run that made it is gone. The oldest that has it is",
     };
     line!(
         text,
@@ -170,10 +170,10 @@ fn others(maker: &Maker, run: u64) -> String {
     if others.is_empty() {
         return String::new();
     }
-    format!("; also in runs {}", others.join(", "))
+    format!(", also in runs {}", others.join(", "))
 }
 
-/// The nodes of a lineage as a tree; a node that several others read is told once.
+/// The nodes of a lineage as a tree. A node that several others read is printed once.
 struct Tree<'a> {
     origin: &'a Origin,
     shown: BTreeSet<&'a str>,
@@ -248,7 +248,7 @@ fn about(step: &Step) -> String {
         .map(|seed| format!(", seed {seed}"))
         .unwrap_or_default();
     format!(
-        "{} ({}{version}, {device}, {}{seed}; key {key})",
+        "{} ({}{version}, {device}, {}{seed}, key {key})",
         step.node,
         step.stage,
         duration(step.seconds)
@@ -279,7 +279,7 @@ fn add_products(text: &mut String, source: &Products, indent: &str) {
     }
 }
 
-/// Returns where a blob of a product came from, on lines of their own meaning; nothing where it was made here.
+/// Returns the origin of a blob of a product, as the end of a line. It is empty for a blob that was made here.
 fn file_of(product: &ProductLine, role: &str) -> String {
     let Some(file) = product.files.get(role) else {
         return String::new();

@@ -1,4 +1,4 @@
-//! What a product went into, as text.
+//! Everything derived from a product, as text.
 
 use marf_provenance::taint::Tainted;
 

@@ -41,7 +41,7 @@ pub enum CacheVerb {
 /// Arguments of `cache gc`.
 #[derive(Debug, Clone, Args)]
 pub struct GcArgs {
-    /// Number of runs to keep for each pipeline; the newest is always kept
+    /// Number of runs to keep for each pipeline, always including the newest
     #[arg(long, value_name = "RUNS", default_value_t = 10)]
     pub keep_last: usize,
     /// Remove older runs until the rest fits, e.g. `20GB`
@@ -66,8 +66,8 @@ pub struct PushArgs {
     /// Number of the run [default: the newest whole one]
     #[arg(long, value_name = "NUMBER")]
     pub run: Option<u64>,
-    /// Address of the shared store, `s3://BUCKET/PREFIX` or `file:///FOLDER` [default: `[store] remote` of the pipeline];
-    /// credentials come from the environment (`AWS_*`)
+    /// Address of the shared store, `s3://BUCKET/PREFIX` or `file:///FOLDER`, with credentials from the environment (`AWS_*`) [default:
+    /// `[store] remote` of the pipeline]
     #[arg(long, value_name = "URL")]
     pub remote: Option<String>,
     #[command(flatten)]
@@ -80,8 +80,8 @@ pub struct PullArgs {
     /// First digits of the run, as printed by a push [default: the newest of this pipeline]
     #[arg(long, value_name = "DIGITS")]
     pub run: Option<String>,
-    /// Address of the shared store, `s3://BUCKET/PREFIX` or `file:///FOLDER` [default: `[store] remote` of the pipeline];
-    /// credentials come from the environment (`AWS_*`)
+    /// Address of the shared store, `s3://BUCKET/PREFIX` or `file:///FOLDER`, with credentials from the environment (`AWS_*`) [default:
+    /// `[store] remote` of the pipeline]
     #[arg(long, value_name = "URL")]
     pub remote: Option<String>,
     #[command(flatten)]
@@ -94,7 +94,7 @@ pub struct FsckArgs {
     /// Read every byte, and compare digests
     #[arg(long)]
     pub read_data: bool,
-    /// Quarantine damaged files and rebuild the index; in a shared store, remove damaged files and everything that refers to them
+    /// Quarantine damaged files and rebuild the index. In a shared store, remove damaged files and everything that refers to them
     #[arg(long)]
     pub repair: bool,
     /// Verify a shared store instead: that of the pipeline, or this one
@@ -108,10 +108,10 @@ impl GcArgs {
     /// Reads the time to keep: `24h`, `30m`, `0s`.
     ///
     /// # Errors
-    /// A text that is no time.
+    /// A text that is not a time.
     pub fn grace(&self) -> Result<Duration, Error> {
         let text = &self.grace;
         humantime::parse_duration(text)
-            .map_err(|error| Error::usage(format!("--grace {text}: {error}; write a time, such as 24h")))
+            .map_err(|error| Error::usage(format!("--grace {text}: {error}. Write a time, such as 24h")))
     }
 }

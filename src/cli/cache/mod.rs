@@ -1,4 +1,4 @@
-//! `marf cache`: what the store holds, whether it is whole, and what of it is no longer needed.
+//! `marf cache`: inspects, cleans, verifies and shares the store.
 
 mod args;
 mod remote;
@@ -52,7 +52,7 @@ fn pin(store: &Store, name: &str, run: Option<u64>, context: &Context) -> Result
     Ok(())
 }
 
-/// `marf cache stat`: objects, bytes, records, runs, and what each stage holds.
+/// `marf cache stat`: objects, bytes, records, runs, and the share of each stage.
 fn stat(args: &RecordArgs, store: &Store) -> Result<(), Error> {
     let (all, stages) = (store.stat()?, store.stat_by_stage()?);
     let mut json = to_json(&all)?;
@@ -97,7 +97,7 @@ fn gc(store: &Store, args: &GcArgs, context: &Context) -> Result<(), Error> {
     }
     let would = if args.dry_run { "would remove" } else { "removed" };
     print_line(&format!(
-        "{would} {runs} runs, {} records, {} memos, {} blobs: {}; kept {}",
+        "{would} {runs} runs, {} records, {} memos, {} blobs: {}, kept {}",
         report.records,
         report.memos,
         report.loose_blobs + report.packed_blobs,
@@ -107,7 +107,7 @@ fn gc(store: &Store, args: &GcArgs, context: &Context) -> Result<(), Error> {
     match report.missing.len() {
         0 => {}
         missing => context.warn(format!(
-            "{missing} objects that kept runs need are missing; they are made again when they are read"
+            "{missing} objects that kept runs need are missing. A run computes them again when it reads them"
         )),
     }
     Ok(())
@@ -151,7 +151,7 @@ fn fsck(store: &Store, args: &FsckArgs) -> Result<(), Error> {
             ));
         }
         print_line(&format!(
-            "{} blobs, {} records, {} memos, {} runs; {} read; {} faults",
+            "{} blobs, {} records, {} memos, {} runs, {} read, {} faults",
             report.blobs,
             report.records,
             report.memos,
@@ -164,12 +164,14 @@ fn fsck(store: &Store, args: &FsckArgs) -> Result<(), Error> {
         return Ok(());
     }
     if report.is_repaired {
-        eprint_line("repaired: what was damaged is in quarantine, and is made again when it is needed");
+        eprint_line(
+            "repaired: damaged files are in quarantine. A run computes their results again when it needs them",
+        );
         return Ok(());
     }
     Err(Error::Failed(
         Diagnostic::new(format!("the store has {} faults", report.faults.len()))
-            .hint("`marf cache fsck --repair` sets the damaged files aside; a run makes their results again"),
+            .hint("`marf cache fsck --repair` quarantines the damaged files. A run then computes their results again"),
     ))
 }
 

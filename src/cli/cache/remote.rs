@@ -20,7 +20,7 @@ pub fn push(store: &Store, args: &PushArgs, context: &Context) -> Result<(), Err
         return print_json(&json!(pushed));
     }
     print_line(&format!(
-        "pushed run {} ({}): {} results, {} were there; {} blobs, {}, {} packs; {}",
+        "pushed run {} ({}): {} results ({} already there), {} blobs ({}), {} packs, {}",
         pushed.number,
         pushed.run.short(),
         pushed.results,
@@ -41,7 +41,7 @@ pub fn pull(store: &Store, args: &PullArgs, context: &Context) -> Result<(), Err
         return print_json(&json!(pulled));
     }
     print_line(&format!(
-        "pulled run {} of `{}` as run {}: {} results, {} were here; {} blobs, {}; {}",
+        "pulled run {} of `{}` as run {}: {} results ({} already here), {} blobs ({}), {}",
         pulled.run.short(),
         pulled.pipeline,
         pulled.number,
@@ -68,7 +68,7 @@ pub fn gc(args: &GcArgs, grace: Duration, context: &Context) -> Result<(), Error
     }
     let would = if args.dry_run { "would remove" } else { "removed" };
     print_line(&format!(
-        "{would} {} runs, {} records, {} large blobs, {} packs: {}; kept {}, of it {} packs written anew; {}",
+        "{would} {} runs, {} records, {} large blobs, {} packs: {}, kept {} ({} packs rewritten), {}",
         done.runs,
         done.records,
         done.blobs,
@@ -80,7 +80,7 @@ pub fn gc(args: &GcArgs, grace: Duration, context: &Context) -> Result<(), Error
     ));
     if done.missing > 0 {
         context.warn(format!(
-            "{} results that kept runs name are missing; `marf cache fsck --remote` names what lacks them",
+            "{} results that kept runs name are missing. `marf cache fsck --remote` lists the objects that refer to them",
             done.missing
         ));
     }
@@ -102,7 +102,7 @@ pub fn fsck(args: &FsckArgs, context: &Context) -> Result<(), Error> {
             print_line(&format!("{}: {}", fault.object, fault.what));
         }
         print_line(&format!(
-            "{} blobs, {} records, {} runs; {} read; {} faults",
+            "{} blobs, {} records, {} runs, {} read, {} faults",
             checked.blobs,
             checked.records,
             checked.runs,
@@ -115,13 +115,13 @@ pub fn fsck(args: &FsckArgs, context: &Context) -> Result<(), Error> {
     }
     if checked.is_repaired {
         eprint_line(
-            "repaired: what was damaged is removed, with what names it; the next push sends it again",
+            "repaired: damaged files and everything that refers to them are removed. The next push sends them again",
         );
         return Ok(());
     }
     Err(Error::Failed(
         Diagnostic::new(format!("{} has {} faults", remote.place(), checked.faults.len())).hint(
-            "`marf cache fsck --remote --repair` removes them; `marf cache push` from a machine that has the results sends them again",
+            "`marf cache fsck --remote --repair` removes them. `marf cache push` from a machine that has the results sends them again",
         ),
     ))
 }

@@ -41,7 +41,7 @@ pub enum ExportVerb {
 /// Arguments of `export crate`.
 #[derive(Debug, Clone, Args)]
 pub struct CrateArgs {
-    /// Folder to write; it must not exist
+    /// Folder to write, which must not exist
     pub dir: PathBuf,
     /// Number of the run [default: the newest whole one]
     #[arg(long, value_name = "NUMBER")]
@@ -181,7 +181,7 @@ fn export_cameras(args: CamerasArgs, context: Context) -> Result<(), Error> {
     let metres = result.metres_per_unit;
     let scale = metres.map_or("no scale".to_owned(), |metres| format!("one unit is {metres} m"));
     print_line(&format!(
-        "wrote {}: {} photos with cameras, transforms.json (nerfstudio, instant-ngp), sparse/0 (COLMAP), points.ply; {scale}",
+        "wrote {}: {} photos with cameras, transforms.json (nerfstudio, instant-ngp), sparse/0 (COLMAP), points.ply ({scale})",
         result.folder.display(),
         result.photos
     ));

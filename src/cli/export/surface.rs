@@ -32,13 +32,13 @@ pub struct SurfaceArgs {
     /// Largest distance from a photo, in the unit of `--cell` [default: where a pixel is four cells wide]
     #[arg(long, value_name = "LENGTH")]
     pub reach: Option<f64>,
-    /// Number of photos that must show a point [default: 2; splats: 1]
+    /// Number of photos that must show a point [default: 2, for splats 1]
     #[arg(long, value_name = "COUNT")]
     pub least_photos: Option<u32>,
     /// Largest difference between views at a point, in the unit of `--cell` [default: one cell]
     #[arg(long, value_name = "LENGTH")]
     pub most_spread: Option<f64>,
-    /// Colour of mesh and points: `photos`, or `uncertainty` (spread of the bootstrap's retrainings; without a bootstrap, of the views)
+    /// Colour of mesh and points: `photos`, or `uncertainty` (spread of the bootstrap's retrainings, or of the views without a bootstrap)
     #[arg(long, value_name = "WHAT", default_value = "photos", value_parser = word::<ColorBy>)]
     pub color: ColorBy,
     /// Pixel size of a map, metres [default: one cell]
@@ -130,7 +130,7 @@ fn text(kind: SurfaceKind, report: &SurfaceReport) -> String {
             report.points
         ),
         (SurfaceKind::Height | SurfaceKind::Orthophoto, Some(map)) => format!(
-            "{} x {} pixels of {:.4} m, {:.0} % with a surface; heights from {:.3} m in steps of {} m",
+            "{} x {} pixels of {:.4} m, {:.0} % with a surface, heights from {:.3} m in steps of {} m",
             map.columns,
             map.rows,
             map.pixel_m,
@@ -146,10 +146,10 @@ fn text(kind: SurfaceKind, report: &SurfaceReport) -> String {
     }
 }
 
-/// Says how many splats there are, and how near they come to the field.
+/// Describes the splats, and how near they come to the field.
 fn splats_text(splats: &SplatReport, report: &SurfaceReport) -> String {
     let mut text = format!(
-        "{} splats, standard deviations {:.4} to {:.4} ({}), from {} photos; {} before the surface left out; no sky, no colours by direction",
+        "{} splats, standard deviations {:.4} to {:.4} ({}), from {} photos. Left out: {} floating in front of the surface, the sky, and colours by direction",
         splats.splats, splats.finest, splats.coarsest, report.unit, report.photos, splats.floating
     );
     for (of, psnr) in [

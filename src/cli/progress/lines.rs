@@ -27,7 +27,7 @@ struct PieceOfWork {
 }
 
 impl Lines {
-    /// Tells how far the whole run is, each ten seconds, from ten seconds after its beginning.
+    /// Prints how far the whole run is, every ten seconds, from ten seconds after its start.
     pub fn on_run_progress(&self, standing: &RunProgress) {
         let now = Instant::now();
         let mut last = self.last_standing.lock();
@@ -37,8 +37,8 @@ impl Lines {
         }
     }
 
-    /// Returns the remaining time of the node's work, if its next line is due. Another total is another piece of work,
-    /// whose time is measured anew.
+    /// Returns the remaining time of the node's work, if its next line is due. Another total is another piece of work, whose time is
+    /// measured from its own start.
     fn due(&self, node: &str, done: u64, total: u64) -> Option<String> {
         let now = Instant::now();
         let mut tracked = self.tracked.lock();

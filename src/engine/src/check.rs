@@ -15,7 +15,7 @@ pub struct Edge {
     pub key: String,
     /// The upstream node.
     pub upstream: String,
-    /// The part of its output that is read, of an output of several parts (`photos/a` for the output `photos`); none: all.
+    /// The part that is read, of an output of several parts (`photos/a` for the output `photos`). None for the whole output.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub part: Option<String>,
 }
@@ -106,7 +106,7 @@ pub enum GraphError {
         node: String,
     },
     /// A key names a node that does not exist.
-    #[error("`{node}.{key}` names the node `{upstream}`, which is not there; there are {}", known.join(", "))]
+    #[error("`{node}.{key}` names the node `{upstream}`, which does not exist. The nodes are {}", known.join(", "))]
     UnknownUpstream {
         /// The node with the key.
         node: String,
@@ -118,7 +118,7 @@ pub enum GraphError {
         known: Vec<String>,
     },
     /// A key that the stage lacks.
-    #[error("`{node}` has no input `{key}`; it has {}", known.join(", "))]
+    #[error("`{node}` has no input `{key}`. Its inputs are {}", known.join(", "))]
     UnknownKey {
         /// The node.
         node: String,
@@ -138,7 +138,7 @@ pub enum GraphError {
         output: String,
     },
     /// The upstream node lacks the output that an input needs.
-    #[error("`{key}` of `node.{node}` needs `{output}`; `node.{upstream}` (stage `{stage}`) gives {}", outputs.join(", "))]
+    #[error("`{key}` of `node.{node}` needs `{output}`, but `node.{upstream}` (stage `{stage}`) gives {}", outputs.join(", "))]
     NoSuchOutput {
         /// The node.
         node: String,
@@ -148,7 +148,7 @@ pub enum GraphError {
         upstream: Box<str>,
         /// The stage of the upstream node.
         stage: &'static str,
-        /// The output; one of several parts ends with `/`.
+        /// The output. An output of several parts ends with `/`.
         output: Box<str>,
         /// The outputs that the upstream node has.
         outputs: &'static [&'static str],
@@ -172,7 +172,7 @@ pub enum GraphError {
 }
 
 impl GraphError {
-    /// Returns the name of the node at fault; of a cycle the first one.
+    /// Returns the name of the node at fault. For a cycle, this is the first one.
     pub fn node(&self) -> &str {
         match self {
             Self::DuplicateNode { node }
@@ -185,7 +185,7 @@ impl GraphError {
         }
     }
 
-    /// Returns what to write instead, if the input at fault knows.
+    /// Returns a hint for the user, if the input at fault has one.
     pub fn hint(&self) -> Option<&'static str> {
         match self {
             Self::NoSuchOutput { hint, .. } => *hint,
@@ -286,7 +286,7 @@ fn check_edge(
     Ok(())
 }
 
-/// Returns the connections of a node; no two may be the same input.
+/// Returns the connections of a node. No two may be the same input.
 fn connections(
     node: &NodeShape<'_>,
     nodes: &[NodeShape<'_>],
@@ -349,7 +349,7 @@ fn connected_ports<'a>(
     }
 }
 
-/// Nodes by index; edges along the flow of data.
+/// Nodes by index. Edges follow the flow of data.
 type Flow = DiGraph<usize, ()>;
 
 /// Returns the indices of nodes in topological order, ties in the order given.

@@ -4,15 +4,15 @@ use std::path::{Path, PathBuf};
 
 use serde_json::Value;
 
-/// Returns the words of a command in one line. Absolute paths in it are written from the folder of the pipeline, and of a path elsewhere
-/// only the last part stays: a record names no folder of a machine.
+/// Returns the words of a command in one line. Absolute paths in it become relative to the folder of the pipeline. Only the last part of a
+/// path elsewhere is kept, so that a record names no folder of a machine.
 pub fn recorded_command(words: &[String], pipeline: &Path) -> String {
     let folder = folder_of(pipeline);
     let words: Vec<String> = words.iter().map(|word| without_folders(word, folder)).collect();
     words.join(" ")
 }
 
-/// Writes the paths of archives as [`recorded_command`] does, in the value that holds them.
+/// Shortens the paths of archives in a value, as [`recorded_command`] does.
 pub fn forget_folders(archives: &mut Value, pipeline: &Path) {
     match archives {
         Value::String(text) => *text = shortened(text, folder_of(pipeline)),

@@ -5,7 +5,7 @@ use marf_stage::{BlobError, StageError};
 
 /// Returns the error of a stage that broke its contract.
 pub(crate) fn contract_violation(message: String) -> StageError {
-    StageError::new(message).cause("the stage does not keep its contract; this is a bug of the stage")
+    StageError::new(message).cause("the stage does not keep its contract, which is a bug of the stage")
 }
 
 /// Returns the error of a stage that panicked, from the payload of the panic.

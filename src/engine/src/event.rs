@@ -34,7 +34,7 @@ pub enum Event {
         /// Whether it is the result of the last run.
         reason: String,
     },
-    /// Progress; at most ten events a second.
+    /// Progress, at most ten events a second.
     Progress {
         /// The node.
         node: String,
@@ -54,7 +54,7 @@ pub enum Event {
         /// Output blobs by name: digest and bytes.
         #[schemars(with = "BTreeMap<String, OutputShape>")]
         outputs: BTreeMap<String, Output>,
-        /// Figures: `photos` kept, `rejected`, `measured`; sols `fetched`, `summarised` (once a pass), `decided`; `children`.
+        /// Figures: `photos` kept, `rejected`, `measured`, sols `fetched`, `summarised` (once a pass), `decided`, and `children`.
         counts: BTreeMap<String, u64>,
     },
     /// It failed.

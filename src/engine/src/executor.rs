@@ -9,36 +9,35 @@ use crate::needs::Needs;
 
 /// Has actions computed on other machines.
 pub trait Executor: fmt::Debug + Send + Sync {
-    /// Returns what computes the nodes of a stage, if it takes these: their keys hold the backend of that machine.
+    /// Returns the machine that computes the nodes of a stage, if this executor takes them. Their keys hold the backend of that machine.
     fn machine_of(&self, stage: &str) -> Option<Machine<'_>>;
 
-    /// Tells whether it takes an action; what it does not take is computed here.
+    /// Returns whether it takes an action. Other actions are computed here.
     fn takes(&self, action: &Action) -> bool;
 
     /// Returns the most actions that it takes at once, at least 1.
     fn slots(&self) -> usize;
 
-    /// Has an action computed, and puts its record and all that this consists of into the store.
+    /// Has an action computed, and puts its record and every blob of it into the store.
     ///
     /// # Errors
-    /// What kept the other machine from computing it; [`StageError::Cancelled`] if the user wants to stop.
+    /// The error of the other machine, or [`StageError::Cancelled`] if the user wants to stop.
     fn execute(&self, order: &Order<'_>) -> Result<(), StageError>;
 
-    /// Tells whether it takes parts of a node that measure so many photos; what it does not take is computed here.
+    /// Returns whether it takes parts of a node that measure this many photos. Other parts are computed here.
     fn takes_parts(&self, action: &Action, photos: u64) -> bool;
 
-    /// Has parts of a node computed, and puts their records and all that these consist of into the store. `order` is of the
-    /// node.
+    /// Has parts of a node computed, and puts their records and every blob of them into the store. `order` is that of the node.
     ///
     /// # Errors
-    /// As [`Executor::execute`]; parts that were computed by then may be in the store.
+    /// As [`Executor::execute`]. Parts that were computed before the error may be in the store.
     fn execute_parts(&self, order: &Order<'_>, parts: &[PartOrder]) -> Result<(), StageError>;
 }
 
-/// What of another machine decides which backend a stage has there.
+/// The properties of another machine that decide which backend a stage has there.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Machine<'a> {
-    /// The backend id of its GPU; none of a machine without one.
+    /// The backend id of its GPU. None for a machine without one.
     pub gpu: Option<&'a str>,
 }
 
@@ -81,7 +80,7 @@ pub(crate) struct OtherMachines<'a> {
     pub(crate) results: Vec<Digest>,
 }
 
-/// An action to compute elsewhere, with what travels beside it and is in no key.
+/// An action to compute elsewhere, with data that is sent with it and is not part of the key.
 pub struct Order<'a> {
     /// Name of the node.
     pub node: &'a str,
@@ -89,7 +88,7 @@ pub struct Order<'a> {
     pub key: Digest,
     /// The action, whose bytes are in the store under the key.
     pub action: &'a Action,
-    /// What it needs of a machine.
+    /// Its needs: cores, GPU, memory, time.
     pub needs: Needs,
     /// Keys of the results of the run so far, sorted: all that the action reads is an input, or belongs to one of these.
     pub results: &'a [Digest],

@@ -23,13 +23,13 @@ pub struct NodeDecl {
     pub edges: Vec<Edge>,
 }
 
-/// A checked graph: names are unique, every input has an upstream output, there is no cycle.
+/// A checked graph: names are unique, every input has an upstream output, and there is no cycle.
 pub struct Graph {
     /// In topological order, ties in the order declared.
     pub(crate) nodes: Vec<Node>,
     /// Stages by name, for the children of expanding nodes.
     pub(crate) table: BTreeMap<&'static str, StageDef>,
-    /// What its sources have told, if it shares that with other graphs; else each plan and each run asks them.
+    /// The listings of its sources, if it shares them with other graphs. Otherwise each plan and each run asks the sources.
     listings: Option<Listings>,
     digest: Digest,
 }
@@ -50,7 +50,7 @@ pub struct NodeView<'a> {
     pub name: &'a str,
     /// Name of its stage.
     pub stage: &'static str,
-    /// The upstream node of each of its keys.
+    /// The upstream node for each of its keys.
     pub edges: &'a [Edge],
     /// Names of its outputs.
     pub outputs: &'static [&'static str],
@@ -112,7 +112,7 @@ impl Graph {
         }
     }
 
-    /// Returns what a source has told, or else what it tells when asked.
+    /// Returns the known listing of a source, or else asks the source.
     pub(crate) fn listed(
         &self,
         node: &str,
@@ -124,7 +124,7 @@ impl Graph {
         }
     }
 
-    /// Keeps what a fetch has found out of a source.
+    /// Keeps the listing of a source that a fetch has found.
     pub(crate) fn keep_listed(&self, node: &str, listed: &SourceListing) {
         if let Some(listings) = &self.listings {
             listings.keep(node, listed);

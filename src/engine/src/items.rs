@@ -45,7 +45,7 @@ pub(crate) fn leaf_name(index: usize) -> String {
 
 /// Reads a set.
 pub(crate) fn read_set(ctx: &Ctx<'_>, root: &Digest) -> Result<Root, StageError> {
-    /// A blob that cannot be read, or is no manifest.
+    /// A blob that cannot be read, or is not a manifest.
     enum Fault {
         Stage(StageError),
         Manifest(ManifestError),
@@ -95,7 +95,7 @@ pub(crate) fn read_shard(ctx: &Ctx<'_>, shard: &ShardLeaves) -> Result<ShardRows
     })
 }
 
-/// Stores the rows of a shard as leaves; none if there are no rows.
+/// Stores the rows of a shard as leaves. Empty without rows.
 pub(crate) fn write_shard(ctx: &Ctx<'_>, rows: ShardRows) -> Result<Vec<LeafRef>, StageError> {
     let shard = rows.shard;
     let whole = Leaf::new(rows.rows)
@@ -146,7 +146,7 @@ pub(crate) fn write_refs(ctx: &Ctx<'_>, leaves: &[LeafRef]) -> Result<Digest, St
     ctx.put(&Root::encode_leaves(leaves))
 }
 
-/// Returns the rows that their verdicts keep; there must be one verdict for each row, in the same order.
+/// Returns the rows that their verdicts keep. There must be one verdict for each row, in the same order.
 pub(crate) fn kept(rows: Vec<Row>, verdicts: &[Verdict]) -> Result<Vec<Row>, StageError> {
     if rows.len() != verdicts.len() {
         let (got, wanted) = (verdicts.len(), rows.len());

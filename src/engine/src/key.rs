@@ -31,10 +31,10 @@ impl Key {
     }
 }
 
-/// Returns the key of a node. `executor` computes it, or its children, if that takes them.
+/// Returns the key of a node. `executor` computes the node or its children, if it takes them.
 ///
 /// # Errors
-/// A child of a stage that is not in the table or refuses its parameters; a device that is not where it is computed.
+/// A child of a stage that is not in the table or refuses its parameters, or a device that the computing machine does not have.
 pub(crate) fn node_key(
     table: &StageTable,
     executor: Option<&dyn Executor>,
@@ -70,7 +70,7 @@ fn add_children(
     for child in expand.children() {
         let def = table.get(child.stage).ok_or_else(|| {
             contract_violation(format!(
-                "its children are of the stage `{}`, which is not there",
+                "its children are of the stage `{}`, which does not exist",
                 child.stage
             ))
         })?;
@@ -89,7 +89,7 @@ fn add_children(
 /// Returns the action of a key.
 ///
 /// # Errors
-/// A store that cannot be read; a lost or foreign action is none.
+/// A store that cannot be read. A lost action, or bytes that are not an action, give None.
 pub fn action_at(store: &Store, key: &Digest) -> Result<Option<Action>, StoreError> {
     match store.get(key) {
         Err(error) if error.lost().is_some() => Ok(None),
@@ -102,9 +102,9 @@ pub fn action_at(store: &Store, key: &Digest) -> Result<Option<Action>, StoreErr
 pub struct Change {
     /// Path of the value (`params.threshold`).
     pub path: String,
-    /// The old value; none if there was none.
+    /// The old value. None if there was none.
     pub old: Option<String>,
-    /// The new value; none if there is none.
+    /// The new value. None if there is none.
     pub new: Option<String>,
 }
 
@@ -112,7 +112,7 @@ const SHARDS: &str = "listing.";
 const FILES: &str = "files.";
 const PHOTOS_OF: &str = "photos.";
 
-/// Returns the path of a shard of a listing; with leading zeros, so that paths sort by number.
+/// Returns the path of a shard of a listing. Leading zeros make paths sort by number.
 pub(crate) fn shard_path(shard: u32) -> String {
     format!("{SHARDS}{shard:05}")
 }
@@ -195,7 +195,7 @@ impl fmt::Display for Change {
         };
         if let Some(input) = self.path.strip_prefix("inputs.") {
             return match input {
-                LISTING => write!(f, "what the archive lists {became}"),
+                LISTING => write!(f, "the archive listing {became}"),
                 _ => write!(f, "input {input} {became}"),
             };
         }
@@ -286,7 +286,7 @@ mod tests {
                         .inputs
                         .extend([(LISTING.to_owned(), Digest::from_content(b"b"))])
                 },
-                "what the archive lists is new",
+                "the archive listing is new",
             ),
             (
                 |action| action.params["rule"] = json!("Robust"),

@@ -1,4 +1,4 @@
-//! Plans and runs the graph of stages; knows no Mars, no image, no GPU.
+//! Plans and runs the graph of stages, without any knowledge of Mars, images or GPUs.
 //!
 //! Invariant: the result of a node depends on its key alone, and the key on the contents it names. Threads, order,
 //! cancellation and history change only which nodes run.

@@ -25,20 +25,20 @@ use crate::{
     stage_io::{StoreBlobs, load_memo},
 };
 
-/// A listing, and the inputs that stand for it in the key of its source.
+/// A listing, and the inputs that represent it in the key of its source.
 #[derive(Clone)]
 pub(crate) struct SourceListing {
     pub(crate) listing: Listing,
     pub(crate) inputs: Inputs,
 }
 
-/// What sources have told, by the names of their nodes. Graphs of one pipeline that share this ask each source once, however often
-/// they are planned and run: an archive that changes meanwhile is seen by the next program.
+/// The listings of sources, by the names of their nodes. Graphs of one pipeline that share this ask each source once, however often they
+/// are planned and run. The next program sees an archive that changes meanwhile.
 #[derive(Clone, Default)]
 pub struct Listings(Arc<Mutex<BTreeMap<String, SourceListing>>>);
 
 impl Listings {
-    /// Returns what a node has told; else asks it.
+    /// Returns the known listing of a node, or else asks its source.
     pub(crate) fn get_or_ask(
         &self,
         node: &str,
@@ -54,13 +54,13 @@ impl Listings {
         Ok(listed)
     }
 
-    /// Keeps what a node tells now: of some archives a fetch alone tells what they hold.
+    /// Stores the present listing of a node: some archives show their contents only in a fetch.
     pub(crate) fn keep(&self, node: &str, listed: &SourceListing) {
         self.0.lock().insert(node.to_owned(), listed.clone());
     }
 }
 
-/// Lists what a source offers, on the threads of `pool`; none for other stages.
+/// Lists what a source offers, on the threads of `pool`. None for other stages.
 pub(crate) fn list(
     stage: &dyn Stage,
     store: &Store,
@@ -85,7 +85,7 @@ pub(crate) fn list(
     Ok(Some(SourceListing::new(listing)))
 }
 
-/// Asks a source, on the threads of `pool`; it may read the store.
+/// Asks a source, on the threads of `pool`. The source may read the store.
 fn asked<T: Send>(
     store: &Store,
     cancel: &Cancel,
@@ -111,7 +111,7 @@ fn asked<T: Send>(
     })
 }
 
-/// Returns every file that differs between a listing and that of an earlier action, as far as both are known.
+/// Returns every file that differs between a listing and that of an earlier action. Only shards whose files both know are compared.
 pub(crate) fn file_changes(
     stage: &dyn Stage,
     store: &Store,
@@ -145,7 +145,7 @@ pub(crate) fn file_changes(
     Ok(changes_between(&old, &new))
 }
 
-/// Returns the inputs that stand for a listing; `put` stores their bytes, or only computes digests.
+/// Returns the inputs that represent a listing. `put` stores their bytes, or only computes digests.
 fn inputs<E>(listing: &Listing, mut put: impl FnMut(&[u8]) -> Result<Digest, E>) -> Result<Inputs, E> {
     let leaves = listing.shards.iter().map(|shard| LeafRef {
         shard: shard.shard,
@@ -169,18 +169,18 @@ pub(crate) fn companions(listing: &Listing) -> Vec<u8> {
 }
 
 impl SourceListing {
-    /// Returns a listing with the inputs that stand for it; stores nothing.
+    /// Returns a listing with the inputs that represent it. Stores nothing.
     pub(crate) fn new(listing: Listing) -> Self {
         let Ok(inputs) = inputs(&listing, |bytes| Ok::<_, Infallible>(Digest::from_content(bytes)));
         Self { listing, inputs }
     }
 
-    /// Stores what the inputs name, so that a later run can tell which shards changed.
+    /// Stores the blobs of the inputs, so that a later run can find out which shards changed.
     pub(crate) fn store(&self, ctx: &Ctx<'_>) -> Result<(), StageError> {
         inputs(&self.listing, |bytes| ctx.put(bytes)).map(drop)
     }
 
-    /// Returns the shards that differ from those of an earlier action; none if its listing is lost.
+    /// Returns the shards that differ from those of an earlier action. None if its listing is lost.
     pub(crate) fn changes_since(&self, store: &Store, earlier: &Action) -> Option<Vec<Change>> {
         let root = earlier.inputs.get(LISTING)?;
         let listed = store.set(root).ok()?;
@@ -197,7 +197,7 @@ fn fingerprints(shards: impl Iterator<Item = (u32, Digest)>) -> BTreeMap<String,
         .collect()
 }
 
-/// Checkpoints and memos of a listing: memos are read, nothing is kept.
+/// Checkpoints and memos of a listing: memos are read, nothing is stored.
 struct ReadOnly<'a>(&'a Store);
 
 impl Checkpoints for ReadOnly<'_> {

@@ -11,7 +11,7 @@ use crate::{
     record::{NodeState, RunRecord},
 };
 
-/// What the store has for a key.
+/// The result of looking up a key in the store.
 pub(crate) enum Lookup {
     /// A record whose outputs are all in the store.
     Hit(Box<Record>),

@@ -40,7 +40,7 @@ impl MeasureTable {
         bytes
     }
 
-    /// Reads what [`MeasureTable::encode`] wrote; none if the bytes are anything else.
+    /// Reads the bytes of [`MeasureTable::encode`]. None for any other bytes.
     pub(crate) fn decode(bytes: &[u8]) -> Option<Self> {
         let mut rest = bytes.strip_prefix(MAGIC.as_slice())?;
         let mut table = BTreeMap::new();

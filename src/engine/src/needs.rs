@@ -1,18 +1,18 @@
-//! What a node needs of a machine. It travels beside the action and is part of no key.
+//! The needs of a node on a machine. They are sent with the action and are not part of a key.
 
 use marf_cache::RunMetadata;
 use marf_stage::{Stage, Threads, Work};
 use serde::Serialize;
 
-/// Cores, GPU, memory and time of a node: what its stage can use, and what it took when it last ran.
+/// Cores, GPU, memory and time of a node: the cores that its stage can use, and the memory and time of its last run.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Needs {
-    /// How many cores it can use; fewer give the same result.
+    /// Cores that it can use. Fewer give the same result.
     pub cores: Threads,
     /// Whether it computes on a GPU.
     pub gpu: bool,
-    /// Largest memory of the whole program up to its end when it last ran, in MB: it needs no more than this. Absent if it
-    /// never ran, or where the system does not tell.
+    /// Largest memory of the whole program up to the end of the node's last run, in MB. The node needs no more than this. Absent if it
+    /// never ran, or if the system does not report it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub memory_mb: Option<u64>,
     /// Seconds that it took when it last ran.
@@ -21,7 +21,7 @@ pub struct Needs {
 }
 
 impl Needs {
-    /// Returns the needs of a stage with its parameters. `gpu` tells whether it computes on one, `last` of the node's last run.
+    /// Returns the needs of a stage with its parameters. `gpu` is whether it computes on a GPU, `last` the metadata of the node's last run.
     pub(crate) fn new(stage: &dyn Stage, gpu: bool, last: Option<&RunMetadata>) -> Self {
         Self {
             cores: cores_of(stage),

@@ -15,9 +15,9 @@ use crate::{
     run,
 };
 
-/// Returns every photo that was added, edited or removed since the last result of a node, by shard and id. Of a source these
-/// are the photos it gives, of other nodes those it reads. Where these are not known yet, the answer is of the nearest node
-/// upstream; of a source that will run, the files that differ, unless they are known only once they have come.
+/// Returns every photo that was added, edited or removed since the last result of a node, by shard and id. For a source these are the
+/// photos it gives, for other nodes those it reads. If these are not known yet, the answer is that of the nearest node upstream. For a
+/// source that will run, the answer is the files that differ, unless they are known only after a fetch.
 ///
 /// # Errors
 /// A store that cannot be read, a name that is not in the graph.
@@ -58,7 +58,7 @@ pub fn photo_changes(
     Ok(changes_between(&photos(&before)?, &photos(&now)?))
 }
 
-/// Returns the nearest node from `index` on upstream of which it is known what it reads.
+/// Returns the nearest node whose inputs are known, from `index` on upstream.
 fn nearest_known(graph: &Graph, known: &[NodePreview], mut index: usize) -> usize {
     while known[index].inputs.is_none()
         && let Some(connection) = graph.nodes[index].connections.first()

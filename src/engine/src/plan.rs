@@ -1,4 +1,4 @@
-//! The plan: what a run would do with each node, and why. It lists sources and stores nothing.
+//! The plan: the state of each node in a run, and why. It lists sources and stores nothing.
 
 use std::num::NonZero;
 
@@ -19,7 +19,7 @@ use crate::{
     work::{Extent, extent},
 };
 
-/// What a run would do with a node.
+/// The planned state of a node.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct PlannedNode {
     /// Name of the node.
@@ -30,14 +30,14 @@ pub struct PlannedNode {
     pub state: PlanState,
     /// Why: the first difference from its last key.
     pub reason: String,
-    /// Its key, as far as its inputs are known.
+    /// Its key, if its inputs are known.
     pub key: Option<Digest>,
     /// All differences from its last key.
     pub changes: Vec<Change>,
-    /// What it would look at, as far as that is known.
+    /// The photos that it would look at, if they are known.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub extent: Option<Extent>,
-    /// What it needs of a machine.
+    /// Its needs: cores, GPU, memory, time.
     pub needs: Needs,
 }
 
@@ -56,7 +56,7 @@ pub enum PlanState {
 }
 
 impl PlanState {
-    /// Returns what it is in the words of a plan.
+    /// Returns the state in the words of a plan.
     pub fn word(self) -> &'static str {
         match self {
             Self::Fresh => "fresh",
@@ -66,14 +66,14 @@ impl PlanState {
         }
     }
 
-    /// Tells whether the node may run.
+    /// Returns whether the node may run.
     pub fn is_open(self) -> bool {
         matches!(self, Self::WillRun | Self::MayRun)
     }
 }
 
-/// Returns what a run would do, in topological order. `last` is the last run of this pipeline, `threads` how many a listing
-/// may use (none for as many as there are cores).
+/// Returns the plan of a run, in topological order. `last` is the last run of this pipeline. `threads` is the number of threads for
+/// listings, by default all cores.
 ///
 /// # Errors
 /// A store that cannot be read.
@@ -101,7 +101,7 @@ pub fn plan_beside(
     Ok(known.map(|known| known.node).collect())
 }
 
-/// As [`plan`], with the inputs and outputs of each node as far as they are known.
+/// As [`plan`], with the inputs and outputs of each node where they are known.
 pub(crate) fn plan_all(
     graph: &Graph,
     store: &Store,
@@ -124,7 +124,7 @@ pub(crate) fn plan_all(
     Ok(known)
 }
 
-/// A planned node, its inputs as far as they are known, of a source what it lists, and its outputs if they are in the store.
+/// A planned node, its inputs if they are known, the listing of a source, and its outputs if they are in the store.
 pub(crate) struct NodePreview {
     pub(crate) node: PlannedNode,
     pub(crate) inputs: Option<Inputs>,
@@ -216,7 +216,7 @@ impl Planner<'_> {
         })
     }
 
-    /// Returns the plan of a node behind one that will or may run: it looks at what that one looks at, or at less.
+    /// Returns the plan of a node downstream of one that will or may run. It looks at the same photos, or at fewer.
     fn behind(&self, node: &Node, upstream: &PlannedNode) -> NodePreview {
         let why = because(format!("upstream {} {}", upstream.node, upstream.state.word()));
         let mut known = self.will_run(node, why, None, upstream.extent);
@@ -226,7 +226,7 @@ impl Planner<'_> {
         known
     }
 
-    /// Tells whether a node has a result of which at most its inputs differ.
+    /// Returns whether the node itself is unchanged: with the inputs of its last result, it has the same key.
     fn is_itself(&self, node: &Node) -> bool {
         let key = self.last.and_then(|run| run.latest.get(&node.name));
         let action = key.and_then(|key| action_at(self.store, key).ok().flatten());
@@ -272,7 +272,7 @@ impl Planner<'_> {
     }
 }
 
-/// Returns what a run would do with one node.
+/// Returns the plan of one node.
 ///
 /// # Errors
 /// A store that cannot be read, a name that is not in the graph.

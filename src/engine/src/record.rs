@@ -1,4 +1,4 @@
-//! Run records: what a run did with each node, stored under `.marf/runs`.
+//! Run records: the state of each node in a run, stored under `.marf/runs`.
 
 use std::collections::BTreeMap;
 
@@ -10,10 +10,10 @@ use crate::{check::Edge, graph::Graph, source::RunSource};
 /// A run and its results.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RunRecord {
-    /// Number of the run in its store, from 1; not in the file, as it is the file's name. 0 if the run is not stored.
+    /// Number of the run in its store, from 1. It is not in the file, as it is the file's name. 0 if the run is not stored.
     #[serde(skip)]
     pub number: u64,
-    /// Digest of the run root's bytes, which is in the file's name; absent if the run is not stored.
+    /// Digest of the run root's bytes, which is in the file's name. Absent if the run is not stored.
     #[serde(skip)]
     pub root: Option<Digest>,
     /// [`RUN_FORMAT`].
@@ -22,13 +22,13 @@ pub struct RunRecord {
     pub id: String,
     /// Name of the pipeline.
     pub pipeline: String,
-    /// What it is a run of.
+    /// Its source: a pipeline, a folder, or another run.
     pub source: RunSource,
     /// The command as typed.
     pub command: String,
     /// The program with its version.
     pub program: String,
-    /// The program's file; absent where it cannot be read.
+    /// The program's file. Absent if it cannot be read.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub build: Option<Build>,
     /// Start, in seconds since 1970.
@@ -72,7 +72,7 @@ pub mod document {
 /// A program's file: which program ran, to the byte. It names no folder and no host.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Build {
-    /// Commit of the sources; `+changes` behind it if files differed from it. Absent if it was not built in a repository.
+    /// Commit of the sources, with `+changes` appended if files differed from it. Absent if it was not built in a repository.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub commit: Option<String>,
     /// Digest of the file.
@@ -97,10 +97,10 @@ pub enum Outcome {
     Cancelled,
 }
 
-/// What a run did with one node.
+/// The run of one node.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct NodeRun {
-    /// Name of the node; of a child `parent/child`.
+    /// Name of the node. A child is named `parent/child`.
     pub name: String,
     /// Name of its stage.
     pub stage: String,
@@ -108,18 +108,18 @@ pub struct NodeRun {
     pub parent: Option<String>,
     /// The upstream nodes of its inputs.
     pub edges: Vec<Edge>,
-    /// What it read, by the name of the input; empty if it did not come so far.
+    /// Its inputs by name. Empty if the run stopped before they were known.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub inputs: BTreeMap<String, NodeInput>,
-    /// Its key, as far as its inputs were known.
+    /// Its key, if its inputs were known.
     pub key: Option<Digest>,
     /// What happened.
     pub state: NodeState,
     /// Why.
     pub reason: String,
-    /// Wall time; of a reused node that of the run that made the result.
+    /// Wall time. For a reused node, this is the time of the run that made the result.
     pub seconds: f64,
-    /// When the work began that made the result, in seconds since 1970; absent if there is none.
+    /// Start of the work that made the result, in seconds since 1970. Absent without a result.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub started_unix_s: Option<u64>,
     /// Output blobs by name.
@@ -128,12 +128,12 @@ pub struct NodeRun {
     pub counts: BTreeMap<String, u64>,
 }
 
-/// What a node read.
+/// An input of a node.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct NodeInput {
     /// Digest of the content.
     pub digest: Digest,
-    /// The output that it is; absent if no node of the run made it (what an archive listed, an own earlier output).
+    /// The output that it is. Absent if no node of the run made it (a listing of an archive, the node's own earlier output).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub made_by: Option<OutputName>,
 }
@@ -163,13 +163,13 @@ pub enum NodeState {
     Cancelled,
 }
 
-/// Why bytes are no run record of this program.
+/// Why bytes are not a run record of this program.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordError {
     /// They are of another form.
-    #[error("it has form {found} and this marf reads form {RUN_FORMAT} alone")]
+    #[error("it has form {found}, and this marf reads only form {RUN_FORMAT}")]
     Form {
-        /// Their form; 0 if they name none.
+        /// Their form, or 0 if they name none.
         found: u32,
     },
     /// They cannot be parsed.
@@ -184,7 +184,7 @@ pub enum EngineError {
     #[error(transparent)]
     Store(#[from] StoreError),
     /// A name that is not in the graph.
-    #[error("there is no node `{node}`; there are {}", known.join(", "))]
+    #[error("there is no node `{node}`. The nodes are {}", known.join(", "))]
     UnknownNode {
         /// The name.
         node: String,
@@ -230,7 +230,7 @@ impl EngineError {
         }
     }
 
-    /// Returns what the user can do about it, if anything.
+    /// Returns a hint for the user, if there is one.
     pub fn hint(&self) -> Option<String> {
         match self {
             Self::Store(error) => error.hint(),
@@ -240,17 +240,17 @@ impl EngineError {
 }
 
 impl NodeState {
-    /// Tells whether the node has its outputs.
+    /// Returns whether the node has its outputs.
     pub fn is_good(self) -> bool {
         matches!(self, Self::Reused | Self::Finished)
     }
 }
 
 impl RunRecord {
-    /// Reads the bytes of a run root. Its number is not in them.
+    /// Reads the bytes of a run root. They do not contain its number.
     ///
     /// # Errors
-    /// Bytes that are no record, or one of another form.
+    /// Bytes that are not a record, or a record of another form.
     pub fn decode(root: &[u8]) -> Result<Self, RecordError> {
         #[derive(Deserialize)]
         struct Form {
@@ -267,8 +267,7 @@ impl RunRecord {
         })
     }
 
-    /// Stores the record under the next free number. A store that cannot be written is enough for a run in which nothing
-    /// ran: it is warned of, and the run has no number.
+    /// Stores the record under the next free number. If nothing ran, a read-only store only causes a warning, and the run has no number.
     ///
     /// # Errors
     /// A store that cannot be written.
@@ -295,7 +294,7 @@ impl RunRecord {
         self.nodes.iter().any(|node| node.state == NodeState::Finished)
     }
 
-    /// Tells whether two runs have the same nodes with the same keys, so that there is nothing between them.
+    /// Returns whether two runs have the same nodes with the same keys, so that nothing differs between them.
     pub fn has_keys_of(&self, other: &Self) -> bool {
         let keys = |run: &Self| -> BTreeMap<String, Option<Digest>> {
             run.nodes
@@ -306,7 +305,7 @@ impl RunRecord {
         keys(self) == keys(other)
     }
 
-    /// Returns what the run did with a node.
+    /// Returns the run of a node.
     pub fn node(&self, name: &str) -> Option<&NodeRun> {
         self.nodes.iter().find(|node| node.name == name)
     }
@@ -321,8 +320,8 @@ pub fn runs(store: &Store, warn: impl Fn(String)) -> Result<Vec<RunRecord>, Engi
     Ok(numbers.filter_map(|number| read(store, number, &warn)).collect())
 }
 
-/// Reads the run that a run is compared with and whose outputs are its earlier ones: the last run of the same pipeline and source, or
-/// for a derived run the one that it is made from. A run that cannot be read is left out and warned of.
+/// Reads the run with which a run is compared, and which has its earlier outputs. It is the last run of the same pipeline and source, or
+/// for a derived run its base. A run that cannot be read is skipped with a warning.
 ///
 /// # Errors
 /// A folder that cannot be read.
@@ -368,12 +367,12 @@ pub fn run_of(store: &Store, number: u64) -> Result<RunRecord, EngineError> {
     Ok(RunRecord { number, ..run })
 }
 
-/// Reads one run; none if it cannot be read.
+/// Reads one run. None if it cannot be read.
 fn read(store: &Store, number: u64, warn: &impl Fn(String)) -> Option<RunRecord> {
     match run_of(store, number) {
         Ok(run) => Some(run),
         Err(error) => {
-            warn(format!("{error}; it is passed over"));
+            warn(format!("{error}. This run is skipped"));
             None
         }
     }

@@ -1,4 +1,4 @@
-//! What a collection must keep: the results of runs.
+//! The objects that a collection must keep: the results of runs.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -19,8 +19,8 @@ pub struct KeptRuns {
     pub given_up: Vec<u64>,
 }
 
-/// Returns what `keep_last` runs of each pipeline need, and the pinned runs. A run that cannot be read is left out and warned
-/// of; it is neither kept nor given up.
+/// Returns the needs of the last `keep_last` runs of each pipeline and of the pinned runs. A run that cannot be read is skipped with a
+/// warning. It is neither kept nor removed.
 ///
 /// # Errors
 /// A store that cannot be read.

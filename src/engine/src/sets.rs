@@ -9,7 +9,7 @@ use marf_stage::Verdict;
 /// Reads the leaves of a set.
 ///
 /// # Errors
-/// The first error of `get`, or bytes that are no set.
+/// The first error of `get`, or bytes that are not a set.
 pub fn leaves<E: From<ManifestError>>(
     root: &Digest,
     get: impl FnMut(&Digest) -> Result<Arc<[u8]>, E>,
@@ -20,7 +20,7 @@ pub fn leaves<E: From<ManifestError>>(
 /// Reads all rows of a set.
 ///
 /// # Errors
-/// The first error of `get`, or bytes that are no set.
+/// The first error of `get`, or bytes that are not a set.
 pub fn rows<E: From<ManifestError>>(
     root: &Digest,
     mut get: impl FnMut(&Digest) -> Result<Arc<[u8]>, E>,
@@ -35,7 +35,7 @@ pub fn rows<E: From<ManifestError>>(
 /// Reads all verdicts of a node.
 ///
 /// # Errors
-/// The first error of `get`, or bytes that are no verdicts.
+/// The first error of `get`, or bytes that are not verdicts.
 pub fn verdicts<E: From<ManifestError>>(
     root: &Digest,
     mut get: impl FnMut(&Digest) -> Result<Arc<[u8]>, E>,
@@ -50,7 +50,7 @@ pub fn verdicts<E: From<ManifestError>>(
 /// Reads the verdicts of a leaf, one JSON object a line.
 ///
 /// # Errors
-/// Bytes that are no verdicts.
+/// Bytes that are not verdicts.
 pub fn parse(bytes: &[u8]) -> Result<Vec<Verdict>, ManifestError> {
     let lines = bytes.split(|byte| *byte == b'\n').filter(|line| !line.is_empty());
     lines.map(|line| Ok(serde_json::from_slice(line)?)).collect()

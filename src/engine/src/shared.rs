@@ -4,20 +4,20 @@ use marf_cache::{Digest, Record, Store, StoreError};
 
 /// A store that several machines share.
 ///
-/// The engine asks it before it makes what the own store lacks, and tells it what it has made. Whatever goes wrong there is
-/// told by the implementation and is no error of a run: what is not fetched is made.
+/// The engine asks it for results that the local store lacks, and offers it new results. The implementation reports its errors. They do not
+/// fail a run: a result that is not fetched is computed.
 pub trait SharedResults: std::fmt::Debug + Send + Sync {
-    /// Fetches the results of keys that are there into the own store, where they are committed when this returns.
+    /// Fetches the available results of keys into the local store, where they are committed when this returns.
     fn fetch(&self, keys: &[Digest]);
 
-    /// Returns what is recorded there of a key, without the result itself; none if it is not there, or nobody answers.
+    /// Returns the shared record of a key, without the result itself. None if the store has no record or does not answer.
     fn record(&self, key: &Digest) -> Option<Record>;
 
-    /// Sends the result of a key, which is committed, beside the run.
+    /// Sends the result of a key, which is committed, in the background.
     fn offer(&self, key: &Digest);
 }
 
-/// Fetches those results of keys that the own store lacks.
+/// Fetches the results of keys that the local store lacks.
 pub(crate) fn fetch_lacking(
     shared: Option<&dyn SharedResults>,
     store: &Store,

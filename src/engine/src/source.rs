@@ -1,4 +1,4 @@
-//! What a run is a run of.
+//! The source of a run.
 
 use std::{
     fmt,
@@ -8,14 +8,14 @@ use std::{
 use marf_cache::{Digest, Store};
 use serde::{Deserialize, Serialize};
 
-/// What a run is a run of.
+/// The source of a run.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum RunSource {
     /// A pipeline file. A pipeline is its file and its name ([`crate::RunRecord::pipeline`]).
     Pipeline {
-        /// Path of the file from the folder that holds the store, with `/`. Of a file elsewhere: 16 hexadecimal digits of the
-        /// blake3 of its absolute path.
+        /// Path of the file from the folder that contains the store, with `/`. For a file elsewhere: 16 hexadecimal digits of the blake3 of
+        /// its absolute path.
         file: String,
     },
     /// The pipeline that a verb builds for one folder of photos.
@@ -25,11 +25,11 @@ pub enum RunSource {
         /// The folder, as `file` of a pipeline.
         folder: String,
     },
-    /// Results made from another run. They are attached to that run and are no run of its pipeline.
+    /// Results made from another run. They are attached to that run and are not runs of its pipeline.
     Derived {
-        /// Root of that run; none if the pipeline has not run yet.
+        /// Root of that run. None if the pipeline has not run yet.
         from: Option<Digest>,
-        /// What they are for.
+        /// Their purpose.
         purpose: Purpose,
     },
 }
@@ -44,7 +44,7 @@ pub enum Purpose {
     Render,
     /// A point of a trade of time against quality.
     Trade,
-    /// What changed between two times.
+    /// Changes between two times.
     Comparison,
     /// The list of scenes, found before the pipeline itself runs.
     Scenes,
@@ -84,12 +84,12 @@ impl RunSource {
         }
     }
 
-    /// Tells whether the run was made from another run.
+    /// Returns whether the run was made from another run.
     pub fn is_derived(&self) -> bool {
         matches!(self, Self::Derived { .. })
     }
 
-    /// Returns what runs are counted together by: the source without the run that it was made from.
+    /// Returns the source by which runs are counted together: without the run that it was made from.
     #[must_use]
     pub fn series(&self) -> Self {
         match self {
@@ -102,7 +102,8 @@ impl RunSource {
     }
 }
 
-/// Returns a path from the folder that holds a store; of a path elsewhere 16 digits, so that a record names no folder of a machine.
+/// Returns a path relative to the folder that contains a store. A path elsewhere becomes 16 digits, so that a record names no folder of a
+/// machine.
 fn from_store(store: &Store, path: &Path) -> String {
     let (path, store) = (absolute(path), absolute(store.dir()));
     let below = store.parent().and_then(|folder| path.strip_prefix(folder).ok());

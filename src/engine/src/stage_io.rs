@@ -1,4 +1,4 @@
-//! What a stage uses while it runs: blobs, checkpoints and memos of the store, and a lease on its key.
+//! The access of a running stage to blobs, checkpoints and memos of the store, and a lease on its key.
 
 use std::{
     collections::BTreeSet,
@@ -161,7 +161,7 @@ impl Memos for StoreMemos<'_> {
         load_memo(self.store, key)
     }
 
-    /// Stores a table; it becomes durable with the next commit, at the latest when the run ends.
+    /// Stores a table. It becomes durable with the next commit, at the latest when the run ends.
     fn save(&self, key: &Digest, table: &[u8]) {
         match self.store.put(table) {
             Ok(blob) => self.store.put_memo(*key, blob, self.maker),
@@ -173,7 +173,7 @@ impl Memos for StoreMemos<'_> {
     }
 }
 
-/// Returns a table of partial results; none if it is missing, damaged or unreadable.
+/// Returns a table of partial results. None if it is missing, damaged or unreadable.
 pub(crate) fn load_memo(store: &Store, key: &Digest) -> Option<Arc<[u8]>> {
     let blob = store.memo(key).ok()??;
     store.get(&blob).ok()
@@ -181,14 +181,14 @@ pub(crate) fn load_memo(store: &Store, key: &Digest) -> Option<Arc<[u8]>> {
 
 /// The exclusive right to run a key. A second process waits for it, and then finds the first one's result.
 ///
-/// Where files cannot be locked, two processes may do the same work; the result is the same.
+/// If files cannot be locked, two processes may do the same work with the same result.
 pub(crate) struct Lease {
     path: PathBuf,
     _file: Option<File>,
 }
 
 impl Lease {
-    /// Takes the lease on a key; calls `on_wait` once if it must wait.
+    /// Takes the lease on a key. Calls `on_wait` once if it must wait.
     ///
     /// # Errors
     /// A cancellation while it waits.

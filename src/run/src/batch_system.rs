@@ -14,10 +14,10 @@ use crate::error::{Diagnostic, Error};
 use crate::program::PROGRAM;
 use crate::trust::trust;
 
-/// Returns what computes nodes as jobs, by a site file if there is one.
+/// Returns the executor that computes nodes as jobs, if there is a site file.
 ///
 /// # Errors
-/// A site file that is not there or is none; a shared store that cannot be opened; jobs on a GPU that do not tell which it is.
+/// A site file that is missing or not valid, a shared store that cannot be opened, or jobs on a GPU that do not report which GPU it is.
 pub fn executor(context: &Context, site: Option<&Path>) -> Result<Option<Arc<dyn Executor>>, Error> {
     let Some(site) = site else {
         return Ok(None);
@@ -55,7 +55,7 @@ fn failed(error: StageError) -> Error {
     }
 }
 
-/// Reports what is seen of the job that asks for the backend of the others, each time that it changes.
+/// Reports the state of the job that asks for the backend of the others, each time that it changes.
 struct QuestionProgress<'a> {
     feedback: &'a dyn Feedback,
     last: Mutex<String>,

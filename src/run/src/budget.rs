@@ -7,14 +7,14 @@ use crate::error::Error;
 /// Longest training a budget may ask for: a day.
 const LONGEST_S: f64 = 86_400.0;
 
-/// Reads a time to train for (`10s`, `5m`, `1h`) as whole seconds; a number without a unit is seconds.
+/// Reads a training time (`10s`, `5m`, `1h`) as whole seconds. A number without a unit is seconds.
 ///
 /// # Errors
-/// A text that is no time, or a time not within 1 s to 24 h.
+/// A text that is not a time, or a time not within 1 s to 24 h.
 pub fn whole_seconds(text: &str) -> Result<u32, Error> {
     let refuse = || {
         Error::usage(format!(
-            "`{text}` is no budget: write 10s, 5m or 1h, from 1 s to 24 h"
+            "`{text}` is not a budget: write 10s, 5m or 1h, from 1 s to 24 h"
         ))
     };
     let unit = if text.trim_end().ends_with(|last: char| last.is_ascii_digit()) {

@@ -23,7 +23,7 @@ use crate::{copies, files, outputs};
 pub struct CalibrateRequest {
     /// The folder, or a transforms.json.
     pub dir: PathBuf,
-    /// transforms.json to write; models, metrics, points and photos that are resampled go next to it.
+    /// transforms.json to write. Models, metrics, points and resampled photos go next to it.
     pub out: PathBuf,
     /// Whether photos are written without the distortion of their lens.
     pub undistort: bool,
@@ -42,7 +42,7 @@ pub struct CalibrateResult {
     pub written: Vec<PathBuf>,
 }
 
-/// Writes transforms.json, and next to it metrics.json, COLMAP's model, the points, and the photos that do not lie where they came from.
+/// Writes transforms.json, and next to it metrics.json, COLMAP's model, the points, and the photos that are not the original files.
 ///
 /// # Errors
 /// A folder that cannot be read or written, photos whose cameras are not found.
@@ -71,7 +71,7 @@ fn folder_of(file: &Path) -> &Path {
         .unwrap_or(Path::new("."))
 }
 
-/// Writes what other programs read, and returns where; photos, of which there are many, are written last and not listed.
+/// Writes the files for other programs, and returns their paths. Photos are written last and not listed, because there are many.
 fn write(store: &Store, record: &RunRecord, request: &CalibrateRequest) -> Result<Vec<PathBuf>, Error> {
     let node = node_named(record, CalibrateParams::STAGE)?;
     let cameras = node_named(record, CamerasParams::STAGE)?;
@@ -103,7 +103,7 @@ fn refuse_to_replace(path: &Path, digest: &Digest, dir: &Path) -> Result<(), Err
         return Ok(());
     }
     let message = format!(
-        "{} is one of the photos, and another picture is to be written there",
+        "{} is one of the photos, and would be overwritten",
         path.display()
     );
     Err(Error::Usage(

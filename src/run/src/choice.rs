@@ -9,8 +9,7 @@ use crate::context::Context;
 use crate::error::{Diagnostic, Error};
 use crate::session::unnamed;
 
-/// Returns what requests without a run number are about: the pipeline of the context, or where there is no such file the verbs on
-/// folders.
+/// Returns the subject of requests without a run number: the pipeline of the context, or the verbs on folders if there is no such file.
 ///
 /// # Errors
 /// A store that cannot be read.
@@ -25,10 +24,10 @@ pub fn subject(context: &Context, store: &Store) -> Result<Subject, Error> {
     Ok(Subject::Pipeline { source, name })
 }
 
-/// Returns the run of a number, or else the newest whole run of the subject. A newer run that is passed over is named.
+/// Returns the run of a number, or else the newest whole run of the subject. A newer run that is skipped is reported.
 ///
 /// # Errors
-/// A run that cannot be read; no run with a result.
+/// A run that cannot be read, or no run with a result.
 pub fn whole_run(context: &Context, store: &Store, number: Option<u64>) -> Result<RunRecord, Error> {
     if let Some(number) = number {
         return Ok(marf_engine::run_of(store, number)?);
@@ -40,7 +39,7 @@ pub fn whole_run(context: &Context, store: &Store, number: Option<u64>) -> Resul
             None => no_run(),
             Some(run) => Error::Failed(
                 Diagnostic::new(format!("run {} and those before it have no result", run.number))
-                    .hint("`marf status` tells why"),
+                    .hint("`marf status` shows why"),
             ),
         });
     };
@@ -51,7 +50,7 @@ pub fn whole_run(context: &Context, store: &Store, number: Option<u64>) -> Resul
             Outcome::Cancelled => "was stopped",
         };
         context.feedback.note(&format!(
-            "run {} is taken; run {} is newer and {state}: name it to take it",
+            "using run {}. Run {} is newer and {state}: name it to use it",
             run.number, newer.number
         ));
     }
@@ -60,14 +59,14 @@ pub fn whole_run(context: &Context, store: &Store, number: Option<u64>) -> Resul
 
 /// Returns the error of a store or pipeline without a run.
 pub fn no_run() -> Error {
-    Error::Failed(Diagnostic::new("there is no run yet").hint("`marf run` makes one; `marf log` lists all"))
+    Error::Failed(Diagnostic::new("there is no run yet").hint("`marf run` makes one. `marf log` lists all"))
 }
 
 /// The runs of a store that a request may take.
 pub struct RunChoice<'a> {
     context: &'a Context,
     store: &'a Store,
-    /// What the run is a run of.
+    /// The pipeline, or the verbs on folders, whose runs are chosen from.
     pub subject: Subject,
     /// The number that the user named.
     pub number: Option<u64>,
@@ -98,8 +97,8 @@ impl<'a> RunChoice<'a> {
         }
     }
 
-    /// Returns the newest run that has something, or the one of the number. `without` is the error of a run that does not have it. Runs
-    /// made from another run are only taken by their number.
+    /// Returns the newest run for which `has` is true, or the run of the number. `without` is the error of a run for which it is false.
+    /// Derived runs are only chosen by their number.
     ///
     /// # Errors
     /// No such run.
@@ -120,10 +119,10 @@ impl<'a> RunChoice<'a> {
         Err(newest.map_or_else(no_run, |run| without(&run)))
     }
 
-    /// Returns the newest run, or the one of the number, in which a node ended well.
+    /// Returns the newest run, or the run of the number, in which a node has a result.
     ///
     /// # Errors
-    /// No such run: names the nodes of the last one.
+    /// No such run. The error names the nodes of the last one.
     pub fn with_result(&self, node: &str) -> Result<RunRecord, Error> {
         self.newest_with(|run| has_result(run, node), |run| without(run, node))
     }
@@ -143,7 +142,7 @@ pub fn without(run: &RunRecord, node: &str) -> Error {
     let known: Vec<&str> = good.map(|node| node.name.as_str()).collect();
     Error::Usage(
         Diagnostic::new(format!("run {} has no result of a node `{node}`", run.number)).hint(format!(
-            "its nodes are {}; or name another run with --run",
+            "its nodes are {}. Name one of these, or another run with --run",
             known.join(", ")
         )),
     )

@@ -1,4 +1,4 @@
-//! What changed at a place between two times.
+//! Changes at a place between two times.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -35,7 +35,7 @@ pub struct CompareRequest {
     pub after: String,
     /// Folder to write.
     pub out: PathBuf,
-    /// Number of the run; none for the last one that has the scene.
+    /// Number of the run. None for the last one that has the scene.
     pub run: Option<u64>,
     /// How much time a training may take.
     pub quality: Quality,
@@ -43,11 +43,11 @@ pub struct CompareRequest {
     pub steps: Option<u64>,
     /// Trainings of each time, at least 2.
     pub members: u32,
-    /// Width of a cell of the map, metres; none for as fine as the photos allow.
+    /// Width of a cell of the map, metres. None for as fine as the photos allow.
     pub cell: Option<f64>,
 }
 
-/// What changed.
+/// The changes, and the files that show them.
 #[derive(Debug, Serialize)]
 pub struct CompareResult {
     /// The files.
@@ -58,7 +58,7 @@ pub struct CompareResult {
     pub changes: ChangesReport,
 }
 
-/// Compares a place at two times, unless that is done already, and writes the result.
+/// Compares a place at two times, unless the store has the result, and writes it.
 ///
 /// # Errors
 /// A run without the scene, a comparison that fails, a place that cannot be written.
@@ -88,7 +88,7 @@ pub fn compare(context: &Context, request: &CompareRequest) -> Result<CompareRes
     })
 }
 
-/// Returns the node that placed the photos of a scene; without a scene, of the only one.
+/// Returns the node that placed the photos of a scene. Without a name, of the only scene.
 fn calibrated<'r>(run: &'r RunRecord, scene: Option<&str>) -> Option<&'r NodeRun> {
     let mut found = placing(run).filter(|node| scene.is_none() || scene_of(&node.name) == scene);
     let first = found.next()?;
@@ -109,7 +109,7 @@ fn without(run: &RunRecord, scene: Option<&str>) -> Error {
     let (message, hint) = match (scene, scenes.as_slice()) {
         (Some(scene), []) => (
             format!(
-                "run {} does not split its photos by place: there is no scene `{scene}`",
+                "run {} does not split its photos by place, so it has no scene `{scene}`",
                 run.number
             ),
             "leave the scene out".to_owned(),

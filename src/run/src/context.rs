@@ -16,11 +16,11 @@ use crate::error::{Diagnostic, Error};
 pub struct Context {
     /// The pipeline file.
     pub file: PathBuf,
-    /// Folder of the store; by default `.marf` next to the pipeline.
+    /// Folder of the store, by default `.marf` next to the pipeline.
     pub store: Option<PathBuf>,
     /// Overrides of values of the pipeline, `NODE.KEY=VALUE`.
     pub sets: Vec<String>,
-    /// Cores to use; by default all. Results do not depend on it.
+    /// Cores to use, by default all. Results do not depend on it.
     pub threads: Option<NonZero<usize>>,
     /// Options that hold for all nodes and archives.
     pub config: GlobalOptions,
@@ -42,7 +42,7 @@ pub trait Feedback: Send + Sync {
     /// Receives a step of the request, in one line.
     fn note(&self, line: &str);
 
-    /// Returns the receiver of the events of a run; `run` is its name.
+    /// Returns the receiver of the events of a run. `run` is its name.
     fn follow(&self, run: &str) -> Box<dyn RunFeedback>;
 
     /// Receives how much of a transfer is done.
@@ -98,7 +98,7 @@ impl Context {
         if !dir.is_dir() {
             let diagnostic = Diagnostic::new(format!("there is no store at {}", dir.display()));
             return Err(Error::Failed(
-                diagnostic.hint("`marf run` makes one; name another with --store"),
+                diagnostic.hint("create one with `marf run`, or name another with --store"),
             ));
         }
         open_store(&dir, &self.cancel)

@@ -1,4 +1,4 @@
-//! Copies of objects outside the store: files that say of which object and run they are, where their format has a place.
+//! Copies of objects outside the store. They are marked with their object and run, if their format has a place for it.
 
 use std::borrow::Cow;
 use std::path::Path;
@@ -8,7 +8,7 @@ use marf_provenance::stamp::Stamp;
 
 /// Formats in which a mark disturbs no reader that we know.
 const MARKED: [&str; 4] = ["html", "json", "ply", "png"];
-/// Files whose readers refuse what they do not know.
+/// Files whose readers refuse unknown keys.
 const STRICT: [&str; 1] = ["scene.json"];
 
 /// Returns the bytes that become a file: the object, with a mark where there is a place for one.

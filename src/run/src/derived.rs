@@ -1,4 +1,4 @@
-//! Nodes that are added to the results of a run: nothing is fetched, and what the run made is reused.
+//! Nodes that are added to the results of a run. Nothing is fetched, and the results of the run are reused.
 
 use std::path::Path;
 
@@ -32,11 +32,11 @@ pub struct DerivedRun {
     pub record: RunRecord,
 }
 
-/// Runs more nodes on the results of a run, in its store. Archives are read as they were met then, so that nothing is asked of a
-/// server, and every other node has its result already.
+/// Runs more nodes on the results of a run, in its store. Archives are read in the state that the run recorded, so no server is asked, and
+/// every other node has its result already.
 ///
 /// # Errors
-/// A run of which something is lost; whatever keeps the nodes from running.
+/// A run with a lost object, or any error that keeps the nodes from running.
 pub fn run_nodes(
     context: &Context,
     store: Store,
@@ -96,7 +96,7 @@ pub fn run_nodes(
     Ok(DerivedRun { session, record })
 }
 
-/// Returns the nodes whose results are others than those of a run before, and were to be: a stage has another version since.
+/// Returns the nodes whose key and outputs differ from those of an earlier run, because a stage has another version since.
 fn made_otherwise<'r>(before: &RunRecord, after: &'r RunRecord) -> Vec<&'r NodeRun> {
     let is_other = |node: &&NodeRun| {
         let old = before.node(&node.name).filter(|old| old.state.is_good());
@@ -109,7 +109,7 @@ fn made_otherwise<'r>(before: &RunRecord, after: &'r RunRecord) -> Vec<&'r NodeR
     good.filter(is_other).collect()
 }
 
-/// Returns what differs between the actions of two results of a node.
+/// Returns the differences between the actions of two results of a node.
 fn changes(store: &Store, before: Option<&NodeRun>, after: &NodeRun) -> Result<String, Error> {
     let action = |node: Option<&NodeRun>| match node.and_then(|node| node.key) {
         Some(key) => action_at(store, &key),
@@ -131,7 +131,7 @@ mod tests {
     use super::*;
     use marf_cache::Digest;
 
-    /// A run of one training: what it was keyed by and what it gave.
+    /// A run of one training, from its key and its weights.
     fn run(key: &str, weights: &str) -> RunRecord {
         let [key, weights] = [key, weights].map(|text| Digest::from_content(text.as_bytes()));
         let node = json!({

@@ -1,4 +1,4 @@
-//! What changed between two runs, node by node.
+//! Differences between two runs, node by node.
 
 use std::fmt;
 
@@ -49,7 +49,7 @@ pub fn diff(context: &Context, first: u64, second: u64) -> Result<RunDiff, Error
     })
 }
 
-/// What changed of a node between two runs.
+/// The changes of a node between two runs.
 #[derive(Debug, Serialize)]
 pub struct NodeChanges {
     #[serde(flatten)]
@@ -69,8 +69,8 @@ struct Picture {
     most: u8,
 }
 
-/// Returns the nodes that differ between two runs of a store, in the order of the second; `most_pictures` is how many pictures
-/// of a node are decoded and compared.
+/// Returns the nodes that differ between two runs of a store, in the order of the second. `most_pictures` is the number of pictures of a
+/// node that are decoded and compared.
 ///
 /// # Errors
 /// A store that cannot be read.
@@ -155,7 +155,7 @@ impl NodeChanges {
             add(ids.iter().map(|id| format!("product {word}: {id}")).collect());
         }
         for (output, values) in &self.diff.values {
-            // Means and totals stand above what they are of.
+            // Means and totals come before the values that they summarise.
             let mut values: Vec<&Change> = values.iter().collect();
             values.sort_by_key(|value| value.path.matches('.').count());
             let line = |value: &&Change| format!("{output}: {}", value_text(value));

@@ -15,7 +15,7 @@ pub type Documents = BTreeMap<String, Output>;
 /// Key of stages that can run on several devices.
 const DEVICE: &str = "device";
 
-/// Key of the stage `partial` that holds its training.
+/// Key of the stage `partial` that contains its training.
 const TRAINING: &str = "train";
 
 /// Stores a document.
@@ -57,7 +57,7 @@ fn as_run(session: &Session, record: &RunRecord) -> Result<Value, Error> {
     Ok(tree)
 }
 
-/// Returns the pipeline of a run as it ran.
+/// Returns the resolved pipeline of a run.
 ///
 /// # Errors
 /// A run of an earlier version, whose root does not hold it, or a store that has lost it.
@@ -65,7 +65,7 @@ pub fn resolved(store: &Store, run: &RunRecord) -> Result<Value, Error> {
     let number = run.number;
     let resolved = run.documents.get(document::RESOLVED).ok_or_else(|| {
         Error::failed(format!(
-            "run {number} is of an earlier version, whose root does not hold the pipeline"
+            "run {number} is of an earlier version, whose root does not contain the pipeline"
         ))
     })?;
     let bytes = store.get(&resolved.digest)?;
@@ -82,7 +82,8 @@ pub fn put_on_cpu(tree: &mut Value, node: &NodeRun) {
     }
 }
 
-/// Returns the parameters of an action with the device of its backend, which is in no key; `partial` has its in the table of the training.
+/// Returns the parameters of an action with the device of its backend, which is not part of the key. `partial` has it in the table of the
+/// training.
 pub fn params_of(action: &Action) -> Value {
     let mut children = action
         .children
@@ -105,8 +106,8 @@ fn has_key(stage: &str, key: &str) -> bool {
     stages.any(|def| (def.schema)().to_value()["properties"].get(key).is_some())
 }
 
-/// Returns the document that the last run of the pipeline has under a name, if this run did nothing for the nodes that it shows and
-/// they ended as in that one: the same keys, so the same page.
+/// Returns a document of the last run of the pipeline, if all nodes that it shows are unchanged: this run
+/// reused all of them, with the same keys.
 ///
 /// # Errors
 /// A store that cannot be read.

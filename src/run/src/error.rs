@@ -10,7 +10,7 @@ use marf_remote::RemoteError;
 use marf_view::ViewError;
 use serde::Serialize;
 
-/// Why a request failed, by what has to be done about it.
+/// Why a request failed, by what the user has to do about it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Error {
     /// A stage failed, or a result cannot be read or written.
@@ -45,7 +45,7 @@ pub enum Answer {
     Changed,
     /// A replay gave something else.
     Differs,
-    /// A replay could not make everything again here, and what it made is equal.
+    /// A replay could not compute every node again on this machine. The nodes that it computed are equal.
     NotMade,
     /// A replay of a run without any result, so that nothing was compared.
     NoResult,
@@ -101,7 +101,7 @@ impl Error {
         Self::Answered(Answer::Altered, diagnostic)
     }
 
-    /// Returns the text; none of a request that the user has stopped.
+    /// Returns the text. None for a request that the user has stopped.
     pub fn diagnostic(&self) -> Option<&Diagnostic> {
         match self {
             Self::Failed(diagnostic)

@@ -25,13 +25,13 @@ const PROGRESS_INTERVAL: Duration = Duration::from_secs(2);
 pub enum ExecResult {
     /// The actions, whose results are in the shared store, and what that moved.
     Actions(Vec<Action>, Traffic),
-    /// The backend of a device of this machine; none of a CPU.
+    /// The backend of a device of this machine. None for a CPU.
     Backend(Option<String>),
 }
 
-/// Computes actions, or answers which backend this machine has. `given` is a file with actions, a line each, or the key of a result in the
-/// shared store. How it ended is written to `result`. `scratch` is the folder for checkpoints and what was fetched, kept until there is a
-/// result, by default a temporary one.
+/// Computes actions, or answers which backend this machine has. `given` is a file with one action a line, or the key of a result in the
+/// shared store. The outcome is written to `result`. `scratch` is the folder for checkpoints and fetched blobs, by default a temporary one.
+/// It is kept until there is a result.
 ///
 /// # Errors
 /// A shared store that cannot be used, actions that cannot be computed here, a file that cannot be written.
@@ -79,7 +79,7 @@ pub fn exec(
     })
 }
 
-/// Returns what the file of a job says about its end.
+/// Returns the content of the file that reports the end of a job.
 fn job_result(key: Digest, outcome: &Result<Outcome, Error>) -> JobResult {
     JobResult {
         key,
@@ -100,7 +100,7 @@ struct Task {
     work: Work,
 }
 
-/// What a job does.
+/// The work of a job.
 enum Work {
     /// Computes actions.
     Actions(Vec<Action>),
@@ -108,12 +108,12 @@ enum Work {
     Backend(BackendQuestion),
 }
 
-/// What came of a job.
+/// The outcome of a job.
 #[derive(Default)]
 struct Outcome {
     /// Conflicts with results that were there.
     conflicts: Vec<Conflict>,
-    /// The backend that was asked for.
+    /// The backend of the requested device.
     backend: Option<String>,
 }
 
@@ -130,7 +130,7 @@ fn backend_of(question: &BackendQuestion) -> Result<Outcome, Error> {
     })
 }
 
-/// Returns where jobs of this machine keep the indexes of packs: the cache folder of the user; none without one.
+/// Returns the folder where jobs of this machine keep the indexes of packs, in the cache folder of the user. None without a cache folder.
 fn index_folder() -> Option<PathBuf> {
     let folder = |name: &str| {
         std::env::var_os(name)
@@ -151,7 +151,7 @@ fn address(context: &Context) -> Result<String, Error> {
 }
 
 impl Task {
-    /// Reads what a file holds, or the action of a key.
+    /// Reads the task in a file, or the action of a key.
     fn read(given: &str, reader: &dyn Upstream) -> Result<Self, Error> {
         let bytes = match given.parse::<Digest>() {
             Ok(key) => reader
@@ -201,7 +201,7 @@ impl Machine<'_> {
         let sent = self.remote.send(&store, &keys, &[], &stop)?;
         drop(store);
         if let Some(dir) = kept {
-            // What is left takes space and nothing else.
+            // A folder that cannot be removed only takes space.
             let _ = std::fs::remove_dir_all(dir);
         }
         Ok(Outcome {
@@ -270,7 +270,7 @@ fn fault(error: &Error) -> Fault {
 struct ActionListener {
     feedback: Box<dyn RunFeedback>,
     failure: Mutex<Option<Diagnostic>>,
-    /// Name of the node whose progress is written next to the result, and where; that of its children is not.
+    /// Name of the node whose progress is written next to the result. Progress of its children is not written.
     top: String,
     file: Option<PathBuf>,
     /// When it was last written.
@@ -316,7 +316,7 @@ impl Listener for ActionListener {
     }
 }
 
-/// Tells a shared store whether the user wants to stop.
+/// Reports to a shared store whether the user wants to stop.
 struct StopObserver(Cancel);
 
 impl Observer for StopObserver {

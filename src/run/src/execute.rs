@@ -58,7 +58,7 @@ impl Execution {
     }
 }
 
-/// What a verb wants of a run besides its results.
+/// What a verb needs from a run in addition to its results.
 pub struct Extras<'a> {
     /// Where to write a trace of the run.
     pub trace: Option<&'a Path>,
@@ -101,7 +101,7 @@ pub fn execute_with(session: &Session, options: &Options, extras: &Extras<'_>) -
     };
     let (graph, store) = (&session.graph, &session.store);
     let mut record = marf_engine::run_nodes(graph, store, &options, &listener, &context.cancel)?;
-    // Whatever becomes of its documents, the run is recorded.
+    // The run is recorded even if its documents fail.
     let mut made = Documents::new();
     let complete = add_documents(session, &record, extras, &mut made);
     record.documents = made;
@@ -173,7 +173,7 @@ fn add_documents(
     Ok(())
 }
 
-/// Begins the file that `marf view` follows. Without one the run goes on: a store that cannot be written has none.
+/// Starts the file that `marf view` follows. None in a store that cannot be written: the run continues without it.
 fn event_file(session: &Session, options: &Options) -> Option<EventFile> {
     if session.store.is_read_only() {
         return None;
@@ -197,7 +197,7 @@ fn event_file(session: &Session, options: &Options) -> Option<EventFile> {
         .ok()
 }
 
-/// Returns the nodes that a run is about, producers first: those that are asked for with all that they read, else all.
+/// Returns the nodes that a run is about, producers first: the requested nodes with everything upstream, else all.
 fn nodes_to_run<'s>(session: &'s Session, options: &Options) -> Vec<&'s str> {
     let names = session.graph.names();
     if options.to.is_empty() {
@@ -205,7 +205,7 @@ fn nodes_to_run<'s>(session: &'s Session, options: &Options) -> Vec<&'s str> {
     }
     let upstream = upstream(session);
     let mut needed: BTreeSet<&str> = options.to.iter().map(String::as_str).collect();
-    // Consumers first: what a node reads stands before it.
+    // Consumers first: the producers of a node come before it in `names`.
     for name in names.iter().rev() {
         if needed.contains(name) {
             needed.extend(upstream.get(name).into_iter().flatten().copied());
@@ -214,7 +214,7 @@ fn nodes_to_run<'s>(session: &'s Session, options: &Options) -> Vec<&'s str> {
     names.into_iter().filter(|name| needed.contains(name)).collect()
 }
 
-/// Returns what each node reads, by name.
+/// Returns the nodes that each node reads, by name.
 fn upstream(session: &Session) -> BTreeMap<&str, Vec<&str>> {
     let reads = session.graph.nodes().map(|node| {
         let names = node.edges.iter().map(|edge| edge.upstream.as_str());
@@ -232,7 +232,7 @@ fn upstream(session: &Session) -> BTreeMap<&str, Vec<&str>> {
 /// Runs that are asked how long their nodes took.
 const RUNS_ASKED: usize = 5;
 
-/// Returns what the last runs of this pipeline tell of how long its nodes take; a run that cannot be read tells nothing.
+/// Returns the expected times of nodes from the last runs of this pipeline. A run that cannot be read is skipped.
 fn expected(session: &Session) -> NodeTimes {
     let numbers = session.store.run_numbers().unwrap_or_default();
     let runs = numbers
@@ -260,7 +260,7 @@ fn devices(session: &Session) -> String {
 struct RunListener {
     feedback: Box<dyn RunFeedback>,
     trace: Option<Trace>,
-    /// What `marf view` reads while the run goes on.
+    /// The file that `marf view` reads while the run continues.
     event_file: Option<EventFile>,
     estimate: Estimate,
     failure: Mutex<Option<Diagnostic>>,

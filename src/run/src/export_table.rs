@@ -12,16 +12,15 @@ use crate::error::Error;
 use crate::file_state::{FileState, state_of};
 use crate::files;
 
-/// The files written below one folder, and the state in which they were left. It lies in the scratch folder of the store:
-/// without it files are compared by their bytes.
+/// The files written below one folder, and their state after writing. The table is in the scratch folder of the store. Without it, files
+/// are compared by their bytes.
 pub struct ExportTable {
     out: PathBuf,
     /// Root of the run that the files are of.
     run: Option<Digest>,
     /// Where the tables are kept.
     dir: PathBuf,
-    /// By folder, as far as they were asked for: the thousands of files of a set of verdicts are not looked at while the set
-    /// is the same.
+    /// Tables by folder, read on first use. While a set of verdicts is the same, its thousands of files are not looked at.
     tables: BTreeMap<PathBuf, FolderTable>,
 }
 
@@ -32,7 +31,7 @@ struct FolderTable {
     is_changed: bool,
 }
 
-/// What was written to a file or a folder, and what the file system said of it right afterwards.
+/// The digest written to a file or a folder, and its file state right afterwards.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct Entry {
     digest: Digest,
@@ -40,8 +39,8 @@ struct Entry {
 }
 
 impl ExportTable {
-    /// Returns what was written below `out`; nothing is known of a folder that is new or whose table is damaged. New files are
-    /// marked as those of the run with the root `run`, where their formats have a place for it.
+    /// Returns the table of the files below `out`, which is empty for a folder that is new or whose table is damaged. New files are marked
+    /// with the root `run` of their run, if their format has a place for it.
     pub fn load(store: &Store, out: &Path, run: Option<Digest>) -> Self {
         let whole = std::path::absolute(out).unwrap_or_else(|_| out.to_owned());
         Self {
@@ -83,7 +82,7 @@ impl ExportTable {
         self.note(folder, root);
     }
 
-    /// Removes the files of a folder that were written for it, that nobody touched since, and that are not among `names`.
+    /// Removes the files of a folder that this table lists, that nobody has changed since, and that are not among `names`.
     ///
     /// # Errors
     /// A file that cannot be removed.
@@ -91,7 +90,7 @@ impl ExportTable {
         self.remove(folder, |name| !names.contains(name))
     }
 
-    /// Removes the files of a folder that were written for it, that nobody touched since, and whose name is among the `unwanted`.
+    /// Removes the files of a folder that this table lists, that nobody has changed since, and whose name is `unwanted`.
     ///
     /// # Errors
     /// A file that cannot be removed.
@@ -114,7 +113,7 @@ impl ExportTable {
         Ok(())
     }
 
-    /// Returns the table of a folder; it is read when it is first asked for.
+    /// Returns the table of a folder, read at first use.
     fn table(&mut self, folder: &Path) -> &mut FolderTable {
         let read = || FolderTable::read(&table_path(&self.dir, folder));
         self.tables.entry(folder.to_owned()).or_insert_with(read)
@@ -144,7 +143,7 @@ impl ExportTable {
         }
     }
 
-    /// Keeps the tables; one that cannot be kept costs only time.
+    /// Stores the tables. A table that cannot be stored only costs time.
     pub fn save(&self) {
         for (folder, table) in self.tables.iter().filter(|(_, table)| table.is_changed) {
             if let Ok(json) = serde_json::to_vec(&table.entries) {
@@ -155,7 +154,7 @@ impl ExportTable {
 }
 
 impl FolderTable {
-    /// Reads a table; one that is missing or damaged is empty.
+    /// Reads a table. A missing or damaged table is empty.
     fn read(path: &Path) -> Self {
         let json = std::fs::read(path).ok();
         let entries = json.and_then(|json| serde_json::from_slice(&json).ok());
@@ -170,12 +169,12 @@ fn table_path(dir: &Path, folder: &Path) -> PathBuf {
     dir.join(format!("{}.json", name_of(folder)))
 }
 
-/// Returns a file name that stands for a path.
+/// Returns the name of the folder for the tables of a path.
 fn name_of(path: &Path) -> String {
     Digest::from_content(path.as_os_str().as_encoded_bytes()).to_string()
 }
 
-/// Returns the folder and the name of a file; none of a name that is not UTF-8.
+/// Returns the folder and the name of a file. None for a name that is not UTF-8.
 fn split(file: &Path) -> Option<(&Path, &str)> {
     Some((file.parent()?, file.file_name()?.to_str()?))
 }

@@ -20,10 +20,10 @@ pub struct FieldMaker {
     pub runs: Vec<u64>,
 }
 
-/// Returns the node that gave the field of a file, and the runs of the store that have it; `number`: the run that the user named.
+/// Returns the node whose field a file contains, and the runs of the store that have it. `number` is the run that the user named.
 ///
 /// # Errors
-/// A file that cannot be read, or that no node of such a run gave as its field.
+/// A file that cannot be read, or that is not the field of any node in these runs.
 pub fn made_by(
     context: &Context,
     store: &Store,
@@ -46,7 +46,7 @@ pub fn made_by(
     of_pipeline.ok_or_else(|| {
         let of = number.map_or("a run of this store".to_owned(), |number| format!("run {number}"));
         let message = format!("--field {}: no node of {of} gave this field", file.display());
-        let hint = "take weights.safetensors of `out/train`, or name the store with --store; `marf audit FILE` tells what a file is";
+        let hint = "take weights.safetensors of `out/train`, or name the store with --store. `marf audit FILE` identifies a file";
         Error::Usage(Diagnostic::new(message).hint(hint))
     })
 }

@@ -1,4 +1,4 @@
-//! What tells that a file is still the one that was seen.
+//! Size and times of a file, which show whether it has changed.
 
 use std::path::Path;
 use std::time::UNIX_EPOCH;
@@ -13,7 +13,7 @@ pub struct FileState {
     inode: u64,
 }
 
-/// Returns size and times of a file or folder; none if there is none.
+/// Returns size and times of a file or folder. None if it cannot be read.
 pub fn state_of(path: &Path) -> Option<FileState> {
     let meta = std::fs::metadata(path).ok()?;
     let modified = meta.modified().ok()?.duration_since(UNIX_EPOCH).ok()?;

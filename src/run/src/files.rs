@@ -4,10 +4,10 @@ use std::path::{Path, PathBuf};
 
 use crate::error::{Diagnostic, Error};
 
-/// Writes a file through a temporary neighbour, so that a reader never sees half of it.
+/// Writes a file through a temporary file next to it, so that a reader never sees half of it.
 ///
 /// # Errors
-/// A folder that cannot be made or written; the path and the system's word for it.
+/// A folder that cannot be created or written. The error has the path and the message of the system.
 pub fn write(path: &Path, bytes: &[u8]) -> Result<(), Error> {
     let refuse = |error: std::io::Error| {
         Error::Failed(Diagnostic {
@@ -30,7 +30,7 @@ pub fn write(path: &Path, bytes: &[u8]) -> Result<(), Error> {
         })
 }
 
-/// Removes a file; one that is not there is no error.
+/// Removes a file. A file that does not exist is not an error.
 ///
 /// # Errors
 /// A file that cannot be removed.
@@ -43,10 +43,10 @@ pub fn remove(path: &Path) -> Result<(), Error> {
     }
 }
 
-/// Returns the way from one folder to another, with `/` and `..`: `.` where they are the same. The first need not exist.
+/// Returns the relative path from one folder to another, with `/` and `..`: `.` if they are the same. The first need not exist.
 ///
 /// # Errors
-/// A way whose names are no UTF-8.
+/// A path with names that are not UTF-8.
 pub fn relative(from: &Path, to: &Path) -> Result<String, Error> {
     let (from, to) = (settled(from), settled(to));
     let shared = from
@@ -59,7 +59,7 @@ pub fn relative(from: &Path, to: &Path) -> Result<String, Error> {
     let parts: Option<Vec<&str>> = up.chain(down).collect();
     let Some(parts) = parts else {
         return Err(Error::usage(format!(
-            "{}: the name is no UTF-8, which a JSON file needs",
+            "{}: the name is not UTF-8, which a JSON file needs",
             to.display()
         )));
     };

@@ -34,8 +34,8 @@ pub struct FilterCalls {
     pub verdicts: Vec<Verdict>,
 }
 
-/// Runs every filter with its defaults on the photos of a folder, and writes their verdicts to `csv` and a page with the photos next to it.
-/// Photos to keep or to reject whatever the filters say are named by product id or file name.
+/// Runs every filter with its defaults on the photos of a folder. Writes their verdicts to `csv`, and a page with the photos next to it.
+/// `keep` and `reject` list product ids or file names of photos to keep or to reject whatever the filters decide.
 ///
 /// # Errors
 /// A folder that cannot be read, a place that cannot be written, a run that fails.
@@ -93,7 +93,7 @@ fn chain() -> Vec<&'static str> {
     std::iter::once("extract").chain(filters).collect()
 }
 
-/// Stores the table of the verdicts and the page that shows them; nothing where there is no verdict.
+/// Stores the table of the verdicts and the page that shows them. Stores nothing without a verdict.
 fn documents(session: &Session, record: &RunRecord, chain: &[&str]) -> Result<Documents, Error> {
     let merged = verdicts::merged(&verdicts::by_node(session, record)?, chain);
     if merged.is_empty() {

@@ -76,7 +76,7 @@ pub struct Seconds {
     pub expected_seconds: f64,
 }
 
-/// Scores of one time, with what it took on this machine.
+/// Scores of one time, with the time and memory that it took on this machine.
 #[derive(Debug, Serialize)]
 pub struct FitScores {
     /// Mean PSNR of the held-out photos, dB.
@@ -106,10 +106,10 @@ pub struct FitScores {
     pub folds: Option<folds::Judged>,
 }
 
-/// Trains for each time and renders the held-out views. One time after the other, so that each has the whole machine.
+/// Trains for each time and renders the held-out views. The times follow one after the other, so that each has the whole machine.
 ///
 /// # Errors
-/// A time that is none, a folder that cannot be read or written, a run that fails.
+/// A time that is not valid, a folder that cannot be read or written, a run that fails.
 pub fn fit(context: &Context, request: &FitRequest) -> Result<BTreeMap<String, FitScores>, Error> {
     let times = match &request.time {
         FitTime::Budgets(budgets) => budgets.as_slice(),
@@ -161,7 +161,7 @@ fn pipeline(photos: &PhotoFolder, request: &FitRequest, seconds: u32) -> String 
     )
 }
 
-/// Stores the metrics of this budget and of those before it; nothing of a run that has none.
+/// Stores the metrics of this budget and of those before it. Stores nothing for a run that is not done.
 fn document(
     session: &Session,
     record: &RunRecord,
@@ -207,7 +207,7 @@ fn metrics_of(session: &Session, record: &RunRecord) -> Result<TimeMetrics, Erro
     })
 }
 
-/// Returns what folds gave, where the scene is small enough for them.
+/// Returns the scores of the folds, if the scene is small enough for folds.
 fn folds_of(session: &Session, record: &RunRecord) -> Result<Option<folds::Judged>, Error> {
     let node = record.node(FoldsParams::STAGE);
     let metrics = node
@@ -216,7 +216,7 @@ fn folds_of(session: &Session, record: &RunRecord) -> Result<Option<folds::Judge
     Ok(metrics.and_then(|metrics| metrics.judged))
 }
 
-/// Returns the scores of a training with what it took on this machine.
+/// Returns the scores of a training with the time and memory that it took on this machine.
 fn scores_of(session: &Session, record: &RunRecord) -> Result<FitScores, Error> {
     let node = node_named(record, TrainParams::STAGE)?;
     let metrics: Metrics = session.document(node)?;
@@ -239,7 +239,7 @@ fn scores_of(session: &Session, record: &RunRecord) -> Result<FitScores, Error> 
     })
 }
 
-/// Returns how long a training took when it was made; 0 where an earlier version has made it and told no parts.
+/// Returns the times of a training when it was computed. Parts are 0 if an earlier version computed it and stored no times of parts.
 fn seconds_of(session: &Session, node: &NodeRun) -> Seconds {
     let record = node.key.and_then(|key| session.store.record(&key).ok().flatten());
     let parts = record.map(|record| record.metadata.parts_s).unwrap_or_default();

@@ -20,8 +20,8 @@ pub struct PhotoFolder {
 impl PhotoFolder {
     /// Returns the photos of a folder, or of a `transforms.json`.
     ///
-    /// Where that file names photos outside its folder that are on this disk, and none inside, they are read where they are: what
-    /// `marf calibrate A --out B/transforms.json` writes can be given to a verb as `B`.
+    /// If that file names photos on this disk that are outside its folder, and none inside, they are read from there. So a verb can take
+    /// `B` after `marf calibrate A --out B/transforms.json`.
     ///
     /// # Errors
     /// A file that is not a `transforms….json`.
@@ -77,8 +77,8 @@ impl PhotoFolder {
         )
     }
 
-    /// Returns a pipeline that finds the cameras of the photos and writes them for other programs; `photos_at`: the folder of the photos
-    /// as seen from transforms.json.
+    /// Returns a pipeline that finds the cameras of the photos and writes them for other programs. `photos_at` is the path of the photos'
+    /// folder in transforms.json.
     pub fn cameras(&self, name: &str, method: &str, photos_at: &str, undistort: bool) -> String {
         format!(
             "{}[node.cameras]\ninput = \"calibrate\"\nphotos = \"extract\"\nphotos_at = {}\nundistort = {undistort}\n",
@@ -87,8 +87,8 @@ impl PhotoFolder {
         )
     }
 
-    /// Returns a pipeline that trains a field on the photos, with cameras that lie beside them or by structure from motion; keys of the
-    /// training may follow.
+    /// Returns a pipeline that trains a field on the photos, with cameras stored next to them or from structure from motion. Keys of the
+    /// training may be appended.
     pub fn training(&self, name: &str) -> String {
         format!(
             "{}[node.train]\ninput = \"calibrate\"\n",

@@ -1,6 +1,6 @@
-//! What the verbs of marf do, without a command line or a terminal: requests and their results.
+//! The requests behind the verbs of marf and their results, without a command line or a terminal.
 //!
-//! Every request gets a [`Context`]: the pipeline and the store that it is about, and who hears of its progress.
+//! Every request gets a [`Context`]: its pipeline, its store, and the receiver of its progress.
 
 pub mod audit;
 mod batch_system;

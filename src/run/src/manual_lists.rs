@@ -28,7 +28,7 @@ pub fn without_effect(nodes: &[NodeInfo], verdicts: &[Verdict]) -> Vec<String> {
     let warning = |(list, name): (&str, &str)| match known.get(name) {
         None => {
             let hint = did_you_mean(name, known.keys().copied());
-            let hint = hint.map(|hint| format!("; {hint}")).unwrap_or_default();
+            let hint = hint.map(|hint| format!(": {hint}")).unwrap_or_default();
             Some(format!("[{list}] `{name}` names no photo of this run{hint}"))
         }
         Some(verdicts) => verdicts
@@ -76,7 +76,7 @@ mod tests {
         assert_eq!(
             lines,
             [
-                "[keep] `rokc_2` names no photo of this run; did you mean `rock_2`?",
+                "[keep] `rokc_2` names no photo of this run: did you mean `rock_2`?",
                 "[reject] `torn` gave no photo: cut short",
             ]
         );

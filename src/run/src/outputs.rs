@@ -45,7 +45,7 @@ pub enum Completeness {
     Lost(LostOutput),
 }
 
-/// An output that the store has lost, or an object behind it.
+/// An output that the store has lost, or an object that the output refers to.
 pub struct LostOutput {
     /// The node.
     pub node: String,
@@ -53,7 +53,7 @@ pub struct LostOutput {
     pub what: String,
 }
 
-/// Writes what is new or different. A file that was written before and not touched since is neither read nor written.
+/// Writes new and changed outputs. A file that was written before and not changed since is neither read nor written.
 ///
 /// Verdicts become one file a sol, so that a new sol writes its own.
 ///
@@ -129,7 +129,7 @@ fn write_all(session: &Session, record: &RunRecord, table: &mut ExportTable) -> 
                 note(&mut written, &file);
             }
         }
-        // Maps and frames that the last run had and this one has not: beside new ones they would be taken for its own.
+        // Removes maps and frames that the last run had and this one has not. Among new files they would look like its own.
         for (below, names) in written.iter().filter(|(below, _)| *below != folder) {
             table.keep_only(below, names)?;
         }
@@ -146,7 +146,7 @@ fn note(written: &mut BTreeMap<PathBuf, BTreeSet<String>>, file: &Path) {
     }
 }
 
-/// Writes the verdicts of a node, one file a sol, and removes those of sols that are no longer there.
+/// Writes the verdicts of a node, one file a sol, and removes those of sols that are not in the set any more.
 fn write_verdicts(
     table: &mut ExportTable,
     folder: &Path,
@@ -173,7 +173,7 @@ fn write_verdicts(
     Ok(())
 }
 
-/// Writes one object of a run to a file, unless it is there already.
+/// Writes one object of a run to a file, unless the file is a copy of it already.
 ///
 /// # Errors
 /// A place that cannot be written, or an object that the store has lost.
@@ -199,8 +199,8 @@ pub fn report(context: &Context, path: &Path) -> Result<(), Error> {
     one(&store, &run, &report.digest, path)
 }
 
-/// Returns the file an output becomes; `None` for manifests, which only the store can resolve.
-/// A name that would lead out of its folder has none.
+/// Returns the file an output becomes. None for manifests, which only the store can resolve, and for names that would lead out of the
+/// folder.
 pub fn file_name(output: &str) -> Option<&str> {
     if let Some((_, file)) = NAMED.iter().find(|(name, _)| *name == output) {
         return Some(file);

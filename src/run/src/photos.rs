@@ -47,8 +47,8 @@ pub struct UnreadFile {
     pub reason: String,
 }
 
-/// Returns what was read of every photo that a node gave, and which files were not read: of a folder, or by default of the newest run of the
-/// pipeline with such photos.
+/// Returns the metadata of every photo that a node gave, and the files that were not read. The photos are those of a folder, or by default
+/// of the newest run of the pipeline with such photos.
 ///
 /// # Errors
 /// A folder that cannot be read, a pipeline that has not run, a node that gave no photos.
@@ -76,7 +76,7 @@ pub fn photos(context: &Context, dir: Option<&Path>, node: &str) -> Result<Photo
     })
 }
 
-/// Returns the files that a source has met and took no photo from; none of a filter, whose verdicts are on photos.
+/// Returns the files that a source has met and took no photo from. Empty for a filter, whose verdicts are on photos.
 fn not_read(store: &Store, record: &RunRecord, node: &str) -> Result<Vec<UnreadFile>, Error> {
     let source = record.node(node).filter(|node| node.edges.is_empty());
     let Some(verdicts) = source.and_then(|node| node.outputs.get(VERDICTS)) else {
@@ -90,7 +90,7 @@ fn not_read(store: &Store, record: &RunRecord, node: &str) -> Result<Vec<UnreadF
         .collect())
 }
 
-/// Returns the format of a photo's file: what its bytes are, whatever it is called. Raw pixels are kept beside the photo made of them.
+/// Returns the format of a photo's file, by its bytes and not by its name. Raw pixels are stored next to the photo made from them.
 ///
 /// # Errors
 /// A photo that the store has lost.
@@ -106,7 +106,7 @@ fn format(store: &Store, image: Option<&Digest>, has_raw: bool) -> Result<&'stat
 fn without_photos(run: &RunRecord, node: &str) -> Error {
     let nodes: Vec<&str> = run.nodes.iter().map(|node| node.name.as_str()).collect();
     Error::usage(format!(
-        "node `{node}` gave no photos in the last run; its nodes: {}",
+        "node `{node}` gave no photos in the last run. Its nodes are {}",
         nodes.join(", ")
     ))
 }

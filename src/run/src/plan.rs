@@ -1,4 +1,4 @@
-//! What a run would do, and why.
+//! The actions of a run, planned without running it, and their reasons.
 
 use marf_engine::{PlannedNode, SharedResults};
 use marf_schema::scenes::Scenes;
@@ -36,10 +36,10 @@ pub struct WhyRequest {
     pub with_photos: bool,
 }
 
-/// Returns everything that differs from what made the last result of a node.
+/// Returns every difference between a node and the action of its last result.
 ///
 /// # Errors
-/// As [`plan`]; an unknown node.
+/// As [`plan`]. Also an unknown node.
 pub fn why(context: &Context, request: &WhyRequest) -> Result<PlannedNode, Error> {
     let session = known(Session::open(context)?)?;
     let last = session.last()?;
@@ -52,8 +52,8 @@ pub fn why(context: &Context, request: &WhyRequest) -> Result<PlannedNode, Error
     Ok(planned)
 }
 
-/// Returns the session with its nodes for each scene, as far as they are known without running anything: those that the photos are
-/// split into now, or else, where that is to run again, those of the last run.
+/// Returns the session with its nodes for each scene, as far as the scenes are known without running anything. They are the present scenes,
+/// or those of the last run if the split is to run again.
 fn known(session: Session) -> Result<Session, Error> {
     let Some(by_scene) = &session.by_scene else {
         return Ok(session);

@@ -20,7 +20,8 @@ struct ProgramFile {
     bytes: u64,
 }
 
-/// Returns what is known of the program's file, with the commit that it is built from; none where the system does not tell which it is, or it cannot be read.
+/// Returns the identity of the program's file, with the commit that it is built from. None if the system does not report the file, or it
+/// cannot be read.
 ///
 /// The digest of 100 MB takes 20 ms, so it is kept in the scratch folder of the store with the state of the file.
 pub fn build(store: &Store, commit: Option<&str>) -> Option<Build> {
@@ -74,6 +75,6 @@ mod tests {
         assert_eq!(build(&store, None).unwrap().blake3, Digest::from_content(b"kept"));
         known.state = state_of(&table).unwrap();
         std::fs::write(&table, serde_json::to_vec(&known).unwrap()).unwrap();
-        assert_eq!(build(&store, None), Some(first), "another file is read anew");
+        assert_eq!(build(&store, None), Some(first), "another file is read again");
     }
 }

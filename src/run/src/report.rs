@@ -21,8 +21,8 @@ use crate::error::Error;
 use crate::session::Session;
 use crate::{files, outputs, scenes};
 
-/// Writes the report of the last run: the one that the run kept, or for a run without one a new one. Without a pipeline file, the report of the
-/// newest verb on a folder.
+/// Writes the report of the last run: the stored one, or a new one if the run stored none. Without a pipeline file, writes the report of
+/// the newest verb on a folder.
 ///
 /// # Errors
 /// A pipeline that has not run, a store that cannot be read, a place that cannot be written.
@@ -42,7 +42,7 @@ pub fn report(context: &Context, out: &Path) -> Result<(), Error> {
     }
 }
 
-/// Stores the report of a run, and a page for each of its scenes; those of the last run stay where nothing ran.
+/// Stores the report of a run, and a page for each of its scenes. Pages of the last run are kept if none of their nodes ran.
 ///
 /// # Errors
 /// A store that cannot be read or written.
@@ -66,7 +66,7 @@ pub fn page(session: &Session, record: &RunRecord) -> Result<String, Error> {
     page_of(session, record, None)
 }
 
-/// Returns the report of a run: of one of its scenes, or of what all share with a list of the scenes.
+/// Returns the report of a run: for one of its scenes, or for the nodes that all scenes share, with a list of the scenes.
 fn page_of(session: &Session, record: &RunRecord, scene: Option<&str>) -> Result<String, Error> {
     session.check()?;
     let params = session
@@ -77,7 +77,7 @@ fn page_of(session: &Session, record: &RunRecord, scene: Option<&str>) -> Result
     let names: Vec<&String> = params.keys().collect();
     let warn = || session.context.warnings();
     let run = completed(&session.store, record, &names, warn())?;
-    // Who wants to stop reads nothing any more, and what was read until then becomes no report.
+    // After a cancellation nothing more is read, and no report is made of the objects read so far.
     let read = |digest: &Digest| -> Option<Arc<[u8]>> {
         session.check().ok()?;
         session.store.get(digest).ok()
@@ -103,10 +103,10 @@ fn page_of(session: &Session, record: &RunRecord, scene: Option<&str>) -> Result
     Ok(page)
 }
 
-/// Writes the report of a stored run, or the page of one of its scenes, as it is served.
+/// Writes the report of a stored run, or the page of one of its scenes, as served by the viewer.
 ///
 /// # Errors
-/// A store that cannot be read; a scene that the run does not have.
+/// A store that cannot be read, or a scene that the run does not have.
 pub fn linked(
     store: &Store,
     record: &RunRecord,
@@ -146,7 +146,7 @@ pub fn linked(
     Ok(marf_report::linked(&report, live))
 }
 
-/// Returns a run; nodes of its pipeline that it has no result of are as the last run that has all of these has made them.
+/// Returns a run. Nodes of its pipeline without a result in it are taken from the last run with results of all of these.
 ///
 /// # Errors
 /// A store that cannot be read.
@@ -176,7 +176,7 @@ fn nodes_of<'r>(run: &'r Run<'_>, scene: Option<&str>) -> Vec<&'r RunNode> {
         .collect()
 }
 
-/// Returns the pages of scenes that the report lists; that of a scene lists none.
+/// Returns the pages of scenes that the report lists. The page of a scene lists none.
 fn pages<'r>(
     run: &'r Run<'_>,
     scene: Option<&str>,
@@ -191,13 +191,13 @@ fn pages<'r>(
     listed.map(page).collect()
 }
 
-/// Returns whether a page tells of a node: the report tells of all, the page of a scene of its own.
+/// Returns whether a page shows a node. The report shows all nodes, the page of a scene those of the scene.
 fn is_on_page(node: &str, scene: Option<&str>) -> bool {
     scene.is_none() || scenes::is_of(node, scene)
 }
 
-/// Returns what changed since the last run of the pipeline with other results, so that a run that does nothing has what the one
-/// before it has; children of nodes are left out.
+/// Returns the changes since the last run of the pipeline with other results. So a run that computes nothing has the changes of the one
+/// before it. Children of nodes are left out.
 ///
 /// # Errors
 /// A store that cannot be read.
@@ -231,7 +231,7 @@ fn changes(run: &Run<'_>, scene: Option<&str>, warn: impl Fn(String)) -> Result<
     }))
 }
 
-/// Returns the last trade that was measured around the pipeline of a run; none on the page of a scene.
+/// Returns the last trade that was measured around the pipeline of a run. None on the page of a scene.
 ///
 /// # Errors
 /// A store that cannot be read.
@@ -249,7 +249,7 @@ fn trade(run: &Run<'_>, scene: Option<&str>, warn: impl Fn(String)) -> Result<Op
     trade.map_err(|error| Error::failed(format!("{}: {error}", document::TRADE)))
 }
 
-/// Memos in the store, and the key they are kept for; none: they are read alone. A lost one costs only time.
+/// Memos in the store, and the key they are kept for. Without a key they are only read. A lost memo only costs time.
 struct StoreMemos<'a>(&'a Store, Option<Digest>);
 
 impl Memos for StoreMemos<'_> {

@@ -24,8 +24,9 @@ pub struct PipelineRun {
 /// How often the outputs of one run may be found damaged when they are written out.
 const MAX_REPAIRS: usize = 8;
 
-/// Runs what changed, and writes pictures, models and the report into `out`. What turns out to be damaged is made again by another run.
-/// `trace` is where a trace is written. `site` is the site file of a batch system that computes trainings; without it all is computed here.
+/// Runs what changed, and writes pictures, models and the report into `out`. Objects that turn out to be damaged are computed again by
+/// another run. `trace` is the file for a trace. `site` is the site file of a batch system that computes trainings. Without it, everything
+/// is computed here.
 ///
 /// # Errors
 /// A pipeline, a selection or a site file that is wrong, a store or folder that cannot be written.
@@ -52,7 +53,7 @@ pub fn run(
         match outputs::write(&session, &execution.record, out)? {
             Completeness::All => return Ok(PipelineRun { session, execution }),
             Completeness::Lost(lost) => {
-                context.warn(format!("{}; it is made again", lost.what));
+                context.warn(format!("{}. It is computed again", lost.what));
                 options.lost = vec![lost.node];
             }
         }

@@ -1,4 +1,4 @@
-//! Pipelines whose photos are split by place: which scenes there are, and what is asked of one.
+//! Pipelines whose photos are split by place: their scenes, and requests for one of them.
 
 use std::path::Path;
 
@@ -31,13 +31,13 @@ pub struct SelectedNodes {
     pub from: Vec<String>,
 }
 
-/// Most groups that are no scene, which are named while a run goes on; the report names all.
+/// Most groups that are not scenes to print during a run. The report lists all.
 const MOST_NAMED: usize = 5;
 
-/// Returns the session with its nodes for each scene. What tells the scenes runs first, unless only nodes before it are wanted.
+/// Returns the session with its nodes for each scene. The node that splits the photos runs first, unless only nodes before it are selected.
 ///
 /// # Errors
-/// What keeps the photos from being split; a scene asked for where none is.
+/// An error that keeps the photos from being split, or a scene of a pipeline without scenes.
 pub fn found(mut session: Session, selection: &Selection) -> Result<Session, Error> {
     let Some(by_scene) = &session.by_scene else {
         return match &selection.scene {
@@ -84,11 +84,11 @@ pub fn one(session: &Session) -> Result<(), Error> {
         "`{split}` splits the photos by place, and one scene is measured at a time"
     ));
     let hint =
-        format!("take one: `--set calibrate.input={split}/NAME`; `marf run --to {split}` tells their names");
+        format!("take one: `--set calibrate.input={split}/NAME`. `marf run --to {split}` prints their names");
     Err(Error::Usage(diagnostic.hint(hint)))
 }
 
-/// Returns a line for each group that is no scene, or how many more there are.
+/// Returns a line for each group that is not a scene, or the number of further groups.
 fn left_out(skipped: &[PhotoGroup]) -> Vec<String> {
     let line = |group: &PhotoGroup| format!("no scene  {}: {}", group.name, group.reason);
     let more = skipped.len().saturating_sub(MOST_NAMED);
@@ -96,7 +96,7 @@ fn left_out(skipped: &[PhotoGroup]) -> Vec<String> {
     skipped.iter().take(MOST_NAMED).map(line).chain(rest).collect()
 }
 
-/// Returns the nodes that a selection names: a node that runs for each scene is meant in all of them, or in the one that is selected.
+/// Returns the nodes that a selection names. A node that runs for each scene is selected in all scenes, or in the selected one.
 ///
 /// # Errors
 /// A scene that is not there.
@@ -112,7 +112,7 @@ pub fn selected(session: &Session, selection: &Selection) -> Result<SelectedNode
         None => session.scenes.clone(),
         Some(scene) if session.scenes.contains(scene) => vec![scene.clone()],
         Some(scene) => {
-            let diagnostic = Diagnostic::new(format!("--scene {scene}: there is no such scene"));
+            let diagnostic = Diagnostic::new(format!("--scene {scene}: unknown scene"));
             let known = format!("the scenes are {}", session.scenes.join(", "));
             return Err(Error::Usage(diagnostic.hint(known)));
         }
@@ -131,7 +131,7 @@ pub fn selected(session: &Session, selection: &Selection) -> Result<SelectedNode
     })
 }
 
-/// Folder of the pages of scenes, beside the report.
+/// Folder of the pages of scenes, next to the report.
 pub const SCENE_PAGES: &str = "pages";
 
 /// Returns the name of the page of a scene, from where the report is.

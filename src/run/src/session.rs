@@ -34,19 +34,19 @@ pub struct Session {
     pub written: String,
     /// The pipeline with all overrides applied, as JSON.
     pub tree: serde_json::Value,
-    /// The nodes that are to run for each scene; none where nothing is split by place, or they do so already.
+    /// The nodes to run for each scene. None if nothing is split by place, or the nodes are expanded already.
     pub by_scene: Option<ByScene>,
     /// Names of the scenes that nodes run for.
     pub scenes: Vec<String>,
-    /// What its archives have told.
+    /// The listings of its archives.
     listings: Listings,
     /// The store that results are shared through.
     pub shared: Option<SharedStore>,
-    /// What the request was given.
+    /// The context of the request.
     pub context: Context,
 }
 
-/// What a report shows of a node beside its run.
+/// The description of a node in a report, in addition to its run.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NodeInfo {
     /// Its name.
@@ -139,7 +139,7 @@ impl Session {
         })
     }
 
-    /// Returns the session with its nodes for each of these scenes; as it is where nothing is split by place.
+    /// Returns the session with its nodes for each of these scenes. It is unchanged if nothing is split by place.
     ///
     /// # Errors
     /// A file that was changed meanwhile.
@@ -165,10 +165,10 @@ impl Session {
         })
     }
 
-    /// Returns the session with its nodes for each scene that a run has found, if it has.
+    /// Returns the session with its nodes for each scene that a run has found, if any.
     ///
     /// # Errors
-    /// As [`Session::for_scenes`]; a store that cannot be read.
+    /// As [`Session::for_scenes`], or a store that cannot be read.
     pub fn for_scenes_of(self, run: Option<&RunRecord>) -> Result<Self, Error> {
         let split = self.by_scene.as_ref().map(|by_scene| by_scene.split.as_str());
         let node = split.and_then(|split| run?.node(split));
@@ -195,7 +195,7 @@ impl Session {
     /// Reads a document that a node has written.
     ///
     /// # Errors
-    /// An output that the node or the store does not have, or that is no such document.
+    /// An output that the node or the store does not have, or that cannot be decoded.
     pub fn document<D: Document>(&self, node: &NodeRun) -> Result<D, Error> {
         let bytes = self.output(node, D::OUTPUT)?;
         D::decode(&bytes).map_err(|error| Error::failed(format!("{} of `{}`: {error}", D::OUTPUT, node.name)))
@@ -217,7 +217,7 @@ impl Session {
         marf_engine::sets::verdicts(root, |digest| Ok(self.store.get(digest)?))
     }
 
-    /// Returns what the runs of this pipeline are runs of.
+    /// Returns the subject of the runs of this pipeline.
     pub fn subject(&self) -> Subject {
         Subject::Pipeline {
             source: self.source.clone(),
@@ -262,8 +262,8 @@ pub fn graph_of(nodes: Vec<config::Node>) -> Result<Graph, Error> {
     Ok(Graph::new(decls.collect(), marf_stages::stages())?)
 }
 
-/// Returns the name of a pipeline that has none: that of its file, with eight digits that tell it from files of the same name
-/// in other folders. Two pipelines that share a store are then never compared with each other.
+/// Returns the name of a pipeline without a name: that of its file, with eight digits that distinguish it from files of the same name in
+/// other folders. Two pipelines that share a store are then never compared with each other.
 pub fn unnamed(file: &Path) -> String {
     let whole = std::path::absolute(file).unwrap_or_else(|_| file.to_owned());
     let digits = &Digest::from_content(whole.as_os_str().as_encoded_bytes()).to_string()[..8];

@@ -1,4 +1,4 @@
-//! The shared store beside a run.
+//! The shared store of a run.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -34,11 +34,11 @@ impl SharedResults for Shared {
 }
 
 impl Shared {
-    /// Opens the shared store that the pipeline of a session names, if it names one and connections are allowed. One that
-    /// cannot be opened is told, and the run goes on without it.
+    /// Opens the shared store that the pipeline of a session names, if it names one and connections are allowed. A store that cannot be
+    /// opened is reported, and the run continues without it.
     ///
     /// # Errors
-    /// A key that is not there or is none.
+    /// A key that is missing or not valid.
     pub fn open(session: &Session) -> Result<Option<Arc<Self>>, Error> {
         let Some(shared) = &session.shared else {
             return Ok(None);
@@ -56,16 +56,16 @@ impl Shared {
         });
         let refuse = |error: &RemoteError| {
             let hint = error.hint().map(|hint| format!(" ({hint})")).unwrap_or_default();
-            context.warn(format!("{error}{hint}; the run goes on without the shared store"));
+            context.warn(format!("{error}{hint}. The run goes on without the shared store"));
         };
         let sharing = opened.inspect_err(refuse).ok();
         Ok(sharing.map(|sharing| Arc::new(Self(sharing))))
     }
 
-    /// Sends a run that is stored, if a node ran in it, and waits a little for what is still being sent.
+    /// Sends a run that is stored, if a node ran in it, and waits a little for pending uploads.
     ///
     /// # Errors
-    /// An own store that cannot be read.
+    /// A local store that cannot be read.
     pub fn finish(&self, session: &Session, record: &RunRecord) -> Result<(), Error> {
         let has_run = record.nodes.iter().any(|node| node.state == NodeState::Finished);
         let run = has_run.then(|| remote_run(&session.store, record)).transpose()?;
@@ -75,7 +75,7 @@ impl Shared {
     }
 }
 
-/// Returns a run as it travels: with the keys of its results, and of the last ones of other nodes as far as they are kept.
+/// Returns a run as it is sent: with the keys of its results, and of the last results of other nodes that the store still has.
 ///
 /// # Errors
 /// A run that is not stored or cannot be read.

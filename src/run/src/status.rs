@@ -41,7 +41,7 @@ pub fn newest_run(context: &Context, store: &Store) -> Result<RunRecord, Error> 
     newest.ok_or_else(|| Error::failed(format!("no run in {}", store.dir().display())))
 }
 
-/// A line that a running program has left, as far as it is shown.
+/// A line that a running program has written, with the fields that are shown.
 #[derive(Deserialize)]
 #[serde(tag = "event", rename_all = "snake_case")]
 enum Line {
@@ -80,20 +80,20 @@ enum Line {
     Warning {},
 }
 
-/// A program that runs, as its lines tell.
+/// A running program, from its lines.
 #[derive(Default)]
 pub struct RunningProgram {
     /// Name of its pipeline.
     pub pipeline: String,
-    /// What its run is a run of.
+    /// The source of its run.
     pub source: RunSource,
     /// The command as typed.
     pub command: String,
     /// The nodes with their children below them, in the order in which they are shown.
     pub order: Vec<String>,
-    /// The state of each node; of one that waits there is none.
+    /// The state of each node. A waiting node has none.
     pub nodes: BTreeMap<String, NodeProgress>,
-    /// What each node reads, by name.
+    /// The nodes that each node reads, by name.
     pub upstream: BTreeMap<String, Vec<String>>,
     /// How far the whole run is, once it is known.
     pub standing: Option<RunProgress>,
@@ -108,7 +108,7 @@ pub struct NodeProgress {
 }
 
 impl RunningProgram {
-    /// Reads the lines of a program; none if the first of them is not the beginning of a run.
+    /// Reads the lines of a program. None unless the first line is the start of a run.
     fn read(lines: &[String]) -> Option<Self> {
         let mut running = Self::default();
         // A line of a newer version is passed over.

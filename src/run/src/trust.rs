@@ -26,7 +26,7 @@ pub fn trust(writers: &[PathBuf]) -> Result<Trust, Error> {
 /// Reads a private key.
 ///
 /// # Errors
-/// A file that is not there, or has no such key.
+/// A file that is missing, or has no private key.
 pub fn signing_key(path: &Path) -> Result<SigningKey, Error> {
     SigningKey::from_pem(&key_text(path)?).map_err(|error| bad_key(path, &error))
 }
@@ -34,7 +34,7 @@ pub fn signing_key(path: &Path) -> Result<SigningKey, Error> {
 /// Reads a public key.
 ///
 /// # Errors
-/// A file that is not there, or has no such key.
+/// A file that is missing, or has no public key.
 pub fn public_key(path: &Path) -> Result<PublicKey, Error> {
     PublicKey::from_pem(&key_text(path)?).map_err(|error| bad_key(path, &error))
 }

@@ -8,7 +8,7 @@ use marf_stage::{VERDICTS, Verdict};
 use crate::error::Error;
 use crate::session::Session;
 
-/// Verdict of files that are no photos (labels, notes); no filter sees them.
+/// Verdict of files that are not photos (labels, notes). No filter sees them.
 const SKIPPED: &str = "skipped";
 
 /// Returns the verdicts of every node that has some, by the node's name.
@@ -55,7 +55,7 @@ pub fn merged(by_node: &BTreeMap<String, Vec<Verdict>>, chain: &[&str]) -> Vec<V
 /// Returns the verdicts as CSV: file, verdict, score, threshold, twin, reason.
 ///
 /// # Errors
-/// What the writer refuses.
+/// An error of the CSV writer.
 pub fn csv(verdicts: &[Verdict]) -> Result<Vec<u8>, Error> {
     let number = |value: Option<f64>| value.map(|value| value.to_string()).unwrap_or_default();
     let failed = |error: String| Error::failed(format!("verdicts: {error}"));

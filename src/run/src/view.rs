@@ -24,7 +24,7 @@ use crate::session::bootstraps_of;
 /// The store as the page reads it.
 pub struct StoreSource {
     store: Store,
-    /// What the runs to show are runs of.
+    /// The subject of the runs to show.
     subject: Subject,
     /// The run that the user named.
     run: Option<u64>,
@@ -33,7 +33,7 @@ pub struct StoreSource {
 }
 
 impl StoreSource {
-    /// Opens the store of a context; `run` is the run that the user named.
+    /// Opens the store of a context. `run` is the run that the user named.
     ///
     /// # Errors
     /// A store that is not there or cannot be opened.
@@ -82,7 +82,7 @@ impl StoreSource {
             .collect()
     }
 
-    /// Returns what the bootstrap of a training tells of its depths; none where it tells nothing or its metrics are lost.
+    /// Returns the depth interval from the bootstrap of a training. None without a calibration, or if its metrics are lost.
     fn depth_interval(&self, run: &RunRecord, trained: &NodeRun) -> Option<DepthInterval> {
         let metrics = bootstraps_of(run, &trained.name).find_map(|node| {
             let bytes = self.store.get(&node.outputs.get(Metrics::OUTPUT)?.digest).ok()?;
@@ -151,7 +151,7 @@ impl Source for StoreSource {
     }
 }
 
-/// Returns what a run names: outputs of its nodes, and documents.
+/// Returns the objects that a run names: outputs of its nodes, and documents.
 fn objects(run: &RunRecord) -> BTreeSet<Digest> {
     let outputs = run.nodes.iter().flat_map(|node| node.outputs.values());
     outputs

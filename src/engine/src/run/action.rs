@@ -30,17 +30,17 @@ pub struct ActionJob {
     graph: Graph,
     task: Task,
     key: Digest,
-    /// Which part of its node it is; none if it is the node.
+    /// The part of its node that it is. None for the whole node.
     part: Option<(PartKind, ShardLeaves)>,
 }
 
 impl ActionJob {
-    /// Checks an action. `params` are those of the action with what is in no key (a device), `table` has all stages.
+    /// Checks an action. `params` are those of the action with keys that are not in its key (a device), `table` has all stages.
     ///
-    /// The key is made again from what this program would do: a result is never stored under a key that it does not belong to.
+    /// The key is computed again from the stage of this program, so that a result is never stored under a wrong key.
     ///
     /// # Errors
-    /// An action that this program or this machine would make otherwise.
+    /// An action for which this program or this machine has another key.
     pub fn new(action: &Action, params: Value, table: &[StageDef]) -> Result<Self, ActionError> {
         let graph = Graph::new(Vec::new(), table)?;
         let (task, part) = task_of(action, params, &graph)?;
@@ -52,7 +52,7 @@ impl ActionJob {
         })
     }
 
-    /// Computes the action in a store that has its inputs, and returns its record; the record that is there already, if one is.
+    /// Computes the action in a store that has its inputs, and returns its record. A stored record is returned as it is.
     ///
     /// # Errors
     /// Work that failed, a store that cannot be used.
@@ -102,8 +102,8 @@ impl ActionJob {
     }
 }
 
-/// Returns the task of an action, if this program on this machine would make the same key of it, and which part of its node it is; none
-/// if it is the node.
+/// Returns the task of an action, if this program on this machine computes the same key for it, and its part of the node. The part is None
+/// for the whole node.
 fn task_of(
     action: &Action,
     mut params: Value,

@@ -1,4 +1,4 @@
-//! What the scheduler and its jobs share.
+//! Data that the scheduler and its jobs share.
 
 use std::time::Instant;
 
@@ -7,7 +7,7 @@ use marf_stage::Cancel;
 
 use crate::{event::Listener, executor::Executor, graph::Graph, record::RunRecord, shared::SharedResults};
 
-/// What the scheduler and all jobs of a run have in common.
+/// Data that the scheduler and all jobs of a run share.
 #[derive(Clone, Copy)]
 pub(super) struct RunContext<'a> {
     pub(super) graph: &'a Graph,
@@ -18,7 +18,7 @@ pub(super) struct RunContext<'a> {
     pub(super) pool: &'a rayon::ThreadPool,
     /// The program with version and commit, for records.
     pub(super) program: &'a str,
-    /// What computes results on other machines; none if all are computed here.
+    /// Computes results on other machines. None if all are computed here.
     pub(super) executor: Option<&'a dyn Executor>,
     /// The last run of the same pipeline.
     pub(super) last: Option<&'a RunRecord>,

@@ -46,7 +46,7 @@ pub enum ActionError {
         here: String,
     },
     /// This program makes another key of the action.
-    #[error("stage `{stage}` of another marf: {difference}; this program would make the key {key} of it", key = key.short())]
+    #[error("stage `{stage}` of another marf: {difference}. This program would give it the key {key}", key = key.short())]
     Key {
         /// Name of the stage.
         stage: String,
@@ -55,7 +55,7 @@ pub enum ActionError {
         /// The key that this program makes.
         key: Digest,
     },
-    /// The work failed; the listener was told why.
+    /// The work failed. The listener got the cause.
     #[error("{0}")]
     Failed(String),
     /// The user wanted to stop.

@@ -44,19 +44,19 @@ pub(super) struct Job<'a> {
     pub(super) check: BlobCheck,
     pub(super) threads: usize,
     pub(super) began: Instant,
-    /// Where else it, or parts of it, may be computed; all here if absent.
+    /// Other machines that may compute it or parts of it. Absent if all is computed here.
     pub(super) elsewhere: Option<OtherMachines<'a>>,
 }
 
 /// Which step of a node's work.
 pub(super) enum Step {
-    /// The first; the only one of a node without children.
+    /// The first step, and the only one of a node without children.
     Start,
-    /// A further round of children, or the reduction of their outputs; with outputs and keys by name of those that have run.
+    /// A further round of children, or the reduction of their outputs. It has the outputs of all children so far, and their keys by name.
     AfterRound(Vec<Outputs>, BTreeMap<String, Digest>),
 }
 
-/// What a job gave.
+/// The result of a job.
 pub(super) enum JobOutput {
     /// A result that is in the store by now.
     Reused(Box<Record>),
@@ -85,9 +85,9 @@ impl From<StageError> for JobError {
 }
 
 impl Job<'_> {
-    /// Does the work; the result is in the store by then.
+    /// Does the work. The result is in the store when this returns.
     pub(super) fn execute(self) -> Result<JobOutput, JobError> {
-        // Children take leases of their own; their parent holds none while it waits for them.
+        // Children take leases of their own. Their parent holds none while it waits for them.
         let _lease = match (self.bound.work(), &self.step) {
             (Work::Expand(_), Step::Start) => None,
             _ => Some(self.lease()?),
@@ -129,8 +129,7 @@ impl Job<'_> {
         match look_up(store, &key.digest)? {
             Lookup::Hit(record) => Ok(JobOutput::Finished(record)),
             Lookup::Miss | Lookup::MissingOutput(_) => {
-                let error =
-                    StageError::new("what computes it elsewhere says that it is done, and brought no result");
+                let error = StageError::new("the other machine reports success, but it stored no result");
                 Err(error.into())
             }
         }
@@ -150,7 +149,7 @@ impl Job<'_> {
 
     /// Waits for the lease on the key.
     fn lease(&self) -> Result<Lease, StageError> {
-        let busy = || self.warn("the same result is being made elsewhere; waiting for it".to_owned());
+        let busy = || self.warn("waiting for another process that computes the same result".to_owned());
         Lease::take(
             self.context.store.dir(),
             &self.prepared.key.digest,
@@ -325,7 +324,7 @@ impl Job<'_> {
         }
     }
 
-    /// Warns of conflicts, also those of other nodes: a write batch holds records of several.
+    /// Warns of conflicts, also those of other nodes, because a write batch has records of several nodes.
     fn report_conflicts(&self) {
         for conflict in self.context.store.take_conflicts() {
             let digests = |outputs: &BTreeMap<String, Output>| {
@@ -363,7 +362,7 @@ impl Job<'_> {
     }
 }
 
-/// Runs `work` in a pool of that many threads; a panic becomes an error.
+/// Runs `work` in a pool of that many threads. A panic becomes an error.
 fn on_threads(
     threads: usize,
     work: impl Fn() -> Result<StageOutcome, StageError> + Send,
@@ -383,7 +382,7 @@ pub(super) fn unix_seconds() -> u64 {
     since.map_or(0, |since| since.as_secs())
 }
 
-/// Returns the peak memory of this program in MB; 0 where the system does not tell.
+/// Returns the peak memory of this program in MB, or 0 if the system does not report it.
 fn peak_mb() -> u64 {
     let status = Path::new("/proc/self/status");
     let status = read_text(status, FileKind::Settings, Links::Refused).unwrap_or_default();

@@ -37,18 +37,18 @@ use crate::{
 /// How to run.
 #[derive(Debug, Clone, Default)]
 pub struct Options {
-    /// Threads to use; none for as many as there are cores.
+    /// Threads to use. None for as many as there are cores.
     pub threads: Option<NonZero<usize>>,
-    /// Run only these nodes and what they depend on; empty for all.
+    /// Run only these nodes and the nodes they depend on. Empty for all.
     pub to: Vec<String>,
-    /// Run only these nodes and what depends on them; empty for all.
+    /// Run only these nodes and the nodes that depend on them. Empty for all.
     pub from: Vec<String>,
-    /// Nodes that have lost an object behind their outputs (a leaf of a set): they run although their results are recorded,
-    /// and make only the parts that are not whole.
+    /// Nodes that have lost an object that their outputs refer to (a leaf of a set). They run although their results are recorded, and
+    /// compute only the incomplete parts.
     pub lost: Vec<String>,
     /// Name of the pipeline: a run is compared with the last run of the same name and source.
     pub pipeline: String,
-    /// What it is a run of.
+    /// The source of the run.
     pub source: RunSource,
     /// Name of this run, unique in its store: it is in all events.
     pub id: String,
@@ -58,9 +58,9 @@ pub struct Options {
     pub program: String,
     /// The program's file, for the record.
     pub build: Option<Build>,
-    /// What computes results on other machines; none if all are computed here.
+    /// Computes results on other machines. None if all are computed here.
     pub executor: Option<Arc<dyn Executor>>,
-    /// Where results are shared with other machines; none if they are not.
+    /// Shares results with other machines. None if they are not shared.
     pub shared: Option<Arc<dyn SharedResults>>,
 }
 
@@ -81,11 +81,11 @@ pub fn run(
 
 /// Runs a graph: every node whose key is not in the store, in parallel as far as threads allow.
 ///
-/// Returns the record, also of a run in which nodes failed or which was stopped. It is not stored yet, so that documents can
-/// be added to it ([`RunRecord::store`]). A failed node stops only the nodes that depend on it; what was computed stays.
+/// Returns the record, also of a run in which nodes failed or which was stopped. It is not stored yet, so that documents can be added to it
+/// ([`RunRecord::store`]). A failed node stops only the nodes that depend on it. Computed results are kept.
 ///
 /// # Errors
-/// A name in `to`, `from` or `lost` that is not in the graph; a store that cannot be used.
+/// A name in `to`, `from` or `lost` that is not in the graph, or a store that cannot be used.
 pub fn run_nodes(
     graph: &Graph,
     store: &Store,
@@ -139,7 +139,7 @@ pub fn run_nodes(
     })
 }
 
-/// Returns the number of threads of a run; none for as many as there are cores.
+/// Returns the number of threads of a run. The default is the number of cores.
 pub(crate) fn threads(wanted: Option<NonZero<usize>>) -> usize {
     let cores = || thread::available_parallelism().map_or(1, NonZero::get);
     wanted.map_or_else(cores, NonZero::get)

@@ -1,4 +1,4 @@
-//! A part of a node as an action of its own: what a machine computes for a map or a fold that runs elsewhere, or again.
+//! A part of a node as an action of its own. A machine computes it for a map or a fold that runs elsewhere or is recomputed.
 
 use std::{collections::BTreeMap, time::Instant};
 
@@ -14,14 +14,14 @@ use crate::{
     work::{BlobCheck, PASS, PartKind, StageRun, make_part},
 };
 
-/// Returns the name of the pass that an action summarises its shard for; none of other actions.
+/// Returns the name of the pass for which an action summarises its shard. None for other actions.
 pub(super) fn pass_of(action: &Action) -> Option<&str> {
     let name = PartKind::Summarise("").name();
     let is_summary = action.part.as_deref() == Some(name);
     action.params.get(PASS).filter(|_| is_summary)?.as_str()
 }
 
-/// Returns the kind of part that an action is of a stage, with its shard; none if the stage has no such part.
+/// Returns the kind of part of a stage that an action is, with its shard. None if the stage has no such part.
 pub(super) fn part_of(action: &Action, stage: &dyn Stage) -> Option<(PartKind, ShardLeaves)> {
     let named = action.part.as_deref()?;
     let kinds: Vec<PartKind> = match stage.work() {
@@ -66,7 +66,7 @@ impl PartJob<'_> {
         self.store.record(&key.digest)?.ok_or_else(lost)
     }
 
-    /// Tells why there is no result.
+    /// Reports to the listener why there is no result.
     fn told(&self, error: StageError, listener: &dyn Listener) -> ActionError {
         let (message, cause, hint) = match error {
             StageError::Cancelled => return ActionError::Stopped,

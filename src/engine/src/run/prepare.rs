@@ -15,7 +15,7 @@ use crate::{
     lookup::{Lookup, look_up, lost_output, why_missed},
 };
 
-/// Prepares every node whose upstream nodes have settled, until none is left.
+/// Prepares nodes whose upstream nodes have settled, until no such node remains.
 pub(super) fn prepare_all(state: &mut RunState<'_>) -> Result<(), StoreError> {
     let mut moved = true;
     while moved {
@@ -35,7 +35,7 @@ pub(super) fn prepare_all(state: &mut RunState<'_>) -> Result<(), StoreError> {
     Ok(())
 }
 
-/// Gathers the inputs of a waiting node, lists what a source offers, and looks the node up.
+/// Collects the inputs of a waiting node, lists its source, and looks the node up.
 fn prepare(state: &mut RunState<'_>, index: usize) -> Result<(), StoreError> {
     let context = state.context;
     let inputs = match inputs(state, index) {
@@ -86,7 +86,7 @@ fn prepare(state: &mut RunState<'_>, index: usize) -> Result<(), StoreError> {
     }
 }
 
-/// Looks the key of a node up; a node with a stored result is reused, another one becomes ready.
+/// Looks up the key of a node. A node with a stored result is reused, another one becomes ready.
 fn look_up_node(
     state: &mut RunState<'_>,
     index: usize,

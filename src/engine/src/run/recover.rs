@@ -40,7 +40,7 @@ pub(super) fn recover(state: &mut RunState<'_>, index: usize, lost: &Digest) {
     };
     state.context.listener.on_event(&Event::Warning {
         node: Some(state.tasks[index].name.clone()),
-        message: format!("blob {} is missing or damaged; {again}", lost.short()),
+        message: format!("blob {} is missing or damaged: {again}", lost.short()),
     });
     let mut before = BTreeSet::new();
     for &producer in &producers {
@@ -67,9 +67,8 @@ fn start_over(state: &mut RunState<'_>, index: usize, after: BTreeSet<usize>) {
     task.waits_for.extend(after);
 }
 
-/// Returns the first node, in topological order, that stored a blob among those upstream, else among the other children of its
-/// parent; none if the node itself or one of its children did. If nobody is known to have stored it, returns the nodes
-/// directly upstream.
+/// Returns the first node, in topological order, that stored a blob among those upstream, else among the other children of its parent.
+/// Empty if the node itself or one of its children did. If no node is known to have stored it, returns the nodes directly upstream.
 fn producers(state: &RunState<'_>, index: usize, lost: &Digest) -> BTreeSet<usize> {
     let (graph, store) = (state.context.graph, state.context.store);
     let has_stored = |task: usize| {
@@ -112,7 +111,7 @@ fn siblings<'s>(state: &'s RunState<'_>, index: usize, lost: &'s Digest) -> impl
     })
 }
 
-/// Tells whether a result, or a part of it, stored a blob.
+/// Returns whether a result, or a part of it, stored a blob.
 fn stored(store: &Store, record: &Record, lost: &Digest) -> bool {
     let own = |record: &Record| {
         let is_output = record.outputs.values().any(|output| output.digest == *lost);
@@ -124,7 +123,7 @@ fn stored(store: &Store, record: &Record, lost: &Digest) -> bool {
     own(record) || parts_of(store, record).iter().any(part)
 }
 
-/// Returns the keys of the parts of a result, as far as their list can be read.
+/// Returns the keys of the parts of a result. Empty if their list cannot be read.
 fn parts_of(store: &Store, record: &Record) -> Vec<Digest> {
     let parts = record.parts.as_ref().and_then(|parts| store.set(parts).ok());
     let parts = parts.unwrap_or_default();

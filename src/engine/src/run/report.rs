@@ -27,7 +27,7 @@ pub(super) fn outcome(state: &RunState<'_>) -> Outcome {
     }
 }
 
-/// Returns the nodes in topological order, children after the node that asked for them.
+/// Returns the nodes in topological order, children after the node that requested them.
 pub(super) fn node_runs(state: &RunState<'_>) -> Result<Vec<NodeRun>, StoreError> {
     let mut runs = Vec::new();
     for index in 0..state.context.graph.nodes.len() {
@@ -53,8 +53,8 @@ fn add_inputs(store: &Store, runs: &mut [NodeRun]) -> Result<(), StoreError> {
     Ok(())
 }
 
-/// Returns the output that an input of a node is: of a node that it is connected to, else what its parent read, else the
-/// first of this content.
+/// Returns the output that an input of a node is. An output of a connected node comes first, then the input of its parent, then the first
+/// output with this content.
 fn maker(before: &[NodeRun], node: &NodeRun, name: &str, digest: &Digest) -> Option<OutputName> {
     let of = |maker: &NodeRun, output: &str| OutputName {
         node: maker.name.clone(),
@@ -146,7 +146,7 @@ struct StoredChild<'a> {
     name: &'a str,
     key: Digest,
     record: Record,
-    /// What it read; empty if its action is lost.
+    /// Its inputs. Empty if its action is lost.
     inputs: BTreeSet<Digest>,
 }
 
@@ -171,13 +171,13 @@ fn stored_children<'a>(
     Ok(stored)
 }
 
-/// Puts children behind those whose outputs they read; else they stay as they are.
+/// Sorts children after those whose outputs they read. Otherwise their order is kept.
 fn in_order(mut left: Vec<StoredChild<'_>>) -> Vec<StoredChild<'_>> {
     let mut ordered = Vec::with_capacity(left.len());
     while !left.is_empty() {
         let made: BTreeSet<Digest> = left.iter().flat_map(StoredChild::made).collect();
         let waits = |child: &StoredChild<'_>| !child.inputs.is_disjoint(&made);
-        // Equal contents may make a circle; any of them may then come first.
+        // Equal contents may form a cycle. Any of its children may then come first.
         let (mut free, waiting): (Vec<_>, Vec<_>) = left.into_iter().partition(|child| !waits(child));
         left = waiting;
         if free.is_empty() {

@@ -1,8 +1,8 @@
 //! The scheduler: a coordinator thread starts ready nodes while thread permits are free.
 //!
-//! What an executor takes runs on another machine and needs no permit. A job of one thread takes one permit; a job that can use all takes
-//! its share of the free ones, hence all when nothing else is ready. One node at a time is on the GPU of this machine. The order of jobs
-//! and their threads change no result.
+//! An action that an executor takes runs on another machine and needs no permit. A job of one thread takes one permit. A job that can use
+//! all takes its share of the free ones, so it gets all when nothing else is ready. One node at a time is on the GPU of this machine. The
+//! order of jobs and their threads do not change any result.
 
 use std::{
     collections::BTreeSet,
@@ -28,7 +28,7 @@ use crate::{
     work::BlobCheck,
 };
 
-/// Starts jobs on threads of their own, and applies what they report to the state of the run.
+/// Starts jobs on threads of their own, and applies their reports to the state of the run.
 pub(super) struct Scheduler<'a> {
     state: RunState<'a>,
     free_permits: usize,
@@ -40,7 +40,7 @@ pub(super) struct Scheduler<'a> {
 /// Where a job runs.
 #[derive(Debug, Clone, Copy)]
 enum Place {
-    /// On so many threads of this machine.
+    /// On this many threads of this machine.
     Here(usize),
     /// On another machine.
     Elsewhere,
@@ -118,7 +118,7 @@ impl<'a> Scheduler<'a> {
         Some((index, Place::Elsewhere))
     }
 
-    /// Tells whether another machine takes a node that is ready.
+    /// Returns whether another machine takes a node that is ready.
     fn is_taken(&self, task: &Task) -> bool {
         let Some(executor) = self.state.context.executor else {
             return false;
@@ -133,7 +133,7 @@ impl<'a> Scheduler<'a> {
         may && task.prepared.as_ref().is_some_and(takes)
     }
 
-    /// Returns what a node needs of a machine.
+    /// Returns the needs of a node: cores, GPU, memory, time.
     fn needs(&self, task: &Task) -> Needs {
         let context = &self.state.context;
         let key = context.last.and_then(|last| last.latest.get(&task.name));
@@ -171,7 +171,7 @@ impl<'a> Scheduler<'a> {
         Some((index, Place::Here(permits)))
     }
 
-    /// Returns what a job needs to run on another machine.
+    /// Returns the data that a job needs to run on another machine.
     fn elsewhere(&self, index: usize) -> Option<OtherMachines<'a>> {
         let state = &self.state;
         let settled = state.tasks.iter().filter(|task| task.phase.is_good());
@@ -184,7 +184,7 @@ impl<'a> Scheduler<'a> {
         })
     }
 
-    /// Takes the permits of a node and returns its job; none if the node was not prepared.
+    /// Takes the permits of a node and returns its job. None if the node was not prepared.
     fn start(&mut self, index: usize, place: Place) -> Option<Job<'a>> {
         self.running += 1;
         let permits = match place {

@@ -6,8 +6,8 @@ use super::task::Role;
 use crate::{graph::Graph, record::EngineError};
 
 impl Graph {
-    /// Returns the names of the nodes that a node of `to` depends on and that depend on a node of `from`, with
-    /// these; an empty list does not limit.
+    /// Returns the names of the nodes that a node of `to` depends on and that depend on a node of `from`, including these nodes. An empty
+    /// list does not limit the selection.
     ///
     /// # Errors
     /// A name that is not in the graph.

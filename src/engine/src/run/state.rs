@@ -11,15 +11,15 @@ use super::{
 };
 use crate::{errors::contract_violation, event::Event, lookup::lasting_counts};
 
-/// The nodes of a run. Those of the graph come first, in its order; children follow in the order of the requests.
+/// The nodes of a run. Those of the graph come first, in its order. Children follow in the order of the requests.
 pub(super) struct RunState<'a> {
     pub(super) context: RunContext<'a>,
     pub(super) tasks: Vec<Task>,
 }
 
 impl<'a> RunState<'a> {
-    /// Returns the state before anything has run; one role for each node of the graph. Nodes of `lost` do not use their
-    /// stored results.
+    /// Returns the state before anything has run, with one role for each node of the graph. Nodes of `lost` do not use their stored
+    /// results.
     pub(super) fn new(context: RunContext<'a>, roles: Vec<Role>, lost: &BTreeSet<usize>) -> Self {
         let nodes = context.graph.nodes.iter().zip(roles);
         let mut tasks: Vec<Task> = nodes.map(|(node, role)| Task::of_node(node, role)).collect();
@@ -114,7 +114,7 @@ impl<'a> RunState<'a> {
         self.child_settled(index);
     }
 
-    /// Prepares a node for its first step: children that an earlier try asked for are none of its own any more.
+    /// Prepares a node for its first step. Children that an earlier try requested are detached from it.
     pub(super) fn begin(&mut self, index: usize) {
         for child in std::mem::take(&mut self.tasks[index].children) {
             self.tasks[child].phase = Phase::Replaced;
@@ -152,7 +152,7 @@ impl<'a> RunState<'a> {
         let name = format!("{}/{}", self.tasks[parent].name, spec.name);
         let Some(def) = self.context.graph.table.get(spec.stage.as_str()) else {
             return Err(contract_violation(format!(
-                "`{name}` is of the stage `{}`, which is not there",
+                "`{name}` is of the stage `{}`, which does not exist",
                 spec.stage
             )));
         };
@@ -170,7 +170,7 @@ impl<'a> RunState<'a> {
         })
     }
 
-    /// Reports progress of the parent of a settled child; after the last child the parent goes on.
+    /// Reports progress of the parent of a settled child. After the last child the parent continues.
     fn child_settled(&mut self, index: usize) {
         let Some(parent) = self.tasks[index].parent else {
             return;

@@ -17,7 +17,7 @@ use crate::{
     work::Counts,
 };
 
-/// A node during a run: what it is, how far it is, and what came of it.
+/// A node during a run: its stage, its state and its outcome.
 pub(super) struct Task {
     pub(super) name: String,
     pub(super) def: StageDef,
@@ -47,7 +47,7 @@ pub(super) enum InputSource {
     Fixed(Inputs),
 }
 
-/// What a run may do with a node.
+/// The role of a node in a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Role {
     /// It is selected: it may run.
@@ -94,7 +94,7 @@ pub(super) enum Phase {
     Replaced,
 }
 
-/// What a node needs to run.
+/// The data that a node needs to run.
 #[derive(Clone)]
 pub(super) struct RunInputs {
     pub(super) key: Key,
@@ -103,7 +103,7 @@ pub(super) struct RunInputs {
     pub(super) reason: String,
 }
 
-/// What the run record will hold of the node.
+/// The entry of the node in the run record.
 #[derive(Default)]
 pub(super) struct NodeOutcome {
     pub(super) key: Option<Digest>,
@@ -172,12 +172,12 @@ impl Task {
 }
 
 impl Phase {
-    /// Tells whether it has its outputs.
+    /// Returns whether it has its outputs.
     pub(super) fn is_good(self) -> bool {
         matches!(self, Self::Reused | Self::Finished)
     }
 
-    /// Tells whether nothing more happens to it.
+    /// Returns whether its state is final.
     pub(super) fn is_settled(self) -> bool {
         !matches!(
             self,

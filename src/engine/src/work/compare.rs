@@ -1,5 +1,5 @@
-//! Comparisons: what the rows of a set are compared with, from summaries of its shards. Each summary has its record, so a
-//! new shard is summarised alone.
+//! Comparisons: the context with which the rows of a set are compared, from summaries of its shards. Each summary has its record, so only a
+//! new shard is summarised.
 
 use std::{
     collections::BTreeMap,
@@ -29,7 +29,7 @@ const CONTEXT: &str = "context";
 /// Name of the output of a part that is the summary of a shard.
 const SUMMARY: &str = "summary";
 
-/// What came of all passes so far; empty before the first.
+/// The results of all passes so far. Empty before the first.
 #[derive(Debug, Default)]
 pub(super) struct Context {
     pub(super) bytes: Vec<u8>,
@@ -46,7 +46,7 @@ impl Context {
     }
 }
 
-/// What the decisions of a map look at beside their rows.
+/// The data that the decisions of a map use in addition to their rows.
 #[derive(Debug, Default)]
 pub(super) struct ComparisonResult {
     pub(super) context: Context,
@@ -175,7 +175,7 @@ impl Pass<'_> {
         Ok(summary)
     }
 
-    /// Reads the summary of a shard; one that is lost is made again.
+    /// Reads the summary of a shard. A lost summary is computed again.
     fn read(&self, request: &PartRequest<'_>, summary: &Digest) -> Result<Arc<[u8]>, StageError> {
         self.run.ctx.check()?;
         match self.run.ctx.get(summary) {

@@ -1,4 +1,4 @@
-//! Measures that other machines make, a part a shard: what a part gives is added to the tables of measures, as if it had been
+//! Measures that other machines compute, one part a shard. The results of a part are added to the tables of measures, as if they had been
 //! measured here.
 
 use std::{
@@ -28,8 +28,8 @@ use crate::{
 /// Shards whose measures are stored at once: these are in memory until then.
 const SHARDS_AT_ONCE: usize = 1_000;
 
-/// Has those shards measured on other machines that lack most of their measures, if there are machines that take them. Returns
-/// the number of rows measured; what still lacks is measured here.
+/// Measures shards on other machines, if most of their measures are missing and there are machines that take them. Returns the number of
+/// rows measured. The remaining rows are measured here.
 pub(super) fn measure_elsewhere(
     run: &StageRun<'_>,
     stage: &dyn Measure,
@@ -57,7 +57,7 @@ pub(super) fn measure_elsewhere(
     Ok(total)
 }
 
-/// Returns the parts of those shards of which over half of the rows are not measured: a part measures all.
+/// Returns the parts for shards in which over half of the rows are not measured: a part measures all rows.
 fn lacking(
     run: &StageRun<'_>,
     stage: &dyn Measure,
@@ -110,7 +110,7 @@ fn take_over(run: &StageRun<'_>, stage: &dyn Measure, shard: u32, key: &Digest) 
     let record = run.store.hit(key).map_err(store_error)?;
     let Some(record) = record else {
         return Err(contract_violation(format!(
-            "shard {shard} was measured elsewhere, and its measures did not come"
+            "shard {shard} was measured on another machine, but its measures are missing"
         )));
     };
     for table in stage.together() {
@@ -127,7 +127,7 @@ fn take_over(run: &StageRun<'_>, stage: &dyn Measure, shard: u32, key: &Digest) 
 
 fn unread(shard: u32, table: Table) -> StageError {
     contract_violation(format!(
-        "shard {shard} was measured elsewhere, and its table `{}` is not whole",
+        "shard {shard} was measured on another machine, but its table `{}` is incomplete",
         table.name
     ))
 }

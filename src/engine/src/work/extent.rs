@@ -22,12 +22,12 @@ use crate::{
 pub struct Extent {
     /// Shards (sols) without a result.
     pub shards: u64,
-    /// Photos of these shards; none where they are not fetched yet.
+    /// Photos of these shards. None if they are not fetched yet.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub photos: Option<u64>,
 }
 
-/// Returns what a node would look at; none if it works on no set of photos, or its inputs cannot be read.
+/// Returns the shards and photos that a node would look at. None if it does not work on a set of photos, or its inputs cannot be read.
 pub(crate) fn extent(
     store: &Store,
     stage: &dyn Stage,
@@ -65,8 +65,8 @@ fn of_source(store: &Store, key: &Key, listed: &SourceListing) -> Result<Extent,
     })
 }
 
-/// Returns the shards of a map without a summary, where there are such; else those without a decision. Whether new summaries
-/// change the decisions on other shards is known only when they are made.
+/// Returns the shards of a map without a summary, if there are any, else those without a decision. Only after the new summaries are made is
+/// it known whether they change the decisions on other shards.
 fn missing_parts<'a>(
     store: &Store,
     map: &dyn Map,
@@ -113,7 +113,7 @@ fn find(
     shards.iter().map(find).collect()
 }
 
-/// Returns the shards of which nothing was found.
+/// Returns the shards without an entry in `found`.
 fn lacking<'a, T>(shards: &'a [ShardLeaves], found: &[Option<T>]) -> Vec<&'a ShardLeaves> {
     let pairs = shards.iter().zip(found);
     pairs

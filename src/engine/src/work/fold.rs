@@ -1,5 +1,5 @@
-//! Folds: a state grows from shard to shard. Each step has its record with what it added, so a new shard continues from
-//! what the earlier ones added.
+//! Folds: a state grows from shard to shard. Each step has its record with its addition, so a new shard continues from the additions of the
+//! earlier ones.
 
 use std::collections::BTreeMap;
 
@@ -19,7 +19,7 @@ use crate::{
     stage_io::StoreBlobs,
 };
 
-/// Name of the input of a step that stands for all that earlier steps added.
+/// Name of the input of a step that represents the additions of all earlier steps.
 const BEFORE: &str = "before";
 
 /// The chain before the first step.
@@ -27,17 +27,17 @@ pub(super) fn start() -> Digest {
     Digest::from_content(&[])
 }
 
-/// Returns the chain after a step, from the chain before it and what the step added.
+/// Returns the chain after a step, from the chain before it and the addition of the step.
 pub(super) fn after(before: &Digest, added: &Digest) -> Digest {
     Digest::from_content(&link(before, added))
 }
 
-/// Returns the last link of a chain: the digest of the chain before a step, and that of what the step added.
+/// Returns the last link of a chain: the digest of the chain before a step, and that of the step's addition.
 fn link(before: &Digest, added: &Digest) -> Vec<u8> {
     [*before.as_bytes(), *added.as_bytes()].concat()
 }
 
-/// Returns what the steps of a chain added, in their order, from its links.
+/// Returns the additions of the steps of a chain, in their order, from its links.
 fn added_by(run: &StageRun<'_>, mut chain: Digest) -> Result<Vec<Digest>, StageError> {
     let mut added = Vec::new();
     while chain != start() {
@@ -45,7 +45,7 @@ fn added_by(run: &StageRun<'_>, mut chain: Digest) -> Result<Vec<Digest>, StageE
         let link = run.ctx.get(&chain)?;
         let ([before, last], []) = link.as_chunks::<32>() else {
             return Err(contract_violation(format!(
-                "{} is no link of a chain",
+                "{} is not a link of a chain",
                 chain.short()
             )));
         };
@@ -147,7 +147,7 @@ impl Steps<'_> {
             .part_key(PartKind::Fold, shard.shard, step_inputs(shard, self.before))
     }
 
-    /// Takes the steps that have a record, up to the first without; returns their number.
+    /// Takes the steps that have a record, up to the first without. Returns their number.
     fn reuse(&mut self, shards: &[ShardLeaves]) -> Result<usize, StageError> {
         for (index, shard) in shards.iter().enumerate() {
             self.run.ctx.check()?;
@@ -160,7 +160,7 @@ impl Steps<'_> {
         Ok(shards.len())
     }
 
-    /// Folds one shard into the state and stores what comes out.
+    /// Folds one shard into the state and stores the results.
     fn fold(
         &mut self,
         fold: &dyn Fold,
@@ -193,7 +193,7 @@ impl Steps<'_> {
     fn push(&mut self, key: Digest, part: Part) -> Result<(), StageError> {
         let added = part
             .added
-            .ok_or_else(|| contract_violation("a step of a fold lacks what it added".to_owned()))?;
+            .ok_or_else(|| contract_violation("a step of a fold has no output `added`".to_owned()))?;
         self.before = after(&self.before, &added);
         self.keys.push(key);
         self.parts.push(part);

@@ -1,5 +1,4 @@
-//! Maps: a measure for each row, then a decision on the rows of each shard, which looks at them and at what all shards were
-//! summarised to.
+//! Maps: a measure for each row, then a decision on the rows of each shard, which uses these rows and the merged summaries of all shards.
 
 use marf_stage::{Ctx, Map, PHOTOS, StageError, Verdict};
 use rayon::prelude::*;

@@ -45,7 +45,7 @@ pub(super) struct MeasuredShard {
     values: Vec<Arc<[u8]>>,
 }
 
-/// Some shards with their measures, in the order asked for.
+/// Some shards with their measures, in the order of the request.
 pub(super) struct MeasuredShards {
     pub(super) shards: Vec<MeasuredShard>,
     /// Number of rows that no earlier run had measured.
@@ -68,7 +68,7 @@ impl<'a> RowProgress<'a> {
         }
     }
 
-    /// Tells whether all rows are ready.
+    /// Returns whether all rows are ready.
     pub(super) fn is_complete(&self) -> bool {
         self.done >= self.total
     }
@@ -163,7 +163,7 @@ struct MissingRow {
     tables: Vec<Table>,
 }
 
-/// Measures rows and adds what comes to the tables of their shards.
+/// Measures rows and adds the results to the tables of their shards.
 fn measure_missing(
     run: &StageRun<'_>,
     stage: &dyn Measure,
@@ -178,7 +178,7 @@ fn measure_missing(
         progress,
         flushed: Instant::now(),
     });
-    // What a measure stores is named by it, and not by the record of this node.
+    // Blobs that a measure stores are named in the measure, not in the record of this node.
     let blobs = StoreBlobs::new(run.store);
     let ctx = run.with_blobs(&blobs);
     let outcome = missing.par_iter().try_for_each(|missing| {
@@ -242,7 +242,7 @@ pub(super) struct KeptTable {
 }
 
 impl ShardTables {
-    /// Reads the stage's own table; the others only where a row must be measured.
+    /// Reads the stage's own table. The other tables are only read if a row must be measured.
     pub(super) fn load(
         run: &StageRun<'_>,
         stage: &dyn Measure,
@@ -288,7 +288,7 @@ impl ShardTables {
         wanted.map(|(kind, _)| *kind).collect()
     }
 
-    /// Returns what is read while rows are measured, and what is written.
+    /// Returns the data that is read while rows are measured, and the tables that are written.
     fn split(&mut self) -> (RowsView<'_>, OpenTables<'_>) {
         let view = RowsView {
             rows: &self.rows.rows,
@@ -313,7 +313,7 @@ impl ShardTables {
     }
 }
 
-/// Reads the table of a shard; a missing or damaged one is empty.
+/// Reads the table of a shard. A missing or damaged table is empty.
 fn load(store: &Store, table: Table, shard: u32) -> Result<KeptTable, StageError> {
     let blob = store.memo(&table_key(table, shard)).map_err(store_error)?;
     let bytes = blob.and_then(|blob| store.get(&blob).ok());
@@ -326,7 +326,7 @@ fn load(store: &Store, table: Table, shard: u32) -> Result<KeptTable, StageError
     })
 }
 
-/// The tables of some shards, with what is new in them.
+/// The tables of some shards, with their new measures.
 struct NewMeasures<'a, 'p> {
     run: &'a StageRun<'a>,
     shards: Vec<OpenTables<'a>>,
@@ -335,7 +335,7 @@ struct NewMeasures<'a, 'p> {
 }
 
 impl NewMeasures<'_, '_> {
-    /// Adds the measures of a row; stores the tables if that is due.
+    /// Adds the measures of a row. Stores the tables if that is due.
     fn add(&mut self, missing: &MissingRow, digest: Digest, values: Vec<Vec<u8>>) -> Result<(), StageError> {
         for (kind, value) in missing.tables.iter().zip(values) {
             if let Some(table) = self.shards[missing.shard].tables.get_mut(kind) {
@@ -364,7 +364,7 @@ impl NewMeasures<'_, '_> {
     }
 }
 
-/// Stores the table of a shard; it is kept as long as the node that made it.
+/// Stores the table of a shard. It is kept as long as the result of this node.
 fn save(run: &StageRun<'_>, table: Table, shard: u32, measures: &MeasureTable) -> Result<(), StageError> {
     let blob = run.store.put(&measures.encode()).map_err(store_error)?;
     run.store.put_memo(table_key(table, shard), blob, run.key.digest);
@@ -399,7 +399,7 @@ pub(super) fn keep_fetched(
     for fetched in measures {
         let Some(digest) = digests.get(fetched.id.as_str()) else {
             return Err(contract_violation(format!(
-                "a measure is of `{}`, which is no row",
+                "a measure is of `{}`, which is not a row",
                 fetched.id
             )));
         };

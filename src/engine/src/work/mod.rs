@@ -1,4 +1,4 @@
-//! The kinds of work: what a node does when its key is not in the store.
+//! The kinds of work: how a node is computed when its key is not in the store.
 
 mod compare;
 mod elsewhere;
@@ -24,7 +24,7 @@ pub(crate) use stage_run::{
     put_parts, with_lengths,
 };
 
-/// What a stage gave.
+/// The result of a stage.
 pub(crate) enum StageOutcome {
     /// Its outputs, and of a source the listing that they are of.
     Outputs(PartedOutputs, Option<SourceListing>),

@@ -1,4 +1,4 @@
-//! One part of a node as an action of its own: from its inputs alone, whatever earlier runs have made.
+//! One part of a node as an action of its own: from its inputs alone, without results of earlier runs.
 
 use marf_stage::{StageError, Work};
 

@@ -19,7 +19,7 @@ use crate::{
 
 /// Fetches the shards that have no record, and joins all shards to one set.
 ///
-/// Returns the listing too, as it would be made now: of some shards a fetch alone tells what they hold.
+/// Also returns the present listing: some shards show their contents only in a fetch.
 pub(super) fn execute(
     run: &StageRun<'_>,
     source: &dyn Source,
@@ -77,7 +77,7 @@ fn has_leaves(run: &StageRun<'_>, leaves: &[LeafRef]) -> bool {
     leaves.iter().all(|leaf| run.store.contains(&leaf.leaf))
 }
 
-/// Fetches one shard and stores what came, under what it turned out to hold. Returns the number of rows measured too.
+/// Fetches one shard and stores the result under the fingerprint of its contents. Also returns the number of rows measured.
 fn fetch(run: &StageRun<'_>, source: &dyn Source, shard: &mut Shard) -> Result<(Key, Part, u64), StageError> {
     let blobs = StoreBlobs::new(run.store);
     let ctx = run.with_blobs(&blobs);

@@ -23,7 +23,7 @@ use crate::{
 /// Figures of the work of a node, by name.
 pub(crate) type Counts = BTreeMap<String, u64>;
 
-/// Name of the output of a step of a fold that holds what it added to the state.
+/// Name of the output of a step of a fold with its addition to the state.
 pub(super) const ADDED: &str = "added";
 
 /// How thoroughly stored parts are checked before they are reused.
@@ -51,10 +51,10 @@ pub(crate) struct StageRun<'a> {
     pub(crate) check: BlobCheck,
     /// Where results are shared with other machines.
     pub(crate) shared: Option<&'a dyn SharedResults>,
-    /// Other machines that may measure; none if all is measured here.
+    /// Other machines that may measure. None if all is measured here.
     pub(crate) elsewhere: Option<&'a OtherMachines<'a>>,
     pub(crate) metadata: &'a RunMetadata,
-    /// Tells people of something.
+    /// Warns the user.
     pub(crate) warn: &'a (dyn Fn(&str) + Sync),
 }
 
@@ -108,18 +108,18 @@ pub(crate) fn part_key(node: &Action, part: PartKind, shard: u32, inputs: BTreeM
     })
 }
 
-/// What a part of a node gave for one shard.
+/// The results of a part of a node for one shard.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Part {
     /// Leaves of the rows that are kept.
     pub(super) photos: Vec<LeafRef>,
     /// Leaves of the verdicts.
     pub(super) verdicts: Vec<LeafRef>,
-    /// What a fold added to its state.
+    /// The addition of a fold to its state.
     pub(super) added: Option<Digest>,
 }
 
-/// What a node of many parts gave.
+/// The results of a node of many parts.
 pub(crate) struct PartedOutputs {
     pub(crate) outputs: Outputs,
     pub(crate) counts: Counts,
@@ -177,12 +177,12 @@ impl StageRun<'_> {
         Ctx { blobs, ..self.ctx }
     }
 
-    /// Stores the record of a part with the next commit. `blobs` is what the part was made with.
+    /// Stores the record of a part with the next commit. `blobs` are those that the part read and stored.
     pub(super) fn put_part(&self, key: &Key, part: &Part, blobs: &StoreBlobs<'_>) -> Result<(), StageError> {
         self.put_source_part(key, part, blobs, None)
     }
 
-    /// As [`StageRun::put_part`], for a part that was read from an archive: `origins` tells where the files came from.
+    /// As [`StageRun::put_part`], for a part that was read from an archive. `origins` lists where the files came from.
     pub(super) fn put_source_part(
         &self,
         key: &Key,
@@ -199,8 +199,8 @@ impl StageRun<'_> {
         self.put_outputs(key, outputs, blobs.take_stored(), origins)
     }
 
-    /// Stores the record of a part with the next commit; `stored` is what it needs, its outputs among it, `origins` tells
-    /// where files came from that it read.
+    /// Stores the record of a part with the next commit. `stored` are the blobs that it needs, including its outputs. `origins` lists where
+    /// the files that it read came from.
     pub(super) fn put_outputs(
         &self,
         key: &Key,
@@ -276,7 +276,7 @@ pub(crate) fn put_parts(store: &Store, parts: &[(u32, Digest)]) -> Result<Digest
     parts.write(|bytes| store.put(bytes)).map_err(store_error)
 }
 
-/// Stores the list of the blobs that a record needs beside its outputs; none if there are none.
+/// Stores the list of the blobs that a record needs in addition to its outputs. None without such blobs.
 pub(crate) fn put_needs(
     store: &Store,
     mut stored: Vec<Digest>,
@@ -290,7 +290,7 @@ pub(crate) fn put_needs(
     }
 }
 
-/// Returns the blobs that a record needs beside its outputs; none if their list is lost.
+/// Returns the blobs that a record needs in addition to its outputs. None if their list is lost.
 pub(crate) fn needs_of(store: &Store, record: &Record) -> Option<Vec<Digest>> {
     match &record.needs {
         None => Some(Vec::new()),
@@ -298,12 +298,12 @@ pub(crate) fn needs_of(store: &Store, record: &Record) -> Option<Vec<Digest>> {
     }
 }
 
-/// Tells whether everything that a record needs is in the store.
+/// Returns whether everything that a record needs is in the store.
 fn has_needs(store: &Store, record: &Record) -> bool {
     needs_of(store, record).is_some_and(|needs| needs.iter().all(|digest| store.contains(digest)))
 }
 
-/// Adds their lengths to outputs; each must be in the store.
+/// Adds their lengths to outputs, each of which must be in the store.
 pub(crate) fn with_lengths(store: &Store, outputs: Outputs) -> Result<BTreeMap<String, Output>, StageError> {
     let with_lengths = outputs
         .into_iter()

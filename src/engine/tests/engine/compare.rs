@@ -258,7 +258,7 @@ fn the_plan_tells_what_is_surely_looked_at() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(6))]
 
-    /// Whatever ran before, a run answers as it would on an empty store.
+    /// A run gives the same answer as on an empty store, whatever ran before.
     #[test]
     fn any_history_gives_the_answers_of_no_history(
         steps in prop::collection::vec((1_u32..4, 0_u64..40, 1_u64..8), 1..5)

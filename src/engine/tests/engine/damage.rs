@@ -28,7 +28,7 @@ fn a_damaged_output_is_made_again_and_the_stream_says_so() {
     );
     assert_eq!(record.outcome, Outcome::Done, "{:?}", node_events(&log));
     let told = warnings(&log);
-    let again = "is missing or damaged; `sum` will run again";
+    let again = "is missing or damaged: `sum` will run again";
     assert!(told.iter().any(|warning| warning.ends_with(again)), "{told:?}");
     assert_eq!(ran(&log), vec!["many", "many/member-03", "sum"]);
     assert_eq!(

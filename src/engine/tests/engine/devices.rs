@@ -1,4 +1,4 @@
-//! Nodes on a GPU run one after the other; their backend id is in their key.
+//! Nodes on a GPU run one after the other, and their backend id is in their key.
 use std::num::NonZero;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Barrier};
@@ -141,8 +141,8 @@ impl Executor for Idle {
     }
 }
 
-/// The key of a node that another machine computes holds the backend of that machine; where that is not what it wants, or nobody
-/// takes it, it fails instead of being computed here.
+/// The key of a node that another machine computes holds the backend of that machine. If the machine has another device than the node
+/// wants, or does not take it, the node fails instead of being computed here.
 #[test]
 fn keys_hold_the_backend_of_the_machine_that_computes_the_node() {
     let dir = tempfile::tempdir().unwrap();

@@ -1,4 +1,4 @@
-//! A node that sees its own last output: it goes on from there, and never runs on its own output alone.
+//! A node that reads its own last output. It continues from there, and never runs because of its own output alone.
 
 use crate::common::*;
 use marf_cache::{Action, Store};
@@ -34,7 +34,7 @@ impl AppendPipeline {
         Graph::new(nodes, TABLE).unwrap()
     }
 
-    /// Plans and runs; the two must agree on the node, its key and whether it runs.
+    /// Plans and runs. The two must agree on the node, its key and whether it runs.
     fn run(&self, store: &Store) -> (RunRecord, NodeState, EventLog) {
         let last = last_run(store, "test", &RunSource::default(), no_warning).unwrap();
         let planned = plan(&self.graph(), store, last.as_ref(), None).unwrap().remove(2);

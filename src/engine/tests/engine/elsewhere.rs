@@ -49,7 +49,7 @@ struct Machine {
     stages: &'static [&'static str],
     fails: bool,
     gpu: Option<&'static str>,
-    /// Names of the nodes that it computed, with the number of results that it was told of.
+    /// Names of the nodes that it computed, with the number of results in their orders.
     computed: Mutex<Vec<(String, usize)>>,
     busy: AtomicUsize,
     most_busy: AtomicUsize,
@@ -86,7 +86,7 @@ fn run_action(action: &Action, params: Value, store: &Store, cancel: &Cancel) ->
 }
 
 impl Machine {
-    /// Computes an action, and puts its record and what this consists of into the store of the run.
+    /// Computes an action, and puts its record and every blob of it into the store of the run.
     fn bring(&self, action: &Action, order: &Order<'_>) -> Result<(), StageError> {
         let made = self.compute(action, order);
         order
@@ -377,7 +377,7 @@ fn an_action_with_a_result_is_not_computed_again_and_a_wish_to_stop_is_heard() {
     cancel.set();
     let stopped = compute(&bare, &cancel).unwrap_err();
     assert!(matches!(stopped, ActionError::Stopped), "{stopped}");
-    // Without inputs, and without what would make them.
+    // Without inputs, and without the nodes that would compute them.
     let failed = compute(&bare, &Cancel::default()).unwrap_err();
     assert!(matches!(failed, ActionError::Failed(_)), "{failed}");
 }

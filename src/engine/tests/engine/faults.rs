@@ -249,7 +249,7 @@ fn pipeline_of_forty(fixture: u64) -> TestPipeline {
     }
 }
 
-/// Does nothing by itself; the next test starts it as a program of its own.
+/// Does nothing by itself. The next test starts it as a program of its own.
 #[test]
 fn the_program_that_is_killed() {
     let Ok(dir) = std::env::var(KILL_DIR) else {

@@ -46,7 +46,7 @@ fn a_name_that_is_not_there_or_twice_there_is_refused() {
     let unknown = fault(vec![archive(), at_most("a", "archiv")]);
     assert_eq!(
         unknown.to_string(),
-        "`a.input` names the node `archiv`, which is not there; there are a, archive"
+        "`a.input` names the node `archiv`, which does not exist. The nodes are a, archive"
     );
     let twice = fault(vec![archive(), archive()]);
     assert_eq!(twice.to_string(), "two nodes are named `archive`");
@@ -68,12 +68,12 @@ fn an_input_must_be_one_the_stage_has_and_the_upstream_gives() {
     );
     assert_eq!(
         fault(vec![archive(), foreign]).to_string(),
-        "`a` has no input `params`; it has input"
+        "`a` has no input `params`. Its inputs are input"
     );
     let draw = node("draw", "draw", 0, json!({ "seed": 1 }), &["input=archive"]);
     assert_eq!(
         fault(vec![archive(), draw]).to_string(),
-        "`input` of `node.draw` needs `sum`; `node.archive` (stage `archive`) gives photos, verdicts, companions"
+        "`input` of `node.draw` needs `sum`, but `node.archive` (stage `archive`) gives photos, verdicts, companions"
     );
     let twice = node(
         "a",

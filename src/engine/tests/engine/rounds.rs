@@ -6,7 +6,7 @@ use crate::common::*;
 use marf_engine::{Cancel, Graph, NodeState, Outcome, OutputName, PlanState, plan, why};
 use serde_json::json;
 
-/// The nodes up to `sum`, then a knockout of so many draws and rounds.
+/// The nodes up to `sum`, then a knockout with this many draws and rounds.
 fn knockout(fixture: u64, change: serde_json::Value) -> Graph {
     let mut nodes = TestPipeline::new(fixture).nodes();
     nodes.pop();
@@ -26,7 +26,7 @@ fn children_that_ran(log: &EventLog) -> Vec<String> {
         .collect()
 }
 
-/// Draws are `seed * 7 % 5`; the larger half goes on. Seeds 0 1 2 3 draw 0 2 4 1; 10 and 11 draw 0 and 2; 20 draws 0.
+/// Draws are `seed * 7 % 5`, and the larger half stays. Seeds 0 1 2 3 draw 0 2 4 1. Seeds 10 and 11 draw 0 and 2. Seed 20 draws 0.
 const ALL: &str = "sum 20 0\nsum 20 2\nsum 20 4\nsum 20 1\nsum 20 4 0\nsum 20 2 2\nsum 20 4 0 0\n";
 
 #[test]
@@ -76,7 +76,7 @@ fn what_is_stored_is_told_as_it_was_made() {
     fixture.take_ran();
     let (again, log) = run_on(&graph, &store);
     assert_eq!((ran(&log), fixture.take_ran()), (Vec::new(), 0));
-    // By name the last round would come first, before what it read.
+    // Sorted by name, the last round would come before the outputs that it read.
     let nodes = |record: &marf_engine::RunRecord| -> Vec<_> {
         let nodes = record.nodes.iter();
         nodes
@@ -150,7 +150,7 @@ fn a_name_of_an_earlier_round_is_refused() {
     assert_eq!(record.outcome, Outcome::Failed);
 }
 
-/// A child of the last round reads what one of the first round gave: it must be made again first.
+/// A child of the last round reads an output of the first round, which must be computed again first.
 #[test]
 fn whatever_object_is_damaged_a_further_round_heals_it() {
     let (number, fixture) = new_fixture();

@@ -86,7 +86,7 @@ fn independent_nodes_and_members_run_side_by_side() {
     let (_dir, store) = fresh_store();
     let (number, fixture) = new_fixture();
     fixture.put_shard(1);
-    // Each sum waits until the other has begun; one after the other they would wait in vain.
+    // Each sum waits until the other has begun. One after the other, they would wait in vain.
     let begun = AtomicU64::new(0);
     let meet = move || {
         begun.fetch_add(1, Ordering::SeqCst);
@@ -161,7 +161,7 @@ fn a_set_of_which_nothing_stays_is_no_failure_of_the_engine() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(4))]
 
-    /// Whatever ran before, a run answers as it would on an empty store.
+    /// A run gives the same answer as on an empty store, whatever ran before.
     #[test]
     fn any_history_gives_the_answers_of_no_history(
         steps in prop::collection::vec((0_u64..30, 1_u64..4, 1_u64..5, 1_u32..5), 2..4)

@@ -1,4 +1,4 @@
-//! A second level of the store: what is asked of it, and what it is told.
+//! A second level of the store: the requests it gets, and the results it is offered.
 
 use std::{
     path::PathBuf,

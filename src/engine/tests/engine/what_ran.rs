@@ -1,4 +1,4 @@
-//! Which nodes ran when: the engine does what changed, and nothing else.
+//! Which nodes ran when: the engine runs nodes that changed, and no others.
 
 use crate::common::*;
 
@@ -28,8 +28,8 @@ pub fn after_first_run() -> (
 #[test]
 fn everything_runs_the_first_time_and_gives_the_hand_worked_answer() {
     let (_dir, store, _pipeline, fixture, record) = after_first_run();
-    // Shard 1 holds 0..=9, shard 2 the even numbers 0..=18; up to 12 stay; of n / 2 each is kept once:
-    // 0 2 4 6 8 of shard 1, then 10 (5) and 12 (6) of shard 2.
+    // Shard 1 holds 0..=9, shard 2 the even numbers 0..=18. Numbers up to 12 stay, and one of each n / 2 is kept: 0 2 4 6 8 of shard 1,
+    // then 10 (5) and 12 (6) of shard 2.
     assert_eq!(text(&store, &record, "sum", "sum"), "sum 42");
     assert_eq!(
         text(&store, &record, "many", "mean"),
@@ -87,7 +87,7 @@ fn nothing_runs_when_nothing_changed() {
     );
 }
 
-/// A plan and the runs of one program see one archive, whatever is put into it meanwhile; the next program sees what is there then.
+/// A plan and the runs of one program see one archive, whatever is put into it meanwhile. The next program sees the new state.
 #[test]
 fn graphs_that_share_listings_ask_a_source_once() {
     let (_dir, store, pipeline, fixture, _) = after_first_run();

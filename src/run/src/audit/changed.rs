@@ -1,4 +1,4 @@
-//! Files of archives that are not what they were when a run read them.
+//! Files of archives that changed since a run read them.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -28,8 +28,8 @@ pub struct Changed {
     pub now: Vec<String>,
 }
 
-/// Compares what the sources of a run read with what is there now: of servers with marf.lock, which notes later answers (no
-/// server is asked), of folders with the files.
+/// Compares what the sources of a run read with the present state: servers with marf.lock, which notes later answers, folders with the
+/// files. No server is asked.
 ///
 /// # Errors
 /// A store or a lock that cannot be read.
@@ -69,11 +69,11 @@ pub fn since(context: &Context, lineage: &Run<'_>, nodes: &[&RunNode]) -> Result
     Ok(changed)
 }
 
-/// The pins of a sol by name; several archives may have the same.
+/// The pins of a sol by name. Several archives may have the same name.
 type Pins<'a> = BTreeMap<&'a str, Vec<&'a PinnedProduct>>;
 
-/// Returns what the pins of a sol say otherwise than what was noted when the file was read; nothing if the sol has no pins, or if
-/// one of several archives has the file as it was.
+/// Returns the differences between the pins of a sol and the origin noted when the file was read. Empty if the sol has no pins, or if one
+/// of several archives still has the file.
 fn of_lock(sol: Option<&Pins<'_>>, file: &Origin) -> Vec<String> {
     let Some(pins) = sol else { return Vec::new() };
     let Some(pins) = pins.get(file.file.as_str()) else {

@@ -16,7 +16,7 @@ use crate::error::{Answer, Diagnostic, Error};
 /// A file to trace.
 #[derive(Debug, Clone)]
 pub struct AuditRequest {
-    /// The file, wherever it lies now.
+    /// File to trace.
     pub file: PathBuf,
     /// Whether everything that it was made from is read and compared with its digests.
     pub verify: bool,
@@ -31,12 +31,12 @@ pub struct AuditReport {
     pub file: PathBuf,
     /// The answer in a word.
     pub answer: Answer,
-    /// What the file is.
+    /// Identity of the file.
     #[serde(flatten)]
     pub identity: Identity,
-    /// From what each of its makers made it.
+    /// Lineage of the file, one for each maker.
     pub lineage: Vec<Origin>,
-    /// The runs and nodes that a file of an archive went into; absent for a file that marf made.
+    /// The runs and nodes that a file of an archive went into. Absent for a file that marf made.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub uses: Option<ProductUses>,
     /// What was verified.
@@ -93,7 +93,7 @@ pub fn audit(context: &Context, request: &AuditRequest) -> Result<AuditReport, E
     })
 }
 
-/// Returns the answer: the first of altered, incomplete, changed that holds.
+/// Returns the first answer that applies: altered, incomplete, changed.
 fn answer(
     identity: &Identity,
     lineages: &[Origin],

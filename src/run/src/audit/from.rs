@@ -1,4 +1,4 @@
-//! What a product went into.
+//! The runs and nodes that a product went into.
 
 use marf_model::{Run, unless_lost};
 use marf_provenance::taint::{Tainted, product_of, tainted};
@@ -14,7 +14,7 @@ pub struct ProductUses {
     pub product: String,
     /// The runs, the newest first.
     pub runs: Vec<Tainted>,
-    /// Runs of which something is lost.
+    /// Runs with a lost object.
     pub lost_runs: Vec<u64>,
 }
 

@@ -15,7 +15,7 @@ use serde::Serialize;
 
 use crate::error::Error;
 
-/// What a file is.
+/// The identity of a file.
 #[derive(Debug, Serialize)]
 #[serde(untagged)]
 pub enum Identity {
@@ -34,7 +34,7 @@ pub enum Identity {
         closest: Digest,
         /// Who made that object.
         makers: Vec<Maker>,
-        /// Share of the bytes that both have, in [0, 1]; absent if the object is not in the store.
+        /// Share of the bytes that both have, in [0, 1]. Absent if the object is not in the store.
         share: Option<f64>,
         /// What shows it.
         because: &'static str,
@@ -54,7 +54,7 @@ pub enum Identity {
 }
 
 impl Identity {
-    /// Returns who made it, or made what it was.
+    /// Returns the makers of the file, or of the file before it was altered.
     pub fn makers(&self) -> &[Maker] {
         match self {
             Self::Whole { makers, .. } | Self::Altered { makers, .. } => makers,
@@ -69,7 +69,7 @@ impl Identity {
     }
 }
 
-/// Tells what a file is; `runs` are oldest first.
+/// Returns the identity of a file. `runs` are oldest first.
 ///
 /// # Errors
 /// A store that cannot be read.
@@ -110,7 +110,7 @@ pub fn identify(store: &Store, runs: &[RunRecord], file: &[u8]) -> Result<Identi
     })
 }
 
-/// Tells what a file without a mark is.
+/// Returns the identity of a file without a mark.
 fn unmarked(store: &Store, runs: &[RunRecord], file: &[u8]) -> Result<Identity, Error> {
     let content = Digest::from_content(file);
     let makers = find(store, runs, &content)?;
@@ -170,7 +170,7 @@ fn exported(store: &Store, runs: &[RunRecord]) -> Result<BTreeMap<Digest, u64>, 
                 .map(|output| (output.digest, output.bytes)),
         );
     }
-    // Verdicts of many sols change little from run to run; those of the last run are compared.
+    // Verdicts of many sols change little from run to run, so those of the last run are compared.
     let last = runs.iter().rev().find(|run| !run.source.is_derived());
     for verdicts in last
         .iter()

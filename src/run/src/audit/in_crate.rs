@@ -11,10 +11,10 @@ use crate::copies::object_of;
 use crate::error::{Answer, Diagnostic, Error};
 use crate::export::{open_crate, verify_crate};
 
-/// Returns what the run of a crate says of a file.
+/// Traces a file in the run of a crate.
 ///
 /// # Errors
-/// A file or a crate that cannot be read; the answers "altered", of the file or of the crate, and "not ours".
+/// A file or a crate that cannot be read. Also the answers "altered", for the file or the crate, and "not ours".
 pub fn trace(file: &Path, folder: &Path, cancel: &Cancel) -> Result<Trace, Error> {
     let bytes = std::fs::read(file)
         .map_err(|error| Error::failed(format!("cannot read {}: {error}", file.display())))?;

@@ -13,7 +13,7 @@ use marf_provenance::find::Maker;
 use marf_stage::PHOTOS;
 use serde::Serialize;
 
-/// How many products are listed unless all are asked for.
+/// Number of products listed by default.
 const FIRST: usize = 3;
 
 /// Who made a file, with the lineage up to the products.
@@ -21,7 +21,7 @@ const FIRST: usize = 3;
 pub struct Origin {
     /// As what, and in which runs.
     pub maker: Maker,
-    /// Number of the run that the rest is told of: the one that made it, else the oldest that has it.
+    /// Number of the run described below: the one that made it, else the oldest that has it.
     pub run: u64,
     /// Digest of its root.
     pub root: Option<Digest>,
@@ -34,9 +34,9 @@ pub struct Origin {
     pub build: Option<Build>,
     /// Start, in seconds since 1970.
     pub started_unix_s: u64,
-    /// The nodes that it was made by, in topological order; the last that is no child is the node itself.
+    /// The nodes that it was made by, in topological order. The last one that is not a child is the node itself.
     pub nodes: Vec<Step>,
-    /// What the sources among them read.
+    /// The products that the sources among them read.
     pub sources: Vec<Products>,
 }
 
@@ -52,9 +52,9 @@ pub struct Step {
     pub parent: Option<String>,
     /// Key of its result.
     pub key: Option<Digest>,
-    /// Version of the stage; absent if its action is lost.
+    /// Version of the stage. Absent if its action is lost.
     pub version: Option<u32>,
-    /// Device that computed the result; absent if its record is lost.
+    /// Device that computed the result. Absent if its record is lost.
     pub device: Option<String>,
     /// Its parameters.
     pub params: serde_json::Value,
@@ -64,7 +64,7 @@ pub struct Step {
     pub seconds: f64,
     /// Its inputs by name.
     pub inputs: BTreeMap<String, StepInput>,
-    /// What of it is not in the store any more.
+    /// Its objects that are not in the store any more.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub lost: Vec<String>,
 }
@@ -82,7 +82,7 @@ pub struct StepInput {
     pub photos: Option<u64>,
 }
 
-/// What a source read.
+/// The products that a source read.
 #[derive(Debug, Default, Serialize)]
 pub struct Products {
     /// The source.
@@ -93,7 +93,7 @@ pub struct Products {
     pub sols: usize,
     /// The first ones, or all.
     pub listed: Vec<ProductLine>,
-    /// Sols of which nothing is known any more.
+    /// Sols whose products are lost.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub lost_sols: Vec<u32>,
 }
@@ -119,7 +119,7 @@ impl Origin {
     }
 }
 
-/// Tells who made a content; `nodes` are those that it was made by.
+/// Returns the origin of a content. `nodes` are the nodes that it was made by.
 ///
 /// # Errors
 /// A store that cannot be read.
@@ -187,7 +187,7 @@ fn step(store: &Store, node: &RunNode) -> Step {
     }
 }
 
-/// Returns what a source read: of all sols the numbers, and the first products.
+/// Returns the products that a source read: the number of all sols, and the first products.
 fn read_by(store: &Store, source: &RunNode, most: usize) -> Result<Products, RunError> {
     let mut read = Products {
         node: source.run.name.clone(),

@@ -1,4 +1,4 @@
-//! Who made a file, and what a product went into.
+//! Provenance of a file, and everything derived from a product.
 
 mod changed;
 mod file;

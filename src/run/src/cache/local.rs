@@ -1,4 +1,4 @@
-//! What a store needs no longer, and runs that are pinned.
+//! Garbage collection and pinned runs.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
@@ -24,8 +24,8 @@ pub struct GcResult {
     pub runs: usize,
 }
 
-/// Removes what no kept run, no pin, no lock file and no running program needs. `keep_last` is how many runs of each pipeline are kept. The
-/// plan has the other limits; what it keeps is added here.
+/// Removes everything that no kept run, pin, lock file or running program needs. `keep_last` is the number of runs kept for each pipeline.
+/// The other limits are in the plan, to which the kept objects are added here.
 ///
 /// # Errors
 /// A store or a lock file that cannot be read.
@@ -54,10 +54,10 @@ pub fn gc(context: &Context, store: &Store, keep_last: usize, limits: GcPlan) ->
     Ok(GcResult { report, runs })
 }
 
-/// Keeps the results of a run whatever is collected, by default of the newest whole one. Returns its number.
+/// Pins a run, by default the newest whole one, so that no collection removes its results. Returns its number.
 ///
 /// # Errors
-/// A run that is not there, a name that is no word, a store that cannot be written.
+/// A run that is not there, a name that is not a word, a store that cannot be written.
 pub fn pin(context: &Context, store: &Store, name: &str, run: Option<u64>) -> Result<u64, Error> {
     let numbers = store.run_numbers()?;
     let number = match run {
@@ -82,7 +82,7 @@ pub fn unpin(store: &Store, name: &str) -> Result<(), Error> {
     if !path.exists() {
         let known: Vec<String> = pins(store)?.into_keys().collect();
         return Err(Error::failed(format!(
-            "there is no pin `{name}`; there are: {}",
+            "unknown pin `{name}`. The pins are {}",
             known.join(", ")
         )));
     }

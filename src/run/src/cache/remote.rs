@@ -84,7 +84,7 @@ impl<'a> SharedStore<'a> {
         self.remote.place().to_owned()
     }
 
-    /// Returns what moved so far.
+    /// Returns the traffic so far.
     pub fn traffic(&self) -> Traffic {
         self.remote.traffic()
     }
@@ -168,7 +168,7 @@ impl<'a> SharedStore<'a> {
 
 /// Opens the shared store of this address, or else that of the pipeline.
 fn open(context: &Context, url: Option<&str>) -> Result<Remote, Error> {
-    // A pipeline that is there tells whom to believe, whatever the address.
+    // The trusted writers are those of the pipeline, if there is one, whatever the address.
     let shared = if url.is_some() && !context.file.exists() {
         None
     } else {
@@ -195,13 +195,13 @@ fn named(remote: &Remote, digits: &str, transfer: &Transfer) -> Result<Digest, E
     match (found.next(), found.next()) {
         (Some((_, root)), None) => Ok(*root),
         (Some(_), Some(_)) => Err(Error::usage(format!(
-            "--run {digits}: several runs begin so; write more digits"
+            "--run {digits}: several runs begin with these digits. Write more digits"
         ))),
         (None, _) => Err(no_run(remote, &format!("no run {digits}"), &runs)),
     }
 }
 
-/// Returns the newest run of the pipeline of the arguments; those of strangers are told and passed over.
+/// Returns the newest run of the pipeline of the arguments. Runs of untrusted writers are reported and skipped.
 fn newest(context: &Context, remote: &Remote, transfer: &Transfer) -> Result<(Digest, RemoteRun), Error> {
     let loaded = config::load(&context.file, &context.sets, &context.config)?;
     let name = loaded.pipeline.name.unwrap_or_else(|| unnamed(&context.file));
@@ -229,14 +229,14 @@ fn no_run(remote: &Remote, what: &str, runs: &[(u64, Digest)]) -> Error {
         "`marf cache push` sends one".to_owned()
     } else {
         format!(
-            "name one with --run; the newest of all pipelines are {}",
+            "name one with --run. The newest of all pipelines are {}",
             newest.join(", ")
         )
     };
     Error::Failed(Diagnostic::new(format!("{} has {what}", remote.place())).hint(hint))
 }
 
-/// Adds a run to the store and returns its number; one that is there keeps its own.
+/// Adds a run to the store and returns its number. A run that is there already keeps its number.
 fn add_run(context: &Context, store: &Store, run: &RemoteRun, root: &Digest) -> Result<u64, Error> {
     let known = marf_engine::runs(store, context.warnings())?;
     match known.iter().find(|known| known.root == Some(*root)) {

@@ -23,8 +23,8 @@ pub struct Attestation {
     pub key_id: String,
 }
 
-/// Signs a statement on a run, by default the newest whole one, with the private key in a file (PEM). `subject` is a node or a file with the
-/// bytes of a result, by default all results of the run.
+/// Signs a statement on a run, by default the newest whole one, with the private key in a file (PEM). `subject` is a node or a file with
+/// the bytes of a result. By default, the statement covers all results of the run.
 ///
 /// # Errors
 /// A key, a run or a result that is not there.
@@ -68,7 +68,7 @@ fn on_result(run: &Run<'_>, subject: &str) -> Result<Vec<u8>, Error> {
     let made_it = |node: &&RunNode| node.run.outputs.values().any(|output| output.digest == digest);
     let node = run.nodes.iter().find(made_it).ok_or_else(|| {
         let message = format!("{subject} holds no result of run {}", run.record.id);
-        Error::Failed(Diagnostic::new(message).hint("name another run with --run; `marf log` lists them"))
+        Error::Failed(Diagnostic::new(message).hint("name another run with --run. `marf log` lists all"))
     })?;
     let wanted = results(node).filter(|(_, found)| *found == digest).take(1);
     let subjects = subjects_of(run, wanted)?;

@@ -30,7 +30,7 @@ pub struct CamerasRequest {
     pub out: PathBuf,
     /// Whether photos are written without the distortion of their lens.
     pub undistort: bool,
-    /// Number of the run; none for the last one that has the node.
+    /// Number of the run. None for the last one that has the node.
     pub run: Option<u64>,
 }
 
@@ -49,7 +49,7 @@ pub struct CamerasResult {
     pub metres_per_unit: Option<f64>,
 }
 
-/// Writes transforms.json, its points, COLMAP's model, and the photos and masks that they name, each where transforms.json says it is.
+/// Writes transforms.json, its points, COLMAP's model, and the photos and masks that they name, at the paths in transforms.json.
 ///
 /// # Errors
 /// A run without the node, a place that cannot be written.

@@ -1,4 +1,4 @@
-//! A run as a folder that strangers can check.
+//! A run as a folder that anyone can verify.
 
 use std::path::PathBuf;
 
@@ -15,9 +15,9 @@ use crate::trust::signing_key;
 /// A run to export.
 #[derive(Debug, Clone)]
 pub struct CrateRequest {
-    /// Folder to write; it must not be there yet.
+    /// Folder to write, which must not exist.
     pub dir: PathBuf,
-    /// Number of the run; none for the last one.
+    /// Number of the run. None for the last one.
     pub run: Option<u64>,
     /// Whose bytes are included.
     pub photos: Photos,

@@ -33,7 +33,7 @@ pub struct SurfaceRequest {
     pub field: Option<PathBuf>,
     /// File or folder to write.
     pub out: PathBuf,
-    /// Number of the run; none for the last one that has the node.
+    /// Number of the run. None for the last one that has the node.
     pub run: Option<u64>,
     /// Distance between samples, metres (units of the scene where it has no scale).
     pub cell: Option<f64>,
@@ -58,7 +58,7 @@ pub struct SurfaceResult {
     pub files: Vec<PathBuf>,
     /// Number of the run that made it.
     pub run: u64,
-    /// What is known of it.
+    /// The report of the surface.
     pub surface: SurfaceReport,
 }
 
@@ -79,7 +79,7 @@ pub enum SurfaceKind {
     Depth,
 }
 
-/// Makes a surface, unless it is made already, and writes it.
+/// Computes a surface, unless the store has it, and writes it.
 ///
 /// # Errors
 /// A run without the field, a surface that the scene does not have, a place that cannot be written.
@@ -87,7 +87,7 @@ pub fn export(context: &Context, request: &SurfaceRequest) -> Result<SurfaceResu
     let kind = request.kind;
     if kind == SurfaceKind::Splats && request.color != ColorBy::default() {
         return Err(Error::usage(
-            "splats show the colours of the photos; `export mesh` and `export points` show uncertainty"
+            "splats show the colours of the photos. `export mesh` and `export points` show uncertainty"
                 .to_owned(),
         ));
     }
@@ -139,7 +139,7 @@ fn check_map(kind: SurfaceKind, store: &Store, trained: &NodeRun) -> Result<(), 
     let scene = Scene::decode(&store.get(&digest(trained, SCENE)?)?);
     let scene = scene.map_err(|error| Error::failed(format!("{SCENE} of `{}`: {error}", trained.name)))?;
     let why = match (scene.metres_per_unit, scene.up) {
-        (None, _) => "the scene has no scale, so nothing is known in metres",
+        (None, _) => "the scene has no scale, so lengths in metres are unknown",
         (_, None) => "the scene does not know where up is",
         _ => return Ok(()),
     };
@@ -149,8 +149,7 @@ fn check_map(kind: SurfaceKind, store: &Store, trained: &NodeRun) -> Result<(), 
 }
 
 /// What leaves a surface empty.
-const EMPTY: &str =
-    "lower --least-photos, or widen --most-spread or --cell: what few photos show alike is left out";
+const EMPTY: &str = "lower --least-photos, or widen --most-spread or --cell: points with too few or differing photos are left out";
 
 /// Refuses a map that the surface does not have, and warns of a surface without a triangle or point.
 fn check_surface(context: &Context, kind: SurfaceKind, report: &SurfaceReport) -> Result<(), Error> {
@@ -179,7 +178,7 @@ fn trained(context: &Context, store: &Store, request: &SurfaceRequest) -> Result
     let retrained = |run: &RunRecord, node: &str| bootstraps_of(run, node).any(|node| node.state.is_good());
     if let Some(file) = &request.field {
         let FieldMaker { node, runs } = made_by(context, store, file, request.run)?;
-        // A run that has retrained it tells more than one that reused it.
+        // A run that has retrained the field shows more than one that reused it.
         let has = |run: &RunRecord| runs.contains(&run.number);
         let both = |run: &RunRecord| has(run) && retrained(run, &node);
         let missing = |run: &RunRecord| without(run, &node);
@@ -194,7 +193,7 @@ fn trained(context: &Context, store: &Store, request: &SurfaceRequest) -> Result
     if request.run.is_some() || !has_members(request.kind) || retrained(&run, &node) {
         return Ok((node, run));
     }
-    // Uncertainty needs a bootstrap. The one of an older field is only taken where uncertainty is asked for.
+    // Uncertainty needs a bootstrap. The bootstrap of an older field is only used for an export with uncertainty.
     let weights = |run: &RunRecord| Some(run.node(&node)?.outputs.get(WEIGHTS)?.digest);
     let is_same = |other: &RunRecord| request.color != ColorBy::default() || weights(other) == weights(&run);
     let both = |run: &RunRecord| has_result(run, &node) && is_same(run) && retrained(run, &node);
@@ -245,7 +244,7 @@ fn table(request: &SurfaceRequest, run: &RunRecord, trained: &str) -> Value {
     let lengths = lengths
         .into_iter()
         .filter_map(|(key, length)| Some((key, json!(length?))));
-    // Splats are looked at, not measured: what one photo shows is worth showing.
+    // Splats are for looking at, not for measuring, so one photo is enough.
     let least_photos = request
         .least_photos
         .or((kind == SurfaceKind::Splats).then_some(1));
@@ -306,7 +305,7 @@ fn below(node: &NodeRun, prefix: &str, folder: &Path) -> Vec<(String, PathBuf)> 
     files.collect()
 }
 
-/// Returns the file beside another whose name has more before the ending.
+/// Returns the file next to another whose stem ends with `more`.
 fn beside(file: &Path, more: &str) -> PathBuf {
     let [stem, ending] =
         [file.file_stem(), file.extension()].map(|part| part.unwrap_or_default().to_string_lossy());

@@ -32,11 +32,11 @@ pub struct Statement {
     pub subjects: usize,
 }
 
-/// Checks the folder of a crate or the file of a statement, its signature with the public key in a file (PEM). `subjects` are files that
-/// the statement must be about.
+/// Verifies the folder of a crate or the file of a statement, and its signature with the public key in a file (PEM). `subjects` are files
+/// that the statement must cover.
 ///
 /// # Errors
-/// Something that is neither; a statement that does not hold.
+/// A path that is neither, or a statement that does not hold.
 pub fn verify_path(
     path: &Path,
     key: Option<&Path>,
@@ -62,10 +62,10 @@ pub fn verify_path(
     Ok(VerifyResult::Crate(report))
 }
 
-/// Checks a crate, and prints nothing.
+/// Verifies a crate, and prints nothing.
 ///
 /// # Errors
-/// A folder that is no crate; a crate that does not hold.
+/// A folder that is not a crate, or a crate that does not hold.
 pub fn verify_crate(folder: &Path, cancel: &Cancel) -> Result<(), Error> {
     without_faults(folder, &verify(folder, None, cancel).map_err(open_error)?)
 }
@@ -73,7 +73,7 @@ pub fn verify_crate(folder: &Path, cancel: &Cancel) -> Result<(), Error> {
 /// Opens a crate.
 ///
 /// # Errors
-/// A folder that is no crate, or one of a newer form.
+/// A folder that is not a crate, or one of a newer form.
 pub fn open_crate(folder: &Path, cancel: &Cancel) -> Result<OpenCrate, Error> {
     OpenCrate::open(folder, cancel).map_err(open_error)
 }
@@ -86,8 +86,8 @@ pub fn without_faults(folder: &Path, report: &Report) -> Result<(), Error> {
     match report.faults.len() {
         0 => Ok(()),
         faults => Err(Error::altered(
-            Diagnostic::new(format!("{} does not hold; faults: {faults}", folder.display()))
-                .hint("ask whoever made it for another copy; trust nothing in this one"),
+            Diagnostic::new(format!("{} does not hold (faults: {faults})", folder.display()))
+                .hint("ask whoever made it for another copy. Trust nothing in this one"),
         )),
     }
 }
@@ -111,7 +111,8 @@ fn verify_statement(path: &Path, key: &PublicKey, files: &[PathBuf]) -> Result<S
     let envelope =
         Envelope::decode(&bytes).map_err(|error| Error::usage(format!("{}: {error}", path.display())))?;
     let statement = envelope.verify(key).map_err(|error| refuse(error.to_string()))?;
-    let subjects = subjects_in(&statement).ok_or_else(|| refuse("it is no in-toto statement".to_owned()))?;
+    let subjects =
+        subjects_in(&statement).ok_or_else(|| refuse("it is not an in-toto statement".to_owned()))?;
     let mut found = BTreeMap::new();
     for file in files {
         let bytes = std::fs::read(file)

@@ -47,7 +47,7 @@ pub struct PathWithOrigins {
 }
 
 impl PathWithOrigins {
-    /// Returns a sentence on the bookmarks that were set in another scene than the one of this digest; none where there are none.
+    /// Returns a sentence on the bookmarks that were set in another scene than the one of this digest. None if there are no such bookmarks.
     pub fn of_other_scene(&self, scene: &Digest) -> Option<String> {
         let others: Vec<&SetIn> = self.set_in.iter().filter(|of| of.scene != *scene).collect();
         let SetIn { run, field, .. } = others.first()?;
@@ -64,16 +64,16 @@ impl PathWithOrigins {
 pub enum CameraPath {
     /// A path that follows from the scene.
     OfScene(PathKind),
-    /// To each of some cameras, one at the least.
+    /// To each of some cameras, at least one.
     Stills(Vec<Place>),
     /// Smoothly through some cameras, one at the least.
     Through(Vec<Place>),
 }
 
-/// Reads `--path`, beside the number of pictures, if one is given.
+/// Reads `--path`. `frames` is the number of pictures, if the user gave one.
 ///
 /// # Errors
-/// Neither a word nor a file; a file that holds no bookmarks.
+/// A text that is neither a word nor a file, or a file without bookmarks.
 pub fn read(given: &str, frames: Option<u32>) -> Result<PathWithOrigins, Error> {
     if let Some((_, kind)) = WORDS.iter().find(|(word, _)| *word == given) {
         let path = CameraPath::OfScene(*kind);
@@ -98,15 +98,15 @@ fn bookmarks(file: &Path) -> Result<Vec<Bookmark>, Error> {
         let words = WORDS.map(|(word, _)| word);
         let near = did_you_mean(&name.to_string(), words);
         let all = format!("take one of {}, or a file of bookmarks", words.join(", "));
-        let message = format!("--path {name}: it is no path, and no file that can be read: {error}");
+        let message = format!("--path {name}: not a path, and not a readable file: {error}");
         Error::Usage(Diagnostic::new(message).hint(near.unwrap_or(all)))
     })?;
     let refuse = |why: String| {
-        let hint = "`marf view` saves such a file: Bookmarks, Add this view, Download as JSON";
+        let hint = "`marf view` saves bookmarks: Bookmarks, Add this view, Download as JSON";
         Error::Usage(Diagnostic::new(format!("--path {name}: {why}")).hint(hint))
     };
     let places: Vec<Bookmark> = serde_json::from_slice(&object_of(bytes))
-        .map_err(|error| refuse(format!("it is no list of bookmarks: {error}")))?;
+        .map_err(|error| refuse(format!("it is not a list of bookmarks: {error}")))?;
     if places.is_empty() {
         return Err(refuse("it holds no bookmark".to_owned()));
     }
@@ -130,7 +130,7 @@ impl CameraPath {
         [("path", json!(kind))].into_iter().chain(keyframes).collect()
     }
 
-    /// Returns the number of pictures: that asked for; else all photos of paths to photos, and of others what the stage takes.
+    /// Returns the number of pictures: `asked`, else all photos for paths to photos. None lets the stage choose.
     pub fn frames(&self, asked: Option<u32>, scene: &Scene) -> Option<u32> {
         let all = || u32::try_from(scene.frames.len()).ok();
         match self {
@@ -152,7 +152,7 @@ impl CameraPath {
             .map_or([1, 1], |place| [place.camera.width, place.camera.height])
     }
 
-    /// Returns the width where none is asked for: that of the first bookmark; of other paths what the stage takes.
+    /// Returns the default width: that of the first bookmark. None for other paths, which use the default of the stage.
     pub fn default_width(&self) -> Option<u32> {
         match self {
             Self::OfScene(_) => None,
@@ -216,11 +216,11 @@ mod tests {
             told.starts_with("1 of the bookmarks") && told.contains("`train` in run 3"),
             "{told}"
         );
-        // What a node gets is the camera alone: the key does not depend on where it was set.
+        // The node gets only the camera: the key does not depend on where the bookmark was set.
         assert_eq!(named.path.keys(), stills.path.keys());
         for (text, word) in [
             ("[]", "no bookmark"),
-            ("{}", "no list"),
+            ("{}", "not a list"),
             ("[{\"name\": \"a\"}]", "camera"),
         ] {
             let error = refused(&file("bad.json", text));

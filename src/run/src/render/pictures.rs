@@ -32,15 +32,15 @@ pub struct RenderRequest {
     pub node: String,
     /// The field in this file instead.
     pub field: Option<PathBuf>,
-    /// Number of the run; none for the last one that has the node.
+    /// Number of the run. None for the last one that has the node.
     pub run: Option<u64>,
-    /// Where the camera goes: the word of a path, or a file of bookmarks.
+    /// The camera path: a word, or a file of bookmarks.
     pub path: String,
-    /// What is made at every viewpoint.
+    /// The outputs at every viewpoint.
     pub outputs: Vec<Layer>,
     /// Folder to write.
     pub out: PathBuf,
-    /// Pictures along the path; none for what the path or the stage takes.
+    /// Pictures along the path. None for the default of the path or the stage.
     pub frames: Option<u32>,
     /// Size of the pictures.
     pub size: SizeRequest,
@@ -84,7 +84,7 @@ const FOLDERS: [(&str, &str); 5] = [
 /// The film below `--out`.
 pub const FILM: &str = "video.mp4";
 
-/// Renders a field, unless it is rendered already, and writes the pictures.
+/// Renders a field, unless the store has the pictures, and writes them.
 ///
 /// # Errors
 /// A path or a run that is not there, a rendering that fails, a place that cannot be written.
@@ -135,7 +135,7 @@ pub fn render(context: &Context, request: &RenderRequest) -> Result<RenderResult
     })
 }
 
-/// Returns the run whose field is rendered, one of some if there are any, with a bootstrap of it if its uncertainty is asked for.
+/// Returns the run whose field is rendered: one of the runs of the field file, if there is one, and with a bootstrap for uncertainty.
 fn run_of(choice: &RunChoice<'_>, request: &RenderRequest, field: &FieldMaker) -> Result<RunRecord, Error> {
     let (trained, runs) = (field.node.as_str(), &field.runs);
     let has_field =

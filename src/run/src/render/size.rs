@@ -13,7 +13,7 @@ pub struct SizeRequest {
     pub scale: Option<f64>,
 }
 
-/// The size as keys of a node; none where the node takes its own.
+/// The size as keys of a node. None uses the default of the node.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Size {
     /// Width, pixels.
@@ -23,12 +23,12 @@ pub struct Size {
 }
 
 impl SizeRequest {
-    /// Returns width and height, as far as they are not what the node takes by itself.
+    /// Returns width and height, or None where the node's default applies.
     ///
     /// - `natural_px`: width and height at factor 1.
     ///
     /// # Errors
-    /// A factor that leaves no pixel, or that is none.
+    /// A factor that leaves no pixel, or that is not a number.
     pub fn keys(&self, natural_px: [u32; 2], default_width: Option<u32>) -> Result<Size, Error> {
         let natural = natural_px.map(f64::from);
         let (width, height) = match (self.width, self.height, self.scale) {
@@ -50,7 +50,7 @@ fn scaled(width: u32, scale: f64) -> Result<u32, Error> {
         return Ok(scaled as u32);
     }
     Err(Error::usage(format!(
-        "--scale {scale}: pictures of {width} pixels would be {scaled} wide; take a factor above 0, e.g. 0.5"
+        "--scale {scale}: pictures of {width} pixels would be {scaled} wide. Take a factor above 0, e.g. 0.5"
     )))
 }
 

@@ -30,7 +30,7 @@ pub struct Plan {
 /// Prepares a replay of some nodes of a run in an empty store.
 ///
 /// # Errors
-/// What is needed and not in the store any more, a pipeline that this program does not read.
+/// An object that is needed and not in the store any more, or a pipeline that this program does not read.
 pub fn plan(lineage: &Run<'_>, nodes: &[&RunNode], scratch: &Store) -> Result<Plan, Error> {
     let mut tree = resolved(lineage.store(), &lineage.record)?;
     let mut options = GlobalOptions::default();
@@ -116,7 +116,8 @@ fn on_other_devices(nodes: &[&RunNode]) -> BTreeMap<String, NotMade> {
     not_made
 }
 
-/// Puts the parameters of a training by the clock in its place that repeat it, the schedule that it ran; returns whether it was one.
+/// Replaces the parameters of a training by the clock with those of the schedule that it ran, which repeat it. Returns whether `node` was
+/// such a training.
 fn repeat(tree: &mut Value, store: &Store, node: &RunNode) -> Result<bool, Error> {
     let Some(repeating) = repeating(store, node)? else {
         return Ok(false);
@@ -131,7 +132,7 @@ fn repeat(tree: &mut Value, store: &Store, node: &RunNode) -> Result<bool, Error
     Ok(true)
 }
 
-/// Returns the keys that repeat a training by the clock; none for all other nodes.
+/// Returns the keys that repeat a training by the clock. None for all other nodes.
 fn repeating(store: &Store, node: &RunNode) -> Result<Option<Value>, Error> {
     let Some(setup) = node.run.outputs.get(Setup::OUTPUT) else {
         return Ok(None);
@@ -189,11 +190,11 @@ fn varies(node: &RunNode) -> Option<&'static str> {
     stage.varies().filter(|_| node.run.stage != TrainParams::STAGE)
 }
 
-/// Lets nodes that went on from their own earlier output do so again: the store knows of their results and has only what they
-/// went on from.
+/// Lets nodes that continued from their own earlier output continue from it again. The store gets records of their earlier results, with
+/// only that output.
 ///
-/// A node whose parameters are other ones now, as it is `repeated`, goes on from the result of the run before, as any node does
-/// whose parameters changed.
+/// A `repeated` node has other parameters now, so it continues from the result of the previous run, as any node with changed parameters
+/// does.
 fn continue_from(
     lineage: &Run<'_>,
     nodes: &[&RunNode],

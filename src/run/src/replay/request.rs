@@ -14,7 +14,7 @@ use crate::context::{Context, open_store};
 use crate::error::{Answer, Diagnostic, Error};
 use crate::program;
 
-/// What came of a replay.
+/// The outcome of a replay.
 #[derive(Debug, Serialize)]
 pub struct ReplayReport {
     /// Number of the run.
@@ -25,11 +25,11 @@ pub struct ReplayReport {
     pub nodes: Vec<Replayed>,
 }
 
-/// Repeats a run and compares digests. `what` is the number of a run, a node of the last run or a file that a run wrote, by default the
-/// last run. `scratch` is the folder for the store of the replay, which is kept, by default a temporary one.
+/// Repeats a run and compares digests. `what` is the number of a run, a node of the last run, or a file that a run wrote, by default the
+/// last run. `scratch` is the folder for the store of the replay, which is kept. By default it is temporary.
 ///
 /// # Errors
-/// What is needed and not there, a folder that is not empty, a run that fails.
+/// A needed object that is lost, a folder that is not empty, a run that fails.
 pub fn replay(context: &Context, what: Option<&str>, scratch: Option<&Path>) -> Result<ReplayReport, Error> {
     let store = context.existing_store()?;
     let Target { run, node } = target(context, &store, what)?;
@@ -70,7 +70,7 @@ pub fn replay(context: &Context, what: Option<&str>, scratch: Option<&Path>) -> 
     })
 }
 
-/// Opens the store of a replay, which must be empty: what it had would be taken for what the replay made.
+/// Opens the store of a replay. It must be empty, because its contents would count as results of the replay.
 fn empty_store(context: &Context, dir: &Path) -> Result<Store, Error> {
     let is_empty = std::fs::read_dir(dir).map_or(true, |mut entries| entries.next().is_none());
     if !is_empty {
@@ -100,7 +100,7 @@ pub fn is_missing(node: &Replayed) -> bool {
     matches!(node.not_made, Some(NotMade::NotMade(_)))
 }
 
-/// Returns an error unless everything came out as it was: a difference counts before what could not be made.
+/// Returns an error unless every result is equal. A difference counts before a result that could not be computed.
 ///
 /// # Errors
 /// [`Error::Answered`]: differs, not made, or nothing to compare.
@@ -108,7 +108,7 @@ pub fn is_equal(report: &ReplayReport) -> Result<(), Error> {
     let first = |wanted: fn(&Replayed) -> bool| report.nodes.iter().find(|node| wanted(node));
     if report.nodes.is_empty() {
         let diagnostic = Diagnostic::new(format!("run {} has no result to compare with", report.run));
-        let hint = "`marf log` lists all runs; name one that has results";
+        let hint = "`marf log` lists all runs. Name one that has results";
         return Err(Error::Answered(Answer::NoResult, diagnostic.hint(hint)));
     }
     let (answer, said) = match (first(differs), first(is_missing)) {

@@ -1,4 +1,4 @@
-//! What a replay makes again.
+//! The target of a replay.
 
 use std::path::Path;
 
@@ -10,14 +10,13 @@ use crate::choice::whole_run;
 use crate::context::Context;
 use crate::error::{Answer, Diagnostic, Error};
 
-/// A run, and the node that is wanted of it; none for all.
+/// A run and one of its nodes. None for all nodes.
 pub struct Target {
     pub run: RunRecord,
     pub node: Option<String>,
 }
 
-/// Returns what words mean: the number of a run, a node of the last run, or a file that a run made; the last run if there are
-/// none.
+/// Returns the target that `what` names: the number of a run, a node of the last run, or a file that a run made. None names the last run.
 ///
 /// # Errors
 /// A run that cannot be read, a word that is none of these, a file that no run made.
@@ -41,7 +40,7 @@ pub fn target(context: &Context, store: &Store, what: Option<&str>) -> Result<Ta
     if !path.is_file() {
         let known: Vec<&str> = last.nodes.iter().map(|node| node.name.as_str()).collect();
         return Err(Error::usage(format!(
-            "`{what}` is no run, no file and no node of run {}; its nodes: {}",
+            "`{what}` is not a run, a file, or a node of run {}. Its nodes are {}",
             last.number,
             known.join(", ")
         )));

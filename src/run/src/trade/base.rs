@@ -17,19 +17,19 @@ use crate::folder::PhotoFolder;
 use crate::scenes;
 use crate::session::Session;
 
-/// What all points share: the pipeline as it is.
+/// The unchanged pipeline that all points share.
 pub struct Base {
-    /// What the request was given.
+    /// The context of the request.
     context: Context,
-    /// The folder that is traded in place of the pipeline.
+    /// The folder that is traded instead of the pipeline.
     dir: Option<PathBuf>,
-    /// Settings beside those of the command line.
+    /// Settings in addition to those of the command line.
     pub sets: Vec<String>,
     /// Name of the training.
     pub train: String,
     /// Name of the calibration, if there is one.
     pub calibrate: Option<String>,
-    /// Known cameras; none where nothing is known.
+    /// Known cameras. Empty if none are known.
     pub truth: Truth,
     /// Metrics of the first training.
     pub first: RefCell<Option<Metrics>>,
@@ -76,7 +76,7 @@ impl Base {
         first.ok_or_else(|| Error::failed("the pipeline as it is was not trained"))
     }
 
-    /// Returns what lets a point whose photos may have another size be judged by those of the pipeline as it is.
+    /// Returns the settings that judge a point at the photo size of the unchanged pipeline, if the point may change the size.
     pub fn judged_as_first(&self, point: &Point) -> Vec<String> {
         let sizes = ["scale", "quality"].map(|key| format!("{}.{key}=", self.train));
         let first = self.first.borrow();

@@ -2,13 +2,13 @@
 
 use marf_report::trade::{Effect, Interval, Point, PointRun, Trade};
 
-/// Student's t for 95 %, two-sided, by degrees of freedom from 1 on (Abramowitz and Stegun, table 26.10); beyond, the normal
-/// distribution's is less than a tenth smaller.
+/// Student's t for 95 %, two-sided, by degrees of freedom from 1 on (Abramowitz and Stegun, table 26.10). Beyond, the value of the normal
+/// distribution is less than a tenth smaller.
 const STUDENT: [f64; 12] = [
     12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228, 2.201, 2.179,
 ];
 
-/// Returns the trade of measured points, the first of which is the pipeline as it is.
+/// Returns the trade of measured points. The first point is the unchanged pipeline.
 pub fn figures(pipeline: &str, machine: &str, program: &str, points: Vec<Point>) -> Trade {
     Trade {
         pipeline: pipeline.to_owned(),
@@ -20,7 +20,7 @@ pub fn figures(pipeline: &str, machine: &str, program: &str, points: Vec<Point>)
     }
 }
 
-/// Returns what each point with one knob turned changes; a point that has no seed with the base is left out.
+/// Returns the effect of each point with one knob turned. A point without a seed in common with the base is left out.
 fn effects(points: &[Point]) -> Vec<Effect> {
     let Some((base, others)) = points.split_first() else {
         return Vec::new();
@@ -52,8 +52,8 @@ fn effects(points: &[Point]) -> Vec<Effect> {
     .collect()
 }
 
-/// Returns the mean of each group with its interval at 95 %, by the variance of all groups together: a few seeds tell little of that
-/// of one group.
+/// Returns the mean of each group with its interval at 95 %. The variance is that of all groups together, because a few seeds of one group
+/// give a poor estimate.
 fn intervals(groups: &[Vec<f64>]) -> Vec<Interval> {
     let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
     let squares = |values: &Vec<f64>| {
@@ -75,7 +75,7 @@ fn intervals(groups: &[Vec<f64>]) -> Vec<Interval> {
     groups.iter().map(interval).collect()
 }
 
-/// Returns the points that none is at once as fast and better than, or faster and as good as, the fastest first.
+/// Returns the Pareto front, the fastest first: no other point is as fast and better, or faster and as good.
 fn front(points: &[Point]) -> Vec<usize> {
     let mut means: Vec<(usize, f64, f64)> = points
         .iter()

@@ -16,7 +16,7 @@ use crate::session::Session;
 pub struct Knob {
     /// As the command line names it (`train.scale`).
     pub key: String,
-    /// Values beside the pipeline's own.
+    /// Values in addition to the pipeline's own.
     pub values: Vec<Value>,
 }
 
@@ -27,10 +27,10 @@ impl Knob {
     }
 }
 
-/// Returns the knobs of `[trade]`, or else those around the values that the pipeline has; `wanted` alone, if any are.
+/// Returns the knobs of `[trade]`, or else knobs around the values of the pipeline. If `wanted` is not empty, returns only those.
 ///
 /// # Errors
-/// A wanted knob that is none of them.
+/// A wanted knob that does not exist.
 pub fn knobs(session: &Session, base: &Base, wanted: &[String]) -> Result<Vec<Knob>, Error> {
     let knobs = match session.tree.get("trade").and_then(Value::as_object) {
         Some(table) => table
@@ -48,7 +48,7 @@ pub fn knobs(session: &Session, base: &Base, wanted: &[String]) -> Result<Vec<Kn
     {
         let known: Vec<&str> = knobs.iter().map(|knob| knob.key.as_str()).collect();
         let hint = format!(
-            "the knobs are {}; `[trade]` in pipeline.toml adds others",
+            "the knobs are {}. `[trade]` in pipeline.toml adds others",
             known.join(", ")
         );
         return Err(Error::Usage(
@@ -59,8 +59,8 @@ pub fn knobs(session: &Session, base: &Base, wanted: &[String]) -> Result<Vec<Kn
     Ok(knobs.into_iter().filter(is_wanted).collect())
 }
 
-/// Returns points with every knob at a random one of its values or at the pipeline's, at least two turned; the same ones each
-/// time. There are fewer, or none, where there is little to turn.
+/// Returns points with every knob at a random one of its values or at the pipeline's, at least two turned. They are the same each time.
+/// There are fewer, or none, if there is little to turn.
 pub fn random(knobs: &[Knob], count: u64) -> Vec<Point> {
     let point = |index: u64| {
         let set = |knob: &Knob| {

@@ -14,7 +14,7 @@ use crate::error::Error;
 use crate::execute::{execute, options};
 use crate::session::{Session, node_named};
 
-/// Trains a point with seeds from 0 on, or finds that it was trained. What cannot be trained is told in the point.
+/// Trains a point with seeds from 0 on, or finds the trained results. A point that cannot be trained stores its error.
 ///
 /// # Errors
 /// A store that cannot be used, and the wish to stop.
@@ -94,7 +94,7 @@ fn figures(session: &Session, record: &RunRecord, base: &Base, seed: u64) -> Res
     })
 }
 
-/// Returns what stands for the photos that judge a training.
+/// Returns a digest of the photos that judge a training.
 fn judged_by(metrics: &Metrics) -> Digest {
     let ids: Vec<String> = metrics.scores.views.iter().map(|view| view.id.clone()).collect();
     digest_of(&ids)
@@ -106,7 +106,7 @@ fn scene(session: &Session, train: &NodeRun) -> Result<Scene, Error> {
     Scene::decode(&bytes).map_err(|error| Error::failed(error.to_string()))
 }
 
-/// Returns what is known of the run that made a node's result.
+/// Returns the metadata of the run that made a node's result.
 fn made(session: &Session, node: &NodeRun) -> marf_cache::RunMetadata {
     let record = node.key.and_then(|key| session.store.record(&key).ok().flatten());
     record.map(|record| record.metadata).unwrap_or_default()

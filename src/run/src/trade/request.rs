@@ -1,4 +1,4 @@
-//! What each knob costs in time and gains in quality, measured on this machine.
+//! Measures what each knob costs in time and gains in quality, on this machine.
 
 use std::path::{Path, PathBuf};
 
@@ -21,7 +21,7 @@ use crate::{documents, files, program, report};
 pub struct TradeRequest {
     /// A folder with photos instead of the pipeline.
     pub dir: Option<PathBuf>,
-    /// Turn only these knobs; none for all.
+    /// Turn only these knobs. Empty for all.
     pub knobs: Vec<String>,
     /// Seeds of the pipeline as it is and of every point with one knob turned.
     pub seeds: u64,
@@ -92,7 +92,7 @@ fn first_point(base: &Base, request: &TradeRequest) -> Result<Point, Error> {
         && run.position_error.is_none()
     {
         return Err(Error::usage(format!(
-            "--truth {}: fewer than three of its cameras are of photos that were placed, or all of these stand on one line",
+            "--truth {}: fewer than three of its cameras are of photos that were placed, or all of these are on one line",
             file.display()
         )));
     }

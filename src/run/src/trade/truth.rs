@@ -40,8 +40,8 @@ impl Truth {
         ))
     }
 
-    /// Returns how far the cameras of a scene are from those known; none where fewer than three of its photos are among them, or their
-    /// centres lie on one line.
+    /// Returns the error of the cameras of a scene against the known ones. None if fewer than three of its photos have a known camera, or
+    /// their centres are on one line.
     pub fn error_of(&self, scene: &Scene) -> Option<PoseError> {
         let known = |file: &str| {
             self.0

@@ -58,7 +58,7 @@ impl Measure for Crowd {
     }
 }
 
-/// The highest ten, and behind it, after the second pass, whether there are enough photos in it.
+/// The highest ten, followed after the second pass by whether it has enough photos.
 type Found = (u64, Option<bool>);
 
 fn found(context: &[u8]) -> Found {

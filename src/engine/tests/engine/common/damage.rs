@@ -1,4 +1,4 @@
-//! Damage to what a store holds.
+//! Damage to the objects of a store.
 
 use std::path::{Path, PathBuf};
 
@@ -56,8 +56,8 @@ fn all_objects(store: &Store) -> Vec<Digest> {
     objects.into_iter().collect()
 }
 
-/// Runs a graph once for every object that its run stores: damages the object, runs another graph that needs it, and compares
-/// the outputs of all nodes with those of an empty store. Returns the number of objects.
+/// Runs a graph once for every object that its run stores. Damages the object, runs another graph that needs it, and compares the outputs
+/// of all nodes with those of an empty store. Returns the number of objects.
 pub fn damage_each_object(before: &Graph, after: &Graph) -> usize {
     let (_dir, empty) = fresh_store();
     let (expected, _) = run_on(after, &empty);

@@ -1,4 +1,4 @@
-//! The archive in memory that stages of a test read, and the log of what they did.
+//! The archive in memory that stages of a test read, and the log of their work.
 
 use std::{
     collections::BTreeMap,
@@ -98,7 +98,7 @@ impl Fixture {
     }
 }
 
-/// Number of the fixture that a stage uses; in no key.
+/// Number of the fixture that a stage uses. It is not part of a key.
 #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(transparent)]
 pub struct FixtureId(pub u64);

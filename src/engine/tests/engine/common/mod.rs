@@ -19,7 +19,7 @@ pub use events::{EventLog, node_events, ran, reason_of, warnings};
 pub use fixture::{Fixture, new_fixture};
 pub use pipeline::{TABLE, TestPipeline, node};
 
-/// Returns options with so many threads.
+/// Returns options with this many threads.
 pub fn options(threads: usize) -> Options {
     Options {
         threads: std::num::NonZero::new(threads),

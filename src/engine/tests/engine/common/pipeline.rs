@@ -28,7 +28,7 @@ fn def(name: &str) -> StageDef {
     *TABLE.iter().find(|def| def.name == name).unwrap()
 }
 
-/// Declares a node; edges as `key=upstream`.
+/// Declares a node, with edges as `key=upstream`.
 pub fn node(name: &str, stage: &str, fixture: u64, params: serde_json::Value, edges: &[&str]) -> NodeDecl {
     let def = def(stage);
     let mut params = params;

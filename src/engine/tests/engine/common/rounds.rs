@@ -1,4 +1,4 @@
-//! A stage that asks for its children in rounds, each of which reads what those of the round before gave.
+//! A stage that requests its children in rounds. Those of a round read the outputs of the round before.
 
 use std::{
     collections::BTreeMap,
@@ -32,7 +32,7 @@ pub struct KnockoutParams {
 pub enum How {
     /// By the texts drawn, the largest first.
     ByText,
-    /// The first half, whatever was drawn: nothing is read.
+    /// The first half, whatever was drawn: no output is read.
     Unread,
     /// As `ByText`, under the names of the first round.
     Repeated,
@@ -62,7 +62,7 @@ impl Define for Knockout {
 }
 
 impl Knockout {
-    /// Returns the number of the round after so many children, and where the last one began.
+    /// Returns the number of the round after this many children, and where the last one began.
     fn round_after(&self, done: usize) -> (u64, usize) {
         let (mut round, mut begin, mut size) = (0, 0, self.0.first as usize);
         while begin + size < done {
