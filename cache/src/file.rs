@@ -23,7 +23,7 @@ pub enum FileKind {
 /// What happens with a symbolic link.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Links {
-    /// It is an error: in what others hand over.
+    /// A link is an error: for files from others.
     Refused,
     /// A link to a regular file is that file: in the user's own folders.
     Followed,

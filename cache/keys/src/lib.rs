@@ -68,7 +68,8 @@ impl SigningKey {
     /// writes it.
     ///
     /// # Errors
-    /// A text without such a key; a key with a passphrase is told apart.
+    /// Returns an error if the text has no such key, and [`KeyError::Passphrase`] if the key has a
+    /// passphrase.
     pub fn from_pem(text: &str) -> Result<Self, KeyError> {
         if ENCRYPTED.iter().any(|label| text.contains(label)) {
             return Err(KeyError::Passphrase);
@@ -106,7 +107,7 @@ impl PublicKey {
         key.map(Self).ok_or(KeyError::NotEd25519 { wanted: PUBLIC })
     }
 
-    /// Tells whether a signature is that of this message by this key.
+    /// Returns whether the signature is that of this message by this key.
     pub fn verifies(&self, message: &[u8], signature: &[u8]) -> bool {
         UnparsedPublicKey::new(&ED25519, &self.0)
             .verify(message, signature)

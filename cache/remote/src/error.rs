@@ -87,7 +87,7 @@ pub enum RemoteError {
         /// The digest of the first, or its key.
         first: Digest,
     },
-    /// The own store lacks a result that is to be pushed.
+    /// The local store lacks a result to be pushed.
     #[error("the result of key {key} is not in the store any more")]
     NotInStore {
         /// The key.
@@ -112,10 +112,10 @@ pub enum RemoteError {
     /// The user wants to stop.
     #[error("stopped")]
     Stopped,
-    /// The own store cannot be read or written.
+    /// The local store cannot be read or written.
     #[error(transparent)]
     Store(#[from] StoreError),
-    /// A set of the own store cannot be read.
+    /// A set of the local store cannot be read.
     #[error(transparent)]
     Set(#[from] SetError),
     /// The threads for requests cannot be started.

@@ -1,4 +1,5 @@
-//! A check: every record, run and index is read, and that all they name is there; on request every byte.
+//! A check that reads every record, run and index, and checks that every object they name exists. On request
+//! it reads every byte.
 
 use std::collections::{BTreeMap, BTreeSet, HashSet};
 
@@ -20,7 +21,7 @@ use crate::{
 /// Blobs or packs that are read at once.
 const IN_FLIGHT: usize = 8;
 
-/// What a check does beside its look.
+/// What a check does in addition to listing problems.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct FsckOptions {
     /// Whether every byte is fetched and compared with its digest.
@@ -66,7 +67,7 @@ struct Check<'a> {
     read_bytes: u64,
 }
 
-/// Checks; for a repair the caller holds the exclusive lease.
+/// Checks the store. For a repair the caller holds the exclusive lease.
 pub(crate) async fn check(bucket: &Bucket, options: FsckOptions) -> Result<RemoteFsckReport, RemoteError> {
     let inventory = Inventory::take(bucket).await?;
     let mut check = Check {
@@ -101,7 +102,7 @@ pub(crate) async fn check(bucket: &Bucket, options: FsckOptions) -> Result<Remot
     })
 }
 
-/// Returns the bytes of an object, none of one that is gone or is no file: they have not its digest.
+/// Returns the bytes of an object, or empty bytes if it is gone or not a file: these do not have its digest.
 async fn bytes_of(bucket: &Bucket, name: &str) -> Result<Bytes, RemoteError> {
     match bucket.get(name).await {
         Err(RemoteError::Damaged { .. }) => Ok(Bytes::new()),

@@ -9,9 +9,9 @@ const PURPOSE: &str = "marf shared store 1\n";
 /// With which key own results are signed, and whose results are believed.
 #[derive(Default)]
 pub struct Trust {
-    /// Signs what is sent; it is sent without a signature if absent.
+    /// Key that signs what is sent. `None` sends it without a signature.
     pub key: Option<SigningKey>,
-    /// Whose results are believed: those of everybody if empty.
+    /// Trusted writers. If empty, results of everybody are trusted.
     pub writers: Vec<PublicKey>,
 }
 
@@ -21,7 +21,7 @@ impl Trust {
         Some(self.key.as_ref()?.sign(&message(digest)))
     }
 
-    /// Tells whether an object with this digest and signature is believed.
+    /// Returns whether an object with this digest and signature is trusted.
     pub(crate) fn believes(&self, digest: &Digest, signature: Option<&[u8]>) -> bool {
         let message = message(digest);
         let is_by =

@@ -215,7 +215,7 @@ const AT_ONCE: GcOptions = GcOptions {
     dry_run: false,
 };
 
-/// Pushes two runs of one pipeline, of which the second has one result of its own and lacks one of the first.
+/// Pushes two runs of one pipeline. The second has one result of its own and lacks one of the first.
 fn two_runs(world: &World) -> (Store, RemoteRun) {
     let here = world.store("here");
     let first = run_in(&here);

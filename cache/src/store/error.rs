@@ -11,7 +11,7 @@ pub enum StoreError {
         /// The blob asked for.
         digest: Digest,
     },
-    /// The bytes do not have their digest; the blob has just been quarantined.
+    /// The bytes do not have their digest. The blob is now in quarantine.
     #[error("blob {digest} was damaged; it is in quarantine as `{}`", path.display())]
     Damaged {
         /// The blob asked for.
@@ -37,7 +37,7 @@ pub enum StoreError {
         /// The time waited.
         waited_ms: u64,
     },
-    /// The root of a run cannot be read; the file has just been quarantined.
+    /// The root of a run cannot be read. The file is now in quarantine.
     #[error("run {number} was damaged; it is in quarantine as `{}`", path.display())]
     DamagedRun {
         /// Number of the run.
@@ -87,7 +87,7 @@ impl StoreError {
         move |source| Self::Io { doing, path, source }
     }
 
-    /// Tells whether the store may not be written.
+    /// Returns whether the store may not be written.
     pub fn is_read_only(&self) -> bool {
         use io::ErrorKind::{PermissionDenied, ReadOnlyFilesystem};
         matches!(self, Self::Io { source, .. } if matches!(source.kind(), ReadOnlyFilesystem | PermissionDenied))

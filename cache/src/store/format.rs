@@ -29,7 +29,7 @@ pub(super) fn text() -> String {
     format!("{line}{digest}\n")
 }
 
-/// Tells what a folder holds.
+/// Returns the form of the store in a folder.
 pub(super) fn find(files: &Files, root: &Path) -> Result<StoreForm, StoreError> {
     if let Some(bytes) = files.read(&root.join("format"))? {
         return Ok(parse(&bytes));

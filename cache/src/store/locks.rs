@@ -25,7 +25,7 @@ pub(super) enum Lock {
     Index,
     /// Exclusive for who numbers a run.
     Runs,
-    /// Exclusive for who writes the file `format`.
+    /// Held exclusively while the file `format` is written.
     Format,
 }
 
@@ -48,7 +48,7 @@ pub(super) struct Guard(
 );
 
 impl Locks {
-    /// Returns the locks of the store in a folder; opens nothing.
+    /// Returns the locks of the store in a folder. Opens nothing.
     pub(super) fn new(root: &Path) -> Self {
         Self {
             dir: root.join("locks"),

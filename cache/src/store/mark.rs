@@ -43,7 +43,7 @@ enum Step {
     Walked(Digest, Walk),
 }
 
-/// A memo by who made it; numbers of the census.
+/// A memo with its maker. `memo` and `blob` are numbers of the census.
 struct MemoRow {
     maker: [u8; PREFIX],
     memo: u32,
@@ -118,7 +118,7 @@ impl<'a> Marker<'a> {
         self.missing
     }
 
-    /// Tells whether an object is marked; none if it came after the census.
+    /// Returns whether an object is marked, or `None` if it came after the census.
     pub(super) fn is_marked(&self, kind: Kind, id: &Digest) -> Option<bool> {
         self.census.find(kind, id).map(|number| self.has_mark(number))
     }
@@ -133,7 +133,7 @@ impl<'a> Marker<'a> {
         word >> (number % 64) & 1 == 1
     }
 
-    /// Sets the mark of an object of the census; returns whether it had none.
+    /// Sets the mark of an object of the census. Returns whether it had no mark.
     fn set_mark(&mut self, number: usize) -> bool {
         if self.has_mark(number) {
             return false;
@@ -173,7 +173,7 @@ impl<'a> Marker<'a> {
         }
     }
 
-    /// Marks an object. Returns whether it is new; none if it is not in the store.
+    /// Marks an object. Returns whether it is new, or `None` if it is not in the store.
     fn visit(&mut self, kind: Kind, id: &Digest) -> Result<Option<bool>, StoreError> {
         if let Some(number) = self.census.find(kind, id) {
             return Ok(Some(self.set_mark(number)));
@@ -217,7 +217,7 @@ impl<'a> Marker<'a> {
         }
     }
 
-    /// Reads a blob; one that is damaged or has vanished is listed as missing.
+    /// Reads a blob. A damaged or vanished one is listed as missing.
     fn read(
         &mut self,
         digest: &Digest,
@@ -384,7 +384,7 @@ impl<'a> Marker<'a> {
         Ok(())
     }
 
-    /// Marks what a set consists of; does nothing for a blob that is none.
+    /// Marks everything that a set consists of. Does nothing for a blob that is not a set.
     fn follow_set(&mut self, root: &Digest, owner: &Digest, walk: Walk) -> Result<(), StoreError> {
         if !self.objects.is_set(root)? || !self.walked.insert((*root, walk)) {
             return Ok(());

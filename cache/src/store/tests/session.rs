@@ -1,13 +1,13 @@
-//! A scripted use of a store that passes through all its parts, and the check of what is left of it.
+//! A scripted use of a store that passes through all its parts, and a check of the resulting store.
 
 use std::time::Duration;
 
 use super::*;
 
-/// Steps of the session; from eight commits on packs are merged.
+/// Steps of the session. From eight commits on packs are merged.
 pub(super) const STEPS: u8 = 10;
 
-/// What a step stores: its record, the output, and the memo with its blob.
+/// The objects that a step stores: its record, the output, and the memo with its blob.
 pub(super) struct Step {
     pub(super) action: Action,
     pub(super) output: Vec<u8>,
@@ -56,7 +56,7 @@ impl Step {
     }
 }
 
-/// Runs the session; adds the number of each step to `done` when its commit has returned.
+/// Runs the session. Adds the number of each step to `done` when its commit has returned.
 pub(super) fn run(store: &Store, done: &mut Vec<u8>) -> Result<(), StoreError> {
     let mut keys = Vec::new();
     for number in 0..STEPS {
