@@ -162,7 +162,7 @@ fn what_is_not_there_is_told_with_the_way_out() {
     assert!(ran.stderr.contains("there is no"), "{}", ran.stderr);
     let ran = marf(&there, &["cache", "pull", "--remote", "http://user:secret@mars"]).exits(2);
     assert!(
-        ran.stderr.contains("is no address of a shared store"),
+        ran.stderr.contains("is not an address of a shared store"),
         "{}",
         ran.stderr
     );

@@ -66,7 +66,7 @@ pub enum ActionError {
     #[error("not an action: {0}")]
     Malformed(#[from] serde_json::Error),
     /// The action is of another form.
-    #[error("an action of form {found}; this program reads form {ACTION_FORMAT}")]
+    #[error("the action has format {found}, but this program reads format {ACTION_FORMAT}")]
     Format {
         /// Its form.
         found: u32,

@@ -48,7 +48,7 @@ impl FileKind {
 pub fn read(path: &Path, kind: FileKind, links: Links) -> io::Result<Vec<u8>> {
     let limit = kind.max_bytes();
     let mut file = open(path, links)?;
-    let too_large = |bytes: u64| refused(format!("it has {bytes} bytes; the limit is {limit}"));
+    let too_large = |bytes: u64| refused(format!("it has {bytes} bytes, above the limit of {limit}"));
     let length = file.metadata()?.len();
     if length > limit {
         return Err(too_large(length));
@@ -200,7 +200,7 @@ mod tests {
         }
         assert_eq!(
             fault(&path, Links::Refused),
-            "it has 1099511627776 bytes; the limit is 65536"
+            "it has 1099511627776 bytes, above the limit of 65536"
         );
     }
 

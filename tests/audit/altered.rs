@@ -179,7 +179,7 @@ fn one_bit_in_the_index_is_found_and_repaired_or_changes_nothing() {
         std::fs::remove_file(&path).unwrap();
         std::fs::write(&path, bytes).unwrap();
         let fsck = marf(dir.path(), &["cache", "fsck", "--repair"]).exits(0).stderr;
-        let is_found = fsck.contains("repaired: ") || fsck.contains("it is made anew from the packs");
+        let is_found = fsck.contains("repaired: ") || fsck.contains("is rebuilt from the packs");
         found += usize::from(is_found);
         let told = marf(dir.path(), &["audit", "out/train/metrics.json", "--verify"]);
         assert_eq!(

@@ -26,16 +26,16 @@ pub enum KeyError {
     #[error("the key is locked with a passphrase")]
     Passphrase,
     /// A key in the form of OpenSSH.
-    #[error("the key is in the form of OpenSSH; an Ed25519 key in PEM (PKCS#8) is needed")]
+    #[error("the key is in OpenSSH format, but an Ed25519 key in PEM (PKCS#8) is needed")]
     OpenSsh,
     /// No such section.
-    #[error("there is no `{wanted}` in it")]
+    #[error("it has no `{wanted}` section")]
     Absent {
         /// The label of the section.
         wanted: &'static str,
     },
     /// A key of another algorithm, or damaged.
-    #[error("the `{wanted}` in it is no Ed25519 key")]
+    #[error("its `{wanted}` is not an Ed25519 key")]
     NotEd25519 {
         /// The label of the section.
         wanted: &'static str,
@@ -47,7 +47,7 @@ impl KeyError {
     pub fn hint(&self) -> &'static str {
         match self {
             Self::Passphrase => {
-                "`openssl pkey -in KEY.pem -out PLAIN.pem` writes a copy without a passphrase; remove it afterwards"
+                "`openssl pkey -in KEY.pem -out PLAIN.pem` writes a copy without a passphrase. Remove it afterwards"
             }
             Self::OpenSsh => "`openssl genpkey -algorithm ed25519 -out KEY.pem` makes a key",
             Self::Absent { wanted } | Self::NotEd25519 { wanted } if *wanted == PUBLIC => {

@@ -4,7 +4,7 @@ use marf_cache::{Digest, SetError, StoreError};
 #[derive(Debug, thiserror::Error)]
 pub enum RemoteError {
     /// The address is none.
-    #[error("`{url}` is no address of a shared store: {why}")]
+    #[error("`{url}` is not an address of a shared store: {why}")]
     BadUrl {
         /// The address, without what may be a credential.
         url: String,
@@ -24,7 +24,7 @@ pub enum RemoteError {
         place: String,
     },
     /// A later program wrote it.
-    #[error("the shared store {place} is of form {found}; this program reads form {known}")]
+    #[error("the shared store {place} has format {found}, but this program reads format {known}")]
     Newer {
         /// The address.
         place: String,
@@ -131,21 +131,21 @@ impl RemoteError {
             Self::NoCredentials { .. } => {
                 "set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, and AWS_ENDPOINT_URL for servers other than Amazon's"
             }
-            Self::Absent { .. } => "`marf cache push` makes one; check the address and AWS_ENDPOINT_URL",
+            Self::Absent { .. } => "check the address and AWS_ENDPOINT_URL, or create one with `marf cache push`",
             Self::Newer { .. } => "use the program that wrote it",
             Self::Denied { .. } => "check the credentials in the environment and what they permit",
             Self::Failed { .. } => {
-                "nothing is lost: run the command again when it answers, it goes on where it ended"
+                "nothing is lost: run the command again when it answers, and it continues where it stopped"
             }
             Self::Damaged { .. } | Self::Missing { .. } => {
-                "`marf cache fsck --remote` lists what is not whole; `--repair` removes it, and a push brings it again"
+                "`marf cache fsck --remote` lists damaged objects. `--repair` removes them, and a push sends them again"
             }
             Self::Untrusted { .. } => {
-                "add the public key of who wrote them to `trust`, or have it write them again with MARF_SIGNING_KEY"
+                "add the public key of their writer to `trust`, or have the writer push them again with MARF_SIGNING_KEY"
             }
             Self::NotInStore { .. } | Self::Set(_) => "`marf run` makes it again",
             Self::Busy { .. } => {
-                "wait until it has ended; the lease of a program that died ends after ten minutes"
+                "wait until it has ended. The lease of a program that died ends after ten minutes"
             }
             Self::Store(error) => return error.hint(),
             Self::Slow { .. } | Self::Stopped | Self::Threads(_) => return None,

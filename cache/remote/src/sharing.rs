@@ -246,7 +246,7 @@ impl Link {
     }
 
     fn tell(&self, error: &RemoteError) {
-        (self.warn)(format!("{error}; it is made here"));
+        (self.warn)(format!("{error}. The result is computed here"));
     }
 
     /// Reports the first failure and stops using the shared store.
@@ -256,7 +256,7 @@ impl Link {
         }
         let hint = error.hint().map(|hint| format!(" ({hint})")).unwrap_or_default();
         (self.warn)(format!(
-            "{error}{hint}; the run goes on without the shared store, and `marf cache push` sends its results later"
+            "{error}{hint}. The run goes on without the shared store. `marf cache push` sends its results later"
         ));
     }
 }

@@ -125,7 +125,7 @@ fn content_of(objects: &Objects, kind: Kind, key: &Digest) -> Result<Option<Vec<
     match objects.payload(kind, key) {
         Err(StoreError::Damaged { path, .. }) => {
             objects.notices.warn(format!(
-                "the {} of key {} was damaged; it is in quarantine in `{}`",
+                "the {} of key {} was damaged and is in quarantine in `{}`",
                 kind.name(),
                 key.short(),
                 path.display()

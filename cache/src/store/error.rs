@@ -12,7 +12,7 @@ pub enum StoreError {
         digest: Digest,
     },
     /// The bytes do not have their digest. The blob is now in quarantine.
-    #[error("blob {digest} was damaged; it is in quarantine as `{}`", path.display())]
+    #[error("blob {digest} was damaged and is in quarantine as `{}`", path.display())]
     Damaged {
         /// The blob asked for.
         digest: Digest,
@@ -38,7 +38,7 @@ pub enum StoreError {
         waited_ms: u64,
     },
     /// The root of a run cannot be read. The file is now in quarantine.
-    #[error("run {number} was damaged; it is in quarantine as `{}`", path.display())]
+    #[error("run {number} was damaged and is in quarantine as `{}`", path.display())]
     DamagedRun {
         /// Number of the run.
         number: u64,
@@ -52,7 +52,7 @@ pub enum StoreError {
         number: u64,
     },
     /// The file is longer than the caller takes.
-    #[error("`{}` has {bytes} bytes; at most {max_bytes} are read", path.display())]
+    #[error("`{}` has {bytes} bytes, above the limit of {max_bytes}", path.display())]
     TooLarge {
         /// The file.
         path: PathBuf,
@@ -70,7 +70,7 @@ pub enum StoreError {
         message: String,
     },
     /// A later program wrote the store.
-    #[error("the store `{}` is of format {found}; this program reads format {known}", path.display())]
+    #[error("the store `{}` has format {found}, but this program reads format {known}", path.display())]
     Newer {
         /// The folder of the store.
         path: PathBuf,
@@ -105,7 +105,7 @@ impl StoreError {
     pub fn hint(&self) -> Option<String> {
         match self {
             Self::Io { source, .. } if source.kind() == io::ErrorKind::StorageFull => {
-                Some("free space on this disk and run again; what was finished stays".to_owned())
+                Some("free space on this disk and run again. Finished results are kept".to_owned())
             }
             Self::Io { source, .. }
                 if matches!(

@@ -322,7 +322,7 @@ impl Objects {
             self.index.refresh(REFRESH_PATIENCE)?;
         }
         self.notices.warn(format!(
-            "a damaged pack was moved to `{}`; {} of its {} objects are whole and stay",
+            "a damaged pack was moved to `{}`. {} of its {} objects are whole and stay",
             to.display(),
             entries.len(),
             entries.len() + bad.len()

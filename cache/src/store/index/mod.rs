@@ -282,7 +282,7 @@ impl Index {
             match self.files.quarantine(&self.root, &path, file) {
                 Ok(to) => self
                     .notices
-                    .warn(format!("a file that is no pack was moved to `{}`", to.display())),
+                    .warn(format!("a file that is not a pack was moved to `{}`", to.display())),
                 // Another process has merged or collected it while it was read.
                 Err(StoreError::Io { source, .. }) if source.kind() == ErrorKind::NotFound => {}
                 Err(error) => return Err(error),
@@ -368,7 +368,7 @@ impl Index {
                 (_, Some(Trouble::Unusable(message))) => {
                     self.notices.warn_once("index", || {
                         format!(
-                            "the index `{}` cannot be written ({message}); it is brought up to date later",
+                            "the index `{}` cannot be written ({message}) and is brought up to date later",
                             self.path.display()
                         )
                     });
@@ -402,7 +402,7 @@ impl Index {
         if !self.is_disabled.load(Ordering::Relaxed) {
             self.notices.warn_once("locked index", || {
                 format!(
-                    "another program keeps the index `{}` locked; results are stored, and the index is brought up to \
+                    "another program keeps the index `{}` locked. Results are stored, and the index is brought up to \
                      date later",
                     self.path.display()
                 )

@@ -42,7 +42,7 @@ impl Index {
             return Ok(());
         }
         self.notices.warn(format!(
-            "the index `{}` was damaged ({why}); it is made anew from the packs",
+            "the index `{}` was damaged ({why}) and is rebuilt from the packs",
             self.path.display()
         ));
         let moved = self.move_away();
@@ -81,7 +81,7 @@ impl Index {
         }
         if self.access == Access::ReadWrite {
             self.notices.warn(format!(
-                "the index `{}` cannot be used ({why}); the packs are read instead",
+                "the index `{}` cannot be used ({why}). The packs are read instead",
                 self.path.display()
             ));
         }
