@@ -8,7 +8,7 @@ pub(crate) fn counted(number: usize, noun: &str) -> String {
     }
 }
 
-/// Returns what is seen of a job: `job 12 pending (Resources)`.
+/// Returns the state of a job in words: `job 12 pending (Resources)`.
 pub(crate) fn note(id: &str, state: &str, reason: &str) -> String {
     if reason.is_empty() {
         format!("job {id} {state}")
