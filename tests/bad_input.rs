@@ -61,7 +61,7 @@ fn what_the_training_of_a_bootstrap_decides_cannot_be_set_beside_it() {
         let dir = with_pipeline(&format!("{HEAD}{nodes}{key} = {value}\n"));
         let ran = marf(dir.path(), &["plan"]).exits(2);
         let message =
-            format!("pipeline.toml:14:1: node.bootstrap.{key}: `training` decides it too, and both cannot");
+            format!("pipeline.toml:14:1: node.bootstrap.{key}: `training` sets it too, and only one of them may");
         assert!(ran.stderr.contains(&message), "{}", ran.stderr);
         let hint = format!("hint: remove `{key}`, or `training`");
         assert!(ran.stderr.contains(&hint), "{}", ran.stderr);
@@ -122,7 +122,7 @@ fn an_archive_on_a_server_names_its_missing_keys() {
     for (kind, missing) in [
         ("pds", "mission"),
         ("feed", "mission"),
-        ("tape", "there is no kind of archive `tape`"),
+        ("tape", "unknown kind of archive `tape`"),
     ] {
         let dir = with_pipeline(&format!(
             "[archive.a]\nkind = \"{kind}\"\n[node.extract]\narchive = \"a\"\n"

@@ -124,7 +124,7 @@ fn what_cannot_be_traded_is_refused_with_the_way_out() {
         (
             PIPELINE.replace("[10, 9999]", "10"),
             vec![],
-            "`trade.train.scale` is no key of a node with a list",
+            "`trade.train.scale` is not a key of a node with a list",
         ),
         (
             PIPELINE.replace("\"train.scale\" =", "scale ="),
