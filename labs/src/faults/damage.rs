@@ -60,7 +60,7 @@ impl Injector for Damage<'_> {
     }
 }
 
-/// Damages a file in one of three ways; returns which.
+/// Damages a file in one of three ways. Returns the way.
 fn damage(path: &Path, random: u64) -> Outcome<&'static str> {
     let mut bytes = std::fs::read(path)?;
     let at = random / 8;

@@ -119,7 +119,7 @@ pub fn change(before: &[u32], after: &[u32]) -> Result {
         let mean = |axis: usize| places.iter().map(|one| one.at[axis]).sum::<f64>() / places.len() as f64;
         let seen = places.iter().filter(|one| one.is_seen).count();
         print_line(&format!(
-            "{name}: {:.3} m2 at x {:.2}, y {:.2}, by {:.3} m; photos of both times show {:.3} m2",
+            "{name}: {:.3} m² at x {:.2}, y {:.2}, by {:.3} m. Photos of both times show {:.3} m²",
             area_m2(places.len()),
             mean(0),
             mean(1),
