@@ -9,18 +9,18 @@ pub struct Origin {
     pub file: String,
     /// What it was taken for.
     pub kind: OriginKind,
-    /// Digest of its bytes; of the reason, where it was not read.
+    /// Digest of its bytes, or of the reason if it was not read.
     pub blake3: Digest,
-    /// Length; absent if the file was not needed, so that its bytes are not in the store.
+    /// Length. Absent if the file was not needed, so that its bytes are not in the store.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub bytes: Option<u64>,
-    /// The digest by which others know the bytes; absent where `bytes` is.
+    /// The SHA-256 digest of the bytes, for other programs. Absent if `bytes` is.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sha256: Option<Sha256>,
-    /// The address that gave it; absent for a file of this machine.
+    /// The address that gave it. Absent for a file of this machine.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub url: Option<String>,
-    /// When, as `YYYY-MM-DDTHH:MM:SSZ`; absent for a file of this machine.
+    /// Time of the download, as `YYYY-MM-DDTHH:MM:SSZ`. Absent for a file of this machine.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub fetched: Option<String>,
     /// Why it was not taken.
