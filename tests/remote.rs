@@ -252,7 +252,8 @@ fn a_shared_store_that_is_away_is_told_once_and_stops_no_run() {
     );
 }
 
-/// Results without a signature of a named writer are made again; with one they are fetched. The key is named in the environment alone.
+/// Results without a signature of a named writer are made again. Signed results are fetched. The key is named in the environment
+/// alone.
 #[test]
 fn results_of_named_writers_alone_are_believed() {
     const PRIVATE: &str = "-----BEGIN PRIVATE KEY-----\nMC4CAQAwBQYDK2VwBCIEIJ1hsZ3v/VpguoRK9JLsLMREScVpezJpGXA7rAMcrn9g\n\

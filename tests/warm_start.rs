@@ -173,7 +173,7 @@ fn a_cold_start_is_warned_of_and_what_cannot_be_is_refused_before_anything_runs(
     assert!(told.contains("--set train.warm_start=false"), "{told}");
 }
 
-/// The first training is a cold one, whose seeds a bootstrap repeats; the next is not, and the bootstrap alone fails.
+/// The first training is a cold one, whose seeds a bootstrap repeats. The next is not, and the bootstrap alone fails.
 #[test]
 fn a_bootstrap_of_it_fails_with_the_way_out() {
     let bootstrap = "[node.bootstrap]\ninput = \"calibrate\"\ntraining = \"train\"\nb = 2\nmap_frames = 1\n";

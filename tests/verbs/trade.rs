@@ -6,7 +6,8 @@ use serde_json::Value;
 
 use super::common::marf;
 
-/// The built-in Mars with cameras of labels and a training of two steps; one value of a knob is no scale of these photos.
+/// The built-in Mars with cameras of labels and a training of two steps. One value of a knob is not a scale of these
+/// photos.
 const PIPELINE: &str = r#"name = "small"
 [archive.demo]
 kind = "demo"

@@ -11,7 +11,7 @@ use super::{Viewer, hostile_run, small_run};
 const FINISHED: &str = "document.getElementById('view-stage')?.dataset.divisor === '1'";
 const PICTURE: &str = "document.getElementById('view-picture').toDataURL()";
 
-/// Opens the 3-D view of the small run, its finest picture shown; none without a browser.
+/// Opens the 3-D view of the small run, its finest picture shown. `None` without a browser.
 fn open(viewer: &Viewer) -> Option<Page> {
     let mut page = Page::open(&viewer.address)?;
     page.waits_for(FINISHED);

@@ -131,7 +131,9 @@ impl RemoteError {
             Self::NoCredentials { .. } => {
                 "set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, and AWS_ENDPOINT_URL for servers other than Amazon's"
             }
-            Self::Absent { .. } => "check the address and AWS_ENDPOINT_URL, or create one with `marf cache push`",
+            Self::Absent { .. } => {
+                "check the address and AWS_ENDPOINT_URL, or create one with `marf cache push`"
+            }
             Self::Newer { .. } => "use the program that wrote it",
             Self::Denied { .. } => "check the credentials in the environment and what they permit",
             Self::Failed { .. } => {

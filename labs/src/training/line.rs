@@ -108,9 +108,7 @@ pub fn table(lines: &[Line]) -> String {
             line.samples_per_s / 1e6
         )
     }));
-    rows.push(
-        "peak 1, at most 100 dB a view. The paper's peak is the photo's largest value".to_owned(),
-    );
+    rows.push("peak 1, at most 100 dB a view. The paper's peak is the photo's largest value".to_owned());
     rows.join("\n")
 }
 

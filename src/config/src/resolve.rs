@@ -136,7 +136,10 @@ fn check_trade(root: &SyntaxNode) -> Result<(), ConfigError> {
     for knob in knobs {
         let values = knob.value.json();
         if values.as_array().is_none_or(Vec::is_empty) || !knob.key.contains('.') {
-            let message = format!("`trade.{}` is not a key of a node with a list of values", knob.key);
+            let message = format!(
+                "`trade.{}` is not a key of a node with a list of values",
+                knob.key
+            );
             return refuse(&knob.at, message);
         }
     }

@@ -117,7 +117,9 @@ impl JsonSchema for Sols {
 fn range(part: &str) -> Result<(u32, u32), String> {
     let sol = |text: &str| {
         let sol = text.trim().parse::<u32>().ok().filter(|sol| *sol < NO_SOL);
-        sol.ok_or_else(|| format!("`{part}` is not a sol or range: write `3`, `1..=5`, `1,4,7..=9` or `latest`"))
+        sol.ok_or_else(|| {
+            format!("`{part}` is not a sol or range: write `3`, `1..=5`, `1,4,7..=9` or `latest`")
+        })
     };
     let (first, last) = if let Some((first, last)) = part.split_once("..=") {
         (sol(first)?, sol(last)?)

@@ -280,9 +280,10 @@ impl Index {
         }
         if self.access == Access::ReadWrite {
             match self.files.quarantine(&self.root, &path, file) {
-                Ok(to) => self
-                    .notices
-                    .warn(format!("a file that is not a pack was moved to `{}`", to.display())),
+                Ok(to) => self.notices.warn(format!(
+                    "a file that is not a pack was moved to `{}`",
+                    to.display()
+                )),
                 // Another process has merged or collected it while it was read.
                 Err(StoreError::Io { source, .. }) if source.kind() == ErrorKind::NotFound => {}
                 Err(error) => return Err(error),
