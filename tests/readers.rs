@@ -48,7 +48,7 @@ fn exported() -> &'static Path {
     FOLDER.path()
 }
 
-/// Returns what a reader in Python says of a file.
+/// Returns the answer of a reader in Python about a file.
 fn read(kind: &str, file: &str) -> Option<Value> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/readers");
     let requirements = folder.join("requirements.txt");

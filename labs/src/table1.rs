@@ -65,7 +65,7 @@ struct Row {
 /// Trains for each time and prints the table, a row as soon as it is there.
 ///
 /// # Errors
-/// A time that is none, and whatever keeps a training from its end.
+/// Returns an error for an invalid time, or if a training fails.
 pub fn table1(args: &Table1Args, cancel: &Cancel) -> Result {
     let times = args.budget.iter().map(|text| whole_seconds(text));
     let times = times.collect::<std::result::Result<Vec<u32>, _>>()?;

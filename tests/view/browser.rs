@@ -94,7 +94,7 @@ fn modes_photos_distances_and_keys_do_what_they_say() {
         assert_ne!(page.value(PICTURE), color, "{mode}");
         page.keeps(&format!("{mode}.png"));
     }
-    // From where no photo was taken there is none to differ from: the nearest photo's pose is taken, and left again with the mode.
+    // Without a photo at this pose there is no difference: the nearest photo's pose is taken, and left again with the mode.
     choose(&mut page, "view-mode", "difference");
     page.keeps("difference.png");
     assert_ne!(

@@ -1,4 +1,4 @@
-//! Ed25519 keys from PEM files: who signs results, runs and statements, and whose signatures are believed.
+//! Ed25519 keys from PEM files: the signing keys and the trusted public keys of results, runs and statements.
 
 use marf_cache::{Sha256, canonical_json};
 use ring::signature::{ED25519, Ed25519KeyPair, KeyPair as _, UnparsedPublicKey};

@@ -54,7 +54,7 @@ pub(crate) struct StoredObject {
 pub(crate) struct Bucket {
     /// The address, for people.
     pub(crate) place: String,
-    /// Whose records and runs are believed.
+    /// Signing key, and writers of trusted records and runs.
     pub(crate) trust: Trust,
     root: Path,
     objects: Box<dyn ObjectStore>,

@@ -1,4 +1,4 @@
-//! Where small blobs are: the indexes of all packs are read when a blob is in none of those known.
+//! Places of small blobs: the indexes of all packs are read when a blob is in no known index.
 
 use std::collections::{BTreeMap, BTreeSet};
 

@@ -3,7 +3,7 @@ use marf_cache::{Digest, SetError, StoreError};
 /// Why a shared store could not be used. No text of it holds a credential or an answer of a server.
 #[derive(Debug, thiserror::Error)]
 pub enum RemoteError {
-    /// The address is none.
+    /// The address is invalid.
     #[error("`{url}` is not an address of a shared store: {why}")]
     BadUrl {
         /// The address, without what may be a credential.

@@ -211,7 +211,7 @@ impl Check<'_> {
         }
     }
 
-    /// Returns what of some objects is not there, in words.
+    /// Returns the first missing object of these, in words.
     fn lacking(&self, keys: &[Digest], blobs: &[Digest]) -> Option<String> {
         let key = keys.iter().find(|key| !self.records.contains_key(*key));
         let blob = blobs.iter().find(|blob| !self.blobs.contains(*blob));
@@ -233,7 +233,7 @@ impl Check<'_> {
         Ok(())
     }
 
-    /// Removes what has a fault: who names goes before what is named, an index before its pack.
+    /// Removes objects with a fault: an object before those it names, an index before its pack.
     async fn repair(&self) -> Result<(), RemoteError> {
         let is_in = |folder: &str, name: &str| name.split('/').next() == Some(folder);
         let mut left: BTreeSet<&String> = self.faults.keys().collect();

@@ -173,7 +173,7 @@ pub(crate) fn age(now: SystemTime, then: SystemTime) -> Duration {
     now.duration_since(then).unwrap_or_default()
 }
 
-/// Returns who this program is, for people and unlike all others.
+/// Returns a unique, readable name of this program.
 fn holder() -> String {
     let since = SystemTime::now()
         .duration_since(SystemTime::UNIX_EPOCH)

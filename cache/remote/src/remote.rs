@@ -40,7 +40,7 @@ const RELEASE_PATIENCE: Duration = Duration::from_secs(1);
 /// A shared store.
 pub struct Remote {
     pub(crate) bucket: Bucket,
-    /// Whether its form was found to be the known one.
+    /// Whether its format has been checked.
     is_checked: AtomicBool,
     threads: Threads,
 }

@@ -31,7 +31,7 @@ pub struct RemoteRun {
     pub root: String,
 }
 
-/// A value that was read, and whether it is believed.
+/// A value that was read, and whether its writer is trusted.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct SealedValue<T> {
     pub(crate) value: T,

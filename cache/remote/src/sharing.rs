@@ -48,7 +48,7 @@ struct Link {
     store: Store,
     warn: Warn,
     is_stopped: Arc<dyn Fn() -> bool + Send + Sync>,
-    /// Which results of others are not believed but made again.
+    /// Results of others that are computed again instead of fetched.
     recheck: Recheck,
     /// Set after the first failure: an unavailable server gets no further request.
     is_away: AtomicBool,

@@ -54,7 +54,7 @@ impl Drop for Threads {
     }
 }
 
-/// Returns what a call gives that may block for ever, or an error when the patience ends.
+/// Returns the result of a call that may block for ever, or an error after `patience`.
 pub(crate) async fn unblocked<T: Send + 'static>(
     patience: Duration,
     call: impl FnOnce() -> T + Send + 'static,

@@ -54,7 +54,8 @@ fn what_is_no_regular_file_is_damaged_and_no_call_waits_for_it() {
             };
             let error = found.unwrap_err().to_string();
             let why = match (kind, ending) {
-                // A listing has files alone, so what is none and is found by a listing is not there.
+                // A listing has files alone, so an object that is not a file and is found by a listing is
+                // missing.
                 ("pipe" | "device", ".idx") => "lacks blob",
                 ("pipe" | "device", _) if folder == "runs" => "lacks the run",
                 ("pipe", _) => "it is not a regular file",

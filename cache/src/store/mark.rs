@@ -113,7 +113,7 @@ impl<'a> Marker<'a> {
         self.bytes
     }
 
-    /// Returns what is named and not in the store.
+    /// Returns the objects that are named but not in the store.
     pub(super) fn into_missing(self) -> Vec<MissingObject> {
         self.missing
     }
@@ -393,7 +393,7 @@ impl<'a> Marker<'a> {
         let Some(bytes) = self.read(root, Role::Root, owner)? else {
             return Ok(());
         };
-        // Bytes that begin as a set and are none name nothing.
+        // Bytes that begin as a set but are not a set name nothing.
         for block in Root::blocks(&bytes).unwrap_or_default() {
             self.blob(&block.digest, Role::Block, root)?;
             let Some(bytes) = self.read(&block.digest, Role::Block, root)? else {

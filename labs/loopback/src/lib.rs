@@ -31,7 +31,7 @@ use std::time::{Duration, Instant};
 
 use parking_lot::Mutex;
 
-/// `Last-Modified` of every file that is given none.
+/// `Last-Modified` of every file mounted without one.
 pub const MODIFIED: &str = "Tue, 01 Mar 2022 10:20:00 GMT";
 
 /// One answer out of the ordinary.

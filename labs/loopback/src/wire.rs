@@ -70,7 +70,7 @@ impl Shared {
         Ok(None)
     }
 
-    /// Records the request and takes its reply: of its script, or a random fault, or none.
+    /// Records the request and takes its reply: of its script, a random fault, or the normal answer.
     fn reply_to(&self, request: &Request) -> Reply {
         let mut state = self.state.lock();
         state.requests.push(request.clone());

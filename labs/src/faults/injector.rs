@@ -62,7 +62,7 @@ pub trait Injector {
         Ok(())
     }
 
-    /// Returns what was done, in words.
+    /// Returns a description of the fault, in words.
     fn detail(&self) -> String;
 }
 

@@ -51,7 +51,7 @@ impl Namespace {
         Err(impossible(words.trim()))
     }
 
-    /// Returns what stands before a command so that it runs in the namespace.
+    /// Returns the words to put before a command to run it in the namespace.
     pub fn wrapper(&self) -> Vec<OsString> {
         let target = self.holder.id();
         let words = format!("nsenter --target {target} --user --mount --preserve-credentials --");

@@ -30,7 +30,7 @@ pub(crate) struct Job {
     pub(crate) since: Instant,
 }
 
-/// What a job is to compute, and who follows it.
+/// The work of a job, and its follower.
 pub(crate) struct JobOrder<'a> {
     /// What people call it: the name of a node.
     pub(crate) node: &'a str,

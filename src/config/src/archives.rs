@@ -55,7 +55,7 @@ impl<'a> Archives<'a> {
     /// Returns the table that a node names.
     ///
     /// # Errors
-    /// There is none of this name.
+    /// Returns an error if there is no table of this name.
     pub fn named(&self, field: &Entry, name: &str) -> Result<&'a Entry, ConfigError> {
         self.tables.iter().find(|table| table.key == name).ok_or_else(|| {
             let message = format!("`archive = \"{name}\"` names no `[archive.*]` table");

@@ -14,7 +14,7 @@ const REMOTE: &str = "remote";
 const VERIFY_SHARE: &str = "verify_share";
 const TRUST: &str = "trust";
 
-/// Where results are shared, and how far it is believed.
+/// Where results are shared, and which of them are trusted.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SharedStore {
     /// Address of the shared store.

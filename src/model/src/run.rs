@@ -26,7 +26,7 @@ pub struct Run<'s> {
 pub struct RunNode {
     /// What the run root says of it: name, key, edges, inputs, outputs, times.
     pub run: NodeRun,
-    /// The earlier run that the result is of, where the run itself has none ([`Run::completed`]).
+    /// The earlier run of the result, if the run itself has no result ([`Run::completed`]).
     pub of_run: Option<u64>,
     /// Wall time of the work in the run of the result, in seconds. `None` if that run found the result.
     pub worked_s: Option<f64>,
@@ -234,10 +234,11 @@ impl<'s> Run<'s> {
         Ok(origins)
     }
 
-    /// Returns what a node that makes no set of photos stored next to its outputs. The rows of a set name their objects themselves.
+    /// Returns the objects that a node stored next to its outputs, if it makes no set of photos. The rows of a set name their
+    /// objects themselves.
     ///
     /// # Errors
-    /// A list that is lost or damaged.
+    /// Returns an error if a list is lost or damaged.
     pub fn needs(&self, node: &RunNode) -> Result<Vec<Digest>, RunError> {
         let record = node.record.as_ref();
         let list = record.filter(|record| !record.outputs.contains_key(PHOTOS));

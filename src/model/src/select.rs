@@ -105,8 +105,8 @@ pub fn earlier(
     })?)
 }
 
-/// Returns the newest run of a subject in which every node of its own pipeline has a result. If there is none: the newest that was
-/// done, else the newest with any result.
+/// Returns the newest run of a subject in which every node of its own pipeline has a result. Without such a run, returns the
+/// newest that was done, or else the newest with any result.
 ///
 /// # Errors
 /// As [`newest`].

@@ -64,7 +64,7 @@ impl Port {
         }
     }
 
-    /// Returns the input with a hint for people who name a node that does not give the output.
+    /// Returns the input with a hint for the error about a node that does not give the output.
     #[must_use]
     pub const fn with_hint(self, hint: &'static str) -> Self {
         Self {

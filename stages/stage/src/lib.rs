@@ -55,10 +55,10 @@ pub trait Stage: Send + Sync {
     fn backend_id(&self) -> Option<String> {
         None
     }
-    /// Returns what [`Stage::backend_id`] is on another machine: one whose GPU has the id `gpu`, or one without a GPU.
+    /// Returns the [`Stage::backend_id`] on another machine: one whose GPU has the id `gpu`, or one without a GPU.
     ///
     /// # Errors
-    /// A GPU is wanted that the machine does not have.
+    /// Returns an error if a GPU is wanted that the machine does not have.
     fn backend_id_on(&self, _gpu: Option<&str>) -> Result<Option<String>, StageError> {
         Ok(None)
     }
@@ -116,7 +116,8 @@ impl Inputs {
             .ok_or_else(|| StageError::new(format!("input `{name}` is not connected")))
     }
 
-    /// Returns what several nodes give as this input ([`Port::many`]): the name of each, and its digest.
+    /// Returns the outputs that several nodes give as this input ([`Port::many`]): the name of each, and its
+    /// digest.
     pub fn each<'a>(&'a self, name: &str) -> impl Iterator<Item = (&'a str, &'a Digest)> {
         let prefix = format!("{name}/");
         self.0
@@ -338,14 +339,15 @@ pub trait Fold: Measure {
 
 /// The state of a fold between two shards.
 pub trait FoldState {
-    /// Adds what [`FoldState::fold`] returned of the next shard in an earlier run, instead of folding it again.
+    /// Adds the bytes that [`FoldState::fold`] returned of the next shard in an earlier run, instead of folding
+    /// it again.
     ///
     /// # Errors
-    /// Bytes that `fold` did not return.
+    /// Returns an error if `fold` did not return these bytes.
     fn replay(&mut self, ctx: &Ctx<'_>, added: &[u8]) -> Result<(), StageError>;
 
-    /// Decides the items of the next shard. Returns what they add to the state (of a size that follows from this shard
-    /// alone, never from earlier ones) and one verdict for each item, in the same order.
+    /// Decides the items of the next shard. Returns their addition to the state (of a size that depends on this shard
+    /// alone, never on earlier ones) and one verdict for each item, in the same order.
     ///
     /// # Errors
     /// A measure that cannot be read.

@@ -61,7 +61,7 @@ impl Origin {
     /// Reads what [`Origin::encode`] wrote.
     ///
     /// # Errors
-    /// The first line that is none.
+    /// Returns the first line that is not an origin, as an error.
     pub fn decode(bytes: &[u8]) -> Result<Vec<Self>, serde_json::Error> {
         let lines = bytes.split(|byte| *byte == b'\n').filter(|line| !line.is_empty());
         lines.map(serde_json::from_slice).collect()
