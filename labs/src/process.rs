@@ -16,7 +16,7 @@ const TICKS_PER_S: f64 = 100.0;
 /// Time between two looks at the memory of a program.
 const BETWEEN_LOOKS: Duration = Duration::from_millis(1);
 
-/// What a program cost.
+/// Cost of a program.
 #[derive(Debug, Clone, Copy, Default, Serialize)]
 pub struct Cost {
     /// Wall time.

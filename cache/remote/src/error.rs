@@ -101,7 +101,7 @@ pub enum RemoteError {
         /// Who uses it.
         holder: String,
     },
-    /// What is fetched takes longer than it would take to make it.
+    /// Fetching the results takes longer than computing them.
     #[error("{place} takes longer than {waited_s} s to give results that were made in less")]
     Slow {
         /// The address.

@@ -21,12 +21,12 @@ use crate::{
 /// Blobs or packs that are read at once.
 const IN_FLIGHT: usize = 8;
 
-/// What a check does in addition to listing problems.
+/// Options of a check.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct FsckOptions {
     /// Whether every byte is fetched and compared with its digest.
     pub read_data: bool,
-    /// Whether what is damaged is removed, with all that names it: the next push sends it again.
+    /// Whether damaged objects are removed, with everything that names them. The next push sends them again.
     pub repair: bool,
 }
 
@@ -39,7 +39,7 @@ pub struct RemoteFault {
     pub what: String,
 }
 
-/// What a check has found.
+/// Report of a check.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct RemoteFsckReport {
     /// Runs.
@@ -60,7 +60,7 @@ pub struct RemoteFsckReport {
 struct Check<'a> {
     bucket: &'a Bucket,
     options: FsckOptions,
-    /// Blobs that are there and whole, as far as it was looked.
+    /// Blobs that exist and are whole, as far as checked.
     blobs: HashSet<Digest>,
     records: BTreeMap<Digest, RemoteRecord>,
     faults: BTreeMap<String, String>,

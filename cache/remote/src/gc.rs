@@ -27,7 +27,7 @@ const IN_FLIGHT: usize = 32;
 /// A pack is rewritten if less than this share of it is needed.
 const LEAST_SHARE: f64 = 0.5;
 
-/// What a collection keeps.
+/// Options of a collection.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct GcOptions {
     /// Number of runs kept of each pipeline. The newest is always kept.
@@ -38,7 +38,7 @@ pub struct GcOptions {
     pub dry_run: bool,
 }
 
-/// What a collection has removed, or would.
+/// Numbers of objects that a collection has removed, or would remove.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
 pub struct RemoteGcReport {
     /// Runs.

@@ -22,7 +22,7 @@ const ENDS_AFTER: Duration = Duration::from_secs(600);
 
 /// Name of the lease of a program that removes objects.
 const EXCLUSIVE: &str = "exclusive";
-/// What the names of leases of programs that add objects begin with.
+/// Prefix of the names of leases of programs that add objects.
 const SHARED: &str = "shared-";
 
 /// What the names of objects begin with that are written for their time.

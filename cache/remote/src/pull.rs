@@ -15,10 +15,10 @@ use crate::{
     survey,
 };
 
-/// What a record is, for people.
+/// Name of a record in messages.
 const RESULT: &str = "result";
 
-/// What a pull has done.
+/// Report of a pull.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct PullReport {
     /// Results that were fetched.
@@ -170,7 +170,7 @@ pub(crate) async fn what_is_there(
     Ok(skipped)
 }
 
-/// Fetches blobs as far as the store lacks them, and returns their bytes.
+/// Fetches blobs that the store lacks, and returns their bytes.
 async fn fetch(
     bucket: &Bucket,
     store: &Store,

@@ -25,7 +25,7 @@ const BLOBS_IN_FLIGHT: usize = 16;
 /// Packs that are sent at once. Each is in memory.
 const PACKS_IN_FLIGHT: usize = 2;
 
-/// What a push has done.
+/// Report of a push.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct PushReport {
     /// Results that were sent.
@@ -49,7 +49,7 @@ struct AbsentBlobs {
     small: BTreeMap<Digest, u64>,
 }
 
-/// Sends a run with all that is lacking.
+/// Sends a run with everything that the shared store lacks.
 pub(crate) async fn run(
     bucket: &Bucket,
     store: &Store,

@@ -1,4 +1,4 @@
-//! A shared store that is open: its verbs, each a call that blocks.
+//! An open shared store: its verbs, each a blocking call.
 
 use std::{
     future::Future,

@@ -41,7 +41,7 @@ pub struct Sharing {
     sender: JoinHandle<()>,
 }
 
-/// What the run and the thread that sends have in common.
+/// State shared by the run and the thread that sends.
 struct Link {
     remote: Remote,
     /// A separate handle of the local store. It sees committed results.
@@ -87,7 +87,7 @@ impl Recheck {
     }
 }
 
-/// What the thread sends.
+/// Work for the thread that sends.
 enum Job {
     Result(Digest),
     Run(Box<RemoteRun>),
@@ -122,7 +122,7 @@ impl Sharing {
         Ok(Self { link, queue, sender })
     }
 
-    /// Fetches the results of keys that are there, each with all that belongs to it.
+    /// Fetches the existing results of keys, each with everything that belongs to it.
     pub fn fetch(&self, keys: &[Digest]) {
         let link = &self.link;
         if link.is_away() {

@@ -91,7 +91,7 @@ impl Survey {
     }
 }
 
-/// Reads the records of keys, as far as they are there.
+/// Reads the records of keys, `None` for keys without a record.
 pub(crate) async fn records(
     bucket: &Bucket,
     keys: impl Iterator<Item = Digest>,

@@ -1,12 +1,12 @@
-//! Who wrote what: signatures of records and runs, and whose are believed.
+//! Signatures of records and runs, and the writers that are trusted.
 
 use marf_cache::Digest;
 use marf_keys::{PublicKey, SigningKey};
 
-/// What is signed stands behind this line, so that a signature of a result is one of nothing else.
+/// The signed bytes follow this line, so that a signature of a result is valid for nothing else.
 const PURPOSE: &str = "marf shared store 1\n";
 
-/// With which key own results are signed, and whose results are believed.
+/// The key that signs this machine's results, and the writers whose results are trusted.
 #[derive(Default)]
 pub struct Trust {
     /// Key that signs what is sent. `None` sends it without a signature.

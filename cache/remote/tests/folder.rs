@@ -208,7 +208,7 @@ fn a_push_that_is_stopped_leaves_no_lease() {
     assert_eq!(world.files("leases", ""), Vec::<PathBuf>::new());
 }
 
-/// A collection at once, of all that is not needed.
+/// A collection without grace, of everything that is not needed.
 const AT_ONCE: GcOptions = GcOptions {
     keep_last: 1,
     grace: Duration::ZERO,

@@ -1,4 +1,4 @@
-//! What a result consists of and was made from.
+//! Everything that a result consists of and was made from.
 
 use super::{Store, StoreError, census::Census, mark::Marker, missing::MissingObject, pack::Kind};
 use crate::Digest;

@@ -47,7 +47,7 @@ pub(super) enum Place {
     Outside,
 }
 
-/// What the store asks of the operating system.
+/// The operations of the operating system that the store needs.
 pub(super) trait Operations: Send + Sync {
     /// Creates a folder and its parents.
     fn create_dir(&self, path: &Path) -> io::Result<()>;

@@ -9,7 +9,7 @@ use crate::Digest;
 /// Version of the form of a store.
 pub(super) const FORMAT: u32 = 2;
 
-/// What a folder holds.
+/// The form of the store in a folder.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum StoreForm {
     /// No store.

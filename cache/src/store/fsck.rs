@@ -51,7 +51,7 @@ pub struct LostDocument {
     pub digest: Digest,
 }
 
-/// What a check found.
+/// Report of a check.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct FsckReport {
     /// Blobs seen.

@@ -1,9 +1,9 @@
 //! Collection: removes what neither the caller's roots nor a running process needs.
 //!
 //! 1. All objects are listed. Only these can be removed, so objects stored later stay.
-//! 2. What the roots reach is marked, and what the leases name.
-//! 3. Under the exclusive lock of collections the leases are read and marked again, and what has no mark loses its
-//!    file or its row. Nobody looks up in order to use while this lasts.
+//! 2. Everything that the roots reach or the leases name is marked.
+//! 3. Under the exclusive lock of collections the leases are read and marked again, and each object without a mark
+//!    loses its file or its row. Meanwhile no process looks up an object to use.
 //! 4. Packs with many dead bytes are rewritten. Other processes may work during this step.
 
 use std::{
@@ -45,7 +45,7 @@ pub struct Roots {
     pub blobs: Vec<Digest>,
 }
 
-/// What a collection keeps.
+/// The plan of a collection.
 #[derive(Debug, Clone, Default)]
 pub struct GcPlan {
     /// Kept in any case.
@@ -55,13 +55,13 @@ pub struct GcPlan {
     /// Runs are kept, from the newest on, as long as everything that is kept fits in this many bytes. `None`
     /// keeps all.
     pub max_bytes: Option<u64>,
-    /// What was stored or used by an ended process within this time stays.
+    /// Objects stored, or used by an ended process, within this time stay.
     pub grace: Duration,
     /// Nothing is removed. The report lists what would be removed.
     pub dry_run: bool,
 }
 
-/// What a collection removed and kept.
+/// Numbers of objects that a collection removed and kept.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct GcReport {
     /// Runs of the plan that were kept, from the newest on.

@@ -12,7 +12,7 @@ use super::{error::StoreError, notices::Notices};
 /// Longest wait for a lock whose holders take seconds at most.
 pub(super) const PATIENCE: Duration = Duration::from_secs(600);
 
-/// What a lock protects.
+/// Purpose of a lock.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Lock {
     /// Shared by look-ups of objects to use, exclusive for the deletions of a collection.

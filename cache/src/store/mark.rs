@@ -1,4 +1,4 @@
-//! What is reachable: marks on the objects of a store, made by following what each object names.
+//! Reachability: marks on the objects of a store, made by following the names in each object.
 
 use std::collections::HashSet;
 
@@ -234,7 +234,7 @@ impl<'a> Marker<'a> {
         }
     }
 
-    /// Marks all that is reachable from a key and lists a record that is missing.
+    /// Marks everything reachable from a key, and lists a missing record.
     pub(super) fn key(&mut self, key: &Digest) -> Result<(), StoreError> {
         self.tasks.push(Task::Key {
             key: *key,
@@ -244,7 +244,7 @@ impl<'a> Marker<'a> {
         self.run()
     }
 
-    /// Marks all that is reachable from a key that a process has looked up: a record, a memo, or neither yet.
+    /// Marks everything reachable from a key that a process has looked up: a record, a memo, or neither yet.
     pub(super) fn used_key(&mut self, key: &Digest) -> Result<(), StoreError> {
         if self.visit(Kind::Memo, key)?.is_some()
             && let Some(memo) = commit::memo_of(self.objects, key)?

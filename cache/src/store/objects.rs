@@ -42,7 +42,7 @@ pub(super) struct Objects {
     lost: Mutex<HashSet<(Kind, Digest)>>,
 }
 
-/// What a look at a pack found.
+/// Result of checking a pack.
 pub(super) enum PackCheck {
     /// The file is gone: another process has rewritten it.
     Gone,

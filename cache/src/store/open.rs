@@ -1,4 +1,4 @@
-//! What is done before a store is used: its folders, its form, what dead processes left.
+//! Preparation of a store before use: its folders, its form, and the files of dead processes.
 
 use std::path::Path;
 

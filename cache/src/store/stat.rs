@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use super::{Store, StoreError, StoreStat, files::Place, pack::Kind};
 
-/// What the records of a stage hold.
+/// Totals of the records of a stage.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
 pub struct StageStat {
     /// Records of the stage.

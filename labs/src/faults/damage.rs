@@ -13,7 +13,7 @@ pub struct Damage<'a> {
     case: Case,
     files: Vec<PathBuf>,
     kinds: BTreeMap<&'static str, u32>,
-    /// What the round did, in words.
+    /// Damage of the round, in words.
     done: String,
 }
 

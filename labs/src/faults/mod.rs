@@ -55,7 +55,7 @@ struct Report {
     /// The first of them, in words.
     #[serde(skip_serializing_if = "Option::is_none")]
     first_bad: Option<String>,
-    /// What was done, in words.
+    /// Description of the fault, in words.
     detail: String,
     wall_s: f64,
 }

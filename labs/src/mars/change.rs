@@ -11,7 +11,7 @@ use crate::output::{Result, print_line};
 const STEP_M: f64 = 0.01;
 /// Half the side of the square around the change, metres.
 const REACH_M: f64 = 3.0;
-/// What is looked at, metres in the site.
+/// Middle of the compared square, metres in the site.
 const MIDDLE_M: [f64; 2] = [6.0, 2.5];
 /// Least change of height, metres: what rises by less is sand that leans on the stone.
 const LEAST_M: f64 = 0.03;

@@ -11,7 +11,7 @@ const BANDS: usize = 5;
 /// Parts of equal size that pixels are split into by depth and views by distance.
 const THIRDS: usize = 3;
 
-/// What is found on photos of one kind.
+/// Errors on photos of one kind.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Found {
     views: usize,

@@ -1,4 +1,4 @@
-//! What was submitted as arrays, and how far it is.
+//! The submitted arrays and their progress.
 
 use std::{
     path::{Path, PathBuf},

@@ -393,7 +393,7 @@ impl<'a> Arrays<'a> {
         ))
     }
 
-    /// Takes all that waits or runs out of the queue.
+    /// Removes all waiting and running jobs from the queue.
     fn cancel(&mut self) {
         if self.arrays.iter().any(|array| array.id.is_none()) {
             self.look();

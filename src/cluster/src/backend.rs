@@ -101,7 +101,7 @@ impl Cluster {
     /// Forgets the backend of the machines of jobs, so that the next run asks again: a job has met another one.
     pub(crate) fn forget_backend(&self) {
         let removed: io::Result<()> = self.asked.iter().try_for_each(fs::remove_file);
-        // What is not there is forgotten.
+        // Without a file there is nothing to forget.
         let _ = removed;
     }
 }

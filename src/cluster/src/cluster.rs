@@ -89,7 +89,7 @@ impl Cluster {
         })
     }
 
-    /// Brings all that an action reads into the shared store.
+    /// Sends everything that an action reads to the shared store.
     pub(crate) fn share(&self, order: &Order<'_>) -> Result<(), StageError> {
         let mut shared = self.shared.lock();
         let is_new = |key: &&Digest| !shared.keys.contains(key);
@@ -130,7 +130,7 @@ impl Cluster {
             for error in skipped {
                 match error {
                     RemoteError::Untrusted { .. } => return Err(error),
-                    // What is damaged or not whole there is made again.
+                    // Damaged or incomplete results are computed again.
                     error => order.progress.warn(&error.to_string()),
                 }
             }

@@ -1,4 +1,4 @@
-//! What the batch system has in its queue, asked by many and looked at once.
+//! The queue of the batch system, read once for many readers.
 
 use std::{
     collections::BTreeMap,

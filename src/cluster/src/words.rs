@@ -1,4 +1,4 @@
-//! What is said of jobs.
+//! Texts about jobs.
 
 /// Returns a number with its noun: `1 task`, `2 tasks`.
 pub(crate) fn counted(number: usize, noun: &str) -> String {

@@ -19,7 +19,8 @@ pub struct ByScene {
     pub split: String,
     /// The nodes that run for each scene.
     pub nodes: BTreeSet<String>,
-    /// The nodes that run once after these: those that take several nodes and read what all scenes give, and all that follow.
+    /// The nodes that run once after these: those that take several nodes and read the outputs of all scenes, and
+    /// everything that follows.
     pub after: BTreeSet<String>,
 }
 

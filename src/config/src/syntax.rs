@@ -243,7 +243,7 @@ impl SyntaxNode {
         self.entries()?.iter().find(|entry| entry.key == key)
     }
 
-    /// Returns the place a dotted path leads to, as far as it exists.
+    /// Returns the place of a dotted path, or of its longest existing part.
     pub fn place(&self, path: &str) -> Origin {
         let (first, rest) = path.split_once('.').unwrap_or((path, ""));
         match self.entry(first) {

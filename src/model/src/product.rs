@@ -1,4 +1,4 @@
-//! What a source read: its products, and where their files came from.
+//! Products that a source read, and where their files came from.
 
 use std::collections::BTreeMap;
 

@@ -24,7 +24,7 @@ pub struct Run<'s> {
 /// A node of a run and what the store has of its result.
 #[derive(Debug, Clone)]
 pub struct RunNode {
-    /// What the run root says of it: name, key, edges, inputs, outputs, times.
+    /// Its entry in the run root: name, key, edges, inputs, outputs, times.
     pub run: NodeRun,
     /// The earlier run of the result, if the run itself has no result ([`Run::completed`]).
     pub of_run: Option<u64>,

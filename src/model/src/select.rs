@@ -9,7 +9,7 @@ use serde_json::Value;
 
 use crate::error::RunError;
 
-/// What the runs that are meant are runs of.
+/// The subject of runs: a pipeline, a folder, or anything.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Subject {
     /// A pipeline: its file, and its name. `None` matches every name that the file has had.
@@ -191,7 +191,7 @@ pub fn newest_derived(
     Ok(runs.iter().rev().find(is_wanted).cloned())
 }
 
-/// Returns the source of the pipeline of a run: of a derived run that of the run that it was made from, if that is there.
+/// Returns the source of the pipeline of a run. For a derived run, that of the run it was made from, if that exists.
 fn pipeline_source<'r>(runs: &'r [RunRecord], run: &'r RunRecord) -> Option<&'r RunSource> {
     let mut run = run;
     // A run may be made from a run that was made from another one. A root is never that of a run that it leads to.

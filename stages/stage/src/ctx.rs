@@ -90,7 +90,7 @@ pub trait Blobs: Sync {
     fn put_file(&self, path: &Path, max_bytes: u64, keep: Keep) -> Result<(Digest, Arc<[u8]>), BlobError>;
     /// Returns whether a blob is in the store. Its bytes are not read.
     fn contains(&self, digest: &Digest) -> bool;
-    /// Makes all that was stored so far survive the end of the process and of the power.
+    /// Makes all stored blobs survive the end of the process and a loss of power.
     ///
     /// # Errors
     /// A store that cannot be written.

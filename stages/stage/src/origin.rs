@@ -28,7 +28,7 @@ pub struct Origin {
     pub reason: Option<String>,
 }
 
-/// What a file of an archive was taken for.
+/// Kind of a file of an archive.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum OriginKind {

@@ -15,7 +15,7 @@ const NO_SOL: u32 = 100_000;
 pub enum Sols {
     /// All that are there, also photos of an unknown sol.
     All,
-    /// The greatest sol that is there.
+    /// The greatest existing sol.
     Latest,
     /// Inclusive ranges.
     Ranges(Vec<(u32, u32)>),

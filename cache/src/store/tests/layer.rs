@@ -36,7 +36,7 @@ impl Change {
     }
 }
 
-/// What a crash takes away.
+/// Unsynced changes, which a crash discards.
 #[derive(Default)]
 struct Unsynced {
     changes: Vec<Change>,

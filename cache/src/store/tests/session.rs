@@ -51,7 +51,7 @@ impl Step {
         store.put_record(self.record());
         let memo = store.put(&self.memo_blob)?;
         store.put_memo(self.memo, memo, self.action.key());
-        // What a full disk refused stays pending, and is written by the next commit.
+        // Writes that a full disk refused stay pending, and the next commit writes them.
         store.commit().or_else(|_| store.commit())
     }
 }
@@ -84,7 +84,7 @@ pub(super) fn run(store: &Store, done: &mut Vec<u8>) -> Result<(), StoreError> {
     Ok(())
 }
 
-/// Checks that all that is there is right, and that the steps that were done are there.
+/// Checks that every existing object is correct, and that the finished steps are in the store.
 pub(super) fn check(store: &Store, done: &[u8], context: &str) {
     for number in 0..STEPS {
         let step = step(number);

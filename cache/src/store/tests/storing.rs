@@ -1,4 +1,4 @@
-//! What is put comes back, once, in order, and counted.
+//! Stored objects come back, once, in order, and counted.
 
 use proptest::prelude::*;
 

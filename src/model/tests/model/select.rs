@@ -191,7 +191,7 @@ fn a_run_with_a_failure_is_passed_over_and_told() {
     assert!(failed.number < some.number);
 }
 
-/// What a verb leaves in a store.
+/// The runs that a verb leaves in a store.
 #[derive(Debug, Clone)]
 enum Step {
     /// A run of a pipeline: the file, the name, the states.
