@@ -207,7 +207,8 @@ fn an_archive_that_cannot_be_is_a_usage_error() {
     assert!(server.requests().is_empty());
 }
 
-/// Plays the raw-image feed of Mars 2020 from the saved records of a folder; returns how many there are up to a sol.
+/// Plays the raw-image feed of Mars 2020 from the saved records of a folder. Returns the number of records up to a
+/// sol.
 fn play(server: &Server, folder: &Path, last: u64) -> usize {
     let mut records = Vec::new();
     for entry in std::fs::read_dir(folder).unwrap().map(Result::unwrap) {

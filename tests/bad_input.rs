@@ -60,8 +60,9 @@ fn what_the_training_of_a_bootstrap_decides_cannot_be_set_beside_it() {
     ] {
         let dir = with_pipeline(&format!("{HEAD}{nodes}{key} = {value}\n"));
         let ran = marf(dir.path(), &["plan"]).exits(2);
-        let message =
-            format!("pipeline.toml:14:1: node.bootstrap.{key}: `training` decides it too, and both cannot");
+        let message = format!(
+            "pipeline.toml:14:1: node.bootstrap.{key}: `training` sets it too, and only one of them may"
+        );
         assert!(ran.stderr.contains(&message), "{}", ran.stderr);
         let hint = format!("hint: remove `{key}`, or `training`");
         assert!(ran.stderr.contains(&hint), "{}", ran.stderr);
@@ -122,7 +123,7 @@ fn an_archive_on_a_server_names_its_missing_keys() {
     for (kind, missing) in [
         ("pds", "mission"),
         ("feed", "mission"),
-        ("tape", "there is no kind of archive `tape`"),
+        ("tape", "unknown kind of archive `tape`"),
     ] {
         let dir = with_pipeline(&format!(
             "[archive.a]\nkind = \"{kind}\"\n[node.extract]\narchive = \"a\"\n"
@@ -169,7 +170,7 @@ fn init_writes_once_and_every_template_is_a_valid_pipeline() {
         marf(dir.path(), &["init", "--mission", mission]).exits(0);
         marf(dir.path(), &["init", "--mission", mission]).exits(2);
         let plan = marf(dir.path(), &["plan", "--offline"]);
-        // Folders and archives are not there; the pipeline itself is well-formed.
+        // Folders and archives do not exist here, but the pipeline itself is well-formed.
         assert!(plan.code != 2, "{mission}: {}", plan.stderr);
     }
 }

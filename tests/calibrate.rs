@@ -1,4 +1,4 @@
-//! `marf calibrate DIR`: what it writes beside transforms.json, what it prints, and what its errors advise.
+//! `marf calibrate DIR`: its files next to transforms.json, its output, and the advice of its errors.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,

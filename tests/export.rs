@@ -1,4 +1,4 @@
-//! `marf export KIND --field FILE`: a field that is known by its content, whatever its file is called and wherever it lies.
+//! `marf export KIND --field FILE`: a field is recognised by its content, whatever the name and the folder of its file.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
@@ -34,7 +34,7 @@ steps = 3
 const LOOSE: &str = "--cell 0.05 --most-spread 5 --least-photos 1";
 const WEIGHTS: &str = "out/train/weights.safetensors";
 
-/// Returns a folder with a run, which all tests share; what one writes no other reads.
+/// Returns a folder with a run, which all tests share. No test reads the files of another.
 fn trained() -> &'static Path {
     static FOLDER: LazyLock<tempfile::TempDir> = LazyLock::new(|| common::ran("surface", SURFACE));
     FOLDER.path()
@@ -57,7 +57,7 @@ const TIFF: &[u8] = b"II*\0";
 #[test]
 fn every_kind_of_a_surface_takes_a_field_by_its_content() {
     let dir = trained();
-    // Its name and its place tell nothing.
+    // Neither its name nor its folder identifies it.
     let elsewhere = tempfile::tempdir().unwrap();
     let field = elsewhere.path().join("a copy");
     std::fs::copy(dir.join(WEIGHTS), &field).unwrap();

@@ -7,9 +7,10 @@ use std::path::PathBuf;
 use marf_field::Quality;
 use serde_json::Value;
 
-/// The scenes, how far seeds move the PSNR of a point there, dB (the interval that `marf trade --seeds 3` tells, for means of three; of the
-/// mock-up .21 and of lego .07, for single runs 1.7 times as much), and the settings of each level as they were measured there: steps, on
-/// photos of 480 pixels; with the trials where those decide anything.
+/// The scenes, each with the spread of the PSNR of a point over seeds, dB, and the settings of each level as measured.
+///
+/// The spread is the interval that `marf trade --seeds 3` reports for means of three (0.21 for the mock-up, 0.07 for lego), times 1.7
+/// for single runs. The settings are steps, on photos of 480 pixels, with the trials if those decide anything.
 const MEASURED: [(&str, f64, [&[&str]; 3]); 3] = [
     (
         "mock-up",
@@ -31,8 +32,8 @@ struct Point {
     seconds: f64,
 }
 
-/// The points of a scene; those with one knob turned at `draft` as three seeds have them, where these were measured for the same training:
-/// where the first run of both files is the same.
+/// The points of a scene. Those with one knob turned at `draft` are as three seeds have them, if these were measured for the same
+/// training: then the first run of both files is the same.
 fn points(scene: &str) -> Vec<Point> {
     let single = trade(scene);
     let effects = trade(&format!("{scene}-effects"));

@@ -222,7 +222,7 @@ impl Desk {
     }
 }
 
-/// Calls a verb, which ends with a code; returns what it printed to stdout.
+/// Calls a verb, which ends with a code. Returns its stdout.
 #[track_caller]
 fn call(folder: &Path, line: &str, code: i32) -> String {
     let args: Vec<&str> = line.split(' ').collect();

@@ -1,6 +1,6 @@
-//! What is exported, opened by public readers: pycolmap, plyfile, GDAL, the Khronos glTF validator, safetensors.
+//! Exports, opened by public readers: pycolmap, plyfile, GDAL, the Khronos glTF validator, safetensors.
 //!
-//! Python packages and the validator are installed into `target/readers*`; GDAL is that of the machine. A test whose reader is not there
+//! Python packages and the validator are installed into `target/readers*`. GDAL is that of the machine. A test whose reader is missing
 //! says so and is skipped.
 #![allow(
     clippy::unwrap_used,
@@ -48,7 +48,7 @@ fn exported() -> &'static Path {
     FOLDER.path()
 }
 
-/// Returns what a reader in Python says of a file.
+/// Returns the answer of a reader in Python about a file.
 fn read(kind: &str, file: &str) -> Option<Value> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/readers");
     let requirements = folder.join("requirements.txt");
@@ -119,7 +119,7 @@ fn plyfile_reads_splats_in_the_layout_of_the_reference_code() {
         darkest >= -1.7725 && brightest <= 1.7725 && darkest < brightest,
         "{told}"
     );
-    // The field took more than 0.9 of the light there: ln 9 = 2.197; at most 0.99.
+    // The field took more than 0.9 of the light there: ln 9 = 2.197. It took at most 0.99: ln 99 = 4.595.
     let [thinnest, densest] = range("opacity");
     assert!(thinnest > 2.19 && densest < 4.6, "{told}");
     assert!(number(&told["rotation_off"]) < 1e-5, "{told}");
@@ -159,7 +159,7 @@ fn gdal_reads_the_maps_with_their_transform() {
         assert_eq!(told["driverShortName"], "GTiff");
         assert_eq!(told["size"], json!([map["columns"], map["rows"]]), "{file}");
         assert_eq!(told["bands"][0]["type"], kind, "{file}");
-        // Of the corner of the first pixel; the report has its centre.
+        // Of the corner of the first pixel. The report has its centre.
         let half = pixel_m / 2.0;
         let wanted = [
             number(&map["first_m"][0]) - half,

@@ -162,7 +162,7 @@ fn what_is_not_there_is_told_with_the_way_out() {
     assert!(ran.stderr.contains("there is no"), "{}", ran.stderr);
     let ran = marf(&there, &["cache", "pull", "--remote", "http://user:secret@mars"]).exits(2);
     assert!(
-        ran.stderr.contains("is no address of a shared store"),
+        ran.stderr.contains("is not an address of a shared store"),
         "{}",
         ran.stderr
     );
@@ -252,7 +252,8 @@ fn a_shared_store_that_is_away_is_told_once_and_stops_no_run() {
     );
 }
 
-/// Results without a signature of a named writer are made again; with one they are fetched. The key is named in the environment alone.
+/// Results without a signature of a named writer are made again. Signed results are fetched. The key is named in the environment
+/// alone.
 #[test]
 fn results_of_named_writers_alone_are_believed() {
     const PRIVATE: &str = "-----BEGIN PRIVATE KEY-----\nMC4CAQAwBQYDK2VwBCIEIJ1hsZ3v/VpguoRK9JLsLMREScVpezJpGXA7rAMcrn9g\n\

@@ -165,7 +165,7 @@ fn the_poses_of_one_render_are_the_bookmarks_of_the_next() {
         Vec::<&str>::new(),
         "the field of the file is that of the node"
     );
-    // The last run has rendered colours alone; an earlier one has the bootstrap of this field.
+    // The last run has rendered colours alone. An earlier one has the bootstrap of this field.
     let more = ["--output", "uncertainty", "--width", "16"];
     render(dir, &[&of_file[..], &more].concat()).exits(0);
     assert!(dir.join("c/uncertainty/0003.png").exists() && !dir.join("c/rgb/0003.png").exists());

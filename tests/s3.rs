@@ -1,6 +1,6 @@
 //! A shared store in a bucket: an S3 server on a loopback port, and servers that misbehave.
 //!
-//! The server is moto, installed with pip into `target/moto`; without Python or a package index its test says so and is
+//! The server is moto, installed with pip into `target/moto`. Without Python or a package index its test says so and is
 //! skipped.
 #![allow(
     clippy::unwrap_used,
@@ -78,7 +78,7 @@ impl Drop for Server {
     }
 }
 
-/// Installs moto and returns its program; none, with a line that says why, if it cannot be installed.
+/// Installs moto and returns its program. If it cannot be installed, prints the reason and returns `None`.
 fn moto() -> Option<PathBuf> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("target/moto");
     let stamp = folder.join("installed.txt");
@@ -134,7 +134,8 @@ fn make_bucket(server: SocketAddr) -> bool {
         && answer.starts_with("HTTP/1.1 200")
 }
 
-/// Answers every request on a port of its own as told; a server without an answer reads and says nothing.
+/// Answers every request on a port of its own with `answer`. A server without an answer reads and says
+/// nothing.
 fn misbehaving(answer: Option<&'static str>) -> SocketAddr {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = listener.local_addr().unwrap();
@@ -171,7 +172,7 @@ fn a_run_travels_through_a_bucket() {
     assert_eq!(ran.nodes("finished"), Vec::<String>::new());
     at(&there, &["cache", "fsck", "--remote", "--read-data"]).exits(0);
 
-    // Beside a run: what one machine has made, another fetches.
+    // During a run: a result of one machine is fetched by another.
     let fresh = machine();
     let set = ["run", "--json", "--set", "blur.min_share=0.1"];
     let made = at(&here, &set).exits(0);

@@ -201,7 +201,7 @@ fn bad_words_for_cache_verbs_are_refused_with_what_to_write() {
     assert!(refused.stderr.contains("unknown pin `x`"), "{}", refused.stderr);
 }
 
-/// Reads the folder of `common::photos`; the photos are too small for the other nodes.
+/// Reads the folder of `common::photos`. Its photos are too small for the other nodes.
 fn folder_pipeline(dir: &Path, keep: &str) {
     let text = format!(
         "name = \"kept\"\n[archive.photos]\nkind = \"folder\"\npath = \"photos\"\nkeep = \"{keep}\"\n\
@@ -226,7 +226,7 @@ fn photos_may_stay_outside_the_store_with_equal_results_and_an_edited_one_is_rea
     run(referenced.path());
     assert_eq!(set(copied.path()), set(referenced.path()));
     assert_eq!(stat(copied.path())["references"], 0);
-    // Four photos, and the cameras beside them.
+    // Four photos, and their cameras.
     assert_eq!(stat(referenced.path())["references"], 5);
     marf(referenced.path(), &["cache", "fsck", "--read-data"]).exits(0);
     // An edit is a fault of the store, until the run that reads the folder takes it for what it is: another photo.
@@ -245,7 +245,7 @@ fn photos_may_stay_outside_the_store_with_equal_results_and_an_edited_one_is_rea
     run(copied.path());
     run(referenced.path());
     assert_eq!(set(copied.path()), set(referenced.path()));
-    // A photo that is gone is no photo, and no error.
+    // A deleted photo is not in the set, and not an error.
     for dir in [copied.path(), referenced.path()] {
         std::fs::remove_file(folder(dir).join("2.png")).unwrap();
         run(dir);

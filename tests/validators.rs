@@ -1,6 +1,6 @@
 //! Crates and statements before the public validators (roc-validator, bagit, in-toto), and altered ones before ours too.
 //!
-//! The validators are installed with pip into `target/validators`; without Python or a package index the test says so and is
+//! The validators are installed with pip into `target/validators`. Without Python or a package index the test says so and is
 //! skipped.
 #![allow(
     clippy::unwrap_used,
@@ -24,7 +24,7 @@ const PRIVATE_PEM: &str = "-----BEGIN PRIVATE KEY-----\n\
 const PUBLIC_PEM: &str = "-----BEGIN PUBLIC KEY-----\n\
     MCowBQYDK2VwAyEA11qYAYKxCrfVS/7TyWQHOg7hcvPapiMlrwIaaPcHURo=\n\
     -----END PUBLIC KEY-----\n";
-/// It holds the JSON-LD context of RO-Crate 1.1; its dependencies are not needed for that.
+/// It holds the JSON-LD context of RO-Crate 1.1. Its dependencies are not needed for that.
 const CONTEXT_PACKAGE: &str = "rocrate==0.13.0";
 
 /// Returns a Python that has the validators.
@@ -96,7 +96,7 @@ fn crates(folder: &Path) -> PathBuf {
     all
 }
 
-/// Tells whether a validator passed a case.
+/// Returns whether a validator passed a case.
 fn passed(answers: &[Value], validator: &str, case: &str) -> bool {
     let answer = answers
         .iter()

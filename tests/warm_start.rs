@@ -164,16 +164,16 @@ fn a_cold_start_is_warned_of_and_what_cannot_be_is_refused_before_anything_runs(
     refused(resample, ["train.warm_start", "`resample` is given too"]);
     let of = "training = \"other\"\n[node.other]\nuses = \"train\"\ninput = \"calibrate\"\n";
     let of = PIPELINE.replace("steps = 24\nscale = 4\n", "") + of;
-    refused(of, ["train.warm_start", "`training` decides it too"]);
+    refused(of, ["train.warm_start", "`training` sets it too"]);
     let from = "from = \"half\"\n[node.half]\nuses = \"partial\"\ninput = \"calibrate\"\nuntil = 16\n";
     let from = format!("{PIPELINE}{from}");
-    refused(from, ["train.warm_start", "`from` decides it too"]);
+    refused(from, ["train.warm_start", "`from` sets it too"]);
     std::fs::write(dir.path().join("pipeline.toml"), PIPELINE).unwrap();
     let told = marf(dir.path(), &["trade"]).exits(2).stderr;
     assert!(told.contains("--set train.warm_start=false"), "{told}");
 }
 
-/// The first training is a cold one, whose seeds a bootstrap repeats; the next is not, and the bootstrap alone fails.
+/// The first training is a cold one, whose seeds a bootstrap repeats. The next is not, and the bootstrap alone fails.
 #[test]
 fn a_bootstrap_of_it_fails_with_the_way_out() {
     let bootstrap = "[node.bootstrap]\ninput = \"calibrate\"\ntraining = \"train\"\nb = 2\nmap_frames = 1\n";

@@ -7,10 +7,10 @@ use serde_json::Value;
 
 use crate::{Digest, canonical_json};
 
-/// Version of the form of actions; the first field of each.
+/// Version of the form of actions. It is the first field of each.
 pub const ACTION_FORMAT: u32 = 2;
 
-/// Name of the input of a part that stands for something outside the store: what an archive holds of a shard.
+/// Name of the input of a part for something outside the store: the content of a shard in an archive.
 pub const FINGERPRINT: &str = "fingerprint";
 
 /// Name of the input of a source: the set of its shards, whose leaves are fingerprints.
@@ -30,17 +30,17 @@ pub struct Action {
     pub stage: String,
     /// Version of the stage.
     pub version: u32,
-    /// Which part of the stage's work it is (`fetch`, `decide`, `fold`); absent if it is all of it.
+    /// The part of the stage's work (`fetch`, `decide`, `fold`). Absent if it is all of it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub part: Option<String>,
-    /// The shard that the part is about; absent if it is about none.
+    /// The shard that the part is about. Absent if it is about no shard.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub shard: Option<u32>,
     /// Parameters of the stage, all of them, defaults included.
     pub params: Value,
     /// Digests of the contents it reads, by name.
     pub inputs: BTreeMap<String, Digest>,
-    /// The backend that computes it where results differ from backend to backend (a GPU); absent on the CPU.
+    /// The backend that computes it, if results differ from backend to backend (a GPU). Absent on the CPU.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub backend: Option<String>,
     /// The stages that its children are of.
@@ -54,24 +54,24 @@ pub struct Action {
 pub struct ChildVersion {
     /// Version of their stage.
     pub version: u32,
-    /// Their backend; absent on the CPU.
+    /// Their backend. Absent on the CPU.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub backend: Option<String>,
 }
 
-/// Bytes that are no action.
+/// Bytes that are not an action.
 #[derive(Debug, thiserror::Error)]
 pub enum ActionError {
     /// The bytes are not the JSON of an action.
     #[error("not an action: {0}")]
     Malformed(#[from] serde_json::Error),
     /// The action is of another form.
-    #[error("an action of form {found}; this program reads form {ACTION_FORMAT}")]
+    #[error("the action has format {found}, but this program reads format {ACTION_FORMAT}")]
     Format {
         /// Its form.
         found: u32,
     },
-    /// The bytes are not in the one form of an action, so that their digest is no key.
+    /// The bytes are not in canonical form, so that their digest is not a key.
     #[error("an action that is not in canonical form")]
     NotCanonical,
 }
@@ -91,7 +91,7 @@ impl Action {
     /// Reads what [`Action::encode`] wrote.
     ///
     /// # Errors
-    /// Bytes that are no action, of another form, or not in canonical form.
+    /// Returns an error if the bytes are not an action, have another form, or are not canonical.
     pub fn decode(bytes: &[u8]) -> Result<Self, ActionError> {
         let value: Value = serde_json::from_slice(bytes)?;
         let format = value.get("action").and_then(Value::as_u64).unwrap_or(0);
@@ -129,7 +129,7 @@ mod tests {
         }
     }
 
-    /// These bytes are what strangers recompute keys from; they change only with the form.
+    /// Other programs recompute keys from these bytes. They change only with the form.
     #[test]
     fn the_bytes_of_an_action_are_sorted_json_without_white_space() {
         let photos = Digest::from_content(b"photos");

@@ -17,7 +17,7 @@ pub trait ContentHash {
 /// Hashes the content of values.
 pub struct ContentHasher(blake3::Hasher);
 
-/// A byte string; a `[u8]` is a list of integers.
+/// A byte string. A `[u8]` is a list of integers.
 pub struct Bytes<'a>(pub &'a [u8]);
 
 /// Returns the digest of a value's content.

@@ -23,10 +23,10 @@ impl Digest {
         Self(*blake3::hash(bytes).as_bytes())
     }
 
-    /// Returns the digest of all that a reader gives, and its length in bytes, without holding it.
+    /// Returns the digest of all bytes of a reader, and their length, without holding them.
     ///
     /// # Errors
-    /// What the reader cannot read.
+    /// Returns the error of the reader.
     pub fn from_reader(reader: impl io::Read) -> io::Result<(Self, u64)> {
         let mut hasher = blake3::Hasher::new();
         hasher.update_reader(reader)?;
@@ -82,7 +82,7 @@ impl<R: io::Read> Sha256Reader<R> {
         }
     }
 
-    /// Returns the digest of all that was read.
+    /// Returns the digest of all bytes read.
     pub fn finish(self) -> Sha256 {
         Sha256::from_ring(&self.context.finish())
     }

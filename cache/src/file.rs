@@ -7,7 +7,7 @@ use std::{
     path::{Component, Path, PathBuf},
 };
 
-/// What a file is read as: it decides how large it may be.
+/// The kind of a file, which decides how large it may be.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FileKind {
     /// A private or public key.
@@ -23,7 +23,7 @@ pub enum FileKind {
 /// What happens with a symbolic link.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Links {
-    /// It is an error: in what others hand over.
+    /// A link is an error: for files from others.
     Refused,
     /// A link to a regular file is that file: in the user's own folders.
     Followed,
@@ -48,7 +48,7 @@ impl FileKind {
 pub fn read(path: &Path, kind: FileKind, links: Links) -> io::Result<Vec<u8>> {
     let limit = kind.max_bytes();
     let mut file = open(path, links)?;
-    let too_large = |bytes: u64| refused(format!("it has {bytes} bytes; the limit is {limit}"));
+    let too_large = |bytes: u64| refused(format!("it has {bytes} bytes, above the limit of {limit}"));
     let length = file.metadata()?.len();
     if length > limit {
         return Err(too_large(length));
@@ -200,7 +200,7 @@ mod tests {
         }
         assert_eq!(
             fault(&path, Links::Refused),
-            "it has 1099511627776 bytes; the limit is 65536"
+            "it has 1099511627776 bytes, above the limit of 65536"
         );
     }
 

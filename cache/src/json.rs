@@ -8,7 +8,7 @@ const MAX_WHOLE: f64 = 9_007_199_254_740_992.0;
 /// Returns JSON without white space, keys sorted by their bytes, whole numbers without a decimal point, other numbers in
 /// their shortest form that reads back to the same f64.
 ///
-/// Equal values have equal bytes. JSON has no NaN and no infinity; `serde_json` makes them `null` before this sees them.
+/// Equal values have equal bytes. JSON has no NaN and no infinity: `serde_json` has already made them `null`.
 pub fn canonical_json(value: &Value) -> Vec<u8> {
     let mut bytes = Vec::new();
     write(value, &mut bytes);
@@ -48,7 +48,7 @@ fn comma(index: usize, bytes: &mut Vec<u8>) {
     }
 }
 
-/// Returns a whole f64 as an integer, so that `30.0` and `30` are one; -0 is 0.
+/// Returns a whole f64 as an integer, so that `30.0` and `30` are equal. -0 becomes 0.
 fn whole(number: &Number) -> Number {
     match number.as_f64() {
         Some(value) if number.is_f64() && value.fract() == 0.0 && value.abs() <= MAX_WHOLE => {

@@ -1,10 +1,10 @@
 //! Merkle manifests: a set of items as leaves of sorted rows, shard (sol) by shard.
 //!
-//! A set is a sorted list of (shard, digest of a leaf); a leaf is up to [`ROWS_A_LEAF`] rows sorted by id. The list is
+//! A set is a sorted list of (shard, digest of a leaf). A leaf is up to [`ROWS_A_LEAF`] rows sorted by id. The list is
 //! stored in blocks of [`SHARDS_A_BLOCK`] shards below one root, so that a new sol writes its leaf, one block and the root.
 //! Sets of equal roots are equal, and equal blocks and leaves need not be read.
 //!
-//! Verdicts by shard, the parts of a node by shard and the listing of a source have the same form; their "leaves" are
+//! Verdicts by shard, the parts of a node by shard and the listing of a source have the same form. Their "leaves" are
 //! blobs of verdicts, keys of parts, fingerprints.
 
 use std::{collections::BTreeMap, sync::Arc};
@@ -47,7 +47,7 @@ pub struct Root {
 /// A reference to a leaf.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LeafRef {
-    /// The sol; 0 where a set has none.
+    /// The sol, or 0 if a set has none.
     pub shard: u32,
     /// Digest of the encoded leaf.
     pub leaf: Digest,
@@ -71,7 +71,7 @@ pub struct BlockRef {
 /// A manifest that cannot be read.
 #[derive(Debug, thiserror::Error)]
 pub enum ManifestError {
-    /// The bytes are no manifest.
+    /// The bytes are not a manifest.
     #[error("not a manifest: {0}")]
     Malformed(#[from] serde_json::Error),
     /// Rows are not sorted or an id occurs twice.
@@ -83,7 +83,7 @@ pub enum ManifestError {
 }
 
 impl Leaf {
-    /// Sorts rows into a leaf; every id may occur once.
+    /// Sorts rows into a leaf. Every id may occur once.
     ///
     /// # Errors
     /// Names an id that occurs twice.
@@ -122,7 +122,7 @@ impl Leaf {
 }
 
 impl Root {
-    /// Stores the set through `put`, which stores bytes and returns their digest; returns the digest of its root.
+    /// Stores the set through `put`, which stores bytes and returns their digest. Returns the digest of its root.
     ///
     /// # Errors
     /// The first error of `put`.
@@ -142,10 +142,10 @@ impl Root {
         put(&encode_lines(&blocks))
     }
 
-    /// Reads what [`Root::write`] stored; `get` returns the bytes of a digest.
+    /// Reads a set that [`Root::write`] stored. `get` returns the bytes of a digest.
     ///
     /// # Errors
-    /// The first error of `get`, or bytes that are no manifest.
+    /// Returns the first error of `get`, or an error if the bytes are not a manifest.
     pub fn read<E: From<ManifestError>>(
         root: &Digest,
         mut get: impl FnMut(&Digest) -> Result<Arc<[u8]>, E>,
@@ -162,10 +162,10 @@ impl Root {
         encode_lines(leaves)
     }
 
-    /// Reads what [`Root::encode_leaves`] wrote.
+    /// Reads references that [`Root::encode_leaves`] wrote.
     ///
     /// # Errors
-    /// Bytes that are no references.
+    /// Returns an error if the bytes are not references.
     pub fn decode_leaves(bytes: &[u8]) -> Result<Vec<LeafRef>, ManifestError> {
         decode_lines(bytes)
     }
@@ -173,7 +173,7 @@ impl Root {
     /// Returns the blocks that the bytes of a root name, sorted by number.
     ///
     /// # Errors
-    /// Bytes that are no root.
+    /// Returns an error if the bytes are not a root.
     pub fn blocks(root: &[u8]) -> Result<Vec<BlockRef>, ManifestError> {
         decode_lines(root)
     }
@@ -181,7 +181,7 @@ impl Root {
     /// Returns the number of rows from the bytes of a root alone.
     ///
     /// # Errors
-    /// Bytes that are no root.
+    /// Returns an error if the bytes are not a root.
     pub fn count(root: &[u8]) -> Result<u64, ManifestError> {
         Ok(Self::blocks(root)?.iter().map(|block| block.rows).sum())
     }
@@ -286,7 +286,7 @@ mod tests {
         assert_eq!(blobs.0.len() - before, 2);
     }
 
-    /// The extreme shards, and two leaves of one shard, which lie in one block.
+    /// The extreme shards, and two leaves of one shard, which are in one block.
     #[test]
     fn shards_at_the_ends_of_their_range_survive() {
         let mut blobs = Blobs::default();

@@ -21,7 +21,7 @@ const NEW_SOLS: u32 = 10;
 const WIDTH_PX: u32 = 160;
 /// Width of a photo that is too small.
 const SMALL_PX: u32 = 64;
-/// Of ten thousand photos so many are too small, empty, or copies.
+/// Photos of ten thousand that are too small, empty, or copies.
 const FLAWED: u64 = 1_000;
 
 /// Arguments of `engine`.
@@ -41,15 +41,16 @@ pub struct EngineArgs {
     dir: PathBuf,
 }
 
-/// Makes photos, runs the pipeline on them cold, without a change and with new sols; prints one JSON line a phase.
+/// Makes photos and runs the pipeline on them: cold, without a change and with new sols. Prints one JSON line a
+/// phase.
 ///
 /// # Errors
-/// A folder that cannot be written, a run that fails, the wish to stop.
+/// Returns an error if a folder cannot be written, a run fails, or the user wants to stop.
 pub fn engine(args: &EngineArgs, cancel: &Cancel) -> Result {
     let a_sol = args.photos / u64::from(args.sols);
     if a_sol == 0 {
         let (photos, sols) = (args.photos, args.sols);
-        let message = format!("{photos} photos cannot fill {sols} sols; give each sol one at least");
+        let message = format!("{photos} photos cannot fill {sols} sols: give each sol one at least");
         return Err(Error::usage(message).into());
     }
     let marf = marf()?;

@@ -1,5 +1,5 @@
-//! `items`: a source that makes rows without photos, through the shipped engine, store and filters of facts: what a run costs
-//! that has a million items and nothing, or one sol, to do.
+//! `items`: a source that makes rows without photos, through the shipped engine, store and filters of facts. It measures the
+//! cost of a run with a million items that has no work, or one sol of work.
 
 use std::path::{Path, PathBuf};
 
@@ -35,7 +35,7 @@ pub struct ItemsArgs {
     /// Folder of the store
     #[arg(long, value_name = "DIR", default_value = "bench-items")]
     dir: PathBuf,
-    /// Run once in this program with so many sols more, and print the nodes
+    /// Run once in this program with this many sols more, and print the nodes
     #[arg(long, hide = true)]
     more: Option<u32>,
 }
@@ -123,10 +123,10 @@ impl Source for SyntheticItems {
     }
 }
 
-/// Runs each phase as a program of its own; prints one JSON line each.
+/// Runs each phase as a program of its own. Prints one JSON line each.
 ///
 /// # Errors
-/// A folder that cannot be written, a run that fails, the wish to stop.
+/// Returns an error if a folder cannot be written, a run fails, or the user wants to stop.
 pub fn items(args: &ItemsArgs, cancel: &Cancel) -> Result {
     if let Some(more) = args.more {
         return run_once(args, args.sols.saturating_add(more), cancel);
@@ -185,7 +185,7 @@ fn graph(sols: u32, a_sol: u64) -> Result<Graph> {
         ("shape", json!({}), Some("size")),
     ] {
         let stage = table.iter().find(|def| def.name == name).copied();
-        let stage = stage.ok_or_else(|| format!("there is no stage `{name}`"))?;
+        let stage = stage.ok_or_else(|| format!("unknown stage `{name}`"))?;
         decls.push(NodeDecl {
             name: name.to_owned(),
             stage,

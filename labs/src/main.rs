@@ -35,17 +35,18 @@ struct Labs {
 /// Programs of the laboratory.
 #[derive(Debug, Subcommand)]
 enum Program {
-    /// Train on a folder's photos for so many seconds and score the test views: one JSON line a budget
+    /// Train on a folder's photos for a number of seconds and score the test views: one JSON line a budget
     Train(training::TrainArgs),
     /// Print Table 1 of the MaRF paper for a folder's photos, next to the paper's
     Table1(table1::Table1Args),
-    /// Make a synthetic archive and run folder, filters and store on it: cold, without a change, with new sols; one JSON
-    /// line a phase
+    /// Make a synthetic archive and run folder, filters and store on it: cold, without a change, with new sols. Prints
+    /// one JSON line a phase
     Engine(engine::EngineArgs),
-    /// Run engine, store and two filters on rows without photos: what a million items cost when nothing changes; one JSON
-    /// line a phase
+    /// Run engine, store and two filters on rows without photos: the cost of a million items when nothing changes. Prints
+    /// one JSON line a phase
     Items(items::ItemsArgs),
-    /// Kill, stop, damage and starve runs of a small pipeline, and compare every digest; one JSON line a fault
+    /// Kill, stop, damage and starve runs of a small pipeline, and compare every digest. Prints one JSON line
+    /// a fault
     #[cfg(unix)]
     Faults(faults::FaultsArgs),
     #[command(flatten)]

@@ -27,7 +27,7 @@ pub struct TrainingOptions {
 }
 
 impl TrainingOptions {
-    /// Returns what these options say to a request.
+    /// Returns the context of a request with these options.
     pub fn context(&self, cancel: &Cancel) -> Context {
         let words: Vec<String> = std::env::args().skip(1).collect();
         Context {

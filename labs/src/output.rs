@@ -7,13 +7,13 @@ use marf_engine::Cancel;
 use marf_run::{Diagnostic, Error};
 use serde::Serialize;
 
-/// Why a program ended early; an error of marf keeps its exit code.
+/// Why a program ended early. An error of marf keeps its exit code.
 pub type AnyError = Box<dyn std::error::Error + Send + Sync>;
 
 /// The end of a program or of a part of it.
 pub type Result<T = ()> = std::result::Result<T, AnyError>;
 
-/// Prints a line to stdout; a reader that has gone away is not an error.
+/// Prints a line to stdout. A reader that has gone away is not an error.
 pub fn print_line(text: &str) {
     let _ = writeln!(std::io::stdout().lock(), "{text}");
 }
@@ -61,7 +61,7 @@ pub fn go_on(cancel: &Cancel) -> std::result::Result<(), Error> {
     Ok(())
 }
 
-/// Returns a number with so many digits after the point; `-` where there is none.
+/// Returns a number with `places` digits after the point, or `-` for `None`.
 pub fn decimal(value: Option<f64>, places: usize) -> String {
     value.map_or_else(|| "-".to_owned(), |value| format!("{value:.places$}"))
 }

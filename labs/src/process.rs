@@ -16,7 +16,7 @@ const TICKS_PER_S: f64 = 100.0;
 /// Time between two looks at the memory of a program.
 const BETWEEN_LOOKS: Duration = Duration::from_millis(1);
 
-/// What a program cost.
+/// Cost of a program.
 #[derive(Debug, Clone, Copy, Default, Serialize)]
 pub struct Cost {
     /// Wall time.
@@ -36,16 +36,16 @@ pub fn marf() -> Result<PathBuf> {
     if program.is_file() {
         return Ok(program);
     }
-    let missing = Diagnostic::new(format!("there is no program {}", program.display()));
+    let missing = Diagnostic::new(format!("cannot find the program {}", program.display()));
     let hint =
         "build it with the same profile: `cargo build --release` for `cargo run --release -p marf-labs`";
     Err(Error::Failed(missing.hint(hint)).into())
 }
 
-/// Runs a program in a folder and returns what it cost, and the lines of JSON it printed.
+/// Runs a program in a folder and returns its cost, and the lines of JSON it printed.
 ///
 /// # Errors
-/// A program that cannot be started, or that fails; what it printed is the cause.
+/// Returns an error if the program cannot be started, or if it fails. Its output is the cause.
 pub fn run(program: &Path, dir: &Path, arguments: &[&str]) -> Result<(Cost, Vec<Value>)> {
     let (began, cpu_before_s) = (Instant::now(), children_cpu_s());
     let child = Command::new(program)
@@ -77,12 +77,12 @@ pub fn run(program: &Path, dir: &Path, arguments: &[&str]) -> Result<(Cost, Vec<
     Ok((cost, lines.collect()))
 }
 
-/// Returns the processor time of this program so far; 0 where the system does not say.
+/// Returns the processor time of this program so far, or 0 if the system does not report it.
 pub fn cpu_s() -> f64 {
     cpu_s_from(11)
 }
 
-/// Returns the processor time of all children that have ended; 0 where the system does not say.
+/// Returns the processor time of all children that have ended, or 0 if the system does not report it.
 fn children_cpu_s() -> f64 {
     cpu_s_from(13)
 }
@@ -96,7 +96,7 @@ fn cpu_s_from(field: usize) -> f64 {
     ticks.filter_map(|ticks| ticks.parse::<f64>().ok()).sum::<f64>() / TICKS_PER_S
 }
 
-/// Returns the largest memory of this program so far, in MB; 0 where the system does not say.
+/// Returns the largest memory of this program so far, in MB, or 0 if the system does not report it.
 pub fn peak_mb() -> u64 {
     peak_kb("self").unwrap_or(0) * 1024 / 1_000_000
 }
@@ -111,7 +111,8 @@ fn peak_kb_until_end(pid: u32) -> u64 {
     last_kb
 }
 
-/// Returns the largest memory of a running program so far, in units of 1,024 bytes; nothing once it ended.
+/// Returns the largest memory of a running program so far, in units of 1,024 bytes, or `None` once it has
+/// ended.
 fn peak_kb(pid: &str) -> Option<u64> {
     let status = std::fs::read_to_string(format!("/proc/{pid}/status")).ok()?;
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
@@ -133,7 +134,7 @@ pub fn absent(dir: &Path) -> Result<PathBuf> {
     let dir = std::path::absolute(dir)?;
     if dir.exists() {
         let message = format!(
-            "{} exists; remove it or name another folder with --dir",
+            "{} exists. Remove it or name another folder with --dir",
             dir.display()
         );
         return Err(Error::usage(message).into());

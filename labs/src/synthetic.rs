@@ -26,7 +26,7 @@ pub enum Shade {
 /// Returns a picture of squares in random colours as JPEG: 12 KB at 160 x 120 pixels.
 ///
 /// # Errors
-/// What the encoder refuses.
+/// Returns the error of the encoder.
 pub fn picture(seed: u64, width: u32, height: u32, shade: Shade) -> Result<Vec<u8>> {
     let image: Image<Srgb> = Image::from_fn(width, height, |x, y| {
         let square = u64::from(y * SQUARES[1] / height * SQUARES[0] + x * SQUARES[0] / width);

@@ -15,8 +15,8 @@ use serde::Serialize;
 use crate::options::TrainingOptions;
 use crate::output::{Result, decimal, print_json, print_line};
 
-/// The paper's rows: seconds, then dB for Curiosity, Perseverance and Ingenuity. Its photos and their number are not given, nor the
-/// machine; the views are those trained on, the peak is each photo's largest value.
+/// The paper's rows: seconds, then dB for Curiosity, Perseverance and Ingenuity. The paper gives neither its photos nor their
+/// number nor the machine. The views are those trained on, the peak is each photo's largest value.
 const PAPER: [(u32, [f64; 3]); 5] = [
     (10, [23.02, 18.09, 22.07]),
     (60, [26.22, 18.08, 23.00]),
@@ -65,7 +65,7 @@ struct Row {
 /// Trains for each time and prints the table, a row as soon as it is there.
 ///
 /// # Errors
-/// A time that is none, and whatever keeps a training from its end.
+/// Returns an error for an invalid time, or if a training fails.
 pub fn table1(args: &Table1Args, cancel: &Cancel) -> Result {
     let times = args.budget.iter().map(|text| whole_seconds(text));
     let times = times.collect::<std::result::Result<Vec<u32>, _>>()?;

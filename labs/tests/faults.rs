@@ -1,4 +1,4 @@
-//! The programme of faults, few rounds of each; `marf-labs faults` does many.
+//! The programme of faults, few rounds of each. `marf-labs faults` does many.
 #![cfg(target_os = "linux")]
 #![allow(
     clippy::unwrap_used,

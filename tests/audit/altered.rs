@@ -100,7 +100,7 @@ fn one_bit_in_every_kind_of_file_is_found() {
         std::fs::remove_file(&path).unwrap();
         std::fs::write(&path, bytes).unwrap();
         let fsck = marf(altered.path(), &["cache", "fsck", "--read-data"]);
-        // The format is told and mended by whoever opens the store.
+        // Opening the store reports and repairs the format.
         let is_found = fsck.code == 1 || fsck.stderr.contains("the file `format` of the store was damaged");
         assert!(is_found, "{what}: fsck: {} {}", fsck.stdout, fsck.stderr);
         if what != "the format" {
@@ -111,7 +111,7 @@ fn one_bit_in_every_kind_of_file_is_found() {
     }
 }
 
-/// A photo from a server, with its label, pinned in marf.lock; the server is gone.
+/// A photo from a server, with its label, pinned in marf.lock. The server is gone.
 fn fetched() -> tempfile::TempDir {
     let server = Server::start().unwrap();
     let mut photo = std::io::Cursor::new(Vec::new());
@@ -135,7 +135,7 @@ fn one_bit_in_a_line_of_the_lock_is_found_and_the_field_named() {
     let audit = || marf(dir.path(), &["audit", "out/report.html", "--verify"]);
     audit().exits(0);
     let line = whole.find("{ name = ").unwrap();
-    // The last digit or letter of a value; a bit that leaves it one of its kind.
+    // The last digit or letter of a value. The changed bit keeps it a digit or a letter.
     for (field, bit, words) in [
         ("name", 2, "marf.lock has no product of this name"),
         ("bytes", 1, "marf.lock has bytes "),
@@ -165,7 +165,7 @@ fn one_bit_in_a_line_of_the_lock_is_found_and_the_field_named() {
 /// Places of the index at which a bit is flipped.
 const PLACES: usize = 12;
 
-/// The index is made from the packs: fsck finds a flipped bit and makes the index anew, or nothing depends on the bit.
+/// The index is made from the packs: fsck finds a flipped bit and rebuilds the index, or the bit changes nothing.
 #[test]
 fn one_bit_in_the_index_is_found_and_repaired_or_changes_nothing() {
     let dir = ran();
@@ -179,7 +179,7 @@ fn one_bit_in_the_index_is_found_and_repaired_or_changes_nothing() {
         std::fs::remove_file(&path).unwrap();
         std::fs::write(&path, bytes).unwrap();
         let fsck = marf(dir.path(), &["cache", "fsck", "--repair"]).exits(0).stderr;
-        let is_found = fsck.contains("repaired: ") || fsck.contains("it is made anew from the packs");
+        let is_found = fsck.contains("repaired: ") || fsck.contains("is rebuilt from the packs");
         found += usize::from(is_found);
         let told = marf(dir.path(), &["audit", "out/train/metrics.json", "--verify"]);
         assert_eq!(

@@ -52,7 +52,7 @@ fn a_parameter_is_told_with_what_followed_by_the_verb_and_in_the_report() {
     assert_eq!(lines.len(), shown.matches("<li").count());
 }
 
-/// A run that does nothing differs from the same run as the one before it, also where its page is written anew.
+/// A run that does nothing differs from the same run as the one before it, even if its page is written again.
 #[test]
 fn a_run_that_does_nothing_tells_the_same_changes() {
     let dir = ran();
@@ -74,7 +74,7 @@ fn a_run_that_does_nothing_tells_the_same_changes() {
         "the page is another one: it tells when its run started"
     );
     assert_eq!(section(dir.path()), shown);
-    // Back to the first parameters: nothing runs, and what is told is against the run between.
+    // Back to the first parameters: nothing runs, and the reported changes are against the run between.
     marf(dir.path(), &["run"]).exits(0);
     assert!(
         section(dir.path()).contains("Differs from run 3 in 1 node."),

@@ -299,7 +299,8 @@ fn a_crate_tells_who_made_a_file_where_there_is_no_store() {
     ask("other.txt", 4);
 }
 
-/// metrics.json of `marf fit` is a document of the run of the last time; the seconds in it are those of when it was made.
+/// metrics.json of `marf fit` is a document of the run of the last time. Its seconds are those of the training that made
+/// it.
 #[test]
 fn the_metrics_of_fit_are_known_and_stay_where_nothing_is_trained() {
     let dir = common::photos();

@@ -41,7 +41,7 @@ fn a_replay_from_the_pinned_bytes_gives_the_same_digests_on_any_number_of_thread
     marf(dir.path(), &["replay", "99"]).exits(1);
 }
 
-/// A training by the clock has other steps each time; the schedule that it ran then repeats its bytes.
+/// A training by the clock has other steps each time. The schedule that it ran then repeats its bytes.
 #[test]
 fn a_training_with_a_budget_is_replayed_by_the_schedule_that_it_ran() {
     let dir = tempfile::tempdir().unwrap();
@@ -94,7 +94,7 @@ fn a_node_that_cannot_be_made_here_has_an_answer_of_its_own() {
     let needs = "it needs `calibrate`, which is not made here";
     let foreign = "it ran on GPU of nobody, which is not here";
     assert_eq!(words, ["made", "made", foreign, needs]);
-    // What leads to it can be made, and what is asked for decides.
+    // The nodes before it can be made, but the requested node decides.
     marf(dir.path(), &["replay", "blur"]).exits(0);
     let told = marf(dir.path(), &["replay", "train"]).exits(9).stdout;
     assert!(

@@ -23,8 +23,8 @@ input = "grayscale"
 input = "duplicate"
 "#;
 
-/// Every action of a run, nodes and parts of nodes, from an empty folder and the shared store alone, gives what the run gave; one that reads
-/// an archive is refused with a code of its own.
+/// Every action of a run, nodes and parts of nodes, from an empty folder and the shared store alone, gives the result of the run. One that
+/// reads an archive is refused with a code of its own.
 #[test]
 fn every_part_of_a_filter_is_computed_again_from_the_shared_store_alone() {
     let parts = computed_again(&Site::new(FILTERS));
@@ -34,7 +34,7 @@ fn every_part_of_a_filter_is_computed_again_from_the_shared_store_alone() {
     );
 }
 
-/// As above, of a training and its bootstrap; an action of another version is refused with that code, too.
+/// As above, for a training and its bootstrap. An action of another version is refused with that code, too.
 #[test]
 fn every_training_is_computed_again_from_the_shared_store_alone() {
     let site = Site::new(PIPELINE);

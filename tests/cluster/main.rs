@@ -45,8 +45,8 @@ device = "cpu"
 "#;
 
 /// Runs a script when asked to, and kills the first jobs of each name, as many as the file `kills` says. Tasks of an array run one after the
-/// other; those that the file `kill_tasks` names are killed, of the first array. With a file `lag` a job has the shared store as it is when it is
-/// submitted, and what it adds is seen so many seconds after its end, records first.
+/// other. Those of the first array that the file `kill_tasks` names are killed. With a file `lag` a job has the shared store as of its
+/// submission, and its additions become visible `lag` seconds after its end, records first.
 const SBATCH: &str = r#"#!/bin/bash
 cd "$(dirname "$0")" || exit 1
 script="${@: -1}"
@@ -184,8 +184,8 @@ fn outputs(folder: &Path) -> BTreeMap<String, Value> {
         .collect()
 }
 
-/// Trainings and members are jobs, the rest runs here; jobs that are killed are made again, with twice the memory where there was too little;
-/// and every output is that of a run on one machine.
+/// Trainings and members are jobs, the rest runs here. Killed jobs are made again, with twice the memory if there was too little. Every
+/// output is that of a run on one machine.
 #[test]
 fn a_run_on_a_batch_system_that_kills_jobs_gives_the_digests_of_a_local_run() {
     let site = Site::new(PIPELINE);
@@ -281,7 +281,7 @@ fn results_that_a_shared_folder_shows_late_are_waited_for() {
     assert!(refused.contains("the same place on all machines"), "{refused}");
 }
 
-/// A driver that is killed leaves its jobs; the next one takes them over, and no job is made twice.
+/// A driver that is killed leaves its jobs. The next one takes them over, and no job is made twice.
 #[test]
 fn a_run_that_is_killed_leaves_jobs_that_the_next_one_takes_over() {
     let slow = PIPELINE.replace("steps = 16", "steps = 400");
@@ -319,8 +319,8 @@ input = "extract"
 input = "duplicate"
 "#;
 
-/// A machine that has pulled a run has no measures. It has them made by tasks of an array, some of which are killed, and what comes out is that of
-/// a run that measures itself; nothing is measured twice.
+/// A machine that has pulled a run has no measures. It has them made by tasks of an array, some of which are killed. The result is that of a run
+/// that measures itself, and nothing is measured twice.
 #[test]
 fn measures_of_photos_are_tasks_of_an_array_and_give_the_digests_of_a_local_run() {
     let local = tempfile::tempdir().unwrap();
@@ -362,8 +362,8 @@ fn measures_of_photos_are_tasks_of_an_array_and_give_the_digests_of_a_local_run(
     assert_eq!(site.noted("arrays").len(), 3, "{}", again.stderr);
 }
 
-/// The driver has no GPU that it would take by itself, and the jobs have one: a small job tells its backend, which is in the key of the
-/// training, and the answer is kept. A job that meets another backend is refused, and the answer is forgotten.
+/// The driver has no GPU that it would take by itself, and the jobs have one: a small job reports its backend, which is in the key of
+/// the training, and the answer is kept. A job that meets another backend is refused, and the answer is forgotten.
 #[test]
 fn the_backend_of_a_training_is_that_of_the_machine_that_trains() {
     let site = Site::new(

@@ -6,7 +6,7 @@ use std::path::Path;
 use super::{PIPELINE, Site, calibrated, outputs};
 use crate::common::marf;
 
-/// Refuses directives that PBS has not; the first job is stopped for its memory.
+/// Refuses directives that PBS does not have. The first job is stopped for its memory.
 const QSUB: &str = r#"#!/bin/bash
 cd "$(dirname "$0")" || exit 1
 unknown=$(sed -n 's/^#PBS //p' "$1" | grep -vE '^(-N [^ ]+|-j oe|-o /[^ ]+|-l select=1:ncpus=[0-9]+:mem=[0-9]+mb|-l walltime=[0-9]+:00|-r y|-q [a-z]+)$')

@@ -60,9 +60,10 @@ pub fn marf(folder: &Path, args: &[&str]) -> Ran {
     Ran::new(env!("CARGO_BIN_EXE_marf"), folder, args)
 }
 
-/// Returns a folder in which a pipeline has run, as it was left: a copy of one run that all tests of a file share.
+/// Returns a folder in which a pipeline has run, unchanged since: a copy of one run that all tests of a file
+/// share.
 ///
-/// `name` tells the pipelines of all files apart.
+/// `name` distinguishes the pipelines of all files.
 pub fn ran(name: &str, pipeline: &str) -> tempfile::TempDir {
     static DONE: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
     let whole = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("ran-{name}"));
@@ -94,7 +95,7 @@ pub fn copy(from: &Path, to: &Path) {
     }
 }
 
-/// Real photos, where they are: `$MARF_SHARED_DATA`, or `../shared/data` beside the checkout.
+/// Real photos, if they exist: `$MARF_SHARED_DATA`, or `../shared/data` next to the checkout.
 pub fn shared(set: &str) -> Option<PathBuf> {
     let beside = || PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared/data"));
     let root = std::env::var_os("MARF_SHARED_DATA").map_or_else(beside, PathBuf::from);

@@ -1,6 +1,6 @@
-//! A folder of photos to train on; the laboratory's tests use it, too.
+//! A folder of photos to train on. The laboratory's tests use it, too.
 
-/// Four photos in a row; the last is a test photo.
+/// Four photos in a row. The last is a test photo.
 pub fn photos() -> tempfile::TempDir {
     let dir = tempfile::tempdir().unwrap();
     let folder = dir.path().join("photos/images");

@@ -1,11 +1,11 @@
-//! A program that a test has run to its end; the laboratory's tests use it, too.
+//! A program that a test has run to its end. The laboratory's tests use it, too.
 
 use std::path::Path;
 use std::process::{Command, Stdio};
 
 /// What a run of a program left.
 pub struct Ran {
-    /// Exit code; -1 if killed.
+    /// Exit code, or -1 if killed.
     pub code: i32,
     /// What it printed to stdout.
     pub stdout: String,

@@ -1,4 +1,4 @@
-//! Public programs that read what we write, where they can be installed; a test that lacks one says so and is skipped.
+//! Public programs that read our files, if they can be installed. A test that lacks one says so and is skipped.
 #![allow(
     dead_code,
     clippy::print_stdout,
@@ -9,8 +9,8 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::{Mutex, PoisonError};
 
-/// Returns the Python of an environment `target/NAME` after these installations (arguments of `pip install`); none, with a line that
-/// says why, if it cannot be made. `stamp` tells installations apart: where it has changed, all are made again.
+/// Returns the Python of an environment `target/NAME` after these installations (arguments of `pip install`). If it cannot be made,
+/// prints the reason and returns `None`. `stamp` identifies the installations: if it has changed, all are made again.
 pub fn python(name: &str, stamp: &str, installs: &[Vec<&str>]) -> Option<PathBuf> {
     let folder = target(name);
     let python = folder.join("bin/python");
@@ -27,7 +27,8 @@ pub fn python(name: &str, stamp: &str, installs: &[Vec<&str>]) -> Option<PathBuf
     once(name, stamp, make).then_some(python)
 }
 
-/// Returns the folder of modules of Node with a package; none, with a line that says why, if it cannot be made.
+/// Returns the folder of modules of Node with a package. If it cannot be made, prints the reason and returns
+/// `None`.
 pub fn node_modules(name: &str, package: &str) -> Option<PathBuf> {
     let folder = target(name);
     let make = || {
@@ -48,7 +49,7 @@ pub fn node_modules(name: &str, package: &str) -> Option<PathBuf> {
     once(name, package, make).then(|| folder.join("node_modules"))
 }
 
-/// Runs a program that must succeed and returns its JSON; none, with a line that says so, where there is no such program.
+/// Runs a program that must succeed and returns its JSON. If the program is missing, prints so and returns `None`.
 pub fn json_of(command: &mut Command) -> Option<serde_json::Value> {
     let program = command.get_program().to_string_lossy().into_owned();
     let Ok(output) = command.output() else {

@@ -123,7 +123,7 @@ fn bad_input_has_one_clear_answer() {
         (
             "export crate other --key pub.pem",
             2,
-            &["there is no `PRIVATE KEY` in it"],
+            &["it has no `PRIVATE KEY` section"],
         ),
         (
             "export crate crate",
@@ -150,7 +150,7 @@ fn bad_input_has_one_clear_answer() {
         (
             "verify crate --key key.pem",
             2,
-            &["there is no `PUBLIC KEY` in it", "-pubout"],
+            &["it has no `PUBLIC KEY` section", "-pubout"],
         ),
         ("verify crate --key pub.pem", 4, &["fault: it is not signed"]),
         ("verify pub.pem --key pub.pem", 2, &["not a signed envelope"]),

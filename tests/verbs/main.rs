@@ -76,7 +76,7 @@ fn transcript(folder: &Path, commands: &[&[&str]]) -> String {
     text
 }
 
-/// Compares a transcript with its snapshot; digests, times and dates are replaced by placeholders.
+/// Compares a transcript with its snapshot. Digests, times and dates are replaced by placeholders.
 macro_rules! assert_transcript {
     ($folder:expr, $commands:expr) => {{
         let text = crate::transcript($folder, $commands);
@@ -89,7 +89,7 @@ macro_rules! assert_transcript {
 }
 use assert_transcript;
 
-/// What varies between machines and runs, and what stands in its place.
+/// Patterns of texts that vary between machines and runs, and their placeholders.
 const PLACEHOLDERS: [(&str, &str); 8] = [
     (r"\b[0-9a-f]{64}\b", "[digest]"),
     (r"\b[0-9a-f]{12}\b", "[short digest]"),

@@ -1,4 +1,4 @@
-//! A mission split by place: a scene a place, a new sol that runs its scene alone, and what is asked of one scene.
+//! A mission split by place: a scene a place, a new sol that runs its scene alone, and requests for one scene.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -147,7 +147,7 @@ fn one_scene_is_run_by_its_name() {
         "{}",
         unknown.stderr
     );
-    // A node's own name stands for it in all scenes.
+    // A node's own name selects it in all scenes.
     marf(dir, &["run", "--to", "calibrate"]).exits(0);
     let run = nodes(dir);
     assert_eq!(run["calibrate@site1-20"].0, "finished", "{run:?}");

@@ -6,7 +6,8 @@ use serde_json::Value;
 
 use super::common::marf;
 
-/// The built-in Mars with cameras of labels and a training of two steps; one value of a knob is no scale of these photos.
+/// The built-in Mars with cameras of labels and a training of two steps. One value of a knob is not a scale of these
+/// photos.
 const PIPELINE: &str = r#"name = "small"
 [archive.demo]
 kind = "demo"
@@ -124,7 +125,7 @@ fn what_cannot_be_traded_is_refused_with_the_way_out() {
         (
             PIPELINE.replace("[10, 9999]", "10"),
             vec![],
-            "`trade.train.scale` is no key of a node with a list",
+            "`trade.train.scale` is not a key of a node with a list",
         ),
         (
             PIPELINE.replace("\"train.scale\" =", "scale ="),

@@ -20,7 +20,7 @@ fn why_after_a_run() {
     );
 }
 
-/// A folder is listed file by file, so what differs in it is told before anything is read.
+/// A folder is listed file by file, so its differences are reported before anything is read.
 #[test]
 fn why_files_of_a_changed_folder() {
     let dir = photos();

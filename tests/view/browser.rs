@@ -11,7 +11,7 @@ use super::{Viewer, hostile_run, small_run};
 const FINISHED: &str = "document.getElementById('view-stage')?.dataset.divisor === '1'";
 const PICTURE: &str = "document.getElementById('view-picture').toDataURL()";
 
-/// Opens the 3-D view of the small run, its finest picture shown; none without a browser.
+/// Opens the 3-D view of the small run, its finest picture shown. `None` without a browser.
 fn open(viewer: &Viewer) -> Option<Page> {
     let mut page = Page::open(&viewer.address)?;
     page.waits_for(FINISHED);
@@ -94,7 +94,7 @@ fn modes_photos_distances_and_keys_do_what_they_say() {
         assert_ne!(page.value(PICTURE), color, "{mode}");
         page.keeps(&format!("{mode}.png"));
     }
-    // From where no photo was taken there is none to differ from: the nearest photo's pose is taken, and left again with the mode.
+    // Without a photo at this pose there is no difference: the nearest photo's pose is taken, and left again with the mode.
     choose(&mut page, "view-mode", "difference");
     page.keeps("difference.png");
     assert_ne!(

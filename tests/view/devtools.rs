@@ -19,13 +19,13 @@ pub struct Page {
     answers: BufReader<File>,
     session: Option<String>,
     last_id: u64,
-    /// What the browser told beside answers.
+    /// Events of the browser between answers.
     events: VecDeque<Value>,
     _profile: tempfile::TempDir,
 }
 
 impl Page {
-    /// Opens an address; none where there is no Chromium.
+    /// Opens an address. `None` without Chromium.
     pub fn open(address: &str) -> Option<Self> {
         let is_there = Command::new("chromium")
             .arg("--version")
@@ -142,7 +142,7 @@ impl Page {
         }
     }
 
-    /// Presses a key; `text` is what it writes, empty for none.
+    /// Presses a key. `text` is the text it types, empty for a key without text.
     pub fn presses_key(&mut self, key: &str, code: &str, number: u32, text: &str) {
         self.key("keyDown", key, code, number, text);
         self.key("keyUp", key, code, number, "");

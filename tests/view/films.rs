@@ -8,8 +8,8 @@ use serde_json::json;
 
 use super::devtools::Page;
 
-/// Largest difference of a channel, levels: where Chromium converts in software, blue follows its colour difference by 2.0 in place
-/// of 2.112 (up to 5.1 levels here), and codecs round. Read as BT.601 the green is off by 13.
+/// Largest difference of a channel, levels. If Chromium converts in software, blue follows its colour difference by 2.0 instead of
+/// 2.112 (up to 5.1 levels here), and codecs round. Read as BT.601 the green is off by 13.
 const TOLERANCE: u64 = 7;
 
 /// Four colours, 64 x 64 pixels each.

@@ -17,7 +17,7 @@ const CONTROLS: &str = "(() => { const all = [...document.querySelectorAll('a[hr
 /// The number of what has the focus, and whether that shows.
 const FOCUSED: &str = "(() => { const one = document.activeElement, style = getComputedStyle(one); \
     return [one.dataset.stop ?? null, style.outlineStyle !== 'none' && parseFloat(style.outlineWidth) > 0]; })()";
-/// What of a control tells a reader of the test which one it is.
+/// The HTML that identifies a control to a reader of the test.
 const NAMED: &str = "((index) => document.querySelector(`[data-stop='${index}']`).outerHTML.slice(0, 160))";
 
 #[test]
@@ -70,7 +70,8 @@ fn distances_photos_and_bookmarks_need_no_mouse() {
     };
     page.waits_for("document.getElementById('view-stage').dataset.divisor === '1'");
     page.value("document.getElementById('view-overlay').focus()");
-    // The middle of the first view is the horizon: the ground is below. Where a field so short trained has no surface, none is marked.
+    // The middle of the first view is the horizon: the ground is below. If a field so short trained has no surface, no point is
+    // marked.
     let told = "document.getElementById('view-distance').textContent";
     for (key, code, begins) in [
         ("ArrowDown", 40, "Mark a second"),

@@ -5,7 +5,7 @@ use serde_json::json;
 use super::devtools::Page;
 use super::{hostile_run, small_run};
 
-/// Opens the report of a folder; none without a browser.
+/// Opens the report of a folder. `None` without a browser.
 fn open(folder: &std::path::Path) -> Option<Page> {
     Page::open(&format!("file://{}", folder.join("out/report.html").display()))
 }
@@ -35,7 +35,7 @@ fn the_report_needs_no_script_and_nothing_from_elsewhere() {
     );
 }
 
-/// Light and dark, and on paper: what is written can be told from what it is written on.
+/// Light and dark, and on paper: the text contrasts with its background.
 #[test]
 fn the_report_is_read_in_the_dark_and_on_paper() {
     let Some(mut page) = open(small_run()) else { return };

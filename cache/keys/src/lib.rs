@@ -1,4 +1,4 @@
-//! Ed25519 keys from PEM files: who signs results, runs and statements, and whose signatures are believed.
+//! Ed25519 keys from PEM files: the signing keys and the trusted public keys of results, runs and statements.
 
 use marf_cache::{Sha256, canonical_json};
 use ring::signature::{ED25519, Ed25519KeyPair, KeyPair as _, UnparsedPublicKey};
@@ -26,16 +26,16 @@ pub enum KeyError {
     #[error("the key is locked with a passphrase")]
     Passphrase,
     /// A key in the form of OpenSSH.
-    #[error("the key is in the form of OpenSSH; an Ed25519 key in PEM (PKCS#8) is needed")]
+    #[error("the key is in OpenSSH format, but an Ed25519 key in PEM (PKCS#8) is needed")]
     OpenSsh,
     /// No such section.
-    #[error("there is no `{wanted}` in it")]
+    #[error("it has no `{wanted}` section")]
     Absent {
         /// The label of the section.
         wanted: &'static str,
     },
     /// A key of another algorithm, or damaged.
-    #[error("the `{wanted}` in it is no Ed25519 key")]
+    #[error("its `{wanted}` is not an Ed25519 key")]
     NotEd25519 {
         /// The label of the section.
         wanted: &'static str,
@@ -47,7 +47,7 @@ impl KeyError {
     pub fn hint(&self) -> &'static str {
         match self {
             Self::Passphrase => {
-                "`openssl pkey -in KEY.pem -out PLAIN.pem` writes a copy without a passphrase; remove it afterwards"
+                "`openssl pkey -in KEY.pem -out PLAIN.pem` writes a copy without a passphrase. Remove it afterwards"
             }
             Self::OpenSsh => "`openssl genpkey -algorithm ed25519 -out KEY.pem` makes a key",
             Self::Absent { wanted } | Self::NotEd25519 { wanted } if *wanted == PUBLIC => {
@@ -68,7 +68,8 @@ impl SigningKey {
     /// writes it.
     ///
     /// # Errors
-    /// A text without such a key; a key with a passphrase is told apart.
+    /// Returns an error if the text has no such key, and [`KeyError::Passphrase`] if the key has a
+    /// passphrase.
     pub fn from_pem(text: &str) -> Result<Self, KeyError> {
         if ENCRYPTED.iter().any(|label| text.contains(label)) {
             return Err(KeyError::Passphrase);
@@ -106,7 +107,7 @@ impl PublicKey {
         key.map(Self).ok_or(KeyError::NotEd25519 { wanted: PUBLIC })
     }
 
-    /// Tells whether a signature is that of this message by this key.
+    /// Returns whether the signature is that of this message by this key.
     pub fn verifies(&self, message: &[u8], signature: &[u8]) -> bool {
         UnparsedPublicKey::new(&ED25519, &self.0)
             .verify(message, signature)

@@ -27,7 +27,7 @@ pub(crate) enum Address {
     Folder(PathBuf),
 }
 
-/// Variables of which one tells where credentials come from.
+/// Environment variables that configure a source of credentials. At least one must be set.
 const CREDENTIALS: [&str; 6] = [
     "AWS_ACCESS_KEY_ID",
     "AWS_WEB_IDENTITY_TOKEN_FILE",
@@ -37,7 +37,8 @@ const CREDENTIALS: [&str; 6] = [
     "AWS_SKIP_SIGNATURE",
 ];
 
-/// Checks that a text is an address of a shared store, `s3://BUCKET/PREFIX` or `file:///FOLDER`; opens nothing.
+/// Checks that a text is an address of a shared store, `s3://BUCKET/PREFIX` or `file:///FOLDER`, without
+/// opening it.
 ///
 /// # Errors
 /// [`RemoteError::BadUrl`].
@@ -49,7 +50,8 @@ impl Address {
     /// Reads `s3://BUCKET/PREFIX` or `file:///FOLDER`.
     ///
     /// # Errors
-    /// [`RemoteError::BadUrl`]; a part before `@` or behind `?` may be a credential, and is not repeated.
+    /// [`RemoteError::BadUrl`]. It does not repeat a part before `@` or behind `?`, which may be a
+    /// credential.
     pub(crate) fn parse(url: &str) -> Result<Self, RemoteError> {
         let refuse = |why: &str| {
             let (scheme, rest) = url.split_once("://").unwrap_or(("", url));
@@ -87,7 +89,7 @@ impl Address {
         })
     }
 
-    /// Opens what is behind the address; asks nothing of it. A folder is made.
+    /// Opens the object store at the address without a request to it. A folder is created.
     pub(crate) fn open(
         &self,
         place: &str,
@@ -124,7 +126,7 @@ fn open_bucket(
             place: place.to_owned(),
         });
     }
-    // reqwest takes the provider that the process has; another thread may have installed the same one.
+    // reqwest takes the provider that the process has. Another thread may have installed the same one.
     let _ = rustls::crypto::ring::default_provider().install_default();
     let timeout = |key| AmazonS3ConfigKey::Client(key);
     let (connect, read) = patience.timeouts();

@@ -33,7 +33,7 @@ use crate::{
 /// Requests and bytes since a shared store was opened.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize)]
 pub struct Traffic {
-    /// Requests; an attempt that is repeated counts once.
+    /// Requests. An attempt that is repeated counts once.
     pub requests: u64,
     /// Bytes sent.
     pub sent_bytes: u64,
@@ -54,15 +54,15 @@ pub(crate) struct StoredObject {
 pub(crate) struct Bucket {
     /// The address, for people.
     pub(crate) place: String,
-    /// Whose records and runs are believed.
+    /// Signing key, and writers of trusted records and runs.
     pub(crate) trust: Trust,
     root: Path,
     objects: Box<dyn ObjectStore>,
     /// The folder that it is, if it is one.
     folder: Option<PathBuf>,
-    /// Where indexes of its packs are kept beyond this process; they are not if absent.
+    /// Folder for indexes of its packs that outlives this process. `None` keeps them in memory only.
     pub(crate) kept_indexes: Option<KeptIndexes>,
-    /// What is known of its packs.
+    /// Known packs and their entries.
     pub(crate) catalogue: Mutex<Catalogue>,
     requests: AtomicU64,
     sent_bytes: AtomicU64,
@@ -113,7 +113,7 @@ impl Bucket {
         parts.chain(name.split('/').map(str::to_owned)).collect()
     }
 
-    /// Returns the bytes of an object; none if there is none.
+    /// Returns the bytes of an object, or `None` if it does not exist.
     pub(crate) async fn get(&self, name: &str) -> Result<Option<Bytes>, RemoteError> {
         self.count(0);
         let Some(size) = self.readable_bytes(name).await? else {
@@ -126,7 +126,8 @@ impl Bucket {
         Ok(bytes)
     }
 
-    /// Returns some ranges of an object, fetched together where they are close to each other; none if there is none.
+    /// Returns some ranges of an object, fetched together where they are close to each other, or `None` if it does
+    /// not exist.
     pub(crate) async fn get_ranges(
         &self,
         name: &str,
@@ -143,7 +144,7 @@ impl Bucket {
         Ok(parts)
     }
 
-    /// Returns length and time of an object; none if there is none.
+    /// Returns length and time of an object, or `None` if it does not exist.
     pub(crate) async fn find(&self, name: &str) -> Result<Option<StoredObject>, RemoteError> {
         self.count(0);
         // To look at a file is to open it.
@@ -159,7 +160,7 @@ impl Bucket {
         Ok(self.there("find", name, found)?.map(listed))
     }
 
-    /// Writes an object, in place of one that is there.
+    /// Writes an object and replaces an existing one.
     pub(crate) async fn put(&self, name: &str, bytes: Bytes) -> Result<(), RemoteError> {
         self.count(bytes.len());
         let (path, size) = (self.path(name), bytes.len() as u64);
@@ -190,7 +191,7 @@ impl Bucket {
         Ok(pack.id)
     }
 
-    /// Removes an object; one that is not there is no error.
+    /// Removes an object. A missing object is not an error.
     pub(crate) async fn remove(&self, name: &str) -> Result<(), RemoteError> {
         self.count(0);
         let removed = self.within(0, self.objects.delete(&self.path(name))).await;
@@ -226,8 +227,8 @@ impl Bucket {
             .collect())
     }
 
-    /// Waits for the answer to a request that moves at most so many bytes: of a folder as long as a file system that works may take;
-    /// servers have limits of their own.
+    /// Waits for the answer to a request that moves at most `bytes` bytes. A folder gets as long as a working file system may take.
+    /// Servers have limits of their own.
     async fn within<T>(
         &self,
         bytes: u64,
@@ -244,8 +245,8 @@ impl Bucket {
         timeout(patience, request).await.map_err(silent)?
     }
 
-    /// Returns the size of an object that may be read, none if it is not there; of a server 0. In a folder it must be a regular file: a
-    /// pipe would never end, and a link may lead anywhere.
+    /// Returns the size of an object that may be read, or `None` if it does not exist. For a server the size is always 0. In a folder
+    /// the object must be a regular file: a pipe would never end, and a link may lead anywhere.
     async fn readable_bytes(&self, name: &str) -> Result<Option<u64>, RemoteError> {
         let Some(folder) = self.folder.clone() else {
             return Ok(Some(0));
@@ -273,7 +274,7 @@ impl Bucket {
         }
     }
 
-    /// Returns an answer; none where it is that there is no such object.
+    /// Returns the answer, or `None` if the object does not exist.
     fn there<T>(
         &self,
         doing: &'static str,

@@ -1,4 +1,4 @@
-//! Where small blobs are: the indexes of all packs are read when a blob is in none of those known.
+//! Places of small blobs: the indexes of all packs are read when a blob is in no known index.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -31,7 +31,7 @@ pub(crate) async fn in_packs(
     Ok(packs)
 }
 
-/// Returns pack and place of a blob, if an index that was read tells them.
+/// Returns pack and entry of a blob, if an index that was read lists it.
 pub(crate) async fn known(bucket: &Bucket, digest: &Digest) -> Option<(Digest, Entry)> {
     let catalogue = bucket.catalogue.lock().await;
     let (entry, pack) = catalogue.find(digest)?;
@@ -79,7 +79,7 @@ async fn kept_index(bucket: &Bucket, pack: &Digest) -> Result<Vec<Entry>, Remote
     Ok(entries)
 }
 
-/// Returns the entries of an index; none of one that a collection has removed since it was listed.
+/// Returns the entries of an index, or an empty list if a collection has removed it since it was listed.
 pub(crate) async fn index(bucket: &Bucket, pack: &Digest) -> Result<Vec<Entry>, RemoteError> {
     let name = names::index(pack);
     match bucket.get(&name).await? {

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use marf_cache::{Conflict, Output, Record};
 
-/// Returns the conflict between two results of one key; none if they are equal.
+/// Returns the conflict between two results of one key, or `None` if they are equal.
 pub(crate) fn between(kept: Record, refused: Record) -> Option<Conflict> {
     (kept.outputs != refused.outputs).then_some(Conflict {
         key: kept.key,

@@ -3,8 +3,8 @@ use marf_cache::{Digest, SetError, StoreError};
 /// Why a shared store could not be used. No text of it holds a credential or an answer of a server.
 #[derive(Debug, thiserror::Error)]
 pub enum RemoteError {
-    /// The address is none.
-    #[error("`{url}` is no address of a shared store: {why}")]
+    /// The address is invalid.
+    #[error("`{url}` is not an address of a shared store: {why}")]
     BadUrl {
         /// The address, without what may be a credential.
         url: String,
@@ -24,7 +24,7 @@ pub enum RemoteError {
         place: String,
     },
     /// A later program wrote it.
-    #[error("the shared store {place} is of form {found}; this program reads form {known}")]
+    #[error("the shared store {place} has format {found}, but this program reads format {known}")]
     Newer {
         /// The address.
         place: String,
@@ -87,7 +87,7 @@ pub enum RemoteError {
         /// The digest of the first, or its key.
         first: Digest,
     },
-    /// The own store lacks a result that is to be pushed.
+    /// The local store lacks a result to be pushed.
     #[error("the result of key {key} is not in the store any more")]
     NotInStore {
         /// The key.
@@ -101,7 +101,7 @@ pub enum RemoteError {
         /// Who uses it.
         holder: String,
     },
-    /// What is fetched takes longer than it would take to make it.
+    /// Fetching the results takes longer than computing them.
     #[error("{place} takes longer than {waited_s} s to give results that were made in less")]
     Slow {
         /// The address.
@@ -112,10 +112,10 @@ pub enum RemoteError {
     /// The user wants to stop.
     #[error("stopped")]
     Stopped,
-    /// The own store cannot be read or written.
+    /// The local store cannot be read or written.
     #[error(transparent)]
     Store(#[from] StoreError),
-    /// A set of the own store cannot be read.
+    /// A set of the local store cannot be read.
     #[error(transparent)]
     Set(#[from] SetError),
     /// The threads for requests cannot be started.
@@ -131,21 +131,23 @@ impl RemoteError {
             Self::NoCredentials { .. } => {
                 "set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, and AWS_ENDPOINT_URL for servers other than Amazon's"
             }
-            Self::Absent { .. } => "`marf cache push` makes one; check the address and AWS_ENDPOINT_URL",
+            Self::Absent { .. } => {
+                "check the address and AWS_ENDPOINT_URL, or create one with `marf cache push`"
+            }
             Self::Newer { .. } => "use the program that wrote it",
             Self::Denied { .. } => "check the credentials in the environment and what they permit",
             Self::Failed { .. } => {
-                "nothing is lost: run the command again when it answers, it goes on where it ended"
+                "nothing is lost: run the command again when it answers, and it continues where it stopped"
             }
             Self::Damaged { .. } | Self::Missing { .. } => {
-                "`marf cache fsck --remote` lists what is not whole; `--repair` removes it, and a push brings it again"
+                "`marf cache fsck --remote` lists damaged objects. `--repair` removes them, and a push sends them again"
             }
             Self::Untrusted { .. } => {
-                "add the public key of who wrote them to `trust`, or have it write them again with MARF_SIGNING_KEY"
+                "add the public key of their writer to `trust`, or have the writer push them again with MARF_SIGNING_KEY"
             }
             Self::NotInStore { .. } | Self::Set(_) => "`marf run` makes it again",
             Self::Busy { .. } => {
-                "wait until it has ended; the lease of a program that died ends after ten minutes"
+                "wait until it has ended. The lease of a program that died ends after ten minutes"
             }
             Self::Store(error) => return error.hint(),
             Self::Slow { .. } | Self::Stopped | Self::Threads(_) => return None,

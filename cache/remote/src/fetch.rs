@@ -1,4 +1,4 @@
-//! Blobs from a shared store into the own one, each checked by its digest.
+//! Fetches blobs from a shared store into the local one and checks each by its digest.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -147,10 +147,11 @@ async fn packed(bucket: &Bucket, pack: &Digest, entry: &Entry) -> Result<Option<
     Ok(parts.and_then(|parts| parts.into_iter().next()))
 }
 
-/// Stores blobs that have arrived, if each has its digest, on all cores: to hash and to write them takes longer than to fetch them from a
-/// folder or from a near server.
+/// Stores fetched blobs, if each has its digest, on all cores: hashing and writing them takes longer than fetching them from a folder or
+/// from a near server.
 ///
-/// The threads are its own: one of rayon's pool could take up another node's work here, which may not wait for a fetch inside of this one.
+/// It starts its own threads: a thread of rayon's pool could start another node's work here, which must not wait for a fetch inside of
+/// this one.
 fn keep(bucket: &Bucket, store: &Store, blobs: &[FetchedBlob], meter: &Meter<'_>) -> Result<(), RemoteError> {
     let cores = thread::available_parallelism().map_or(1, NonZero::get);
     let share = blobs.len().div_ceil(cores).max(1);
@@ -183,7 +184,7 @@ fn keep_one(
         blob,
     } = arrived;
     let blob = blob.as_ref().ok_or_else(|| missing(bucket, digest))?;
-    // What came is stored under its own digest, so it is hashed once; other bytes than those asked for are what nothing names.
+    // `put` hashes the bytes and stores them under their own digest. No record names bytes of another digest.
     if store.put(blob)? != *digest {
         let what = format!("its {} bytes are not the blob {}", blob.len(), digest.short());
         return Err(bucket.damaged(name, &what));
@@ -211,7 +212,7 @@ fn windows(pack: Digest, mut entries: Vec<Entry>) -> Vec<Window> {
     .collect()
 }
 
-/// Returns the lengths of large blobs, all of which must be there.
+/// Returns the lengths of large blobs. A missing blob is an error.
 async fn large(bucket: &Bucket, digests: BTreeSet<Digest>) -> Result<BTreeMap<Digest, u64>, RemoteError> {
     let there = presence::sizes(bucket, digests.iter().copied()).await?;
     let sized = digests.into_iter().map(|digest| {

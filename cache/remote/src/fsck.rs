@@ -1,4 +1,5 @@
-//! A check: every record, run and index is read, and that all they name is there; on request every byte.
+//! A check that reads every record, run and index, and checks that every object they name exists. On request
+//! it reads every byte.
 
 use std::collections::{BTreeMap, BTreeSet, HashSet};
 
@@ -20,12 +21,12 @@ use crate::{
 /// Blobs or packs that are read at once.
 const IN_FLIGHT: usize = 8;
 
-/// What a check does beside its look.
+/// Options of a check.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct FsckOptions {
     /// Whether every byte is fetched and compared with its digest.
     pub read_data: bool,
-    /// Whether what is damaged is removed, with all that names it: the next push sends it again.
+    /// Whether damaged objects are removed, with everything that names them. The next push sends them again.
     pub repair: bool,
 }
 
@@ -38,7 +39,7 @@ pub struct RemoteFault {
     pub what: String,
 }
 
-/// What a check has found.
+/// Report of a check.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct RemoteFsckReport {
     /// Runs.
@@ -59,14 +60,14 @@ pub struct RemoteFsckReport {
 struct Check<'a> {
     bucket: &'a Bucket,
     options: FsckOptions,
-    /// Blobs that are there and whole, as far as it was looked.
+    /// Blobs that exist and are whole, as far as checked.
     blobs: HashSet<Digest>,
     records: BTreeMap<Digest, RemoteRecord>,
     faults: BTreeMap<String, String>,
     read_bytes: u64,
 }
 
-/// Checks; for a repair the caller holds the exclusive lease.
+/// Checks the store. For a repair the caller holds the exclusive lease.
 pub(crate) async fn check(bucket: &Bucket, options: FsckOptions) -> Result<RemoteFsckReport, RemoteError> {
     let inventory = Inventory::take(bucket).await?;
     let mut check = Check {
@@ -101,7 +102,7 @@ pub(crate) async fn check(bucket: &Bucket, options: FsckOptions) -> Result<Remot
     })
 }
 
-/// Returns the bytes of an object, none of one that is gone or is no file: they have not its digest.
+/// Returns the bytes of an object, or empty bytes if it is gone or not a file: these do not have its digest.
 async fn bytes_of(bucket: &Bucket, name: &str) -> Result<Bytes, RemoteError> {
     match bucket.get(name).await {
         Err(RemoteError::Damaged { .. }) => Ok(Bytes::new()),
@@ -210,7 +211,7 @@ impl Check<'_> {
         }
     }
 
-    /// Returns what of some objects is not there, in words.
+    /// Returns the first missing object of these, in words.
     fn lacking(&self, keys: &[Digest], blobs: &[Digest]) -> Option<String> {
         let key = keys.iter().find(|key| !self.records.contains_key(*key));
         let blob = blobs.iter().find(|blob| !self.blobs.contains(*blob));
@@ -232,7 +233,7 @@ impl Check<'_> {
         Ok(())
     }
 
-    /// Removes what has a fault: who names goes before what is named, an index before its pack.
+    /// Removes objects with a fault: an object before those it names, an index before its pack.
     async fn repair(&self) -> Result<(), RemoteError> {
         let is_in = |folder: &str, name: &str| name.split('/').next() == Some(folder);
         let mut left: BTreeSet<&String> = self.faults.keys().collect();

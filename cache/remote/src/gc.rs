@@ -24,21 +24,21 @@ use crate::{
 
 /// Objects that are removed at once.
 const IN_FLIGHT: usize = 32;
-/// A pack of which less than this share is needed is written anew.
+/// A pack is rewritten if less than this share of it is needed.
 const LEAST_SHARE: f64 = 0.5;
 
-/// What a collection keeps.
+/// Options of a collection.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct GcOptions {
-    /// Runs of each pipeline that are kept; the newest always is.
+    /// Number of runs kept of each pipeline. The newest is always kept.
     pub keep_last: usize,
-    /// What is younger is kept: results that no run names yet.
+    /// Anything younger is kept, because it may be a result that no run names yet.
     pub grace: Duration,
-    /// Whether only to tell what would be removed.
+    /// Whether to report only what would be removed.
     pub dry_run: bool,
 }
 
-/// What a collection has removed, or would.
+/// Numbers of objects that a collection has removed, or would remove.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
 pub struct RemoteGcReport {
     /// Runs.
@@ -47,11 +47,11 @@ pub struct RemoteGcReport {
     pub records: u64,
     /// Large blobs.
     pub blobs: u64,
-    /// Packs, those that were written anew among them.
+    /// Packs, including those that were rewritten.
     pub packs: u64,
-    /// Packs that were written with what is needed of others.
+    /// Packs that were written with the needed blobs of others.
     pub new_packs: u64,
-    /// Bytes of all that was removed.
+    /// Bytes of everything that was removed.
     pub removed_bytes: u64,
     /// Bytes of what stays.
     pub kept_bytes: u64,
@@ -82,7 +82,7 @@ struct Collection<'a> {
     done: RemoteGcReport,
 }
 
-/// Collects; the caller holds the exclusive lease, unless it is a dry run.
+/// Collects. The caller holds the exclusive lease, unless it is a dry run.
 pub(crate) async fn collect(
     bucket: &Bucket,
     lease: &Lease,
@@ -192,7 +192,8 @@ impl Collection<'_> {
         Ok(old.len() as u64)
     }
 
-    /// Removes packs that nobody needs, and writes anew what is needed of packs that are mostly not needed, or small.
+    /// Removes packs without a needed blob, and rewrites the needed blobs of packs that are small or mostly not
+    /// needed.
     async fn packs(
         &mut self,
         packs: BTreeMap<Digest, PackFiles>,
@@ -285,7 +286,7 @@ impl IndexedPack {
         (self.needed_bytes(live) as f64) < LEAST_SHARE * self.len() as f64
     }
 
-    /// Adds what is left to be moved of this pack to another, once where several packs have it.
+    /// Moves the remaining blobs of this pack to another. A blob that several packs have is moved once.
     async fn move_to(
         &self,
         bucket: &Bucket,

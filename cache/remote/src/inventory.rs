@@ -12,7 +12,7 @@ use crate::{
 
 /// All objects of a shared store.
 pub(crate) struct Inventory {
-    /// With their starts, by pipeline; the newest first.
+    /// Runs with their starts, by pipeline, the newest first.
     pub(crate) runs: BTreeMap<String, Vec<StoredObject>>,
     pub(crate) records: BTreeMap<Digest, StoredObject>,
     /// Large blobs.
@@ -20,7 +20,7 @@ pub(crate) struct Inventory {
     pub(crate) packs: BTreeMap<Digest, PackFiles>,
 }
 
-/// The objects of a pack; one without an index holds nothing that anybody finds.
+/// The objects of a pack. Without an index, no blob of the pack can be found.
 #[derive(Default)]
 pub(crate) struct PackFiles {
     pub(crate) pack: Option<StoredObject>,

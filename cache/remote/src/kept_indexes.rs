@@ -1,5 +1,5 @@
-//! Indexes of packs on the own disk, for programs that follow each other on one machine: an index never changes, and each program
-//! would read those of all packs anew.
+//! Indexes of packs on the local disk, for programs that follow each other on one machine. An index never changes, and without a
+//! copy each program would read the indexes of all packs again.
 
 use std::{
     collections::BTreeSet,
@@ -21,12 +21,12 @@ impl KeptIndexes {
         Self(folder.join(&Digest::from_content(url.as_bytes()).to_string()[..16]))
     }
 
-    /// Returns the bytes of an index, whole or not; none if it is not there.
+    /// Returns the bytes of an index, possibly incomplete, or `None` if it does not exist.
     pub(crate) fn read(&self, pack: &Digest) -> Option<Vec<u8>> {
         file::read(&self.file(pack), FileKind::Document, Links::Followed).ok()
     }
 
-    /// Keeps an index; others see it whole or not at all.
+    /// Keeps an index. Other programs see either the whole index or no index.
     pub(crate) fn keep(&self, pack: &Digest, bytes: &[u8]) {
         let (file, id) = (self.file(pack), process::id());
         let new = self.0.join(format!("{pack}.{id}.tmp"));
@@ -76,7 +76,7 @@ mod tests {
             (kept.read(&first), kept.read(&second)),
             (None, Some(b"two".to_vec()))
         );
-        // A folder that cannot be made keeps nothing, and that is no error.
+        // A folder that cannot be made keeps nothing, and that is not an error.
         let blocked = KeptIndexes(dir.path().join("file/below"));
         fs::write(dir.path().join("file"), b"").unwrap();
         blocked.keep(&first, b"one");

@@ -1,8 +1,8 @@
-//! Leases: objects that tell who works on a shared store.
+//! Leases: objects that list the programs working on a shared store.
 //!
-//! A program that adds has a lease of its own, one that removes has the only one of its kind, and each looks for the other
-//! after it has written its own: so of two at least one sees the other. A lease is renewed every minute and ends ten
-//! minutes after it was last, by the clock of the server.
+//! A program that adds has a lease of its own. One that removes has the exclusive lease. Each looks for the other after it
+//! has written its own, so at least one of two sees the other. A lease is renewed every minute and ends ten minutes after
+//! its last renewal, by the clock of the server.
 
 use std::{
     sync::atomic::{AtomicU64, Ordering},
@@ -22,7 +22,7 @@ const ENDS_AFTER: Duration = Duration::from_secs(600);
 
 /// Name of the lease of a program that removes objects.
 const EXCLUSIVE: &str = "exclusive";
-/// What the names of leases of programs that add objects begin with.
+/// Prefix of the names of leases of programs that add objects.
 const SHARED: &str = "shared-";
 
 /// What the names of objects begin with that are written for their time.
@@ -151,7 +151,7 @@ impl Lease {
         }
     }
 
-    /// Tells whether the lease is there, and this program's.
+    /// Returns whether the lease exists and belongs to this program.
     async fn is_own(&self, bucket: &Bucket) -> Result<bool, RemoteError> {
         let holder = bucket.get(&self.name).await?;
         Ok(holder.is_some_and(|holder| holder == self.holder.as_bytes()))
@@ -168,12 +168,12 @@ impl Lease {
     }
 }
 
-/// Returns the time from then to now; zero where the clock was set back.
+/// Returns the time from `then` to `now`, or zero if the clock was set back.
 pub(crate) fn age(now: SystemTime, then: SystemTime) -> Duration {
     now.duration_since(then).unwrap_or_default()
 }
 
-/// Returns who this program is, for people and unlike all others.
+/// Returns a unique, readable name of this program.
 fn holder() -> String {
     let since = SystemTime::now()
         .duration_since(SystemTime::UNIX_EPOCH)

@@ -2,7 +2,7 @@
 
 use marf_cache::Digest;
 
-/// Object that tells the form of the shared store.
+/// Object with the format of the shared store.
 pub(crate) const FORMAT: &str = "format";
 /// Folder of large blobs.
 pub(crate) const BLOBS: &str = "cas";
@@ -36,7 +36,7 @@ fn in_folder(folder: &str, digest: &Digest) -> String {
     format!("{folder}/{first}/{rest}")
 }
 
-/// Returns the digest in a name that [`blob`] or [`record`] made; none for others.
+/// Returns the digest in a name that [`blob`] or [`record`] made, or `None` for others.
 pub(crate) fn digest_in(name: &str) -> Option<Digest> {
     let mut parts = name.rsplit('/');
     let (rest, first) = (parts.next()?, parts.next()?);
@@ -53,12 +53,12 @@ pub(crate) fn index(pack: &Digest) -> String {
     format!("{PACKS}/{pack}{INDEX}")
 }
 
-/// Returns the pack whose index has this name; none for other names.
+/// Returns the pack whose index has this name, or `None` for other names.
 pub(crate) fn pack_of_index(name: &str) -> Option<Digest> {
     in_packs(name, INDEX)
 }
 
-/// Returns the pack of this name; none for other names.
+/// Returns the pack of this name, or `None` for other names.
 pub(crate) fn pack_in(name: &str) -> Option<Digest> {
     in_packs(name, PACK)
 }
@@ -82,7 +82,7 @@ pub(crate) fn run(pipeline: &str, started_unix_s: u64, root: &Digest) -> String 
     format!("{}/{started_unix_s:012}-{root}.json", runs_of(pipeline))
 }
 
-/// Returns start and root of a run from its name; none for other names.
+/// Returns start and root of a run from its name, or `None` for other names.
 pub(crate) fn run_in(name: &str) -> Option<(u64, Digest)> {
     let (started, root) = name.rsplit('/').next()?.strip_suffix(".json")?.split_once('-')?;
     Some((started.parse().ok()?, root.parse().ok()?))

@@ -7,15 +7,15 @@ use std::sync::atomic::{AtomicU64, Ordering};
 pub struct Progress {
     /// Bytes moved.
     pub done_bytes: u64,
-    /// Bytes to move, those moved among them; 0 while it is not known.
+    /// Bytes to move, including those already moved. 0 while unknown.
     pub total_bytes: u64,
 }
 
-/// Receives progress, and tells when the work should end.
+/// Receives progress, and can stop the work.
 pub trait Observer: Sync {
     /// Receives how far the work is.
     fn on_progress(&self, progress: Progress);
-    /// Tells whether the user wants to stop.
+    /// Returns whether the user wants to stop.
     fn is_stopped(&self) -> bool;
 }
 

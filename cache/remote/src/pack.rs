@@ -1,7 +1,7 @@
-//! Packs: small blobs one behind the other, with an index beside them.
+//! Packs: concatenated small blobs, with an index in a second object.
 //!
 //! ```text
-//! index:  "marf pack 1\n"  (digest of the blob, 32 bytes; its place, u64; its length, u32)*  digest of all before, 32 bytes
+//! index:  "marf pack 1\n"  (digest of the blob, 32 bytes, its offset, u64, its length, u32)*  digest of all before, 32 bytes
 //! ```
 //! Entries are sorted by digest, numbers are little-endian. The name of a pack is the digest of its bytes.
 
@@ -46,7 +46,7 @@ pub(crate) struct PackWriter {
 }
 
 impl Entry {
-    /// Returns the bytes of the blob in those of its pack; none if the pack is cut.
+    /// Returns the bytes of the blob in the bytes of its pack, or `None` if the pack is cut.
     pub(crate) fn bytes_in<'a>(&self, pack: &'a [u8]) -> Option<&'a [u8]> {
         let begin = usize::try_from(self.offset).ok()?;
         pack.get(begin..begin.checked_add(self.len as usize)?)
@@ -120,7 +120,7 @@ pub(crate) fn encode_index(entries: &[Entry]) -> Vec<u8> {
     bytes
 }
 
-/// Reads an index; none if it is not whole.
+/// Reads an index, or returns `None` if it is incomplete or damaged.
 pub(crate) fn decode_index(bytes: &[u8]) -> Option<Vec<Entry>> {
     let (body, checksum) = bytes.split_at_checked(bytes.len().checked_sub(CHECKSUM)?)?;
     if Digest::from_content(body).as_bytes() != checksum {
@@ -131,7 +131,7 @@ pub(crate) fn decode_index(bytes: &[u8]) -> Option<Vec<Entry>> {
         .then(|| entries.iter().map(decode_entry).collect())?
 }
 
-/// Reads an entry; none if its end is no place in any pack.
+/// Reads an entry, or returns `None` if its end overflows.
 fn decode_entry(bytes: &[u8; ENTRY]) -> Option<Entry> {
     let (digest, numbers) = bytes.split_first_chunk::<32>()?;
     let (offset, len) = numbers.split_first_chunk::<8>()?;

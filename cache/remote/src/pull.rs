@@ -1,4 +1,4 @@
-//! A pull: records, then the blobs that the own store lacks; these are stored first.
+//! A pull: fetches records, then the blobs that the local store lacks. Blobs are stored first.
 
 use std::{collections::BTreeSet, time::Duration};
 
@@ -15,15 +15,15 @@ use crate::{
     survey,
 };
 
-/// What a record is, for people.
+/// Name of a record in messages.
 const RESULT: &str = "result";
 
-/// What a pull has done.
+/// Report of a pull.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct PullReport {
     /// Results that were fetched.
     pub records: u64,
-    /// Results that were in the own store.
+    /// Results that were in the local store.
     pub known_records: u64,
     /// Blobs that were fetched.
     pub blobs: u64,
@@ -31,7 +31,7 @@ pub struct PullReport {
     pub blob_bytes: u64,
 }
 
-/// What of some results the own store lacks.
+/// Records and blobs that the local store lacks.
 #[derive(Default)]
 struct MissingResults {
     records: Vec<Record>,
@@ -76,7 +76,8 @@ pub(crate) async fn run(
     results(bucket, store, &run.keys, &run.blobs, observer).await
 }
 
-/// Fetches the results of keys with all that belongs to them, and blobs beside them. All keys must be there.
+/// Fetches the results of keys with everything that belongs to them, and the given blobs. All keys must
+/// exist.
 pub(crate) async fn results(
     bucket: &Bucket,
     store: &Store,
@@ -169,7 +170,7 @@ pub(crate) async fn what_is_there(
     Ok(skipped)
 }
 
-/// Fetches blobs as far as the store lacks them, and returns their bytes.
+/// Fetches blobs that the store lacks, and returns their bytes.
 async fn fetch(
     bucket: &Bucket,
     store: &Store,
@@ -188,7 +189,7 @@ async fn fetch(
 }
 
 impl MissingResults {
-    /// Reads the records of keys that the own store does not have whole, level by level.
+    /// Reads the records of keys that are missing or incomplete in the local store, level by level.
     async fn find(bucket: &Bucket, store: &Store, keys: &[Digest]) -> Result<Self, RemoteError> {
         let mut lacking = Self::default();
         let mut seen: BTreeSet<Digest> = BTreeSet::new();
@@ -225,7 +226,7 @@ impl MissingResults {
     }
 }
 
-/// Returns the keys below a result of the own store, if it has all that belongs to it.
+/// Returns the keys below a result of the local store, if it has everything that belongs to the result.
 fn own(store: &Store, key: &Digest) -> Result<Option<Vec<Digest>>, RemoteError> {
     let Some(record) = store.record(key)? else {
         return Ok(None);

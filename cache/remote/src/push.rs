@@ -18,14 +18,14 @@ use crate::{
     survey::{self, Survey},
 };
 
-/// Blobs from this length on are objects of their own, as in the own store.
+/// Blobs from this length on are objects of their own, as in the local store.
 const LARGE_BYTES: u64 = 64 << 10;
 /// Large blobs that are sent at once.
 const BLOBS_IN_FLIGHT: usize = 16;
-/// Packs that are sent at once; each is in memory.
+/// Packs that are sent at once. Each is in memory.
 const PACKS_IN_FLIGHT: usize = 2;
 
-/// What a push has done.
+/// Report of a push.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct PushReport {
     /// Results that were sent.
@@ -38,7 +38,7 @@ pub struct PushReport {
     pub blob_bytes: u64,
     /// Packs that were sent.
     pub packs: u64,
-    /// Keys for which another result was there first; it stays.
+    /// Keys for which the shared store already has another result. That result stays.
     pub conflicts: Vec<Conflict>,
 }
 
@@ -49,7 +49,7 @@ struct AbsentBlobs {
     small: BTreeMap<Digest, u64>,
 }
 
-/// Sends a run with all that is lacking.
+/// Sends a run with everything that the shared store lacks.
 pub(crate) async fn run(
     bucket: &Bucket,
     store: &Store,
@@ -63,7 +63,8 @@ pub(crate) async fn run(
     Ok(pushed)
 }
 
-/// Sends the results of keys with all that they consist of, and blobs beside them, as far as they are lacking.
+/// Sends the results of keys with everything that they consist of, and the given blobs, if the shared store
+/// lacks them.
 pub(crate) async fn results(
     bucket: &Bucket,
     store: &Store,
@@ -183,7 +184,7 @@ async fn send_packs(
         .await
 }
 
-/// Writes records once; returns the conflicts with what others wrote since they were asked for.
+/// Writes records once. Returns the conflicts with records that others have written since the survey.
 async fn send_records(bucket: &Bucket, records: &[&RemoteRecord]) -> Result<Vec<Conflict>, RemoteError> {
     let conflicts: Vec<Option<Conflict>> = stream::iter(records)
         .map(|new| send_record(bucket, new))
@@ -205,7 +206,7 @@ async fn send_record(bucket: &Bucket, new: &RemoteRecord) -> Result<Option<Confl
     let should_be_signed = there.should_be_signed(&bucket.trust);
     let conflict = conflict::between(there.value.record, new.record.clone());
     if conflict.is_none() && should_be_signed {
-        // The same result; it is never replaced by another one.
+        // The result is the same. A different result never replaces it.
         bucket.put(&name, sealed).await?;
     }
     Ok(conflict)

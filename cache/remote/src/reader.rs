@@ -13,7 +13,7 @@ pub struct Reader<O> {
 }
 
 impl<O: Observer> Reader<O> {
-    /// Returns the blobs of a shared store; `observer` tells whether the user wants to stop.
+    /// Returns a reader of the blobs of a shared store. `observer` reports whether the user wants to stop.
     pub fn new(remote: Arc<Remote>, observer: O) -> Self {
         Self { remote, observer }
     }

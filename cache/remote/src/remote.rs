@@ -1,4 +1,4 @@
-//! A shared store that is open: its verbs, each a call that blocks.
+//! An open shared store: its verbs, each a blocking call.
 
 use std::{
     future::Future,
@@ -31,7 +31,7 @@ use crate::{
 
 /// Form of shared stores that this program reads and writes.
 const FORMAT: u32 = 1;
-/// What the object that tells the form begins with.
+/// First words of the format object.
 const FORMAT_WORDS: &str = "marf shared store ";
 
 /// Longest wait for the end of a lease: the user may have asked to stop.
@@ -40,14 +40,15 @@ const RELEASE_PATIENCE: Duration = Duration::from_secs(1);
 /// A shared store.
 pub struct Remote {
     pub(crate) bucket: Bucket,
-    /// Whether its form was found to be the known one.
+    /// Whether its format has been checked.
     is_checked: AtomicBool,
     threads: Threads,
 }
 
 impl Remote {
-    /// Opens the shared store at `s3://BUCKET/PREFIX` or `file:///FOLDER`; asks nothing of it yet. Credentials, endpoint and
-    /// region come from the environment (`AWS_*`). `trust` tells how what is sent is signed and whose results are believed.
+    /// Opens the shared store at `s3://BUCKET/PREFIX` or `file:///FOLDER` without a request to it. Credentials, endpoint and
+    /// region come from the environment (`AWS_*`). `trust` holds the key that signs and the writers whose results are
+    /// trusted.
     ///
     /// # Errors
     /// A bad address, or an environment without credentials.
@@ -86,12 +87,12 @@ impl Remote {
         self.bucket.traffic()
     }
 
-    /// Sends a run with all that it consists of and the shared store lacks.
+    /// Sends a run with everything that it consists of and the shared store lacks.
     ///
-    /// Conflicts are no error: the result that was there first stays, and the answer tells both.
+    /// Conflicts are not an error: the result that is already there stays, and the report lists both.
     ///
     /// # Errors
-    /// A shared store that cannot be written; a result that the own store lacks.
+    /// Returns an error if the shared store cannot be written, or if the local store lacks a result.
     pub fn push(
         &self,
         store: &Store,
@@ -136,10 +137,12 @@ impl Remote {
         self.waiting(observer, pull::read_run(&self.bucket, root))
     }
 
-    /// Fetches all that a run consists of and the own store lacks. The run itself is not added to the store.
+    /// Fetches everything that a run consists of and the local store lacks. The run itself is not added to
+    /// the store.
     ///
     /// # Errors
-    /// A shared store that cannot be read or is not whole; an own store that cannot be written.
+    /// Returns an error if the shared store cannot be read or is incomplete, or if the local store cannot be
+    /// written.
     pub fn pull(
         &self,
         store: &Store,
@@ -149,11 +152,12 @@ impl Remote {
         self.waiting(observer, pull::run(&self.bucket, store, run, observer))
     }
 
-    /// Fetches the results of those keys that are there, with all that belongs to them, and returns why some of these were
-    /// not: they are damaged, not whole, or take longer to fetch than they took to make, but at least `least_wait`.
+    /// Fetches the existing results of these keys, with everything that belongs to them. Returns why some of them were not
+    /// fetched: they are damaged, incomplete, or take longer to fetch than to compute, but at least `least_wait`.
     ///
     /// # Errors
-    /// A shared store that cannot be read; one that is absent is none. An own store that cannot be written.
+    /// Returns an error if the shared store cannot be read or the local store cannot be written. An absent shared store is
+    /// not an error.
     pub fn fetch(
         &self,
         store: &Store,

@@ -13,13 +13,13 @@ use crate::{
 };
 
 impl Remote {
-    /// Sends results of keys, and blobs beside them, with all that belongs to them and the shared store lacks; makes the shared store if it
-    /// is absent.
+    /// Sends results of keys, and the given blobs, with everything that belongs to them and the shared store lacks. Creates the shared
+    /// store if it is absent.
     ///
-    /// Conflicts are no error: the result that was there first stays, and the answer tells both.
+    /// Conflicts are not an error: the result that is already there stays, and the report lists both.
     ///
     /// # Errors
-    /// A shared store that cannot be written; a result or a blob that the own store lacks.
+    /// Returns an error if the shared store cannot be written, or if the local store lacks a result or a blob.
     pub fn send(
         &self,
         store: &Store,
@@ -34,10 +34,11 @@ impl Remote {
         self.holding(&Lease::new(Kind::Shared), observer, work)
     }
 
-    /// Returns the record of a key; none if it is not there, or of somebody who is not trusted.
+    /// Returns the record of a key, or `None` if it does not exist or its writer is not trusted.
     ///
     /// # Errors
-    /// A shared store that cannot be read; one that is absent is none. A record that is damaged.
+    /// Returns an error if the shared store cannot be read or the record is damaged. An absent shared store
+    /// is not an error.
     pub fn record(&self, key: &Digest, observer: &dyn Observer) -> Result<Option<Record>, RemoteError> {
         self.waiting(observer, async {
             match self.check().await {
@@ -51,10 +52,12 @@ impl Remote {
         })
     }
 
-    /// Fetches results of keys with all that belongs to them and the own store lacks. All must be there.
+    /// Fetches results of keys with everything that belongs to them and the local store lacks. All must
+    /// exist.
     ///
     /// # Errors
-    /// A shared store that cannot be read, or lacks something of them; an own store that cannot be written.
+    /// Returns an error if the shared store cannot be read or lacks a part of them, or if the local store
+    /// cannot be written.
     pub fn bring(
         &self,
         store: &Store,

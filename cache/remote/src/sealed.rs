@@ -1,4 +1,4 @@
-//! Small JSON objects that are not named by their digest: the digest of the JSON stands in a line before it.
+//! Small JSON objects that are not named by their digest: a line with the digest of the JSON precedes it.
 
 use bytes::Bytes;
 use marf_cache::{Digest, Record};
@@ -25,13 +25,13 @@ pub struct RemoteRun {
     pub started_unix_s: u64,
     /// Keys of its results.
     pub keys: Vec<Digest>,
-    /// Blobs that it names beside them.
+    /// Blobs that it names in addition to the keys.
     pub blobs: Vec<Digest>,
     /// The run's root, a JSON text, to the byte.
     pub root: String,
 }
 
-/// A value that was read, and whether it is believed.
+/// A value that was read, and whether its writer is trusted.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct SealedValue<T> {
     pub(crate) value: T,
@@ -42,7 +42,8 @@ pub(crate) struct SealedValue<T> {
 }
 
 impl<T> SealedValue<T> {
-    /// Tells whether it gains by being written again: it is not signed, or by nobody who is trusted, and now would be.
+    /// Returns whether writing it again adds a trusted signature: it has no such signature, and this program has a
+    /// key.
     pub(crate) fn should_be_signed(&self, trust: &Trust) -> bool {
         trust.key.is_some() && !(self.is_signed && self.is_believed)
     }
@@ -62,7 +63,7 @@ pub(crate) fn seal(value: &impl Serialize, trust: &Trust) -> Bytes {
     Bytes::from([line.as_bytes(), &json].concat())
 }
 
-/// Reads what [`seal`] wrote; none if it is not whole.
+/// Reads an object that [`seal`] wrote, or returns `None` if it is incomplete.
 pub(crate) fn open<T: DeserializeOwned>(bytes: &[u8], trust: &Trust) -> Option<SealedValue<T>> {
     let end = bytes.iter().position(|byte| *byte == b'\n')?;
     let (line, json) = (bytes.get(..end)?, bytes.get(end + 1..)?);

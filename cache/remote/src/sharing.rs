@@ -1,4 +1,5 @@
-//! A shared store beside a run: results are fetched before they are made, and sent when they are made.
+//! A shared store used during a run: existing results are fetched instead of computed, and new results are
+//! sent.
 
 use std::{
     fmt,
@@ -30,26 +31,26 @@ const LAST_WAIT: Duration = Duration::from_millis(1_200);
 /// Pause between two looks whether everything is sent.
 const LOOK_INTERVAL: Duration = Duration::from_millis(10);
 
-/// Tells people of something.
+/// Shows a warning to the user.
 type Warn = Arc<dyn Fn(String) + Send + Sync>;
 
-/// A shared store beside a run. What goes wrong is told once, and the run goes on without it.
+/// A shared store used during a run. Its first failure is reported once, and the run goes on without it.
 pub struct Sharing {
     link: Arc<Link>,
     queue: Sender<Job>,
     sender: JoinHandle<()>,
 }
 
-/// What the run and the thread that sends have in common.
+/// State shared by the run and the thread that sends.
 struct Link {
     remote: Remote,
-    /// A handle of its own on the own store: it sees what is committed.
+    /// A separate handle of the local store. It sees committed results.
     store: Store,
     warn: Warn,
     is_stopped: Arc<dyn Fn() -> bool + Send + Sync>,
-    /// Which results of others are not believed but made again.
+    /// Results of others that are computed again instead of fetched.
     recheck: Recheck,
-    /// Set after the first failure: a server that is away is not asked again.
+    /// Set after the first failure: an unavailable server gets no further request.
     is_away: AtomicBool,
     /// Set when the run has waited long enough for what is being sent.
     is_late: AtomicBool,
@@ -58,7 +59,8 @@ struct Link {
 /// A sample of keys.
 struct Recheck {
     share: f64,
-    /// Another sample each run: who writes a wrong result does not know which are made again.
+    /// A different sample in each run: the writer of a wrong result cannot know which results are computed
+    /// again.
     salt: [u8; 32],
 }
 
@@ -85,7 +87,7 @@ impl Recheck {
     }
 }
 
-/// What the thread sends.
+/// Work for the thread that sends.
 enum Job {
     Result(Digest),
     Run(Box<RemoteRun>),
@@ -93,11 +95,11 @@ enum Job {
 }
 
 impl Sharing {
-    /// Puts a shared store beside a run whose own store is in this folder. A share of the results that are there, 0 to 1, is not
-    /// fetched: the run makes them, and when it sends them, one that differs is told as a conflict.
+    /// Connects a shared store to a run whose local store is in the folder `store`. A share of the existing results, 0 to 1, is
+    /// not fetched: the run computes them again. When it sends them, a different result is reported as a conflict.
     ///
     /// # Errors
-    /// An own store that cannot be opened.
+    /// Returns an error if the local store cannot be opened.
     pub fn start(
         remote: Remote,
         verify_share: f64,
@@ -120,7 +122,7 @@ impl Sharing {
         Ok(Self { link, queue, sender })
     }
 
-    /// Fetches the results of keys that are there, each with all that belongs to it.
+    /// Fetches the existing results of keys, each with everything that belongs to it.
     pub fn fetch(&self, keys: &[Digest]) {
         let link = &self.link;
         if link.is_away() {
@@ -140,7 +142,7 @@ impl Sharing {
         }
     }
 
-    /// Returns the record of a key that is there and believed; none of one that the run would make again.
+    /// Returns the record of a key if it exists and is trusted, or `None` if the run computes it again.
     pub fn record(&self, key: &Digest) -> Option<Record> {
         let link = &self.link;
         if link.is_away() || link.recheck.has(key) {
@@ -164,7 +166,8 @@ impl Sharing {
         let _ = self.queue.send(Job::Result(*key));
     }
 
-    /// Sends a run and waits at most so long until it and all results before it are sent; nothing is offered after it.
+    /// Sends a run and waits at most `patience` until it and all results before it are sent. Nothing may be offered
+    /// after this call.
     pub fn finish(&self, run: Option<RemoteRun>, patience: Duration) {
         if let Some(run) = run {
             let _ = self.queue.send(Job::Run(Box::new(run)));
@@ -181,7 +184,8 @@ impl Sharing {
         }
     }
 
-    /// Waits until everything is sent, for so long or until told to stop; returns whether everything is.
+    /// Waits until everything is sent, at most `patience` or until `is_stopped`. Returns whether everything
+    /// is sent.
     fn ends_within(&self, patience: Duration, is_stopped: impl Fn() -> bool) -> bool {
         let began = Instant::now();
         while !self.sender.is_finished() && began.elapsed() < patience && !is_stopped() {
@@ -205,7 +209,7 @@ impl Link {
         self.is_away.load(Ordering::Relaxed)
     }
 
-    /// Sends jobs until the last; results that are ready at one time go together.
+    /// Sends jobs until the last. Results that are ready at the same time are sent together.
     fn send_all(&self, jobs: &Receiver<Job>) {
         let mut is_last = false;
         while !is_last && let Ok(first) = jobs.recv() {
@@ -242,17 +246,17 @@ impl Link {
     }
 
     fn tell(&self, error: &RemoteError) {
-        (self.warn)(format!("{error}; it is made here"));
+        (self.warn)(format!("{error}. The result is computed here"));
     }
 
-    /// Tells of a failure, the first time.
+    /// Reports the first failure and stops using the shared store.
     fn give_up(&self, error: &RemoteError) {
         if matches!(error, RemoteError::Stopped) || self.is_away.swap(true, Ordering::Relaxed) {
             return;
         }
         let hint = error.hint().map(|hint| format!(" ({hint})")).unwrap_or_default();
         (self.warn)(format!(
-            "{error}{hint}; the run goes on without the shared store, and `marf cache push` sends its results later"
+            "{error}{hint}. The run goes on without the shared store. `marf cache push` sends its results later"
         ));
     }
 }

@@ -77,7 +77,8 @@ impl Survey {
         groups
     }
 
-    /// Returns how many levels of new results lie below a key. Keys are digests of what names them, so there is no cycle.
+    /// Returns the number of levels of new results below a key. A key is a digest of what it depends on, so there is no
+    /// cycle.
     fn rank(&self, key: &Digest, ranks: &mut BTreeMap<Digest, usize>) -> usize {
         if let Some(rank) = ranks.get(key) {
             return *rank;
@@ -90,7 +91,7 @@ impl Survey {
     }
 }
 
-/// Reads the records of keys, as far as they are there.
+/// Reads the records of keys, `None` for keys without a record.
 pub(crate) async fn records(
     bucket: &Bucket,
     keys: impl Iterator<Item = Digest>,
@@ -102,7 +103,7 @@ pub(crate) async fn records(
         .await
 }
 
-/// Reads the record of a key; none if it is not there.
+/// Reads the record of a key, or returns `None` if it does not exist.
 pub(crate) async fn record(
     bucket: &Bucket,
     key: &Digest,

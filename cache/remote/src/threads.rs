@@ -16,7 +16,7 @@ pub(crate) const FOLDER_PATIENCE: Duration = Duration::from_secs(10);
 /// Bytes that the slowest folder moves in a millisecond: 10 MB/s.
 const BYTES_PER_MS: u64 = 10_000;
 
-/// Returns the longest wait for a folder that moves so many bytes.
+/// Returns the longest wait for a request to a folder that moves `bytes` bytes.
 pub(crate) fn folder_patience(bytes: u64) -> Duration {
     FOLDER_PATIENCE + Duration::from_millis(bytes / BYTES_PER_MS)
 }
@@ -54,7 +54,7 @@ impl Drop for Threads {
     }
 }
 
-/// Returns what a call gives that may block for ever, or an error when the patience ends.
+/// Returns the result of a call that may block for ever, or an error after `patience`.
 pub(crate) async fn unblocked<T: Send + 'static>(
     patience: Duration,
     call: impl FnOnce() -> T + Send + 'static,

@@ -1,17 +1,17 @@
-//! Who wrote what: signatures of records and runs, and whose are believed.
+//! Signatures of records and runs, and the writers that are trusted.
 
 use marf_cache::Digest;
 use marf_keys::{PublicKey, SigningKey};
 
-/// What is signed stands behind this line, so that a signature of a result is one of nothing else.
+/// The signed bytes follow this line, so that a signature of a result is valid for nothing else.
 const PURPOSE: &str = "marf shared store 1\n";
 
-/// With which key own results are signed, and whose results are believed.
+/// The key that signs this machine's results, and the writers whose results are trusted.
 #[derive(Default)]
 pub struct Trust {
-    /// Signs what is sent; it is sent without a signature if absent.
+    /// Key that signs what is sent. `None` sends it without a signature.
     pub key: Option<SigningKey>,
-    /// Whose results are believed: those of everybody if empty.
+    /// Trusted writers. If empty, results of everybody are trusted.
     pub writers: Vec<PublicKey>,
 }
 
@@ -21,7 +21,7 @@ impl Trust {
         Some(self.key.as_ref()?.sign(&message(digest)))
     }
 
-    /// Tells whether an object with this digest and signature is believed.
+    /// Returns whether an object with this digest and signature is trusted.
     pub(crate) fn believes(&self, digest: &Digest, signature: Option<&[u8]>) -> bool {
         let message = message(digest);
         let is_by =

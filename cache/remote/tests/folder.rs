@@ -208,14 +208,14 @@ fn a_push_that_is_stopped_leaves_no_lease() {
     assert_eq!(world.files("leases", ""), Vec::<PathBuf>::new());
 }
 
-/// A collection at once, of all that is not needed.
+/// A collection without grace, of everything that is not needed.
 const AT_ONCE: GcOptions = GcOptions {
     keep_last: 1,
     grace: Duration::ZERO,
     dry_run: false,
 };
 
-/// Pushes two runs of one pipeline, of which the second has one result of its own and lacks one of the first.
+/// Pushes two runs of one pipeline. The second has one result of its own and lacks one of the first.
 fn two_runs(world: &World) -> (Store, RemoteRun) {
     let here = world.store("here");
     let first = run_in(&here);

@@ -1,4 +1,4 @@
-//! A folder as a shared store in which others put what is no object: pipes, links, devices.
+//! A folder as a shared store that contains pipes, links and devices.
 #![cfg(unix)]
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
@@ -10,7 +10,7 @@ use common::{Quiet, World, run_in};
 use marf_cache::Digest;
 use marf_remote::FsckOptions;
 
-/// A pipe has no end, and nobody writes to it; a link may lead to anything.
+/// A pipe has no end and no writer, and a link may lead to anything.
 #[test]
 fn what_is_no_regular_file_is_damaged_and_no_call_waits_for_it() {
     for kind in ["pipe", "link", "device"] {
@@ -54,7 +54,8 @@ fn what_is_no_regular_file_is_damaged_and_no_call_waits_for_it() {
             };
             let error = found.unwrap_err().to_string();
             let why = match (kind, ending) {
-                // A listing has files alone, so what is none and is found by a listing is not there.
+                // A listing has files alone, so an object that is not a file and is found by a listing is
+                // missing.
                 ("pipe" | "device", ".idx") => "lacks blob",
                 ("pipe" | "device", _) if folder == "runs" => "lacks the run",
                 ("pipe", _) => "it is not a regular file",

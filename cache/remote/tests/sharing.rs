@@ -1,4 +1,4 @@
-//! A shared store beside a run: what is fetched, what is sent, and what is told.
+//! A shared store used during a run: fetched results, sent results and warnings.
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 mod common;
@@ -13,7 +13,7 @@ use marf_cache::{Digest, Store, Upstream};
 use marf_keys::{PublicKey, SigningKey};
 use marf_remote::{GcOptions, Patience, Reader, Remote, RemoteError, Sharing, Trust};
 
-/// A run on an own store, with what it was told.
+/// A run on a local store, with its warnings.
 struct Machine {
     store: Store,
     sharing: Sharing,
@@ -127,8 +127,8 @@ fn trust(signs: Option<usize>, believes: Option<usize>) -> Trust {
     }
 }
 
-/// Results of a stranger are neither fetched nor pulled by who names writers; one of these signs what is right of them anew, and what is
-/// wrong stays a conflict.
+/// A machine that names trusted writers neither fetches nor pulls results of strangers. A trusted writer signs the correct ones again,
+/// and a wrong one stays a conflict.
 #[test]
 fn results_of_strangers_are_not_believed_where_writers_are_named() {
     let world = World::new();
@@ -188,7 +188,7 @@ fn results_of_strangers_are_not_believed_where_writers_are_named() {
     Machine::new(&world, "open").sharing.fetch(&run.keys);
 }
 
-/// A valid blob that is not the result of its key is believed by its digest, and found by who makes the result again.
+/// A valid blob that is not the result of its key passes by its digest. Computing the result again finds it.
 #[test]
 fn a_poisoned_result_is_found_by_who_makes_it_again() {
     let world = World::new();

@@ -16,11 +16,11 @@ pub struct Belongings {
 }
 
 impl Store {
-    /// Returns what belongs to a result that is committed. With the belongings of its keys, and of all other results of a run, it is the
-    /// closure of the run ([`Store::closure`]).
+    /// Returns everything that belongs to a committed result. With the belongings of its keys, and of all other results of a run, it is
+    /// the closure of the run ([`Store::closure`]).
     ///
     /// # Errors
-    /// A list of needs or a set of parts that is missing or damaged.
+    /// Returns an error if a list of needs or a set of parts is missing or damaged.
     pub fn belongings(&self, record: &Record) -> Result<Belongings, SetError> {
         let mut blobs: BTreeSet<Digest> = record.objects().collect();
         blobs.insert(record.key);

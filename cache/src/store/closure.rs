@@ -1,4 +1,4 @@
-//! What a result consists of and was made from.
+//! Everything that a result consists of and was made from.
 
 use super::{Store, StoreError, census::Census, mark::Marker, missing::MissingObject, pack::Kind};
 use crate::Digest;
@@ -8,22 +8,22 @@ use crate::Digest;
 pub struct Closure {
     /// Keys whose records are in the store, sorted.
     pub keys: Vec<Digest>,
-    /// Blobs, sorted; the actions of the keys among them.
+    /// Blobs, sorted, including the actions of the keys.
     pub blobs: Vec<Digest>,
     /// Bytes of all of them.
     pub bytes: u64,
-    /// What is named and not in the store, sorted by digest.
+    /// Objects that are named but not in the store, sorted by digest.
     pub missing: Vec<MissingObject>,
 }
 
 impl Store {
-    /// Returns what keys and blobs consist of and were made from: of a key its record, its action with all inputs, its
-    /// outputs, needs, parts and children; of a set its blocks, leaves and the blobs of its rows.
+    /// Returns everything that keys and blobs consist of and were made from. For a key: its record, its action with
+    /// all inputs, its outputs, needs, parts and children. For a set: its blocks, leaves and the blobs of its rows.
     ///
     /// Commits first. At 1,000,000 objects it takes less than 100 MB.
     ///
     /// # Errors
-    /// A store that cannot be read. What is missing is no error.
+    /// Returns an error if the store cannot be read. A missing object is not an error.
     pub fn closure(&self, keys: &[Digest], blobs: &[Digest]) -> Result<Closure, StoreError> {
         self.commit()?;
         let objects = &self.objects;

@@ -23,7 +23,7 @@ struct Selection {
     conflicts: Vec<Conflict>,
 }
 
-/// Writes a batch; returns the conflicts found. On an error the whole batch may be written again.
+/// Writes a batch and returns the conflicts found. On an error the whole batch may be written again.
 pub(super) fn write(objects: &Objects, batch: &WriteBatch) -> Result<Vec<Conflict>, StoreError> {
     // A store that cannot be written says so before anything else fails.
     objects.staging()?;
@@ -106,7 +106,8 @@ fn conflict(kept: Record, refused: Record, replaced: bool) -> Conflict {
     }
 }
 
-/// Returns the record of a key; none if there is none or it was damaged, which is then in quarantine.
+/// Returns the record of a key, or `None` if it is missing or damaged. A damaged record is then in
+/// quarantine.
 pub(super) fn record_of(objects: &Objects, key: &Digest) -> Result<Option<Record>, StoreError> {
     let content = content_of(objects, Kind::Record, key)?;
     Ok(content
@@ -124,7 +125,7 @@ fn content_of(objects: &Objects, kind: Kind, key: &Digest) -> Result<Option<Vec<
     match objects.payload(kind, key) {
         Err(StoreError::Damaged { path, .. }) => {
             objects.notices.warn(format!(
-                "the {} of key {} was damaged; it is in quarantine in `{}`",
+                "the {} of key {} was damaged and is in quarantine in `{}`",
                 kind.name(),
                 key.short(),
                 path.display()

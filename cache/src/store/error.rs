@@ -11,8 +11,8 @@ pub enum StoreError {
         /// The blob asked for.
         digest: Digest,
     },
-    /// The bytes do not have their digest; the blob has just been quarantined.
-    #[error("blob {digest} was damaged; it is in quarantine as `{}`", path.display())]
+    /// The bytes do not have their digest. The blob is now in quarantine.
+    #[error("blob {digest} was damaged and is in quarantine as `{}`", path.display())]
     Damaged {
         /// The blob asked for.
         digest: Digest,
@@ -37,8 +37,8 @@ pub enum StoreError {
         /// The time waited.
         waited_ms: u64,
     },
-    /// The root of a run cannot be read; the file has just been quarantined.
-    #[error("run {number} was damaged; it is in quarantine as `{}`", path.display())]
+    /// The root of a run cannot be read. The file is now in quarantine.
+    #[error("run {number} was damaged and is in quarantine as `{}`", path.display())]
     DamagedRun {
         /// Number of the run.
         number: u64,
@@ -52,7 +52,7 @@ pub enum StoreError {
         number: u64,
     },
     /// The file is longer than the caller takes.
-    #[error("`{}` has {bytes} bytes; at most {max_bytes} are read", path.display())]
+    #[error("`{}` has {bytes} bytes, above the limit of {max_bytes}", path.display())]
     TooLarge {
         /// The file.
         path: PathBuf,
@@ -70,7 +70,7 @@ pub enum StoreError {
         message: String,
     },
     /// A later program wrote the store.
-    #[error("the store `{}` is of format {found}; this program reads format {known}", path.display())]
+    #[error("the store `{}` has format {found}, but this program reads format {known}", path.display())]
     Newer {
         /// The folder of the store.
         path: PathBuf,
@@ -87,7 +87,7 @@ impl StoreError {
         move |source| Self::Io { doing, path, source }
     }
 
-    /// Tells whether the store may not be written.
+    /// Returns whether the store may not be written.
     pub fn is_read_only(&self) -> bool {
         use io::ErrorKind::{PermissionDenied, ReadOnlyFilesystem};
         matches!(self, Self::Io { source, .. } if matches!(source.kind(), ReadOnlyFilesystem | PermissionDenied))
@@ -105,7 +105,7 @@ impl StoreError {
     pub fn hint(&self) -> Option<String> {
         match self {
             Self::Io { source, .. } if source.kind() == io::ErrorKind::StorageFull => {
-                Some("free space on this disk and run again; what was finished stays".to_owned())
+                Some("free space on this disk and run again. Finished results are kept".to_owned())
             }
             Self::Io { source, .. }
                 if matches!(

@@ -29,7 +29,8 @@ pub(super) enum PublishResult {
     Present,
 }
 
-/// Length, time of the last change, and place of the bytes of a file; of a link the length of its target, and its own time.
+/// Length, time of the last change, and place of the bytes of a file. For a link, the length of its target and its own
+/// time.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Meta {
     pub(super) bytes: u64,
@@ -46,15 +47,15 @@ pub(super) enum Place {
     Outside,
 }
 
-/// What the store asks of the operating system.
+/// The operations of the operating system that the store needs.
 pub(super) trait Operations: Send + Sync {
     /// Creates a folder and its parents.
     fn create_dir(&self, path: &Path) -> io::Result<()>;
     /// Writes a new read-only file.
     fn write_new(&self, path: &Path, bytes: &[u8]) -> io::Result<()>;
-    /// Appends to a file; creates it if it is absent.
+    /// Appends to a file, and creates it if it is absent.
     fn append(&self, path: &Path, bytes: &[u8]) -> io::Result<()>;
-    /// Makes a copy of a file that shares its blocks; an error where the file system cannot.
+    /// Makes a copy of a file that shares its blocks. Returns an error if the file system cannot.
     fn reflink(&self, from: &Path, to: &Path) -> io::Result<()>;
     /// Makes a symbolic link to a file.
     fn reference(&self, target: &Path, link: &Path) -> io::Result<()>;
@@ -68,7 +69,7 @@ pub(super) trait Operations: Send + Sync {
     fn sync_dir(&self, path: &Path) -> io::Result<()>;
     /// Gives a file a second name, unless another file has that name.
     fn link(&self, from: &Path, to: &Path) -> io::Result<PublishResult>;
-    /// Moves a file; one that has the name is replaced.
+    /// Moves a file. Replaces an existing file of the new name.
     fn rename(&self, from: &Path, to: &Path) -> io::Result<()>;
     /// Removes a file.
     fn remove_file(&self, path: &Path) -> io::Result<()>;
@@ -76,7 +77,7 @@ pub(super) trait Operations: Send + Sync {
     fn remove_dir_all(&self, path: &Path) -> io::Result<()>;
     /// Reads a whole file.
     fn read(&self, path: &Path) -> io::Result<Vec<u8>>;
-    /// Reads bytes of a file from an offset on; fewer at its end.
+    /// Reads bytes of a file from an offset on, or fewer at its end.
     fn read_at(&self, path: &Path, offset: u64, len: usize) -> io::Result<Vec<u8>>;
     /// Returns the names of a folder's entries.
     fn names(&self, dir: &Path) -> io::Result<Vec<String>>;
@@ -237,7 +238,7 @@ impl Files {
             .map_err(StoreError::io("create folder", path))
     }
 
-    /// Writes a new read-only file; on an error nothing is left of it.
+    /// Writes a new read-only file. After an error, nothing remains of it.
     pub(super) fn write_new(&self, path: &Path, bytes: &[u8]) -> Result<(), StoreError> {
         self.0.write_new(path, bytes).map_err(|error| {
             let _ = self.0.remove_file(path);
@@ -245,12 +246,12 @@ impl Files {
         })
     }
 
-    /// Appends to a file; creates it if it is absent.
+    /// Appends to a file, and creates it if it is absent.
     pub(super) fn append(&self, path: &Path, bytes: &[u8]) -> Result<(), StoreError> {
         self.0.append(path, bytes).map_err(StoreError::io("write", path))
     }
 
-    /// Tells whether a copy that shares the blocks of a file could be made.
+    /// Returns whether a copy that shares the blocks of a file could be made.
     pub(super) fn try_reflink(&self, from: &Path, to: &Path) -> bool {
         let linked = self.0.reflink(from, to).is_ok();
         if !linked {
@@ -266,7 +267,7 @@ impl Files {
             .map_err(StoreError::io("link to", target))
     }
 
-    /// Returns the file that a link points to; none if it is no link.
+    /// Returns the file that a link points to, or `None` if it is not a link.
     pub(super) fn target(&self, link: &Path) -> Option<PathBuf> {
         self.0.target(link).ok()
     }
@@ -315,12 +316,12 @@ impl Files {
         Ok(outcome)
     }
 
-    /// Moves a file; one that has the name is replaced.
+    /// Moves a file. Replaces an existing file of the new name.
     pub(super) fn rename(&self, from: &Path, to: &Path) -> Result<(), StoreError> {
         self.0.rename(from, to).map_err(StoreError::io("move", from))
     }
 
-    /// Removes a file; one that is absent is no error.
+    /// Removes a file. An absent file is not an error.
     pub(super) fn remove_file(&self, path: &Path) -> Result<(), StoreError> {
         match self.0.remove_file(path) {
             Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
@@ -328,7 +329,7 @@ impl Files {
         }
     }
 
-    /// Removes a folder with all below it; one that is absent is no error.
+    /// Removes a folder with everything below it. An absent folder is not an error.
     pub(super) fn remove_dir_all(&self, path: &Path) -> Result<(), StoreError> {
         match self.0.remove_dir_all(path) {
             Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
@@ -336,12 +337,12 @@ impl Files {
         }
     }
 
-    /// Reads a whole file; none if it is absent.
+    /// Reads a whole file, or returns `None` if it is absent.
     pub(super) fn read(&self, path: &Path) -> Result<Option<Vec<u8>>, StoreError> {
         found(self.0.read(path), path)
     }
 
-    /// Reads bytes of a file from an offset on, fewer at its end; none if the file is absent.
+    /// Reads bytes of a file from an offset on, fewer at its end. Returns `None` if the file is absent.
     pub(super) fn read_at(
         &self,
         path: &Path,
@@ -351,7 +352,7 @@ impl Files {
         found(self.0.read_at(path, offset, len), path)
     }
 
-    /// Returns the names of a folder's entries, sorted; an absent folder has none.
+    /// Returns the names of a folder's entries, sorted. An absent folder has no entries.
     pub(super) fn names(&self, dir: &Path) -> Result<Vec<String>, StoreError> {
         let names = match self.0.names(dir) {
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
@@ -362,12 +363,12 @@ impl Files {
         Ok(names)
     }
 
-    /// Tells whether there is a file or folder of this name.
+    /// Returns whether a file or folder of this name exists.
     pub(super) fn exists(&self, path: &Path) -> Result<bool, StoreError> {
         Ok(found(self.0.meta(path), path)?.is_some())
     }
 
-    /// Returns length and time of a file; none if it is absent or cannot be asked.
+    /// Returns length and time of a file, or `None` if it is absent or they cannot be read.
     pub(super) fn meta(&self, path: &Path) -> Option<Meta> {
         self.0.meta(path).ok()
     }
@@ -377,7 +378,7 @@ impl Files {
         let _ = self.0.set_modified(path, time);
     }
 
-    /// Moves a file to `bad/` of a store under a name that is free there; returns its path there.
+    /// Moves a file to `bad/` of a store under a free name, and returns its new path.
     pub(super) fn quarantine(&self, root: &Path, file: &Path, name: &str) -> Result<PathBuf, StoreError> {
         let to = self.free_place(root, name)?;
         self.rename(file, &to)?;

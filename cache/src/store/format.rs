@@ -9,7 +9,7 @@ use crate::Digest;
 /// Version of the form of a store.
 pub(super) const FORMAT: u32 = 2;
 
-/// What a folder holds.
+/// The form of the store in a folder.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum StoreForm {
     /// No store.
@@ -29,7 +29,7 @@ pub(super) fn text() -> String {
     format!("{line}{digest}\n")
 }
 
-/// Tells what a folder holds.
+/// Returns the form of the store in a folder.
 pub(super) fn find(files: &Files, root: &Path) -> Result<StoreForm, StoreError> {
     if let Some(bytes) = files.read(&root.join("format"))? {
         return Ok(parse(&bytes));

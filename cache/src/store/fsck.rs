@@ -23,16 +23,16 @@ use crate::Digest;
 pub struct FsckOptions {
     /// Reads the bytes of every blob and compares them with its digest.
     pub read_data: bool,
-    /// Quarantines what is damaged and makes a wrong index anew.
+    /// Quarantines damaged files and rebuilds a wrong index.
     pub repair: bool,
 }
 
-/// Something that is not as it should be.
+/// A damaged or missing object or file.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Fault {
     /// The file, below the folder of the store.
     pub file: PathBuf,
-    /// The blob, or the key of the record or memo; none if the fault is not of one object.
+    /// The blob, or the key of the record or memo. `None` if the fault is not in one object.
     pub object: Option<Digest>,
     /// What is wrong.
     pub what: &'static str,
@@ -51,7 +51,7 @@ pub struct LostDocument {
     pub digest: Digest,
 }
 
-/// What a check found.
+/// Report of a check.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct FsckReport {
     /// Blobs seen.
@@ -66,7 +66,7 @@ pub struct FsckReport {
     pub verified_bytes: u64,
     /// All faults.
     pub faults: Vec<Fault>,
-    /// Documents of runs that are not in the store. Nobody can make them again, so they are no faults.
+    /// Documents of runs that are not in the store. They cannot be made again, so they are not faults.
     pub lost_documents: Vec<LostDocument>,
     /// Whether the faults were repaired.
     pub is_repaired: bool,
@@ -89,7 +89,8 @@ impl Store {
     /// Verifies everything there is: files, packs, index, records with what they name, run roots.
     ///
     /// # Errors
-    /// A store that cannot be read, or for a repair not be written. Faults are no errors.
+    /// Returns an error if the store cannot be read, or cannot be written for a repair. Faults are not
+    /// errors.
     pub fn fsck(&self, options: FsckOptions) -> Result<FsckReport, StoreError> {
         self.commit()?;
         let mut check = Check {
@@ -283,7 +284,7 @@ impl Check<'_> {
         unknown.iter().map(first).filter_map(Result::transpose).collect()
     }
 
-    /// Looks for what records name, and tells which results the faults break.
+    /// Checks that everything that records name exists, and lists the results that the faults break.
     fn records(&mut self) -> Result<(), StoreError> {
         let store = self.store;
         let broken: HashSet<Digest> = self

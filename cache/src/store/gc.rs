@@ -1,10 +1,10 @@
 //! Collection: removes what neither the caller's roots nor a running process needs.
 //!
-//! 1. All objects are listed; only these can be removed, so what is stored meanwhile stays.
-//! 2. What the roots reach is marked, and what the leases name.
-//! 3. Under the exclusive lock of collections the leases are read and marked again, and what has no mark loses its
-//!    file or its row. Nobody looks up in order to use while this lasts.
-//! 4. Packs with many dead bytes are written anew; this runs beside everything.
+//! 1. All objects are listed. Only these can be removed, so objects stored later stay.
+//! 2. Everything that the roots reach or the leases name is marked.
+//! 3. Under the exclusive lock of collections the leases are read and marked again, and each object without a mark
+//!    loses its file or its row. Meanwhile no process looks up an object to use.
+//! 4. Packs with many dead bytes are rewritten. Other processes may work during this step.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -29,7 +29,7 @@ use super::{
 };
 use crate::Digest;
 
-/// A pack is written anew when more than one byte of this many is dead.
+/// A pack is rewritten when more than one in this many bytes is dead.
 const DEAD_SHARE: u64 = 4;
 /// Longest wait for the index, which writers hold for milliseconds.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -45,22 +45,23 @@ pub struct Roots {
     pub blobs: Vec<Digest>,
 }
 
-/// What a collection keeps.
+/// The plan of a collection.
 #[derive(Debug, Clone, Default)]
 pub struct GcPlan {
     /// Kept in any case.
     pub always: Roots,
     /// What runs need, newest first.
     pub runs: Vec<Roots>,
-    /// Runs are kept, from the newest on, as long as all that is kept fits in so many bytes; all if none.
+    /// Runs are kept, from the newest on, as long as everything that is kept fits in this many bytes. `None`
+    /// keeps all.
     pub max_bytes: Option<u64>,
-    /// What was stored or used by an ended process within this time stays.
+    /// Objects stored, or used by an ended process, within this time stay.
     pub grace: Duration,
-    /// Nothing is removed; the report tells what would be.
+    /// Nothing is removed. The report lists what would be removed.
     pub dry_run: bool,
 }
 
-/// What a collection removed and kept.
+/// Numbers of objects that a collection removed and kept.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct GcReport {
     /// Runs of the plan that were kept, from the newest on.
@@ -79,7 +80,7 @@ pub struct GcReport {
     pub records: u64,
     /// Memos dropped.
     pub memos: u64,
-    /// Packs removed or written anew without their dead objects.
+    /// Packs removed or rewritten without their dead objects.
     pub packs: u64,
     /// Bytes that this freed.
     pub pack_bytes: u64,
@@ -98,12 +99,12 @@ struct Garbage {
 }
 
 impl Store {
-    /// Removes what neither the plan nor a process needs that has this store open. May run beside any number of
-    /// processes.
+    /// Removes everything that neither the plan nor a process with this store open needs. May run at the same time as
+    /// any number of processes.
     ///
     /// # Errors
-    /// A store that cannot be written, and [`StoreError::Locked`] where another program keeps the index locked: then no
-    /// packed object was removed.
+    /// Returns an error if the store cannot be written, and [`StoreError::Locked`] if another program keeps the index
+    /// locked: then no packed object was removed.
     pub fn gc(&self, plan: &GcPlan) -> Result<GcReport, StoreError> {
         self.commit()?;
         let objects = &self.objects;
@@ -177,7 +178,7 @@ impl Store {
         Ok(dead)
     }
 
-    /// Removes packs without living objects, and writes packs with many dead bytes anew.
+    /// Removes packs without living objects, and rewrites packs with many dead bytes.
     fn compact(&self, report: &mut GcReport) -> Result<(), StoreError> {
         let objects = &self.objects;
         let _guard = objects
@@ -214,7 +215,7 @@ fn mark_roots(marker: &mut Marker<'_>, roots: &Roots) -> Result<(), StoreError> 
     roots.blobs.iter().try_for_each(|blob| marker.root_blob(blob))
 }
 
-/// Marks what leases protect; returns the keys that living processes use.
+/// Marks everything that leases protect, and returns the keys that living processes use.
 fn mark_leases(
     store: &Store,
     marker: &mut Marker<'_>,
@@ -252,8 +253,8 @@ fn remove_stale_leases(store: &Store, grace: Duration) -> Result<(), StoreError>
     Ok(())
 }
 
-/// Tells whether a file is younger than the grace. One from the future is young, because the clock was set back, and one
-/// whose time cannot be read.
+/// Returns whether a file is younger than the grace. A time in the future counts as young, because the clock was set
+/// back. So does a time that cannot be read.
 fn is_young(objects: &Objects, path: &std::path::Path, grace: Duration) -> bool {
     let modified = objects.files.meta(path).map(|meta| meta.modified);
     modified.is_none_or(|time| match SystemTime::now().duration_since(time) {
@@ -331,7 +332,7 @@ struct LiveEntries {
     bytes: u64,
 }
 
-/// Returns the living objects of each registered pack of which enough is dead.
+/// Returns the living objects of each registered pack with enough dead bytes.
 fn live_by_pack(objects: &Objects) -> Result<BTreeMap<String, LiveEntries>, StoreError> {
     let files: BTreeMap<i64, String> = objects
         .index
@@ -363,8 +364,8 @@ fn live_by_pack(objects: &Objects) -> Result<BTreeMap<String, LiveEntries>, Stor
     Ok(packs)
 }
 
-/// Writes the living objects of a pack to a new one; none if the pack is damaged, which is the matter of who reads the
-/// damaged object, or of a check.
+/// Writes the living objects of a pack to a new one. Returns `None` if the pack is damaged: the damage is handled when
+/// the object is read, or by a check.
 fn rewrite(objects: &Objects, file: &str, live: &LiveEntries) -> Result<Option<PackRewrite>, StoreError> {
     let (contents, checked) = objects.check_pack(file)?;
     let (Some(contents), PackCheck::Whole) = (contents, checked) else {
@@ -379,7 +380,8 @@ fn rewrite(objects: &Objects, file: &str, live: &LiveEntries) -> Result<Option<P
     }))
 }
 
-/// Tells the index of new packs and removes those they replace; where it does not take them they are removed.
+/// Registers new packs in the index and removes the packs they replace. If the index does not take them,
+/// removes the new packs.
 fn replace(objects: &Objects, packs: &[PackRewrite], report: &mut GcReport) -> Result<(), StoreError> {
     if packs.is_empty() {
         return Ok(());

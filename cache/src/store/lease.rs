@@ -1,8 +1,8 @@
-//! Leases: what a running process uses, so that a collection beside it removes none of it.
+//! Leases: the objects that a running process uses, which a collection must not remove.
 //!
 //! A lease is a file `leases/<id>` of entries of 33 bytes: `k` and a key, or `b` and the digest of a blob. Its process
-//! holds a lock on it until it ends. What is looked up in order to be used is written to the lease first and looked for
-//! afterwards, both under the shared lock of collections; a collection reads the leases and removes objects under the
+//! holds a lock on it until it ends. A look-up of an object to use writes it to the lease first and looks for it
+//! afterwards, both under the shared lock of collections. A collection reads the leases and removes objects under the
 //! exclusive one. The lease of a process that has ended protects for as long as the grace of a collection lasts.
 
 use std::{
@@ -55,7 +55,7 @@ struct OpenLease {
 pub(super) struct LeaseFile {
     pub(super) path: PathBuf,
     pub(super) is_alive: bool,
-    /// Time since its last entry; none where the clock was set back.
+    /// Time since its last entry. `None` if the clock was set back.
     pub(super) age: Option<Duration>,
 }
 
@@ -84,7 +84,7 @@ impl Use {
 }
 
 impl Lease {
-    /// Returns the lease of a store that is being opened; creates nothing.
+    /// Returns the lease of a store that is being opened. Creates nothing.
     pub(super) fn new(root: &Path, files: Files, access: Access) -> Self {
         Self {
             dir: root.join("leases"),
@@ -151,7 +151,7 @@ pub(super) fn list(root: &Path, files: &Files) -> Result<Vec<LeaseFile>, StoreEr
     let names = files.names(&dir)?;
     let found = names.into_iter().map(|name| {
         let path = dir.join(name);
-        // A file that vanished is no lease any more; its process took it along.
+        // A file that vanished is not a lease any more: its process removed it.
         let is_alive = File::open(&path).is_ok_and(|file| file.try_lock().is_err());
         let meta = files.meta(&path);
         LeaseFile {
@@ -163,7 +163,7 @@ pub(super) fn list(root: &Path, files: &Files) -> Result<Vec<LeaseFile>, StoreEr
     Ok(found.collect())
 }
 
-/// Returns the entries of a lease; one that was cut ends before the cut.
+/// Returns the entries of a lease. A cut one ends before the cut.
 pub(super) fn read(files: &Files, path: &Path) -> Result<Vec<Use>, StoreError> {
     let bytes = files.read(path)?.unwrap_or_default();
     let (entries, _) = bytes.as_chunks::<ENTRY>();

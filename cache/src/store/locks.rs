@@ -12,20 +12,20 @@ use super::{error::StoreError, notices::Notices};
 /// Longest wait for a lock whose holders take seconds at most.
 pub(super) const PATIENCE: Duration = Duration::from_secs(600);
 
-/// What a lock protects.
+/// Purpose of a lock.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Lock {
-    /// Shared by who looks up objects in order to use them, exclusive for the deletions of a collection.
+    /// Shared by look-ups of objects to use, exclusive for the deletions of a collection.
     Collect,
-    /// Exclusive for who rewrites packs: merge, repair, compaction. Its holder never waits for `Collect`.
+    /// Exclusive while packs are rewritten: merge, repair, compaction. Its holder never waits for `Collect`.
     Rewrite,
     /// Exclusive for a whole collection.
     Gc,
-    /// Shared by who opens the index, exclusive for who creates or replaces it.
+    /// Shared while the index is opened, exclusive while it is created or replaced.
     Index,
-    /// Exclusive for who numbers a run.
+    /// Exclusive while a run is numbered.
     Runs,
-    /// Exclusive for who writes the file `format`.
+    /// Held exclusively while the file `format` is written.
     Format,
 }
 
@@ -48,7 +48,7 @@ pub(super) struct Guard(
 );
 
 impl Locks {
-    /// Returns the locks of the store in a folder; opens nothing.
+    /// Returns the locks of the store in a folder. Opens nothing.
     pub(super) fn new(root: &Path) -> Self {
         Self {
             dir: root.join("locks"),

@@ -1,4 +1,4 @@
-//! What is reachable: marks on the objects of a store, made by following what each object names.
+//! Reachability: marks on the objects of a store, made by following the names in each object.
 
 use std::collections::HashSet;
 
@@ -43,7 +43,7 @@ enum Step {
     Walked(Digest, Walk),
 }
 
-/// A memo by who made it; numbers of the census.
+/// A memo with its maker. `memo` and `blob` are numbers of the census.
 struct MemoRow {
     maker: [u8; PREFIX],
     memo: u32,
@@ -113,12 +113,12 @@ impl<'a> Marker<'a> {
         self.bytes
     }
 
-    /// Returns what is named and not in the store.
+    /// Returns the objects that are named but not in the store.
     pub(super) fn into_missing(self) -> Vec<MissingObject> {
         self.missing
     }
 
-    /// Tells whether an object is marked; none if it came after the census.
+    /// Returns whether an object is marked, or `None` if it came after the census.
     pub(super) fn is_marked(&self, kind: Kind, id: &Digest) -> Option<bool> {
         self.census.find(kind, id).map(|number| self.has_mark(number))
     }
@@ -133,7 +133,7 @@ impl<'a> Marker<'a> {
         word >> (number % 64) & 1 == 1
     }
 
-    /// Sets the mark of an object of the census; returns whether it had none.
+    /// Sets the mark of an object of the census. Returns whether it had no mark.
     fn set_mark(&mut self, number: usize) -> bool {
         if self.has_mark(number) {
             return false;
@@ -173,7 +173,7 @@ impl<'a> Marker<'a> {
         }
     }
 
-    /// Marks an object. Returns whether it is new; none if it is not in the store.
+    /// Marks an object. Returns whether it is new, or `None` if it is not in the store.
     fn visit(&mut self, kind: Kind, id: &Digest) -> Result<Option<bool>, StoreError> {
         if let Some(number) = self.census.find(kind, id) {
             return Ok(Some(self.set_mark(number)));
@@ -217,7 +217,7 @@ impl<'a> Marker<'a> {
         }
     }
 
-    /// Reads a blob; one that is damaged or has vanished is listed as missing.
+    /// Reads a blob. A damaged or vanished one is listed as missing.
     fn read(
         &mut self,
         digest: &Digest,
@@ -234,7 +234,7 @@ impl<'a> Marker<'a> {
         }
     }
 
-    /// Marks all that is reachable from a key and lists a record that is missing.
+    /// Marks everything reachable from a key, and lists a missing record.
     pub(super) fn key(&mut self, key: &Digest) -> Result<(), StoreError> {
         self.tasks.push(Task::Key {
             key: *key,
@@ -244,7 +244,7 @@ impl<'a> Marker<'a> {
         self.run()
     }
 
-    /// Marks all that is reachable from a key that a process has looked up: a record, a memo, or neither yet.
+    /// Marks everything reachable from a key that a process has looked up: a record, a memo, or neither yet.
     pub(super) fn used_key(&mut self, key: &Digest) -> Result<(), StoreError> {
         if self.visit(Kind::Memo, key)?.is_some()
             && let Some(memo) = commit::memo_of(self.objects, key)?
@@ -384,7 +384,7 @@ impl<'a> Marker<'a> {
         Ok(())
     }
 
-    /// Marks what a set consists of; does nothing for a blob that is none.
+    /// Marks everything that a set consists of. Does nothing for a blob that is not a set.
     fn follow_set(&mut self, root: &Digest, owner: &Digest, walk: Walk) -> Result<(), StoreError> {
         if !self.objects.is_set(root)? || !self.walked.insert((*root, walk)) {
             return Ok(());
@@ -393,7 +393,7 @@ impl<'a> Marker<'a> {
         let Some(bytes) = self.read(root, Role::Root, owner)? else {
             return Ok(());
         };
-        // Bytes that begin as a set and are none name nothing.
+        // Bytes that begin as a set but are not a set name nothing.
         for block in Root::blocks(&bytes).unwrap_or_default() {
             self.blob(&block.digest, Role::Block, root)?;
             let Some(bytes) = self.read(&block.digest, Role::Block, root)? else {

@@ -1,8 +1,8 @@
 //! Merges: many small packs become few large ones.
 //!
 //! Packs are in tiers by their bytes, each eight times the one below. A tier that has eight packs is joined into one
-//! pack, which belongs to the next tier: an object is written at most once a tier, and there are at most seven packs a
-//! tier at rest, beside those of 32 MiB and more, which stay as they are.
+//! pack, which belongs to the next tier. An object is written at most once a tier, and there are at most seven packs a
+//! tier at rest. Packs of 32 MiB and more stay as they are.
 //!
 //! The new pack is durable before the index knows it, and the index knows it before the old packs are removed. A
 //! reader that finds a pack gone asks the index again.
@@ -22,7 +22,7 @@ const SMALLEST: u64 = 64 << 10;
 /// Packs from this length on are not joined.
 const LARGEST: u64 = 32 << 20;
 
-/// Returns the tier of a pack; none if it stays as it is.
+/// Returns the tier of a pack, or `None` if it stays as it is.
 fn tier(bytes: u64) -> Option<u32> {
     if bytes >= LARGEST {
         return None;
@@ -36,7 +36,7 @@ fn tier(bytes: u64) -> Option<u32> {
     Some(tier)
 }
 
-/// Joins packs until no tier has too many; does nothing while another process does so.
+/// Joins packs until no tier has too many. Does nothing while another process does so.
 pub(super) fn merge(objects: &Objects) -> Result<(), StoreError> {
     if objects.access == Access::ReadOnly {
         return Ok(());
@@ -69,7 +69,7 @@ fn candidates(objects: &Objects) -> Result<Option<Vec<String>>, StoreError> {
     Ok(tiers.into_iter().find(|files| files.len() >= WIDTH))
 }
 
-/// Joins packs into one; returns whether the index took it.
+/// Joins packs into one. Returns whether the index took it.
 fn join(objects: &Objects, _rewriting: &Guard, files: &[String]) -> Result<bool, StoreError> {
     let staging = objects.staging()?;
     let name = format!("{}.pack", staging.next_name());

@@ -6,37 +6,43 @@
 //! .marf/packs/<id>.pack          smaller blobs, records and memos, many in one file that never changes
 //! .marf/index.sqlite             where each object is in the packs
 //! .marf/runs/NNNNNN-<hex>.json   one root a run, with its digest in its name
-//! .marf/leases/<id>              what a running process uses
+//! .marf/leases/<id>              objects that a running process uses
 //! .marf/locks/                   empty files that processes lock
 //! .marf/tmp/<id>/                temporary files of one open store
 //! .marf/bad/                     quarantine: damaged files
-//! .marf/scratch/                 files of unfinished work of stages; may be removed at any time
+//! .marf/scratch/                 files of unfinished work of stages, which may be removed at any time
 //! ```
 //!
 //! # What is truth
 //! Loose files and packs, and nothing else: they never change, and each object in them proves itself, a blob by its
-//! digest, a record or memo by a checksum over key and content. The index is made from the packs at any time. Whatever
-//! it says is checked against what the pack holds at that place before it is used.
+//! digest, a record or memo by a checksum over key and content. The index can be rebuilt from the packs at any time.
+//! Each of its entries is checked against the pack before use.
 //!
 //! # Order of writes
-//! A batch collects writes, so that they share the waits for the disk; it is committed when it is a second old, at
-//! 64 MiB, and by [`Store::commit`]. A commit writes, each step durable before the next: the lease; the large blobs under
-//! temporary names, then their names and folders; one pack with everything small, then its name and folder; the rows of
-//! the index in one transaction. Run roots come after all they name. So nothing names an object that may be missing.
+//! A batch collects writes, so that they share the waits for the disk. It is committed when it is a second old, at 64
+//! MiB, and by [`Store::commit`].
+//!
+//! A commit writes in this order, each step durable before the next:
+//! - the lease
+//! - the large blobs under temporary names, then their names and folders
+//! - one pack with everything small, then its name and folder
+//! - the rows of the index in one transaction
+//!
+//! Run roots come after everything they name. So nothing names an object that may be missing.
 //!
 //! # What happens in a crash
 //! - Before a name: a file in `tmp/`, which the next open store removes.
 //! - Between large blobs and pack: blobs that nothing names.
 //! - Between pack and index: whoever looks next registers the pack.
-//! - In a transaction of the index: SQLite rolls it back; after a loss of power the index may lack the last
+//! - In a transaction of the index: SQLite rolls it back. After a loss of power the index may lack the last
 //!   transactions, and the packs are registered again.
-//! - In a merge, a repair or a collection: the objects of a pack are in two packs; the index knows one of them, and
+//! - In a merge, a repair or a collection: the objects of a pack are in two packs. The index knows one of them, and
 //!   the next collection removes the other.
 //!
 //! # What happens to damage
-//! It is found when the object is read. A loose file is moved to `bad/`; a pack is moved there after its whole objects
-//! were written to a new one; an index is moved there and made from the packs. The object is then missing, its record a
-//! miss, and its producer runs again. None of this is an error of the store.
+//! It is found when the object is read. A loose file is moved to `bad/`. A pack is moved there after its undamaged
+//! objects were written to a new one. An index is moved there and rebuilt from the packs. The object is then missing,
+//! its record a miss, and its producer runs again. None of this is an error of the store.
 //!
 //! # Several processes
 //! Readers take no lock. A look-up that is a promise to use what was found ([`Store::hit`], [`Store::memo`], a
@@ -103,7 +109,7 @@ pub use upstream::Upstream;
 
 /// A store that several threads and processes share.
 ///
-/// This store reads at once what it was given; other processes read it after the next commit. Dropping a store
+/// This store reads its own writes at once. Other processes read them after the next commit. Dropping a store
 /// discards what is not committed.
 pub struct Store {
     dir: PathBuf,
@@ -113,16 +119,16 @@ pub struct Store {
     conflicts: Mutex<Vec<Conflict>>,
     /// Set when the file system turned out to have no copies that share blocks.
     has_no_reflinks: AtomicBool,
-    /// Where blobs come from that it lacks; none for most stores.
+    /// Source of blobs that it lacks. `None` for most stores.
     upstream: Option<Arc<dyn Upstream>>,
 }
 
-/// What is not committed yet.
+/// Uncommitted writes.
 #[derive(Default)]
 struct PendingWrites {
     /// The batch that takes new writes.
     open: WriteBatch,
-    /// The batch that is being written; readable until it is committed.
+    /// The batch that is being written. It is readable until it is committed.
     committing: Option<Arc<WriteBatch>>,
 }
 
@@ -145,11 +151,11 @@ impl Store {
         Self::open_on(dir.into(), Files::of_disk(), Notices::default())
     }
 
-    /// As [`Store::open`]; whenever the store waits for another program, now or later, `interrupt` tells whether the wait
-    /// should end.
+    /// As [`Store::open`]. Whenever the store waits for another program, now or later, `interrupt` decides whether the
+    /// wait ends.
     ///
     /// # Errors
-    /// As [`Store::open`], and [`StoreError::Locked`] where the wait was ended.
+    /// As [`Store::open`], and [`StoreError::Locked`] if the wait was ended.
     pub fn open_interruptible(
         dir: impl Into<PathBuf>,
         interrupt: impl Fn() -> bool + Send + Sync + 'static,
@@ -186,12 +192,12 @@ impl Store {
         self.dir.join("scratch")
     }
 
-    /// Tells whether the store was opened without permission to write.
+    /// Returns whether the store was opened without permission to write.
     pub fn is_read_only(&self) -> bool {
         self.objects.access == Access::ReadOnly
     }
 
-    /// Returns what the user should know and is no error, since the last call: repairs, an index that is locked.
+    /// Returns the warnings since the last call that are not errors: repairs, an index that is locked.
     pub fn take_warnings(&self) -> Vec<String> {
         self.objects.notices.take()
     }
@@ -214,7 +220,7 @@ impl Store {
         Ok(())
     }
 
-    /// Reads a blob and verifies its digest; one that is lacking comes from upstream, if the store has one.
+    /// Reads a blob and verifies its digest. A missing one comes from upstream, if the store has one.
     ///
     /// # Errors
     /// [`StoreError::Missing`], or [`StoreError::Damaged`] once: a damaged blob is quarantined and then missing.
@@ -244,7 +250,7 @@ impl Store {
         }
     }
 
-    /// Tells whether a blob is in the store, whichever process committed it. Its bytes are not read.
+    /// Returns whether a blob is in the store, whichever process committed it. Its bytes are not read.
     pub fn contains(&self, digest: &Digest) -> bool {
         let pending = self.pending.lock().find(|batch| batch.size_of(digest));
         pending.is_some() || self.objects.contains(digest)
@@ -257,10 +263,11 @@ impl Store {
         own.or_else(|| Some(self.get_upstream(digest).ok()??.len() as u64))
     }
 
-    /// Returns the record of a key as it was written; none if there is none or it was damaged, which is a warning.
+    /// Returns the record of a key as it was written, or `None` if it is missing or damaged. Damage adds a
+    /// warning.
     ///
     /// # Errors
-    /// An index that another program keeps locked, or a pack that cannot be read.
+    /// Returns an error if another program keeps the index locked, or if a pack cannot be read.
     pub fn record(&self, key: &Digest) -> Result<Option<Record>, StoreError> {
         let pending = self.pending.lock().find(|batch| batch.records.get(key).cloned());
         match pending {
@@ -303,8 +310,8 @@ impl Store {
         })
     }
 
-    /// Adds a memo to the open batch; it replaces an earlier one of the same key. It lives as long as what the action
-    /// of key `maker` made.
+    /// Adds a memo to the open batch, and replaces an earlier one of the same key. It lives as long as the result of
+    /// the action of key `maker`.
     pub fn put_memo(&self, key: Digest, blob: Digest, maker: Digest) {
         self.pending.lock().open.add_memo(key, Memo { blob, maker });
     }
@@ -312,8 +319,8 @@ impl Store {
     /// Makes everything put so far durable.
     ///
     /// # Errors
-    /// The first failed write; everything stays pending and readable, and the next call tries again. An index that is
-    /// locked is no error: see [`Store::take_warnings`].
+    /// Returns the first failed write. Everything stays pending and readable, and the next call tries again. A locked
+    /// index is not an error: see [`Store::take_warnings`].
     pub fn commit(&self) -> Result<(), StoreError> {
         let written = {
             let guard = self.commit_lock.lock();
@@ -323,7 +330,7 @@ impl Store {
         Ok(())
     }
 
-    /// Commits the open batch and returns whether there was anything; the guard proves that no other thread commits.
+    /// Commits the open batch and returns whether it held anything. The guard proves that no other thread commits.
     fn commit_open(&self, _guard: &MutexGuard<'_, ()>) -> Result<bool, StoreError> {
         let batch = {
             let mut pending = self.pending.lock();

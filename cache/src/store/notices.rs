@@ -1,4 +1,4 @@
-//! What an open store tells its caller beside results, and what its caller tells it while it waits.
+//! Warnings of an open store to its caller, and the caller's request to end a wait.
 
 use std::{
     collections::BTreeSet,
@@ -21,7 +21,7 @@ pub(super) struct Notices {
 }
 
 impl Notices {
-    /// Returns notices to a caller that tells whether waits should end.
+    /// Returns notices to a caller that can end waits.
     pub(super) fn to(interrupt: impl Fn() -> bool + Send + Sync + 'static) -> Self {
         Self {
             interrupt: Some(Box::new(interrupt)),
@@ -46,13 +46,13 @@ impl Notices {
         std::mem::take(&mut *self.warnings.lock())
     }
 
-    /// Tells whether waits should end.
+    /// Returns whether waits should end.
     pub(super) fn is_interrupted(&self) -> bool {
         self.interrupt.as_ref().is_some_and(|interrupt| interrupt())
     }
 
-    /// Tries until an attempt returns a value, patience ends or the caller interrupts; returns the value, or the time
-    /// waited in vain.
+    /// Tries until an attempt returns a value, `patience` ends or the caller interrupts. Returns the value, or the
+    /// time waited in vain.
     pub(super) fn retry<T, E>(
         &self,
         patience: Duration,

@@ -42,7 +42,7 @@ pub(super) struct Objects {
     lost: Mutex<HashSet<(Kind, Digest)>>,
 }
 
-/// What a look at a pack found.
+/// Result of checking a pack.
 pub(super) enum PackCheck {
     /// The file is gone: another process has rewritten it.
     Gone,
@@ -117,13 +117,13 @@ impl Objects {
         Ok(location.filter(|_| !self.is_lost(kind, id)))
     }
 
-    /// Tells whether a blob is stored, without a look for packs that other processes added.
+    /// Returns whether a blob is stored, without a look for packs that other processes added.
     pub(super) fn knows(&self, digest: &Digest) -> bool {
         let packed = self.index.locate_known(Kind::Blob, digest);
         packed.is_ok_and(|location| location.is_some()) || self.files.meta(&self.loose_path(digest)).is_some()
     }
 
-    /// Tells whether a blob is stored. Its bytes are not read.
+    /// Returns whether a blob is stored. Its bytes are not read.
     pub(super) fn contains(&self, digest: &Digest) -> bool {
         let loose = || self.files.meta(&self.loose_path(digest)).is_some();
         let packed = self.locate(Kind::Blob, digest);
@@ -144,7 +144,7 @@ impl Objects {
                 generation: 0,
             };
             let path = self.pack_path(&location.file);
-            // The index is no proof of a length, the head of the entry is.
+            // The index does not prove a length, but the head of the entry does.
             if matches!(pack::has_head(&self.files, &path, &entry), Ok(true)) {
                 return Some(u64::from(location.len));
             }
@@ -157,7 +157,7 @@ impl Objects {
         (!self.is_lost(Kind::Blob, digest)).then_some(loose.bytes)
     }
 
-    /// Reads and verifies a blob; a damaged one is quarantined.
+    /// Reads and verifies a blob. A damaged one is quarantined.
     pub(super) fn get(&self, digest: &Digest) -> Result<Arc<[u8]>, StoreError> {
         let missing = || StoreError::Missing { digest: *digest };
         if self.is_lost(Kind::Blob, digest) {
@@ -175,7 +175,7 @@ impl Objects {
         packed.map(Arc::from).ok_or_else(missing)
     }
 
-    /// Returns the first bytes of a blob, unverified: enough to see of which form it is.
+    /// Returns the first bytes of a blob, unverified: enough to recognise its form.
     pub(super) fn peek(&self, digest: &Digest, len: usize) -> Result<Option<Vec<u8>>, StoreError> {
         if let Some(bytes) = self.files.read_at(&self.loose_path(digest), 0, len)? {
             return Ok(Some(bytes));
@@ -188,12 +188,12 @@ impl Objects {
             .read_at(&self.pack_path(&location.file), location.offset, len)
     }
 
-    /// Tells whether a blob begins as the root of a set does.
+    /// Returns whether a blob begins as the root of a set does.
     pub(super) fn is_set(&self, digest: &Digest) -> Result<bool, StoreError> {
         Ok(self.peek(digest, SET_START.len())?.as_deref() == Some(SET_START))
     }
 
-    /// Reads an entry of a pack and returns its content if it is whole; repairs nothing.
+    /// Reads an entry of a pack and returns its content if it is whole. Repairs nothing.
     pub(super) fn whole_payload(&self, kind: Kind, id: &Digest) -> Result<Option<Vec<u8>>, StoreError> {
         let Some(location) = self.locate(kind, id)? else {
             return Ok(None);
@@ -223,10 +223,10 @@ impl Objects {
         )
     }
 
-    /// Reads and verifies an entry of a pack and returns its content; none if there is none.
+    /// Reads and verifies an entry of a pack and returns its content, or `None` if there is no entry.
     ///
     /// # Errors
-    /// [`StoreError::Damaged`] once: the damaged entry is quarantined, and then there is none.
+    /// [`StoreError::Damaged`] once: the damaged entry is quarantined and then missing.
     pub(super) fn payload(&self, kind: Kind, id: &Digest) -> Result<Option<Vec<u8>>, StoreError> {
         let mut damaged = None;
         for attempt in 0..ATTEMPTS {
@@ -300,7 +300,7 @@ impl Objects {
         Ok((Some(contents), checked))
     }
 
-    /// Writes the whole entries of a pack to a new one and quarantines the pack; returns where it is now.
+    /// Writes the whole entries of a pack to a new one and quarantines the pack. Returns its new path.
     pub(super) fn replace_pack(
         &self,
         _rewriting: &super::locks::Guard,
@@ -322,7 +322,7 @@ impl Objects {
             self.index.refresh(REFRESH_PATIENCE)?;
         }
         self.notices.warn(format!(
-            "a damaged pack was moved to `{}`; {} of its {} objects are whole and stay",
+            "a damaged pack was moved to `{}`. {} of its {} objects are whole and stay",
             to.display(),
             entries.len(),
             entries.len() + bad.len()
@@ -330,7 +330,8 @@ impl Objects {
         Ok(to)
     }
 
-    /// Writes entries of a pack to a new pack, durably, and returns its name and entries; none if there are none.
+    /// Writes entries of a pack to a new pack, durably, and returns its name and entries. Returns `None` if there
+    /// are no entries.
     pub(super) fn rewrite_entries<'a>(
         &self,
         file: &str,

@@ -1,4 +1,4 @@
-//! What is done before a store is used: its folders, its form, what dead processes left.
+//! Preparation of a store before use: its folders, its form, and the files of dead processes.
 
 use std::path::Path;
 
@@ -11,7 +11,7 @@ use super::{
     staging,
 };
 
-/// Tells whether the store in a folder can be written. An absent folder can be, as far as is known.
+/// Returns whether the store in a folder can be written. An absent folder counts as writable.
 pub(super) fn access_of(dir: &Path) -> Access {
     let Ok(meta) = std::fs::metadata(dir) else {
         return Access::ReadWrite;
@@ -53,7 +53,8 @@ pub(super) fn prepare(
     Ok(())
 }
 
-/// Writes the file `format`; a damaged one is quarantined. One that another program has written meanwhile stays.
+/// Writes the file `format`, and quarantines a damaged one. One that another program has written meanwhile
+/// stays.
 pub(super) fn write_format(dir: &Path, files: &Files, notices: &Notices) -> Result<(), StoreError> {
     let _alone = Locks::new(dir).take(Lock::Format, Share::Exclusive, notices)?;
     if format::find(files, dir)? == format::StoreForm::Current {

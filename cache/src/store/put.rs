@@ -11,7 +11,7 @@ use crate::Digest;
 /// Blobs from this length on are files of their own.
 const LARGE_BYTES: usize = 64 << 10;
 
-/// A file that is to be stored, and the most bytes it may have.
+/// A file to store, and the most bytes it may have.
 #[derive(Clone, Copy)]
 struct Limit<'a> {
     path: &'a Path,
@@ -37,10 +37,10 @@ impl Limit<'_> {
 }
 
 impl Store {
-    /// Stores a blob and returns its digest; the same bytes are stored once.
+    /// Stores a blob and returns its digest. The same bytes are stored once.
     ///
     /// # Errors
-    /// A store that cannot be written; nothing of the blob becomes visible.
+    /// Returns an error if the store cannot be written. Nothing of the blob then becomes visible.
     pub fn put(&self, bytes: &[u8]) -> Result<Digest, StoreError> {
         let digest = Digest::from_content(bytes);
         if self.is_stored(&digest)? {
@@ -58,8 +58,8 @@ impl Store {
         Ok(digest)
     }
 
-    /// Stores a file of at most `max_bytes` bytes, as a copy that shares its blocks where the file system can; returns
-    /// digest and bytes of what was copied, whatever happens to the file meanwhile.
+    /// Stores a file of at most `max_bytes` bytes, as a copy that shares its blocks if the file system can. Returns
+    /// digest and bytes of the copy, even if the file changes meanwhile.
     ///
     /// # Errors
     /// A file that cannot be read or is longer ([`StoreError::TooLarge`]), and a store that cannot be written.
@@ -76,8 +76,8 @@ impl Store {
         Ok((self.put(&read)?, read))
     }
 
-    /// Stores a link to a file of at most `max_bytes` bytes; returns digest and bytes that it has now. The bytes stay outside
-    /// the store: once the file is changed or gone, the blob is damaged or lost as any other ([`Store::reference`]).
+    /// Stores a link to a file of at most `max_bytes` bytes. Returns its current digest and bytes. The bytes stay outside the
+    /// store: once the file is changed or gone, the blob is damaged or lost like any other ([`Store::reference`]).
     ///
     /// # Errors
     /// As of [`Store::put_file`], and a file system without symbolic links.
@@ -143,7 +143,7 @@ impl Store {
         Ok((digest, bytes))
     }
 
-    /// Tells whether a blob is stored or about to be; one that is stored is protected from collections.
+    /// Returns whether a blob is stored or about to be. A stored one is protected from collections.
     fn is_stored(&self, digest: &Digest) -> Result<bool, StoreError> {
         if self.pending.lock().find(|batch| batch.size_of(digest)).is_some() {
             return Ok(true);

@@ -13,7 +13,8 @@ pub struct Record {
     pub stage: String,
     /// Output blobs by name.
     pub outputs: BTreeMap<String, Output>,
-    /// A blob with the digests of all other blobs that the work stored ([`digest_list`]); absent if there is none.
+    /// A blob with the digests of all other blobs that the work stored ([`digest_list`]). Absent if there are no
+    /// such blobs.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub needs: Option<Digest>,
     /// Keys of the parts of the work by shard, as a set ([`crate::manifest::Root`] with keys for leaves).
@@ -22,11 +23,11 @@ pub struct Record {
     /// Keys of the child nodes, by their names below this one.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub children: BTreeMap<String, Digest>,
-    /// A blob that tells which files a source read and where they came from, one JSON object a line. It holds addresses
-    /// and times, so no key depends on it, and it is never compared; it is in `needs` too.
+    /// A blob that lists the files that a source read and where they came from, one JSON object a line. It holds
+    /// addresses and times, so no key depends on it, and it is never compared. It is in `needs` too.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub origins: Option<Digest>,
-    /// How the run went; never compared.
+    /// Metadata of the computation, never compared.
     pub metadata: RunMetadata,
 }
 
@@ -39,12 +40,13 @@ pub struct Output {
     pub bytes: u64,
 }
 
-/// Time, memory, device and program of the run that made a record; no output depends on them.
+/// Time, memory, device and program of the run that made a record. No output depends on them.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct RunMetadata {
     /// Wall time.
     pub seconds: f64,
-    /// Peak memory of the whole program up to the end of the action, in MB; 0 where the system does not tell.
+    /// Peak memory of the whole program up to the end of the action, in MB, or 0 if the system does not
+    /// report it.
     pub peak_mb: u64,
     /// Start, in seconds since 1970.
     pub started_unix_s: u64,
@@ -55,7 +57,7 @@ pub struct RunMetadata {
     /// Figures of the work by name (`photos`, `rejected`, `measured`).
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub counts: BTreeMap<String, u64>,
-    /// Seconds of parts of the work by name (`training`), where the stage tells them apart.
+    /// Seconds of parts of the work by name (`training`), if the stage measures them.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub parts_s: BTreeMap<String, f64>,
 }
@@ -132,7 +134,7 @@ pub fn digest_list(digests: &[Digest]) -> Vec<u8> {
     sorted.into_iter().flat_map(|digest| *digest.as_bytes()).collect()
 }
 
-/// Reads what [`digest_list`] wrote; none if the bytes are not sorted digests.
+/// Reads a list that [`digest_list`] wrote, or returns `None` if the bytes are not sorted digests.
 pub fn read_digest_list(bytes: &[u8]) -> Option<Vec<Digest>> {
     let (digests, rest) = bytes.as_chunks::<32>();
     let digests: Vec<Digest> = digests.iter().copied().map(Digest::from_bytes).collect();

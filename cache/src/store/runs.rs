@@ -63,7 +63,7 @@ pub(super) fn list(files: &Files, dir: &Path) -> Result<Vec<RunFile>, StoreError
     Ok(runs)
 }
 
-/// Reads and verifies a run's root; the path of its file if the bytes are damaged.
+/// Reads and verifies a run's root. Returns the path of its file if the bytes are damaged.
 pub(super) fn read(files: &Files, dir: &Path, run: &RunFile) -> Result<Result<Vec<u8>, PathBuf>, StoreError> {
     let path = run.path(dir);
     let bytes = files
@@ -76,7 +76,8 @@ pub(super) fn read(files: &Files, dir: &Path, run: &RunFile) -> Result<Result<Ve
     })
 }
 
-/// Returns the objects that a run root names by name beside its keys; none in roots of an earlier form.
+/// Returns the documents that a run root names, in addition to its keys. Roots of an earlier form name no
+/// documents.
 pub(super) fn documents(root: &[u8]) -> BTreeMap<String, Output> {
     #[derive(Default, Deserialize)]
     struct Named {

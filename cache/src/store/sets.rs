@@ -12,7 +12,7 @@ pub enum SetError {
     /// A blob of it cannot be read.
     #[error(transparent)]
     Store(#[from] StoreError),
-    /// A blob of it is no manifest.
+    /// A blob of the set is not a manifest.
     #[error(transparent)]
     Manifest(#[from] ManifestError),
 }

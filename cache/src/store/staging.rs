@@ -17,7 +17,7 @@ const OWNER_LOCK: &str = "alive";
 
 static OPENED: AtomicU64 = AtomicU64::new(0);
 
-/// The folder of temporary files of one open store; removed on drop.
+/// The folder of temporary files of one open store, removed on drop.
 pub(super) struct StagingDir {
     files: Files,
     dir: PathBuf,
@@ -79,7 +79,7 @@ impl Drop for StagingDir {
     }
 }
 
-/// Removes the folders of dead processes; does nothing while another process holds the global lock.
+/// Removes the folders of dead processes. Does nothing while another process holds the global lock.
 pub(super) fn sweep(files: &Files, tmp: &Path) {
     let Ok(Some(_global)) = global_lock(tmp) else {
         return;
@@ -92,7 +92,8 @@ pub(super) fn sweep(files: &Files, tmp: &Path) {
     }
 }
 
-/// Tells whether a folder's process has ended. Under the global lock no folder is being created, so one without
+/// Returns whether a folder's process has ended. Under the global lock no folder is being created, so one
+/// without
 /// an owner lock is abandoned too.
 fn is_abandoned(dir: &Path) -> bool {
     match File::open(dir.join(OWNER_LOCK)) {
@@ -101,7 +102,7 @@ fn is_abandoned(dir: &Path) -> bool {
     }
 }
 
-/// Takes the global lock; none if another process holds it.
+/// Takes the global lock, or returns `None` if another process holds it.
 fn global_lock(tmp: &Path) -> Result<Option<File>, StoreError> {
     let path = tmp.join(GLOBAL_LOCK);
     let file = File::create(&path).map_err(StoreError::io("create", &path))?;

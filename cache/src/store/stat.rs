@@ -6,14 +6,14 @@ use serde::Serialize;
 
 use super::{Store, StoreError, StoreStat, files::Place, pack::Kind};
 
-/// What the records of a stage hold.
+/// Totals of the records of a stage.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
 pub struct StageStat {
     /// Records of the stage.
     pub records: u64,
     /// Different outputs of theirs.
     pub outputs: u64,
-    /// Bytes of these outputs; an output of several stages counts for the first by name.
+    /// Bytes of these outputs. An output of several stages counts for the first by name.
     pub bytes: u64,
 }
 
@@ -52,7 +52,7 @@ impl Store {
         Ok(stat)
     }
 
-    /// Counts records and outputs by stage; reads every record.
+    /// Counts records and outputs by stage. Reads every record.
     ///
     /// # Errors
     /// As [`Store::record`].

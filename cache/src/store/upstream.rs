@@ -7,10 +7,10 @@ use crate::Digest;
 
 /// Has blobs that a store may lack.
 pub trait Upstream: Send + Sync {
-    /// Returns a blob; none if it is not there. Its digest is checked by the store.
+    /// Returns a blob, or `None` if it does not exist. The store checks its digest.
     ///
     /// # Errors
-    /// Why it cannot be asked, in a sentence.
+    /// The reason why the upstream cannot be read, in a sentence.
     fn blob(&self, digest: &Digest) -> Result<Option<Vec<u8>>, String>;
 }
 
@@ -24,7 +24,7 @@ impl Store {
         }
     }
 
-    /// Gets a blob from upstream; none if it is not there either.
+    /// Gets a blob from upstream, or returns `None` if it does not exist there either.
     pub(super) fn get_upstream(&self, digest: &Digest) -> Result<Option<Arc<[u8]>>, StoreError> {
         let Some(upstream) = &self.upstream else {
             return Ok(None);

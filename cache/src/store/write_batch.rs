@@ -33,7 +33,7 @@ pub(super) struct WriteBatch {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Memo {
     pub(super) blob: Digest,
-    /// Key of the action that made it; it lives as long as that.
+    /// Key of the action that made it. The memo lives as long as the result of that action.
     pub(super) maker: Digest,
 }
 
@@ -77,13 +77,13 @@ impl WriteBatch {
         self.large.insert(digest, large);
     }
 
-    /// Adds a record; the first of two records of one key is kept, as in the index.
+    /// Adds a record. The first of two records of one key is kept, as in the index.
     pub(super) fn add_record(&mut self, record: Record) {
         self.note_write(0);
         self.records.entry(record.key).or_insert(record);
     }
 
-    /// Adds a memo; the last of two memos of one key is kept.
+    /// Adds a memo. The last of two memos of one key is kept.
     pub(super) fn add_memo(&mut self, key: Digest, memo: Memo) {
         self.note_write(0);
         self.memos.insert(key, memo);
@@ -98,7 +98,7 @@ impl WriteBatch {
         self.first_write.is_none()
     }
 
-    /// Tells whether the batch is old or large enough to be committed.
+    /// Returns whether the batch is old or large enough to be committed.
     pub(super) fn is_due(&self) -> bool {
         self.bytes >= MAX_BYTES || self.first_write.is_some_and(|first| first.elapsed() >= MAX_AGE)
     }
@@ -109,7 +109,7 @@ impl WriteBatch {
         small.or_else(|| self.large.get(digest).map(|large| large.bytes))
     }
 
-    /// Puts back an older batch that could not be committed; newer memos win, older records win.
+    /// Restores an older batch that could not be committed. Newer memos win, older records win.
     pub(super) fn restore(&mut self, older: &Self) {
         let newer = std::mem::replace(self, older.clone());
         self.small.extend(newer.small);

@@ -1,4 +1,4 @@
-//! An archive on a loopback port, for tests and `marf-labs faults`: as an Apache serves it, or misbehaving as told.
+//! An archive on a loopback port, for tests and `marf-labs faults`: as an Apache serves it, or with chosen faults.
 //!
 //! ```
 //! # use marf_loopback::{Reply, Server};
@@ -15,8 +15,8 @@
 //! # }
 //! ```
 //! Files answer `If-None-Match`, `If-Modified-Since` (equal text), `Range` and `If-Range`. A script belongs to a whole
-//! target, or to a path with any query; its replies are used up one a request, then the normal answer comes. Random
-//! faults depend on seed, path and how often the path was asked, never on the order of requests.
+//! target, or to a path with any query. Each request uses up one reply, then the normal answer comes. Random faults
+//! depend on seed, path and how often the path was asked, never on the order of requests.
 
 mod answer;
 mod mars;
@@ -31,7 +31,7 @@ use std::time::{Duration, Instant};
 
 use parking_lot::Mutex;
 
-/// `Last-Modified` of every file that is given none.
+/// `Last-Modified` of every file mounted without one.
 pub const MODIFIED: &str = "Tue, 01 Mar 2022 10:20:00 GMT";
 
 /// One answer out of the ordinary.
@@ -41,31 +41,31 @@ pub enum Reply {
     Normal,
     /// A status with headers and a body.
     Status(u16, Vec<(String, String)>, Vec<u8>),
-    /// The normal answer, then a reset after so many bytes of the body.
+    /// The normal answer, then a reset after `after` bytes of the body.
     Reset {
         /// Bytes of the body.
         after: usize,
     },
-    /// The normal head, then an orderly end after so many bytes of the body.
+    /// The normal head, then an orderly end after `after` bytes of the body.
     Cut {
         /// Bytes of the body.
         after: usize,
     },
-    /// The normal answer with a `Content-Length` that is so many bytes larger (or smaller).
+    /// The normal answer with a `Content-Length` that is `more` bytes larger (or smaller).
     Announce {
-        /// Bytes; negative for too short a length.
+        /// Bytes, negative for too short a length.
         more: i64,
     },
     /// The headers of the normal answer, status 200, and a body without length and without end.
     Endless,
-    /// The normal answer, so many bytes at a time with a pause between.
+    /// The normal answer, `bytes` bytes at a time with a pause between.
     Drip {
         /// Bytes of a piece.
         bytes: usize,
         /// Pause between two pieces.
         every: Duration,
     },
-    /// The normal answer up to so many bytes of the body, then silence.
+    /// The normal answer up to `after` bytes of the body, then silence.
     Stall {
         /// Bytes of the body.
         after: usize,
@@ -76,7 +76,7 @@ pub enum Reply {
     Redirect(String),
     /// To a `Range`: a 206 of another version. Else the normal answer.
     StaleRest,
-    /// To a `Range`: a 206 that begins so many bytes too late (or early). Else the normal answer.
+    /// To a `Range`: a 206 that begins this many bytes too late (or early). Else the normal answer.
     ShiftedRest(i64),
     /// To a `Range`: 416. Else the normal answer.
     NoRest,
@@ -169,7 +169,7 @@ struct Shared {
     most_at_once: AtomicUsize,
 }
 
-/// A running archive; dropping it ends it.
+/// A running archive. Dropping it ends it.
 pub struct Server(Arc<Shared>);
 
 impl Server {
@@ -211,7 +211,7 @@ impl Server {
         format!("{}{path}", self.origin())
     }
 
-    /// Mounts a file with an `ETag` of its bytes and a fixed `Last-Modified`; mounting again replaces.
+    /// Mounts a file with an `ETag` of its bytes and a fixed `Last-Modified`. Mounting again replaces it.
     pub fn file(&self, path: &str, bytes: impl Into<Vec<u8>>) {
         let bytes = bytes.into();
         let etag = format!("\"{:x}\"", hash(&[&bytes]));
@@ -239,12 +239,12 @@ impl Server {
         self.state(|state| state.files.remove(path));
     }
 
-    /// Mounts a folder that may be empty; `path` ends in `/`. Folders with files need no mounting.
+    /// Mounts a folder that may be empty. `path` ends in `/`. Folders with files need no mounting.
     pub fn folder(&self, path: &str) {
         self.state(|state| state.folders.insert(path.to_owned()));
     }
 
-    /// Answers a path by a function of path and query; `None` is a 404.
+    /// Answers a path by a function of path and query. `None` is a 404.
     pub fn feed(&self, path: &str, answer: impl Fn(&str, &str) -> Option<Vec<u8>> + Send + Sync + 'static) {
         self.state(|state| state.feeds.insert(path.to_owned(), Arc::new(answer)));
     }
@@ -254,7 +254,7 @@ impl Server {
         self.state(|state| state.scripts.insert(target.to_owned(), replies.into()));
     }
 
-    /// Spoils that share of all requests without a script; 0 for none.
+    /// Spoils this share of all requests without a script. 0 spoils no request.
     pub fn faults(&self, seed: u64, share: f64) {
         self.state(|state| state.faults = Some((seed, share)));
     }

@@ -8,8 +8,7 @@ const DATA: &str = "/img/data/mars2020/mars2020_navcam_ops_raw/data/sol";
 const BELOW: &str = "ids/edr/ncam";
 
 impl Server {
-    /// Mounts a picture as the browse picture of that number of a sol, and the folder where its label would be; returns its
-    /// path.
+    /// Mounts a picture as browse picture `number` of a sol, and the folder where its label would be. Returns its path.
     pub fn navcam(&self, sol: u32, number: u32, png: impl Into<Vec<u8>>) -> String {
         let name = format!("NLF_{sol:04}_06{sol:04}{number:04}_000EBY_N003{number:04}NCAM00500_00_0LLJ01");
         let path = format!("{BROWSE}/{sol:05}/{BELOW}/{name}.png");

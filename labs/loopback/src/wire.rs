@@ -11,7 +11,8 @@ use super::{Reply, Request, Shared, hash};
 /// How long a broken connection stays open, so that what was sent is read before the break.
 const BEFORE_BREAK: Duration = Duration::from_millis(20);
 
-/// Counts an answer under way; it ends before its last byte leaves, so that the next request never overlaps it.
+/// Counts an answer in progress. It ends before its last byte leaves, so that the next request never overlaps
+/// it.
 struct Busy<'a>(Option<&'a Shared>);
 
 impl Busy<'_> {
@@ -29,7 +30,7 @@ impl Drop for Busy<'_> {
 }
 
 impl Shared {
-    /// Answers one request; false ends the connection.
+    /// Answers one request. False ends the connection.
     pub(super) fn serve(&self, stream: &TcpStream) -> std::io::Result<bool> {
         let Some((head, length)) = self.read_head(stream)? else {
             return Ok(false);
@@ -69,7 +70,7 @@ impl Shared {
         Ok(None)
     }
 
-    /// Records the request and takes its reply: of its script, or a random fault, or none.
+    /// Records the request and takes its reply: of its script, a random fault, or the normal answer.
     fn reply_to(&self, request: &Request) -> Reply {
         let mut state = self.state.lock();
         state.requests.push(request.clone());

@@ -133,10 +133,11 @@ pub fn is_success(what: &str, output: &Output) -> Outcome {
     }
 }
 
-/// Checks that a run ended well, or in one error of these words with exit code 1; returns whether it was the error.
+/// Checks that a run ended well, or in one error with these words and exit code 1. Returns whether it was the
+/// error.
 ///
 /// # Errors
-/// Any other end.
+/// Returns an error for any other end.
 pub fn ends_in_one_error(output: &Output, words: &str) -> Outcome<bool> {
     let text = String::from_utf8_lossy(&output.stderr);
     let errors = text.lines().filter(|line| line.starts_with("error:"));

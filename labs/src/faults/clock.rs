@@ -41,6 +41,6 @@ impl Injector for Clock<'_> {
     }
 
     fn detail(&self) -> String {
-        "files of 1970, of 2099 and of random times between; nothing runs again".to_owned()
+        "files of 1970, of 2099 and of random times between. Nothing runs again".to_owned()
     }
 }

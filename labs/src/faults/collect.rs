@@ -1,4 +1,4 @@
-//! Collections of garbage, with no grace and one run to keep, beside eight runs of two pipelines.
+//! Collections of garbage, with no grace and one run to keep, during eight runs of two pipelines.
 
 use std::process::Child;
 
@@ -10,7 +10,7 @@ use super::lab::Lab;
 /// Exit code of a collection that another one kept from its work.
 const BUSY: i32 = 11;
 
-/// Collects beside runs that come and go.
+/// Collects while runs come and go.
 pub struct Collect<'a> {
     lab: &'a Lab,
     case: Case,
@@ -44,7 +44,7 @@ impl<'a> Collect<'a> {
                 None => left.push(run),
                 Some(status) if status.success() => {}
                 Some(status) => {
-                    outcome = Err(RoundError::Bad(format!("a run beside a collection: {status}")));
+                    outcome = Err(RoundError::Bad(format!("a run during a collection: {status}")));
                 }
             }
         }
@@ -93,6 +93,6 @@ impl Injector for Collect<'_> {
 
     fn detail(&self) -> String {
         let starts = self.starts;
-        format!("collections beside {PROGRAMS} runs of two pipelines, which were started {starts} times")
+        format!("collections during {PROGRAMS} runs of two pipelines, which were started {starts} times")
     }
 }

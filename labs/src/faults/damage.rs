@@ -13,7 +13,7 @@ pub struct Damage<'a> {
     case: Case,
     files: Vec<PathBuf>,
     kinds: BTreeMap<&'static str, u32>,
-    /// What the round did, in words.
+    /// Damage of the round, in words.
     done: String,
 }
 
@@ -60,7 +60,7 @@ impl Injector for Damage<'_> {
     }
 }
 
-/// Damages a file in one of three ways; returns which.
+/// Damages a file in one of three ways. Returns the way.
 fn damage(path: &Path, random: u64) -> Outcome<&'static str> {
     let mut bytes = std::fs::read(path)?;
     let at = random / 8;

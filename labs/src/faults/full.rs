@@ -97,7 +97,7 @@ impl Injector for Full<'_> {
 
     fn detail(&self) -> String {
         format!(
-            "a tmpfs of {} MB, full in {} runs; then with space",
+            "a tmpfs of {} MB, full in {} runs, then with space",
             DISK_BYTES >> 20,
             self.failed
         )

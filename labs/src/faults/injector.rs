@@ -25,7 +25,7 @@ pub enum Fault {
     ReadOnly,
     /// Eight programs on one store
     Eight,
-    /// Garbage collections beside eight programs
+    /// Garbage collections during eight programs
     Collect,
     /// File times far off
     Clock,
@@ -51,10 +51,10 @@ pub trait Injector {
         Ok(())
     }
 
-    /// Does the fault once; what the program does then and there is part of it.
+    /// Does the fault once, including the immediate reaction of the program.
     fn inject(&mut self, round: u32) -> Outcome;
 
-    /// Checks what the round has left.
+    /// Checks the stores after the round.
     fn judge(&mut self, round: u32) -> Outcome;
 
     /// Checks what all rounds have left.
@@ -62,7 +62,7 @@ pub trait Injector {
         Ok(())
     }
 
-    /// Returns what was done, in words.
+    /// Returns a description of the fault, in words.
     fn detail(&self) -> String;
 }
 

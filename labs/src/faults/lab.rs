@@ -56,7 +56,7 @@ impl Lab {
         case.outputs()
     }
 
-    /// Returns the case of a name; makes nothing.
+    /// Returns the case of a name. Creates nothing.
     pub fn case(&self, name: &str) -> Case {
         Case {
             program: self.program.clone().into_os_string(),
@@ -113,8 +113,8 @@ impl Lab {
         random(0, (fault as u64) << 32 | u64::from(round))
     }
 
-    /// Runs a case to the end and compares every digest with that of the undisturbed run; names the first that differs or is
-    /// missing. A child whose record was lost is not named when its parent is reused, since nobody needs it.
+    /// Runs a case to the end and compares every digest with that of the undisturbed run. Names the first that differs or is
+    /// missing. A child whose record was lost is not named when its parent is reused, since it is not needed.
     pub fn ends_equal(&self, case: &Case, variant: Variant) -> Outcome {
         case.ends(variant)?;
         let found = case.outputs()?;

@@ -40,7 +40,7 @@ impl Injector for Limit<'_> {
 
     fn detail(&self) -> String {
         format!(
-            "files limited to 1 to {MOST_BLOCKS} blocks of 512 bytes, which {} runs met; then without a limit",
+            "files limited to 1 to {MOST_BLOCKS} blocks of 512 bytes, which {} runs met, then without a limit",
             self.failed
         )
     }

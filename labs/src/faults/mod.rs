@@ -40,7 +40,7 @@ pub struct FaultsArgs {
     /// How often each is done
     #[arg(long, default_value_t = 200)]
     rounds: u32,
-    /// Folder for the stores; it is removed afterwards unless a round ended badly
+    /// Folder for the stores. It is removed afterwards unless a round ended badly
     #[arg(long, value_name = "DIR", default_value = "bench-faults")]
     dir: PathBuf,
 }
@@ -55,7 +55,7 @@ struct Report {
     /// The first of them, in words.
     #[serde(skip_serializing_if = "Option::is_none")]
     first_bad: Option<String>,
-    /// What was done, in words.
+    /// Description of the fault, in words.
     detail: String,
     wall_s: f64,
 }
@@ -63,8 +63,8 @@ struct Report {
 /// Does the faults and prints one JSON line each.
 ///
 /// # Errors
-/// A folder that cannot be written; a fault that cannot be done here, with the way out; a fault after which something was
-/// wrong.
+/// Returns an error if a folder cannot be written, if a fault cannot be done here, with the way out, or if something was
+/// wrong after a fault.
 pub fn faults(args: &FaultsArgs, cancel: &Cancel) -> Result {
     marf()?; // before anything is written
     let dir = absent(&args.dir)?;

@@ -6,7 +6,7 @@ use std::process::{Child, Command, Stdio};
 
 use marf_run::{Diagnostic, Error};
 
-/// A user and mount namespace; it ends with this.
+/// A user and mount namespace. It ends when this is dropped.
 pub struct Namespace {
     /// Waits in the namespace until its input ends.
     holder: Child,
@@ -45,13 +45,13 @@ impl Namespace {
         }
         let mut words = String::new();
         if let Some(mut stderr) = self.holder.stderr.take() {
-            // What cannot be read is not told; the mount has failed anyway.
+            // An error of this read is ignored: the mount has failed anyway.
             let _ = stderr.read_to_string(&mut words);
         }
         Err(impossible(words.trim()))
     }
 
-    /// Returns what stands before a command so that it runs in the namespace.
+    /// Returns the words to put before a command to run it in the namespace.
     pub fn wrapper(&self) -> Vec<OsString> {
         let target = self.holder.id();
         let words = format!("nsenter --target {target} --user --mount --preserve-credentials --");

@@ -121,7 +121,8 @@ impl Injector for ReadOnly<'_> {
     }
 }
 
-/// Returns what stands before a command so that permissions hold for it: for root something that drops all capabilities.
+/// Returns the words to put before a command so that permissions hold for it: for root, a command that drops all
+/// capabilities.
 fn without_privileges() -> Outcome<Vec<OsString>> {
     let is_root = std::fs::metadata("/proc/self")?.uid() == 0;
     let setpriv = "setpriv --bounding-set=-all --inh-caps=-all --ambient-caps=-all --";

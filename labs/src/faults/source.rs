@@ -42,7 +42,7 @@ const SIZE: (u32, u32) = (160, 120);
 const SOLS: u32 = 4;
 /// Photos of a sol on the server.
 const A_SOL: u32 = 4;
-/// Side of the one large photo, pixels: as PNG it has 3 MB, of which each MiB is vouched for by itself.
+/// Side of the one large photo, pixels. As PNG it has 3 MB, and each MiB has a checksum of its own.
 const LARGE: u32 = 1_024;
 /// Pace of the server: a sol takes some hundredths of a second.
 const PACE: Reply = Reply::Drip {

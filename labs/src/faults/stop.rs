@@ -65,7 +65,7 @@ impl<'a> Stop<'a> {
         self.lab.reset(&self.case)
     }
 
-    /// Returns a run that has not ended at a random moment; stores whose run ended before it are judged.
+    /// Returns a run that is still running at a random moment. Stores whose run ended before it are judged.
     fn run_in_the_middle(&mut self) -> Outcome<Child> {
         loop {
             self.moments += 1;
@@ -91,7 +91,8 @@ impl<'a> Stop<'a> {
         let status = run.wait()?;
         let took = asked.elapsed();
         self.longest = self.longest.max(took);
-        // Exit code 0 is that of a run that had just ended; one that had just begun ends by the signal itself.
+        // Exit code 0 is that of a run that had just ended. A run that had just begun ends by the signal
+        // itself.
         let is_stopped = matches!(status.code(), Some(0 | 130)) || status.signal() == Some(SIGINT);
         if is_stopped && took <= LIMIT {
             Ok(())
@@ -145,7 +146,7 @@ fn kill(mut run: Child) -> Outcome {
     Ok(())
 }
 
-/// Waits for a run until a time has gone; returns whether it has ended.
+/// Waits for a run for at most `after`. Returns whether it has ended.
 fn ended_within(run: &mut Child, after: Duration) -> Outcome<bool> {
     let began = Instant::now();
     loop {

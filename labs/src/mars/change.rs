@@ -11,7 +11,7 @@ use crate::output::{Result, print_line};
 const STEP_M: f64 = 0.01;
 /// Half the side of the square around the change, metres.
 const REACH_M: f64 = 3.0;
-/// What is looked at, metres in the site.
+/// Middle of the compared square, metres in the site.
 const MIDDLE_M: [f64; 2] = [6.0, 2.5];
 /// Least change of height, metres: what rises by less is sand that leans on the stone.
 const LEAST_M: f64 = 0.03;
@@ -119,7 +119,7 @@ pub fn change(before: &[u32], after: &[u32]) -> Result {
         let mean = |axis: usize| places.iter().map(|one| one.at[axis]).sum::<f64>() / places.len() as f64;
         let seen = places.iter().filter(|one| one.is_seen).count();
         print_line(&format!(
-            "{name}: {:.3} m2 at x {:.2}, y {:.2}, by {:.3} m; photos of both times show {:.3} m2",
+            "{name}: {:.3} m² at x {:.2}, y {:.2}, by {:.3} m. Photos of both times show {:.3} m²",
             area_m2(places.len()),
             mean(0),
             mean(1),

@@ -28,7 +28,7 @@ pub fn correlation(first: &Path, second: &Path) -> Result {
     Ok(())
 }
 
-/// Returns the views that have a map of this kind; those of every kind have a map `coverage`.
+/// Returns the views that have a map of this kind. Views of every kind have a map `coverage`.
 fn names(folder: &Path, kind: &str) -> Result<Vec<String>> {
     let mut names = Vec::new();
     for entry in fs::read_dir(folder)? {

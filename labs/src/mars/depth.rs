@@ -25,7 +25,8 @@ pub fn depth(scene: &Path, maps: &Path) -> Result {
     names.sort();
     let mut covers = Vec::new();
     for name in &names {
-        // Names of photos begin with instrument, eye and sol; those along a path do not, and have no truth here.
+        // Names of photos begin with instrument, eye and sol. Photos along a path have other names, and no truth
+        // here.
         let Some(sol) = sol_of(name) else { continue };
         let file = format!("{name}.png");
         let frames = scene["frames"].as_array().into_iter().flatten();

@@ -29,7 +29,8 @@ pub fn hardware(dir: &Path, sols: u32) -> Result {
     Ok(())
 }
 
-/// Draws a deck along the lower edge and an arm across it, which stand still in the picture while the camera moves; returns the mask.
+/// Draws a deck along the lower edge and an arm across it, at the same place in every picture while the camera moves. Returns the
+/// mask.
 fn planted(photo: &mut RgbImage) -> RgbImage {
     let (width, height) = (f64::from(photo.width()), f64::from(photo.height()));
     let mut mask = RgbImage::from_pixel(photo.width(), photo.height(), Rgb([255; 3]));

@@ -32,7 +32,7 @@ pub enum MarsProgram {
         #[arg(default_value_t = 320)]
         side_px: u32,
     },
-    /// Write photos of a flat plain and their cameras, for `train`: gentle waves of colour, of which it is known what a field must hold
+    /// Write photos of a flat plain and their cameras, for `train`: gentle waves of colour, from which the correct field is known
     Plain {
         /// Folder to write into
         dir: PathBuf,
@@ -45,7 +45,7 @@ pub enum MarsProgram {
         side_px: u32,
     },
     /// Write photos clean to DIR/clean, and with a part of the rover in the picture and masks of it to DIR/hardware: a pipeline like
-    /// `pipelines/folder.toml` reads both. Without DIR/hardware/masks the rover is learnt as if it stood on Mars
+    /// `pipelines/folder.toml` reads both. Without DIR/hardware/masks the rover is learnt as a part of Mars
     Hardware {
         /// Folder to write into
         dir: PathBuf,

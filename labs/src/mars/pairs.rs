@@ -13,12 +13,12 @@ use serde_json::json;
 use super::truth::{Known, KnownScene, Similarity};
 use crate::output::{Result, print_json};
 
-/// Points nearer to each other are no pair, metres.
+/// Points nearer to each other do not form a pair, metres.
 const LEAST_M: f64 = 0.2;
 /// Draws after which the photos are said to show too little.
 const MOST_DRAWS: usize = 100_000;
 
-/// Prints so many pairs of points that are at most `reach_m` from the photo.
+/// Prints `count` pairs of points that are at most `reach_m` from the photo.
 pub fn pairs(scene: &Path, count: usize, reach_m: f64) -> Result {
     let known = KnownScene::read(scene)?;
     let Similarity { scaled, shift } = known.alignment();
@@ -56,7 +56,8 @@ pub fn pairs(scene: &Path, count: usize, reach_m: f64) -> Result {
     Err(message.into())
 }
 
-/// Returns the point that a random pixel of a photo shows; none where it shows sky or what is too far.
+/// Returns the point that a random pixel of a photo shows, or `None` for the sky and for points that are too
+/// far.
 fn random_point(rng: &mut Rng, known: &Known, reach_m: f64) -> Option<Vector3<f64>> {
     let sides = [known.ranges.width, known.ranges.height];
     let [column, row] = sides.map(|side| rng.below(u64::from(side)) as u32);

@@ -1,8 +1,9 @@
-//! `true-pictures`: the held-out pictures of a training next to what the true scene shows through the same cameras.
+//! `true-pictures`: the held-out pictures of a training next to pictures of the true scene through the same
+//! cameras.
 //!
-//! `field` is the PSNR of the field's picture against the photo. `truth` is that of the true scene, drawn through the camera as
-//! calibration found it, after the similarity that carries the cameras of the scene to the true ones: what is missing there is the
-//! cameras' error and the resampling of the photo, and no field can gain it.
+//! `field` is the PSNR of the field's picture against the photo. `truth` is that of the true scene, drawn through the calibrated
+//! camera, after the similarity that carries the cameras of the scene to the true ones. Its loss is the cameras' error and the
+//! resampling of the photo, and no field can gain it.
 
 use std::{fs, path::Path};
 

@@ -8,11 +8,11 @@ use serde_json::json;
 
 use crate::output::Result;
 
-/// Height of the cameras, metres; as wide as a photo shows of the ground below.
+/// Height of the cameras, metres. A photo shows the same width of the ground below.
 const HEIGHT_M: f64 = 10.0;
-/// Cameras look down, and so far aside.
+/// Tangent of the angle between the cameras and straight down.
 const TILT: f64 = 0.25;
-/// Of so many photos one is held out.
+/// One photo in this many is held out.
 const HELD_OUT_EVERY: usize = 8;
 
 /// A camera over the plain: centre, and the axes right, up, back as columns.

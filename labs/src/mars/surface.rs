@@ -1,8 +1,9 @@
 //! `true-surface`: a mesh or a cloud of a run next to the true terrain.
 //!
-//! The terrain is what the true photos show, point by point with its normal; what three photos trained on show of it counts. Distances of
-//! vertices are measured along the normal of the nearest true point. Both are printed for the vertices as the file has them, and after the
-//! similarity that carries the cameras of the scene to the true ones: what is left then is the surface's own error, not that of the labels.
+//! The terrain is made of the points of the true photos, each with its normal. Points that three training photos show count. Distances
+//! of vertices are measured along the normal of the nearest true point. They are printed for the vertices as the file has them, and
+//! after the similarity that carries the cameras of the scene to the true ones. The remainder is the surface's own error, not that of
+//! the labels.
 
 use std::collections::HashMap;
 use std::{fs, path::Path};

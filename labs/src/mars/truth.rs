@@ -18,12 +18,13 @@ pub struct Known {
 pub struct Distances {
     /// Of a place.
     pub place_m: f64,
-    /// Of what the photo shows in its direction; infinite for the sky.
+    /// Distance of the point that the photo shows in its direction. Infinite for the sky.
     pub shown_m: f64,
 }
 
 impl Known {
-    /// Returns the distances of a place (metres in the site) and of what the photo shows there; none outside the photo.
+    /// Returns the distances of a place (metres in the site) and of the point that the photo shows there, or `None`
+    /// outside the photo.
     pub fn distances(&self, place: &Vector3<f64>) -> Option<Distances> {
         // In labels whole numbers are centres of pixels.
         let pixel = self.photo.site_model.project(place)?;
@@ -36,7 +37,8 @@ impl Known {
         })
     }
 
-    /// Returns the point that a pixel shows, metres in the site; none for the sky and for what is farther than `reach_m`.
+    /// Returns the point that a pixel shows, metres in the site, or `None` for the sky and for points farther than
+    /// `reach_m`.
     pub fn point(&self, column: u32, row: u32, reach_m: f64) -> Option<Vector3<f64>> {
         let range_m = self.range_m(column, row);
         let pixel = Vector2::new(f64::from(column), f64::from(row));

@@ -1,4 +1,4 @@
-//! Where the error of a trained field is: photos trained on beside photos held out, by scale in the image, by distance.
+//! Where the error of a trained field is: training photos next to held-out photos, by scale in the image, by distance.
 
 use marf_field::{Field, FieldError, Render};
 use marf_scene::{Image, Pose, Srgb};
@@ -11,7 +11,7 @@ const BANDS: usize = 5;
 /// Parts of equal size that pixels are split into by depth and views by distance.
 const THIRDS: usize = 3;
 
-/// What is found on photos of one kind.
+/// Errors on photos of one kind.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Found {
     views: usize,
@@ -22,7 +22,7 @@ pub struct Found {
     bands: [Band; BANDS],
     /// By depth of the render, near to far.
     depths: [Part; THIRDS],
-    /// By distance of the camera from the nearest one trained on, near to far; empty for the photos trained on.
+    /// By distance of the camera from the nearest one trained on, near to far. Empty for the photos trained on.
     distances: Vec<Part>,
 }
 
@@ -31,7 +31,7 @@ pub struct Found {
 struct Band {
     /// PSNR if nothing else were wrong.
     psnr: f64,
-    /// Energy of the error over that of the photos; 1 where nothing of the band is rendered.
+    /// Energy of the error over that of the photos. 1 if nothing of the band is rendered.
     missing: f64,
 }
 
@@ -43,10 +43,10 @@ struct Part {
     psnr: f64,
 }
 
-/// Compares renders of some views with their photos; `trained` are cameras trained on, none of the views among them.
+/// Compares renders of some views with their photos. `trained` are cameras trained on, without the views.
 ///
 /// # Errors
-/// A device that failed.
+/// Returns an error if a device fails.
 pub fn explain(field: &Field, views: &[TestView], trained: &[Pose]) -> Result<Found, FieldError> {
     let (mut bands, mut energies) = ([0.0; BANDS], [0.0; BANDS]);
     let (mut pixels, mut distances) = (Vec::new(), Vec::new());
@@ -156,7 +156,7 @@ fn add_bands(bands: &mut [f64; BANDS], mut image: Vec<f64>, mut width: usize, mu
     }
 }
 
-/// Sorts (distance, squared error) by distance and returns the PSNR of each third; a part without any has that of none.
+/// Sorts (distance, squared error) by distance and returns the PSNR of each third. An empty part has a mean error of 0.
 fn thirds(pairs: &mut [(f64, f64)]) -> [Part; THIRDS] {
     pairs.sort_by(|a, b| a.0.total_cmp(&b.0));
     std::array::from_fn(|third| {
@@ -210,7 +210,7 @@ pub fn table(trained: &Found, held_out: &Found) -> String {
         }));
     }
     rows.push(
-        "missing: energy of the error over that of the photos; pixels by depth of the render, views by distance from \
+        "missing: energy of the error over that of the photos. Pixels by depth of the render, views by distance from \
          the nearest camera trained on, units of the scene"
             .to_owned(),
     );

@@ -50,11 +50,11 @@ impl Serialize for Budget {
 /// One budget's line.
 #[derive(Debug, Serialize)]
 pub struct Line {
-    /// What was asked for.
+    /// The requested budget.
     pub budget: Budget,
     /// Seconds trained.
     pub clock: f64,
-    /// Seconds of the budget that went before, to find the steps that there is time for, and the batch that suits a GPU.
+    /// Seconds of the budget spent before, to find the number of steps in the time, and the best batch for a GPU.
     pub paced_s: f64,
     /// Processor seconds of these.
     pub cpu_s: f64,
@@ -108,9 +108,7 @@ pub fn table(lines: &[Line]) -> String {
             line.samples_per_s / 1e6
         )
     }));
-    rows.push(
-        "peak 1, at most 100 dB a view; the paper's has the photo's largest value as its peak".to_owned(),
-    );
+    rows.push("peak 1, at most 100 dB a view. The paper's peak is the photo's largest value".to_owned());
     rows.join("\n")
 }
 

@@ -1,8 +1,8 @@
 //! `train`: trains against the clock, for comparisons with other trainers.
 //!
 //! It has a training loop of its own: the clock counts optimiser steps alone, without the decoding, checkpoints and
-//! probes of the stage `train`, and decides how many there are. Such a result is no function of parameters and inputs,
-//! so it is not kept in the store.
+//! probes of the stage `train`, and decides the number of steps. Such a result is not a function of parameters and
+//! inputs, so it is not kept in the store.
 
 mod effort;
 mod explain;
@@ -40,12 +40,12 @@ const PLANNED_EVERY: f64 = 1.0 / 16.0;
 /// Most photos trained on that are explained, spread over all.
 const EXPLAINED: usize = 24;
 
-/// Arguments of `train`; `--set train.field.KEY=VALUE` and `--set train.seed=N` count too.
+/// Arguments of `train`. `--set train.field.KEY=VALUE` and `--set train.seed=N` count too.
 #[derive(Debug, Clone, Args)]
 pub struct TrainArgs {
     /// A folder with images/ and a transforms.json that names train_filenames and test_filenames
     dir: PathBuf,
-    /// Seconds of training, ascending; the paper's table has `10,60,300,600,900`
+    /// Seconds of training, ascending. The paper's table has `10,60,300,600,900`
     #[arg(
         long,
         value_name = "SECONDS",
@@ -62,7 +62,7 @@ pub struct TrainArgs {
     /// What counts as time
     #[arg(long, value_enum, default_value_t = Clock::Wall)]
     clock: Clock,
-    /// Show where the error is: photos trained on beside those held out, after an affine fit, by scale, by distance
+    /// Show where the error is: training photos next to held-out photos, after an affine fit, by scale, by distance
     #[arg(long)]
     explain: bool,
     #[command(flatten)]
@@ -78,7 +78,7 @@ enum Clock {
     Cpu,
 }
 
-/// Keys of `train` that count; the seconds come from the command line.
+/// Keys of `train` that count. The seconds come from the command line.
 #[derive(Debug, Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 struct Keys {
@@ -169,7 +169,7 @@ struct Bench<'a> {
 }
 
 impl Bench<'_> {
-    /// Counts what makes the trainer and its steps; not decoding, compiling for a GPU, rendering or scoring.
+    /// Counts making the trainer and its steps, but not decoding, compiling for a GPU, rendering or scoring.
     fn run(&self, config: &Config, budgets: &[Budget]) -> Result<Vec<Line>> {
         let mut lines = Vec::new();
         for budget in budgets {
@@ -195,14 +195,14 @@ impl Bench<'_> {
         Ok(lines)
     }
 
-    /// Returns a trainer at step 0; making it counts, opening the device does not.
+    /// Returns a trainer at step 0. Making it counts, opening the device does not.
     fn trainer(&self, config: &Config, effort: &mut Effort) -> Result<Trainer> {
         let views = self.photos.views.clone();
         let trainer = effort.timed(|| Trainer::new(views, &self.points, config, self.keys.seed))?;
         Ok(trainer.with_backend(marf_field_gpu::open(&self.keys.device)?)?)
     }
 
-    /// Trains for a part of a time; returns the configuration that the pace of the device asks for, and the seconds that it took.
+    /// Trains for a part of a time. Returns the configuration that suits the pace of the device, and the seconds that it took.
     fn paced(&self, config: &Config, seconds: f64) -> Result<(Config, f64)> {
         let new_trainer = |config: &Config| self.trainer(config, &mut Effort::default());
         let first = new_trainer(config)?;
@@ -229,7 +229,7 @@ impl Bench<'_> {
         Ok((config, used_s))
     }
 
-    /// Trains for a budget of which some seconds are used.
+    /// Trains for a budget, `used_s` seconds of it already used.
     fn trained(&self, config: &Config, budget: Budget, used_s: f64) -> Result<(Trainer, Effort)> {
         let mut effort = Effort::default();
         let mut trainer = self.trainer(config, &mut effort)?;

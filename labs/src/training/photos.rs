@@ -24,10 +24,10 @@ pub struct Photos {
     pub explained: Vec<TestView>,
 }
 
-/// Decodes all photos, those to train on and those held out; at most `most` of the former are explained.
+/// Decodes all photos, training and held-out. At most `most` of the training photos are explained.
 ///
 /// # Errors
-/// A photo that cannot be decoded; no photo held out.
+/// Returns an error if a photo cannot be decoded, or if no photo is held out.
 pub fn photos(session: &Session, scene: &Scene, scale: u32, most: usize) -> Result<Photos> {
     let mut photos = Photos {
         views: Vec::new(),

@@ -1,4 +1,4 @@
-//! What was submitted as arrays, and how far it is.
+//! The submitted arrays and their progress.
 
 use std::{
     path::{Path, PathBuf},
@@ -13,7 +13,7 @@ use crate::queue::{ATTEMPTS, PREFIX};
 /// Digits of the digest of its tasks in the name of an array.
 const NAME_DIGITS: usize = 16;
 
-/// What was submitted for a node, as its file tells.
+/// The arrays that were submitted for a node, as stored in its file.
 #[derive(Debug, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Plan {
@@ -47,9 +47,9 @@ pub(crate) struct Task {
 /// A job of many tasks.
 pub(crate) struct Array {
     pub(crate) planned: PlannedArray,
-    /// Answers of the batch system from before tell nothing of it.
+    /// Earlier answers of the batch system say nothing about it.
     pub(crate) since: Instant,
-    /// Its id, once the batch system has told it.
+    /// Its id, once the batch system has reported it.
     pub(crate) id: Option<String>,
 }
 

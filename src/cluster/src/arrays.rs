@@ -78,7 +78,7 @@ impl<'a> Arrays<'a> {
         Ok(parts.iter().filter(lacks).collect())
     }
 
-    /// Takes over the tasks that an earlier run has submitted; returns the keys of their parts.
+    /// Takes over the tasks that an earlier run has submitted. Returns the keys of their parts.
     fn adopt(&mut self, wanted: &[&PartOrder]) -> BTreeSet<Digest> {
         let wanted: BTreeSet<Digest> = wanted.iter().map(|part| part.key).collect();
         let plan: Plan = file::read(&self.plan_path(), FileKind::Document, Links::Refused)
@@ -170,7 +170,7 @@ impl<'a> Arrays<'a> {
         Ok(())
     }
 
-    /// Submits the last array; a batch system that is busy is asked again.
+    /// Submits the last array. If the batch system is busy, tries again.
     fn submit_last(&mut self) -> Result<(), StageError> {
         let Some(array) = self.arrays.last() else {
             return Ok(());
@@ -223,7 +223,7 @@ impl<'a> Arrays<'a> {
         Ok(script)
     }
 
-    /// Waits until all tasks have told how they ended; lost ones are submitted again.
+    /// Waits until all tasks have reported their end. Lost ones are submitted again.
     fn wait(&mut self) -> Result<(), StageError> {
         loop {
             self.collect()?;
@@ -388,12 +388,12 @@ impl<'a> Arrays<'a> {
             None => error,
         };
         error.hint(format!(
-            "see {}; `memory_mb`, `minutes` and `photos_per_task` of the site file are what a task may take",
+            "see {}. `memory_mb`, `minutes` and `photos_per_task` of the site file limit a task",
             files.log.display()
         ))
     }
 
-    /// Takes all that waits or runs out of the queue.
+    /// Removes all waiting and running jobs from the queue.
     fn cancel(&mut self) {
         if self.arrays.iter().any(|array| array.id.is_none()) {
             self.look();

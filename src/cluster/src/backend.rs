@@ -1,4 +1,5 @@
-//! The backend of the machines of jobs: keys hold it, so it is known before any key is made. A small job tells it, once for a partition.
+//! The backend of the machines of jobs. Keys hold it, so it must be known before any key is computed. A small job reports it, once for a
+//! partition.
 
 use std::{fs, io};
 
@@ -16,7 +17,7 @@ use crate::{
     site::CPU,
 };
 
-/// What a job is asked in place of actions: which backend a device is where it runs.
+/// A job's question instead of actions: which backend a device is on the machine of the job.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BackendQuestion {
@@ -29,7 +30,7 @@ pub struct BackendQuestion {
 }
 
 impl BackendQuestion {
-    /// Reads the question of a file; none if it holds something else.
+    /// Reads the question of a file, or returns `None` if it holds something else.
     pub fn decode(bytes: &[u8]) -> Option<Self> {
         serde_json::from_slice(bytes).ok()
     }
@@ -41,11 +42,11 @@ impl BackendQuestion {
 }
 
 impl Cluster {
-    /// Learns the backend of the machines of jobs: from the answer that was kept, or by a job that asks there. Nothing to do where jobs
-    /// are on the CPU.
+    /// Learns the backend of the machines of jobs, from the stored answer or by a job that asks there. Does nothing if jobs are on the
+    /// CPU.
     ///
     /// # Errors
-    /// As those of jobs; a machine without that GPU, [`StageError::Cancelled`] if the user wants to stop.
+    /// As those of jobs. Also an error if the machine has no such GPU, or [`StageError::Cancelled`] if the user wants to stop.
     pub fn ask_backend(
         &mut self,
         program: &str,
@@ -100,7 +101,7 @@ impl Cluster {
     /// Forgets the backend of the machines of jobs, so that the next run asks again: a job has met another one.
     pub(crate) fn forget_backend(&self) {
         let removed: io::Result<()> = self.asked.iter().try_for_each(fs::remove_file);
-        // What is not there is forgotten.
+        // Without a file there is nothing to forget.
         let _ = removed;
     }
 }

@@ -37,13 +37,13 @@ pub struct Cluster {
     pub(crate) marf: PathBuf,
     pub(crate) remote: Arc<Remote>,
     pub(crate) queue: Queue,
-    /// The backend id of the GPU of the machines of jobs; none without one.
+    /// The backend id of the GPU of the machines of jobs. `None` without a GPU.
     pub(crate) gpu: Option<String>,
-    /// Where the answer is kept that told it.
+    /// File with the stored answer for `gpu`.
     pub(crate) asked: Option<PathBuf>,
     /// When this run began to look at the queue.
     pub(crate) began: Instant,
-    /// What of the run is in the shared store. One push at a time.
+    /// The part of the run in the shared store. One push at a time.
     shared: Mutex<Shared>,
 }
 
@@ -65,11 +65,11 @@ impl fmt::Debug for Cluster {
 }
 
 impl Cluster {
-    /// Returns the batch system of a site, whose shared store is open. Where jobs are on a GPU, its backend is to be asked for
-    /// ([`Cluster::ask_backend`]).
+    /// Returns the batch system of a site, whose shared store is open. If jobs are on a GPU, the caller must ask for its
+    /// backend ([`Cluster::ask_backend`]).
     ///
     /// # Errors
-    /// A template that cannot be read; a folder that cannot be made; a batch system that does not answer.
+    /// Returns an error if a template cannot be read, a folder cannot be made, or the batch system does not answer.
     pub fn new(site: Site, remote: Arc<Remote>, program: PathBuf) -> Result<Self, SiteError> {
         site.commands.list().map_err(|said| SiteError::Silent { said })?;
         fs::create_dir_all(&site.folder).map_err(|source| SiteError::Read {
@@ -89,7 +89,7 @@ impl Cluster {
         })
     }
 
-    /// Brings all that an action reads into the shared store.
+    /// Sends everything that an action reads to the shared store.
     pub(crate) fn share(&self, order: &Order<'_>) -> Result<(), StageError> {
         let mut shared = self.shared.lock();
         let is_new = |key: &&Digest| !shared.keys.contains(key);
@@ -118,10 +118,11 @@ impl Cluster {
         Ok(())
     }
 
-    /// Brings those results of keys that are in the shared store.
+    /// Fetches the existing results of keys from the shared store.
     ///
     /// # Errors
-    /// A shared store that cannot be read; results of somebody who is not trusted, which those of jobs would not replace.
+    /// Returns an error if the shared store cannot be read, or if results have an untrusted writer: those of jobs would
+    /// not replace them.
     pub(crate) fn fetch_known(&self, order: &Order<'_>, keys: &[Digest]) -> Result<(), RemoteError> {
         let observer = Watcher(order.cancel);
         for some in keys.chunks(KEYS_AT_ONCE) {
@@ -129,7 +130,7 @@ impl Cluster {
             for error in skipped {
                 match error {
                     RemoteError::Untrusted { .. } => return Err(error),
-                    // What is damaged or not whole there is made again.
+                    // Damaged or incomplete results are computed again.
                     error => order.progress.warn(&error.to_string()),
                 }
             }
@@ -137,7 +138,7 @@ impl Cluster {
         Ok(())
     }
 
-    /// Brings the result of an action from the shared store; tells whether it is there.
+    /// Fetches the result of an action from the shared store. Returns whether it exists.
     pub(crate) fn fetch(&self, order: &Order<'_>) -> Result<bool, StageError> {
         let fetched = self
             .remote
@@ -159,7 +160,7 @@ impl Cluster {
         Ok(())
     }
 
-    /// Brings results that jobs have told of. A file system of many machines may show them later than what tells of them, or not whole.
+    /// Fetches results that jobs have reported. A file system of many machines may show them later than the report, or incomplete.
     pub(crate) fn bring_told(&self, order: &Order<'_>, keys: &[Digest]) -> Result<(), StageError> {
         let told = Instant::now();
         loop {

@@ -19,18 +19,18 @@ const ANSWER_INTERVAL: Duration = Duration::from_millis(10);
 /// Any number of a task.
 const ALL: [RangeInclusive<usize>; 1] = [0..=usize::MAX];
 
-/// Commands of a batch system, each a program with its arguments; those of Slurm by default. `{script}` stands for the script of a job,
-/// `{id}` for the id that the batch system gave it.
+/// Commands of a batch system, each a program with its arguments. The default is Slurm. `{script}` is the script of a job, `{id}` the
+/// id that the batch system gave it.
 #[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Commands {
-    /// Submits a job; prints its id first.
+    /// Submits a job. Prints its id first.
     pub submit: Vec<String>,
     /// Lists the jobs of the user that wait or run, one a line: `id|name|state|reason`.
     pub list: Vec<String>,
     /// Takes a job out of the queue, or stops it with SIGTERM.
     pub cancel: Vec<String>,
-    /// Tells of a job that is gone how it ended, in any words; `OUT_OF_MEMORY` among them doubles its memory.
+    /// Explains how a job that is gone ended, in any words. `OUT_OF_MEMORY` among them doubles its memory.
     pub explain: Vec<String>,
 }
 
@@ -52,7 +52,7 @@ pub(crate) struct ListedJob {
     pub id: String,
     /// Its state in the words of the batch system, in small letters.
     pub state: String,
-    /// Why it waits; empty if it does not.
+    /// Why it waits. Empty if it does not.
     pub reason: String,
 }
 
@@ -89,7 +89,7 @@ impl Commands {
         }
     }
 
-    /// Returns the jobs of the user by name; those of an array have the same.
+    /// Returns the jobs of the user by name. The tasks of an array have the same name.
     pub(crate) fn list(&self) -> Result<BTreeMap<String, Vec<ListedJob>>, String> {
         let printed = run(&self.list, "", "")?;
         let mut jobs: BTreeMap<String, Vec<ListedJob>> = BTreeMap::new();
@@ -104,13 +104,14 @@ impl Commands {
         run(&self.cancel, "{id}", id).map(drop)
     }
 
-    /// Returns what the batch system says of a job that is gone; empty if it has forgotten.
+    /// Returns the explanation of the batch system for a job that is gone, or an empty text if it has
+    /// forgotten the job.
     pub(crate) fn explain(&self, id: &str) -> String {
         run(&self.explain, "{id}", id).unwrap_or_default()
     }
 }
 
-/// Tells whether a text can be the id of a job: commands of a site file may hand it to a shell.
+/// Returns whether a text can be the id of a job: commands of a site file may pass it to a shell.
 fn is_id(text: &str) -> bool {
     !text.is_empty()
         && text
@@ -135,8 +136,8 @@ fn listed(line: &str) -> Option<(String, ListedJob)> {
     Some((name, listed))
 }
 
-/// Splits the id of tasks of an array (`12_[0-3,7%5]`, `12_4`) into that of the array and the numbers of the tasks; all numbers, if
-/// none can be read.
+/// Splits the id of tasks of an array (`12_[0-3,7%5]`, `12_4`) into the id of the array and the numbers of the tasks. Returns all
+/// numbers if none can be read.
 pub(crate) fn tasks_of(id: &str) -> (&str, Vec<RangeInclusive<usize>>) {
     let Some((array, tasks)) = id.split_once('_') else {
         return (id, ALL.to_vec());
@@ -151,7 +152,7 @@ pub(crate) fn tasks_of(id: &str) -> (&str, Vec<RangeInclusive<usize>>) {
     (array, ranges.unwrap_or_else(|| ALL.to_vec()))
 }
 
-/// Returns how many tasks these are; one if they are not told one by one.
+/// Returns the number of tasks, or 1 if they are not listed one by one.
 pub(crate) fn count(tasks: &[RangeInclusive<usize>]) -> usize {
     if tasks == ALL {
         1
@@ -182,7 +183,7 @@ fn run(command: &[String], placeholder: &str, value: &str) -> Result<String, Str
     }
 }
 
-/// Runs a command to its end; one that does not answer is stopped.
+/// Runs a command to its end. A command that does not answer is stopped.
 fn output(words: &[String]) -> io::Result<Output> {
     let mut child = Command::new(&words[0])
         .args(&words[1..])

@@ -1,4 +1,4 @@
-//! One job: submitted, followed, submitted again where it is lost, until its file tells how it ended.
+//! One job: submitted, followed, submitted again if it is lost, until its file reports its end.
 
 use std::{fs, io, path::PathBuf, time::Instant};
 
@@ -26,11 +26,11 @@ const BUSY: [&str; 3] = ["timed out", "nable to contact", "temporarily"];
 /// A job in the queue.
 pub(crate) struct Job {
     pub(crate) id: String,
-    /// Answers of the batch system from before tell nothing of it.
+    /// Earlier answers of the batch system say nothing about it.
     pub(crate) since: Instant,
 }
 
-/// What a job is to compute, and who follows it.
+/// The work of a job, and its follower.
 pub(crate) struct JobOrder<'a> {
     /// What people call it: the name of a node.
     pub(crate) node: &'a str,
@@ -59,15 +59,16 @@ impl<'a> JobOrder<'a> {
 /// How the wait for a job ended.
 enum JobEnd {
     Result(JobResult),
-    /// It is in neither the queue nor the folder; with what the batch system says of it.
+    /// It is in neither the queue nor the folder. Holds the explanation of the batch system.
     Lost(String),
 }
 
 impl Cluster {
-    /// Has a job made until there is a result; a lost job is submitted again.
+    /// Runs a job until there is a result. A lost job is submitted again.
     ///
     /// # Errors
-    /// What the batch system says against it, what the job tells why it has no result; too many jobs that were lost.
+    /// Returns an error if the batch system refuses the job, if the job reports a fault, or if too many jobs were
+    /// lost.
     pub(crate) fn run(&self, order: &JobOrder<'_>) -> Result<JobResult, StageError> {
         let files = &JobFiles::new(&self.site.folder, &order.key);
         let mut memory_mb = self.memory_mb(&order.needs);
@@ -93,7 +94,7 @@ impl Cluster {
                 "again".to_owned()
             };
             order.progress.warn(&format!(
-                "job {} ended without a result ({}); it is submitted {again}",
+                "job {} ended without a result ({}) and is submitted {again}",
                 job.id,
                 in_short(&said),
             ));
@@ -134,7 +135,7 @@ impl Cluster {
         Err(error.hint("try its commands by hand, and run again: what was computed is kept"))
     }
 
-    /// Submits a job; of a batch system that is busy it returns what that says.
+    /// Submits a job. If the batch system is busy, returns its message.
     fn submit(
         &self,
         node: &str,
@@ -154,7 +155,7 @@ impl Cluster {
         }
     }
 
-    /// Writes the action and the script of a job, and removes a result that is none; returns where the script is.
+    /// Writes the action and the script of a job, and removes an invalid result. Returns the path of the script.
     fn write(&self, order: &JobOrder<'_>, files: &JobFiles, memory_mb: u64) -> io::Result<PathBuf> {
         match fs::remove_file(&files.result) {
             Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
@@ -183,7 +184,7 @@ impl Cluster {
         Ok(files.script.clone())
     }
 
-    /// Waits until a job has told how it ended, or is lost.
+    /// Waits until a job has reported its end, or is lost.
     fn wait(&self, order: &JobOrder<'_>, files: &JobFiles, job: &Job) -> Result<JobEnd, StageError> {
         let name = job_name(&order.key);
         let mut absent_since: Option<Instant> = None;
@@ -226,7 +227,7 @@ impl Cluster {
         }
     }
 
-    /// Shows the warnings of a job; returns its result, or why it has none.
+    /// Shows the warnings of a job. Returns its result, or its fault as an error.
     pub(crate) fn outcome(
         &self,
         progress: &dyn Progress,
@@ -262,7 +263,7 @@ fn lost(order: &JobOrder<'_>, files: &JobFiles, job: &Job, said: &str) -> StageE
         None => error,
     };
     error.hint(format!(
-        "see {}; `memory_mb` and `minutes` of the site file are what a job may take",
+        "see {}. `memory_mb` and `minutes` of the site file limit a job",
         files.log.display()
     ))
 }
@@ -276,7 +277,7 @@ fn show(order: &JobOrder<'_>, files: &JobFiles, listed: &ListedJob, census: Cens
     let Census { running, waiting } = census;
     let mut note = note(&listed.id, &listed.state, &listed.reason);
     if running + waiting > 1 {
-        note.push_str(&format!("; of {} jobs {running} run", running + waiting));
+        note.push_str(&format!(", {running} of {} jobs running", running + waiting));
     }
     match JobProgress::read(&files.progress) {
         Some(job) => order

@@ -22,7 +22,7 @@ pub(crate) struct JobFiles {
     pub(crate) result: PathBuf,
     pub(crate) progress: PathBuf,
     pub(crate) scratch: PathBuf,
-    /// What a machine has told of its backend; stays when the others are removed.
+    /// Reported backend of a machine. It stays when the others are removed.
     pub(crate) backend: PathBuf,
 }
 

@@ -1,4 +1,4 @@
-//! What a job tells: how far it is, and how it ended. A file each, written by rename.
+//! The progress and the end of a job. A file each, written by rename.
 
 use std::{
     fs,
@@ -18,7 +18,7 @@ pub struct JobResult {
     pub key: Digest,
     /// The program with its version.
     pub program: String,
-    /// Why there is no result; absent if there is one, which then is in the shared store.
+    /// Why there is no result. Absent if there is a result, which then is in the shared store.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub fault: Option<Fault>,
     /// The backend of the machine of the job, if the question was for that.
@@ -47,15 +47,15 @@ pub struct Fault {
 }
 
 impl JobResult {
-    /// Writes the file whole or not at all; readers see nothing of it before.
+    /// Writes the file whole or not at all. Readers never see a part of it.
     ///
     /// # Errors
-    /// A folder that cannot be written.
+    /// Returns an error if the folder cannot be written.
     pub fn write(&self, path: &Path) -> io::Result<()> {
         write_whole(path, self)
     }
 
-    /// Reads the result of a key; none if it is not there, or not whole, or of another key.
+    /// Reads the result of a key. Returns `None` if it is absent, incomplete or of another key.
     pub(crate) fn read(path: &Path, key: &Digest) -> Option<Self> {
         let result: Self = read_json(path)?;
         (result.key == *key).then_some(result)
@@ -75,7 +75,7 @@ pub struct JobProgress {
 }
 
 impl JobProgress {
-    /// Returns where the progress of a job is that tells its end in this file.
+    /// Returns the path of the progress of a job, from the path of its result.
     pub fn path(result: &Path) -> PathBuf {
         result.with_extension("progress")
     }
@@ -88,13 +88,13 @@ impl JobProgress {
         write_whole(path, self)
     }
 
-    /// Reads the progress of a job; none if it has told none.
+    /// Reads the progress of a job, or returns `None` if it has not reported any.
     pub(crate) fn read(path: &Path) -> Option<Self> {
         read_json(path)
     }
 }
 
-/// Reads what a job wrote; none if it is not there or not whole.
+/// Reads JSON that a job wrote, or returns `None` if it is absent or incomplete.
 fn read_json<T: DeserializeOwned>(path: &Path) -> Option<T> {
     let bytes = file::read(path, FileKind::Document, Links::Refused).ok()?;
     serde_json::from_slice(&bytes).ok()

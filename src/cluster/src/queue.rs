@@ -1,4 +1,4 @@
-//! What the batch system has in its queue, asked by many and looked at once.
+//! The queue of the batch system, read once for many readers.
 
 use std::{
     collections::BTreeMap,
@@ -24,7 +24,7 @@ pub(crate) struct Queue {
 
 #[derive(Debug, Default)]
 struct LastAnswer {
-    /// When the batch system was last asked; absent if never.
+    /// When the batch system was last asked. Absent if never.
     asked: Option<Instant>,
     /// Its jobs by name, from its last answer, and when that came.
     answer: Option<(Instant, BTreeMap<String, Vec<ListedJob>>)>,
@@ -32,10 +32,11 @@ struct LastAnswer {
     fault: Option<String>,
 }
 
-/// What is known of a job.
+/// The state of a job in the queue.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum JobState {
-    /// It waits or runs, the tasks of an array as several jobs; with how many jobs of marf run and wait.
+    /// It waits or runs, the tasks of an array as several jobs. Also holds the numbers of running and waiting
+    /// jobs of marf.
     Listed(Vec<ListedJob>, Census),
     /// It is not in an answer that came after it was asked for.
     Absent,
@@ -74,9 +75,9 @@ impl Queue {
         }
     }
 
-    /// Returns what is known of a job now; what was seen within the interval is not asked for again.
+    /// Returns the state of a job now. An answer younger than the interval is used again.
     ///
-    /// `since` is when the job was submitted: an answer from before it tells nothing of it.
+    /// `since` is when the job was submitted: an earlier answer says nothing about it.
     pub(crate) fn look(&self, commands: &Commands, name: &str, since: Instant) -> JobState {
         let mut last = self.last.lock();
         if last.asked.is_none_or(|asked| asked.elapsed() >= self.interval) {

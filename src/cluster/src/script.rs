@@ -27,10 +27,10 @@ const OPTIONS: &str = "{options}";
 /// Placeholders without which a job would do nothing, or nothing that is found.
 const NEEDED: [&str; 4] = ["{name}", "{action}", "{store}", "{result}"];
 
-/// What the placeholders of a script stand for.
+/// Values of the placeholders of a script.
 pub(crate) struct Filling<'a> {
     pub name: &'a str,
-    /// Lines that choose the task of an array; empty without one.
+    /// Lines that choose the task of an array. Empty without an array.
     pub task: &'a str,
     /// As a word of the shell, like `result` and `scratch`.
     pub action: String,
@@ -61,7 +61,7 @@ pub(crate) fn check(template: &str, options: &[String]) -> Result<(), String> {
     }
 }
 
-/// Returns a script with its placeholders filled; what stands in a command line is quoted for the shell.
+/// Returns a script with its placeholders filled. Values in a command line are quoted for the shell.
 pub(crate) fn filled(template: &str, filling: &Filling<'_>) -> String {
     let pairs = [
         ("{name}", filling.name.to_owned()),
@@ -106,12 +106,12 @@ fn with_values(line: &str, pairs: &[(&str, String)]) -> String {
     filled + rest
 }
 
-/// Returns a word of a shell command that stands for this path.
+/// Returns this path as a word of a shell command.
 pub(crate) fn quoted_path(path: &Path) -> String {
     shell_quoted(&path.display().to_string())
 }
 
-/// Returns a word of a shell command that stands for this text.
+/// Returns this text as a word of a shell command.
 pub(crate) fn shell_quoted(text: &str) -> String {
     let is_plain = |c: char| c.is_ascii_alphanumeric() || "/._-:=@".contains(c);
     if !text.is_empty() && text.chars().all(is_plain) {

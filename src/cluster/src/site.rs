@@ -19,28 +19,30 @@ pub(crate) const CPU: &str = "cpu";
 pub struct Site {
     /// Address of the shared store (`file:///FOLDER`, `s3://BUCKET/PREFIX`), as the machines of the jobs see it.
     pub store: String,
-    /// Files with the public keys of those whose results are believed; everybody's are if there are none. Jobs sign with the key
-    /// that MARF_SIGNING_KEY names in their environment.
+    /// Files with the public keys of trusted writers. If empty, everybody is trusted. Jobs sign with the key that
+    /// MARF_SIGNING_KEY names in their environment.
     #[serde(default)]
     pub trust: Vec<PathBuf>,
     /// Folder of scripts, results and logs, which the machines of the jobs see under the same path.
     pub folder: PathBuf,
-    /// Stages whose nodes, or the photos they measure, are jobs; all others are computed where the run is.
+    /// Stages whose nodes, or the photos they measure, are jobs. All others are computed on the machine of
+    /// the run.
     #[serde(default = "default_stages")]
     pub stages: BTreeSet<String>,
-    /// Most jobs at once, those that wait in the queue among them; of an array, most tasks that run at once.
+    /// Most jobs at once, including those that wait in the queue. For an array, most tasks that run at once.
     #[serde(default = "default_max_jobs")]
     pub max_jobs: usize,
-    /// A task of an array measures at least so many photos; fewer than these are measured where the run is.
+    /// Least number of photos that a task of an array measures. Fewer photos are measured on the machine of
+    /// the run.
     #[serde(default = "default_photos_per_task")]
     pub photos_per_task: u64,
     /// Most tasks of one array (`MaxArraySize` of Slurm, less one).
     #[serde(default = "default_max_array")]
     pub max_array: usize,
-    /// The variable of a job that tells its task, from 0 on.
+    /// The environment variable of a job with the number of its task, from 0 on.
     #[serde(default = "default_array_index")]
     pub array_index: String,
-    /// Further options of arrays; `{last}` stands for the number of the last task, `{max_jobs}` for how many may run at once.
+    /// Further options of arrays. `{last}` is the number of the last task, `{max_jobs}` the number that may run at once.
     #[serde(default = "default_array_options")]
     pub array_options: Vec<String>,
     /// The program on the machines of the jobs [default: this one].
@@ -70,8 +72,8 @@ pub struct Site {
     /// Seconds for which a job may be in neither the queue nor its folder before it counts as lost: a shared file system lags.
     #[serde(default = "default_patience_s")]
     pub patience_s: f64,
-    /// File with another script of jobs, for other batch systems: the placeholders of `script.rs`; a line with `{options}` stands once for each
-    /// further option.
+    /// File with another script of jobs, for other batch systems, with the placeholders of `script.rs`. A line with `{options}` is repeated for
+    /// each further option.
     #[serde(default)]
     pub template: Option<PathBuf>,
     /// Commands of the batch system.
@@ -197,7 +199,7 @@ impl Site {
     /// Reads a site file.
     ///
     /// # Errors
-    /// A file that is not there or is no site, a value that no site can have.
+    /// Returns an error if the file is absent or not a site file, or has an invalid value.
     pub fn read(path: &Path) -> Result<Self, SiteError> {
         let read = |path: &Path| {
             file::read_text(path, FileKind::Settings, Links::Followed).map_err(|source| SiteError::Read {

@@ -1,4 +1,4 @@
-//! What is said of jobs.
+//! Texts about jobs.
 
 /// Returns a number with its noun: `1 task`, `2 tasks`.
 pub(crate) fn counted(number: usize, noun: &str) -> String {
@@ -8,7 +8,7 @@ pub(crate) fn counted(number: usize, noun: &str) -> String {
     }
 }
 
-/// Returns what is seen of a job: `job 12 pending (Resources)`.
+/// Returns the state of a job in words: `job 12 pending (Resources)`.
 pub(crate) fn note(id: &str, state: &str, reason: &str) -> String {
     if reason.is_empty() {
         format!("job {id} {state}")

@@ -55,7 +55,7 @@ impl<'a> Archives<'a> {
     /// Returns the table that a node names.
     ///
     /// # Errors
-    /// There is none of this name.
+    /// Returns an error if there is no table of this name.
     pub fn named(&self, field: &Entry, name: &str) -> Result<&'a Entry, ConfigError> {
         self.tables.iter().find(|table| table.key == name).ok_or_else(|| {
             let message = format!("`archive = \"{name}\"` names no `[archive.*]` table");
@@ -64,7 +64,7 @@ impl<'a> Archives<'a> {
         })
     }
 
-    /// Returns the context of an archive beside its table, for the node that reads it.
+    /// Returns the context of an archive, in addition to its table, for the node that reads it.
     pub fn context(&self, table: &Entry, node: &str) -> ArchiveContext {
         ArchiveContext {
             name: table.key.clone(),
@@ -78,7 +78,7 @@ impl<'a> Archives<'a> {
     }
 }
 
-/// Puts a stage's error about the archive it reads at the key of the archive's table; `path` is below the table.
+/// Puts a stage's error about the archive it reads at the key of the archive's table. `path` is below the table.
 pub(super) fn param_error(table: &Entry, path: &str, error: &ParamError) -> ConfigError {
     let (at, key) = match path {
         "" => (table.at.clone(), String::new()),
@@ -107,7 +107,7 @@ fn kind_of(table: &Entry) -> Result<&'static ArchiveDef, ConfigError> {
     };
     known.iter().find(|def| def.kind == kind).ok_or_else(|| {
         let hint = did_you_mean(kind, words).unwrap_or_else(list);
-        let message = format!("there is no kind of archive `{kind}`");
+        let message = format!("unknown kind of archive `{kind}`");
         ConfigError::at(entry.value.at.clone(), message).hint(Some(hint))
     })
 }
@@ -158,7 +158,7 @@ pub(super) fn schema(definitions: &mut Map<String, Json>) -> Json {
 fn kind_schema(def: &ArchiveDef) -> Json {
     let mut schema = (def.schema)().to_value();
     let where_it_lies = if def.remote {
-        "; on servers: obeys --locked and --offline, pinned in marf.lock"
+        " (on servers: obeys --locked and --offline, pinned in marf.lock)"
     } else {
         ""
     };
@@ -173,7 +173,7 @@ mod tests {
     use super::super::{GlobalOptions, check};
     use super::*;
 
-    /// Checks a pipeline that cannot be used; returns place, message and hint.
+    /// Checks a pipeline that cannot be used. Returns place and message, and the hint.
     fn refused(text: &str) -> (String, String) {
         let error = check(text, &[], &GlobalOptions::default(), Path::new(""))
             .err()
@@ -198,7 +198,7 @@ mod tests {
             ),
             (
                 "kind = 'dmo'".to_owned(),
-                "p:2:8: there is no kind of archive `dmo`",
+                "p:2:8: unknown kind of archive `dmo`",
                 "`demo`",
             ),
             (

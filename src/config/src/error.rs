@@ -47,7 +47,7 @@ impl ConfigError {
     }
 }
 
-/// Counts from 1; columns in characters.
+/// Counts from 1. Columns are in characters.
 fn line_and_column(text: &str, offset: usize) -> (usize, usize) {
     let before = text.get(..offset.min(text.len())).unwrap_or(text);
     let line = before.matches('\n').count() + 1;

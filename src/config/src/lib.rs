@@ -81,7 +81,7 @@ pub fn check(
 /// Checks a pipeline that was kept as JSON ([`Pipeline::tree`]).
 ///
 /// # Errors
-/// The first thing that is wrong; its place is that of no text.
+/// Returns the first fault. Its place is not in any text.
 pub fn check_tree(
     tree: &serde_json::Value,
     options: &GlobalOptions,

@@ -6,16 +6,16 @@ use super::error::ConfigError;
 use super::syntax::{Entry, SyntaxNode, Value};
 use crate::nearest::did_you_mean;
 
-/// The tables, each with one key `ids`; also the keys of a filter's `by_hand`.
+/// The tables, each with one key `ids`. They are also the keys of a filter's `by_hand`.
 pub(super) const LISTS: [&str; 2] = ["keep", "reject"];
 /// The parameter of filters that takes the lists.
 pub(super) const PARAM: &str = "by_hand";
 const IDS: &str = "ids";
 
-/// Returns the lists as `{"keep": [...], "reject": [...]}`; none if the pipeline has neither.
+/// Returns the lists as `{"keep": [...], "reject": [...]}`, or `None` if the pipeline has neither.
 ///
 /// # Errors
-/// Another key than `ids`, something that is no list of names, a name in both lists.
+/// Returns an error for another key than `ids`, a value that is not a list of names, or a name in both lists.
 pub(super) fn lists(root: &SyntaxNode) -> Result<Option<Map<String, Json>>, ConfigError> {
     let mut lists = Map::new();
     for name in LISTS {
@@ -37,7 +37,7 @@ fn names(table: &Entry) -> Result<Vec<Json>, ConfigError> {
     let name = &table.key;
     let shape = || format!("write it as `[{name}]` with `{IDS} = [\"product id or file name\", …]`");
     let refuse = |at: &SyntaxNode| {
-        ConfigError::at(at.at.clone(), format!("`{name}` is no list of photos")).hint(Some(shape()))
+        ConfigError::at(at.at.clone(), format!("`{name}` is not a list of photos")).hint(Some(shape()))
     };
     let entries = table.value.entries().ok_or_else(|| refuse(&table.value))?;
     let mut all = Vec::new();
@@ -84,7 +84,7 @@ pub(super) fn schema(what: &str) -> Json {
     json!({
         "type": "object",
         "additionalProperties": false,
-        "description": format!("Photos that every filter {what}, whatever it measures; recorded in its key and as the verdict's reason."),
+        "description": format!("Photos that every filter {what}, whatever it measures. Recorded in its key and as the verdict's reason."),
         "properties": {IDS: {
             "type": "array",
             "items": {"type": "string"},

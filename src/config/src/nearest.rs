@@ -1,7 +1,7 @@
 //! "did you mean": the nearest of some known names.
 
-/// Returns the name with the least edit distance (Damerau-Levenshtein; of equals the first by alphabet), unless that
-/// is more than 1 plus a quarter of the letters of `name`.
+/// Returns the name with the least edit distance (Damerau-Levenshtein, ties broken by alphabet), unless that is more
+/// than 1 plus a quarter of the letters of `name`.
 pub fn nearest<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     let scored = known
         .into_iter()

@@ -10,9 +10,10 @@ pub struct GlobalOptions {
     pub device: Option<Device>,
     /// What may be asked of the network.
     pub access: Access,
-    /// Whether the bytes of files in folders are read though nothing tells of a change.
+    /// Whether the bytes of files in folders are read again even if nothing indicates a change.
     pub rehash: bool,
-    /// What an earlier run met of an archive, by the node that reads it: it is read in place of the archive.
+    /// Recorded archives of an earlier run, by the node that reads them. They are read instead of the
+    /// archives.
     pub recorded: BTreeMap<String, RecordedArchive>,
 }
 

@@ -19,7 +19,7 @@ use crate::nearest::did_you_mean;
 
 /// A checked pipeline.
 pub struct Pipeline {
-    /// Name of the pipeline; runs of one name are compared with each other.
+    /// Name of the pipeline. Runs of one name are compared with each other.
     pub name: Option<String>,
     /// Nodes in the order of the file.
     pub nodes: Vec<Node>,
@@ -46,7 +46,7 @@ pub struct Node {
 /// Keys a whole pipeline may have.
 const TOP: [&str; 7] = ["name", "archive", "node", "keep", "reject", "trade", store::TABLE];
 
-/// What a node's parameters depend on beside its own table.
+/// Context of a node's parameters outside its own table.
 struct PipelineContext<'a> {
     archives: Archives<'a>,
     device: Option<&'a Device>,
@@ -107,7 +107,7 @@ pub(super) fn check(
         let at = tables.iter().find(|entry| entry.key == second.name);
         let at = at.map_or(root.at.clone(), |entry| entry.at.clone());
         let message = format!(
-            "`{}` and `{}` both split photos by place; only one may",
+            "`{}` and `{}` both split photos by place, but only one may",
             first.name, second.name
         );
         return Err(ConfigError::at(at, message));
@@ -136,7 +136,10 @@ fn check_trade(root: &SyntaxNode) -> Result<(), ConfigError> {
     for knob in knobs {
         let values = knob.value.json();
         if values.as_array().is_none_or(Vec::is_empty) || !knob.key.contains('.') {
-            let message = format!("`trade.{}` is no key of a node with a list of values", knob.key);
+            let message = format!(
+                "`trade.{}` is not a key of a node with a list of values",
+                knob.key
+            );
             return refuse(&knob.at, message);
         }
     }
@@ -154,7 +157,7 @@ fn measures(nodes: &[Node]) -> Vec<Table> {
     tables.into_iter().collect()
 }
 
-/// Returns the entries of `[key.*]`, each of which must be a table.
+/// Returns the entries of `[key.*]`. Each must be a table.
 fn tables<'a>(root: &'a SyntaxNode, key: &str) -> Result<&'a [Entry], ConfigError> {
     let Some(entry) = root.entry(key) else {
         return Ok(&[]);
@@ -247,13 +250,13 @@ fn node(entry: &Entry, names: &[&str], context: &PipelineContext<'_>) -> Result<
     })
 }
 
-/// Refuses a key beside an input that decides what the key would.
+/// Rejects a key together with an input that decides its value.
 fn check_decided(entry: &Entry, def: &StageDef) -> Result<(), ConfigError> {
     let table = &entry.value;
     for port in def.ports.iter().filter(|port| table.entry(port.key).is_some()) {
         if let Some(field) = port.decides.iter().find_map(|key| table.entry(key)) {
             let (node, key, port) = (&entry.key, &field.key, port.key);
-            let message = format!("node.{node}.{key}: `{port}` decides it too, and both cannot");
+            let message = format!("node.{node}.{key}: `{port}` sets it too, and only one of them may");
             let hint = format!("remove `{key}`, or `{port}`");
             return Err(ConfigError::at(field.at.clone(), message).hint(Some(hint)));
         }
@@ -274,7 +277,7 @@ fn stage_of(entry: &Entry) -> Result<StageDef, ConfigError> {
                 known[0].name
             ))
         });
-        ConfigError::at(at.clone(), format!("there is no stage `{name}`")).hint(hint)
+        ConfigError::at(at.clone(), format!("unknown stage `{name}`")).hint(hint)
     })
 }
 
@@ -337,7 +340,7 @@ fn param_error(entry: &Entry, archive: Option<&Entry>, error: &ParamError) -> Co
     ConfigError::at(at, format!("node.{}{key}: {}", entry.key, error.message))
 }
 
-/// Checks that the nodes form a graph; an error has the place of the key or the node at fault.
+/// Checks that the nodes form a graph. An error has the place of the key or the node at fault.
 fn check_graph(nodes: &[Node], tables: &[Entry]) -> Result<(), ConfigError> {
     let shapes: Vec<NodeShape<'_>> = nodes
         .iter()

@@ -19,7 +19,8 @@ pub struct ByScene {
     pub split: String,
     /// The nodes that run for each scene.
     pub nodes: BTreeSet<String>,
-    /// The nodes that run once after these: those that take several nodes and read what all scenes give, and all that follow.
+    /// The nodes that run once after these: those that take several nodes and read the outputs of all scenes, and
+    /// everything that follows.
     pub after: BTreeSet<String>,
 }
 
@@ -34,7 +35,8 @@ pub fn scene_of(node: &str) -> Option<&str> {
 }
 
 impl ByScene {
-    /// Returns which nodes run for each scene; none where nothing is split by place, or has been already.
+    /// Returns the nodes that run for each scene, or `None` if the pipeline is not split by place or has been
+    /// split already.
     pub fn from_pipeline(pipeline: &Pipeline) -> Option<Self> {
         let mut nodes = pipeline.nodes.iter();
         let split = nodes
@@ -123,7 +125,7 @@ impl ByScene {
         tree
     }
 
-    /// Returns the nodes that a name stands for: of one that runs for each scene, that of each of these.
+    /// Returns the nodes of a name: for a node that runs for each scene, one for each scene.
     pub fn named(&self, name: &str, scenes: &[String]) -> Vec<String> {
         if self.nodes.contains(name) {
             scenes.iter().map(|scene| node_of(name, scene)).collect()
@@ -254,7 +256,7 @@ training = "train"
         assert_eq!(
             ByScene::from_pipeline(&pipeline(&one)),
             None,
-            "one scene by its name is no template"
+            "one scene by its name is not a template"
         );
     }
 

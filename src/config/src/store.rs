@@ -1,4 +1,4 @@
-//! `[store]`: where results are shared. It is part of no key.
+//! `[store]`: where results are shared. It is not part of any key.
 
 use std::path::{Path, PathBuf};
 
@@ -14,21 +14,21 @@ const REMOTE: &str = "remote";
 const VERIFY_SHARE: &str = "verify_share";
 const TRUST: &str = "trust";
 
-/// Where results are shared, and how far it is believed.
+/// Where results are shared, and which of them are trusted.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SharedStore {
     /// Address of the shared store.
     pub url: String,
     /// Share of the results of others that are made again and compared, 0 to 1.
     pub verify_share: f64,
-    /// Files with the public keys of those whose results are believed; everybody's are if there are none.
+    /// Files with the public keys of trusted writers. If empty, everybody is trusted.
     pub trust: Vec<PathBuf>,
 }
 
-/// Returns the shared store; none if the pipeline has none.
+/// Returns the shared store, or `None` if the pipeline has no shared store.
 ///
 /// # Errors
-/// An unknown key, something that is no address, a share that is none.
+/// Returns an error for an unknown key, an invalid address or an invalid share.
 pub(super) fn shared(root: &SyntaxNode, base: &Path) -> Result<Option<SharedStore>, ConfigError> {
     let Some(table) = root.entry(TABLE) else {
         return Ok(None);
@@ -106,7 +106,7 @@ fn share(value: &SyntaxNode) -> Result<f64, ConfigError> {
 pub(super) fn schema() -> Json {
     json!({
         "type": "object",
-        "description": "Where results are shared with other machines; part of no key.",
+        "description": "Where results are shared with other machines. Not part of any key.",
         "properties": {
             REMOTE: {
                 "type": "string",
@@ -115,14 +115,14 @@ pub(super) fn schema() -> Json {
             },
             VERIFY_SHARE: {
                 "type": "number",
-                "description": "Share of the results of others that a run makes again and compares, another sample each run.",
+                "description": "Share of the results of others that a run computes again and compares. Each run takes a different sample.",
                 "minimum": 0,
                 "maximum": 1,
                 "default": 0,
             },
             TRUST: {
                 "type": "array",
-                "description": "Files with the public keys (Ed25519, PEM) of those whose results are believed; without it everybody's are.",
+                "description": "Files with the public keys (Ed25519, PEM) of trusted writers. Without it everybody is trusted.",
                 "items": { "type": "string" },
                 "minItems": 1,
             },

@@ -17,7 +17,7 @@ pub struct SyntaxNode {
     pub value: Value,
 }
 
-/// A TOML value; dates do not occur in a pipeline.
+/// A TOML value. Dates do not occur in a pipeline.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Value {
     /// In the order of the file.
@@ -103,7 +103,7 @@ fn syntax_node(span: Range<usize>, value: &DeValue<'_>) -> Result<SyntaxNode, Co
     Ok(SyntaxNode { at, value })
 }
 
-/// Returns a tree of the values of JSON; the places are those of a text that is not there.
+/// Returns a tree of the values of JSON. Its places are not in any text.
 ///
 /// # Errors
 /// `null`, which no pipeline holds.
@@ -113,7 +113,7 @@ pub fn of_json(json: &Json) -> Result<SyntaxNode, ConfigError> {
         Json::Null => {
             return Err(ConfigError::at(
                 at(),
-                "`null` is no value of a pipeline".to_owned(),
+                "`null` is not allowed in a pipeline".to_owned(),
             ));
         }
         Json::Bool(truth) => Value::Truth(*truth),
@@ -143,7 +143,7 @@ pub fn of_json(json: &Json) -> Result<SyntaxNode, ConfigError> {
     Ok(SyntaxNode { at: at(), value })
 }
 
-/// Applies one `--set path.to.key=value`; the value is TOML, or a plain string where it is no TOML.
+/// Applies one `--set path.to.key=value`. The value is TOML, or a plain string if it is not valid TOML.
 ///
 /// # Errors
 /// An argument without `=`, a node or archive that the file does not have, or a path through something that is not a table.
@@ -243,7 +243,7 @@ impl SyntaxNode {
         self.entries()?.iter().find(|entry| entry.key == key)
     }
 
-    /// Returns the place a dotted path leads to, as far as it exists.
+    /// Returns the place of a dotted path, or of its longest existing part.
     pub fn place(&self, path: &str) -> Origin {
         let (first, rest) = path.split_once('.').unwrap_or((path, ""));
         match self.entry(first) {

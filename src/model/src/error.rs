@@ -39,7 +39,7 @@ pub enum RunError {
 }
 
 impl RunError {
-    /// Tells whether something was collected or lost that the run needs.
+    /// Returns whether the error is a collected or lost object that the run needs.
     pub fn is_lost(&self) -> bool {
         match self {
             Self::Store(error) => error.lost().is_some(),
@@ -49,10 +49,10 @@ impl RunError {
     }
 }
 
-/// Returns what was read; none if the store has lost an object that it needs.
+/// Returns the value, or `None` if the store has lost an object that it needs.
 ///
 /// # Errors
-/// Every other error.
+/// Returns every other error.
 pub fn unless_lost<T>(read: Result<T, RunError>) -> Result<Option<T>, RunError> {
     match read {
         Err(error) if error.is_lost() => Ok(None),

@@ -1,4 +1,4 @@
-//! What a source read: its products, and where their files came from.
+//! Products that a source read, and where their files came from.
 
 use std::collections::BTreeMap;
 
@@ -13,7 +13,7 @@ use crate::error::RunError;
 /// The part of a source that read one sol.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SourcePart {
-    /// The sol; 0 where there is none.
+    /// The sol, or 0 without one.
     pub shard: u32,
     /// Key of the part's record.
     pub key: Digest,
@@ -24,7 +24,7 @@ pub struct SourcePart {
 pub struct Product {
     /// The product id, or the name of the file.
     pub id: String,
-    /// The sol that it was listed under; 0 where there is none.
+    /// The sol that it was listed under, or 0 without one.
     pub shard: u32,
     /// Digests of its blobs by role: `image`, and where there are `raw`, `label`, `thumbnail`.
     pub blobs: BTreeMap<String, Digest>,
@@ -34,10 +34,10 @@ pub struct Product {
     pub origins: BTreeMap<String, Origin>,
 }
 
-/// Returns the parts of a record, by sol; of a node that is no source they are its own work on each sol.
+/// Returns the parts of a record, by sol. For a node that is not a source they are its own work on each sol.
 ///
 /// # Errors
-/// A list of parts that is lost, or a store that cannot be read.
+/// Returns an error if the list of parts is lost or the store cannot be read.
 pub fn parts_of(store: &Store, record: &Record) -> Result<Vec<SourcePart>, RunError> {
     let Some(parts) = record.parts else {
         return Ok(Vec::new());
@@ -57,10 +57,10 @@ pub fn set(store: &Store, root: &Digest) -> Result<Root, RunError> {
     Root::read(root, |digest| Ok(store.get(digest)?))
 }
 
-/// Returns the files that a part of a source met; none of a part that notes none.
+/// Returns the files that a part of a source read, or an empty list if it records no files.
 ///
 /// # Errors
-/// A record or list that is lost, or a store that cannot be read.
+/// Returns an error if a record or list is lost or the store cannot be read.
 pub fn origins(store: &Store, part: &SourcePart) -> Result<Vec<Origin>, RunError> {
     match record_of(store, part)?.origins {
         None => Ok(Vec::new()),

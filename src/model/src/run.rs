@@ -24,15 +24,15 @@ pub struct Run<'s> {
 /// A node of a run and what the store has of its result.
 #[derive(Debug, Clone)]
 pub struct RunNode {
-    /// What the run root says of it: name, key, edges, inputs, outputs, times.
+    /// Its entry in the run root: name, key, edges, inputs, outputs, times.
     pub run: NodeRun,
-    /// The earlier run that the result is of, where the run itself has none ([`Run::completed`]).
+    /// The earlier run of the result, if the run itself has no result ([`Run::completed`]).
     pub of_run: Option<u64>,
-    /// Wall time of the work in the run that the result is of, in seconds; none if that run found the result.
+    /// Wall time of the work in the run of the result, in seconds. `None` if that run found the result.
     pub worked_s: Option<f64>,
-    /// Everything its result depends on; none if the node has no result, or the store has lost the action.
+    /// Everything its result depends on. `None` if the node has no result, or the store has lost the action.
     pub action: Option<Action>,
-    /// Its record: outputs, needs, parts, children, device and time; none if it is not in the store.
+    /// Its record: outputs, needs, parts, children, device and time. `None` if it is not in the store.
     pub record: Option<Record>,
 }
 
@@ -40,7 +40,7 @@ impl<'s> Run<'s> {
     /// Reads a run by its number.
     ///
     /// # Errors
-    /// A run that cannot be read, or a store that cannot. What the store has lost of a node is no error.
+    /// Returns an error if the run or the store cannot be read. Lost objects of a node are not an error.
     pub fn open(store: &'s Store, number: u64) -> Result<Self, RunError> {
         Self::new(store, run_of(store, number)?)
     }
@@ -175,10 +175,11 @@ impl<'s> Run<'s> {
         documents.map(|document| document.digest).collect()
     }
 
-    /// Reads a document of the run ([`marf_engine::document`]); none if the run has kept none of this name.
+    /// Reads a document of the run ([`marf_engine::document`]), or returns `None` if the run has no document
+    /// of this name.
     ///
     /// # Errors
-    /// A document that the store has lost.
+    /// Returns an error if the store has lost the document.
     pub fn document_bytes(&self, name: &str) -> Result<Option<Arc<[u8]>>, RunError> {
         let document = self.record.documents.get(name);
         Ok(document
@@ -197,7 +198,7 @@ impl<'s> Run<'s> {
     /// Reads a document that a node has written.
     ///
     /// # Errors
-    /// An output that the node or the store does not have, or that is no such document.
+    /// Returns an error if the node or the store lacks the output, or if it is not such a document.
     pub fn document<D: Document>(&self, node: &RunNode) -> Result<D, RunError> {
         D::decode(&self.output(node, D::OUTPUT)?).map_err(|error| RunError::Malformed {
             what: format!("`{}` of `{}`", D::OUTPUT, node.run.name),
@@ -205,10 +206,10 @@ impl<'s> Run<'s> {
         })
     }
 
-    /// Reads the verdicts of a node, by sol and id; none of a node that gives no verdicts.
+    /// Reads the verdicts of a node, by sol and id. The list is empty for a node without verdicts.
     ///
     /// # Errors
-    /// Verdicts that the store has lost, or bytes that are none.
+    /// Returns an error if the store has lost the verdicts, or if the bytes are not verdicts.
     pub fn verdicts(&self, node: &RunNode) -> Result<Vec<Verdict>, RunError> {
         match node.run.outputs.get(VERDICTS) {
             None => Ok(Vec::new()),
@@ -216,10 +217,11 @@ impl<'s> Run<'s> {
         }
     }
 
-    /// Returns the lists of the files that a source read of its archive, sol by sol; none for other nodes.
+    /// Returns the lists of the files that a source read of its archive, sol by sol. The result is empty for
+    /// other nodes.
     ///
     /// # Errors
-    /// A record or a list of parts that is lost, or a store that cannot be read.
+    /// Returns an error if a record or a list of parts is lost, or if the store cannot be read.
     pub fn origins(&self, node: &RunNode) -> Result<Vec<Digest>, RunError> {
         if !node.is_source() {
             return Ok(Vec::new());
@@ -232,10 +234,11 @@ impl<'s> Run<'s> {
         Ok(origins)
     }
 
-    /// Returns what a node that makes no set of photos stored next to its outputs. The rows of a set name their objects themselves.
+    /// Returns the objects that a node stored next to its outputs, if it makes no set of photos. The rows of a set name their
+    /// objects themselves.
     ///
     /// # Errors
-    /// A list that is lost or damaged.
+    /// Returns an error if a list is lost or damaged.
     pub fn needs(&self, node: &RunNode) -> Result<Vec<Digest>, RunError> {
         let record = node.record.as_ref();
         let list = record.filter(|record| !record.outputs.contains_key(PHOTOS));
@@ -250,12 +253,12 @@ impl<'s> Run<'s> {
 }
 
 impl RunNode {
-    /// Tells whether the node reads an archive.
+    /// Returns whether the node reads an archive.
     pub fn is_source(&self) -> bool {
         self.run.inputs.contains_key(LISTING)
     }
 
-    /// Tells whether the node was asked for by another node.
+    /// Returns whether another node requested this node.
     pub fn is_child(&self) -> bool {
         self.run.parent.is_some()
     }
@@ -301,7 +304,7 @@ impl RunNode {
         Ok(output.digest)
     }
 
-    /// Returns program and device that made the result, for people; none if the record is lost.
+    /// Returns program and device that made the result, as text, or `None` if the record is lost.
     pub fn made_by(&self) -> Option<String> {
         let made = &self.record.as_ref()?.metadata;
         Some(format!("{} on {}", made.program, made.device))

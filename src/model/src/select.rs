@@ -1,7 +1,7 @@
-//! Which run is meant where the user names none.
+//! The selection of a run if the user names no run.
 //!
-//! A pipeline is its file and its name. Runs of a part of it (`--to`, `--from`, `--scene`) are runs of it. What was made from a run
-//! (exports, renders, trades, comparisons) is attached to that run and never stands for the pipeline.
+//! A pipeline is its file and its name. Runs of a part of it (`--to`, `--from`, `--scene`) are runs of it. Everything made from a
+//! run (exports, renders, trades, comparisons) is attached to that run and never represents the pipeline.
 
 use marf_cache::Store;
 use marf_engine::{Outcome, Purpose, RunRecord, RunSource, document, last_run_where, run_of};
@@ -9,10 +9,10 @@ use serde_json::Value;
 
 use crate::error::RunError;
 
-/// What the runs that are meant are runs of.
+/// The subject of runs: a pipeline, a folder, or anything.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Subject {
-    /// A pipeline: its file, and its name; none for every name that the file has had.
+    /// A pipeline: its file, and its name. `None` matches every name that the file has had.
     Pipeline {
         /// The file.
         source: RunSource,
@@ -35,7 +35,8 @@ pub struct Selected {
 }
 
 impl Subject {
-    /// Returns the subject of a folder without a pipeline file: its folder verbs, or anything if none of them has run.
+    /// Returns the subject of a folder without a pipeline file: its folder verbs, or anything if no folder verb has
+    /// run.
     ///
     /// # Errors
     /// A store that cannot be read.
@@ -64,7 +65,7 @@ impl Subject {
 /// Returns the newest run of a subject in any state.
 ///
 /// # Errors
-/// A store that cannot be read. A run that cannot be read is passed over and warned of.
+/// Returns an error if the store cannot be read. A run that cannot be read is skipped with a warning.
 pub fn newest(
     store: &Store,
     subject: &Subject,
@@ -73,7 +74,7 @@ pub fn newest(
     newest_with(store, subject, warn, |_| true)
 }
 
-/// Returns the newest run of a subject that has what is wanted.
+/// Returns the newest run of a subject for which `wanted` is true.
 ///
 /// # Errors
 /// As [`newest`].
@@ -88,7 +89,7 @@ pub fn newest_with(
     })?)
 }
 
-/// Returns the newest run of the same pipeline that came before a run, which need not be stored yet, and has what is wanted.
+/// Returns the newest earlier run of the same pipeline for which `wanted` is true. `run` itself need not be stored yet.
 ///
 /// # Errors
 /// As [`newest`].
@@ -104,8 +105,8 @@ pub fn earlier(
     })?)
 }
 
-/// Returns the newest run of a subject in which every node of its own pipeline has a result. If there is none: the newest that was
-/// done, else the newest with any result.
+/// Returns the newest run of a subject in which every node of its own pipeline has a result. Without such a run, returns the
+/// newest that was done, or else the newest with any result.
 ///
 /// # Errors
 /// As [`newest`].
@@ -120,7 +121,7 @@ pub fn newest_whole(
             Ok(run) if subject.has(&run) => run,
             Ok(_) => continue,
             Err(error) => {
-                warn(format!("{error}; it is passed over"));
+                warn(format!("{error}. The run is skipped"));
                 continue;
             }
         };
@@ -143,7 +144,7 @@ pub fn newest_whole(
     Ok(selected)
 }
 
-/// Tells whether every node of the pipeline that a run was started with has a result. A pipeline that the store has lost tells nothing.
+/// Returns whether every node of the pipeline that a run was started with has a result. False if the store has lost the pipeline.
 fn is_whole(store: &Store, run: &RunRecord) -> bool {
     let resolved = run.documents.get(document::RESOLVED);
     let bytes = resolved.and_then(|resolved| store.get(&resolved.digest).ok());
@@ -190,7 +191,7 @@ pub fn newest_derived(
     Ok(runs.iter().rev().find(is_wanted).cloned())
 }
 
-/// Returns the source of the pipeline of a run: of a derived run that of the run that it was made from, if that is there.
+/// Returns the source of the pipeline of a run. For a derived run, that of the run it was made from, if that exists.
 fn pipeline_source<'r>(runs: &'r [RunRecord], run: &'r RunRecord) -> Option<&'r RunSource> {
     let mut run = run;
     // A run may be made from a run that was made from another one. A root is never that of a run that it leads to.

@@ -17,12 +17,12 @@ const EVERY: Duration = Duration::from_secs(1);
 pub struct NodeTimes {
     /// Wall time by node, seconds.
     seconds: BTreeMap<String, f64>,
-    /// Nodes that ran at a time, in the mean; at least 1.
+    /// Mean number of nodes that ran at a time, at least 1.
     at_once: f64,
 }
 
 impl NodeTimes {
-    /// Returns what earlier runs of a pipeline tell, the newest first.
+    /// Returns the times of earlier runs of a pipeline, given the newest first.
     pub fn from_runs<'r>(runs: impl Iterator<Item = &'r RunRecord>) -> Self {
         let mut seconds = BTreeMap::new();
         let mut at_once: Option<f64> = None;
@@ -55,7 +55,7 @@ pub struct RunProgress {
     pub nodes: usize,
     /// Seconds that the nodes whose time is known may take yet.
     pub left_s: f64,
-    /// Nodes of which nothing tells how long they take.
+    /// Nodes without a known duration.
     pub unknown: usize,
 }
 
@@ -93,12 +93,12 @@ struct State {
 #[derive(Clone, Copy)]
 struct NodeWork {
     began: Instant,
-    /// The piece of work that it is at: when it was first told of, how much was done then and is now, and how much it has.
+    /// The current piece of work: the time of its first report, and its units done then, done now and in total.
     piece: Option<(Instant, [u64; 3])>,
 }
 
 impl Estimate {
-    /// Begins with nodes none of which is over.
+    /// Begins with nodes that have not ended.
     pub fn new(nodes: &[&str], expected: NodeTimes) -> Self {
         let open = nodes.iter().map(|name| ((*name).to_owned(), None)).collect();
         let state = State {
@@ -113,7 +113,7 @@ impl Estimate {
         }
     }
 
-    /// Takes an event in and returns how far the run is, if that is due to be told.
+    /// Takes an event and returns the progress of the run, if a report is due.
     pub fn after(&self, event: &Event) -> Option<RunProgress> {
         let now = Instant::now();
         let mut state = self.state.lock();
@@ -180,8 +180,8 @@ impl NodeWork {
         };
     }
 
-    /// Returns the seconds that it may take yet: by what it took last, and no less than the piece of work that it is at; none of a node
-    /// that never ran and has told nothing.
+    /// Returns the seconds left: by the time it took last, and no less than its current piece of work needs. `None` for a node that
+    /// never ran and has not reported anything.
     fn left_s(&self, known: Option<f64>, now: Instant) -> Option<f64> {
         let by_last = known.map(|seconds| (seconds - (now - self.began).as_secs_f64()).max(0.0));
         let by_piece = self.piece.and_then(|(since, [first, done, total])| {
@@ -263,7 +263,7 @@ mod tests {
         assert_eq!(
             running.left_s(Some(40.0), now),
             Some(10.0),
-            "another piece is measured anew"
+            "another piece is measured from its start"
         );
     }
 }

@@ -17,8 +17,8 @@ use super::json::Line;
 /// Shortest time between two lines of progress of a node, except the last one.
 const PROGRESS_EVERY: Duration = Duration::from_millis(500);
 
-/// Returns the folder in which running programs leave their events: `<run>.jsonl`, a line an event, and beside it `<run>.lock`,
-/// which is locked while the program runs. Nothing there is in any key or result.
+/// Returns the folder in which running programs write their events: `<run>.jsonl`, a line an event, with `<run>.lock`, which is
+/// locked while the program runs. Nothing in it is in any key or result.
 pub fn event_folder(store: &Store) -> PathBuf {
     store.scratch().join("events")
 }
@@ -52,7 +52,7 @@ pub struct RunStart<'a> {
     pub command: &'a str,
     /// The nodes, producers first.
     pub nodes: &'a [&'a str],
-    /// What each node reads, by name; those that read nothing are left out.
+    /// Inputs of each node, by name. Nodes without inputs are left out.
     pub upstream: BTreeMap<&'a str, Vec<&'a str>>,
 }
 
@@ -130,7 +130,7 @@ impl Listener for EventFile {
             return;
         }
         if let Ok(line) = serde_json::to_string(&Line::now(&self.run, event)) {
-            // A full disk fails the run where it matters; a page that misses a line does not.
+            // A full disk fails the run at a more important write. A page may miss a line.
             let _ = state.file.write_all(format!("{line}\n").as_bytes());
         }
     }
@@ -154,7 +154,7 @@ fn remove_dead(folder: &Path) {
     }
 }
 
-/// Removes a file with its lock; what cannot be removed now is removed by a later run.
+/// Removes a file with its lock. If that fails, a later run removes them.
 fn remove(path: &Path) {
     let _ = std::fs::remove_file(path);
     let _ = std::fs::remove_file(path.with_extension("lock"));

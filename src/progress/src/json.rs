@@ -7,7 +7,7 @@ use serde::Serialize;
 /// A line of the output of `--json`.
 #[derive(Debug, Serialize, JsonSchema)]
 pub struct Line<'a> {
-    /// When it happened, as RFC 3339 in UTC with milliseconds; `unknown` by a clock before 1970.
+    /// When it happened, as RFC 3339 in UTC with milliseconds, or `unknown` if the clock is before 1970.
     time: String,
     /// Name of the run, as in its record.
     run: &'a str,

@@ -10,7 +10,7 @@ pub fn duration(seconds: f64) -> String {
     }
 }
 
-/// Returns the line of an event; none for progress.
+/// Returns the line of an event, or `None` for progress.
 pub fn sentence(event: &Event) -> Option<String> {
     let name = |node: &str| format!("{node:<22}");
     Some(match event {

@@ -5,8 +5,8 @@ use marf_engine::{Event, Listener};
 use parking_lot::Mutex;
 use serde_json::{Value, json};
 
-/// Collects the events of a run as a trace of the form that Perfetto and `chrome://tracing` open: a bar for each node, below
-/// it bars for what its progress calls by name, and a mark for each warning.
+/// Collects the events of a run as a trace for Perfetto and `chrome://tracing`: a bar for each node, below it bars for the
+/// named parts of its progress, and a mark for each warning.
 pub struct Trace {
     began: Instant,
     state: Mutex<State>,

@@ -5,7 +5,7 @@ use marf_cache::Digest;
 
 use crate::{Shard, Table};
 
-/// Name of the folder that pins what archives on servers gave; it lies beside pipeline.toml.
+/// Name of the folder that pins the files of archives on servers. It is next to pipeline.toml.
 pub const LOCK_FILE: &str = "marf.lock";
 
 /// What an archive may ask of the network.
@@ -13,13 +13,14 @@ pub const LOCK_FILE: &str = "marf.lock";
 pub enum Access {
     /// List what the server has, and fetch what is new.
     Online,
-    /// Take exactly what the lock file names; fetch what of it is not in the store.
+    /// Take exactly the files that [`LOCK_FILE`] pins, and fetch those that are not in the store.
     Locked,
     /// As `Locked`, and open no connection.
     Offline,
 }
 
-/// An archive as an earlier run met it: its files are read from the store, wherever they lay then.
+/// An archive as recorded by an earlier run: its files are read from the store, regardless of their original
+/// place.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RecordedArchive {
     /// The shards, sorted, each with the digest of the list of its files ([`crate::Origin`]).
@@ -28,14 +29,14 @@ pub struct RecordedArchive {
     pub companions: BTreeMap<String, Digest>,
 }
 
-/// What an archive is told beside the keys of its `[archive.*]` table; no part of it is in a key.
+/// Context of an archive outside the keys of its `[archive.*]` table. No part of it is in a key.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ArchiveContext {
     /// Name of the `[archive.*]` table.
     pub name: String,
     /// Folder from which relative paths of the table are meant: that of pipeline.toml.
     pub folder: PathBuf,
-    /// Path of the lock ([`LOCK_FILE`]); `None` where there is none.
+    /// Path of the lock ([`LOCK_FILE`]), or `None` without a lock.
     pub lock: Option<PathBuf>,
     /// What may be asked of the network.
     pub access: Access,
@@ -43,7 +44,7 @@ pub struct ArchiveContext {
     pub rehash: bool,
     /// Tables of measures that stages of the pipeline read, to be filled of every photo that is fetched. They change no row.
     pub measures: Vec<Table>,
-    /// What an earlier run met, to be read again in place of the archive itself, which is then not looked at.
+    /// Recorded archive of an earlier run, which is read instead of the archive itself.
     pub recorded: Option<RecordedArchive>,
 }
 

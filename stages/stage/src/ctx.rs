@@ -11,7 +11,7 @@ use serde::Deserialize;
 
 use crate::error::{BlobError, StageError};
 
-/// What a running stage may use beside its parameters and inputs.
+/// Resources of a running stage in addition to its parameters and inputs.
 #[derive(Clone, Copy)]
 pub struct Ctx<'a> {
     /// The object store.
@@ -24,12 +24,12 @@ pub struct Ctx<'a> {
     pub checkpoints: &'a dyn Checkpoints,
     /// Tables of partial results that outlive this run.
     pub memos: &'a dyn Memos,
-    /// A folder for files of unfinished work (half a download, the last listing of a server); the stage creates it. Its
+    /// A folder for files of unfinished work (half a download, the last listing of a server), created by the stage. Its
     /// files may vanish between runs and never change a result.
     pub scratch: &'a Path,
-    /// Threads given to this run; a rayon pool of that size is installed. Never part of a result.
+    /// Threads given to this run. A rayon pool of that size is installed. Never part of a result.
     pub threads: usize,
-    /// When the whole run began that this node is part of.
+    /// Start of the whole run.
     pub began: Instant,
 }
 
@@ -78,19 +78,19 @@ pub trait Blobs: Sync {
     /// # Errors
     /// A missing or damaged blob.
     fn get(&self, digest: &Digest) -> Result<Arc<[u8]>, BlobError>;
-    /// Stores a blob; the same bytes are stored once.
+    /// Stores a blob. The same bytes are stored once.
     ///
     /// # Errors
-    /// A store that cannot be written.
+    /// Returns an error if the store cannot be written.
     fn put(&self, bytes: &[u8]) -> Result<Digest, BlobError>;
     /// Stores a file and returns the bytes that were stored, with their digest.
     ///
     /// # Errors
     /// A file that cannot be read, is larger than `max_bytes`, or a store that cannot be written.
     fn put_file(&self, path: &Path, max_bytes: u64, keep: Keep) -> Result<(Digest, Arc<[u8]>), BlobError>;
-    /// Tells whether a blob is in the store; its bytes are not read.
+    /// Returns whether a blob is in the store. Its bytes are not read.
     fn contains(&self, digest: &Digest) -> bool;
-    /// Makes all that was stored so far survive the end of the process and of the power.
+    /// Makes all stored blobs survive the end of the process and a loss of power.
     ///
     /// # Errors
     /// A store that cannot be written.
@@ -110,19 +110,19 @@ pub enum Keep {
 
 /// Receives the progress of a run.
 pub trait Progress: Sync {
-    /// Reports `done` of `total` units; `note` is a short current figure (`loss 0.0123`).
+    /// Reports `done` of `total` units. `note` is a short current figure (`loss 0.0123`).
     fn at(&self, done: u64, total: u64, note: &str);
-    /// Reports how long a part of the work took (`training`), seconds; several times of one part add up. It is kept beside the
-    /// record, for people.
+    /// Reports how long a part of the work took (`training`), seconds. Several times of one part add up. The sum is stored
+    /// with the record, as information.
     fn took(&self, _part: &'static str, _seconds: f64) {}
-    /// Tells people one sentence on the work that they should know of; what a result depends on is in its outputs, too.
+    /// Shows the user one sentence about the work. Anything that affects a result must also be in its outputs.
     fn warn(&self, _message: &str) {}
 }
 
 /// Keeps the state of an unfinished run under the node's key, in named parts (`training`, `trial-2`). All are removed when
 /// the node finishes.
 pub trait Checkpoints: Sync {
-    /// Returns what the last unfinished run of this key saved as this part; none if it is damaged.
+    /// Returns this part as the last unfinished run of this key saved it, or `None` if it is damaged.
     fn load(&self, part: &str) -> Option<Vec<u8>>;
     /// Replaces a part. A failure costs only time, and the engine reports it.
     fn save(&self, part: &str, state: &[u8]);
@@ -153,7 +153,7 @@ impl Default for Cancel {
 }
 
 impl Cancel {
-    /// Returns a request that makes itself after it was asked for so many times, for tests that stop a stage anywhere.
+    /// Returns a request that is made after `checks` checks, for tests that stop a stage anywhere.
     pub fn after(checks: u64) -> Self {
         Self(Arc::new(AtomicU64::new(checks)))
     }

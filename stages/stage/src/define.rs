@@ -10,13 +10,13 @@ use crate::{ArchiveContext, Stage, error::ParamError};
 pub struct Port {
     /// Key in pipeline.toml that names the upstream node (`input`, `params`).
     pub key: &'static str,
-    /// Name of the upstream output; also the name under which the stage reads it.
+    /// Name of the upstream output, and the name under which the stage reads it.
     pub output: &'static str,
     /// Whether the stage cannot run without it.
     pub required: bool,
-    /// Whether it may name several nodes; what each gives is an input of its own ([`Port::input`]).
+    /// Whether it may name several nodes. The output of each is an input of its own ([`Port::input`]).
     pub many: bool,
-    /// Keys of the node, parameters or ports, that this input decides: they may not be set beside it.
+    /// Keys of the node, parameters or ports, that this input decides: they may not be set together with it.
     pub decides: &'static [&'static str],
     /// What to write if the named node does not give the output, for people.
     pub hint: Option<&'static str>,
@@ -64,7 +64,7 @@ impl Port {
         }
     }
 
-    /// Returns the input with a hint for people who name a node that does not give the output.
+    /// Returns the input with a hint for the error about a node that does not give the output.
     #[must_use]
     pub const fn with_hint(self, hint: &'static str) -> Self {
         Self {
@@ -85,9 +85,9 @@ impl Port {
 
 /// A stage as a type: its name, version, parameters and ports. Most stages are a row of [`stage!`](crate::stage!).
 pub trait Define: Stage + Sized + 'static {
-    /// Its section in pipeline.toml; doc comments of its fields become the help text.
+    /// Its section in pipeline.toml. Doc comments of its fields become the help text.
     type Params: DeserializeOwned + JsonSchema;
-    /// Name in pipeline.toml and in keys; where the parameters are [`crate::Params`], their `STAGE`.
+    /// Name in pipeline.toml and in keys. If the parameters are [`crate::Params`], it is their `STAGE`.
     const NAME: &'static str;
     /// One line for people.
     const ABOUT: &'static str;
@@ -97,7 +97,8 @@ pub trait Define: Stage + Sized + 'static {
     const RELAX: Option<&'static str> = None;
     /// Inputs.
     const PORTS: &'static [Port];
-    /// Names of its outputs. One that ends with `/` stands for any number of outputs below it, or none.
+    /// Names of its outputs. One that ends with `/` represents any number of outputs below it, including
+    /// zero.
     const OUTPUTS: &'static [&'static str];
 
     /// Checks the parameters.
@@ -106,7 +107,7 @@ pub trait Define: Stage + Sized + 'static {
     /// Names the key that is out of range.
     fn new(params: Self::Params) -> Result<Self, ParamError>;
 
-    /// As [`Define::new`], for a stage that reads an archive; all others have no use for the context.
+    /// As [`Define::new`], for a stage that reads an archive. All others ignore the context.
     ///
     /// # Errors
     /// Names the key that is out of range.
@@ -128,7 +129,8 @@ pub struct StageDef {
     pub relax: Option<&'static str>,
     /// Inputs.
     pub ports: &'static [Port],
-    /// Names of its outputs. One that ends with `/` stands for any number of outputs below it, or none.
+    /// Names of its outputs. One that ends with `/` represents any number of outputs below it, including
+    /// zero.
     pub outputs: &'static [&'static str],
     /// JSON schema of its parameters.
     pub schema: fn() -> Schema,
@@ -162,7 +164,7 @@ pub fn schema_of<P: JsonSchema>() -> Schema {
 /// Returns parameters as JSON for a key, without the keys that change no result (`device`: the backend has its own place in the key).
 /// A key in a nested table has its path (`train.device`).
 ///
-/// Numbers that JSON cannot hold, NaN and infinities, become `null`; stages refuse them before.
+/// Numbers that JSON cannot hold, NaN and infinities, become `null`. Stages reject them before.
 pub fn key_params(params: &impl Serialize, without: &[&str]) -> serde_json::Value {
     let mut json = serde_json::to_value(params).unwrap_or_default();
     without.iter().for_each(|path| remove(&mut json, path));
@@ -197,7 +199,7 @@ pub fn from_json<P: DeserializeOwned>(params: serde_json::Value) -> Result<P, Pa
 /// `stage! { Video { params: VideoParams }, Set, Threads::One, about: …, version: 1, ports: […], outputs: […] }` implements [`Define`]
 /// and [`Stage`] for `struct Video { params: VideoParams }`. `Set` is its variant of [`Work`](crate::Work). Further rows:
 /// - `without: "device"`: a parameter that is in no key.
-/// - `device: device`: the parameter that chooses the backend; it is in no key either.
+/// - `device: device`: the parameter that chooses the backend. It is in no key either.
 /// - `{ … }`: further methods of [`Stage`].
 #[macro_export]
 macro_rules! stage {

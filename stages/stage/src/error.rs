@@ -3,7 +3,7 @@ use marf_cache::Digest;
 /// Why a node stopped.
 #[derive(Debug, Clone, thiserror::Error)]
 pub enum StageError {
-    /// The user asked to stop; what is already in the store stays.
+    /// The user asked to stop. Everything that is already in the store stays.
     #[error("stopped")]
     Cancelled,
     /// The work cannot be done.
@@ -64,7 +64,7 @@ pub struct BlobError {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{message}")]
 pub struct ParamError {
-    /// Dotted path of the key inside the node's table; empty if it is the whole table.
+    /// Dotted path of the key inside the node's table. Empty if it is the whole table.
     pub path: String,
     /// What is wrong, with the number.
     pub message: String,

@@ -32,7 +32,7 @@ pub fn decide(map: &dyn Map, shards: &[Vec<Measured<'_>>]) -> Result<Vec<Vec<Ver
     shards.iter().map(|items| map.decide(&context, items)).collect()
 }
 
-/// A store in memory; progress is ignored.
+/// A store in memory. Progress is ignored.
 #[derive(Default)]
 pub struct Harness {
     blobs: Mutex<BTreeMap<Digest, Arc<[u8]>>>,
@@ -42,7 +42,7 @@ pub struct Harness {
     memos: Mutex<BTreeMap<Digest, Arc<[u8]>>>,
     /// Whether stages under test should stop.
     pub cancel: Cancel,
-    /// Folder for files of unfinished work; a test that needs one sets it.
+    /// Folder for files of unfinished work. A test that needs a folder sets it.
     pub scratch: PathBuf,
 }
 

@@ -1,8 +1,8 @@
 //! The contract between a stage and the engine.
 //!
-//! A stage is a pure function with a name and a version: what it answers depends on its parameters and on the
-//! contents of its inputs, and on nothing else (no clock, no path, no thread count). Invariant: everything a
-//! stage can read of the outside comes through [`Ctx`] or, for a [`Source`], is part of its fingerprint.
+//! A stage is a pure function with a name and a version: its result depends on its parameters and on the
+//! contents of its inputs, and on nothing else (no clock, no path, no thread count). Invariant: everything
+//! that a stage reads from outside comes through [`Ctx`] or, for a [`Source`], is part of its fingerprint.
 
 mod archive;
 mod ctx;
@@ -41,7 +41,7 @@ pub const EARLIER: &str = "earlier";
 
 /// A stage with its parameters, ready to run.
 pub trait Stage: Send + Sync {
-    /// Returns the parameters that may change the result, defaults included, as JSON ([`key_params`]); they are part of the
+    /// Returns the parameters that may change the result, defaults included, as JSON ([`key_params`]). They are part of the
     /// key.
     fn params(&self) -> serde_json::Value;
     /// Returns the kind of work, with the implementation to run.
@@ -55,20 +55,20 @@ pub trait Stage: Send + Sync {
     fn backend_id(&self) -> Option<String> {
         None
     }
-    /// Returns what [`Stage::backend_id`] is on another machine: one whose GPU has the id `gpu`, or one without a GPU.
+    /// Returns the [`Stage::backend_id`] on another machine: one whose GPU has the id `gpu`, or one without a GPU.
     ///
     /// # Errors
-    /// A GPU is wanted that the machine does not have.
+    /// Returns an error if a GPU is wanted that the machine does not have.
     fn backend_id_on(&self, _gpu: Option<&str>) -> Result<Option<String>, StageError> {
         Ok(None)
     }
-    /// Returns why two runs of one key may give different results, for a stage that is no pure function (it measures time, or
-    /// runs another program); none for all others.
+    /// Returns why two runs of one key may give different results, for a stage that is not a pure function (it measures time,
+    /// or runs another program). `None` for all others.
     fn varies(&self) -> Option<&'static str> {
         None
     }
     /// Returns the name of the output of the stage's own last finished run that it reads as the input [`EARLIER`]. That
-    /// output is then part of the key; at the first run it is absent.
+    /// output is then part of the key. At the first run it is absent.
     fn earlier(&self) -> Option<&'static str> {
         None
     }
@@ -76,23 +76,23 @@ pub trait Stage: Send + Sync {
 
 /// The kinds of work, by what is cached.
 pub enum Work<'a> {
-    /// Reads items from an archive; one record a shard.
+    /// Reads items from an archive, with one record a shard.
     Source(&'a dyn Source),
-    /// Accepts or rejects each item by its measure; measures are cached by item.
+    /// Accepts or rejects each item by its measure. Measures are cached by item.
     Map(&'a dyn Map),
-    /// Accepts or rejects items with a state from all earlier shards; one record a shard.
+    /// Accepts or rejects items with a state from all earlier shards, with one record a shard.
     Fold(&'a dyn Fold),
-    /// Needs all its inputs at once; one record.
+    /// Needs all its inputs at once, and makes one record.
     Set(&'a dyn Set),
-    /// Requests further nodes, in one round or several, and reduces their outputs; one record.
+    /// Requests further nodes, in one round or several, and reduces their outputs to one record.
     Expand(&'a dyn Expand),
 }
 
-/// How many threads a run can use; fewer never change the result.
+/// How many threads a run can use. Fewer never change the result.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Threads {
-    /// One; other nodes run at the same time.
+    /// One. Other nodes run at the same time.
     One,
     /// As many as there are.
     All,
@@ -116,7 +116,8 @@ impl Inputs {
             .ok_or_else(|| StageError::new(format!("input `{name}` is not connected")))
     }
 
-    /// Returns what several nodes give as this input ([`Port::many`]): the name of each, and its digest.
+    /// Returns the outputs that several nodes give as this input ([`Port::many`]): the name of each, and its
+    /// digest.
     pub fn each<'a>(&'a self, name: &str) -> impl Iterator<Item = (&'a str, &'a Digest)> {
         let prefix = format!("{name}/");
         self.0
@@ -133,7 +134,7 @@ impl Inputs {
 /// One part of a source, in order: a sol.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Shard {
-    /// The sol; 0 where there is none.
+    /// The sol, or 0 without one.
     pub shard: u32,
     /// Digest of everything that [`Source::fetch`] would read for it, as far as it is known: see
     /// [`Fetched::fingerprint`].
@@ -151,7 +152,7 @@ impl Files {
         canonical_json(&serde_json::to_value(self).unwrap_or_default())
     }
 
-    /// Reads what [`Files::encode`] wrote; none if the bytes are not that.
+    /// Reads a list that [`Files::encode`] wrote, or returns `None` for other bytes.
     pub fn decode(bytes: &[u8]) -> Option<Self> {
         serde_json::from_slice(bytes).ok()
     }
@@ -162,11 +163,11 @@ impl Files {
 pub struct Listing {
     /// Sorted by shard.
     pub shards: Vec<Shard>,
-    /// Companion files of the photos (cameras of another program), by relative name; their bytes are in the store.
+    /// Companion files of the photos (cameras of another program), by relative name. Their bytes are in the store.
     pub companions: BTreeMap<String, Digest>,
-    /// How much there is to fetch, for people (`90 files to fetch`); not part of the key.
+    /// The amount of data to fetch, as text (`90 files to fetch`). Not part of the key.
     pub note: Option<String>,
-    /// What people should know of the listing (a pin that cannot be read), one sentence each; not part of the key.
+    /// Warnings about the listing (a pin that cannot be read), one sentence each. Not part of the key.
     pub warnings: Vec<String>,
 }
 
@@ -185,14 +186,14 @@ impl Listing {
 pub struct Fetched {
     /// The items, in any order.
     pub rows: Vec<Row>,
-    /// One verdict for every file seen; files that gave no item say why.
+    /// One verdict for every file seen. A file without an item has the reason.
     pub verdicts: Vec<Verdict>,
     /// Measures that were made of items while they were in memory, so that no stage reads the items again for them.
     pub measures: Vec<FetchedMeasure>,
-    /// Digest of everything that was read, where the listing could not know it: of a shard on a server the bytes are known
-    /// only when they have come. The result is kept under it, and the next listing gives it as [`Shard::fingerprint`].
+    /// Digest of everything that was read, if the listing could not know it: the bytes of a shard on a server are known
+    /// only after the fetch. The result is kept under it, and the next listing gives it as [`Shard::fingerprint`].
     pub fingerprint: Option<Digest>,
-    /// The files that were met and where they came from, in the order in which they were read; kept beside the result.
+    /// The files that were read and where they came from, in the order of reading. Kept with the result.
     pub origins: Vec<Origin>,
     /// What people should know of the work, one sentence each.
     pub warnings: Vec<String>,
@@ -211,26 +212,26 @@ pub struct FetchedMeasure {
 
 /// Reads items from an archive.
 pub trait Source: Send + Sync {
-    /// Lists the shards; cheap, runs at every plan. It may load memos and saves none.
+    /// Lists the shards. Cheap, because it runs at every plan. It may load memos but saves no memo.
     ///
     /// # Errors
-    /// A missing or unreadable archive.
+    /// Returns an error if the archive is missing or unreadable.
     fn list(&self, ctx: &Ctx<'_>) -> Result<Listing, StageError>;
 
-    /// Returns the files that [`Source::fetch`] would read of a listed shard; none where they are known only once they have
-    /// come. Then [`Shard::fingerprint`] is the digest of [`Files::encode`], which `fetch` stores: so it can be told which
-    /// files differ from those of an earlier run.
+    /// Returns the files that [`Source::fetch`] would read of a listed shard, or `None` if they are known only after the
+    /// fetch. Then [`Shard::fingerprint`] is the digest of [`Files::encode`], which `fetch` stores, so that the changed
+    /// files can be listed after an earlier run.
     ///
     /// # Errors
-    /// A shard that is not there, an unreadable archive.
+    /// Returns an error if the shard does not exist or the archive is unreadable.
     fn files(&self, _ctx: &Ctx<'_>, _shard: u32) -> Result<Option<Files>, StageError> {
         Ok(None)
     }
 
-    /// Reads one shard; runs when its fingerprint is new.
+    /// Reads one shard. Runs when its fingerprint is new.
     ///
     /// # Errors
-    /// Only failures of the whole shard; a bad file is a verdict.
+    /// Returns an error only if the whole shard fails. A bad file is a verdict.
     fn fetch(&self, ctx: &Ctx<'_>, shard: u32) -> Result<Fetched, StageError>;
 }
 
@@ -245,7 +246,7 @@ pub struct Table {
 
 /// Measures items one by one.
 pub trait Measure: Send + Sync {
-    /// Returns the table that this stage reads; `None` if the rows are enough for it.
+    /// Returns the table that this stage reads, or `None` if it needs only the rows.
     fn table(&self) -> Option<Table>;
 
     /// Returns the tables that one look at an item can fill, [`Measure::table`] among them. Several stages may return the
@@ -257,10 +258,10 @@ pub trait Measure: Send + Sync {
     /// Measures one item for each of the wanted tables, some of [`Measure::together`]: pure functions of the row and the
     /// bytes it names, cached by them. No parameter changes a measure.
     ///
-    /// Large parts of a measure may be blobs of their own, stored through `ctx`; [`Measure::blobs`] names them.
+    /// Large parts of a measure may be blobs of their own, stored through `ctx`, and named by [`Measure::blobs`].
     ///
     /// # Errors
-    /// Only failures of the whole node; an item that cannot be measured has a measure that says so.
+    /// Returns an error only if the whole node fails. An item that cannot be measured has a measure that says so.
     fn measure(&self, ctx: &Ctx<'_>, row: &Row, wanted: &[Table]) -> Result<Vec<Vec<u8>>, StageError>;
 
     /// Returns the blobs that a measure names. One that is lost makes the item be measured again.
@@ -276,52 +277,52 @@ pub struct Measured<'a> {
     pub shard: u32,
     /// The item.
     pub row: &'a Row,
-    /// The result of [`Measure::measure`]; empty without a table.
+    /// The result of [`Measure::measure`]. Empty without a table.
     pub measure: &'a [u8],
 }
 
 /// Accepts or rejects each item by its measure.
 pub trait Map: Measure {
-    /// Returns how items are compared with each other; `None` where a verdict looks at its item alone: a new shard then
-    /// changes no verdict on another.
+    /// Returns how items are compared with each other, or `None` if a verdict depends on its item alone. A new shard
+    /// then changes no verdict on another.
     fn comparison(&self) -> Option<&dyn Comparison> {
         None
     }
 
     /// Returns one verdict for each item of a shard, in the same order. Cheap: runs whenever a threshold changes.
     ///
-    /// `context` is that of the last pass of [`Map::comparison`]; empty without a comparison.
+    /// `context` is that of the last pass of [`Map::comparison`]. Empty without a comparison.
     ///
     /// # Errors
-    /// A measure or a context that cannot be read.
+    /// Returns an error if a measure or a context cannot be read.
     fn decide(&self, context: &[u8], items: &[Measured<'_>]) -> Result<Vec<Verdict>, StageError>;
 }
 
-/// Compares the items of a set with each other without holding them all: in each pass every shard is summarised, and the
-/// summaries become a context, which the next pass and in the end the decision look at.
+/// Compares the items of a set with each other without holding them all. In each pass every shard is summarised, and the
+/// summaries become a context for the next pass and finally for the decision.
 ///
-/// A new shard is summarised alone. If the context comes out equal, it is also decided alone; else all shards are decided
-/// again, from kept measures.
+/// A new shard is summarised alone. If the context comes out equal, it is also decided alone. Otherwise all shards are
+/// decided again, from kept measures.
 pub trait Comparison: Send + Sync {
-    /// Returns the names of the passes, in order, one at the least. A name stands for what a summary is: no parameter changes
-    /// a summary of the same name, context and shard.
+    /// Returns the names of the passes, in order, at least one. A name identifies a summary: no parameter changes a summary
+    /// of the same name, context and shard.
     fn passes(&self) -> Vec<&'static str>;
 
-    /// Returns what the items of a shard add in a pass, whatever their order: bytes whose number follows from this shard
-    /// alone. `context` is that of the pass before; empty in the first.
+    /// Returns the summary of the items of a shard in a pass, independent of their order: bytes whose number depends on
+    /// this shard alone. `context` is that of the pass before. Empty in the first.
     ///
     /// # Errors
-    /// A measure or a context that cannot be read.
+    /// Returns an error if a measure or a context cannot be read.
     fn summarise(&self, pass: usize, context: &[u8], items: &[Measured<'_>]) -> Result<Vec<u8>, StageError>;
 
-    /// Returns the context after a pass from the summaries of all shards, whatever their order and however items are
-    /// spread over them. `context` is that of the pass before; empty in the first.
+    /// Returns the context after a pass from the summaries of all shards, independent of their order and of how items are
+    /// spread over them. `context` is that of the pass before. Empty in the first.
     ///
-    /// Equal contexts have equal bytes, and they hold nothing that changes no later pass and no verdict: what is not in them
-    /// is what makes no shard be decided again.
+    /// Equal contexts have equal bytes. They hold only data that can change a later pass or a verdict, because every other
+    /// difference would make all shards be decided again.
     ///
     /// # Errors
-    /// The first error of `summaries`, and a summary or a context that cannot be read.
+    /// Returns the first error of `summaries`, or an error if a summary or a context cannot be read.
     fn context(
         &self,
         pass: usize,
@@ -338,14 +339,15 @@ pub trait Fold: Measure {
 
 /// The state of a fold between two shards.
 pub trait FoldState {
-    /// Adds what [`FoldState::fold`] returned of the next shard in an earlier run, instead of folding it again.
+    /// Adds the bytes that [`FoldState::fold`] returned of the next shard in an earlier run, instead of folding
+    /// it again.
     ///
     /// # Errors
-    /// Bytes that `fold` did not return.
+    /// Returns an error if `fold` did not return these bytes.
     fn replay(&mut self, ctx: &Ctx<'_>, added: &[u8]) -> Result<(), StageError>;
 
-    /// Decides the items of the next shard. Returns what they add to the state (of a size that follows from this shard
-    /// alone, never from earlier ones) and one verdict for each item, in the same order.
+    /// Decides the items of the next shard. Returns their addition to the state (of a size that depends on this shard
+    /// alone, never on earlier ones) and one verdict for each item, in the same order.
     ///
     /// # Errors
     /// A measure that cannot be read.
@@ -362,7 +364,7 @@ pub trait Set: Send + Sync {
     /// Computes the outputs.
     ///
     /// # Errors
-    /// What stops the node; [`StageError::Cancelled`] when asked to stop.
+    /// Returns the reason why the node stops, or [`StageError::Cancelled`] when asked to stop.
     fn run(&self, ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Outputs, StageError>;
 }
 
@@ -378,15 +380,15 @@ pub trait Expand: Send + Sync {
     /// Inputs that no node can be derived from.
     fn expand(&self, ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Vec<NodeSpec>, StageError>;
 
-    /// Returns the nodes of the next round, which may have outputs of earlier ones as inputs; none if the outputs can be
+    /// Returns the nodes of the next round, which may have outputs of earlier ones as inputs. Empty if the outputs can be
     /// computed.
     ///
     /// It is called each time all nodes requested so far have run. `done` holds their outputs in the order of the requests,
-    /// round after round. The answer follows from parameters, inputs and `done` alone, so that a run that goes on after a
+    /// round after round. The answer depends on parameters, inputs and `done` alone, so that a run that goes on after a
     /// stop asks for the same nodes.
     ///
     /// # Errors
-    /// Outputs that no node can be derived from.
+    /// Returns an error if no node can be derived from the outputs.
     fn further(
         &self,
         _ctx: &Ctx<'_>,
@@ -429,7 +431,7 @@ pub struct NodeSpec {
     pub name: String,
     /// Name of the stage in the table.
     pub stage: String,
-    /// Its parameters as JSON; they are checked when the stage is bound.
+    /// Its parameters as JSON. They are checked when the stage is bound.
     pub params: serde_json::Value,
     /// Its inputs.
     pub inputs: Inputs,

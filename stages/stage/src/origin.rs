@@ -9,18 +9,18 @@ pub struct Origin {
     pub file: String,
     /// What it was taken for.
     pub kind: OriginKind,
-    /// Digest of its bytes; of the reason, where it was not read.
+    /// Digest of its bytes, or of the reason if it was not read.
     pub blake3: Digest,
-    /// Length; absent if the file was not needed, so that its bytes are not in the store.
+    /// Length. Absent if the file was not needed, so that its bytes are not in the store.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub bytes: Option<u64>,
-    /// The digest by which others know the bytes; absent where `bytes` is.
+    /// The SHA-256 digest of the bytes, for other programs. Absent if `bytes` is.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sha256: Option<Sha256>,
-    /// The address that gave it; absent for a file of this machine.
+    /// The address that gave it. Absent for a file of this machine.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub url: Option<String>,
-    /// When, as `YYYY-MM-DDTHH:MM:SSZ`; absent for a file of this machine.
+    /// Time of the download, as `YYYY-MM-DDTHH:MM:SSZ`. Absent for a file of this machine.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub fetched: Option<String>,
     /// Why it was not taken.
@@ -28,7 +28,7 @@ pub struct Origin {
     pub reason: Option<String>,
 }
 
-/// What a file of an archive was taken for.
+/// Kind of a file of an archive.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum OriginKind {
@@ -61,7 +61,7 @@ impl Origin {
     /// Reads what [`Origin::encode`] wrote.
     ///
     /// # Errors
-    /// The first line that is none.
+    /// Returns the first line that is not an origin, as an error.
     pub fn decode(bytes: &[u8]) -> Result<Vec<Self>, serde_json::Error> {
         let lines = bytes.split(|byte| *byte == b'\n').filter(|line| !line.is_empty());
         lines.map(serde_json::from_slice).collect()

@@ -15,7 +15,7 @@ const NO_SOL: u32 = 100_000;
 pub enum Sols {
     /// All that are there, also photos of an unknown sol.
     All,
-    /// The greatest sol that is there.
+    /// The greatest existing sol.
     Latest,
     /// Inclusive ranges.
     Ranges(Vec<(u32, u32)>),
@@ -25,7 +25,7 @@ impl Sols {
     /// Reads a choice.
     ///
     /// # Errors
-    /// Names the part that is no sol or no range.
+    /// Returns an error that names the part that is neither a sol nor a range.
     pub fn parse(text: &str) -> Result<Self, String> {
         if text.trim() == "latest" {
             return Ok(Self::Latest);
@@ -34,7 +34,8 @@ impl Sols {
         ranges.map(Self::Ranges)
     }
 
-    /// Returns the first sol that another choice has too; none of choices that depend on what is there.
+    /// Returns the first sol that another choice has too. `None` for choices that depend on the existing
+    /// sols.
     pub fn shared_with(&self, other: &Self) -> Option<u32> {
         let (Self::Ranges(these), Self::Ranges(those)) = (self, other) else {
             return None;
@@ -61,7 +62,7 @@ impl Sols {
     }
 }
 
-/// As [`Sols::parse`] reads it; `all` for all, which only the absence of a choice means.
+/// As [`Sols::parse`] reads it. `all` for all sols, which only the absence of a choice means.
 impl Display for Sols {
     fn fmt(&self, to: &mut Formatter<'_>) -> Written {
         let text = |range: &(u32, u32)| {
@@ -116,7 +117,9 @@ impl JsonSchema for Sols {
 fn range(part: &str) -> Result<(u32, u32), String> {
     let sol = |text: &str| {
         let sol = text.trim().parse::<u32>().ok().filter(|sol| *sol < NO_SOL);
-        sol.ok_or_else(|| format!("`{part}` is no sol or range; write `3`, `1..=5`, `1,4,7..=9` or `latest`"))
+        sol.ok_or_else(|| {
+            format!("`{part}` is not a sol or range: write `3`, `1..=5`, `1,4,7..=9` or `latest`")
+        })
     };
     let (first, last) = if let Some((first, last)) = part.split_once("..=") {
         (sol(first)?, sol(last)?)

@@ -3,11 +3,11 @@ use serde::{Deserialize, Serialize};
 /// Whether one item is kept or rejected, and why.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Verdict {
-    /// The item's id; for a file that gave no item, its name.
+    /// The item's id, or the name of a file that gave no item.
     pub id: String,
     /// The file it came from.
     pub file: String,
-    /// `keep`, or the name of the filter that rejected it; `decode` if it could not be decoded.
+    /// `keep`, or the name of the filter that rejected it, or `decode` if it could not be decoded.
     pub verdict: String,
     /// The measure the verdict rests on, in the filter's own unit.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -18,7 +18,7 @@ pub struct Verdict {
     /// For duplicates, the item that is kept instead.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub twin: Option<String>,
-    /// One sentence for people; empty for a plain `keep`.
+    /// One sentence of explanation. Empty for a plain `keep`.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub reason: String,
 }

@@ -6,7 +6,7 @@ use std::path::Path;
 use crate::packages::{Package, packages};
 use crate::source::Source;
 
-/// Folders whose Rust files are no code of the program.
+/// Folders whose Rust files are not code of the program.
 const TEST_FOLDERS: [&str; 3] = ["benches", "fuzz", "tests"];
 
 /// A file that could not be read.

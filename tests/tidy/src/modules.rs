@@ -215,7 +215,7 @@ impl<'a> Modules<'a> {
         at == above
     }
 
-    /// Returns what a path means in a module, or nothing if its first name is unknown there.
+    /// Returns the meaning of a path in a module, or nothing if its first name is unknown there.
     fn meaning(&self, number: usize, path: &[String], step: usize) -> Option<Meaning> {
         let (first, rest) = path.split_first()?;
         let root = self.modules[number].root;
@@ -259,7 +259,7 @@ impl<'a> Modules<'a> {
         })
     }
 
-    /// Returns what a name means in a module, or nothing if the module does not know it.
+    /// Returns the meaning of a name in a module, or nothing if the module does not know it.
     fn named(&self, number: usize, name: &str, step: usize) -> Option<Meaning> {
         if step > STEPS {
             return None;

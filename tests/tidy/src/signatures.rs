@@ -9,9 +9,9 @@ use crate::source::Source;
 const FUNCTION_LINES: usize = 80;
 /// Most arguments besides `self`.
 const ARGUMENTS: usize = 5;
-/// Words that are no names of functions and modules.
+/// Words that may not name functions and modules.
 const NAMES: [&str; 5] = ["again", "as_", "of", "on", "r#as"];
-/// States and participles that are no names of types.
+/// States and participles that may not name types.
 const STATES: [&str; 8] = [
     "Begun", "Clocked", "New", "Sight", "Still", "Ticking", "Told", "Wanted",
 ];

@@ -14,7 +14,7 @@ struct Crate {
     package: &'static str,
     /// Under `[dependencies]`.
     uses: &'static [&'static str],
-    /// Under `[dev-dependencies]`, beside those.
+    /// Under `[dev-dependencies]`, in addition to those.
     tests_use: &'static [&'static str],
 }
 
@@ -292,7 +292,7 @@ const RESTRICTED: [(&str, &[&str]); 18] = [
     ("clap_mangen", &["marf"]),
     ("indicatif", &["marf"]),
     ("kamadak-exif", &["marf-pds"]),
-    // The laboratory is no part of the released program.
+    // The laboratory is not part of the released program.
     ("marf-loopback", &["marf-labs"]),
     ("object_store", &["marf-remote"]),
     ("openh264", &["marf-video"]),

@@ -14,7 +14,7 @@ use std::{
 use marf_cache::{Digest, Output, Record, RunMetadata, Store, digest_list, manifest};
 use marf_remote::{Observer, Patience, Progress, Remote, RemoteRun, Trust};
 
-/// Looks on, and stops if it is told to.
+/// An observer that stops the work if `stop` is set.
 #[derive(Default)]
 pub struct Quiet {
     pub stop: AtomicBool,
@@ -30,7 +30,7 @@ impl Observer for Quiet {
     }
 }
 
-/// A folder with a shared store, and own stores beside it.
+/// A folder with a shared store and local stores.
 pub struct World {
     pub dir: tempfile::TempDir,
 }

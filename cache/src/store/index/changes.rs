@@ -14,12 +14,13 @@ use crate::{
 };
 
 impl Index {
-    /// Tells that packs were joined into another; returns whether the index has it. If not, the new pack is useless.
+    /// Registers that packs were joined into another. Returns whether the index has it. If not, the new pack is
+    /// useless.
     pub(in crate::store) fn join(&self, into: &str, moved: &[(String, u64)]) -> Result<bool, StoreError> {
         self.change(|connection| tables::join(connection, into, moved))
     }
 
-    /// Tells that the objects of a pack that are registered there lie in another pack now; the first is forgotten.
+    /// Registers that the objects of a pack have moved to another pack, and drops the first.
     pub(in crate::store) fn rewrite(
         &self,
         from: &str,
@@ -29,7 +30,8 @@ impl Index {
         self.change(|connection| tables::rewrite(connection, from, into, entries))
     }
 
-    /// Tells where the objects of some packs lie now, and drops these packs; returns whether the index took it.
+    /// Registers the new places of the objects of some packs, and drops these packs. Returns whether the index
+    /// took it.
     pub(in crate::store) fn compact(&self, packs: &[PackRewrite]) -> Result<bool, StoreError> {
         self.change(|connection| tables::compact(connection, packs))
     }
@@ -47,7 +49,7 @@ impl Index {
         })
     }
 
-    /// Makes a change in one transaction; returns whether it was made.
+    /// Makes a change in one transaction. Returns whether it was made.
     fn change(&self, change: impl Fn(&Connection) -> rusqlite::Result<()>) -> Result<bool, StoreError> {
         // Rows in memory would name packs that are about to change: they go into the file first.
         if self.memory.lock().is_some() {

@@ -44,7 +44,7 @@ impl From<rusqlite::Error> for Trouble {
 pub(super) struct FileId(u64, u64);
 
 impl FileId {
-    /// Returns the identity of the file of this name; none if there is none.
+    /// Returns the identity of the file of this name, or `None` if there is no such file.
     #[cfg(unix)]
     pub(super) fn from_path(path: &Path) -> Option<Self> {
         use std::os::unix::fs::MetadataExt;
@@ -109,7 +109,7 @@ fn check(connection: Connection, path: &Path) -> Result<Handle, Trouble> {
     }
 }
 
-/// Asks for a write-ahead log; on a file system that has none SQLite keeps another journal.
+/// Requests a write-ahead log. On a file system without support for it, SQLite keeps another journal.
 fn configure(connection: &Connection) -> Result<(), Trouble> {
     connection.query_row("PRAGMA journal_mode = WAL", [], |_| Ok(()))?;
     connection.pragma_update(None, "synchronous", "NORMAL")?;

@@ -35,7 +35,7 @@ use crate::Digest;
 
 pub(super) use tables::{Location, ObjectRow, PackRewrite};
 
-/// Longest wait of a reader; readers wait only for a program that has taken the whole file for itself.
+/// Longest wait of a reader. Readers wait only for a program that has locked the whole file.
 const READ_PATIENCE: Duration = Duration::from_secs(60);
 /// Longest wait of a commit before its rows stay in memory.
 const WRITE_PATIENCE: Duration = Duration::from_secs(5);
@@ -58,7 +58,7 @@ pub(super) struct Index {
     memory: Mutex<Option<Connection>>,
     /// Time of the folder of packs when all were registered.
     seen: Mutex<Option<SystemTime>>,
-    /// Set when the file can neither be used nor replaced; all is then in memory.
+    /// Set when the file can neither be used nor replaced. Everything is then in memory.
     is_disabled: AtomicBool,
 }
 
@@ -144,7 +144,7 @@ impl Index {
             .flatten())
     }
 
-    /// Runs a query on the file; none if there is no file to use.
+    /// Runs a query on the file, or returns `None` if there is no usable file.
     fn read<T>(&self, query: impl Fn(&Connection) -> rusqlite::Result<T>) -> Result<Option<T>, StoreError> {
         for _ in 0..ATTEMPTS {
             if self.is_disabled.load(Ordering::Relaxed) {
@@ -180,7 +180,7 @@ impl Index {
         }
     }
 
-    /// Runs a query on the tables in memory; none if there are none.
+    /// Runs a query on the tables in memory, or returns `None` if there are no such tables.
     fn in_memory<T>(&self, query: impl FnOnce(&Connection) -> rusqlite::Result<T>) -> Option<T> {
         query(self.memory.lock().as_ref()?).ok()
     }
@@ -201,7 +201,7 @@ impl Index {
         Ok(query(&mut handle.connection)?)
     }
 
-    /// Opens the file; creates it where it is absent and the store can be written.
+    /// Opens the file. Creates it if it is absent and the store can be written.
     fn connect(&self) -> Result<Handle, Trouble> {
         if self.access == Access::ReadOnly {
             return if self.path.exists() {
@@ -231,7 +231,7 @@ impl Index {
         })
     }
 
-    /// Creates the file with all packs; the caller has the lock of the index.
+    /// Creates the file with all packs. The caller holds the lock of the index.
     fn create(&self) -> Result<Handle, Trouble> {
         for suffix in ["-wal", "-shm", "-journal"] {
             let removed = self.files.remove_file(&self.beside(suffix));
@@ -268,7 +268,8 @@ impl Index {
         Ok(transaction.commit()?)
     }
 
-    /// Returns the entries of a pack; none of a file that is gone or no pack, which is moved to `bad/`.
+    /// Returns the entries of a pack, or `None` if the file is gone or not a pack. A file that is not a pack
+    /// is moved to `bad/`.
     fn entries(&self, file: &str) -> Result<Option<Vec<Entry>>, StoreError> {
         let path = self.packs_dir().join(file);
         let Some(contents) = pack::contents(&self.files, &path)? else {
@@ -279,9 +280,10 @@ impl Index {
         }
         if self.access == Access::ReadWrite {
             match self.files.quarantine(&self.root, &path, file) {
-                Ok(to) => self
-                    .notices
-                    .warn(format!("a file that is no pack was moved to `{}`", to.display())),
+                Ok(to) => self.notices.warn(format!(
+                    "a file that is not a pack was moved to `{}`",
+                    to.display()
+                )),
                 // Another process has merged or collected it while it was read.
                 Err(StoreError::Io { source, .. }) if source.kind() == ErrorKind::NotFound => {}
                 Err(error) => return Err(error),
@@ -295,7 +297,7 @@ impl Index {
         modified.is_none() || *self.seen.lock() != modified
     }
 
-    /// Registers the packs that are not yet registered, in the file or else in memory; returns whether there were any.
+    /// Registers the packs that are not yet registered, in the file or else in memory. Returns whether there were any.
     pub(super) fn refresh(&self, patience: Duration) -> Result<bool, StoreError> {
         let modified = self.files.meta(&self.packs_dir()).map(|meta| meta.modified);
         let on_disk = self.read(tables::packs)?;
@@ -338,8 +340,8 @@ impl Index {
         }
     }
 
-    /// Runs a change of the file; returns whether it was made. It was not where another program keeps the file locked
-    /// for longer than patience lasts, or the file cannot be written.
+    /// Runs a change of the file. Returns whether it was made: it was not if another program keeps the file locked
+    /// for longer than `patience`, or if the file cannot be written.
     fn write(
         &self,
         patience: Duration,
@@ -367,7 +369,7 @@ impl Index {
                 (_, Some(Trouble::Unusable(message))) => {
                     self.notices.warn_once("index", || {
                         format!(
-                            "the index `{}` cannot be written ({message}); it is brought up to date later",
+                            "the index `{}` cannot be written ({message}) and is brought up to date later",
                             self.path.display()
                         )
                     });
@@ -401,7 +403,7 @@ impl Index {
         if !self.is_disabled.load(Ordering::Relaxed) {
             self.notices.warn_once("locked index", || {
                 format!(
-                    "another program keeps the index `{}` locked; results are stored, and the index is brought up to \
+                    "another program keeps the index `{}` locked. Results are stored, and the index is brought up to \
                      date later",
                     self.path.display()
                 )
@@ -410,7 +412,7 @@ impl Index {
         Ok(())
     }
 
-    /// Calls `each` with all objects, sorted by id; those in memory come last.
+    /// Calls `each` with all objects, sorted by id, then with those in memory.
     pub(super) fn for_each(&self, mut each: impl FnMut(ObjectRow)) -> Result<(), StoreError> {
         let each = std::cell::RefCell::new(&mut each);
         self.read(|connection| tables::for_each(connection, &mut |row| each.borrow_mut()(row)))?;

@@ -1,4 +1,4 @@
-//! An index that is damaged: made anew from the packs, or given up.
+//! A damaged index: rebuilt from the packs, or disabled.
 
 use std::sync::atomic::Ordering;
 
@@ -13,7 +13,7 @@ use super::{
 };
 
 impl Index {
-    /// Returns what is wrong with the form of the file, which says nothing of its rows; none if it is as it should be.
+    /// Returns a fault of the form of the file, or `None` if it is valid. The rows are not checked.
     pub(in super::super) fn fault(&self) -> Option<String> {
         if self.access == Access::ReadOnly {
             return None;
@@ -28,7 +28,7 @@ impl Index {
         }
     }
 
-    /// Makes the file anew from the packs, and moves what was there to `bad/`.
+    /// Rebuilds the file from the packs, and moves the old one to `bad/`.
     pub(in super::super) fn rebuild(&self, why: &str) -> Result<(), StoreError> {
         if self.access == Access::ReadOnly {
             return self.disable(why);
@@ -42,7 +42,7 @@ impl Index {
             return Ok(());
         }
         self.notices.warn(format!(
-            "the index `{}` was damaged ({why}); it is made anew from the packs",
+            "the index `{}` was damaged ({why}) and is rebuilt from the packs",
             self.path.display()
         ));
         let moved = self.move_away();
@@ -81,7 +81,7 @@ impl Index {
         }
         if self.access == Access::ReadWrite {
             self.notices.warn(format!(
-                "the index `{}` cannot be used ({why}); the packs are read instead",
+                "the index `{}` cannot be used ({why}). The packs are read instead",
                 self.path.display()
             ));
         }

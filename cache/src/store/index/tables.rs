@@ -1,6 +1,6 @@
 //! The tables of the index, the same in the file and in memory.
 //!
-//! An object lies in a segment; a segment is a part of a pack file that begins at `base`. Packs are merged by joining
+//! An object is in a segment. A segment is a part of a pack file that begins at `base`. Packs are merged by joining
 //! their bodies, which moves segments and no object: only rows of `segment` change.
 
 use std::collections::BTreeSet;
@@ -67,7 +67,7 @@ pub(super) fn locate(connection: &Connection, kind: Kind, id: &Digest) -> Result
         .optional()
 }
 
-/// A number that the index holds as i64; a negative one, which nothing writes, becomes an offset past every file.
+/// A number that the index holds as i64. A negative one, which nothing writes, becomes an offset past every file.
 fn unsigned(value: i64) -> u64 {
     u64::try_from(value).unwrap_or(u64::MAX >> 1)
 }
@@ -78,7 +78,7 @@ pub(super) fn packs(connection: &Connection) -> Result<BTreeSet<String>> {
     statement.query_map([], |row| row.get(0))?.collect()
 }
 
-/// Registers a pack with its entries, unless it is registered; returns whether it was not.
+/// Registers a pack with its entries, unless it is registered. Returns whether it was not.
 pub(super) fn adopt(connection: &Connection, file: &str, entries: &[Entry]) -> Result<bool> {
     let known: i64 = connection
         .prepare_cached("SELECT count(*) FROM segment WHERE file = ?1")?
@@ -126,8 +126,8 @@ pub(super) fn forget(connection: &Connection, files: &BTreeSet<String>) -> Resul
     Ok(())
 }
 
-/// Tells that the bodies of packs now lie in another pack, moved by so many bytes. A pack that is registered no more is
-/// an error: its rows would be lost.
+/// Registers that the bodies of packs are now in another pack, each moved by `by` bytes. A pack that is no longer
+/// registered is an error: its rows would be lost.
 pub(super) fn join(connection: &Connection, into: &str, moved: &[(String, u64)]) -> Result<()> {
     for (file, by) in moved {
         let changed = connection.execute(
@@ -141,7 +141,8 @@ pub(super) fn join(connection: &Connection, into: &str, moved: &[(String, u64)])
     Ok(())
 }
 
-/// Tells that the objects of a pack that still have a row there now lie in another, at these places; drops the first.
+/// Registers that the objects of a pack that still have a row there are now in another, at these places. Drops the
+/// first.
 pub(super) fn rewrite(connection: &Connection, from: &str, into: &str, entries: &[Entry]) -> Result<()> {
     let segment = add_segment(connection, into, 0)?;
     {
@@ -171,8 +172,8 @@ pub(in super::super) struct PackRewrite {
     pub(in super::super) entries: Vec<Entry>,
 }
 
-/// Tells where the objects of some packs lie now, and drops these packs. If other objects than these have rows there
-/// nothing is changed and it is an error.
+/// Registers the new places of the objects of some packs, and drops these packs. If these packs have rows of other
+/// objects, nothing changes and an error is returned.
 pub(super) fn compact(connection: &Connection, packs: &[PackRewrite]) -> Result<()> {
     let mut all = Vec::new();
     for pack in packs {

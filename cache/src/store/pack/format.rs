@@ -15,7 +15,7 @@ pub(super) const SEALED_HEAD: usize = DIGEST + 4;
 /// Bytes read and written at once.
 pub(super) const CHUNK: usize = 8 << 20;
 
-/// Bytes of a pack that an object takes beside its payload.
+/// Bytes of a pack that an object takes in addition to its payload.
 pub(in crate::store) const OVERHEAD: u64 = (HEAD + ROW) as u64;
 
 /// Offset of the first entry of a pack.
@@ -86,7 +86,7 @@ pub(in crate::store) fn seal(kind: Kind, id: &Digest, generation: u32, content: 
     [seal_of(kind, id, &rest).as_bytes(), rest.as_slice()].concat()
 }
 
-/// Returns the content of a payload that is what its entry says; none if it is damaged.
+/// Returns the content of a payload that matches its entry, or `None` if it is damaged.
 pub(in crate::store) fn open<'a>(kind: Kind, id: &Digest, payload: &'a [u8]) -> Option<&'a [u8]> {
     if kind == Kind::Blob {
         return (Digest::from_content(payload) == *id).then_some(payload);

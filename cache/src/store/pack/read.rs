@@ -11,8 +11,8 @@ use crate::{
     store::{error::StoreError, files::Files},
 };
 
-/// Returns the entries of a pack, from its table or, without a valid one, by a scan that verifies each; none if the
-/// file is absent. A file that is no pack has no entries.
+/// Returns the entries of a pack, from its table or, without a valid one, by a scan that verifies each. Returns
+/// `None` if the file is absent. A file that is not a pack has no entries.
 pub(in crate::store) fn contents(files: &Files, path: &Path) -> Result<Option<Contents>, StoreError> {
     if files.read_at(path, 0, MAGIC.len())?.is_none() {
         return Ok(None);
@@ -85,7 +85,7 @@ impl<'a> Window<'a> {
         }
     }
 
-    /// Returns bytes of the pack; fewer at its end.
+    /// Returns bytes of the pack, or fewer at its end.
     pub(in crate::store) fn bytes(&mut self, at: u64, len: usize) -> Result<&[u8], StoreError> {
         let end = self.start + self.bytes.len() as u64;
         if at < self.start || at + len as u64 > end {
@@ -98,7 +98,8 @@ impl<'a> Window<'a> {
         Ok(self.bytes.get(from..to).unwrap_or_default())
     }
 
-    /// Returns the entry whose head is at this offset; none at the end of the body or where the head is damaged.
+    /// Returns the entry whose head is at this offset, or `None` at the end of the body or if the head is
+    /// damaged.
     fn entry_at(&mut self, at: u64) -> Result<Option<(Entry, &[u8])>, StoreError> {
         let head = self.bytes(at, HEAD)?;
         let kind = head.first().copied().and_then(Kind::from_code);
@@ -130,7 +131,7 @@ impl<'a> Window<'a> {
         self.bytes(entry.offset, entry.len as usize)
     }
 
-    /// Tells whether the head before a payload says the same as its entry.
+    /// Returns whether the head before a payload agrees with its entry.
     pub(in crate::store) fn has_head(&mut self, entry: &Entry) -> Result<bool, StoreError> {
         let expected = head_of(entry);
         let Some(at) = entry.offset.checked_sub(expected.len() as u64) else {
@@ -147,7 +148,7 @@ fn head_of(entry: &Entry) -> Vec<u8> {
     head
 }
 
-/// Tells whether the head before a payload in a pack says the same as its entry.
+/// Returns whether the head before a payload in a pack agrees with its entry.
 pub(in crate::store) fn has_head(files: &Files, path: &Path, entry: &Entry) -> Result<bool, StoreError> {
     let expected = head_of(entry);
     let Some(at) = entry.offset.checked_sub(expected.len() as u64) else {

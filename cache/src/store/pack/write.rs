@@ -68,7 +68,7 @@ impl<'a> Writer<'a> {
         Ok(())
     }
 
-    /// Writes the table; returns the entries.
+    /// Writes the table and returns the entries.
     pub(in crate::store) fn finish(mut self) -> Result<Vec<Entry>, StoreError> {
         let offset = self.at();
         let mut table = Vec::with_capacity(self.entries.len() * ROW + TAIL);
@@ -102,8 +102,8 @@ impl<'a> PackJoiner<'a> {
         }
     }
 
-    /// Appends the body of a pack; returns how far its entries moved, or none, with nothing appended but dead bytes,
-    /// if an entry is damaged.
+    /// Appends the body of a pack and returns how far its entries moved. If an entry is damaged, returns `None` and
+    /// has appended only dead bytes.
     pub(in crate::store) fn append(
         &mut self,
         files: &Files,

@@ -8,7 +8,7 @@ use super::{
     *,
 };
 
-/// Runs the session on files with a mishap; returns the steps whose commits returned, and the number of calls.
+/// Runs the session on files with a mishap. Returns the steps whose commits returned.
 fn run_with(root: &Path, faulty: &Arc<Faulty>) -> Vec<u8> {
     let mut done = Vec::new();
     let files = Files::with_operations(Arc::clone(faulty) as Arc<dyn files::Operations>);
@@ -26,7 +26,7 @@ fn calls_of_a_session() -> usize {
     faulty.calls()
 }
 
-/// Every n, or every few of them; `MARF_FAULT_ROUNDS` asks for more.
+/// Every n, or every few of them. `MARF_FAULT_ROUNDS` raises the number.
 fn chosen(calls: usize) -> impl Iterator<Item = usize> {
     let rounds = super::rounds(120);
     (0..calls).step_by(calls.div_ceil(rounds).max(1))

@@ -1,4 +1,4 @@
-//! The index is no truth: whatever happens to it, the packs say what there is.
+//! The index may be damaged or lost: only the packs decide which objects exist.
 
 use std::time::Duration;
 

@@ -36,7 +36,7 @@ impl Change {
     }
 }
 
-/// What a crash takes away.
+/// Unsynced changes, which a crash discards.
 #[derive(Default)]
 struct Unsynced {
     changes: Vec<Change>,
@@ -79,8 +79,9 @@ impl Faulty {
         }
     }
 
-    /// Takes away what was not synced. A disk may have written some of it, in any order: of every file none, half or all of its bytes,
-    /// of every folder its first changes. What it had written follows from the call of the crash; at every fourth it is nothing.
+    /// Discards everything that was not synced. A disk may have written some of it, in any order: of every file none, half or all of
+    /// its bytes, of every folder its first changes. The call of the crash determines what had been written. At every fourth it is
+    /// nothing.
     pub(super) fn lose_unsynced(&self) {
         let mut unsynced = self.unsynced.lock();
         for (file, (path, synced)) in std::mem::take(&mut unsynced.bytes).into_iter().enumerate() {
@@ -112,7 +113,7 @@ impl Faulty {
         }
     }
 
-    /// Returns a number below `end` that follows from the call of the crash and the number of a file; 0 at every fourth call.
+    /// Returns a number below `end` that depends on the call of the crash and the number of a file. 0 at every fourth call.
     fn draw(&self, file: usize, end: usize) -> usize {
         if self.at.is_multiple_of(4) {
             return 0;

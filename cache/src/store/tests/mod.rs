@@ -107,7 +107,7 @@ fn packs(store: &Store) -> Vec<PathBuf> {
     files_below(&store.dir().join("packs"))
 }
 
-/// Returns how many rounds a test of faults makes: `MARF_FAULT_ROUNDS`, or so many.
+/// Returns the number of rounds of a test of faults: `MARF_FAULT_ROUNDS`, or else `usual`.
 fn rounds(usual: usize) -> usize {
     let wanted = std::env::var("MARF_FAULT_ROUNDS").ok();
     wanted.and_then(|text| text.parse().ok()).unwrap_or(usual)

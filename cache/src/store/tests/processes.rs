@@ -37,7 +37,7 @@ fn a_child_that_is_killed() {
     }
 }
 
-/// Each child is killed at another moment: after so many lines of its output, which come in bursts.
+/// Each child is killed at another moment: after a number of lines of its output, which come in bursts.
 #[test]
 fn a_killed_process_loses_nothing_that_it_committed() {
     let dir = tempfile::tempdir().unwrap();

@@ -1,13 +1,13 @@
-//! A scripted use of a store that passes through all its parts, and the check of what is left of it.
+//! A scripted use of a store that passes through all its parts, and a check of the resulting store.
 
 use std::time::Duration;
 
 use super::*;
 
-/// Steps of the session; from eight commits on packs are merged.
+/// Steps of the session. From eight commits on packs are merged.
 pub(super) const STEPS: u8 = 10;
 
-/// What a step stores: its record, the output, and the memo with its blob.
+/// The objects that a step stores: its record, the output, and the memo with its blob.
 pub(super) struct Step {
     pub(super) action: Action,
     pub(super) output: Vec<u8>,
@@ -51,12 +51,12 @@ impl Step {
         store.put_record(self.record());
         let memo = store.put(&self.memo_blob)?;
         store.put_memo(self.memo, memo, self.action.key());
-        // What a full disk refused stays pending, and is written by the next commit.
+        // Writes that a full disk refused stay pending, and the next commit writes them.
         store.commit().or_else(|_| store.commit())
     }
 }
 
-/// Runs the session; adds the number of each step to `done` when its commit has returned.
+/// Runs the session. Adds the number of each step to `done` when its commit has returned.
 pub(super) fn run(store: &Store, done: &mut Vec<u8>) -> Result<(), StoreError> {
     let mut keys = Vec::new();
     for number in 0..STEPS {
@@ -84,7 +84,7 @@ pub(super) fn run(store: &Store, done: &mut Vec<u8>) -> Result<(), StoreError> {
     Ok(())
 }
 
-/// Checks that all that is there is right, and that the steps that were done are there.
+/// Checks that every existing object is correct, and that the finished steps are in the store.
 pub(super) fn check(store: &Store, done: &[u8], context: &str) {
     for number in 0..STEPS {
         let step = step(number);

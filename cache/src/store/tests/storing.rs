@@ -1,4 +1,4 @@
-//! What is put comes back, once, in order, and counted.
+//! Stored objects come back, once, in order, and counted.
 
 use proptest::prelude::*;
 
@@ -66,7 +66,7 @@ fn a_second_different_result_is_refused_and_reported_once() {
     assert_eq!(store.take_conflicts(), vec![]);
 }
 
-/// A stage that answers differently the second time is told of, also when the first answer is lost.
+/// A second, different result of a stage is reported as a conflict, even if the first result is lost.
 #[test]
 fn a_record_whose_output_is_gone_is_a_miss_and_its_different_successor_a_conflict() {
     let (dir, store) = fresh();
@@ -87,7 +87,7 @@ fn a_record_whose_output_is_gone_is_a_miss_and_its_different_successor_a_conflic
         replaced: true,
     };
     assert_eq!(store.take_conflicts(), vec![expected]);
-    // The index that is made anew keeps the successor too.
+    // The rebuilt index keeps the successor too.
     store.objects.index.rebuild("a test").unwrap();
     assert_eq!(store.hit(&second.key).unwrap(), Some(second));
 }
@@ -259,7 +259,7 @@ fn a_store_that_another_program_has_just_created_keeps_its_form() {
     assert_eq!(reopen(&dir).take_warnings(), [""; 0]);
 }
 
-/// Every commit makes a pack; at rest no tier has eight, and nothing is lost by the merges.
+/// Every commit makes a pack. At rest no tier has eight, and the merges lose nothing.
 #[test]
 fn many_small_packs_are_merged_and_keep_every_object() {
     let (dir, store) = fresh();

@@ -34,7 +34,7 @@ fn complaints(root: &Json, schema: &Json, value: &Json, at: &str) -> Vec<String>
         let list = || rule.as_array().unwrap().iter();
         let fine = match keyword.as_str() {
             word if ANNOTATIONS.contains(&word) => true,
-            // With `if`; with `properties`.
+            // Either with `if` or with `properties`.
             "then" | "additionalProperties" if keywords.contains_key("if") || !value.is_object() => true,
             "$ref" => {
                 let target = root

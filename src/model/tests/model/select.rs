@@ -34,7 +34,7 @@ fn no_warning(message: String) {
     panic!("{message}");
 }
 
-/// Stores a run: what it is a run of, and the state of each node; none of a node that it was not asked for.
+/// Stores a run with its source and the state of each node. `None` leaves a node out of the run.
 fn stored(store: &Store, name: &str, source: RunSource, states: [Option<NodeState>; 3]) -> RunRecord {
     let tree = serde_json::json!({"node": BTreeMap::from(NODES.map(|node| (node, serde_json::json!({}))))});
     let tree = tree.to_string();
@@ -191,7 +191,7 @@ fn a_run_with_a_failure_is_passed_over_and_told() {
     assert!(failed.number < some.number);
 }
 
-/// What a verb leaves in a store.
+/// The runs that a verb leaves in a store.
 #[derive(Debug, Clone)]
 enum Step {
     /// A run of a pipeline: the file, the name, the states.
