@@ -191,7 +191,7 @@ fn an_archive_that_cannot_be_is_a_usage_error() {
             "archive.jezero.base=[\"http://example.com/x\"]",
             "http is taken for a loopback host alone",
         ),
-        ("archive.jezero.base=[\"nonsense\"]", "no address"),
+        ("archive.jezero.base=[\"nonsense\"]", "not an address"),
         ("archive.jezero.instrument=helicam", "perseverance has no helicam"),
         ("archive.jezero.sols=5..=1", "empty range"),
         ("archive.jezero.network.connections=9", "not within 1 to 4"),

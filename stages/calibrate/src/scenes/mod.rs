@@ -36,7 +36,7 @@ stage! {
     Set,
     Threads::All,
     about: "splits the photos of a mission by place, so that the nodes after it run once for each scene",
-    version: 1,
+    version: 2,
     ports: [
         Port::required("input", PHOTOS),
         Port::optional("cameras", COMPANIONS),

@@ -312,7 +312,7 @@ fn a_firewall_in_place_of_a_listing_is_an_error_with_the_way_out() {
         panic!("{error:?}");
     };
     assert!(
-        message.contains("is no listing") && hint.as_ref().unwrap().contains("base"),
+        message.contains("is not a listing") && hint.as_ref().unwrap().contains("base"),
         "{error:?}"
     );
     server.script(&format!("{BROWSE}/"), vec![]);

@@ -74,11 +74,11 @@ fn a_uniform_scale_is_divided_out_and_rounded_digits_are_mended() {
         (-Matrix3::identity(), "mirrored"),
         (
             Matrix3::new(1.0, 0.1, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0),
-            "no rotation",
+            "not a rotation",
         ),
         (
             Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, 2.0)),
-            "no rotation",
+            "not a rotation",
         ),
         (Matrix3::repeat(f64::MAX), "singular"),
     ] {
