@@ -11,8 +11,6 @@ pub enum Rule {
     Arguments,
     /// Parameters of functions whose pattern is a tuple. The number is the elements.
     TupleParameters,
-    /// Parameters of closures with a tuple pattern and a type. No bar. The number is the elements.
-    TupleClosures,
     /// Parameters of functions whose type is a tuple of two or more elements. No bar. The number is the elements.
     TupleTypes,
     /// Matches with an arm `true` or `false`. The number is those arms.
@@ -31,12 +29,11 @@ pub enum Rule {
 
 impl Rule {
     /// Every rule, in the order of the table.
-    pub const ALL: [Self; 12] = [
+    pub const ALL: [Self; 11] = [
         Self::LongFunctions,
         Self::LongFiles,
         Self::Arguments,
         Self::TupleParameters,
-        Self::TupleClosures,
         Self::TupleTypes,
         Self::BooleanMatches,
         Self::Names,
@@ -54,7 +51,6 @@ impl Rule {
             Self::LongFiles => "long-files",
             Self::Arguments => "arguments",
             Self::TupleParameters => "tuple-parameters",
-            Self::TupleClosures => "tuple-closures",
             Self::TupleTypes => "tuple-types",
             Self::BooleanMatches => "boolean-matches",
             Self::Names => "names",

@@ -118,19 +118,6 @@ impl<'a> Visit<'a> for Signatures<'_> {
         visit::visit_trait_item_fn(self, item);
     }
 
-    fn visit_expr_closure(&mut self, closure: &'a syn::ExprClosure) {
-        for input in &closure.inputs {
-            if let syn::Pat::Type(typed) = input
-                && let Some(tuple) = tuple_pattern(&typed.pat)
-                && !self.source.is_test(typed.colon_token.span)
-            {
-                let line = typed.colon_token.span.start().line;
-                self.find(Rule::TupleClosures, line, tuple.elems.len(), "closure".to_owned());
-            }
-        }
-        visit::visit_expr_closure(self, closure);
-    }
-
     fn visit_item_mod(&mut self, item: &'a syn::ItemMod) {
         let name = item.ident.to_string();
         if NAMES.contains(&name.as_str()) && !self.source.is_test(item.mod_token.span) {

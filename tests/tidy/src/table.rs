@@ -5,7 +5,7 @@ use crate::rule::Rule;
 
 const HEADINGS: [&str; 21] = [
     "package", "code", "comment", "blank", "tests", "fns", "median", "p95", "max", ">80", ">450", ">5 args",
-    "tuples", "closures", "types", "bool", "names", "states", "circles", "terminal", "reads",
+    "tuples", "types", "bool", "names", "states", "circles", "terminal", "reads",
 ];
 
 /// Returns one line for each package and one for all together, as Markdown.

@@ -100,10 +100,6 @@ fn again((a, b): (u8, u8)) {}
     );
     assert_eq!(measure.count(Rule::TupleTypes), 2);
     assert_eq!(
-        found(&measure, Rule::TupleClosures),
-        ["src/lib.rs:7: closure (2)"]
-    );
-    assert_eq!(
         found(&measure, Rule::Names),
         ["src/lib.rs:7: fn of (1)", "src/lib.rs:8: mod on (1)"]
     );
