@@ -3,7 +3,7 @@
 use crate::measure::{Measure, Report};
 use crate::rule::Rule;
 
-const HEADINGS: [&str; 21] = [
+const HEADINGS: [&str; 20] = [
     "package", "code", "comment", "blank", "tests", "fns", "median", "p95", "max", ">80", ">450", ">5 args",
     "tuples", "types", "bool", "names", "states", "circles", "terminal", "reads",
 ];
