@@ -7,6 +7,7 @@
 
 mod axis;
 mod call;
+mod camera_view;
 mod cameras;
 mod changes;
 mod curves;
