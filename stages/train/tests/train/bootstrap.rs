@@ -374,10 +374,8 @@ fn auto_asks_for_two_more_until_they_change_nothing() {
     assert_eq!(auto().further(&ctx, &fixture.inputs, &same(5)).unwrap(), vec![]);
     let outputs = auto().reduce(&ctx, &fixture.inputs, &same(5)).unwrap();
     let metrics = Metrics::decode(&fixture.harness.get(&outputs["metrics"]).unwrap()).unwrap();
-    assert_eq!(
-        metrics.rounds.iter().map(|round| round.b).collect::<Vec<_>>(),
-        [3, 5]
-    );
+    let rounds: Vec<_> = metrics.rounds.iter().map(|round| round.b).collect();
+    assert_eq!(rounds, [3, 5]);
     assert_eq!(metrics.rounds[0].ause_mae, metrics.rounds[1].ause_mae);
     assert_eq!((metrics.b, metrics.members.len()), (5, 5));
 }
@@ -432,18 +430,14 @@ fn a_member_without_weights_is_named() {
         ..BootstrapParams::default()
     })
     .unwrap();
-    let error = stage
-        .reduce(&fixture.harness.ctx(), &fixture.inputs, &fixture.members)
-        .unwrap_err();
-    assert_eq!(error.to_string(), "member 01 has no output `weights`");
+    let refused = |fixture: &Fixture| {
+        let reduced = stage.reduce(&fixture.harness.ctx(), &fixture.inputs, &fixture.members);
+        reduced.unwrap_err().to_string()
+    };
+    assert_eq!(refused(&fixture), "member 01 has no output `weights`");
     fixture.members[1].insert("weights".into(), fixture.harness.put(b"junk"));
-    let error = stage
-        .reduce(&fixture.harness.ctx(), &fixture.inputs, &fixture.members)
-        .unwrap_err();
-    assert!(
-        error.to_string().starts_with("member 01, output `weights`: "),
-        "{error}"
-    );
+    let error = refused(&fixture);
+    assert!(error.starts_with("member 01, output `weights`: "), "{error}");
 }
 
 /// If this digest changes and `Bootstrap::VERSION` does not, raise the version.
