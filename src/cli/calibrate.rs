@@ -5,6 +5,7 @@ use clap::builder::PossibleValue;
 use marf_run::calibrate::{CalibrateRequest, CalibrateResult};
 use marf_run::{Context, Error};
 use marf_scene::Scene;
+use marf_schema::calibrate::Up;
 
 use super::options::FolderArgs;
 use super::output::print_json;
@@ -98,6 +99,8 @@ fn table(result: &CalibrateResult) -> String {
         .metres_per_unit
         .map(|metres| format!("one unit is {metres} m"));
     rows.push(("scale", scale.unwrap_or_else(|| "no scale".to_owned())));
+    let up = metrics.up.as_ref().map(Up::words);
+    rows.push(("up", up.unwrap_or_else(|| "not known".to_owned())));
     for (index, path) in written.iter().enumerate() {
         rows.push((if index == 0 { "wrote" } else { "" }, path.display().to_string()));
     }

@@ -6,8 +6,8 @@
 )]
 #![cfg(unix)]
 
-#[path = "../common/mod.rs"]
 mod arrays;
+#[path = "../common/mod.rs"]
 mod common;
 mod exec;
 mod pbs;

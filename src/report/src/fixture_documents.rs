@@ -37,6 +37,10 @@ pub(super) fn calibration(method: &str, registered: usize, error_px: f64) -> cal
         },
         photos: vec![photo],
         missing: Vec::new(),
+        up: Some(calibrate::Up {
+            source: calibrate::UpSource::Ground,
+            sigma_deg: Some(1.25),
+        }),
         tie: Some(calibrate::Tie {
             site: 3,
             photos: registered,

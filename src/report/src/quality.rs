@@ -99,7 +99,8 @@ pub(super) fn of_calibration(metrics: &calibrate::Metrics) -> Vec<Figure> {
         );
         ("cameras from their labels", median)
     });
-    [placed].into_iter().chain(error).chain(tie).collect()
+    let up = metrics.up.map(|up| ("up", up.words()));
+    [placed].into_iter().chain(error).chain(tie).chain(up).collect()
 }
 
 /// Returns the figures of one photo.

@@ -4,9 +4,9 @@ use marf_cache::Digest;
 use marf_scene::{Camera, Point, Pose, SiteFrame};
 use marf_schema::calibrate::Missing;
 use marf_sfm::mapper::PoseUncertainty;
-use nalgebra::Vector3;
 
 use crate::export::TrackPoint;
+use crate::up::FoundUp;
 
 /// A photo with a camera, before held-out photos are chosen.
 pub(crate) struct PlacedPhoto {
@@ -54,7 +54,7 @@ pub(crate) struct Calibration {
     pub points: Vec<Point>,
     /// Points with their observations, if the method has them. The frame of an observation is the index in the input set.
     pub tracks: Vec<TrackPoint>,
-    pub up: Option<[f64; 3]>,
+    pub up: Option<FoundUp>,
     pub metres_per_unit: Option<f64>,
     /// The world's frame in the site of its labels.
     pub site: Option<SiteFrame>,
@@ -67,14 +67,4 @@ pub(crate) struct Calibration {
     pub cause: Option<String>,
     /// What to try if too few photos were placed.
     pub hint: String,
-}
-
-/// Returns the mean of the cameras' up vectors, unless they nearly cancel.
-pub(crate) fn mean_up(placed: &[PlacedPhoto]) -> Option<[f64; 3]> {
-    let down: Vector3<f64> = placed
-        .iter()
-        .map(|one| one.cam_from_world.rotation.row(1).transpose())
-        .sum();
-    let clear = down.norm() > 0.1 * placed.len() as f64;
-    clear.then(|| (-down.normalize()).into())
 }

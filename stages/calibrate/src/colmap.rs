@@ -13,11 +13,12 @@ use marf_schema::calibrate::CalibrateParams;
 use marf_stage::{Ctx, Inputs, StageError};
 use rayon::prelude::*;
 
-use crate::calibration::{Calibration, PlacedPhoto, mean_up};
+use crate::calibration::{Calibration, PlacedPhoto};
 use crate::import::{self, Model, read_colmap_binary};
 use crate::mask_files::mask_file;
 use crate::orientation::Orientation;
 use crate::photos::{InputPhoto, decode, size_px};
+use crate::up;
 use program::{Program, cannot_write};
 
 /// Up to this many photos every pair is matched. In larger sets each photo is matched with its neighbours by file name.
@@ -80,13 +81,13 @@ pub(crate) fn run(
     Ok(Calibration {
         unplaced: absent.map(|item| (item, reason.clone())).collect(),
         missing: Vec::new(),
-        points: cameras.points,
         tracks: Vec::new(),
         components: None,
         statistics: Vec::new(),
         cause: None,
-        up: mean_up(&placed),
+        up: up::of_placed(&placed, &cameras.points),
         placed,
+        points: cameras.points,
         site: None,
         metres_per_unit: None,
         method: format!("{}: OPENCV cameras, {matcher}, largest model", program.version),

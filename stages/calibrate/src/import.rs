@@ -30,10 +30,11 @@ pub use lens::{Focal, Lens};
 pub(crate) use ready::{as_it_is, placed};
 pub use transforms::{Transforms, names_in_transforms, read_transforms};
 
-use crate::calibration::{Calibration, HeldOut, PlacedPhoto, mean_up};
+use crate::calibration::{Calibration, HeldOut, PlacedPhoto};
 use crate::export::TrackPoint;
 use crate::photos::InputPhoto;
 use crate::sfm;
+use crate::up;
 use choose::{Source, candidates, choose};
 use marf_schema::calibrate::CalibrateParams;
 use marf_schema::calibrate::Missing;
@@ -44,7 +45,7 @@ use transforms::POINTS_KEY;
 
 /// Returns the cameras of the chosen file for the photos, in the world of the file.
 ///
-/// Its unit may not be metres, so `metres_per_unit` stays empty. Up is the mean of the cameras' up vectors unless they cancel. Cameras are
+/// Its unit may not be metres, so `metres_per_unit` stays empty. Up is found from the cameras and the ground. Cameras are
 /// for the pixels as they are stored, whatever a photo's EXIF orientation.
 pub(crate) fn run(
     ctx: &Ctx<'_>,
@@ -82,7 +83,7 @@ pub(crate) fn run(
     }
     let placed: Vec<PlacedPhoto> = imported.into_iter().map(|one| one.placed).collect();
     Ok(Calibration {
-        up: mean_up(&placed),
+        up: up::of_placed(&placed, &points),
         placed,
         unplaced: matched.unplaced,
         missing: matched.missing,

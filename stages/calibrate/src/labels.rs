@@ -14,6 +14,7 @@ use serde::{Deserialize, Serialize};
 use crate::calibration::{Calibration, PhotoStatistics, PlacedPhoto};
 use crate::photos::{InputPhoto, as_png, decode, kept, reduction, store};
 use crate::resample::resample;
+use crate::up::FoundUp;
 
 /// A photo whose label can be used.
 pub(crate) struct Candidate<'a> {
@@ -90,7 +91,7 @@ pub(crate) fn run(
         missing: Vec::new(),
         points: Vec::new(),
         tracks: Vec::new(),
-        up: Some([0.0, 0.0, -1.0]),
+        up: Some(FoundUp::labels()),
         metres_per_unit: Some(1.0),
         site: site.map(|site| SiteFrame {
             site,

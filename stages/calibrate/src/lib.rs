@@ -23,6 +23,7 @@ mod scenes;
 mod sfm;
 mod stage;
 mod ties;
+mod up;
 
 pub use cameras::ExportCameras;
 pub use export::{

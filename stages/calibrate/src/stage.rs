@@ -263,6 +263,7 @@ fn metrics(found: &Calibration, items: &[InputPhoto]) -> Metrics {
         photos,
         missing: found.missing.clone(),
         tie: labels::tie(found, items),
+        up: found.up.map(|found| found.up),
     }
 }
 
@@ -308,7 +309,7 @@ fn scene(found: Calibration, items: &[InputPhoto], masks: &BTreeMap<usize, Diges
         frames,
         unplaced,
         points: found.points,
-        up: found.up,
+        up: found.up.map(|found| found.direction),
         metres_per_unit: found.metres_per_unit,
         site: found.site,
         method: found.method,

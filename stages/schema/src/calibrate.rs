@@ -231,6 +231,48 @@ pub struct Metrics {
     /// What ties the world to the site of its labels. Absent without such a tie.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tie: Option<Tie>,
+    /// How up was found. Absent where it is not known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub up: Option<Up>,
+}
+
+/// How the up direction of a scene was found.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Up {
+    /// What shows it.
+    pub source: UpSource,
+    /// Standard deviation, degrees. Absent where the source has none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sigma_deg: Option<f64>,
+}
+
+/// What shows the up direction of a scene.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum UpSource {
+    /// The site frame of the labels.
+    Labels,
+    /// The scene that was extended.
+    Extended,
+    /// The x axes of the cameras, which are level.
+    CameraAxes,
+    /// The plane of the ground under the cameras.
+    Ground,
+}
+
+impl Up {
+    /// Returns the source and its uncertainty in words.
+    #[must_use]
+    pub fn words(&self) -> String {
+        let source = match self.source {
+            UpSource::Labels => "from the labels",
+            UpSource::Extended => "from the extended scene",
+            UpSource::CameraAxes => "from the cameras' axes",
+            UpSource::Ground => "from the ground under the cameras",
+        };
+        self.sigma_deg
+            .map_or_else(|| source.to_owned(), |sigma| format!("{source}, ± {sigma:.1}°"))
+    }
 }
 
 /// Distances of cameras from their positions by the labels of their site.

@@ -18,10 +18,11 @@ use super::photo_features::PhotoFeatures;
 use super::reasons::{Cause, cause};
 use super::reconstruction::Reconstruction;
 use super::supervisor::failed;
-use crate::calibration::{Calibration, PhotoStatistics, PlacedPhoto, mean_up};
+use crate::calibration::{Calibration, PhotoStatistics, PlacedPhoto};
 use crate::export::{Observation, TrackPoint};
 use crate::labels::median;
 use crate::photos::{as_png, reduced, reduction};
+use crate::up::{self, FoundUp};
 
 /// Returns the calibration of the largest model and of those in the same metric frame.
 pub(super) fn assemble(
@@ -49,19 +50,20 @@ pub(super) fn assemble(
     }
     let causes = causes(reconstruction, &chosen);
     let worst = most_common(&causes);
+    let sparse_points: Vec<Point> = points.iter().map(sparse).collect();
     Ok(Calibration {
         unplaced: causes
             .into_iter()
             .map(|(photo, cause)| (photo, cause.to_string()))
             .collect(),
         missing: Vec::new(),
-        points: points.iter().map(sparse).collect(),
-        tracks: points,
         up: match earlier {
-            Some(earlier) => earlier.scene.up,
-            None if metric => Some([0.0, 0.0, -1.0]),
-            None => mean_up(&placed),
+            Some(earlier) => earlier.scene.up.map(FoundUp::extended),
+            None if metric => Some(FoundUp::labels()),
+            None => up::of_placed(&placed, &sparse_points),
         },
+        points: sparse_points,
+        tracks: points,
         metres_per_unit: match earlier {
             Some(earlier) => earlier.scene.metres_per_unit,
             None => metric.then_some(1.0),

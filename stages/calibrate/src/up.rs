@@ -1,0 +1,452 @@
+//! Up without labels: from the cameras' axes where headings differ, and from the ground where cameras look down on it.
+//!
+//! A camera that is not rolled has its x axis level, so up is the direction that is orthogonal to the x axes of all cameras. That direction
+//! is known as well as the headings differ. Where they do not, the plane of the points decides: it is the ground if its normal is near the
+//! cameras' own up, or if the cameras move along their view or along the height of their pictures, as in a descent or a flight. A plane in
+//! front of cameras that move sideways is a wall.
+
+use marf_numeric::Rng;
+use marf_scene::{Point, Pose};
+use marf_schema::calibrate::{Up, UpSource};
+use nalgebra::{Matrix3, SymmetricEigen, Vector3};
+
+use crate::calibration::PlacedPhoto;
+
+/// Up in the world, a unit vector, and how it was found.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct FoundUp {
+    pub direction: [f64; 3],
+    pub up: Up,
+}
+
+/// Largest standard deviation of an up that is reported, degrees.
+const MOST_SIGMA_DEG: f64 = 8.0;
+/// Least standard deviation, degrees: roll of a camera on a mast or in a hand, and slope of the ground.
+const LEAST_SIGMA_DEG: f64 = 1.0;
+/// Mean square of the x axes across their main direction from which headings differ: 6 degrees.
+const LEAST_HEADINGS: f64 = 0.01;
+/// Roll at which a camera has half its weight, as the sine: 6 degrees.
+const ROLL: f64 = 0.1;
+/// Rounds of weights and directions.
+const ROUNDS: usize = 10;
+/// Cosine from which cameras look along the normal of a plane: 45 degrees.
+const LOOKS_DOWN: f64 = 0.7;
+/// Cosine from which a normal is near the cameras' own up: 40 degrees.
+const NEAR_UP: f64 = 0.766;
+/// Points of a plane lie this near to it, in distances from the cameras.
+const PLANE_NEAR: f64 = 0.03;
+/// Share of points on a plane from which it counts.
+const PLANE_SHARE: f64 = 0.35;
+/// Planes through three points that are tried.
+const PLANE_TRIALS: usize = 400;
+/// Points that a plane is tried on.
+const PLANE_POINTS: usize = 2_000;
+
+/// Finds up, or `None` where nothing shows it within [`MOST_SIGMA_DEG`].
+pub(crate) fn find_up(poses: &[&Pose], points: &[Point]) -> Option<FoundUp> {
+    let cameras = Cameras::new(poses);
+    if cameras.centres.is_empty() {
+        return None;
+    }
+    let plane = Plane::fit(&cameras, points);
+    let found = cameras
+        .by_axes(plane.as_ref())
+        .or_else(|| by_plane(&cameras, &plane?))?;
+    (found.up.sigma_deg? <= MOST_SIGMA_DEG).then_some(found)
+}
+
+/// Finds up of placed photos.
+pub(crate) fn of_placed(placed: &[PlacedPhoto], points: &[Point]) -> Option<FoundUp> {
+    let poses: Vec<&Pose> = placed.iter().map(|one| &one.cam_from_world).collect();
+    find_up(&poses, points)
+}
+
+impl FoundUp {
+    /// Up of the site frame of labels, whose z axis points down.
+    pub fn labels() -> Self {
+        Self::certain([0.0, 0.0, -1.0], UpSource::Labels)
+    }
+
+    /// Up of the scene that was extended.
+    pub fn extended(direction: [f64; 3]) -> Self {
+        Self::certain(direction, UpSource::Extended)
+    }
+
+    fn certain(direction: [f64; 3], source: UpSource) -> Self {
+        let sigma_deg = None;
+        let up = Up { source, sigma_deg };
+        Self { direction, up }
+    }
+}
+
+fn found(direction: Vector3<f64>, source: UpSource, sigma_deg: f64) -> Option<FoundUp> {
+    let direction = direction.try_normalize(1e-9)?;
+    let up = Up {
+        source,
+        sigma_deg: Some(sigma_deg.max(LEAST_SIGMA_DEG)),
+    };
+    Some(FoundUp {
+        direction: direction.into(),
+        up,
+    })
+}
+
+/// Axes and centres of cameras in the world.
+struct Cameras {
+    right: Vec<Vector3<f64>>,
+    own_up: Vec<Vector3<f64>>,
+    ahead: Vec<Vector3<f64>>,
+    centres: Vec<Vector3<f64>>,
+}
+
+impl Cameras {
+    /// Takes the cameras whose numbers are finite.
+    fn new(poses: &[&Pose]) -> Self {
+        let finite = |pose: &&&Pose| {
+            pose.rotation
+                .iter()
+                .chain(&pose.translation)
+                .all(|one| one.is_finite())
+        };
+        let poses: Vec<&Pose> = poses.iter().filter(finite).copied().collect();
+        let axis = |row: usize, sign: f64| {
+            let of = |pose: &&Pose| pose.rotation.row(row).transpose() * sign;
+            poses.iter().map(of).collect()
+        };
+        Self {
+            right: axis(0, 1.0),
+            own_up: axis(1, -1.0),
+            ahead: axis(2, 1.0),
+            centres: poses.iter().map(|pose| pose.centre()).collect(),
+        }
+    }
+
+    /// Returns the direction orthogonal to the x axes where these differ. Cameras that are rolled weigh little.
+    fn by_axes(&self, plane: Option<&Plane>) -> Option<FoundUp> {
+        let mut weights = vec![1.0; self.right.len()];
+        let mut eigen = sorted(scatter(&self.right, &weights));
+        for _ in 0..ROUNDS {
+            let level = eigen.direction[2];
+            let weigh = |axis: &Vector3<f64>| 1.0 / (1.0 + (axis.dot(&level) / ROLL).powi(2));
+            weights = self.right.iter().map(weigh).collect();
+            eigen = sorted(scatter(&self.right, &weights));
+        }
+        let count: f64 = weights.iter().sum();
+        if eigen.value[1] < LEAST_HEADINGS {
+            return None;
+        }
+        let level = eigen.direction[2];
+        let (upright, down) = (mean_dot(&self.own_up, &level), -mean_dot(&self.ahead, &level));
+        // Pictures show which way is up. Where they are turned all ways, the cameras look down.
+        let sign = if upright.abs() > 0.3 { upright } else { down };
+        if sign.abs() < 0.3 {
+            return None;
+        }
+        let direction = level * sign.signum();
+        let looks_down = -mean_dot(&self.ahead, &direction) > LOOKS_DOWN;
+        let on_ground = plane.filter(|plane| looks_down && plane.normal.dot(&direction) > NEAR_UP);
+        if let Some(ground) = on_ground {
+            return found(ground.normal, UpSource::Ground, ground.sigma_deg);
+        }
+        let roll = (eigen.value[2].max(0.0) / (count * eigen.value[1])).sqrt();
+        found(direction, UpSource::CameraAxes, roll.to_degrees())
+    }
+
+    /// Returns the main direction in which the cameras moved. `None` where they are at one place in distances from the plane.
+    fn motion(&self, distance: f64) -> Option<Vector3<f64>> {
+        let count = self.centres.len() as f64;
+        let mean = self.centres.iter().sum::<Vector3<f64>>() / count;
+        let moves: Vec<Vector3<f64>> = self.centres.iter().map(|centre| centre - mean).collect();
+        let eigen = sorted(scatter(&moves, &vec![1.0; moves.len()]));
+        (eigen.value[0].max(0.0).sqrt() > 0.05 * distance).then_some(eigen.direction[0])
+    }
+}
+
+/// Returns up where all cameras have one heading and a plane is in front of them.
+fn by_plane(cameras: &Cameras, plane: &Plane) -> Option<FoundUp> {
+    let right = sorted(scatter(&cameras.right, &vec![1.0; cameras.right.len()])).direction[0];
+    let level = |normal: &Vector3<f64>| normal - right * normal.dot(&right);
+    let own_up = cameras.own_up.iter().sum::<Vector3<f64>>();
+    let own_up = own_up.try_normalize(0.1 * cameras.own_up.len() as f64)?;
+    if plane.normal.dot(&own_up) > NEAR_UP {
+        return found(level(&plane.normal), UpSource::Ground, plane.sigma_deg);
+    }
+    if -mean_dot(&cameras.ahead, &plane.normal) < LOOKS_DOWN {
+        return None;
+    }
+    let motion = cameras.motion(plane.distance)?;
+    if motion.dot(&right).abs() < LOOKS_DOWN {
+        return found(plane.normal, UpSource::Ground, plane.sigma_deg);
+    }
+    let along_wall = own_up - plane.normal * own_up.dot(&plane.normal);
+    found(level(&along_wall), UpSource::CameraAxes, plane.sigma_deg)
+}
+
+/// The plane that most points are on.
+struct Plane {
+    /// Towards the cameras.
+    normal: Vector3<f64>,
+    /// Standard deviation of the normal: the relief of the points over their width.
+    sigma_deg: f64,
+    /// Median distance of the points from the middle of the cameras.
+    distance: f64,
+}
+
+impl Plane {
+    fn fit(cameras: &Cameras, points: &[Point]) -> Option<Self> {
+        let step = points.len().div_ceil(PLANE_POINTS).max(1);
+        let points: Vec<Vector3<f64>> = points
+            .iter()
+            .step_by(step)
+            .map(|point| Vector3::from(point.position))
+            .filter(|point| point.iter().all(|one| one.is_finite()))
+            .collect();
+        let middle = cameras.centres.iter().sum::<Vector3<f64>>() / cameras.centres.len() as f64;
+        let distance = marf_numeric::upper_median(points.iter().map(|point| (point - middle).norm()))?;
+        let near = PLANE_NEAR * distance;
+        let first = best_of_trials(&points, near)?;
+        let on: Vec<Vector3<f64>> = points
+            .iter()
+            .filter(|point| first.off(point) < near)
+            .copied()
+            .collect();
+        let count = on.len() as f64;
+        if count < 10.0 || count < PLANE_SHARE * points.len() as f64 {
+            return None;
+        }
+        let mean = on.iter().sum::<Vector3<f64>>() / count;
+        let moves: Vec<Vector3<f64>> = on.iter().map(|point| point - mean).collect();
+        let eigen = sorted(scatter(&moves, &vec![1.0; moves.len()]));
+        let normal = eigen.direction[2];
+        let above = |centre: &&Vector3<f64>| (*centre - mean).dot(&normal) > 0.0;
+        let share = cameras.centres.iter().filter(above).count() as f64 / cameras.centres.len() as f64;
+        let sign = match share {
+            share if share > 0.9 => 1.0,
+            share if share < 0.1 => -1.0,
+            _ => return None,
+        };
+        let relief = (eigen.value[2].max(0.0) / eigen.value[1].max(f64::MIN_POSITIVE)).sqrt();
+        Some(Self {
+            normal: normal * sign,
+            sigma_deg: relief.to_degrees(),
+            distance,
+        })
+    }
+}
+
+/// A plane by a point and its unit normal.
+struct Trial {
+    point: Vector3<f64>,
+    normal: Vector3<f64>,
+}
+
+impl Trial {
+    fn off(&self, point: &Vector3<f64>) -> f64 {
+        (point - self.point).dot(&self.normal).abs()
+    }
+}
+
+/// Returns the plane through three points that has most points near it.
+fn best_of_trials(points: &[Vector3<f64>], near: f64) -> Option<Trial> {
+    let mut rng = Rng::new(0);
+    let mut best: Option<(usize, Trial)> = None;
+    for _ in 0..PLANE_TRIALS {
+        let [a, b, c] = [(); 3].map(|()| points[rng.below(points.len() as u64) as usize]);
+        let Some(normal) = (b - a).cross(&(c - a)).try_normalize(1e-12) else {
+            continue;
+        };
+        let trial = Trial { point: a, normal };
+        let count = points.iter().filter(|point| trial.off(point) < near).count();
+        if best.as_ref().is_none_or(|(most, _)| count > *most) {
+            best = Some((count, trial));
+        }
+    }
+    best.map(|(_, trial)| trial)
+}
+
+/// Eigenvalues and eigenvectors, largest first.
+struct Sorted {
+    value: [f64; 3],
+    direction: [Vector3<f64>; 3],
+}
+
+fn sorted(matrix: Matrix3<f64>) -> Sorted {
+    let eigen = SymmetricEigen::new(matrix);
+    let mut order = [0, 1, 2];
+    order.sort_by(|a, b| eigen.eigenvalues[*b].total_cmp(&eigen.eigenvalues[*a]));
+    Sorted {
+        value: order.map(|index| eigen.eigenvalues[index]),
+        direction: order.map(|index| eigen.eigenvectors.column(index).into_owned()),
+    }
+}
+
+/// Returns the weighted mean of v vᵀ.
+fn scatter(vectors: &[Vector3<f64>], weights: &[f64]) -> Matrix3<f64> {
+    let sum: Matrix3<f64> = vectors
+        .iter()
+        .zip(weights)
+        .map(|(one, weight)| one * one.transpose() * *weight)
+        .sum();
+    sum / weights.iter().sum::<f64>().max(f64::MIN_POSITIVE)
+}
+
+fn mean_dot(vectors: &[Vector3<f64>], direction: &Vector3<f64>) -> f64 {
+    vectors.iter().map(|one| one.dot(direction)).sum::<f64>() / vectors.len().max(1) as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A camera at `eye` that looks along `ahead` with `up` in its picture.
+    fn camera(eye: [f64; 3], ahead: [f64; 3], up: [f64; 3]) -> Pose {
+        let ahead = Vector3::from(ahead).normalize();
+        let right = ahead.cross(&Vector3::from(up)).normalize();
+        let down = ahead.cross(&right);
+        let rotation = Matrix3::from_rows(&[right.transpose(), down.transpose(), ahead.transpose()]);
+        Pose {
+            rotation,
+            translation: -rotation * Vector3::from(eye),
+        }
+    }
+
+    /// Points of rough ground at z = 0, with stones, 10 m across.
+    fn ground() -> Vec<Point> {
+        let mut rng = Rng::new(3);
+        let point = |index: usize| {
+            let height = if index.is_multiple_of(5) { 0.8 } else { 0.05 };
+            let [x, y, z] = [(); 3].map(|()| rng.unit_f64());
+            Point {
+                position: [10.0 * x - 5.0, 10.0 * y - 5.0, height * z],
+                color: None,
+                views: 3,
+            }
+        };
+        (0..600).map(point).collect()
+    }
+
+    fn found(poses: &[Pose], points: &[Point]) -> Option<(f64, UpSource)> {
+        let found = find_up(&poses.iter().collect::<Vec<_>>(), points)?;
+        let cos = Vector3::from(found.direction).z.clamp(-1.0, 1.0);
+        assert!(found.up.sigma_deg.unwrap() >= LEAST_SIGMA_DEG);
+        Some((cos.acos().to_degrees(), found.up.source))
+    }
+
+    fn is_up(poses: &[Pose], points: &[Point], source: UpSource) {
+        let (off_deg, of) = found(poses, points).unwrap();
+        assert!(off_deg < 3.0 && of == source, "{off_deg} degrees off, {of:?}");
+    }
+
+    /// Headings over 120 degrees, 15 degrees down, rolled by up to 1.2 degrees: a mast. The mean of the cameras' own up is 15 degrees off.
+    #[test]
+    fn level_axes_of_different_headings_are_orthogonal_to_up() {
+        let mast = |index: i32| {
+            let heading = f64::from(index) * 0.2;
+            let roll = 0.02 * f64::from(index % 3 - 1);
+            camera(
+                [0.0, 0.0, 2.0],
+                [heading.cos(), heading.sin(), -0.27],
+                [0.0, roll, 1.0],
+            )
+        };
+        let poses: Vec<Pose> = (-5..=5).map(mast).collect();
+        is_up(&poses, &[], UpSource::CameraAxes);
+        let around = |index: i32| {
+            let (sin, cos) = f64::from(index).sin_cos();
+            camera([4.0 * cos, 4.0 * sin, 1.5], [-cos, -sin, -0.35], [0.0, 0.0, 1.0])
+        };
+        is_up(
+            &(0..12).map(around).collect::<Vec<_>>(),
+            &[],
+            UpSource::CameraAxes,
+        );
+    }
+
+    #[test]
+    fn a_photo_on_its_side_weighs_little() {
+        let mast = |index: i32| {
+            let heading = f64::from(index) * 0.2;
+            let up = if index == 2 {
+                [heading.sin(), -heading.cos(), 0.0]
+            } else {
+                [0.0, 0.0, 1.0]
+            };
+            camera([0.0, 0.0, 2.0], [heading.cos(), heading.sin(), -0.3], up)
+        };
+        is_up(&(-5..=5).map(mast).collect::<Vec<_>>(), &[], UpSource::CameraAxes);
+    }
+
+    /// Descents straight down and flights with one heading: the cameras' own up is 90 degrees off.
+    #[test]
+    fn cameras_that_look_down_take_the_normal_of_the_ground() {
+        let down = [0.02, 0.01, -1.0];
+        let descent: Vec<Pose> = (0..8)
+            .map(|step| camera([0.1, 0.0, 12.0 - f64::from(step)], down, [0.0, 1.0, 0.0]))
+            .collect();
+        is_up(&descent, &ground(), UpSource::Ground);
+        let flight: Vec<Pose> = (0..8)
+            .map(|step| camera([0.0, f64::from(step) - 4.0, 6.0], down, [0.0, 1.0, 0.0]))
+            .collect();
+        is_up(&flight, &ground(), UpSource::Ground);
+        let turning = |step: i32| {
+            let (sin, cos) = f64::from(step).sin_cos();
+            camera(
+                [f64::from(step) - 4.0, cos, 6.0],
+                [0.05 * sin, 0.0, -1.0],
+                [sin, cos, 0.0],
+            )
+        };
+        is_up(
+            &(0..8).map(turning).collect::<Vec<_>>(),
+            &ground(),
+            UpSource::Ground,
+        );
+    }
+
+    #[test]
+    fn one_heading_takes_the_ground_ahead() {
+        let pair = [-0.2, 0.2].map(|x| camera([x, -7.0, 2.0], [0.0, 1.0, -0.35], [0.0, 0.0, 1.0]));
+        is_up(&pair, &ground(), UpSource::Ground);
+    }
+
+    /// The points of the ground turned upright are a wall at y = 0 in front of cameras that move sideways.
+    #[test]
+    fn a_wall_is_not_the_ground() {
+        let wall: Vec<Point> = ground()
+            .into_iter()
+            .map(|mut point| {
+                let [x, y, z] = point.position;
+                point.position = [x, -z, y];
+                point
+            })
+            .collect();
+        let along: Vec<Pose> = (0..6)
+            .map(|step| {
+                camera(
+                    [f64::from(step) - 3.0, -6.0, 0.0],
+                    [0.0, 1.0, 0.1],
+                    [0.0, 0.0, 1.0],
+                )
+            })
+            .collect();
+        is_up(&along, &wall, UpSource::CameraAxes);
+    }
+
+    #[test]
+    fn what_nothing_shows_is_not_known() {
+        assert_eq!(find_up(&[], &ground()), None);
+        let one = camera([0.0, 0.0, 2.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]);
+        assert_eq!(found(&[one.clone(), one.clone()], &[]), None);
+        // One place, one heading, straight at a plane: a wall or the ground.
+        let still = camera([0.0, 0.0, 6.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]);
+        assert_eq!(found(&[still.clone(), still], &ground()), None);
+        let mut broken = one;
+        broken.translation.x = f64::NAN;
+        assert_eq!(found(&[broken], &ground()), None);
+        let mut nowhere = ground();
+        nowhere
+            .iter_mut()
+            .for_each(|point| point.position[0] = f64::INFINITY);
+        assert!(Plane::fit(&Cameras::new(&[]), &nowhere).is_none());
+    }
+}
