@@ -39,7 +39,7 @@ const PLANE_NEAR: f64 = 0.03;
 const PLANE_SHARE: f64 = 0.35;
 /// Planes through three points that are tried.
 const PLANE_TRIALS: usize = 400;
-/// Points that a plane is tried on.
+/// Points that planes are tried on.
 const PLANE_POINTS: usize = 2_000;
 
 /// Finds up, or `None` where nothing shows it within [`MOST_SIGMA_DEG`].
@@ -207,7 +207,7 @@ impl Plane {
         let first = best_of_trials(&points, near)?;
         let on: Vec<Vector3<f64>> = points
             .iter()
-            .filter(|point| first.off(point) < near)
+            .filter(|point| off(&first, point) < near)
             .copied()
             .collect();
         let count = on.len() as f64;
@@ -235,15 +235,10 @@ impl Plane {
 }
 
 /// A plane by a point and its unit normal.
-struct Trial {
-    point: Vector3<f64>,
-    normal: Vector3<f64>,
-}
+type Trial = [Vector3<f64>; 2];
 
-impl Trial {
-    fn off(&self, point: &Vector3<f64>) -> f64 {
-        (point - self.point).dot(&self.normal).abs()
-    }
+fn off(trial: &Trial, point: &Vector3<f64>) -> f64 {
+    (point - trial[0]).dot(&trial[1]).abs()
 }
 
 /// Returns the plane through three points that has most points near it.
@@ -255,8 +250,8 @@ fn best_of_trials(points: &[Vector3<f64>], near: f64) -> Option<Trial> {
         let Some(normal) = (b - a).cross(&(c - a)).try_normalize(1e-12) else {
             continue;
         };
-        let trial = Trial { point: a, normal };
-        let count = points.iter().filter(|point| trial.off(point) < near).count();
+        let trial = [a, normal];
+        let count = points.iter().filter(|point| off(&trial, point) < near).count();
         if best.as_ref().is_none_or(|(most, _)| count > *most) {
             best = Some((count, trial));
         }
