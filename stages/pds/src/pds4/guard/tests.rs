@@ -24,9 +24,7 @@ fn attributes(count: usize) -> String {
 }
 
 fn namespaces(first: usize, count: usize) -> String {
-    joined(count, |index| {
-        format!(" xmlns:n{0}='u{0}'", first + index)
-    })
+    joined(count, |index| format!(" xmlns:n{0}='u{0}'", first + index))
 }
 
 #[test]
@@ -46,7 +44,18 @@ fn tags_are_measured_outside_quotes_comments_and_characters() {
         );
     }
     assert_eq!(super::skipped(skipped.as_bytes()), Some(18));
-    for cut in ["<", "<!", "<!--", "<!-->", "<?", "<a b='", "<a b=", "<![CDATA[", "</", "<>"] {
+    for cut in [
+        "<",
+        "<!",
+        "<!--",
+        "<!-->",
+        "<?",
+        "<a b='",
+        "<a b=",
+        "<![CDATA[",
+        "</",
+        "<>",
+    ] {
         assert!(check(cut.as_bytes()).is_ok(), "{cut}");
     }
 }
@@ -58,7 +67,10 @@ fn what_is_nested_or_repeated_too_much_is_refused_before_it_is_parsed() {
     assert!(matches!(fault(&nested(MAX_DEPTH + 1)), Pds4Error::Depth));
     let element = |count: usize| format!("<l{}/>", attributes(count));
     assert!(matches!(fault(&element(MAX_ATTRIBUTES)), Pds4Error::NoLabel));
-    assert!(matches!(fault(&element(MAX_ATTRIBUTES + 1)), Pds4Error::Attributes));
+    assert!(matches!(
+        fault(&element(MAX_ATTRIBUTES + 1)),
+        Pds4Error::Attributes
+    ));
     // Ten levels with 90 namespaces each are 900 in scope of every element within.
     let levels = joined(10, |level| format!("<a{}>", namespaces(level * 90, 90)));
     let within = format!("{levels}{}", "<b xmlns:c='u'/>".repeat(50_000));
@@ -91,7 +103,10 @@ fn check_folder(folder: &Path) -> usize {
         if path.is_dir() {
             return check_folder(&path);
         }
-        if path.extension().is_none_or(|extension| !extension.eq_ignore_ascii_case("xml")) {
+        if path
+            .extension()
+            .is_none_or(|extension| !extension.eq_ignore_ascii_case("xml"))
+        {
             return 0;
         }
         let checked = check(&std::fs::read(&path).unwrap());
