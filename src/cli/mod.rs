@@ -40,7 +40,7 @@ use marf_config::GlobalOptions;
 use marf_engine::Cancel;
 use marf_run::{Context, Error};
 
-use crate::terminal::{eprint_line, print_line};
+use crate::terminal::{eprint_line, print_own};
 use args::{Cli, Verb};
 use feedback::Terminal;
 
@@ -51,7 +51,11 @@ pub fn main(cancel: &Cancel) -> ExitCode {
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
         Err(error) => {
-            let _ = error.print(); // help to stdout, usage errors to stderr; a closed pipe is no error
+            if error.use_stderr() {
+                error.render().to_string().lines().for_each(eprint_line);
+            } else {
+                let _ = error.print(); // help; a closed pipe is no error
+            }
             return ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(2));
         }
     };
@@ -61,7 +65,7 @@ pub fn main(cancel: &Cancel) -> ExitCode {
             // A wait for another program ends with Ctrl-C, and nothing else went wrong.
             let is_stopped = cancel.is_set() && matches!(error, Error::Locked(_));
             let error = if is_stopped { Error::Interrupted } else { error };
-            eprint_line(&error::text(&error));
+            error::lines(&error).iter().for_each(|line| eprint_line(line));
             error::exit_code(&error)
         }
     }
@@ -116,7 +120,7 @@ fn dispatch(cli: Cli, cancel: &Cancel) -> Result<(), Error> {
         Verb::Completions { shell } => {
             let mut bytes = Vec::new();
             clap_complete::generate(shell, &mut Cli::command(), "marf", &mut bytes);
-            print_line(String::from_utf8_lossy(&bytes).trim_end());
+            print_own(String::from_utf8_lossy(&bytes).trim_end());
             Ok(())
         }
     }

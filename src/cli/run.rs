@@ -10,7 +10,7 @@ use marf_run::{Context, Error};
 
 use super::feedback::Terminal;
 use super::options::{PipelineArgs, SelectionArgs};
-use crate::terminal::{eprint_line, print_line};
+use crate::terminal::{eprint_line, print_lines};
 
 /// Arguments of `run`.
 #[derive(Debug, Clone, Args)]
@@ -53,7 +53,7 @@ pub fn run(args: RunArgs, context: Context) -> Result<(), Error> {
     let site = args.batch_system.map(|_| args.site.as_path());
     let run = marf_run::run::run(&context, &args.selection.into(), out, trace, site)?;
     if !args.json {
-        print_line(&table(&run));
+        print_lines(table(&run));
         if run.execution.record.outcome != Outcome::Cancelled {
             eprint_line(&format!("report: {}", out.join(document::REPORT).display()));
         }
@@ -62,7 +62,7 @@ pub fn run(args: RunArgs, context: Context) -> Result<(), Error> {
 }
 
 /// Returns the nodes of a run as a table: state, time, result.
-fn table(run: &PipelineRun) -> String {
+fn table(run: &PipelineRun) -> Vec<String> {
     let record = &run.execution.record;
     let shown = || record.nodes.iter().filter(|node| node.parent.is_none());
     let width = shown().map(|node| node.name.len()).fold(16, usize::max);
@@ -97,5 +97,5 @@ fn table(run: &PipelineRun) -> String {
         record.nodes.len(),
         duration(record.seconds)
     ));
-    lines.join("\n")
+    lines
 }

@@ -63,8 +63,9 @@ fn stat(args: &RecordArgs, store: &Store) -> Result<(), Error> {
     for (key, value) in json.as_object().into_iter().flatten() {
         print_line(&format!("{:<16} {value}", key.replace('_', " ")));
     }
+    print_line("");
     print_line(&format!(
-        "\n{:<16} {:>10} {:>10} {:>14}",
+        "{:<16} {:>10} {:>10} {:>14}",
         "stage", "results", "outputs", "bytes"
     ));
     for (stage, of) in stages {
