@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use marf_cache::file::{FileKind, Links, read_text};
 use marf_keys::{KeyError, PublicKey, SigningKey};
 use marf_remote::Trust;
 
@@ -40,7 +41,7 @@ pub fn public_key(path: &Path) -> Result<PublicKey, Error> {
 }
 
 fn key_text(path: &Path) -> Result<String, Error> {
-    std::fs::read_to_string(path)
+    read_text(path, FileKind::Key, Links::Followed)
         .map_err(|error| Error::usage(format!("the key {} cannot be read: {error}", path.display())))
 }
 
