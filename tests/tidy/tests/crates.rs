@@ -241,7 +241,15 @@ const CRATES: [Crate; 35] = [
         ],
     ),
     Crate {
-        tests_use: &["marf-loopback", "marf-video"],
+        // Fuzz targets of their readers.
+        tests_use: &[
+            "marf-calibrate",
+            "marf-cluster",
+            "marf-keys",
+            "marf-loopback",
+            "marf-pds",
+            "marf-video",
+        ],
         ..row(
             "",
             "marf",
