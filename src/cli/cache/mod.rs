@@ -128,7 +128,7 @@ fn bytes_of(text: &str) -> Result<u64, Error> {
 /// `marf cache fsck`: verifies everything that is stored.
 fn fsck(store: &Store, args: &FsckArgs) -> Result<(), Error> {
     let options = FsckOptions {
-        read_data: args.read_data,
+        read_data: args.read_data.unwrap_or_default(),
         repair: args.repair,
     };
     let report = store.fsck(options)?;
