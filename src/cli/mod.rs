@@ -13,6 +13,7 @@ mod feedback;
 mod filter;
 mod fit;
 mod init;
+mod key;
 mod log;
 mod man;
 mod options;
@@ -38,7 +39,7 @@ use std::sync::Arc;
 use clap::{CommandFactory, Parser};
 use marf_config::GlobalOptions;
 use marf_engine::Cancel;
-use marf_run::{Context, Error};
+use marf_run::{Context, Error, Signing};
 
 use crate::terminal::{eprint_line, print_own};
 use args::{Cli, Verb};
@@ -83,6 +84,7 @@ fn context(cancel: &Cancel) -> Context {
         config: GlobalOptions::default(),
         commit: option_env!("MARF_COMMIT"),
         feedback: Arc::new(Terminal::with_progress()),
+        signing: Signing::default(),
         cancel: cancel.clone(),
     }
 }
@@ -111,6 +113,7 @@ fn dispatch(cli: Cli, cancel: &Cancel) -> Result<(), Error> {
         Verb::Replay(args) => replay::replay(args, context),
         Verb::Exec(args) => exec::exec(args, context),
         Verb::Cache { verb } => cache::cache(verb, context),
+        Verb::Key { verb } => key::key(verb),
         Verb::Filter(args) => filter::filter(args, context),
         Verb::Photos(args) => photos::photos(args, context),
         Verb::Calibrate(args) => calibrate::calibrate(args, context),

@@ -9,7 +9,7 @@ use marf_run::run::PipelineRun;
 use marf_run::{Context, Error};
 
 use super::feedback::Terminal;
-use super::options::{PipelineArgs, SelectionArgs};
+use super::options::{PipelineArgs, SelectionArgs, SignArg};
 use crate::terminal::{eprint_line, print_lines};
 
 /// Arguments of `run`.
@@ -33,6 +33,8 @@ pub struct RunArgs {
     #[arg(long)]
     pub json: bool,
     #[command(flatten)]
+    sign: SignArg,
+    #[command(flatten)]
     pipeline: PipelineArgs,
 }
 
@@ -45,7 +47,7 @@ pub enum BatchSystem {
 
 /// `marf run`: runs what changed, writes pictures, models and the report.
 pub fn run(args: RunArgs, context: Context) -> Result<(), Error> {
-    let mut context = args.pipeline.context(context);
+    let mut context = args.sign.context(args.pipeline.context(context));
     if args.json {
         context.feedback = Arc::new(Terminal::with_json_lines());
     }

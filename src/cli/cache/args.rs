@@ -6,7 +6,7 @@ use clap::{Args, Subcommand};
 use marf_cache::ReadShare;
 use marf_run::Error;
 
-use crate::cli::options::{RecordArgs, StoreArgs};
+use crate::cli::options::{RecordArgs, SignArg, StoreArgs};
 
 /// Verbs of `cache`.
 #[derive(Debug, Clone, Subcommand)]
@@ -71,6 +71,8 @@ pub struct PushArgs {
     /// `[store] remote` of the pipeline]
     #[arg(long, value_name = "URL")]
     pub remote: Option<String>,
+    #[command(flatten)]
+    pub sign: SignArg,
     #[command(flatten)]
     pub record: RecordArgs,
 }

@@ -27,6 +27,10 @@ pub fn cache(verb: CacheVerb, context: Context) -> Result<(), Error> {
         | CacheVerb::Pull(PullArgs { record, .. }) => record.store.context(context),
         CacheVerb::Pin { store, .. } | CacheVerb::Unpin { store, .. } => store.context(context),
     };
+    let context = match &verb {
+        CacheVerb::Push(args) => args.sign.context(context),
+        _ => context,
+    };
     let store = match &verb {
         CacheVerb::Gc(args) if args.remote.is_some() => return remote::gc(args, args.grace()?, &context),
         CacheVerb::Fsck(args) if args.remote.is_some() => return remote::fsck(args, &context),

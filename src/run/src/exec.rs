@@ -42,7 +42,11 @@ pub fn exec(
     result: Option<&Path>,
     scratch: Option<&Path>,
 ) -> Result<ExecResult, Error> {
-    let remote = Remote::open(&address(context)?, Patience::Patient, trust(&[])?)?;
+    let remote = Remote::open(
+        &address(context)?,
+        Patience::Patient,
+        trust(&[], context.signing)?,
+    )?;
     let remote = Arc::new(match index_folder() {
         Some(folder) => remote.keeping_indexes(&folder),
         None => remote,
