@@ -1,35 +1,32 @@
-//! Printing: data to stdout, everything else to stderr.
+//! Printing: data to stdout, everything else to stderr. Every text is escaped here, so that no name in it can drive the terminal or look
+//! like a line of this program.
 
 use std::io::Write as _;
 
-/// Prints a line to stdout; a reader that has gone away is not an error.
+use marf_report::{visible, visible_document};
+
+/// Prints a line to stdout. A reader that has gone away is not an error.
 pub fn print_line(text: &str) {
-    let _ = writeln!(std::io::stdout().lock(), "{text}");
+    let _ = writeln!(std::io::stdout().lock(), "{}", visible(text));
+}
+
+/// Prints lines to stdout.
+pub fn print_lines(lines: impl IntoIterator<Item = impl AsRef<str>>) {
+    lines.into_iter().for_each(|line| print_line(line.as_ref()));
 }
 
 /// Prints a line to stderr.
 pub fn eprint_line(text: &str) {
-    let _ = writeln!(std::io::stderr().lock(), "{text}");
+    let _ = writeln!(std::io::stderr().lock(), "{}", visible(text));
 }
 
-/// Escapes control characters but the line feed.
-pub fn escape_control(text: &str) -> String {
-    let escape = |char: char| {
-        if char.is_control() && char != '\n' {
-            char.escape_default().to_string()
-        } else {
-            char.to_string()
-        }
-    };
-    text.chars().map(escape).collect()
+/// Prints a JSON document to stdout.
+pub fn print_document(json: &str) {
+    let escape = |char| format!("\\u{:04x}", u32::from(char));
+    let _ = writeln!(std::io::stdout().lock(), "{}", visible_document(json, escape));
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn control_characters_are_escaped_and_line_feeds_are_kept() {
-        assert_eq!(escape_control("é\u{1b}[2J\n\t"), "é\\u{1b}[2J\n\\t");
-    }
+/// Prints a text of this program, in which there is no name of a file, as it is.
+pub fn print_own(text: &str) {
+    let _ = writeln!(std::io::stdout().lock(), "{text}");
 }

@@ -187,3 +187,67 @@ fn hostile_toml_is_refused_without_a_crash() {
         assert_eq!(ran.code, 2, "{name}: {}", ran.stderr);
     }
 }
+
+/// Names of files cannot drive a terminal or write lines that look like those of marf.
+#[cfg(unix)]
+#[test]
+fn names_of_files_are_escaped_wherever_they_are_printed() {
+    let dir = tempfile::tempdir().unwrap();
+    let photos = dir.path().join("photos");
+    std::fs::create_dir(&photos).unwrap();
+    let hostile = [
+        "a\u{1b}]0;title\u{7}.png",
+        "b\nholds\n.png",
+        "c\u{202e}gnp.exe",
+        "d\u{9b}2J.txt",
+    ];
+    for (index, name) in hostile.iter().enumerate() {
+        let picture = image::RgbImage::from_fn(64, 48, |x, y| {
+            image::Rgb([x, y, (x * y + index as u32) % 251].map(|value| value as u8))
+        });
+        let mut bytes = std::io::Cursor::new(Vec::new());
+        picture.write_to(&mut bytes, image::ImageFormat::Png).unwrap();
+        std::fs::write(photos.join(name), bytes.into_inner()).unwrap();
+    }
+    std::fs::write(photos.join("e\u{1b}[2J\n.txt"), b"text").unwrap();
+    let pipeline = "[archive.mine]\nkind = \"folder\"\npath = \"photos\"\n[node.extract]\narchive = \"mine\"\n\
+        [node.size]\ninput = \"extract\"\nmin_bytes = 10\n[keep]\nids = [\"x\\u001b\\n\"]\n";
+    std::fs::write(dir.path().join("pipeline.toml"), pipeline).unwrap();
+    let acts = |char: char| (char.is_control() && char != '\n') || ('\u{202a}'..='\u{202e}').contains(&char);
+    let bad = "photos/no\u{1b}such\nholds\u{202e}";
+    let verbs: [&[&str]; 9] = [
+        &["run"],
+        &["photos"],
+        &["photos", "--json"],
+        &["photos", "photos"],
+        &["filter", "photos"],
+        &["filter", bad],
+        &["verify", bad],
+        &["audit", bad],
+        &["render", "--path", bad, "--out", "x"],
+    ];
+    for args in verbs {
+        let ran = marf(dir.path(), args);
+        for text in [&ran.stdout, &ran.stderr] {
+            assert!(!text.contains(acts), "{args:?}: {text:?}");
+            assert!(
+                !text.lines().any(|line| line.starts_with("holds")),
+                "{args:?}: {text:?}"
+            );
+        }
+    }
+    let table = marf(dir.path(), &["photos"]).exits(0).stdout;
+    assert!(
+        table.contains("b\\nholds\\n.png") && table.contains("c\\u{202e}gnp.exe"),
+        "{table}"
+    );
+    let json = marf(dir.path(), &["photos", "--json"]).exits(0).stdout;
+    let read: serde_json::Value = serde_json::from_str(&json).unwrap();
+    assert!(read.to_string().contains("\u{202e}gnp.exe"), "{json}");
+    let report = std::fs::read_to_string(dir.path().join("out/report.html")).unwrap();
+    assert!(
+        !report.contains(|char| acts(char) && char != '\t'),
+        "a name acts in the report"
+    );
+    assert!(report.contains("c\\u{202e}gnp.exe"));
+}

@@ -296,3 +296,86 @@ fn results_of_named_writers_alone_are_believed() {
     let ran = marf(&there, &["run", "--json"]).exits(0);
     assert_eq!(ran.nodes("finished"), Vec::<String>::new());
 }
+
+/// A key in the configuration folder signs what is sent, unless the user wants none.
+#[test]
+fn the_key_of_the_user_signs_what_is_sent() {
+    let world = World::new();
+    let (here, there) = (world.machine("here"), world.sharing_machine("there"));
+    let configuration = world.machine("configuration");
+    let marf_with_key = |folder: &Path, args: &[&str]| {
+        let output = std::process::Command::new(env!("CARGO_BIN_EXE_marf"))
+            .current_dir(folder)
+            .args(args)
+            .env("XDG_CONFIG_HOME", &configuration)
+            .output()
+            .unwrap();
+        let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+        (output.status.code(), text(&output.stdout), text(&output.stderr))
+    };
+    let (code, made, said) = marf_with_key(&here, &["key", "new"]);
+    assert_eq!(code, Some(0), "{said}");
+    let key = configuration.join("marf/key.pem");
+    assert!(made.contains(&key.display().to_string()), "{made}");
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt as _;
+        let mode = std::fs::metadata(&key).unwrap().permissions().mode();
+        assert_eq!(mode & 0o777, 0o600);
+    }
+    let before = std::fs::read(&key).unwrap();
+    let (code, _, said) = marf_with_key(&here, &["key", "new"]);
+    assert!(
+        code == Some(1) && said.contains("A key is never replaced"),
+        "{said}"
+    );
+    assert_eq!(std::fs::read(&key).unwrap(), before);
+
+    std::fs::copy(key.with_extension("pub.pem"), there.join("pub.pem")).unwrap();
+    let trusting = std::fs::read_to_string(there.join("pipeline.toml")).unwrap() + "trust = [\"pub.pem\"]\n";
+    std::fs::write(there.join("pipeline.toml"), trusting).unwrap();
+    marf(&here, &["run"]).exits(0);
+    let url = world.url();
+    let push = ["cache", "push", "--remote", url.as_str()];
+    assert_eq!(
+        marf_with_key(&here, &[&push[..], &["--no-sign"]].concat()).0,
+        Some(0)
+    );
+    let refused = world.cache(&there, &["pull"]).exits(1);
+    assert!(
+        refused.stderr.contains("signed by no key of `trust`"),
+        "{}",
+        refused.stderr
+    );
+    assert_eq!(marf_with_key(&here, &push).0, Some(0));
+    world.cache(&there, &["pull"]).exits(0);
+}
+
+/// Writers need no right to remove anything but leases, and readers no right to write.
+#[test]
+fn a_push_removes_and_changes_nothing_but_leases() {
+    let world = World::new();
+    let (here, there) = (world.machine("here"), world.machine("there"));
+    let shared = world.dir.path().join("shared");
+    let contents = || {
+        let mut files = Vec::new();
+        collect(&shared, &mut files);
+        let is_kept = |file: &PathBuf| !file.starts_with(shared.join("leases"));
+        let read = |file: PathBuf| (file.clone(), std::fs::read(file).unwrap());
+        let kept = files.into_iter().filter(is_kept).map(read);
+        kept.collect::<std::collections::BTreeMap<_, _>>()
+    };
+    marf(&here, &["run"]).exits(0);
+    world.cache(&here, &["push"]).exits(0);
+    let before = contents();
+    marf(&there, &["run", "--set", "blur.min_share=0.01"]).exits(0);
+    world.cache(&there, &["push"]).exits(0);
+    let after = contents();
+    assert!(after.len() > before.len(), "{} files", after.len());
+    for (file, bytes) in &before {
+        assert_eq!(after.get(file), Some(bytes), "{}", file.display());
+    }
+    let fresh = world.machine("fresh");
+    world.cache(&fresh, &["pull"]).exits(0);
+    assert_eq!(contents(), after);
+}

@@ -16,6 +16,8 @@ pub enum FileKind {
     Settings,
     /// A manifest, a graph, a record, a result.
     Document,
+    /// A result or a photo that a user names.
+    Result,
     /// What this program left for itself: a checkpoint.
     State,
 }
@@ -36,6 +38,7 @@ impl FileKind {
             Self::Key => 64 << 10,
             Self::Settings => 64 << 20,
             Self::Document => 256 << 20,
+            Self::Result => 4 << 30,
             Self::State => 16 << 30,
         }
     }
@@ -46,20 +49,81 @@ impl FileKind {
 /// # Errors
 /// A file that is absent, no regular file, too large for its kind, or a link where links are refused.
 pub fn read(path: &Path, kind: FileKind, links: Links) -> io::Result<Vec<u8>> {
-    let limit = kind.max_bytes();
-    let mut file = open(path, links)?;
-    let too_large = |bytes: u64| refused(format!("it has {bytes} bytes, above the limit of {limit}"));
+    read_within(path, kind.max_bytes(), links)
+}
+
+/// Reads a file of a size up to `max_bytes`. One that is larger is of the kind [`ErrorKind::FileTooLarge`].
+///
+/// # Errors
+/// As [`read`].
+pub fn read_within(path: &Path, max_bytes: u64, links: Links) -> io::Result<Vec<u8>> {
+    read_unless(path, max_bytes, links, || false)
+}
+
+/// As [`read_within`], for as long as `is_stopped` returns false.
+///
+/// # Errors
+/// As [`read`], and [`Stoppable`]'s.
+pub fn read_unless(
+    path: &Path,
+    max_bytes: u64,
+    links: Links,
+    is_stopped: impl Fn() -> bool,
+) -> io::Result<Vec<u8>> {
+    let file = open(path, links)?;
+    let too_large = |bytes: u64| {
+        let what = format!("it has {bytes} bytes, above the limit of {max_bytes}");
+        io::Error::new(ErrorKind::FileTooLarge, what)
+    };
     let length = file.metadata()?.len();
-    if length > limit {
+    if length > max_bytes {
         return Err(too_large(length));
     }
-    let mut bytes = Vec::with_capacity(length as usize);
+    let mut bytes = Vec::with_capacity((length as usize).min(CHUNK_BYTES));
     // It may grow meanwhile.
-    file.by_ref().take(limit + 1).read_to_end(&mut bytes)?;
-    if bytes.len() as u64 > limit {
+    Stoppable::new(file.take(max_bytes.saturating_add(1)), is_stopped).read_to_end(&mut bytes)?;
+    if bytes.len() as u64 > max_bytes {
         return Err(too_large(bytes.len() as u64));
     }
     Ok(bytes)
+}
+
+/// A reader that ends with an error when `is_stopped` returns true.
+pub struct Stoppable<R, F> {
+    reader: R,
+    is_stopped: F,
+}
+
+impl<R: io::Read, F: Fn() -> bool> Stoppable<R, F> {
+    /// Returns the reader.
+    pub fn new(reader: R, is_stopped: F) -> Self {
+        Self { reader, is_stopped }
+    }
+}
+
+/// Most bytes between two looks at the wish to stop: some milliseconds.
+const CHUNK_BYTES: usize = 16 << 20;
+
+impl<R: io::Read, F: Fn() -> bool> io::Read for Stoppable<R, F> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        if (self.is_stopped)() {
+            // `Interrupted` would be tried again.
+            return Err(io::Error::other("stopped"));
+        }
+        let most = buffer.len().min(CHUNK_BYTES);
+        self.reader.read(&mut buffer[..most])
+    }
+}
+
+/// Makes the names in a folder survive a power cut, where the system can.
+///
+/// # Errors
+/// Those of the system.
+pub fn sync_folder(folder: &Path) -> io::Result<()> {
+    if cfg!(unix) {
+        File::open(folder)?.sync_all()?;
+    }
+    Ok(())
 }
 
 /// Reads a file of UTF-8 text.
@@ -202,6 +266,22 @@ mod tests {
             fault(&path, Links::Refused),
             "it has 1099511627776 bytes, above the limit of 65536"
         );
+        let error = read_within(&path, 9, Links::Refused).unwrap_err();
+        assert_eq!(error.kind(), ErrorKind::FileTooLarge);
+    }
+
+    #[test]
+    fn reading_ends_soon_after_the_wish_to_stop() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("sparse");
+        File::create(&path).unwrap().set_len(1 << 40).unwrap();
+        let reads = std::cell::Cell::new(0);
+        let is_stopped = || reads.replace(reads.get() + 1) == 3;
+        let mut reader = Stoppable::new(open(&path, Links::Refused).unwrap(), is_stopped);
+        let error = io::copy(&mut reader, &mut io::sink()).unwrap_err();
+        assert_eq!((error.to_string().as_str(), reads.get()), ("stopped", 4));
+        let error = read_unless(&path, 1 << 41, Links::Refused, || true).unwrap_err();
+        assert_eq!(error.to_string(), "stopped");
     }
 
     #[test]

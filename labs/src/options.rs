@@ -8,7 +8,7 @@ use clap::Args;
 use marf_config::GlobalOptions;
 use marf_engine::{Cancel, SilentListener};
 use marf_field::Device;
-use marf_run::{Context, Feedback, RunFeedback};
+use marf_run::{Context, Feedback, RunFeedback, Signing};
 
 use crate::output::eprint_line;
 
@@ -41,6 +41,7 @@ impl TrainingOptions {
             },
             command: format!("marf-labs {}", words.join(" ")),
             commit: None,
+            signing: Signing::Off,
             feedback: Arc::new(Stderr),
             cancel: cancel.clone(),
         }

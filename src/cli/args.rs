@@ -35,7 +35,7 @@ const GROUPS: [(&str, &[&str]); 6] = [
         &["report", "view", "render", "compare", "export", "trade"],
     ),
     ("Provenance", &["audit", "replay", "diff", "verify"]),
-    ("Store and cluster", &["cache", "exec"]),
+    ("Store and cluster", &["cache", "exec", "key"]),
     ("Setup", &["schema", "completions", "man"]),
 ];
 
@@ -102,6 +102,12 @@ pub enum Verb {
         /// What to do with it
         #[command(subcommand)]
         verb: super::cache::CacheVerb,
+    },
+    /// Make a key that signs results
+    Key {
+        /// What to do
+        #[command(subcommand)]
+        verb: super::key::KeyVerb,
     },
     /// Filter the photos of a folder, and write every verdict
     Filter(super::filter::FilterArgs),

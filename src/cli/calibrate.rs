@@ -9,7 +9,7 @@ use marf_schema::calibrate::Up;
 
 use super::options::FolderArgs;
 use super::output::print_json;
-use crate::terminal::{escape_control, print_line};
+use crate::terminal::print_lines;
 
 /// Arguments of `calibrate`.
 #[derive(Debug, Clone, Args)]
@@ -53,11 +53,11 @@ pub fn calibrate(args: CalibrateArgs, context: Context) -> Result<(), Error> {
     if args.folder.json {
         return print_json(&result.metrics);
     }
-    print_line(&table(&result));
+    print_lines(table(&result));
     Ok(())
 }
 
-fn table(result: &CalibrateResult) -> String {
+fn table(result: &CalibrateResult) -> Vec<String> {
     let CalibrateResult {
         metrics,
         scene,
@@ -104,10 +104,9 @@ fn table(result: &CalibrateResult) -> String {
     for (index, path) in written.iter().enumerate() {
         rows.push((if index == 0 { "wrote" } else { "" }, path.display().to_string()));
     }
-    let lines = rows
-        .iter()
-        .map(|(what, value)| format!("{what:<12} {}", escape_control(value)));
-    lines.collect::<Vec<_>>().join("\n")
+    rows.iter()
+        .map(|(what, value)| format!("{what:<12} {value}"))
+        .collect()
 }
 
 /// Why photos have no camera, the commonest reason first.

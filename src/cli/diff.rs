@@ -6,7 +6,7 @@ use marf_run::{Context, Error};
 
 use super::options::RecordArgs;
 use super::output::print_json;
-use crate::terminal::{escape_control, print_line};
+use crate::terminal::{print_line, print_lines};
 
 /// Arguments of `diff`.
 #[derive(Debug, Clone, Args)]
@@ -30,9 +30,8 @@ pub fn diff(args: DiffArgs, context: Context) -> Result<(), Error> {
         second: format!("run {}", args.second),
     };
     for node in &diff.nodes {
-        let lines = node.lines().into_iter().map(|line| format!("\n  {line}"));
-        let text = node.heading(&names) + &lines.collect::<String>();
-        print_line(&escape_control(&text));
+        print_line(&node.heading(&names));
+        print_lines(node.lines().iter().map(|line| format!("  {line}")));
     }
     print_line(&format!(
         "{} of {} nodes differ between {} and {} (--json lists everything)",

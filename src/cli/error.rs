@@ -4,8 +4,6 @@ use std::process::ExitCode;
 
 use marf_run::{Answer, Diagnostic, Error};
 
-use crate::terminal::escape_control;
-
 /// Returns the exit code of an error: 1, 2, 8, 10, 11, 130, or that of an answer.
 pub fn exit_code(error: &Error) -> ExitCode {
     ExitCode::from(match error {
@@ -32,28 +30,22 @@ fn answer_code(answer: Answer) -> u8 {
     }
 }
 
-/// Returns the text of an error for stderr.
-pub fn text(error: &Error) -> String {
+/// Returns the lines of an error for stderr.
+pub fn lines(error: &Error) -> Vec<String> {
     error.diagnostic().map_or_else(
-        || "stopped. Results so far are kept: run again to go on".to_owned(),
-        diagnostic_text,
+        || vec!["stopped. Results so far are kept: run again to go on".to_owned()],
+        diagnostic_lines,
     )
 }
 
-/// Returns `error: …`, `cause: …`, `hint: …` on a line each, with control characters escaped, so that no
-/// file name can drive the terminal.
-fn diagnostic_text(diagnostic: &Diagnostic) -> String {
-    let line = |label: &str, text: &Option<String>| {
-        text.as_ref()
-            .map(|text| format!("\n  {label}: {}", escape_control(text)))
-            .unwrap_or_default()
-    };
-    format!(
-        "error: {}{}{}",
-        escape_control(&diagnostic.message),
-        line("cause", &diagnostic.cause),
-        line("hint", &diagnostic.hint)
-    )
+/// Returns `error: …`, `cause: …`, `hint: …` on a line each.
+fn diagnostic_lines(diagnostic: &Diagnostic) -> Vec<String> {
+    let line = |label: &str, text: &Option<String>| text.as_ref().map(|text| format!("  {label}: {text}"));
+    [format!("error: {}", diagnostic.message)]
+        .into_iter()
+        .chain(line("cause", &diagnostic.cause))
+        .chain(line("hint", &diagnostic.hint))
+        .collect()
 }
 
 #[cfg(test)]
@@ -61,16 +53,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_diagnostic_has_its_three_lines_and_no_escape_codes() {
+    fn a_diagnostic_has_three_lines() {
         let diagnostic = Diagnostic {
-            message: "bad\u{1b}[2J".into(),
+            message: "bad".into(),
             cause: Some("c".into()),
             hint: Some("h".into()),
         };
-        assert_eq!(
-            diagnostic_text(&diagnostic),
-            "error: bad\\u{1b}[2J\n  cause: c\n  hint: h"
-        );
+        let expected = ["error: bad", "  cause: c", "  hint: h"];
+        assert_eq!(diagnostic_lines(&diagnostic), expected);
     }
 
     #[test]

@@ -6,7 +6,7 @@ use clap::Args;
 use marf_run::exec::ExecResult;
 use marf_run::{Context, Error};
 
-use super::options::ThreadsArg;
+use super::options::{SignArg, ThreadsArg};
 use super::traffic::traffic_text;
 use crate::terminal::print_line;
 
@@ -27,6 +27,8 @@ pub struct ExecArgs {
     #[arg(long, value_name = "DIR")]
     pub scratch: Option<PathBuf>,
     #[command(flatten)]
+    sign: SignArg,
+    #[command(flatten)]
     threads: ThreadsArg,
 }
 
@@ -40,7 +42,7 @@ it, 130 stopped at a checkpoint.";
 pub fn exec(args: ExecArgs, context: Context) -> Result<(), Error> {
     let context = Context {
         store: args.store,
-        ..args.threads.context(context)
+        ..args.sign.context(args.threads.context(context))
     };
     let (result, scratch) = (args.result.as_deref(), args.scratch.as_deref());
     match marf_run::exec::exec(&context, &args.action, result, scratch)? {

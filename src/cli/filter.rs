@@ -37,7 +37,9 @@ pub fn filter(args: FilterArgs, context: Context) -> Result<(), Error> {
     for (name, count) in &result.counts {
         print_line(&format!("{name:<12} {count}"));
     }
-    eprint_line(&changed_by_thresholds(&result.filters));
+    changed_by_thresholds(&result.filters)
+        .iter()
+        .for_each(|line| eprint_line(line));
     eprint_line(&format!(
         "wrote {} and {}",
         args.out.display(),
@@ -47,7 +49,7 @@ pub fn filter(args: FilterArgs, context: Context) -> Result<(), Error> {
 }
 
 /// Returns a table of how many verdicts of each filter would change at other thresholds.
-fn changed_by_thresholds(filters: &[FilterCalls]) -> String {
+fn changed_by_thresholds(filters: &[FilterCalls]) -> Vec<String> {
     let heads: Vec<String> = FACTORS
         .iter()
         .map(|factor| format!("{:>7}", percent(factor - 1.0)))
@@ -67,5 +69,5 @@ fn changed_by_thresholds(filters: &[FilterCalls]) -> String {
             calls.len()
         ));
     }
-    lines.join("\n")
+    lines
 }

@@ -13,6 +13,7 @@ mod feedback;
 mod filter;
 mod fit;
 mod init;
+mod key;
 mod log;
 mod man;
 mod options;
@@ -38,9 +39,9 @@ use std::sync::Arc;
 use clap::{CommandFactory, Parser};
 use marf_config::GlobalOptions;
 use marf_engine::Cancel;
-use marf_run::{Context, Error};
+use marf_run::{Context, Error, Signing};
 
-use crate::terminal::{eprint_line, print_line};
+use crate::terminal::{eprint_line, print_own};
 use args::{Cli, Verb};
 use feedback::Terminal;
 
@@ -51,7 +52,11 @@ pub fn main(cancel: &Cancel) -> ExitCode {
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
         Err(error) => {
-            let _ = error.print(); // help to stdout, usage errors to stderr; a closed pipe is no error
+            if error.use_stderr() {
+                error.render().to_string().lines().for_each(eprint_line);
+            } else {
+                let _ = error.print(); // help; a closed pipe is no error
+            }
             return ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(2));
         }
     };
@@ -61,7 +66,7 @@ pub fn main(cancel: &Cancel) -> ExitCode {
             // A wait for another program ends with Ctrl-C, and nothing else went wrong.
             let is_stopped = cancel.is_set() && matches!(error, Error::Locked(_));
             let error = if is_stopped { Error::Interrupted } else { error };
-            eprint_line(&error::text(&error));
+            error::lines(&error).iter().for_each(|line| eprint_line(line));
             error::exit_code(&error)
         }
     }
@@ -79,6 +84,7 @@ fn context(cancel: &Cancel) -> Context {
         config: GlobalOptions::default(),
         commit: option_env!("MARF_COMMIT"),
         feedback: Arc::new(Terminal::with_progress()),
+        signing: Signing::default(),
         cancel: cancel.clone(),
     }
 }
@@ -107,6 +113,7 @@ fn dispatch(cli: Cli, cancel: &Cancel) -> Result<(), Error> {
         Verb::Replay(args) => replay::replay(args, context),
         Verb::Exec(args) => exec::exec(args, context),
         Verb::Cache { verb } => cache::cache(verb, context),
+        Verb::Key { verb } => key::key(verb),
         Verb::Filter(args) => filter::filter(args, context),
         Verb::Photos(args) => photos::photos(args, context),
         Verb::Calibrate(args) => calibrate::calibrate(args, context),
@@ -116,7 +123,7 @@ fn dispatch(cli: Cli, cancel: &Cancel) -> Result<(), Error> {
         Verb::Completions { shell } => {
             let mut bytes = Vec::new();
             clap_complete::generate(shell, &mut Cli::command(), "marf", &mut bytes);
-            print_line(String::from_utf8_lossy(&bytes).trim_end());
+            print_own(String::from_utf8_lossy(&bytes).trim_end());
             Ok(())
         }
     }

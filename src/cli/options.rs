@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use marf_field::Device;
-use marf_run::Context;
 use marf_run::scenes::Selection;
+use marf_run::{Context, Signing};
 use marf_stage::Access;
 use serde::de::DeserializeOwned;
 
@@ -44,6 +44,15 @@ pub struct ThreadsArg {
     /// Number of CPU cores to use, which does not affect results [default: all]
     #[arg(long, value_name = "N")]
     threads: Option<NonZero<usize>>,
+}
+
+/// Signatures of results.
+#[derive(Debug, Clone, Copy, Args)]
+#[command(next_help_heading = "Shared store")]
+pub struct SignArg {
+    /// Do not sign what is sent to a shared store. Without this option your key signs it, if you have one (`marf key new`)
+    #[arg(long)]
+    no_sign: bool,
 }
 
 /// The device of nodes that can run on several.
@@ -172,6 +181,18 @@ impl ThreadsArg {
     pub fn context(&self, context: Context) -> Context {
         let threads = self.threads;
         Context { threads, ..context }
+    }
+}
+
+impl SignArg {
+    /// Sets whether results are signed.
+    pub fn context(self, context: Context) -> Context {
+        let signing = if self.no_sign {
+            Signing::Off
+        } else {
+            Signing::OwnKey
+        };
+        Context { signing, ..context }
     }
 }
 

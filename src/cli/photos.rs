@@ -7,7 +7,7 @@ use marf_scene::CameraPrior;
 
 use super::options::{NodeArgs, RecordArgs};
 use super::output::print_json;
-use crate::terminal::print_line;
+use crate::terminal::{print_line, print_lines};
 
 /// Arguments of `photos`.
 #[derive(Debug, Clone, Args)]
@@ -36,7 +36,7 @@ pub fn photos(args: PhotosArgs, context: Context) -> Result<(), Error> {
     print_line("|---|---|---|---|---|---|---|---|");
     table.photos.iter().for_each(|line| print_line(&row(line)));
     if !table.not_read.is_empty() {
-        print_line("\n| file without a photo | why |\n|---|---|");
+        print_lines(["", "| file without a photo | why |", "|---|---|"]);
         for UnreadFile { file, reason } in &table.not_read {
             print_line(&cells(&[file.clone(), reason.clone()]));
         }

@@ -10,7 +10,7 @@ use marf_run::{Context, Error};
 
 use super::options::{RecordArgs, ThreadsArg};
 use super::output::print_json;
-use crate::terminal::{escape_control, print_line};
+use crate::terminal::print_lines;
 
 /// Arguments of `replay`.
 #[derive(Debug, Clone, Args)]
@@ -42,12 +42,12 @@ pub fn replay(args: ReplayArgs, context: Context) -> Result<(), Error> {
     if args.record.json {
         print_json(&report)?;
     } else {
-        print_line(&escape_control(&text(&report)));
+        print_lines(text(&report));
     }
     is_equal(&report)
 }
 
-fn text(report: &ReplayReport) -> String {
+fn text(report: &ReplayReport) -> Vec<String> {
     let mut lines = Vec::new();
     for node in &report.nodes {
         let word = match (&node.not_made, node.differs.len()) {
@@ -77,7 +77,7 @@ fn text(report: &ReplayReport) -> String {
     if let Some(first) = report.nodes.iter().find(|node| differs(node)) {
         lines.push(format!("the first that differs is `{}`", first.node));
     }
-    lines.join("\n")
+    lines
 }
 
 /// Most values of a document that are named.

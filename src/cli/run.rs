@@ -9,8 +9,8 @@ use marf_run::run::PipelineRun;
 use marf_run::{Context, Error};
 
 use super::feedback::Terminal;
-use super::options::{PipelineArgs, SelectionArgs};
-use crate::terminal::{eprint_line, print_line};
+use super::options::{PipelineArgs, SelectionArgs, SignArg};
+use crate::terminal::{eprint_line, print_lines};
 
 /// Arguments of `run`.
 #[derive(Debug, Clone, Args)]
@@ -33,6 +33,8 @@ pub struct RunArgs {
     #[arg(long)]
     pub json: bool,
     #[command(flatten)]
+    sign: SignArg,
+    #[command(flatten)]
     pipeline: PipelineArgs,
 }
 
@@ -45,7 +47,7 @@ pub enum BatchSystem {
 
 /// `marf run`: runs what changed, writes pictures, models and the report.
 pub fn run(args: RunArgs, context: Context) -> Result<(), Error> {
-    let mut context = args.pipeline.context(context);
+    let mut context = args.sign.context(args.pipeline.context(context));
     if args.json {
         context.feedback = Arc::new(Terminal::with_json_lines());
     }
@@ -53,7 +55,7 @@ pub fn run(args: RunArgs, context: Context) -> Result<(), Error> {
     let site = args.batch_system.map(|_| args.site.as_path());
     let run = marf_run::run::run(&context, &args.selection.into(), out, trace, site)?;
     if !args.json {
-        print_line(&table(&run));
+        print_lines(table(&run));
         if run.execution.record.outcome != Outcome::Cancelled {
             eprint_line(&format!("report: {}", out.join(document::REPORT).display()));
         }
@@ -62,7 +64,7 @@ pub fn run(args: RunArgs, context: Context) -> Result<(), Error> {
 }
 
 /// Returns the nodes of a run as a table: state, time, result.
-fn table(run: &PipelineRun) -> String {
+fn table(run: &PipelineRun) -> Vec<String> {
     let record = &run.execution.record;
     let shown = || record.nodes.iter().filter(|node| node.parent.is_none());
     let width = shown().map(|node| node.name.len()).fold(16, usize::max);
@@ -97,5 +99,5 @@ fn table(run: &PipelineRun) -> String {
         record.nodes.len(),
         duration(record.seconds)
     ));
-    lines.join("\n")
+    lines
 }

@@ -9,7 +9,7 @@ use marf_run::{Context, Error};
 
 use super::options::RecordArgs;
 use super::output::print_json;
-use crate::terminal::print_line;
+use crate::terminal::{print_line, print_lines};
 
 /// Arguments of `status`.
 #[derive(Debug, Clone, Args)]
@@ -25,8 +25,8 @@ pub fn status(args: StatusArgs, context: Context) -> Result<(), Error> {
     if args.record.json {
         return print_json(&status::newest_run(context, &store)?);
     }
-    if let Some(text) = running_text(&status::running(context, &store)?) {
-        text.lines().for_each(print_line);
+    if let Some(lines) = running_text(&status::running(context, &store)?) {
+        print_lines(lines);
         return Ok(());
     }
     print_run(&status::newest_run(context, &store)?);
@@ -57,13 +57,15 @@ fn print_run(run: &RunRecord) {
 }
 
 /// Returns the text on running programs: the nodes of the first, a line for each of the others. None if no program runs.
-fn running_text(programs: &[RunningProgram]) -> Option<String> {
+fn running_text(programs: &[RunningProgram]) -> Option<Vec<String>> {
     let (first, others) = programs.split_first()?;
-    let mut text = page(first);
-    for other in others {
-        text += &format!("\nnext to it {}", heading(other).join(": "));
-    }
-    Some(text)
+    let mut lines = page(first);
+    lines.extend(
+        others
+            .iter()
+            .map(|other| format!("next to it {}", heading(other).join(": "))),
+    );
+    Some(lines)
 }
 
 /// Returns the running command and, once it is known, how far it is.
@@ -75,7 +77,7 @@ fn heading(program: &RunningProgram) -> Vec<String> {
 }
 
 /// Returns the page of a program: one line a node, children only while they run.
-fn page(program: &RunningProgram) -> String {
+fn page(program: &RunningProgram) -> Vec<String> {
     let mut lines = heading(program);
     for name in &program.order {
         let node = program.nodes.get(name);
@@ -88,7 +90,7 @@ fn page(program: &RunningProgram) -> String {
         };
         lines.push(format!("{name:<22} {word:<8} {note}").trim_end().to_owned());
     }
-    lines.join("\n")
+    lines
 }
 
 /// Says which nodes a node waits for: those that are not over.
@@ -111,9 +113,8 @@ mod tests {
 
     fn pages(programs: &[&[&str]]) -> Option<String> {
         let owned = |lines: &&[&str]| lines.iter().map(|line| (*line).to_owned()).collect();
-        running_text(&marf_run::status::programs(
-            &programs.iter().map(owned).collect::<Vec<_>>(),
-        ))
+        let programs = marf_run::status::programs(&programs.iter().map(owned).collect::<Vec<_>>());
+        running_text(&programs).map(|lines| lines.join("\n"))
     }
 
     fn page(lines: &[&str]) -> Option<String> {
@@ -156,8 +157,8 @@ mod tests {
             r#"{"event":"standing","seconds":70.0,"over":1,"nodes":3,"left_s":30.0,"unknown":0,"text":""}"#;
         let page = pages(&[&[&export], &[&new], &[&other, standing], &[&new]]);
         let expected = "`new` runs: marf run --to a\na                      waiting\n\
-            beside it `other` runs: marf run --to a: 1 of 3 nodes, about 30.0 s left, after 1 min 10 s\n\
-            beside it `new` runs: marf run --to a";
+            next to it `other` runs: marf run --to a: 1 of 3 nodes, about 30.0 s left, after 1 min 10 s\n\
+            next to it `new` runs: marf run --to a";
         assert_eq!(page.as_deref(), Some(expected));
         assert_eq!(pages(&[&[&export]]), None);
     }

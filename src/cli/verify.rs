@@ -9,7 +9,7 @@ use marf_run::Error;
 use marf_run::export::{Statement, VerifyResult, verify_path, without_faults};
 
 use super::output::print_json;
-use crate::terminal::{escape_control, print_line};
+use crate::terminal::print_line;
 
 /// Arguments of `verify`.
 #[derive(Debug, Clone, Args)]
@@ -66,7 +66,7 @@ fn print_report(report: &Report) {
         Signature::Bad => "the signature does not hold",
     });
     for fault in &report.faults {
-        print_line(&format!("fault: {}", escape_control(fault)));
+        print_line(&format!("fault: {fault}"));
     }
     if report.faults.is_empty() {
         print_line("holds");

@@ -11,6 +11,7 @@ mod browser;
 mod common;
 mod devtools;
 mod films;
+mod hostile;
 mod http;
 mod keyboard;
 mod live;

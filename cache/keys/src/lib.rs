@@ -1,6 +1,9 @@
 //! Ed25519 keys from PEM files: the signing keys and the trusted public keys of results, runs and statements.
 
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
 use marf_cache::{Sha256, canonical_json};
+use ring::rand::{SecureRandom as _, SystemRandom};
 use ring::signature::{ED25519, Ed25519KeyPair, KeyPair as _, UnparsedPublicKey};
 use rustls_pki_types::pem::{self, SectionKind};
 use serde_json::json;
@@ -8,6 +11,10 @@ use serde_json::json;
 /// The DER bytes before the 32 bytes of an Ed25519 key in a SubjectPublicKeyInfo (RFC 8410, section 4).
 const SPKI_HEAD: [u8; 12] = [
     0x30, 0x2a, 0x30, 0x05, 0x06, 0x03, 0x2b, 0x65, 0x70, 0x03, 0x21, 0x00,
+];
+/// The DER bytes before the 32 bytes of an Ed25519 key in a PrivateKeyInfo (RFC 8410, section 7).
+const PKCS8_HEAD: [u8; 16] = [
+    0x30, 0x2e, 0x02, 0x01, 0x00, 0x30, 0x05, 0x06, 0x03, 0x2b, 0x65, 0x70, 0x04, 0x22, 0x04, 0x20,
 ];
 /// Labels of private keys that only a passphrase opens.
 const ENCRYPTED: [&str; 2] = ["BEGIN ENCRYPTED PRIVATE KEY", "Proc-Type: 4,ENCRYPTED"];
@@ -34,6 +41,9 @@ pub enum KeyError {
         /// The label of the section.
         wanted: &'static str,
     },
+    /// The system has no random numbers.
+    #[error("the system has no random numbers")]
+    Random,
     /// A key of another algorithm, or damaged.
     #[error("its `{wanted}` is not an Ed25519 key")]
     NotEd25519 {
@@ -49,17 +59,17 @@ impl KeyError {
             Self::Passphrase => {
                 "`openssl pkey -in KEY.pem -out PLAIN.pem` writes a copy without a passphrase. Remove it afterwards"
             }
-            Self::OpenSsh => "`openssl genpkey -algorithm ed25519 -out KEY.pem` makes a key",
+            Self::OpenSsh => NEW_KEY,
+            Self::Random => "nothing was written: try again",
             Self::Absent { wanted } | Self::NotEd25519 { wanted } if *wanted == PUBLIC => {
                 "`openssl pkey -in KEY.pem -pubout -out PUB.pem` writes the public key of a private one"
             }
-            Self::Absent { .. } | Self::NotEd25519 { .. } => {
-                "`openssl genpkey -algorithm ed25519 -out KEY.pem` makes a key"
-            }
+            Self::Absent { .. } | Self::NotEd25519 { .. } => NEW_KEY,
         }
     }
 }
 
+const NEW_KEY: &str = "`marf key new --out KEY.pem` makes a key";
 const PRIVATE: &str = "PRIVATE KEY";
 const PUBLIC: &str = "PUBLIC KEY";
 
@@ -81,6 +91,18 @@ impl SigningKey {
         Ed25519KeyPair::from_pkcs8_maybe_unchecked(&der)
             .map(Self)
             .map_err(|_| KeyError::NotEd25519 { wanted: PRIVATE })
+    }
+
+    /// Makes a key, and returns it in PEM, as [`SigningKey::from_pem`] and OpenSSL read it.
+    ///
+    /// # Errors
+    /// A system without random numbers.
+    pub fn new_pem() -> Result<String, KeyError> {
+        let mut seed = [0; 32];
+        SystemRandom::new()
+            .fill(&mut seed)
+            .map_err(|_| KeyError::Random)?;
+        Ok(pem_text(PRIVATE, &[&PKCS8_HEAD[..], &seed].concat()))
     }
 
     /// Returns the public half.
@@ -107,6 +129,11 @@ impl PublicKey {
         key.map(Self).ok_or(KeyError::NotEd25519 { wanted: PUBLIC })
     }
 
+    /// Returns the key in PEM, as [`PublicKey::from_pem`] reads it.
+    pub fn to_pem(&self) -> String {
+        pem_text(PUBLIC, &[&SPKI_HEAD[..], &self.0].concat())
+    }
+
     /// Returns whether the signature is that of this message by this key.
     pub fn verifies(&self, message: &[u8], signature: &[u8]) -> bool {
         UnparsedPublicKey::new(&ED25519, &self.0)
@@ -120,6 +147,14 @@ impl PublicKey {
         let key = json!({"keytype": "ed25519", "scheme": "ed25519", "keyval": {"public": public}});
         Sha256::from_content(&canonical_json(&key))
     }
+}
+
+/// Returns a section of at most 48 bytes, which need one line.
+fn pem_text(label: &str, der: &[u8]) -> String {
+    format!(
+        "-----BEGIN {label}-----\n{}\n-----END {label}-----\n",
+        STANDARD.encode(der)
+    )
 }
 
 /// Returns the bytes of the first section of this kind.
@@ -162,6 +197,20 @@ mod tests {
         assert!(public.verifies(b"", &signature));
         assert!(!public.verifies(b"x", &signature));
         assert!(!public.verifies(b"", &signature[..63]));
+    }
+
+    #[test]
+    fn a_new_key_signs_and_its_texts_are_read_again() {
+        assert_eq!(key().public().to_pem(), PUBLIC_PEM);
+        let text = SigningKey::new_pem().unwrap();
+        let key = SigningKey::from_pem(&text).unwrap();
+        let public = PublicKey::from_pem(&key.public().to_pem()).unwrap();
+        assert!(public.verifies(b"x", &key.sign(b"x")));
+        assert_ne!(SigningKey::new_pem().unwrap(), text);
+        assert_eq!(
+            text.lines().nth(1).map(str::len),
+            PRIVATE_PEM.lines().nth(1).map(str::len)
+        );
     }
 
     #[test]

@@ -143,7 +143,7 @@ impl RemoteError {
                 "`marf cache fsck --remote` lists damaged objects. `--repair` removes them, and a push sends them again"
             }
             Self::Untrusted { .. } => {
-                "add the public key of their writer to `trust`, or have the writer push them again with MARF_SIGNING_KEY"
+                "add the public key of their writer to `trust`, or have the writer push them again with a key (`marf key new`)"
             }
             Self::NotInStore { .. } | Self::Set(_) => "`marf run` makes it again",
             Self::Busy { .. } => {

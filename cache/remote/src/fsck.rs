@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet, HashSet};
 
 use bytes::Bytes;
 use futures_util::{StreamExt, TryStreamExt, stream};
-use marf_cache::Digest;
+use marf_cache::{Digest, ReadShare};
 use serde::Serialize;
 
 use crate::{
@@ -24,8 +24,8 @@ const IN_FLIGHT: usize = 8;
 /// Options of a check.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct FsckOptions {
-    /// Whether every byte is fetched and compared with its digest.
-    pub read_data: bool,
+    /// The large blobs and the packs that are fetched and compared with their digests.
+    pub read_data: ReadShare,
     /// Whether damaged objects are removed, with everything that names them. The next push sends them again.
     pub repair: bool,
 }
@@ -117,11 +117,9 @@ impl Check<'_> {
 
     async fn large(&mut self, listed: &BTreeMap<Digest, StoredObject>) -> Result<(), RemoteError> {
         self.blobs.extend(listed.keys());
-        if !self.options.read_data {
-            return Ok(());
-        }
-        let bucket = self.bucket;
-        let mut read = stream::iter(listed)
+        let (bucket, share) = (self.bucket, self.options.read_data);
+        let sample = listed.iter().filter(|(digest, _)| share.has(digest));
+        let mut read = stream::iter(sample)
             .map(|(digest, object)| async move {
                 Ok::<_, RemoteError>((digest, bytes_of(bucket, &object.name).await?))
             })
@@ -168,7 +166,7 @@ impl Check<'_> {
         if end.unwrap_or(0) != pack.bytes {
             return Ok(Err("the pack is not as long as its index says"));
         }
-        if self.options.read_data {
+        if self.options.read_data.has(id) {
             let bytes = bytes_of(self.bucket, &pack.name).await?;
             self.read_bytes += bytes.len() as u64;
             if Digest::from_content(&bytes) != *id {

@@ -10,7 +10,7 @@ use std::{
 };
 
 use common::{Quiet, World, result, run_in};
-use marf_cache::{Digest, Store};
+use marf_cache::{Digest, ReadShare, Store};
 use marf_remote::{FsckOptions, GcOptions, RemoteError, RemoteRun};
 
 #[test]
@@ -258,7 +258,7 @@ fn a_collection_removes_what_only_older_runs_need() {
         .remote()
         .fsck(
             FsckOptions {
-                read_data: true,
+                read_data: ReadShare::ALL,
                 repair: false,
             },
             &Quiet::default(),
@@ -299,7 +299,7 @@ fn a_collection_and_a_push_exclude_each_other() {
     busy(world.remote().push(&here, &run, &Quiet::default()).unwrap_err());
     busy(world.remote().gc(AT_ONCE, &Quiet::default()).unwrap_err());
     let repair = FsckOptions {
-        read_data: false,
+        read_data: ReadShare::NONE,
         repair: true,
     };
     busy(world.remote().fsck(repair, &Quiet::default()).unwrap_err());
@@ -332,7 +332,7 @@ fn a_check_names_what_is_broken_and_a_repair_lets_the_next_push_send_it() {
         bytes[9] ^= 1;
         std::fs::write(&path, bytes).unwrap();
         let look = FsckOptions {
-            read_data: true,
+            read_data: ReadShare::ALL,
             repair: false,
         };
         let found = world.remote().fsck(look, &Quiet::default()).unwrap();

@@ -7,7 +7,7 @@ mod common;
 use std::time::Duration;
 
 use common::{Quiet, World, run_in};
-use marf_cache::Digest;
+use marf_cache::{Digest, ReadShare};
 use marf_remote::FsckOptions;
 
 /// A pipe has no end and no writer, and a link may lead to anything.
@@ -43,7 +43,7 @@ fn what_is_no_regular_file_is_damaged_and_no_call_waits_for_it() {
             let began = std::time::Instant::now();
             let quiet = Quiet::default();
             let all = FsckOptions {
-                read_data: true,
+                read_data: ReadShare::ALL,
                 repair: false,
             };
             let remote = world.remote();

@@ -13,6 +13,7 @@ use super::{
     format,
     locks::{Lock, Share},
     pack::{self, Contents, Entry, Kind, Window},
+    read_share::ReadShare,
     record::Record,
     runs,
 };
@@ -21,8 +22,8 @@ use crate::Digest;
 /// How far a check goes.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct FsckOptions {
-    /// Reads the bytes of every blob and compares them with its digest.
-    pub read_data: bool,
+    /// The blobs whose bytes are read and compared with their digests.
+    pub read_data: ReadShare,
     /// Quarantines damaged files and rebuilds a wrong index.
     pub repair: bool,
 }
@@ -145,7 +146,7 @@ impl Check<'_> {
         objects.for_each_loose(|digest, _| found.push(digest))?;
         for digest in found {
             self.report.blobs += 1;
-            if !self.options.read_data {
+            if !self.options.read_data.has(&digest) {
                 continue;
             }
             let path = objects.loose_path(&digest);
@@ -184,7 +185,7 @@ impl Check<'_> {
             *count += 1;
             self.places
                 .push((entry.id, entry.kind, number, entry.offset, entry.len));
-            if entry.kind == Kind::Blob && !self.options.read_data {
+            if entry.kind == Kind::Blob && !self.options.read_data.has(&entry.id) {
                 continue;
             }
             let payload = window.payload(entry)?;

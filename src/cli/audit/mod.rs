@@ -12,7 +12,7 @@ use marf_run::{Context, Error};
 
 use super::options::RecordArgs;
 use super::output::print_json;
-use crate::terminal::{escape_control, print_line};
+use crate::terminal::print_lines;
 
 /// Arguments of `audit`.
 #[derive(Debug, Clone, Args)]
@@ -68,7 +68,7 @@ fn audit_file(record: &RecordArgs, request: &AuditRequest, context: &Context) ->
     if record.json {
         print_json(&report)?;
     } else {
-        print_line(escape_control(&tree::text(&report)).trim_end());
+        print_lines(tree::text(&report));
     }
     audit::is_whole(report.answer, &report.file)
 }
@@ -79,7 +79,7 @@ fn in_crate(record: &RecordArgs, file: &Path, folder: &Path, cancel: &Cancel) ->
     if record.json {
         return print_json(&trace);
     }
-    print_line(escape_control(&trace.to_string()).trim_end());
+    print_lines(trace.lines());
     Ok(())
 }
 
@@ -91,7 +91,7 @@ fn from(record: &RecordArgs, product: &str, context: &Context) -> Result<(), Err
     } else {
         uses.runs
             .iter()
-            .for_each(|tainted| print_line(&escape_control(&uses::text(tainted))));
+            .for_each(|tainted| print_lines(uses::text(tainted)));
     }
     uses.is_whole()
 }

@@ -1,7 +1,6 @@
 //! The answer of `marf audit` as text.
 
 use std::collections::BTreeSet;
-use std::fmt::Write as _;
 
 use marf_export::iso_time;
 use marf_progress::duration;
@@ -11,18 +10,19 @@ use marf_run::audit::{AuditReport, Changed, Origin, ProductLine, Products, Step}
 
 use super::uses;
 
-/// Writes into a string cannot fail.
 macro_rules! line {
-    ($text:expr, $($rest:tt)*) => { let _ = writeln!($text, $($rest)*); };
+    ($text:expr, $($rest:tt)*) => { $text.push(format!($($rest)*)) };
 }
 
 /// Returns the answer as text: the identity of the file, its makers, the tree, and what was verified.
-pub(super) fn text(report: &AuditReport) -> String {
-    let mut text = String::new();
-    line!(text, "{}: {}", report.file.display(), verdict(&report.identity));
+pub(super) fn text(report: &AuditReport) -> Vec<String> {
+    let mut text = verdict(&report.identity);
+    text[0] = format!("{}: {}", report.file.display(), text[0]);
     if let Some(found) = &report.uses {
         for tainted in &found.runs {
-            line!(text, "used in {}", uses::text(tainted));
+            let mut lines = uses::text(tainted);
+            lines[0] = format!("used in {}", lines[0]);
+            text.extend(lines);
         }
     }
     for origin in &report.lineage {
@@ -61,7 +61,7 @@ pub(super) fn text(report: &AuditReport) -> String {
     text
 }
 
-fn verdict(identity: &Identity) -> String {
+fn verdict(identity: &Identity) -> Vec<String> {
     match identity {
         Identity::Whole { object, makers } => {
             let several = match makers.len() {
@@ -73,7 +73,7 @@ fn verdict(identity: &Identity) -> String {
             } else {
                 "made by marf and whole"
             };
-            format!("{is}, blake3 {object}{several}")
+            vec![format!("{is}, blake3 {object}{several}")]
         }
         Identity::Altered {
             content,
@@ -84,16 +84,21 @@ fn verdict(identity: &Identity) -> String {
         } => {
             let share =
                 share.map(|share| format!(", {:.1} % of the bytes are the same", floor_percent(share)));
-            format!(
-                "altered: {because}\n  it has blake3 {content}, the closest object {closest}{}",
-                share.unwrap_or_default()
-            )
+            let share = share.unwrap_or_default();
+            vec![
+                format!("altered: {because}"),
+                format!("  it has blake3 {content}, the closest object {closest}{share}"),
+            ]
         }
-        Identity::Elsewhere { object, run } => format!(
-            "a whole copy, by its mark, of an object that this store does not have (of another store, or collected)\n  \
-             object {object}\n  run root {run}"
-        ),
-        Identity::NotOurs { content } => format!("not made by a run of this store, blake3 {content}"),
+        Identity::Elsewhere { object, run } => vec![
+            "a whole copy, by its mark, of an object that this store does not have (of another store, or collected)"
+                .to_owned(),
+            format!("  object {object}"),
+            format!("  run root {run}"),
+        ],
+        Identity::NotOurs { content } => {
+            vec![format!("not made by a run of this store, blake3 {content}")]
+        }
     }
 }
 
@@ -118,7 +123,7 @@ pub(super) fn place(place: &Place) -> String {
     }
 }
 
-fn add_origin(text: &mut String, origin: &Origin) {
+fn add_origin(text: &mut Vec<String>, origin: &Origin) {
     line!(text, "{}", place(&origin.maker.place));
     let is_input = matches!(origin.maker.place, Place::Product { .. } | Place::File { .. });
     let by = match origin.maker.made_in {
@@ -189,7 +194,7 @@ impl<'a> Tree<'a> {
         step.parent.is_none() && !self.origin.nodes.iter().any(reads)
     }
 
-    fn add(&mut self, text: &mut String, name: &str, edge: &str, indent: &str) {
+    fn add(&mut self, text: &mut Vec<String>, name: &str, edge: &str, indent: &str) {
         let origin = self.origin;
         let Some(step) = origin.nodes.iter().find(|step| step.node == name) else {
             line!(text, "{indent}{edge}{name}");
@@ -224,9 +229,7 @@ impl<'a> Tree<'a> {
             let edge = format!("{input}{count} <- ");
             match &found.made_by {
                 Some(made_by) => self.add(text, &made_by.node, &edge, &format!("{below}  ")),
-                None => {
-                    line!(text, "{below}  {edge}{}", found.digest.short());
-                }
+                None => line!(text, "{below}  {edge}{}", found.digest.short()),
             }
         }
         for source in origin.sources.iter().filter(|source| source.node == name) {
@@ -255,7 +258,7 @@ fn about(step: &Step) -> String {
     )
 }
 
-fn add_products(text: &mut String, source: &Products, indent: &str) {
+fn add_products(text: &mut Vec<String>, source: &Products, indent: &str) {
     line!(text, "{indent}{} photos of {} sols:", source.photos, source.sols);
     for product in &source.listed {
         line!(text, "{indent}  {} of sol {}", product.id, product.sol);
@@ -300,7 +303,7 @@ fn file_of(product: &ProductLine, role: &str) -> String {
     format!("{sha256}{bytes}, file {}{from}", file.file)
 }
 
-fn add_changed(text: &mut String, changed: &Changed) {
+fn add_changed(text: &mut Vec<String>, changed: &Changed) {
     line!(
         text,
         "{} of sol {}, used was blake3 {}:",

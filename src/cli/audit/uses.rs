@@ -6,7 +6,7 @@ use marf_provenance::taint::Tainted;
 const MOST_OUTPUTS: usize = 4;
 
 /// Returns the nodes of a run that a product went into, and the filters that rejected it.
-pub(super) fn text(tainted: &Tainted) -> String {
+pub(super) fn text(tainted: &Tainted) -> Vec<String> {
     let mut lines = vec![format!("run {}: {}", tainted.run, tainted.command)];
     for node in &tainted.nodes {
         let outputs: Vec<&str> = node.outputs.keys().map(String::as_str).collect();
@@ -29,5 +29,5 @@ pub(super) fn text(tainted: &Tainted) -> String {
             by.join(", ")
         )),
     }
-    lines.join("\n")
+    lines
 }

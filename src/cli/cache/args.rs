@@ -3,9 +3,10 @@
 use std::time::Duration;
 
 use clap::{Args, Subcommand};
+use marf_cache::ReadShare;
 use marf_run::Error;
 
-use crate::cli::options::{RecordArgs, StoreArgs};
+use crate::cli::options::{RecordArgs, SignArg, StoreArgs};
 
 /// Verbs of `cache`.
 #[derive(Debug, Clone, Subcommand)]
@@ -71,6 +72,8 @@ pub struct PushArgs {
     #[arg(long, value_name = "URL")]
     pub remote: Option<String>,
     #[command(flatten)]
+    pub sign: SignArg,
+    #[command(flatten)]
     pub record: RecordArgs,
 }
 
@@ -91,9 +94,9 @@ pub struct PullArgs {
 /// Arguments of `cache fsck`.
 #[derive(Debug, Clone, Args)]
 pub struct FsckArgs {
-    /// Read every byte, and compare digests
-    #[arg(long)]
-    pub read_data: bool,
+    /// Read the bytes, and compare digests: of everything, or of a random share such as 5%
+    #[arg(long, value_name = "SHARE", num_args = 0..=1, require_equals = true, default_missing_value = "100%", value_parser = share)]
+    pub read_data: Option<ReadShare>,
     /// Quarantine damaged files and rebuild the index. In a shared store, remove damaged files and everything that refers to them
     #[arg(long)]
     pub repair: bool,
@@ -102,6 +105,18 @@ pub struct FsckArgs {
     pub remote: Option<Option<String>>,
     #[command(flatten)]
     pub record: RecordArgs,
+}
+
+/// Reads a share: `5%`.
+fn share(text: &str) -> Result<ReadShare, String> {
+    let percent = text
+        .strip_suffix('%')
+        .and_then(|number| number.parse::<f64>().ok());
+    match percent {
+        Some(100.0) => Ok(ReadShare::ALL),
+        Some(percent) if percent > 0.0 && percent < 100.0 => Ok(ReadShare::sample(percent / 100.0)),
+        _ => Err("write a share from 0% to 100%, such as 5%".to_owned()),
+    }
 }
 
 impl GcArgs {

@@ -27,6 +27,10 @@ pub fn cache(verb: CacheVerb, context: Context) -> Result<(), Error> {
         | CacheVerb::Pull(PullArgs { record, .. }) => record.store.context(context),
         CacheVerb::Pin { store, .. } | CacheVerb::Unpin { store, .. } => store.context(context),
     };
+    let context = match &verb {
+        CacheVerb::Push(args) => args.sign.context(context),
+        _ => context,
+    };
     let store = match &verb {
         CacheVerb::Gc(args) if args.remote.is_some() => return remote::gc(args, args.grace()?, &context),
         CacheVerb::Fsck(args) if args.remote.is_some() => return remote::fsck(args, &context),
@@ -63,8 +67,9 @@ fn stat(args: &RecordArgs, store: &Store) -> Result<(), Error> {
     for (key, value) in json.as_object().into_iter().flatten() {
         print_line(&format!("{:<16} {value}", key.replace('_', " ")));
     }
+    print_line("");
     print_line(&format!(
-        "\n{:<16} {:>10} {:>10} {:>14}",
+        "{:<16} {:>10} {:>10} {:>14}",
         "stage", "results", "outputs", "bytes"
     ));
     for (stage, of) in stages {
@@ -127,7 +132,7 @@ fn bytes_of(text: &str) -> Result<u64, Error> {
 /// `marf cache fsck`: verifies everything that is stored.
 fn fsck(store: &Store, args: &FsckArgs) -> Result<(), Error> {
     let options = FsckOptions {
-        read_data: args.read_data,
+        read_data: args.read_data.unwrap_or_default(),
         repair: args.repair,
     };
     let report = store.fsck(options)?;

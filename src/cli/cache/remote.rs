@@ -91,7 +91,7 @@ pub fn gc(args: &GcArgs, grace: Duration, context: &Context) -> Result<(), Error
 pub fn fsck(args: &FsckArgs, context: &Context) -> Result<(), Error> {
     let remote = SharedStore::open(context, args.remote.as_ref().and_then(Option::as_deref))?;
     let options = FsckOptions {
-        read_data: args.read_data,
+        read_data: args.read_data.unwrap_or_default(),
         repair: args.repair,
     };
     let checked = remote.fsck(options)?;

@@ -12,7 +12,7 @@ use marf_run::{Context, Error};
 
 use super::options::{RecordArgs, StoreArgs, ThreadsArg};
 use super::output::print_json;
-use crate::terminal::{eprint_line, print_line};
+use crate::terminal::{eprint_line, print_document, print_line};
 use surface::{SplatsArgs, SurfaceArgs};
 
 /// Verbs of `export`.
@@ -160,7 +160,7 @@ fn attest(args: AttestArgs, context: Context) -> Result<(), Error> {
     let attestation = marf_run::export::attest(&context, args.subject.as_deref(), &args.key, args.run)?;
     match &args.out {
         Some(out) => marf_run::files::write(out, &attestation.envelope)?,
-        None => print_line(String::from_utf8_lossy(&attestation.envelope).trim_end()),
+        None => print_document(String::from_utf8_lossy(&attestation.envelope).trim_end()),
     }
     eprint_line(&format!("signed by key {}", attestation.key_id));
     Ok(())

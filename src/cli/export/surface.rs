@@ -9,7 +9,7 @@ use marf_schema::surface::{ColorBy, SplatPsnr, SplatReport, SpreadOf, SurfaceRep
 
 use crate::cli::options::{ResultArgs, word};
 use crate::cli::output::print_json;
-use crate::terminal::print_line;
+use crate::terminal::{print_line, print_lines};
 
 /// Arguments of the exports of a surface.
 #[derive(Debug, Clone, Args)]
@@ -82,7 +82,7 @@ impl SurfaceArgs {
         if self.results.json {
             return print_json(&result);
         }
-        print_line(&text(kind, &result.surface));
+        print_lines(text(kind, &result.surface));
         if matches!(kind, SurfaceKind::Mesh | SurfaceKind::Points) {
             print_line(&uncertainty_text(&result.surface));
         }
@@ -117,14 +117,14 @@ fn uncertainty_text(report: &SurfaceReport) -> String {
     )
 }
 
-fn text(kind: SurfaceKind, report: &SurfaceReport) -> String {
+fn text(kind: SurfaceKind, report: &SurfaceReport) -> Vec<String> {
     let SurfaceReport {
         photos, cell, unit, ..
     } = report;
     if let (SurfaceKind::Splats, Some(splats)) = (kind, &report.splats) {
         return splats_text(splats, report);
     }
-    match (kind, &report.map) {
+    vec![match (kind, &report.map) {
         (SurfaceKind::Points, _) => format!(
             "{} points in cells of {cell:.4} ({unit}), from {photos} photos",
             report.points
@@ -143,15 +143,15 @@ fn text(kind: SurfaceKind, report: &SurfaceReport) -> String {
             "{} triangles, {} vertices, samples {cell:.4} apart ({unit}), from {photos} photos",
             report.triangles, report.vertices
         ),
-    }
+    }]
 }
 
 /// Describes the splats, and how near they come to the field.
-fn splats_text(splats: &SplatReport, report: &SurfaceReport) -> String {
-    let mut text = format!(
+fn splats_text(splats: &SplatReport, report: &SurfaceReport) -> Vec<String> {
+    let mut text = vec![format!(
         "{} splats, standard deviations {:.4} to {:.4} ({}), from {} photos. Left out: {} floating in front of the surface, the sky, and colours by direction",
         splats.splats, splats.finest, splats.coarsest, report.unit, report.photos, splats.floating
-    );
+    )];
     for (of, psnr) in [
         ("trained on", splats.trained_on),
         ("held out", splats.held_out),
@@ -160,18 +160,18 @@ fn splats_text(splats: &SplatReport, report: &SurfaceReport) -> String {
             splats.held_out_seen,
         ),
     ] {
-        text += &match psnr {
+        text.push(match psnr {
             Some(SplatPsnr {
                 photos,
                 mean_db,
                 least_db,
                 share,
             }) => format!(
-                "\nagainst the field at {photos} photos {of}: PSNR {mean_db:.2} dB, {least_db:.2} the worst, over the {:.0} % of the pixels where it shows a surface",
+                "against the field at {photos} photos {of}: PSNR {mean_db:.2} dB, {least_db:.2} the worst, over the {:.0} % of the pixels where it shows a surface",
                 100.0 * share
             ),
-            None => format!("\nagainst the field at photos {of}: nothing to compare"),
-        };
+            None => format!("against the field at photos {of}: nothing to compare"),
+        });
     }
     text
 }

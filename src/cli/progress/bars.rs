@@ -4,9 +4,8 @@ use std::sync::OnceLock;
 use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
 use marf_engine::{Event, Listener};
 use marf_progress::{RunProgress, sentence};
+use marf_report::visible;
 use parking_lot::Mutex;
-
-use crate::terminal::escape_control;
 
 /// A bar for each running node, finished nodes as lines above them.
 #[derive(Default)]
@@ -30,7 +29,7 @@ impl Bars {
             bar
         });
         whole.set_position(standing.over as u64);
-        whole.set_message(standing.text());
+        whole.set_message(visible(&standing.text()).into_owned());
         if standing.over == standing.nodes {
             whole.finish_and_clear();
         }
@@ -43,7 +42,7 @@ impl Bars {
                 Some(whole) => self.all.insert_before(whole, ProgressBar::new(total)),
                 None => self.all.add(ProgressBar::new(total)),
             };
-            let bar = bar.with_prefix(escape_control(node));
+            let bar = bar.with_prefix(visible(node).into_owned());
             let template = "{prefix:<22} {bar:28} {pos:>6}/{len:<6} {elapsed:>4} left {eta:<5} {msg}";
             bar.set_style(
                 ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar()),
@@ -77,7 +76,7 @@ impl Listener for Bars {
                     bar.reset_eta();
                 }
                 bar.set_position(*done);
-                bar.set_message(escape_control(note));
+                bar.set_message(visible(note).into_owned());
             }
             Event::Finished { node, .. } | Event::Failed { node, .. } | Event::Reused { node, .. } => {
                 self.end(node);
@@ -85,7 +84,7 @@ impl Listener for Bars {
             _ => {}
         }
         if let Some(line) = sentence(event) {
-            let _ = self.all.println(escape_control(&line)); // a closed terminal is no error
+            let _ = self.all.println(visible(&line)); // a closed terminal is no error
         }
     }
 }

@@ -1,7 +1,7 @@
 use marf_engine::{Event, Listener};
 use marf_progress::Line;
 
-use crate::terminal::print_line;
+use crate::terminal::print_document;
 
 /// One JSON object a line on stdout: the event, its time, and the run it is of.
 pub struct JsonLines {
@@ -18,7 +18,7 @@ impl JsonLines {
 impl Listener for JsonLines {
     fn on_event(&self, event: &Event) {
         if let Ok(line) = serde_json::to_string(&Line::now(&self.run, event)) {
-            print_line(&line);
+            print_document(&line);
         }
     }
 }

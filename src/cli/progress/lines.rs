@@ -5,7 +5,7 @@ use marf_engine::{Event, Listener};
 use marf_progress::{RunProgress, duration, sentence};
 use parking_lot::Mutex;
 
-use crate::terminal::{eprint_line, escape_control};
+use crate::terminal::eprint_line;
 
 /// Least time between two progress lines of one node.
 const EVERY: Duration = Duration::from_secs(10);
@@ -81,9 +81,9 @@ impl Listener for Lines {
                 0 => format!("at      {node:<22} {note}"),
                 _ => format!("at      {node:<22} {done}/{total}, {left} left  {note}"),
             };
-            eprint_line(&escape_control(&line));
+            eprint_line(&line);
         } else if let Some(line) = sentence(event) {
-            eprint_line(&escape_control(&line));
+            eprint_line(&line);
         }
     }
 }

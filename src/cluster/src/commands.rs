@@ -2,7 +2,7 @@
 
 use std::{
     collections::BTreeMap,
-    io,
+    io::{self, Read as _},
     ops::RangeInclusive,
     process::{Command, Output, Stdio},
     time::{Duration, Instant},
@@ -12,6 +12,8 @@ use serde::Deserialize;
 
 /// Longest wait for an answer of the batch system.
 const ANSWER_PATIENCE: Duration = Duration::from_secs(60);
+/// Most bytes of an answer: a queue of a million jobs has 100 MB.
+const MOST_ANSWER_BYTES: u64 = 256 << 20;
 
 /// Pause between two looks whether it has answered.
 const ANSWER_INTERVAL: Duration = Duration::from_millis(10);
@@ -198,7 +200,7 @@ fn output(words: &[String]) -> io::Result<Output> {
     let read = |from: Option<Box<dyn io::Read + Send>>| {
         std::thread::spawn(move || {
             let mut bytes = Vec::new();
-            from.map(|mut from| from.read_to_end(&mut bytes));
+            from.map(|from| io::copy(&mut from.take(MOST_ANSWER_BYTES), &mut bytes));
             bytes
         })
     };

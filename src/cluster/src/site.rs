@@ -19,8 +19,8 @@ pub(crate) const CPU: &str = "cpu";
 pub struct Site {
     /// Address of the shared store (`file:///FOLDER`, `s3://BUCKET/PREFIX`), as the machines of the jobs see it.
     pub store: String,
-    /// Files with the public keys of trusted writers. If empty, everybody is trusted. Jobs sign with the key that
-    /// MARF_SIGNING_KEY names in their environment.
+    /// Files with the public keys of trusted writers. If empty, everybody is trusted. Jobs sign with the key
+    /// of their user, if there is one.
     #[serde(default)]
     pub trust: Vec<PathBuf>,
     /// Folder of scripts, results and logs, which the machines of the jobs see under the same path.

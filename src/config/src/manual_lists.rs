@@ -1,5 +1,7 @@
 //! `[keep]` and `[reject]`: photos that a person keeps or rejects, whatever the filters of the pipeline decide.
 
+use std::collections::HashSet;
+
 use serde_json::{Map, Value as Json, json};
 
 use super::error::ConfigError;
@@ -23,9 +25,9 @@ pub(super) fn lists(root: &SyntaxNode) -> Result<Option<Map<String, Json>>, Conf
             lists.insert(name.to_owned(), Json::Array(names(entry)?));
         }
     }
-    if let [Some(Json::Array(keep)), Some(Json::Array(reject))] = LISTS.map(|name| lists.get(name))
-        && let Some(both) = keep.iter().find(|name| reject.contains(name))
-    {
+    let [keep, reject] = LISTS.map(|name| lists.get(name).and_then(Json::as_array).into_iter().flatten());
+    let rejected: HashSet<&Json> = reject.collect();
+    if let Some(both) = keep.into_iter().find(|name| rejected.contains(name)) {
         let message = format!("{both} is in `[keep]` and in `[reject]`");
         let hint = Some("take it out of one of them".to_owned());
         return Err(ConfigError::at(root.place("reject.ids"), message).hint(hint));

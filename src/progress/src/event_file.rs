@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use marf_cache::Store;
+use marf_cache::file::{Links, open};
 use marf_engine::{Event, Listener, RunSource};
 use parking_lot::Mutex;
 use serde::Serialize;
@@ -148,7 +149,7 @@ fn remove_dead(folder: &Path) {
     let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
     for lock in entries.map(|entry| entry.path()) {
         let is_lock = lock.extension().is_some_and(|ending| ending == "lock");
-        if is_lock && File::open(&lock).is_ok_and(|file| file.try_lock().is_ok()) {
+        if is_lock && open(&lock, Links::Followed).is_ok_and(|file| file.try_lock().is_ok()) {
             remove(&lock.with_extension("jsonl"));
         }
     }

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use marf_cache::{Digest, FsckOptions, FsckReport, MissingObject, Role, Sha256, Store};
+use marf_cache::{Digest, FsckOptions, FsckReport, MissingObject, ReadShare, Role, Sha256, Store};
 use marf_model::{Run, RunError, RunNode, product::origins, unless_lost};
 use serde::Serialize;
 
@@ -50,7 +50,7 @@ pub struct Lost {
 /// A store that cannot be read.
 pub fn check(store: &Store) -> Result<FsckReport, RunError> {
     Ok(store.fsck(FsckOptions {
-        read_data: true,
+        read_data: ReadShare::ALL,
         repair: false,
     })?)
 }

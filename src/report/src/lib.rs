@@ -40,6 +40,7 @@ mod tune;
 mod unplaced;
 mod vector;
 mod verdicts;
+mod visible;
 
 #[cfg(test)]
 mod fixture;
@@ -64,6 +65,7 @@ pub use call::{Call, FACTORS, calls};
 pub use media::{File, LinkedPage, LiveParts};
 pub use report::{ChangedNode, Changes, ReadBlob, Report, ScenePage};
 pub use review::percent;
+pub use visible::{visible, visible_document};
 
 /// The way from the page of a scene to that of all, on disk and where it is served.
 const ALL_SCENES: [&str; 2] = ["../report.html", "../"];
@@ -109,7 +111,7 @@ fn page_of(report: &Report<'_>, media: &Media<'_>) -> String {
 
 fn document(title: &str, body: &Markup, media: &Media<'_>) -> String {
     const STYLE: &str = include_str!("style.css");
-    html! {
+    let page = html! {
         (DOCTYPE)
         html lang="en" {
             head {
@@ -130,8 +132,11 @@ fn document(title: &str, body: &Markup, media: &Media<'_>) -> String {
             }
             body { (body) }
         }
-    }
-    .into_string()
+    };
+    visible_document(&page.into_string(), |char| {
+        visible(char.encode_utf8(&mut [0; 4])).into_owned()
+    })
+    .into_owned()
 }
 
 /// A part of the page that the contents list leads to.

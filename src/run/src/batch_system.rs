@@ -33,7 +33,11 @@ pub fn executor(context: &Context, site: Option<&Path>) -> Result<Option<Arc<dyn
         }
     };
     let site = Site::read(site).map_err(refused)?;
-    let remote = Arc::new(Remote::open(&site.store, Patience::Patient, trust(&site.trust)?)?);
+    let remote = Arc::new(Remote::open(
+        &site.store,
+        Patience::Patient,
+        trust(&site.trust, context.signing)?,
+    )?);
     let program =
         std::env::current_exe().map_err(|error| Error::failed(format!("this program's file: {error}")))?;
     let progress = QuestionProgress {

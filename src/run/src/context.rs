@@ -30,8 +30,20 @@ pub struct Context {
     pub commit: Option<&'static str>,
     /// The caller's view of the work.
     pub feedback: Arc<dyn Feedback>,
+    /// Whether results that are sent to a shared store are signed.
+    pub signing: Signing,
     /// Set when the user wants to stop.
     pub cancel: Cancel,
+}
+
+/// Whether results that are sent to a shared store are signed.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum Signing {
+    /// With the key of the environment, or that of the user's configuration folder, if there is one.
+    #[default]
+    OwnKey,
+    /// They are not.
+    Off,
 }
 
 /// Receives what happens while a request is worked on.

@@ -4,6 +4,7 @@ use std::borrow::Cow;
 use std::path::Path;
 
 use marf_cache::Digest;
+use marf_cache::file::{FileKind, Links, read};
 use marf_provenance::stamp::Stamp;
 
 /// Formats in which a mark disturbs no reader that we know.
@@ -26,7 +27,7 @@ pub fn copy<'a>(path: &Path, object: &Digest, bytes: &'a [u8], run: Option<Diges
 
 /// Returns whether a file is a copy of an object, with a mark or without.
 pub fn is_copy(path: &Path, object: &Digest) -> bool {
-    let Ok(bytes) = std::fs::read(path) else {
+    let Ok(bytes) = read(path, FileKind::Result, Links::Followed) else {
         return false;
     };
     match Stamp::take_from(&bytes) {

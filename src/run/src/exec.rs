@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use marf_cache::file::{self, FileKind, Links};
 use marf_cache::{Action, Conflict, Digest, Record, Store, Upstream};
 use marf_cluster::{BackendQuestion, Fault, JobProgress, JobResult};
 use marf_engine::{ActionError, ActionJob, Cancel, Event, Listener, Options};
@@ -41,7 +42,11 @@ pub fn exec(
     result: Option<&Path>,
     scratch: Option<&Path>,
 ) -> Result<ExecResult, Error> {
-    let remote = Remote::open(&address(context)?, Patience::Patient, trust(&[])?)?;
+    let remote = Remote::open(
+        &address(context)?,
+        Patience::Patient,
+        trust(&[], context.signing)?,
+    )?;
     let remote = Arc::new(match index_folder() {
         Some(folder) => remote.keeping_indexes(&folder),
         None => remote,
@@ -159,7 +164,8 @@ impl Task {
                 .map_err(Error::failed)?
                 .filter(|bytes| Digest::from_content(bytes) == key)
                 .ok_or_else(|| Error::failed(format!("the shared store has no action {}", key.short())))?,
-            Err(_) => std::fs::read(given).map_err(|error| Error::usage(format!("{given}: {error}")))?,
+            Err(_) => file::read(Path::new(given), FileKind::Document, Links::Followed)
+                .map_err(|error| Error::usage(format!("{given}: {error}")))?,
         };
         let key = Digest::from_content(&bytes);
         if let Some(question) = BackendQuestion::decode(&bytes) {

@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use marf_cache::file::{FileKind, Links, read};
 use marf_cache::{Digest, Store};
 use serde::{Deserialize, Serialize};
 
@@ -156,7 +157,7 @@ impl ExportTable {
 impl FolderTable {
     /// Reads a table. A missing or damaged table is empty.
     fn read(path: &Path) -> Self {
-        let json = std::fs::read(path).ok();
+        let json = read(path, FileKind::State, Links::Followed).ok();
         let entries = json.and_then(|json| serde_json::from_slice(&json).ok());
         Self {
             entries: entries.unwrap_or_default(),

@@ -10,6 +10,7 @@ use marf_schema::output::WEIGHTS;
 use crate::context::Context;
 use crate::copies::object_of;
 use crate::error::{Diagnostic, Error};
+use crate::files::read_named;
 
 /// The node that gave a field, and the runs that have it.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -30,8 +31,9 @@ pub fn made_by(
     file: &Path,
     number: Option<u64>,
 ) -> Result<FieldMaker, Error> {
-    let bytes = std::fs::read(file)
-        .map_err(|error| Error::usage(format!("--field {}: cannot be read: {error}", file.display())))?;
+    let bytes = read_named(file, &context.cancel, |error| {
+        Error::usage(format!("--field {}: cannot be read: {error}", file.display()))
+    })?;
     let runs = marf_engine::runs(store, context.warnings())?;
     let makers = find(store, &runs, &Digest::from_content(&object_of(bytes)))?;
     let of_pipeline = makers.into_iter().find_map(|maker| match maker.place {

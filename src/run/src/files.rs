@@ -1,8 +1,32 @@
-//! Writing files atomically.
+//! Reading files that users name, and writing files atomically.
 
 use std::path::{Path, PathBuf};
 
+use marf_cache::file::{FileKind, Links, read_unless};
+use marf_engine::Cancel;
+
 use crate::error::{Diagnostic, Error};
+
+/// Reads a result, a photo or another file that the user names.
+///
+/// # Errors
+/// The wish to stop. Otherwise `refuse` of the cause: a file that is absent, not a regular file, or too large.
+pub fn read_named(
+    path: &Path,
+    cancel: &Cancel,
+    refuse: impl FnOnce(std::io::Error) -> Error,
+) -> Result<Vec<u8>, Error> {
+    let read = read_unless(path, FileKind::Result.max_bytes(), Links::Followed, || {
+        cancel.is_set()
+    });
+    read.map_err(|error| {
+        if cancel.is_set() {
+            Error::Interrupted
+        } else {
+            refuse(error)
+        }
+    })
+}
 
 /// Writes a file through a temporary file next to it, so that a reader never sees half of it.
 ///

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use marf_cache::file::{FileKind, Links, read};
 use marf_calibrate::import::names_in_transforms;
 
 use crate::error::{Diagnostic, Error};
@@ -105,7 +106,7 @@ fn text(value: &str) -> toml::Value {
 /// Returns the folder that holds all photos and masks that a transforms.json names, if they are on this disk and none is in its own folder.
 fn folder_elsewhere(folder: &Path, json: &Path) -> Option<PathBuf> {
     let own = folder.canonicalize().ok()?;
-    let names = names_in_transforms(&std::fs::read(json).ok()?);
+    let names = names_in_transforms(&read(json, FileKind::Document, Links::Followed).ok()?);
     let on_disk = |name: &String| folder.join(name.replace('\\', "/")).canonicalize().ok();
     let files: Vec<PathBuf> = names
         .iter()

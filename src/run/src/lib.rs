@@ -25,6 +25,7 @@ pub mod files;
 pub mod filter;
 pub mod fit;
 pub mod folder;
+pub mod key;
 mod manual_lists;
 mod outputs;
 pub mod photos;
@@ -44,5 +45,5 @@ mod trust;
 mod verdicts;
 pub mod view;
 
-pub use context::{Context, Feedback, RunFeedback, open_store};
+pub use context::{Context, Feedback, RunFeedback, Signing, open_store};
 pub use error::{Answer, Diagnostic, Error};

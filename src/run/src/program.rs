@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use marf_cache::file::{self, FileKind, Links};
 use marf_cache::{Digest, Store};
 use marf_engine::Build;
 use serde::{Deserialize, Serialize};
@@ -28,7 +29,7 @@ pub fn build(store: &Store, commit: Option<&str>) -> Option<Build> {
     let path = std::env::current_exe().ok()?;
     let table = store.scratch().join("program.json");
     let state = state_of(&path)?;
-    let known = std::fs::read(&table)
+    let known = file::read(&table, FileKind::Document, Links::Followed)
         .ok()
         .and_then(|bytes| serde_json::from_slice::<ProgramFile>(&bytes).ok())
         .filter(|known| known.state == state);
@@ -46,7 +47,7 @@ pub fn build(store: &Store, commit: Option<&str>) -> Option<Build> {
 }
 
 fn read(path: &Path, state: FileState, table: &Path) -> Option<ProgramFile> {
-    let (blake3, bytes) = Digest::from_reader(std::fs::File::open(path).ok()?).ok()?;
+    let (blake3, bytes) = Digest::from_reader(file::open(path, Links::Followed).ok()?).ok()?;
     let known = ProgramFile { state, blake3, bytes };
     if let Ok(json) = serde_json::to_vec(&known) {
         let _ = files::write(table, &json); // what cannot be kept is read again

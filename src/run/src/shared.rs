@@ -48,7 +48,11 @@ impl Shared {
             return Ok(None);
         }
         let (stop, feedback) = (context.cancel.clone(), Arc::clone(&context.feedback));
-        let remote = Remote::open(&shared.url, Patience::Impatient, trust(&shared.trust)?);
+        let remote = Remote::open(
+            &shared.url,
+            Patience::Impatient,
+            trust(&shared.trust, context.signing)?,
+        );
         let opened = remote.and_then(|remote| {
             let (share, store) = (shared.verify_share, session.store.dir());
             let warn = move |message: String| feedback.warn(&message);

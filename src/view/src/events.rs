@@ -6,12 +6,13 @@
 //! ```
 
 use std::fs::File;
-use std::io::{ErrorKind, Read as _};
+use std::io::{self, ErrorKind, Read as _};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 
 use axum::response::sse::Event;
+use marf_cache::file::{Links, open};
 use tokio::sync::mpsc;
 
 use crate::source::Source;
@@ -133,7 +134,7 @@ impl OpenFile {
     /// Opens the file of a program.
     fn open(lock: PathBuf) -> Option<Self> {
         Some(Self {
-            file: File::open(lock.with_extension("jsonl")).ok()?,
+            file: open(&lock.with_extension("jsonl"), Links::Followed).ok()?,
             lock,
             partial: Vec::new(),
         })
@@ -154,10 +155,7 @@ impl OpenFile {
     /// Returns the lines that were added, and whether all was read.
     fn lines(&mut self) -> (Vec<String>, bool) {
         let mut bytes = std::mem::take(&mut self.partial);
-        let read = (&self.file)
-            .take(MOST_BYTES)
-            .read_to_end(&mut bytes)
-            .unwrap_or_default();
+        let read = io::copy(&mut (&self.file).take(MOST_BYTES), &mut bytes).unwrap_or_default();
         let whole = bytes
             .iter()
             .rposition(|byte| *byte == b'\n')
@@ -165,7 +163,7 @@ impl OpenFile {
         self.partial = bytes.split_off(whole);
         let lines = bytes.split(|byte| *byte == b'\n').filter(|line| !line.is_empty());
         let text = |line: &[u8]| String::from_utf8_lossy(line).into_owned();
-        (lines.map(text).collect(), (read as u64) < MOST_BYTES)
+        (lines.map(text).collect(), read < MOST_BYTES)
     }
 }
 
@@ -187,10 +185,18 @@ fn all_running(folder: &Path) -> impl Iterator<Item = OpenFile> {
 
 /// Returns true if a program holds this file. The tried lock is released at once.
 fn is_locked(path: &Path) -> bool {
-    match File::open(path).map(|file| file.try_lock_shared()) {
+    let is_none = |kind| {
+        [
+            ErrorKind::NotFound,
+            ErrorKind::PermissionDenied,
+            ErrorKind::InvalidInput,
+        ]
+        .contains(&kind)
+    };
+    match open(path, Links::Followed).map(|file| file.try_lock_shared()) {
         Ok(Err(std::fs::TryLockError::WouldBlock)) => true,
         Ok(_) => false,
-        Err(error) => error.kind() != ErrorKind::NotFound && error.kind() != ErrorKind::PermissionDenied,
+        Err(error) => !is_none(error.kind()),
     }
 }
 

@@ -5,6 +5,8 @@
 //! checks of `access`.
 
 mod access;
+mod answers;
+mod connections;
 mod content;
 mod difference;
 mod error;

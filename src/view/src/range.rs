@@ -2,17 +2,48 @@
 
 use std::ops::Range;
 
-/// Returns the part that a `Range` header requests, of a file of a length. `None` if the whole is to be sent:
-/// without such a header, with several parts, or with an unknown form.
-pub fn part(header: Option<&str>, length: usize) -> Option<Range<usize>> {
-    let (first, last) = header?.strip_prefix("bytes=")?.split_once('-')?;
-    let number = |text: &str| text.parse::<usize>().ok();
-    let part = match (first, last) {
-        ("", last) => length.saturating_sub(number(last)?)..length,
-        (first, "") => number(first)?..length,
-        (first, last) => number(first)?..number(last)?.checked_add(1)?.min(length),
+/// What a request wants of a file.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Wanted {
+    /// All of it.
+    Whole,
+    /// A part that the file has.
+    Part(Range<usize>),
+    /// A part of which the file has nothing.
+    Outside,
+}
+
+/// Returns what a `Range` header requests of a file of a length: the whole without such a header, with several parts, or
+/// with an invalid one (RFC 9110, section 14.2).
+pub fn wanted(header: Option<&str>, length: usize) -> Wanted {
+    let Some(part) = header.and_then(|header| part(header, length)) else {
+        return Wanted::Whole;
     };
-    (part.start < part.end).then_some(part)
+    let part = part.start..part.end.min(length);
+    if part.is_empty() {
+        return Wanted::Outside;
+    }
+    Wanted::Part(part)
+}
+
+/// Returns the requested part, also outside the file.
+fn part(header: &str, length: usize) -> Option<Range<usize>> {
+    let (first, last) = header.strip_prefix("bytes=")?.split_once('-')?;
+    if let ("", last) = (first, last) {
+        return Some(length.saturating_sub(number(last)?)..length);
+    }
+    let first = number(first)?;
+    if last.is_empty() {
+        return Some(first..usize::MAX);
+    }
+    let last = number(last)?;
+    (first <= last).then(|| first..last.saturating_add(1))
+}
+
+/// Reads a number. One that is too large is the largest.
+fn number(text: &str) -> Option<usize> {
+    let is_number = !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
+    is_number.then(|| text.parse().unwrap_or(usize::MAX))
 }
 
 #[cfg(test)]
@@ -20,25 +51,31 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_part_is_within_the_file_or_the_whole_is_sent() {
+    fn a_part_is_within_the_file_or_outside_and_what_is_invalid_is_the_whole() {
+        let part = |range| Wanted::Part(range);
         for (header, expected) in [
-            ("bytes=0-", Some(0..10)),
-            ("bytes=4-", Some(4..10)),
-            ("bytes=4-4", Some(4..5)),
-            ("bytes=4-99", Some(4..10)),
-            ("bytes=-3", Some(7..10)),
-            ("bytes=-99", Some(0..10)),
-            ("bytes=10-", None),
-            ("bytes=5-4", None),
-            ("bytes=-0", None),
-            ("bytes=0-1,4-5", None),
-            ("bytes=0-18446744073709551615", None),
-            ("bytes=x-", None),
-            ("lines=0-1", None),
+            ("bytes=0-", part(0..10)),
+            ("bytes=4-", part(4..10)),
+            ("bytes=4-4", part(4..5)),
+            ("bytes=4-99", part(4..10)),
+            ("bytes=-3", part(7..10)),
+            ("bytes=-99", part(0..10)),
+            ("bytes=0-18446744073709551615", part(0..10)),
+            ("bytes=0-99999999999999999999", part(0..10)),
+            ("bytes=10-", Wanted::Outside),
+            ("bytes=10-12", Wanted::Outside),
+            ("bytes=99999999999999999999-", Wanted::Outside),
+            ("bytes=-0", Wanted::Outside),
+            ("bytes=5-4", Wanted::Whole),
+            ("bytes=0-1,4-5", Wanted::Whole),
+            ("bytes=x-", Wanted::Whole),
+            ("bytes=+1-", Wanted::Whole),
+            ("bytes=-", Wanted::Whole),
+            ("lines=0-1", Wanted::Whole),
         ] {
-            assert_eq!(part(Some(header), 10), expected, "{header}");
+            assert_eq!(wanted(Some(header), 10), expected, "{header}");
         }
-        assert_eq!(part(None, 10), None);
-        assert_eq!(part(Some("bytes=0-"), 0), None);
+        assert_eq!(wanted(None, 10), Wanted::Whole);
+        assert_eq!(wanted(Some("bytes=0-"), 0), Wanted::Outside);
     }
 }

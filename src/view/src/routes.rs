@@ -1,42 +1,40 @@
 //! Answers to the addresses of the site.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use axum::Router;
-use axum::body::{Body, Bytes};
-use axum::extract::{DefaultBodyLimit, Path, Request, State};
+use axum::body::{Body, Bytes, to_bytes};
+use axum::extract::{Path, Request, State};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, header};
 use axum::middleware::{self, Next};
 use axum::response::sse::{KeepAlive, Sse};
 use axum::response::{IntoResponse as _, Response};
 use axum::routing::{get, post};
 use marf_cache::Digest;
-use marf_report::File;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use crate::access::Refusal;
+use crate::answers::{HTML, JSON, answer, file, json, redirect, refusal};
 use crate::content::BYTES;
 use crate::difference::Reference;
 use crate::events::follow;
 use crate::field::SharedField;
 use crate::frames::{FrameError, Shown, View};
 use crate::measure::{distance, pick};
-use crate::range::part;
 use crate::site::Site;
 use crate::stream::Received;
 
 /// Most bytes of a request: a view has some hundred.
 const MOST_BODY_BYTES: usize = 16 << 10;
+/// Longest time for them.
+const BODY_TIME: Duration = Duration::from_secs(10);
 
 /// Content security policy: a page reads only from here, has no script or style in it, and no frame around
 /// it.
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; media-src 'self'; \
     connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
-
-const HTML: &str = "text/html; charset=utf-8";
-const JSON: &str = "application/json";
-const TEXT: &str = "text/plain; charset=utf-8";
 
 /// Returns all routes below a prefix.
 pub fn routes(site: Arc<Site>, prefix: &str) -> Router {
@@ -71,17 +69,22 @@ pub fn routes(site: Arc<Site>, prefix: &str) -> Router {
     }
     routes
         .fallback(|| async { refusal(StatusCode::NOT_FOUND, "there is nothing at this address") })
-        .layer(DefaultBodyLimit::max(MOST_BODY_BYTES))
-        .layer(middleware::from_fn_with_state(Arc::clone(&site), guard))
+        .layer(middleware::from_fn_with_state(
+            (Arc::clone(&site), prefix.to_owned()),
+            guard,
+        ))
         .with_state(site)
 }
 
 /// Checks every request, and says in every answer what a page may do with it.
-async fn guard(State(site): State<Arc<Site>>, request: Request, next: Next) -> Response {
-    let mut response = match entrance(&site, &request) {
+async fn guard(State((site, prefix)): State<(Arc<Site>, String)>, request: Request, next: Next) -> Response {
+    let mut response = match entrance(&site, &prefix, &request) {
         Some(response) => response,
         None => match site.access.check(request.method(), request.headers()) {
-            Ok(()) => next.run(request).await,
+            Ok(()) => match whole(request).await {
+                Ok(request) => next.run(request).await,
+                Err(status) => refusal(status, "the body of the request is too large or too slow"),
+            },
             Err(refused) => {
                 let status = match refused {
                     Refusal::Token => StatusCode::UNAUTHORIZED,
@@ -108,8 +111,18 @@ async fn guard(State(site): State<Arc<Site>>, request: Request, next: Next) -> R
     response
 }
 
+/// Reads the body of a request, which is small and sent at once.
+async fn whole(request: Request) -> Result<Request, StatusCode> {
+    let (head, body) = request.into_parts();
+    let read = tokio::time::timeout(BODY_TIME, to_bytes(body, MOST_BODY_BYTES)).await;
+    let bytes = read
+        .map_err(|_| StatusCode::REQUEST_TIMEOUT)?
+        .map_err(|_| StatusCode::PAYLOAD_TOO_LARGE)?;
+    Ok(Request::from_parts(head, Body::from(bytes)))
+}
+
 /// Answers the address that `marf view` printed, which holds the token: a cookie takes its place.
-fn entrance(site: &Site, request: &Request) -> Option<Response> {
+fn entrance(site: &Site, prefix: &str, request: &Request) -> Option<Response> {
     let token = request.uri().query()?.strip_prefix("token=")?;
     let is_let_in = request.method() == Method::GET
         && site.access.check_host(request.headers()).is_ok()
@@ -118,7 +131,13 @@ fn entrance(site: &Site, request: &Request) -> Option<Response> {
         return None;
     }
     let cookie = format!("{}={token}; HttpOnly; SameSite=Strict", site.access.cookie_name());
-    let mut response = redirect("./");
+    // Relative to the prefix without its slash, `./` is the folder above it.
+    let page = if request.uri().path() == prefix {
+        format!("{prefix}/")
+    } else {
+        "./".to_owned()
+    };
+    let mut response = redirect(&page);
     response
         .headers_mut()
         .insert(header::SET_COOKIE, cookie.parse().ok()?);
@@ -367,74 +386,4 @@ async fn blocking<T: Send + 'static>(
 ) -> Result<T, String> {
     let done = tokio::task::spawn_blocking(work).await;
     done.unwrap_or_else(|error| Err(format!("the request failed: {error}")))
-}
-
-/// Answers with a file, or the requested part of it.
-fn file(found: Result<File, String>, range: Option<&str>) -> Response {
-    let file = match found {
-        Ok(file) => file,
-        Err(message) => return refusal(StatusCode::NOT_FOUND, &message),
-    };
-    let whole = Bytes::from_owner(file.bytes);
-    let length = whole.len();
-    let mut response = match part(range, length) {
-        None => answer(file.media, Body::from(whole)),
-        Some(part) => {
-            let content = format!("bytes {}-{}/{length}", part.start, part.end - 1);
-            let response = answer(file.media, Body::from(whole.slice(part)));
-            (
-                StatusCode::PARTIAL_CONTENT,
-                [(header::CONTENT_RANGE, content)],
-                response,
-            )
-                .into_response()
-        }
-    };
-    // The bytes of a digest never change.
-    let headers = response.headers_mut();
-    headers.insert(header::ACCEPT_RANGES, HeaderValue::from_static("bytes"));
-    headers.insert(
-        header::CACHE_CONTROL,
-        HeaderValue::from_static("private, max-age=31536000, immutable"),
-    );
-    if file.media == BYTES {
-        headers.insert(
-            header::CONTENT_DISPOSITION,
-            HeaderValue::from_static("attachment"),
-        );
-    }
-    response
-}
-
-fn json(value: &impl Serialize) -> Response {
-    match serde_json::to_string(value) {
-        Ok(json) => answer(JSON, json),
-        Err(error) => refusal(StatusCode::INTERNAL_SERVER_ERROR, &error.to_string()),
-    }
-}
-
-fn answer(media: &'static str, body: impl Into<Body>) -> Response {
-    let headers = [
-        (header::CONTENT_TYPE, HeaderValue::from_static(media)),
-        (header::CACHE_CONTROL, HeaderValue::from_static("no-store")),
-    ];
-    (headers, body.into()).into_response()
-}
-
-fn refusal(status: StatusCode, message: &str) -> Response {
-    let message = format!("{}\n", message.trim_end());
-    (
-        status,
-        [(header::CONTENT_TYPE, HeaderValue::from_static(TEXT))],
-        message,
-    )
-        .into_response()
-}
-
-fn redirect(to: &str) -> Response {
-    let mut response = StatusCode::SEE_OTHER.into_response();
-    if let Ok(to) = HeaderValue::from_str(to) {
-        response.headers_mut().insert(header::LOCATION, to);
-    }
-    response
 }

@@ -9,6 +9,7 @@ use marf_field::Device;
 
 use crate::ViewError;
 use crate::access::Access;
+use crate::connections::serve;
 use crate::renderer::Renderer;
 use crate::routes::routes;
 use crate::site::Site;
@@ -102,7 +103,7 @@ impl Server {
                 }
             };
             tokio::select! {
-                served = axum::serve(listener, routes).into_future() => served,
+                served = serve(listener, routes) => served,
                 () = stopped => Ok(()),
             }
         });

@@ -8,6 +8,7 @@ mod program;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
+use marf_cache::file::{FileKind, Links, read};
 use marf_scene::encode_png;
 use marf_schema::calibrate::CalibrateParams;
 use marf_stage::{Ctx, Inputs, StageError};
@@ -157,11 +158,11 @@ fn models(folder: &Path) -> Result<Vec<[Vec<u8>; 3]>, StageError> {
         if !model.is_dir() {
             break;
         }
-        let read = |file: &str| {
+        let bytes = |file: &str| {
             let fail = |error| StageError::new(format!("colmap's {file} cannot be read: {error}"));
-            std::fs::read(model.join(file)).map_err(fail)
+            read(&model.join(file), FileKind::State, Links::Followed).map_err(fail)
         };
-        models.push([read(FILES[0])?, read(FILES[1])?, read(FILES[2])?]);
+        models.push([bytes(FILES[0])?, bytes(FILES[1])?, bytes(FILES[2])?]);
     }
     // The file of images begins with their number.
     let photos = |files: &[Vec<u8>; 3]| {

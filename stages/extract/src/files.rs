@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use marf_cache::Digest;
+use marf_cache::file::{FileKind, Links, read, sync_folder};
 
 /// End of the names of files that are not finished. They begin with a dot.
 const UNFINISHED: &str = ".new";
@@ -46,14 +47,6 @@ impl Batch {
     }
 }
 
-/// Makes the names in a folder survive a power cut, where the system can.
-pub(crate) fn sync_folder(folder: &Path) -> io::Result<()> {
-    if cfg!(unix) {
-        File::open(folder)?.sync_all()?;
-    }
-    Ok(())
-}
-
 /// Returns the path with a suffix added to its name.
 pub(crate) fn beside(path: &Path, suffix: &str) -> PathBuf {
     let mut name = OsString::from(path);
@@ -75,7 +68,7 @@ pub(crate) fn remove_unfinished(folder: &Path) -> io::Result<()> {
 
 /// Reads a file that [`write_checked`] wrote. `None` if it is absent or damaged.
 pub(crate) fn read_checked(path: &Path) -> Option<Vec<u8>> {
-    let mut bytes = fs::read(path).ok()?;
+    let mut bytes = read(path, FileKind::State, Links::Followed).ok()?;
     let length = bytes.len().checked_sub(32)?;
     let whole = Digest::from_content(&bytes[..length]).as_bytes() == &bytes[length..];
     bytes.truncate(length);

@@ -86,8 +86,10 @@ fn a_folder_becomes_rows_verdicts_and_companions() {
         (Some(7), 16, 12, false)
     );
     assert_eq!(facts.prior.unwrap().model.h, [8.0, 20.0, 0.0]);
-    assert_eq!(brought.verdict("notes.txt").verdict, "skipped");
-    assert_eq!(brought.verdicts.len(), 5, "{:#?}", brought.verdicts);
+    for name in ["notes.txt", ".hidden"] {
+        assert_eq!(brought.verdict(name).verdict, "skipped");
+    }
+    assert_eq!(brought.verdicts.len(), 6, "{:#?}", brought.verdicts);
     for (_, row) in &brought.rows {
         assert!(brought.harness.get(&row.blobs["image"]).is_some(), "{}", row.id);
     }

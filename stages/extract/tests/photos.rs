@@ -94,7 +94,7 @@ fn files_of_systems_are_skipped_with_the_reason() {
     for (name, _) in left {
         write(dir.path(), name, &picture);
     }
-    for name in ["a.jpg", "b/c.jpg", ".hidden.jpg", ".cache/d.jpg"] {
+    for name in ["a.jpg", "b/c.jpg", ".hidden.jpg", ".cache/d.jpg", ".marf/e.jpg"] {
         write(dir.path(), name, &picture);
     }
     let brought = bring(folder(dir.path())).unwrap();
@@ -104,8 +104,31 @@ fn files_of_systems_are_skipped_with_the_reason() {
         assert_eq!(verdict.verdict, "skipped", "{verdict:?}");
         assert!(verdict.reason.contains(part), "{verdict:?}");
     }
-    // Other hidden files are not looked at.
-    assert_eq!(brought.verdicts.len(), left.len() + 2, "{:#?}", brought.verdicts);
+    for (name, reason) in [
+        (".hidden.jpg", "a hidden file"),
+        (".cache", "a hidden folder, in which nothing is read"),
+    ] {
+        assert_eq!(brought.verdict(name).reason, reason);
+    }
+    assert_eq!(brought.verdicts.len(), left.len() + 4, "{:#?}", brought.verdicts);
+}
+
+/// Files are read down to 32 levels, and the folder below them is named.
+#[test]
+fn a_folder_that_is_too_deep_has_a_row() {
+    let dir = tempfile::tempdir().unwrap();
+    let picture = encode_png(&photo()).unwrap();
+    let folders = |count: usize| "d/".repeat(count);
+    let deepest = format!("{}deepest.png", folders(31));
+    write(dir.path(), &deepest, &picture);
+    write(dir.path(), &format!("{}lost.png", folders(33)), &picture);
+    let brought = bring(folder(dir.path())).unwrap();
+    assert_eq!(brought.ids(), [deepest.as_str()]);
+    let below = folders(32);
+    let verdict = brought.verdict(below.trim_end_matches('/'));
+    assert_eq!(verdict.verdict, "skipped", "{verdict:?}");
+    assert!(verdict.reason.contains("at most 31 are entered"), "{verdict:?}");
+    assert_eq!(brought.verdicts.len(), 2);
 }
 
 /// A label inside `OBJECT = FILE` that names a file of another name than its own.

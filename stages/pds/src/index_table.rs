@@ -1,6 +1,6 @@
 //! The index of a PDS3 volume: a label that describes the columns of a fixed-width text table.
 
-use std::io::{BufReader, Read};
+use std::io::{self, BufReader, Read};
 
 use crate::label::MAX_LABEL_BYTES;
 use crate::listing::is_plain;
@@ -186,7 +186,7 @@ impl<'a, R: Read> Rows<'a, R> {
         let row = self.row + 1;
         let mut bytes = Vec::with_capacity(self.index.row_bytes);
         let wanted = self.index.row_bytes as u64;
-        let read = self.table.by_ref().take(wanted).read_to_end(&mut bytes);
+        let read = io::copy(&mut self.table.by_ref().take(wanted), &mut bytes);
         read.map_err(|error| IndexError::Io {
             row,
             error: error.kind(),

@@ -11,6 +11,7 @@ use roxmltree::{Document, Node, ParsingOptions};
 use crate::camera::{CameraError, RawEntrance, RawModel};
 use crate::label::{BayerPhase, FramePose, Label, MAX_LABEL_BYTES, ordered_counter, same_place};
 use crate::values;
+use guard::{MAX_ATTRIBUTES, MAX_COMPARISONS, MAX_DEPTH};
 use node::{PDS, at, child, children, number_at, text_at};
 
 const GEOM: &str = "http://pds.nasa.gov/pds4/geom/v1";
@@ -19,8 +20,6 @@ const MSN: &str = "http://pds.nasa.gov/pds4/msn/v1";
 const MARS2020: &str = "http://pds.nasa.gov/pds4/mission/mars2020/v1";
 /// Real labels have up to 4,000 nodes.
 const MAX_NODES: u32 = 200_000;
-/// Most attributes of one element. Real labels have up to 30. The parser compares each with all others.
-const MAX_ATTRIBUTES: usize = 1_000;
 
 /// XML that is not a PDS4 label of an observation.
 #[derive(Debug, thiserror::Error)]
@@ -37,6 +36,12 @@ pub enum Pds4Error {
     /// An element whose number of attributes would keep the parser busy.
     #[error("XML is refused: an element has more than {MAX_ATTRIBUTES} attributes")]
     Attributes,
+    /// Elements whose nesting would keep the parser busy.
+    #[error("XML is refused: elements are nested more than {MAX_DEPTH} deep")]
+    Depth,
+    /// Names that would keep the parser busy.
+    #[error("XML is refused: its attributes and namespaces take more than {MAX_COMPARISONS} comparisons")]
+    Namespaces,
     /// Another document.
     #[error("XML whose root is not `Product_Observational` of PDS4")]
     NoLabel,
@@ -51,9 +56,7 @@ pub fn read(bytes: &[u8]) -> Result<Label, Pds4Error> {
         return Err(Pds4Error::TooLarge(bytes.len()));
     }
     let text = std::str::from_utf8(bytes).map_err(|_| Pds4Error::Encoding)?;
-    if guard::most_attributes(bytes) > MAX_ATTRIBUTES {
-        return Err(Pds4Error::Attributes);
-    }
+    guard::check(bytes)?;
     let options = ParsingOptions {
         nodes_limit: MAX_NODES,
         ..ParsingOptions::default()

@@ -8,6 +8,7 @@ use std::time::Instant;
 
 use marf_cache::{
     Digest,
+    file::{Links, read_within},
     manifest::{Leaf, LeafRef, Root, Row},
 };
 use parking_lot::Mutex;
@@ -137,10 +138,8 @@ impl Blobs for Harness {
             message: format!("cannot read `{}`: {why}", path.display()),
             lost: None,
         };
-        let bytes = std::fs::read(path).map_err(|error| refused(error.to_string()))?;
-        if bytes.len() as u64 > max_bytes {
-            return Err(refused(format!("{} bytes, at most {max_bytes}", bytes.len())));
-        }
+        let bytes =
+            read_within(path, max_bytes, Links::Followed).map_err(|error| refused(error.to_string()))?;
         Ok((Self::put(self, &bytes), Arc::from(bytes)))
     }
 

@@ -241,7 +241,15 @@ const CRATES: [Crate; 35] = [
         ],
     ),
     Crate {
-        tests_use: &["marf-loopback", "marf-video"],
+        // Fuzz targets of their readers.
+        tests_use: &[
+            "marf-calibrate",
+            "marf-cluster",
+            "marf-keys",
+            "marf-loopback",
+            "marf-pds",
+            "marf-video",
+        ],
         ..row(
             "",
             "marf",
@@ -285,11 +293,13 @@ const CRATES: [Crate; 35] = [
 ];
 
 /// Packages that only these crates may use.
-const RESTRICTED: [(&str, &[&str]); 18] = [
+const RESTRICTED: [(&str, &[&str]); 20] = [
     ("axum", &["marf-view"]),
     ("clap", &["marf", "marf-labs"]),
     ("clap_complete", &["marf"]),
     ("clap_mangen", &["marf"]),
+    ("hyper", &["marf-view"]),
+    ("hyper-util", &["marf-view"]),
     ("indicatif", &["marf"]),
     ("kamadak-exif", &["marf-pds"]),
     // The laboratory is not part of the released program.

@@ -151,7 +151,7 @@ fn a_check_finds_each_damage_names_what_it_breaks_and_repairs_it() {
     store.put_record(big.clone());
     store.put_run(b"{\"first\":1}").unwrap();
     let options = FsckOptions {
-        read_data: true,
+        read_data: ReadShare::ALL,
         repair: false,
     };
     let whole = store.fsck(options).unwrap();

@@ -75,7 +75,7 @@ fn a_killed_process_loses_nothing_that_it_committed() {
     assert!(!committed.is_empty());
     let store = Store::open(&root).unwrap();
     let options = FsckOptions {
-        read_data: true,
+        read_data: ReadShare::ALL,
         repair: false,
     };
     assert_eq!(store.fsck(options).unwrap().faults, vec![]);

@@ -2,6 +2,7 @@
 
 use std::io;
 
+use marf_cache::file::Stoppable;
 use marf_cache::{Digest, Sha256, Sha256Reader};
 use marf_engine::Cancel;
 
@@ -43,28 +44,12 @@ impl FileDigest {
     /// # Errors
     /// A reader that fails. The wish of the user to stop.
     pub fn from_reader(reader: impl io::Read, cancel: &Cancel) -> io::Result<Self> {
-        let mut reader = Sha256Reader::new(Stoppable { reader, cancel });
+        let mut reader = Sha256Reader::new(Stoppable::new(reader, || cancel.is_set()));
         let (blake3, bytes) = Digest::from_reader(&mut reader)?;
         Ok(Self {
             bytes,
             sha256: reader.finish(),
             blake3,
         })
-    }
-}
-
-/// A reader that ends with an error if the user wants to stop.
-struct Stoppable<'a, R> {
-    reader: R,
-    cancel: &'a Cancel,
-}
-
-impl<R: io::Read> io::Read for Stoppable<'_, R> {
-    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
-        if self.cancel.is_set() {
-            // `Interrupted` would be tried again.
-            return Err(io::Error::other("stopped"));
-        }
-        self.reader.read(buffer)
     }
 }

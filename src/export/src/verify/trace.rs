@@ -1,7 +1,6 @@
 //! Traces bytes to their origin, from a crate alone.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fmt;
 
 use marf_cache::manifest::Row;
 use marf_cache::{Action, Digest};
@@ -76,35 +75,34 @@ pub struct Product {
     pub files: Vec<Origin>,
 }
 
-impl fmt::Display for Trace {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        for role in &self.is {
-            match role {
-                Role::Output { node, output } => writeln!(f, "`{output}` of `{node}`")?,
-                Role::Photo { id, role } => writeln!(f, "{role} of photo `{id}`")?,
-            }
-        }
-        writeln!(
-            f,
+impl Trace {
+    /// Returns the trace as lines of text.
+    pub fn lines(&self) -> Vec<String> {
+        let role = |role: &Role| match role {
+            Role::Output { node, output } => format!("`{output}` of `{node}`"),
+            Role::Photo { id, role } => format!("{role} of photo `{id}`"),
+        };
+        let mut lines: Vec<String> = self.is.iter().map(role).collect();
+        lines.push(format!(
             "run {} of {}: {} ({})",
             self.run, self.pipeline, self.command, self.program
-        )?;
+        ));
         for step in self.steps.iter().rev() {
             let (stage, version) = (&step.action.stage, step.action.version);
-            writeln!(f, "  {} ({stage} {version}), key {}", step.node, step.key)?;
+            lines.push(format!("  {} ({stage} {version}), key {}", step.node, step.key));
             for (input, maker) in &step.reads {
                 let maker = maker.as_deref().unwrap_or("outside");
-                writeln!(f, "    {input} from {maker}")?;
+                lines.push(format!("    {input} from {maker}"));
             }
         }
         for product in &self.products {
-            writeln!(f, "  photo {}", product.id)?;
+            lines.push(format!("  photo {}", product.id));
             for file in &product.files {
                 let from = file.url.as_deref().unwrap_or(&file.file);
-                writeln!(f, "    {from}, blake3 {}", file.blake3)?;
+                lines.push(format!("    {from}, blake3 {}", file.blake3));
             }
         }
-        Ok(())
+        lines
     }
 }
 

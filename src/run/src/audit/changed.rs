@@ -4,7 +4,8 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use marf_cache::Digest;
-use marf_engine::document;
+use marf_cache::file::{Links, Stoppable, open};
+use marf_engine::{Cancel, document};
 use marf_model::product::origins;
 use marf_model::{Run, RunNode, unless_lost};
 use marf_stage::{LOCK_FILE, Origin};
@@ -52,7 +53,7 @@ pub fn since(context: &Context, lineage: &Run<'_>, nodes: &[&RunNode]) -> Result
             {
                 let now = match (&file.fetched, &folder) {
                     (Some(_), _) => of_lock(by_sol.get(&part.shard), &file),
-                    (None, Some(folder)) if file.bytes.is_some() => of_folder(folder, &file),
+                    (None, Some(folder)) if file.bytes.is_some() => of_folder(folder, &file, &context.cancel),
                     _ => Vec::new(),
                 };
                 if !now.is_empty() {
@@ -117,10 +118,12 @@ fn differences(pin: &PinnedProduct, file: &Origin) -> Vec<String> {
     now
 }
 
-fn of_folder(folder: &Path, file: &Origin) -> Vec<String> {
-    match std::fs::read(folder.join(&file.file)).map(|bytes| Digest::from_content(&bytes)) {
-        Ok(now) if now == file.blake3 => Vec::new(),
-        Ok(now) => vec![format!("the folder has other bytes now, blake3 {now}")],
+fn of_folder(folder: &Path, file: &Origin, cancel: &Cancel) -> Vec<String> {
+    let read = open(&folder.join(&file.file), Links::Followed)
+        .and_then(|file| Digest::from_reader(Stoppable::new(file, || cancel.is_set())));
+    match read {
+        Ok((now, _)) if now == file.blake3 => Vec::new(),
+        Ok((now, _)) => vec![format!("the folder has other bytes now, blake3 {now}")],
         Err(error) => vec![format!("the folder has it no longer: {error}")],
     }
 }

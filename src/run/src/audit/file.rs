@@ -12,6 +12,7 @@ use super::identity::{Identity, identify};
 use super::lineage::{Origin, origin_of};
 use crate::context::Context;
 use crate::error::{Answer, Diagnostic, Error};
+use crate::files::read_named;
 
 /// A file to trace.
 #[derive(Debug, Clone)]
@@ -53,8 +54,9 @@ pub struct AuditReport {
 /// A file or a store that cannot be read.
 pub fn audit(context: &Context, request: &AuditRequest) -> Result<AuditReport, Error> {
     let file = &request.file;
-    let bytes = std::fs::read(file)
-        .map_err(|error| Error::failed(format!("cannot read {}: {error}", file.display())))?;
+    let bytes = read_named(file, &context.cancel, |error| {
+        Error::failed(format!("cannot read {}: {error}", file.display()))
+    })?;
     let store = context.existing_store()?;
     let check = request.verify.then(|| verify::check(&store)).transpose()?;
     let runs = marf_engine::runs(&store, context.warnings())?;

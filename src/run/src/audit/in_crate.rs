@@ -10,14 +10,16 @@ use marf_provenance::stamp::Stamp;
 use crate::copies::object_of;
 use crate::error::{Answer, Diagnostic, Error};
 use crate::export::{open_crate, verify_crate};
+use crate::files::read_named;
 
 /// Traces a file in the run of a crate.
 ///
 /// # Errors
 /// A file or a crate that cannot be read. Also the answers "altered", for the file or the crate, and "not ours".
 pub fn trace(file: &Path, folder: &Path, cancel: &Cancel) -> Result<Trace, Error> {
-    let bytes = std::fs::read(file)
-        .map_err(|error| Error::failed(format!("cannot read {}: {error}", file.display())))?;
+    let bytes = read_named(file, cancel, |error| {
+        Error::failed(format!("cannot read {}: {error}", file.display()))
+    })?;
     let answered = |answer, message: String| Error::Answered(answer, Diagnostic::new(message));
     verify_crate(folder, cancel)?;
     let named = Stamp::take_from(&bytes).map(|(_, stamp)| stamp.object);

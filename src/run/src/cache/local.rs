@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
+use marf_cache::file::{FileKind, Links, read_text};
 use marf_cache::{GcPlan, GcReport, Store};
 use marf_stage::LOCK_FILE;
 use marf_stages::PinnedProduct;
@@ -115,7 +116,7 @@ fn pins(store: &Store) -> Result<BTreeMap<String, u64>, Error> {
         if name.starts_with('.') {
             continue;
         }
-        let number = std::fs::read_to_string(entry.path())
+        let number = read_text(&entry.path(), FileKind::Key, Links::Followed)
             .ok()
             .and_then(|text| text.trim().parse().ok());
         let number = number.ok_or_else(|| {

@@ -182,7 +182,7 @@ fn open(context: &Context, url: Option<&str>) -> Result<Remote, Error> {
             "name one with --remote, or in pipeline.toml: `[store]` with `remote = \"s3://BUCKET/PREFIX\"`",
         ))
     })?;
-    let trust = trust(&writers.unwrap_or_default())?;
+    let trust = trust(&writers.unwrap_or_default(), context.signing)?;
     Ok(Remote::open(&url, Patience::Patient, trust)?)
 }
 

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use marf_cache::Digest;
+use marf_engine::Cancel;
 use marf_export::dsse::Envelope;
 use marf_export::{statement_on_node, statement_on_run, subjects_of};
 use marf_model::{Run, RunNode};
@@ -11,6 +12,7 @@ use crate::choice::whole_run;
 use crate::context::Context;
 use crate::copies::object_of;
 use crate::error::{Diagnostic, Error};
+use crate::files::read_named;
 use crate::outputs::file_name;
 use crate::trust::signing_key;
 
@@ -39,7 +41,7 @@ pub fn attest(
     let run = Run::new(&store, whole_run(context, &store, run)?)?;
     let statement = match subject {
         None => on_run(&run)?,
-        Some(subject) => on_result(&run, subject)?,
+        Some(subject) => on_result(&run, subject, &context.cancel)?,
     };
     Ok(Attestation {
         envelope: Envelope::sign(&statement, &key).encode(),
@@ -55,12 +57,12 @@ fn on_run(run: &Run<'_>) -> Result<Vec<u8>, Error> {
 }
 
 /// Returns the statement on all results of a node, or on the one that a file holds.
-fn on_result(run: &Run<'_>, subject: &str) -> Result<Vec<u8>, Error> {
+fn on_result(run: &Run<'_>, subject: &str, cancel: &Cancel) -> Result<Vec<u8>, Error> {
     if let Some(node) = run.node(subject) {
         let subjects = subjects_of(run, results(node))?;
         return Ok(statement_on_node(run, node, &subjects)?);
     }
-    let bytes = std::fs::read(Path::new(subject)).map_err(|error| {
+    let bytes = read_named(Path::new(subject), cancel, |error| {
         let message = format!("`{subject}` is no node of the run, and no file that can be read: {error}");
         Error::Usage(Diagnostic::new(message).hint("`marf status` lists the nodes"))
     })?;

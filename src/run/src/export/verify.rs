@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use marf_cache::file::{FileKind, Links, read};
 use marf_engine::Cancel;
 use marf_export::dsse::Envelope;
 use marf_export::subjects_in;
@@ -12,6 +13,7 @@ use serde::Serialize;
 
 use crate::copies::object_of;
 use crate::error::{Diagnostic, Error};
+use crate::files::read_named;
 use crate::trust::public_key;
 
 /// What was checked.
@@ -53,7 +55,7 @@ pub fn verify_path(
                 .hint("`openssl pkey -in KEY.pem -pubout -out PUB.pem` writes it"),
             )
         })?;
-        return Ok(VerifyResult::Statement(verify_statement(path, &key, subjects)?));
+        return verify_statement(path, &key, subjects, cancel).map(VerifyResult::Statement);
     }
     if !subjects.is_empty() {
         return Err(Error::usage("--subject goes with a statement, not with a crate"));
@@ -105,9 +107,14 @@ fn open_error(error: OpenError) -> Error {
 }
 
 /// Checks a statement: its signature, and that it is about the files named.
-fn verify_statement(path: &Path, key: &PublicKey, files: &[PathBuf]) -> Result<Statement, Error> {
+fn verify_statement(
+    path: &Path,
+    key: &PublicKey,
+    files: &[PathBuf],
+    cancel: &Cancel,
+) -> Result<Statement, Error> {
     let refuse = |error: String| Error::altered(Diagnostic::new(format!("{}: {error}", path.display())));
-    let bytes = std::fs::read(path).map_err(|error| refuse(error.to_string()))?;
+    let bytes = read(path, FileKind::Document, Links::Followed).map_err(|error| refuse(error.to_string()))?;
     let envelope =
         Envelope::decode(&bytes).map_err(|error| Error::usage(format!("{}: {error}", path.display())))?;
     let statement = envelope.verify(key).map_err(|error| refuse(error.to_string()))?;
@@ -115,8 +122,9 @@ fn verify_statement(path: &Path, key: &PublicKey, files: &[PathBuf]) -> Result<S
         subjects_in(&statement).ok_or_else(|| refuse("it is not an in-toto statement".to_owned()))?;
     let mut found = BTreeMap::new();
     for file in files {
-        let bytes = std::fs::read(file)
-            .map_err(|error| Error::usage(format!("{} cannot be read: {error}", file.display())))?;
+        let bytes = read_named(file, cancel, |error| {
+            Error::usage(format!("{} cannot be read: {error}", file.display()))
+        })?;
         let sha256 = marf_cache::Sha256::from_content(&object_of(bytes));
         let subject = subjects.iter().find(|(_, digest)| *digest == sha256);
         let (name, _) = subject.ok_or_else(|| refuse(format!("it is not about {}", file.display())))?;

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use marf_cache::Digest;
+use marf_cache::file::{FileKind, Links, read as read_file};
 use marf_scene::Scene;
 use marf_scene::path::typical_camera;
 use marf_schema::render::{PathKind, Place};
@@ -94,7 +95,7 @@ pub fn read(given: &str, frames: Option<u32>) -> Result<PathWithOrigins, Error> 
 
 fn bookmarks(file: &Path) -> Result<Vec<Bookmark>, Error> {
     let name = file.display();
-    let bytes = std::fs::read(file).map_err(|error| {
+    let bytes = read_file(file, FileKind::Document, Links::Followed).map_err(|error| {
         let words = WORDS.map(|(word, _)| word);
         let near = did_you_mean(&name.to_string(), words);
         let all = format!("take one of {}, or a file of bookmarks", words.join(", "));

@@ -9,6 +9,7 @@ use crate::audit::identity::identify;
 use crate::choice::whole_run;
 use crate::context::Context;
 use crate::error::{Answer, Diagnostic, Error};
+use crate::files::read_named;
 
 /// A run and one of its nodes. None for all nodes.
 pub struct Target {
@@ -45,7 +46,9 @@ pub fn target(context: &Context, store: &Store, what: Option<&str>) -> Result<Ta
             known.join(", ")
         )));
     }
-    let bytes = std::fs::read(path).map_err(|error| Error::failed(format!("cannot read {what}: {error}")))?;
+    let bytes = read_named(path, &context.cancel, |error| {
+        Error::failed(format!("cannot read {what}: {error}"))
+    })?;
     let runs = marf_engine::runs(store, context.warnings())?;
     let identity = identify(store, &runs, &bytes)?;
     let Some(maker) = identity.makers().first() else {

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use marf_cache::file::{FileKind, Links, read_text};
 use marf_engine::{Options, document};
 use marf_report::trade::{self, Point, Trade};
 
@@ -146,7 +147,8 @@ fn write(session: &Session, base: &Base, trade: &Trade, out: &Path) -> Result<()
 
 /// Returns processor, cores and system.
 fn machine(context: &Context) -> String {
-    let known = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+    let known =
+        read_text(Path::new("/proc/cpuinfo"), FileKind::Document, Links::Followed).unwrap_or_default();
     let model = known
         .lines()
         .find_map(|line| line.strip_prefix("model name")?.split_once(": "));

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use marf_cache::file::{FileKind, Links, read};
 use marf_calibrate::import::read_transforms;
 use marf_scene::{Alignment, Pose, Scene};
 
@@ -28,7 +29,7 @@ impl Truth {
     pub fn read(file: &Path) -> Result<Self, Error> {
         let told =
             |error: &dyn std::fmt::Display| Error::usage(format!("--truth {}: {error}", file.display()));
-        let bytes = std::fs::read(file).map_err(|error| told(&error))?;
+        let bytes = read(file, FileKind::Document, Links::Followed).map_err(|error| told(&error))?;
         // The names in it are relative to its folder, wherever that is.
         let name = file.file_name().unwrap_or_default().to_string_lossy();
         let transforms = read_transforms(&name, &bytes).map_err(|error| told(&error))?;

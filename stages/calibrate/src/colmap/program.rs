@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::Duration;
 
+use marf_cache::file::{FileKind, Links, read};
 use marf_stage::{Ctx, StageError};
 
 /// Pause between two polls of a running step.
@@ -160,7 +161,7 @@ impl Program {
         };
         // Ctrl-C reaches the child too: its failure is then expected.
         ctx.check()?;
-        let output = std::fs::read(&log).map_err(failed)?;
+        let output = read(&log, FileKind::State, Links::Followed).map_err(failed)?;
         Ok((status, String::from_utf8_lossy(&output).into_owned()))
     }
 

@@ -4,11 +4,11 @@ pub(crate) mod access;
 mod file_kind;
 pub(crate) mod kind;
 
-use std::fs::File;
-use std::io::Read;
+use std::io::ErrorKind;
 use std::path::PathBuf;
 use std::sync::Arc;
 
+use marf_cache::file::{Links, read_within};
 use marf_cache::{Digest, Sha256};
 use marf_pds::{Label, ProductName, feed, pds4, raw};
 use marf_stage::{Ctx, Files, Keep, Listing, Origin, OriginKind, StageError};
@@ -321,16 +321,10 @@ pub(crate) fn read_label(kind: &Kind, bytes: &[u8]) -> Result<Label, String> {
 }
 
 fn read_path(path: &std::path::Path, limit_bytes: u64) -> Result<Vec<u8>, ReadError> {
-    let io = |error: std::io::Error| ReadError::Io(error.kind());
-    let file = File::open(path).map_err(io)?;
-    let mut bytes = Vec::new();
-    file.take(limit_bytes.saturating_add(1))
-        .read_to_end(&mut bytes)
-        .map_err(io)?;
-    if bytes.len() as u64 > limit_bytes {
-        return Err(ReadError::TooLarge { limit_bytes });
-    }
-    Ok(bytes)
+    read_within(path, limit_bytes, Links::Followed).map_err(|error| match error.kind() {
+        ErrorKind::FileTooLarge => ReadError::TooLarge { limit_bytes },
+        kind => ReadError::Io(kind),
+    })
 }
 
 /// Returns the sol by the name, or by the label that the file is or begins with.

@@ -5,10 +5,11 @@
 //! a crash spoils do not verify and are fetched again. A part that another process holds is left to it.
 
 use std::fs::{self, File, OpenOptions};
-use std::io::{Read, Seek, SeekFrom, Write};
+use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use marf_cache::Digest;
+use marf_cache::file::{Links, read_within};
 use serde::{Deserialize, Serialize};
 
 use super::error::NetErrorKind;
@@ -305,12 +306,7 @@ fn opened(path: &Path) -> std::io::Result<File> {
 
 /// Reads the bytes that the sidecar has the digest of, if they verify.
 fn left_behind(path: &Path, file: &mut File, cap: u64) -> Option<(Body, bool)> {
-    let mut text = Vec::new();
-    File::open(sidecar(path))
-        .ok()?
-        .take(MAX_SIDECAR_BYTES)
-        .read_to_end(&mut text)
-        .ok()?;
+    let text = read_within(&sidecar(path), MAX_SIDECAR_BYTES, Links::Followed).ok()?;
     let sidecar: Sidecar = serde_json::from_slice(&text).ok()?;
     let whole = sidecar.head.length == Some(sidecar.bytes);
     let there = file.metadata().ok()?.len();
@@ -318,7 +314,7 @@ fn left_behind(path: &Path, file: &mut File, cap: u64) -> Option<(Body, bool)> {
         return None;
     }
     let mut bytes = Vec::new();
-    file.take(sidecar.bytes).read_to_end(&mut bytes).ok()?;
+    io::copy(&mut file.take(sidecar.bytes), &mut bytes).ok()?;
     let mut hasher = blake3::Hasher::new();
     hasher.update(&bytes);
     let verified = hasher.finalize().as_bytes() == sidecar.blake3.as_bytes();

@@ -1,41 +1,110 @@
-//! A check of XML before it is parsed.
+//! A check of XML before it is parsed: the parser takes more than linear time for nested and repeated names.
 
-/// Returns the largest number of attributes of a tag, counted as `=` outside quotes.
-pub(super) fn most_attributes(bytes: &[u8]) -> usize {
-    let (mut rest, mut most) = (bytes, 0);
-    while let Some(start) = rest.iter().position(|byte| *byte == b'<') {
-        rest = &rest[start..];
-        let skipped = [
-            (&b"<!--"[..], &b"-->"[..]),
-            (b"<![CDATA[", b"]]>"),
-            (b"<?", b"?>"),
-        ]
-        .into_iter()
-        .find(|(open, _)| rest.starts_with(open));
-        if let Some((_, close)) = skipped {
-            let end = rest.windows(close.len()).position(|window| window == close);
-            rest = &rest[end.map_or(rest.len(), |end| end + close.len())..];
-            continue;
-        }
-        let (attributes, length) = tag(rest);
-        most = most.max(attributes);
-        rest = &rest[length..];
-    }
-    most
+use super::Pds4Error;
+
+/// Deepest nesting of elements. Real labels have at most 10 levels.
+pub(super) const MAX_DEPTH: usize = 100;
+/// Most attributes of one element. Real labels have up to 30.
+pub(super) const MAX_ATTRIBUTES: usize = 1_000;
+/// Most comparisons of names. Real labels take up to 18,000.
+pub(super) const MAX_COMPARISONS: usize = 20_000_000;
+
+/// The start tag of an element, or its end.
+#[derive(Debug, Default, Clone, Copy)]
+struct Tag {
+    /// Bytes with both brackets.
+    length: usize,
+    /// `=` outside quotes.
+    attributes: usize,
+    /// Attributes that declare a namespace.
+    declared: usize,
+    /// It closes an element.
+    closes: bool,
+    /// It is an element without content.
+    empty: bool,
 }
 
-/// Returns the attributes and the length of the tag at the start of `bytes`.
-fn tag(bytes: &[u8]) -> (usize, usize) {
-    let (mut quote, mut attributes) = (None, 0);
+/// Checks what decides how long the parser works.
+///
+/// The parser compares each attribute with all others of its element, each prefix with the namespaces in scope, and all
+/// namespaces in scope with each other where an element declares one.
+///
+/// # Errors
+/// The first limit that is exceeded.
+pub(super) fn check(bytes: &[u8]) -> Result<(), Pds4Error> {
+    // Namespaces in scope, per open element.
+    let mut scopes = vec![0];
+    let (mut rest, mut comparisons) = (bytes, 0_usize);
+    while let Some(start) = rest.iter().position(|byte| *byte == b'<') {
+        rest = &rest[start..];
+        if let Some(length) = skipped(rest) {
+            rest = &rest[length..];
+            continue;
+        }
+        let tag = tag(rest);
+        rest = &rest[tag.length..];
+        if tag.closes {
+            scopes.pop();
+            continue;
+        }
+        if tag.attributes > MAX_ATTRIBUTES {
+            return Err(Pds4Error::Attributes);
+        }
+        let scope = scopes.last().unwrap_or(&0) + tag.declared;
+        let lookups = if tag.declared > 0 { scope } else { 0 } + tag.attributes + 1;
+        comparisons = comparisons.saturating_add(scope * lookups + tag.attributes * tag.attributes);
+        if comparisons > MAX_COMPARISONS {
+            return Err(Pds4Error::Namespaces);
+        }
+        if tag.empty {
+            continue;
+        }
+        scopes.push(scope);
+        if scopes.len() > MAX_DEPTH + 1 {
+            return Err(Pds4Error::Depth);
+        }
+    }
+    Ok(())
+}
+
+/// Returns the length of a comment, of characters as they are, or of an instruction.
+fn skipped(bytes: &[u8]) -> Option<usize> {
+    let kinds = [
+        (&b"<!--"[..], &b"-->"[..]),
+        (b"<![CDATA[", b"]]>"),
+        (b"<?", b"?>"),
+    ];
+    let (open, close) = kinds.into_iter().find(|(open, _)| bytes.starts_with(open))?;
+    let content = &bytes[open.len()..];
+    let end = content.windows(close.len()).position(|window| window == close);
+    Some(end.map_or(bytes.len(), |end| open.len() + end + close.len()))
+}
+
+/// Reads the tag at the start of `bytes`.
+fn tag(bytes: &[u8]) -> Tag {
+    let mut tag = Tag {
+        length: bytes.len(),
+        closes: bytes.starts_with(b"</"),
+        ..Tag::default()
+    };
+    let mut quote = None;
     for (index, byte) in bytes.iter().enumerate() {
         match (quote, byte) {
             (Some(open), byte) if open == *byte => quote = None,
             (Some(_), _) => {}
             (None, b'"' | b'\'') => quote = Some(*byte),
-            (None, b'=') => attributes += 1,
-            (None, b'>') => return (attributes, index + 1),
+            (None, b'=') => tag.attributes += 1,
+            (None, b'x') if bytes[index..].starts_with(b"xmlns") => tag.declared += 1,
+            (None, b'>') => {
+                tag.length = index + 1;
+                tag.empty = bytes[index - 1] == b'/';
+                return tag;
+            }
             _ => {}
         }
     }
-    (attributes, bytes.len())
+    tag
 }
+
+#[cfg(test)]
+mod tests;

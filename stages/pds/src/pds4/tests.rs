@@ -1,5 +1,4 @@
 use super::array::sample;
-use super::guard::most_attributes;
 use super::*;
 use crate::label::SampleKind;
 
@@ -274,24 +273,5 @@ fn types_of_samples_are_read() {
         "SignedMSBByte2",
     ] {
         assert_eq!(read(bad), None, "{bad}");
-    }
-}
-
-#[test]
-fn an_element_of_very_many_attributes_is_refused_at_once() {
-    let many = |count: usize| {
-        (0..count)
-            .map(|index| format!(" a{index}='>\"<!--'"))
-            .collect::<String>()
-    };
-    let comment = "<!-- it's = --><?p '?><![CDATA[']]>";
-    assert_eq!(
-        most_attributes(format!("{comment}<l{}><b c='='/></l>", many(12)).as_bytes()),
-        12
-    );
-    let bad = format!("<l{}/>", many(100_000));
-    assert!(matches!(read(bad.as_bytes()), Err(Pds4Error::Attributes)));
-    for cut in ["<", "<!", "<!--", "<?", "<a b='", "<a b=", "<![CDATA["] {
-        assert!(most_attributes(cut.as_bytes()) <= 1, "{cut}");
     }
 }

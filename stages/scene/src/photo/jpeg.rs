@@ -12,6 +12,9 @@ use super::decoded::{Alpha, DecodeError, Photo, TooLarge, damaged};
 use super::other::upright;
 use super::scan;
 
+/// Most scans. Encoders write up to 20, and each takes the decoder as long as the whole picture.
+const MAX_SCANS: usize = 64;
+
 /// Decodes a JPEG strictly and requires its end marker: a file cut in half, or with a damaged scan, must not become training data. (The
 /// `image` crate decodes with the same library, but leniently.) Bytes after the end marker are not part of the picture. Phones append a
 /// film, others a second picture or zeros.
@@ -22,6 +25,11 @@ pub(super) fn decode(bytes: &[u8], limit_bytes: u64) -> Result<Photo, DecodeErro
         return Err(damaged("JPEG", &message));
     };
     let bytes = bytes.get(..end).unwrap_or(bytes);
+    let scans = scan::count(bytes);
+    if scans > MAX_SCANS {
+        let message = format!("it has {scans} scans, above the limit of {MAX_SCANS}");
+        return Err(damaged("JPEG", &message));
+    }
     let options = options().set_strict_mode(true);
     let mut decoder = JpegDecoder::new_with_options(ZCursor::new(bytes), options);
     decoder.decode_headers().map_err(fail)?;

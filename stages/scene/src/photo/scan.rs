@@ -27,18 +27,38 @@ pub(super) enum ScanError {
 }
 
 /// Returns the position behind the end marker (EOI) of the first picture of a JPEG, or `None` without one.
+pub(super) fn end(bytes: &[u8]) -> Option<usize> {
+    let mut markers = markers(bytes);
+    markers
+        .find(|(marker, _)| *marker == 0xd9)
+        .map(|(_, start)| start)
+}
+
+/// Returns the number of scans of the first picture of a JPEG. The decoder works through all units of the picture for each.
+pub(super) fn count(bytes: &[u8]) -> usize {
+    let picture = markers(bytes).take_while(|(marker, _)| *marker != 0xd9);
+    picture.filter(|(marker, _)| *marker == 0xda).count()
+}
+
+/// Returns the markers, and the position behind each.
 ///
 /// Segments are skipped by their length, so that a preview in one of them does not end the picture.
-pub(super) fn end(bytes: &[u8]) -> Option<usize> {
+fn markers(bytes: &[u8]) -> impl Iterator<Item = (u8, usize)> {
     let mut at = 2;
-    loop {
+    std::iter::from_fn(move || {
         let (marker, start) = next_marker(bytes, at)?;
         at = match marker {
-            0xd9 => return Some(start),
-            0x01 | 0xd0..=0xd8 => start,
-            _ => start + usize::from(u16::from_be_bytes(*bytes.get(start..)?.first_chunk()?)).max(2),
+            0x01 | 0xd0..=0xd9 => start,
+            // Without its length, this is the last one.
+            _ => bytes
+                .get(start..)
+                .and_then(|rest| rest.first_chunk())
+                .map_or(bytes.len(), |length| {
+                    start + usize::from(u16::from_be_bytes(*length)).max(2)
+                }),
         };
-    }
+        Some((marker, start))
+    })
 }
 
 /// Checks that every scan of a baseline JPEG has all its units.

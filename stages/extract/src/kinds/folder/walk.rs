@@ -10,8 +10,10 @@ use walkdir::{DirEntry, WalkDir};
 use crate::archive::is_system_name;
 use crate::stat::FileState;
 
-/// Deepest folder that is entered.
+/// Deepest level of files that are read.
 pub(super) const MAX_DEPTH: usize = 32;
+/// Name of the store next to a pipeline.
+const STORE: &str = ".marf";
 /// Number of files after which the wish to stop is looked at.
 const CHECK_EVERY: usize = 1_024;
 
@@ -71,25 +73,31 @@ impl Names {
     }
 }
 
-/// Walks a folder. Hidden files and folders are skipped, unless systems are known to leave them next to photos. Links
-/// are followed but not in circles.
+/// Walks a folder. Hidden files and folders, and folders that are too deep, are named and not entered, unless systems are known to leave
+/// them next to photos. Links are followed but not in circles.
 ///
 /// # Errors
 /// The wish to stop.
 pub(super) fn walk(ctx: &Ctx<'_>, root: &Path, depth: usize) -> Result<Walk, StageError> {
-    let visible = |entry: &DirEntry| {
-        let is_hidden = entry.file_name().as_encoded_bytes().starts_with(b".");
-        entry.depth() == 0 || !is_hidden || entry.file_name().to_str().is_some_and(is_system_name)
-    };
-    let entries = WalkDir::new(root).follow_links(true).max_depth(depth);
+    let walked = WalkDir::new(root).follow_links(true).max_depth(depth);
+    let mut entries = walked.into_iter();
     let mut names = Names::default();
     // Few have one.
     let mut problems: BTreeMap<usize, String> = BTreeMap::new();
-    for entry in entries.into_iter().filter_entry(visible) {
+    while let Some(entry) = entries.next() {
         if names.len().is_multiple_of(CHECK_EVERY) {
             ctx.check()?;
         }
-        if let Some((name, problem)) = entry_of(root, entry) {
+        let closed = entry.as_ref().ok().and_then(|entry| closed(entry, depth));
+        if closed.is_some() && entry.as_ref().is_ok_and(|entry| entry.file_type().is_dir()) {
+            entries.skip_current_dir();
+        }
+        let found = match (closed, entry) {
+            (Some(Closed::Unnamed), _) => None,
+            (Some(Closed::Named(reason)), Ok(entry)) => Some((relative(root, entry.path()).0, Some(reason))),
+            (_, entry) => entry_of(root, entry),
+        };
+        if let Some((name, problem)) = found {
             problems.extend(problem.map(|problem| (names.len(), problem)));
             names.push(&name);
         }
@@ -113,6 +121,37 @@ pub(super) fn walk(ctx: &Ctx<'_>, root: &Path, depth: usize) -> Result<Walk, Sta
     };
     names.spans = order.iter().map(|index| names.spans[*index]).collect();
     Ok(Walk { names, files })
+}
+
+/// A file that is not read, or a folder that is not entered.
+enum Closed {
+    /// It is named, with the reason.
+    Named(String),
+    /// The store of this program, and folders where the user wants none.
+    Unnamed,
+}
+
+/// Returns why an entry is not looked at. `None` if it is.
+fn closed(entry: &DirEntry, depth: usize) -> Option<Closed> {
+    let name = entry.file_name();
+    let is_folder = entry.file_type().is_dir();
+    if entry.depth() == 0 {
+        return None;
+    }
+    if name == STORE || (is_folder && depth < MAX_DEPTH && entry.depth() == depth) {
+        return Some(Closed::Unnamed);
+    }
+    let is_hidden = name.as_encoded_bytes().starts_with(b".") && !name.to_str().is_some_and(is_system_name);
+    let reason = match (is_hidden, is_folder) {
+        (true, false) => "a hidden file".to_owned(),
+        (true, true) => "a hidden folder, in which nothing is read".to_owned(),
+        (false, true) if entry.depth() == depth => format!(
+            "a folder in which nothing is read: at most {} are entered within each other",
+            MAX_DEPTH - 1
+        ),
+        (false, _) => return None,
+    };
+    Some(Closed::Named(reason))
 }
 
 fn state_of(path: &Path) -> Result<FileState, String> {

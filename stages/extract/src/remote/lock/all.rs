@@ -4,8 +4,10 @@ use std::fs;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
+use marf_cache::file::{Links, read_within};
 use marf_cache::{Digest, Sha256};
 
+use super::folder::{MAX_BYTES, in_utf8};
 use super::{Pin, SolPins, WITH_LISTING, text};
 
 /// A lock that cannot be read.
@@ -90,7 +92,9 @@ fn sol_of(file: &Path) -> Option<u32> {
 }
 
 fn read(path: &Path) -> Result<String, UnreadableLock> {
-    fs::read_to_string(path).map_err(|error| unreadable(path, None, error.to_string()))
+    read_within(path, MAX_BYTES, Links::Followed)
+        .and_then(in_utf8)
+        .map_err(|error| unreadable(path, None, error.to_string()))
 }
 
 /// Returns the entries of a folder, sorted. An absent folder has none.

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use marf_cache::Digest;
+use marf_cache::file::{Links, read_within};
 use marf_stage::{Ctx, LOCK_FILE, StageError};
 use serde::Deserialize;
 
@@ -15,7 +16,7 @@ use crate::files::{self, Batch};
 use crate::stat::FileState;
 
 /// Largest file that is read: a sol of two million products.
-const MAX_BYTES: u64 = 1 << 30;
+pub(super) const MAX_BYTES: u64 = 1 << 30;
 /// Pause between two attempts to hold the lock.
 const RETRY: Duration = Duration::from_millis(10);
 /// The file that writers hold a lock on.
@@ -264,17 +265,14 @@ fn read_sol(path: &Path, sol: u32) -> Result<Option<SolPins>, StageError> {
 }
 
 fn read_text(path: &Path) -> Result<Option<String>, StageError> {
-    let text = match fs::metadata(path) {
-        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
-        Ok(meta) if meta.len() > MAX_BYTES => Err(io::Error::other(format!("it has {} bytes", meta.len()))),
-        Ok(_) => fs::read(path).and_then(in_utf8),
-        Err(error) => Err(error),
-    };
-    text.map(Some)
-        .map_err(|error| unreadable(path, &error).hint(WHOLE))
+    match read_within(path, MAX_BYTES, Links::Followed).and_then(in_utf8) {
+        Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),
+        Err(error) => Err(unreadable(path, &error).hint(WHOLE)),
+        Ok(text) => Ok(Some(text)),
+    }
 }
 
-fn in_utf8(bytes: Vec<u8>) -> io::Result<String> {
+pub(super) fn in_utf8(bytes: Vec<u8>) -> io::Result<String> {
     String::from_utf8(bytes).map_err(|error| {
         let good = error.utf8_error().valid_up_to();
         let line = error

@@ -76,3 +76,25 @@ fn the_end_marker_of_a_preview_is_not_that_of_the_picture() {
     assert_eq!(Photo::decode(&bytes).unwrap(), Photo::decode(&whole).unwrap());
     assert!(Photo::decode(&bytes[..bytes.len() - 2]).is_err());
 }
+
+/// The decoder works through all units of a picture for each scan: few bytes would keep it busy for minutes.
+#[test]
+fn a_picture_of_very_many_scans_is_refused_before_it_is_decoded() {
+    let whole = whole();
+    let scan = whole.windows(2).position(|pair| pair == [0xff, 0xda]).unwrap();
+    let again = |times: usize| {
+        let scans = whole[scan..whole.len() - 2].repeat(times);
+        [&whole[..scan], &scans, &[0xff, 0xd9]].concat()
+    };
+    let fault = |bytes: &[u8]| Photo::decode(bytes).unwrap_err().to_string();
+    let error = fault(&again(65));
+    assert!(
+        error.contains("it has 65 scans, above the limit of 64"),
+        "{error}"
+    );
+    let start = std::time::Instant::now();
+    assert!(fault(&again(100_000)).contains("100000 scans"));
+    assert!(start.elapsed().as_secs_f64() < 10.0, "{:?}", start.elapsed());
+    assert_eq!(scan::count(&whole), 1);
+    assert_eq!(scan::count(&[0xff, 0xd8, 0xff, 0xda]), 1);
+}
