@@ -138,10 +138,27 @@ fn text(kind: SurfaceKind, report: &SurfaceReport) -> String {
             map.lowest_m,
             map.interval_m
         ),
-        (SurfaceKind::Depth, _) => format!("depths at the views of {photos} photos ({unit})"),
+        (SurfaceKind::Depth, _) => format!(
+            "depths at the views of {photos} photos ({unit}), {}",
+            size_text(report.shrunk)
+        ),
         _ => format!(
             "{} triangles, {} vertices, samples {cell:.4} apart ({unit}), from {photos} photos",
             report.triangles, report.vertices
+        ),
+    }
+}
+
+/// Returns how large pictures of depth are, next to their photos.
+fn size_text([least, most]: [u32; 2]) -> String {
+    let limit = "for more pixels, set `side_px` of a node `surface` with `depth = true`";
+    match (least, most) {
+        (1, 1) => "as large as the photos".to_owned(),
+        (least, most) if least == most => {
+            format!("smaller than the photos: {least} x {least} pixels of a photo are one. {limit}")
+        }
+        (least, most) => format!(
+            "of other sizes than the photos: {least} x {least} to {most} x {most} pixels of a photo are one. {limit}"
         ),
     }
 }

@@ -86,7 +86,7 @@ fn page_of(session: &Session, record: &RunRecord, scene: Option<&str>) -> Result
     let maker = record.nodes.iter().rev().find_map(|node| node.key);
     let maker = maker.unwrap_or_else(|| Digest::from_content(&[]));
     let report = Report {
-        changes: changes(&run, scene, warn())?,
+        changes: changes(&run, scene, &session.tree, warn())?,
         trade: trade(&run, scene, warn())?,
         read: &read,
         memos: &StoreMemos(&session.store, Some(maker)),
@@ -132,7 +132,7 @@ pub fn linked(
         return Err(Error::failed("the shown run has no such page"));
     }
     let report = Report {
-        changes: changes(&run, scene, |_| {})?,
+        changes: changes(&run, scene, &resolved, |_| {})?,
         trade: trade(&run, scene, |_| {})?,
         read: &|digest| store.get(digest).ok(),
         memos: &StoreMemos(store, None),
@@ -196,15 +196,31 @@ fn is_on_page(node: &str, scene: Option<&str>) -> bool {
     scene.is_none() || scenes::is_of(node, scene)
 }
 
-/// Returns the changes since the last run of the pipeline with other results. So a run that computes nothing has the changes of the one
-/// before it. Children of nodes are left out.
+/// Returns the folders that the archives of a resolved pipeline read, by archive.
+fn folders(resolved: &Value) -> BTreeMap<&str, &Value> {
+    let archives = resolved["archive"].as_object().into_iter().flatten();
+    archives
+        .filter_map(|(name, archive)| Some((name.as_str(), archive.get("path")?)))
+        .collect()
+}
+
+/// Returns the changes since the last run of the pipeline on the same folders with other results. So a run that computes nothing has the
+/// changes of the one before it. Children of nodes are left out. `resolved` is the pipeline of the run.
 ///
 /// # Errors
 /// A store that cannot be read.
-fn changes(run: &Run<'_>, scene: Option<&str>, warn: impl Fn(String)) -> Result<Option<Changes>, Error> {
+fn changes(
+    run: &Run<'_>,
+    scene: Option<&str>,
+    resolved: &Value,
+    warn: impl Fn(String),
+) -> Result<Option<Changes>, Error> {
     let (store, record) = (run.store(), &run.record);
+    let is_of_same_folders = |before: &RunRecord| {
+        documents::resolved(store, before).is_ok_and(|before| folders(&before) == folders(resolved))
+    };
     let before = select::earlier(store, record, warn, |before| {
-        before.outcome == Outcome::Done && !before.has_keys_of(record)
+        before.outcome == Outcome::Done && !before.has_keys_of(record) && is_of_same_folders(before)
     })?;
     let Some(before) = before else {
         return Ok(None);
