@@ -55,10 +55,18 @@ fn the_table_has_the_format_of_the_bytes_and_every_file_that_is_not_read() {
     let column = |name: &str| heads.iter().position(|head| head == name).unwrap();
     let lines: Vec<csv::StringRecord> = reader.records().map(Result::unwrap).collect();
     assert_eq!(lines.len(), 3 + 4, "{csv}");
-    for (line, name, value) in [(0, "product", "a.jpg"), (1, "format", "TIFF"), (2, "width_px", "64"), (3, "product", "")] {
+    for (line, name, value) in [
+        (0, "product", "a.jpg"),
+        (1, "format", "TIFF"),
+        (2, "width_px", "64"),
+        (3, "product", ""),
+    ] {
         assert_eq!(&lines[line][column(name)], value, "{csv}");
     }
-    let unread = lines.iter().find(|line| &line[column("file")] == "e|f.jpg").unwrap();
+    let unread = lines
+        .iter()
+        .find(|line| &line[column("file")] == "e|f.jpg")
+        .unwrap();
     assert!(unread[column("not_read")].starts_with("not a JPEG"), "{csv}");
 
     // Without a pipeline file the newest run of a verb on a folder is meant.

@@ -192,3 +192,20 @@ fn splats_text(splats: &SplatReport, report: &SurfaceReport) -> String {
     }
     text
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn depths_that_are_smaller_than_their_photos_say_so() {
+        assert_eq!(size_text([1, 1]), "as large as the photos");
+        assert!(size_text([2, 2]).starts_with("smaller than the photos: 2 x 2 pixels of a photo are one. "));
+        let mixed = size_text([1, 3]);
+        assert!(
+            mixed.starts_with("of other sizes than the photos: 1 x 1 to 3 x 3 pixels of a photo are one. "),
+            "{mixed}"
+        );
+        assert!(mixed.contains("`side_px`"), "{mixed}");
+    }
+}

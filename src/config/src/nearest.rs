@@ -54,9 +54,16 @@ mod tests {
             (device.to_string(), "gpu"),
             ("unknown variant `a`, expected `b` or `c`".to_owned(), "b"),
         ] {
-            assert_eq!(near_word(&message), Some(format!("did you mean `{word}`?")), "{message}");
+            assert_eq!(
+                near_word(&message),
+                Some(format!("did you mean `{word}`?")),
+                "{message}"
+            );
         }
         assert_eq!(near_word("`train` sets it too, not `trian`"), None);
-        assert_eq!(near_word("unknown variant `magic`, expected `sfm` or `labels`"), None);
+        assert_eq!(
+            near_word("unknown variant `magic`, expected `sfm` or `labels`"),
+            None
+        );
     }
 }

@@ -85,7 +85,9 @@ impl PhotoLine {
     fn csv(&self) -> [String; CSV_COLUMNS.len()] {
         let facts = &self.facts;
         let prior = facts.prior.as_ref();
-        let focal_px = prior.and_then(|prior| prior.model.intrinsics().ok()).map(|k| k.hs);
+        let focal_px = prior
+            .and_then(|prior| prior.model.intrinsics().ok())
+            .map(|k| k.hs);
         let counter = prior.map_or(&[][..], |prior| &prior.motion_counter).iter();
         let counter: Vec<String> = counter.map(i64::to_string).collect();
         let text = |value: Option<String>| value.unwrap_or_default();

@@ -247,7 +247,8 @@ mod tests {
             let primitive = read.meshes().next().unwrap().primitives().next().unwrap();
             let of = |name: &str| {
                 let semantic = gltf::Semantic::Extras(name.to_owned());
-                let values = gltf::accessor::Iter::<f32>::new(primitive.get(&semantic)?, |_| Some(blob.as_slice()));
+                let values =
+                    gltf::accessor::Iter::<f32>::new(primitive.get(&semantic)?, |_| Some(blob.as_slice()));
                 Some(values?.collect::<Vec<_>>())
             };
             (of("DEPTH_STD"), of("COLOR_STD"))

@@ -323,7 +323,16 @@ mod tests {
     fn the_stated_coverage_is_a_point_of_the_curve_whatever_the_errors_are() {
         // Most errors are small and a few large: a normal distribution with the same 68 % covers too few at 90 %.
         let heavy = |place: usize| {
-            let errors = (0..1000).map(|index| (0.1, if index % 8 == 0 { 1.0 } else { 0.1 * index as f32 / 1000.0 }));
+            let errors = (0..1000).map(|index| {
+                (
+                    0.1,
+                    if index % 8 == 0 {
+                        1.0
+                    } else {
+                        0.1 * index as f32 / 1000.0
+                    },
+                )
+            });
             Errors::new(place, errors.collect(), 0.0)
         };
         let found = calibrate(&[heavy(0), heavy(1), heavy(2)], &[1e-6]).unwrap();
