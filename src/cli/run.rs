@@ -87,14 +87,10 @@ fn table(run: &PipelineRun) -> String {
             .to_owned(),
         );
     }
-    let ran = record
-        .nodes
-        .iter()
-        .filter(|node| node.state == NodeState::Finished)
-        .count();
+    let ran = shown().filter(|node| node.state == NodeState::Finished).count();
     lines.push(format!(
         "{ran} of {} nodes ran in {}",
-        record.nodes.len(),
+        shown().count(),
         duration(record.seconds)
     ));
     lines.join("\n")
