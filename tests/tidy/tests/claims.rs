@@ -214,7 +214,7 @@ impl<'ast> Visit<'ast> for Messages<'_> {
     }
 }
 
-fn tokens(part: &impl syn::__private::ToTokens) -> TokenStream {
+fn tokens(part: &impl quote::ToTokens) -> TokenStream {
     part.to_token_stream()
 }
 
