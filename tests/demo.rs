@@ -49,6 +49,87 @@ fn count(ran: &Ran, node: &str, what: &str) -> u64 {
         .unwrap_or(0)
 }
 
+/// Returns the numbers of a page right after a text.
+fn numbers(page: &str, before: &str) -> Vec<f64> {
+    let after = page.split(before).skip(1);
+    let digits = after.map(|rest| {
+        let is_of_number = |letter: char| letter.is_ascii_digit() || ",.-".contains(letter);
+        let end = rest.find(|letter| !is_of_number(letter)).unwrap_or(rest.len());
+        rest[..end].trim_end_matches(['.', ',']).replace(',', "")
+    });
+    digits.filter_map(|digits| digits.parse().ok()).collect()
+}
+
+/// Compares the numbers of a report that stand at several places.
+fn numbers_that_stand_twice_agree(page: &str) {
+    let first = |before: &str| {
+        let found = numbers(page, before);
+        *found
+            .first()
+            .unwrap_or_else(|| panic!("no number after `{before}`"))
+    };
+    let cell = |key: &str| first(&format!("<th scope=\"row\">{key}</th><td class=\"number\">"));
+    let figure = |name: &str| first(&format!("<dt>{name}</dt><dd>"));
+    let rows = page.matches("<td class=\"who\">").count() as f64;
+    assert_eq!(
+        [first("<p class=\"lead\">"), first("Graph of ")],
+        [rows; 2],
+        "nodes"
+    );
+
+    // Each filter gets what the one before it kept, and the galleries show as many as the funnel counts.
+    let bars: Vec<&str> = page
+        .split("<svg class=\"funnel\"")
+        .nth(1)
+        .unwrap()
+        .split("<title>")
+        .skip(1)
+        .collect();
+    let mut given = None;
+    for bar in bars {
+        let (name, counts) = bar.split_once(": ").unwrap();
+        let seen = numbers(&format!("={counts}"), "=")[0];
+        let kept = numbers(counts, "in, ").first().copied().unwrap_or(seen);
+        let rejected = numbers(counts, "kept, ").first().copied().unwrap_or(0.0);
+        assert_eq!(seen, kept + rejected, "{name}");
+        assert!(
+            given.is_none_or(|given| given == seen),
+            "{name}: {given:?} and {seen}"
+        );
+        if rejected > 0.0 && given.is_some() {
+            let gallery = format!("<h3>{name}: ");
+            assert_eq!((first(&gallery), name), (rejected, name));
+        }
+        given = Some(kept);
+    }
+    let kept = given.unwrap();
+    let gallery = page.split("<section id=\"kept\">").nth(1).unwrap();
+    assert_eq!(numbers(gallery, "<p>")[0], kept, "photos kept");
+    assert_eq!(cell("totals.photos"), kept, "photos that calibration was given");
+
+    let cameras = page.split("<section id=\"cameras\">").nth(1).unwrap();
+    let [placed, held_out] = ["</h3><p>", "cameras, "].map(|before| numbers(cameras, before)[0]);
+    assert_eq!(
+        [figure("photos placed"), cell("totals.registered")],
+        [placed; 2],
+        "placed"
+    );
+    let training = [
+        figure("photos held out"),
+        cell("held_out_photos"),
+        cell("totals.held_out"),
+    ];
+    assert_eq!(training, [held_out; 3], "held out");
+    assert_eq!(
+        figure("photos trained on") + held_out,
+        placed,
+        "trained on and held out"
+    );
+    for (name, key) in [("PSNR", "psnr"), ("SSIM", "ssim")] {
+        assert_eq!(figure(name), cell(key), "{name}");
+    }
+}
+
 #[test]
 fn only_what_changed_runs_again() {
     let dir = demo();
@@ -62,6 +143,7 @@ fn only_what_changed_runs_again() {
         "{} bytes of report",
         report.len()
     );
+    numbers_that_stand_twice_agree(&report);
     for file in [
         "train/weights.safetensors",
         "calibrate/transforms.json",

@@ -97,12 +97,20 @@ fn every_kind_of_a_surface_takes_a_field_by_its_content() {
 #[test]
 fn depths_are_a_folder_with_a_picture_for_each_photo_trained_on() {
     let dir = trained();
-    export(dir, &format!("depth --field {WEIGHTS} --out depth")).exits(0);
+    let said = export(dir, &format!("depth --field {WEIGHTS} --out depth"))
+        .exits(0)
+        .stdout;
     let pictures: Vec<_> = std::fs::read_dir(dir.join("depth")).unwrap().flatten().collect();
     assert!(pictures.len() >= 10, "{}", pictures.len());
     pictures
         .iter()
         .for_each(|picture| begins_with(&picture.path(), PNG));
+    let scene: Value =
+        serde_json::from_slice(&std::fs::read(dir.join("out/train/scene.json")).unwrap()).unwrap();
+    let camera = &scene["frames"][0]["camera"];
+    let (width, _) = image::image_dimensions(pictures[0].path()).unwrap();
+    assert_eq!(Some(u64::from(width)), camera["width"].as_u64());
+    assert!(said.contains("as large as the photos"), "{said}");
 }
 
 #[test]

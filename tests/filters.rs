@@ -170,3 +170,40 @@ fn a_folder_without_a_photo_is_an_error_and_nothing_is_said_to_be_written() {
         ran.stdout
     );
 }
+
+/// Another folder of the same pipeline is neither the folder that was looked at before nor what its photos are compared with.
+#[test]
+fn a_run_on_another_folder_names_it_and_is_compared_with_runs_on_that_folder_alone() {
+    let dir = tempfile::tempdir().unwrap();
+    let write = |name: &str, seed: u32| {
+        let path = dir.path().join(name);
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        std::fs::write(path, png(&ground(seed))).unwrap();
+    };
+    (0..3).for_each(|seed| write(&format!("A/{seed}.png"), seed));
+    (3..5).for_each(|seed| write(&format!("B/{seed}.png"), seed));
+    let text = "[archive.a]\nkind = \"folder\"\npath = \"A\"\n[node.extract]\narchive = \"a\"\n[node.size]\ninput = \"extract\"\n";
+    std::fs::write(dir.path().join("pipeline.toml"), text).unwrap();
+    let section = || {
+        let page = std::fs::read_to_string(dir.path().join("out/report.html")).unwrap();
+        let start = page.find("<section id=\"changes\">").unwrap();
+        page[start..][..page[start..].find("</section>").unwrap()].to_owned()
+    };
+    let on_b = ["run", "--set", "archive.a.path=\"B\""];
+    marf(dir.path(), &["run"]).exits(0);
+    let said = marf(dir.path(), &on_b).exits(0).stderr;
+    assert!(said.contains("folder `B`: shard 0 changed"), "{said}");
+    assert!(
+        section().contains("No earlier run of this pipeline with the same archives"),
+        "{}",
+        section()
+    );
+    write("B/5.png", 5);
+    marf(dir.path(), &on_b).exits(0);
+    assert!(
+        section().contains("Differs from run 2 in 2 nodes"),
+        "{}",
+        section()
+    );
+    assert!(section().contains("extract: 1 products in"), "{}", section());
+}

@@ -27,7 +27,8 @@ pub fn log(args: LogArgs, context: Context) -> Result<(), Error> {
         return print_json(&shown);
     }
     for run in shown {
-        let count = |state: NodeState| run.nodes.iter().filter(|node| node.state == state).count();
+        let nodes = || run.nodes.iter().filter(|node| node.parent.is_none());
+        let count = |state: NodeState| nodes().filter(|node| node.state == state).count();
         let derived = derived(&runs, run).map(|what| format!("  ({what})"));
         print_line(&format!(
             "{:>4}  {}  {:<9} {:>3} ran, {:>3} reused, {} failed  {:>12}  {}{}",

@@ -4,6 +4,7 @@ use std::num::NonZero;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use marf_config::nearest::near_word;
 use marf_field::Device;
 use marf_run::scenes::Selection;
 use marf_run::{Context, Signing};
@@ -61,7 +62,7 @@ pub struct SignArg {
 pub struct DeviceArg {
     /// Device for training and rendering: `auto` (a GPU if there is one), `cpu`, `gpu` or `gpu:NAME`. A node's own `device` takes
     /// precedence
-    #[arg(long, value_name = "DEVICE")]
+    #[arg(long, value_name = "DEVICE", value_parser = word::<Device>)]
     device: Option<Device>,
 }
 
@@ -245,7 +246,13 @@ impl PipelineArgs {
 /// Reads a word as pipeline.toml has it.
 ///
 /// # Errors
-/// Names the words that are known.
+/// Names the words that are known, and the nearest.
 pub fn word<T: DeserializeOwned>(word: &str) -> Result<T, String> {
-    serde_json::from_value(word.into()).map_err(|error| error.to_string())
+    serde_json::from_value(word.into()).map_err(|error| {
+        let message = error.to_string();
+        match near_word(&message) {
+            Some(hint) => format!("{message}, {hint}"),
+            None => message,
+        }
+    })
 }

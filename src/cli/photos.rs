@@ -17,6 +17,9 @@ pub struct PhotosArgs {
     /// Node whose photos are listed
     #[arg(long, default_value = "extract")]
     node: String,
+    /// Print the table as CSV instead of Markdown. Files without a photo have their reason in `not_read`
+    #[arg(long, conflicts_with = "json")]
+    csv: bool,
     #[command(flatten)]
     record: RecordArgs,
     #[command(flatten)]
@@ -29,6 +32,10 @@ pub fn photos(args: PhotosArgs, context: Context) -> Result<(), Error> {
     let table = marf_run::photos::photos(&context, args.dir.as_deref(), &args.node)?;
     if args.record.json {
         return print_json(&table);
+    }
+    if args.csv {
+        print_line(table.csv()?.trim_end());
+        return Ok(());
     }
     print_line(
         "| product | format | pixels | camera of the label | frame | site, drive, pose | sol | notes |",

@@ -25,8 +25,8 @@ pub struct RenderArgs {
     /// Number of the run [default: the newest one that has the node]
     #[arg(long, value_name = "NUMBER")]
     pub run: Option<u64>,
-    /// Camera path: `train` or `heldout` (at the photos), `interp` (smoothly through the training photos), `orbit`, or a FILE of bookmarks
-    #[arg(long, value_name = "PATH|FILE", default_value = "interp")]
+    /// Camera path: `train` or `heldout` (at the photos), `flythrough` (smoothly through the training photos), `orbit`, or a FILE of bookmarks
+    #[arg(long, value_name = "PATH|FILE", default_value = "flythrough")]
     pub path: String,
     /// Pictures of each viewpoint: `rgb`, `depth`, `uncertainty`
     #[arg(long, value_name = "WHAT", value_delimiter = ',', default_value = "rgb", value_parser = word::<Layer>)]

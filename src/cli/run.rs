@@ -89,14 +89,10 @@ fn table(run: &PipelineRun) -> Vec<String> {
             .to_owned(),
         );
     }
-    let ran = record
-        .nodes
-        .iter()
-        .filter(|node| node.state == NodeState::Finished)
-        .count();
+    let ran = shown().filter(|node| node.state == NodeState::Finished).count();
     lines.push(format!(
         "{ran} of {} nodes ran in {}",
-        record.nodes.len(),
+        shown().count(),
         duration(record.seconds)
     ));
     lines

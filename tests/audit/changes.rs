@@ -19,7 +19,8 @@ fn section(folder: &Path) -> String {
 fn a_parameter_is_told_with_what_followed_by_the_verb_and_in_the_report() {
     let dir = ran();
     assert!(
-        section(dir.path()).contains("No earlier run of this pipeline had other results."),
+        section(dir.path())
+            .contains("No earlier run of this pipeline with the same archives had other results."),
         "{}",
         section(dir.path())
     );

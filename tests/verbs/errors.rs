@@ -56,6 +56,45 @@ fn error_of_an_argument() {
     );
 }
 
+/// A word that is nearly one of a list, in the file, in an argument and on the command line.
+#[test]
+fn a_word_that_is_nearly_right_has_the_right_one_as_a_hint() {
+    let pipeline = |method: &str| {
+        format!(
+            "{HEAD}[node.calibrate]\ninput = \"extract\"\nmethod = \"{method}\"\n[node.train]\ninput = \"calibrate\"\n[node.bootstrap]\ninput = \"calibrate\"\n"
+        )
+    };
+    let dir = with_pipeline(&pipeline("lables"));
+    let said = marf(dir.path(), &["plan"]).exits(2).stderr;
+    assert!(said.contains("hint: did you mean `labels`?"), "{said}");
+    let dir = with_pipeline(&pipeline("labels"));
+    for (args, word) in [
+        ("plan --set calibrate.method=\"colmp\"", "colmap"),
+        ("plan --set train.quality=\"drfat\"", "draft"),
+        ("plan --set train.device=\"gpi\"", "gpu"),
+        ("plan --set bootstrap.viewpoints=\"heldot\"", "heldout"),
+        ("plan --set bootstrap.viewpoints=[\"train\",\"orbti\"]", "orbit"),
+        ("plan --set bootstrap.b=\"auot\"", "auto"),
+        ("plan --device cpi", "cpu"),
+        ("export mesh --out a.ply --color phtos", "photos"),
+        ("render --out a --path flythruogh", "flythrough"),
+        ("render --out a --output depht", "depth"),
+        ("render --out a --codec h246", "h264"),
+        ("compare --sols 1 --sols 2 --out a --quality standrad", "standard"),
+        ("calibrate photos --method lables", "labels"),
+        ("fit photos --fit fixd", "fixed"),
+    ] {
+        let said = marf(dir.path(), &args.split(' ').collect::<Vec<_>>())
+            .exits(2)
+            .stderr;
+        let hints = [
+            format!("did you mean `{word}`?"),
+            format!("a similar value exists: '{word}'"),
+        ];
+        assert!(hints.iter().any(|hint| said.contains(hint)), "{args}: {said}");
+    }
+}
+
 #[test]
 fn error_without_a_pipeline() {
     let dir = tempfile::tempdir().unwrap();

@@ -49,6 +49,26 @@ fn the_table_has_the_format_of_the_bytes_and_every_file_that_is_not_read() {
     assert_eq!(table["photos"][1]["format"], "TIFF");
     assert_eq!(table["not_read"].as_array().unwrap().len(), 4);
 
+    let csv = marf(dir.path(), &["photos", "photos", "--csv"]).exits(0).stdout;
+    let mut reader = csv::Reader::from_reader(csv.as_bytes());
+    let heads = reader.headers().unwrap().clone();
+    let column = |name: &str| heads.iter().position(|head| head == name).unwrap();
+    let lines: Vec<csv::StringRecord> = reader.records().map(Result::unwrap).collect();
+    assert_eq!(lines.len(), 3 + 4, "{csv}");
+    for (line, name, value) in [
+        (0, "product", "a.jpg"),
+        (1, "format", "TIFF"),
+        (2, "width_px", "64"),
+        (3, "product", ""),
+    ] {
+        assert_eq!(&lines[line][column(name)], value, "{csv}");
+    }
+    let unread = lines
+        .iter()
+        .find(|line| &line[column("file")] == "e|f.jpg")
+        .unwrap();
+    assert!(unread[column("not_read")].starts_with("not a JPEG"), "{csv}");
+
     // Without a pipeline file the newest run of a verb on a folder is meant.
     assert_eq!(marf(dir.path(), &["photos"]).exits(0).stdout, said.stdout);
     let none = marf(dir.path(), &["report"]).exits(1);

@@ -138,12 +138,29 @@ fn text(kind: SurfaceKind, report: &SurfaceReport) -> Vec<String> {
             map.lowest_m,
             map.interval_m
         ),
-        (SurfaceKind::Depth, _) => format!("depths at the views of {photos} photos ({unit})"),
+        (SurfaceKind::Depth, _) => format!(
+            "depths at the views of {photos} photos ({unit}), {}",
+            size_text(report.shrunk)
+        ),
         _ => format!(
             "{} triangles, {} vertices, samples {cell:.4} apart ({unit}), from {photos} photos",
             report.triangles, report.vertices
         ),
     }]
+}
+
+/// Returns how large pictures of depth are, next to their photos.
+fn size_text([least, most]: [u32; 2]) -> String {
+    let limit = "for more pixels, set `side_px` of a node `surface` with `depth = true`";
+    match (least, most) {
+        (1, 1) => "as large as the photos".to_owned(),
+        (least, most) if least == most => {
+            format!("smaller than the photos: {least} x {least} pixels of a photo are one. {limit}")
+        }
+        (least, most) => format!(
+            "of other sizes than the photos: {least} x {least} to {most} x {most} pixels of a photo are one. {limit}"
+        ),
+    }
 }
 
 /// Describes the splats, and how near they come to the field.
@@ -174,4 +191,21 @@ fn splats_text(splats: &SplatReport, report: &SurfaceReport) -> Vec<String> {
         });
     }
     text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn depths_that_are_smaller_than_their_photos_say_so() {
+        assert_eq!(size_text([1, 1]), "as large as the photos");
+        assert!(size_text([2, 2]).starts_with("smaller than the photos: 2 x 2 pixels of a photo are one. "));
+        let mixed = size_text([1, 3]);
+        assert!(
+            mixed.starts_with("of other sizes than the photos: 1 x 1 to 3 x 3 pixels of a photo are one. "),
+            "{mixed}"
+        );
+        assert!(mixed.contains("`side_px`"), "{mixed}");
+    }
 }

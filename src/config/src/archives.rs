@@ -9,7 +9,7 @@ use serde_json::{Map, Value as Json, json};
 use super::error::ConfigError;
 use super::options::GlobalOptions;
 use super::syntax::{Entry, SyntaxNode};
-use crate::nearest::did_you_mean;
+use crate::nearest::{did_you_mean, near_word};
 
 /// Key that names the kind of an archive.
 const KIND: &str = "kind";
@@ -84,7 +84,8 @@ pub(super) fn param_error(table: &Entry, path: &str, error: &ParamError) -> Conf
         "" => (table.at.clone(), String::new()),
         path => (table.value.place(path), format!(".{path}")),
     };
-    ConfigError::at(at, format!("archive.{}{key}: {}", table.key, error.message))
+    let message = format!("archive.{}{key}: {}", table.key, error.message);
+    ConfigError::at(at, message).hint(near_word(&error.message))
 }
 
 fn kind_of(table: &Entry) -> Result<&'static ArchiveDef, ConfigError> {

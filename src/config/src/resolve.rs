@@ -15,7 +15,7 @@ use super::manual_lists;
 use super::options::GlobalOptions;
 use super::store::{self, SharedStore};
 use super::syntax::{Entry, SyntaxNode, Value};
-use crate::nearest::did_you_mean;
+use crate::nearest::{did_you_mean, near_word};
 
 /// A checked pipeline.
 pub struct Pipeline {
@@ -337,7 +337,8 @@ fn param_error(entry: &Entry, archive: Option<&Entry>, error: &ParamError) -> Co
     } else {
         format!(".{}", error.path)
     };
-    ConfigError::at(at, format!("node.{}{key}: {}", entry.key, error.message))
+    let message = format!("node.{}{key}: {}", entry.key, error.message);
+    ConfigError::at(at, message).hint(near_word(&error.message))
 }
 
 /// Checks that the nodes form a graph. An error has the place of the key or the node at fault.

@@ -91,9 +91,12 @@ pub(crate) fn why_missed(
     {
         changes.splice(at..=at, shards);
     }
-    let reason = changes
-        .first()
-        .map_or_else(|| "its record is gone".to_owned(), ToString::to_string);
+    let place = listed.and_then(|listed| listed.listing.place.as_ref());
+    let reason = match (changes.first(), place) {
+        (None, _) => "its record is gone".to_owned(),
+        (Some(change), Some(place)) if change.shard().is_some() => format!("{place}: {change}"),
+        (Some(change), _) => change.to_string(),
+    };
     Ok(RunReason { reason, changes })
 }
 

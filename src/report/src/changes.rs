@@ -9,7 +9,7 @@ use super::report::ChangedNode;
 /// Lists the nodes that differ from those of the last run with other results.
 pub(super) fn body(page: &Page<'_>) -> Markup {
     let Some(changes) = &page.report.changes else {
-        return html! { p { "No earlier run of this pipeline had other results." } };
+        return html! { p { "No earlier run of this pipeline with the same archives had other results." } };
     };
     html! {
         p { "Differs from run " (changes.since) " in " (count(changes.nodes.len(), "node")) "." }

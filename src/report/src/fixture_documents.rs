@@ -213,10 +213,11 @@ fn intervals(floor: f64) -> bootstrap::Calibration {
         ece: 0.02,
         ece_range: [0.01, 0.04],
         inside: (1..20).map(|share| f64::from(share) * 0.049).collect(),
-        coverage90: 0.9,
+        coverage90: 18.0 * 0.049,
         coverage90_range: [0.86, 0.93],
         places: 5,
         views: 10,
+        errors: 12_345,
         unseen_share: 0.012,
         note: "only 5 places were held out: a new one may be unlike them".to_owned(),
     }

@@ -131,6 +131,8 @@ mod tests {
             said.contains("rejects all 3 photos") && said.contains("in `[node.grayscale]` keeps them"),
             "{said}"
         );
+        let one = emptied::sentence("grayscale", 1, "x");
+        assert!(one.starts_with("`grayscale` rejects the only photo"), "{one}");
         for silent in [emptied(&filter, &sum(1)), emptied(&node("extract", &[]), &sum(0))] {
             assert_eq!(silent.into_string(), "");
         }

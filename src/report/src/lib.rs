@@ -50,6 +50,8 @@ mod fixture_documents;
 mod real;
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod twice;
 
 use marf_model::RunNode;
 use marf_schema::scenes::{Scenes, ScenesParams};

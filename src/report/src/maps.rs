@@ -127,15 +127,15 @@ fn members(metrics: &Metrics) -> Markup {
 
 /// Says what the 90 % intervals are and how far they hold at places they were not fitted on.
 fn intervals(held_out: &HeldOut) -> Markup {
-    let percent = |share: f64| format!("{:.0} %", share * 100.0);
+    let percent = |share: f64| format!("{} %", number(share * 100.0));
     let told = |calibration: &Calibration, unit: &str, floor: String| {
         html! {
             p {
                 "90 % interval of " (unit) ": " (number(calibration.factor90)) " times the spread, which is at least " (floor)
-                ". At a place that it was not fitted on it covers " (percent(calibration.coverage90)) " of the errors ("
-                (percent(calibration.coverage90_range[0])) " to " (percent(calibration.coverage90_range[1])) " in "
-                (count(calibration.places as usize, "place")) "). Shares inside differ from the stated shares by "
-                (percent(calibration.ece)) " in the mean. " (percent(calibration.unseen_share))
+                ". At a place that it was not fitted on it covers " (percent(calibration.coverage90)) " of the errors, the mean of "
+                (count(calibration.places as usize, "place")) " (" (percent(calibration.coverage90_range[0])) " to "
+                (percent(calibration.coverage90_range[1])) ") with " (count(calibration.errors as usize, "compared pixel"))
+                ". Shares inside differ from the stated shares by " (percent(calibration.ece)) " in the mean. " (percent(calibration.unseen_share))
                 " of the pixels have none: no photo saw what they show."
                 @if !calibration.note.is_empty() { " Note: " (calibration.note) "." }
             }
@@ -185,7 +185,7 @@ fn curves(held_out: &HeldOut) -> Markup {
         stated.zip(shares.iter().map(|share| share * 100.0)).collect()
     };
     let reliability = Chart {
-        title: "Errors inside intervals",
+        title: "Errors inside intervals, at places they were not fitted on",
         x_label: "stated share, %",
         y_label: "errors inside, %",
         scale: Scale::Linear,

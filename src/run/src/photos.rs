@@ -38,6 +38,77 @@ pub struct PhotoTable {
     pub not_read: Vec<UnreadFile>,
 }
 
+impl PhotoTable {
+    /// Returns the table as CSV: a line for each photo, then one with the reason in `not_read` for each file without a photo.
+    ///
+    /// # Errors
+    /// An error of the CSV writer.
+    pub fn csv(&self) -> Result<String, Error> {
+        let failed = |error: String| Error::failed(format!("photos: {error}"));
+        let mut writer = csv::Writer::from_writer(Vec::new());
+        let unread = self.not_read.iter().map(|file| {
+            let mut line = CSV_COLUMNS.map(|_| String::new());
+            line[1].clone_from(&file.file);
+            line[CSV_COLUMNS.len() - 1].clone_from(&file.reason);
+            line
+        });
+        let heads = CSV_COLUMNS.map(str::to_owned);
+        let photos = self.photos.iter().map(PhotoLine::csv);
+        for line in std::iter::once(heads).chain(photos).chain(unread) {
+            writer
+                .write_record(line)
+                .map_err(|error| failed(error.to_string()))?;
+        }
+        let bytes = writer.into_inner().map_err(|error| failed(error.to_string()))?;
+        String::from_utf8(bytes).map_err(|error| failed(error.to_string()))
+    }
+}
+
+/// Columns of the table as CSV.
+const CSV_COLUMNS: [&str; 13] = [
+    "product",
+    "file",
+    "format",
+    "width_px",
+    "height_px",
+    "bands",
+    "sol",
+    "instrument",
+    "focal_px",
+    "frame",
+    "motion_counter",
+    "notes",
+    "not_read",
+];
+
+impl PhotoLine {
+    fn csv(&self) -> [String; CSV_COLUMNS.len()] {
+        let facts = &self.facts;
+        let prior = facts.prior.as_ref();
+        let focal_px = prior
+            .and_then(|prior| prior.model.intrinsics().ok())
+            .map(|k| k.hs);
+        let counter = prior.map_or(&[][..], |prior| &prior.motion_counter).iter();
+        let counter: Vec<String> = counter.map(i64::to_string).collect();
+        let text = |value: Option<String>| value.unwrap_or_default();
+        [
+            self.product.clone(),
+            facts.file.clone(),
+            self.format.to_owned(),
+            facts.width.to_string(),
+            facts.height.to_string(),
+            facts.bands.to_string(),
+            text(facts.sol.map(|sol| sol.to_string())),
+            text(facts.instrument.clone()),
+            text(focal_px.or(facts.focal_px).map(|focal_px| focal_px.to_string())),
+            text(prior.map(|prior| prior.frame.clone())),
+            counter.join(" "),
+            facts.notes.join("; "),
+            String::new(),
+        ]
+    }
+}
+
 /// A file that gave no photo.
 #[derive(Debug, Serialize)]
 pub struct UnreadFile {

@@ -76,7 +76,7 @@ fn page_of(session: &Session, record: &RunRecord, scene: Option<&str>) -> Result
     let params: BTreeMap<String, Value> = params.collect();
     let names: Vec<&String> = params.keys().collect();
     let warn = || session.context.warnings();
-    let run = completed(&session.store, record, &names, warn())?;
+    let run = completed(&session.store, record, &session.tree, &names, warn())?;
     // After a cancellation nothing more is read, and no report is made of the objects read so far.
     let read = |digest: &Digest| -> Option<Arc<[u8]>> {
         session.check().ok()?;
@@ -86,7 +86,7 @@ fn page_of(session: &Session, record: &RunRecord, scene: Option<&str>) -> Result
     let maker = record.nodes.iter().rev().find_map(|node| node.key);
     let maker = maker.unwrap_or_else(|| Digest::from_content(&[]));
     let report = Report {
-        changes: changes(&run, scene, warn())?,
+        changes: changes(&run, scene, &session.tree, warn())?,
         trade: trade(&run, scene, warn())?,
         read: &read,
         memos: &StoreMemos(&session.store, Some(maker)),
@@ -119,7 +119,7 @@ pub fn linked(
         .into_iter()
         .flat_map(|nodes| nodes.keys())
         .collect();
-    let run = completed(store, record, &names, |_| {})?;
+    let run = completed(store, record, &resolved, &names, |_| {})?;
     let params = run.nodes.iter();
     let params =
         params.filter_map(|node| Some((node.run.name.clone(), node.action.as_ref()?.params.clone())));
@@ -132,7 +132,7 @@ pub fn linked(
         return Err(Error::failed("the shown run has no such page"));
     }
     let report = Report {
-        changes: changes(&run, scene, |_| {})?,
+        changes: changes(&run, scene, &resolved, |_| {})?,
         trade: trade(&run, scene, |_| {})?,
         read: &|digest| store.get(digest).ok(),
         memos: &StoreMemos(store, None),
@@ -146,13 +146,15 @@ pub fn linked(
     Ok(marf_report::linked(&report, live))
 }
 
-/// Returns a run. Nodes of its pipeline without a result in it are taken from the last run with results of all of these.
+/// Returns a run. Nodes of its pipeline without a result in it are taken from the last run on the same folders with results of all of
+/// these. `resolved` is the pipeline of the run.
 ///
 /// # Errors
 /// A store that cannot be read.
 fn completed<'s>(
     store: &'s Store,
     record: &RunRecord,
+    resolved: &Value,
     names: &[&String],
     warn: impl Fn(String),
 ) -> Result<Run<'s>, Error> {
@@ -162,7 +164,8 @@ fn completed<'s>(
     if is_whole(record) {
         return Ok(run);
     }
-    Ok(match select::earlier(store, record, warn, is_whole)? {
+    let is_wanted = |run: &RunRecord| is_whole(run) && is_on_folders_of(store, run, resolved);
+    Ok(match select::earlier(store, record, warn, is_wanted)? {
         Some(whole) => run.completed(Run::new(store, whole)?),
         None => run,
     })
@@ -196,15 +199,35 @@ fn is_on_page(node: &str, scene: Option<&str>) -> bool {
     scene.is_none() || scenes::is_of(node, scene)
 }
 
-/// Returns the changes since the last run of the pipeline with other results. So a run that computes nothing has the changes of the one
-/// before it. Children of nodes are left out.
+/// Returns the folders that the archives of a resolved pipeline read, by archive.
+fn folders(resolved: &Value) -> BTreeMap<&str, &Value> {
+    let archives = resolved["archive"].as_object().into_iter().flatten();
+    archives
+        .filter_map(|(name, archive)| Some((name.as_str(), archive.get("path")?)))
+        .collect()
+}
+
+/// Returns whether a run has read the same folders as a resolved pipeline.
+fn is_on_folders_of(store: &Store, run: &RunRecord, resolved: &Value) -> bool {
+    documents::resolved(store, run).is_ok_and(|of_run| folders(&of_run) == folders(resolved))
+}
+
+/// Returns the changes since the last run of the pipeline on the same folders with other results. So a run that computes nothing has the
+/// changes of the one before it. Children of nodes are left out. `resolved` is the pipeline of the run.
 ///
 /// # Errors
 /// A store that cannot be read.
-fn changes(run: &Run<'_>, scene: Option<&str>, warn: impl Fn(String)) -> Result<Option<Changes>, Error> {
+fn changes(
+    run: &Run<'_>,
+    scene: Option<&str>,
+    resolved: &Value,
+    warn: impl Fn(String),
+) -> Result<Option<Changes>, Error> {
     let (store, record) = (run.store(), &run.record);
     let before = select::earlier(store, record, warn, |before| {
-        before.outcome == Outcome::Done && !before.has_keys_of(record)
+        before.outcome == Outcome::Done
+            && !before.has_keys_of(record)
+            && is_on_folders_of(store, before, resolved)
     })?;
     let Some(before) = before else {
         return Ok(None);

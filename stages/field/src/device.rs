@@ -20,7 +20,7 @@ pub enum Device {
 
 /// A text that names no device.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("`{0}` is not a device: use auto, cpu, gpu or gpu:NAME")]
+#[error("`{0}` is not a device: use `auto`, `cpu`, `gpu` or `gpu:NAME`")]
 pub struct DeviceError(String);
 
 impl FromStr for Device {

@@ -47,11 +47,24 @@ pub enum Viewpoints {
 pub struct ViewpointList(pub Vec<Viewpoints>);
 
 /// As it is written.
-#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 #[serde(untagged)]
 enum OneOrMore {
     One(Viewpoints),
     More(Vec<Viewpoints>),
+}
+
+/// Unlike that of serde, which keeps no error of a variant, it names the word that is not known.
+impl<'de> Deserialize<'de> for OneOrMore {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let written = serde_json::Value::deserialize(deserializer)?;
+        let read = if written.is_array() {
+            serde_json::from_value(written).map(Self::More)
+        } else {
+            serde_json::from_value(written).map(Self::One)
+        };
+        read.map_err(serde::de::Error::custom)
+    }
 }
 
 impl From<OneOrMore> for ViewpointList {
@@ -120,7 +133,7 @@ impl<'de> Deserialize<'de> for Members {
             type Value = Members;
 
             fn expecting(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-                formatter.write_str("a number of members, or \"auto\"")
+                formatter.write_str("a number of members, or `auto`")
             }
 
             fn visit_u64<E: serde::de::Error>(self, count: u64) -> Result<Members, E> {
@@ -138,7 +151,9 @@ impl<'de> Deserialize<'de> for Members {
             fn visit_str<E: serde::de::Error>(self, word: &str) -> Result<Members, E> {
                 match word {
                     AUTO => Ok(Members::Auto),
-                    _ => Err(E::invalid_value(serde::de::Unexpected::Str(word), &self)),
+                    _ => Err(E::custom(format!(
+                        "unknown variant `{word}`, expected a number of members, or `auto`"
+                    ))),
                 }
             }
         }

@@ -115,6 +115,8 @@ pub struct SurfaceReport {
     pub unit: String,
     /// Photos whose views were looked at.
     pub photos: u64,
+    /// The least and the largest factor by which the sides of a photo were divided for its view, and so for its depths.
+    pub shrunk: [u32; 2],
     /// Distance between samples.
     pub cell: f64,
     /// Surfaces within this distance were averaged.

@@ -167,6 +167,8 @@ pub struct Listing {
     pub companions: BTreeMap<String, Digest>,
     /// The amount of data to fetch, as text (`90 files to fetch`). Not part of the key.
     pub note: Option<String>,
+    /// Where it is, in words (folder `photos`). Not part of the key.
+    pub place: Option<String>,
     /// Warnings about the listing (a pin that cannot be read), one sentence each. Not part of the key.
     pub warnings: Vec<String>,
 }

@@ -4,7 +4,7 @@ use nalgebra::{Matrix3, Vector3};
 use serde_json::{Value, json};
 
 use crate::frame::ExportFrame;
-use crate::mesh::Mesh;
+use crate::mesh::{Mesh, Retrained, Vertex};
 
 const FLOAT: u32 = 5126;
 const UNSIGNED_SHORT: u32 = 5123;
@@ -17,6 +17,8 @@ const ELEMENT_ARRAY_BUFFER: u32 = 34963;
 /// Positions are f32 around a middle, which is the translation of the node, so that a mesh far from the origin keeps its detail. `extras`
 /// of the node hold unit, what the colours are (`colors`), rotation and scale: `world = rotationᵀ · position / scale`, position as seen by a viewer. An empty mesh is a
 /// node without a mesh. Vertices without a normal get one that points up: the format asks for unit vectors.
+///
+/// With a bootstrap, a vertex has `_DEPTH_STD` and `_COLOR_STD`: `depth_std` and `color_std` of [`crate::ply::mesh`].
 pub fn mesh(mesh: &Mesh, frame: &ExportFrame, generator: &str, colors: &str) -> Vec<u8> {
     let (rotation, scale) = (frame.y_up(), frame.scale());
     let extras = extras(frame, &rotation, colors);
@@ -40,10 +42,14 @@ pub fn mesh(mesh: &Mesh, frame: &ExportFrame, generator: &str, colors: &str) -> 
         .map(|vertex| (place(&vertex.position) - middle).map(|x| x as f32).into())
         .collect();
     let (low, high) = bounds(positions.iter().map(|at| Vector3::from(at.map(f64::from))));
-    let vertices = mesh.vertices.len();
-    let position = buffer.view(
+    let count = mesh.vertices.len();
+    let position = buffer.put(
         positions.as_flattened().iter().flat_map(|x| x.to_le_bytes()),
         ARRAY_BUFFER,
+        json!({
+            "componentType": FLOAT, "count": count, "type": "VEC3",
+            "min": [low.x, low.y, low.z], "max": [high.x, high.y, high.z],
+        }),
     );
     let normals = mesh.vertices.iter().flat_map(|vertex| {
         let turned = (rotation * vertex.normal)
@@ -51,62 +57,78 @@ pub fn mesh(mesh: &Mesh, frame: &ExportFrame, generator: &str, colors: &str) -> 
             .unwrap_or_else(Vector3::y);
         turned.map(|x| x as f32).data.0[0]
     });
-    let normal = buffer.view(normals.flat_map(f32::to_le_bytes), ARRAY_BUFFER);
+    let normal = json!({"componentType": FLOAT, "count": count, "type": "VEC3"});
+    let normal = buffer.put(normals.flat_map(f32::to_le_bytes), ARRAY_BUFFER, normal);
     let colors = mesh.vertices.iter().flat_map(|vertex| {
         let [r, g, b] = vertex.color.map(linear);
         [r, g, b, u16::MAX]
     });
-    let color = buffer.view(colors.flat_map(u16::to_le_bytes), ARRAY_BUFFER);
+    let color = json!({"componentType": UNSIGNED_SHORT, "normalized": true, "count": count, "type": "VEC4"});
+    let color = buffer.put(colors.flat_map(u16::to_le_bytes), ARRAY_BUFFER, color);
+    let mut attributes = json!({"POSITION": position, "NORMAL": normal, "COLOR_0": color});
+    put_retrained(&mut buffer, &mut attributes, &mesh.vertices, scale as f32);
     let indices = mesh
         .triangles
         .as_flattened()
         .iter()
         .flat_map(|index| index.to_le_bytes());
-    let index = buffer.view(indices, ELEMENT_ARRAY_BUFFER);
+    let index = json!({"componentType": UNSIGNED_INT, "count": 3 * mesh.triangles.len(), "type": "SCALAR"});
+    let index = buffer.put(indices, ELEMENT_ARRAY_BUFFER, index);
     let json = json!({
         "asset": asset,
         "scene": 0,
         "scenes": [{"nodes": [0]}],
         "nodes": [{"name": "surface", "mesh": 0, "translation": [middle.x, middle.y, middle.z], "extras": extras}],
-        "meshes": [{"primitives": [{
-            "attributes": {"POSITION": 0, "NORMAL": 1, "COLOR_0": 2},
-            "indices": 3,
-            "material": 0,
-        }]}],
+        "meshes": [{"primitives": [{"attributes": attributes, "indices": index, "material": 0}]}],
         // Rough and no metal: the colours are those that photos saw.
         "materials": [{"pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 1.0}, "doubleSided": true}],
-        "accessors": [
-            {
-                "bufferView": position, "componentType": FLOAT, "count": vertices, "type": "VEC3",
-                "min": [low.x, low.y, low.z], "max": [high.x, high.y, high.z],
-            },
-            {"bufferView": normal, "componentType": FLOAT, "count": vertices, "type": "VEC3"},
-            {
-                "bufferView": color, "componentType": UNSIGNED_SHORT, "normalized": true, "count": vertices, "type": "VEC4",
-            },
-            {"bufferView": index, "componentType": UNSIGNED_INT, "count": 3 * mesh.triangles.len(), "type": "SCALAR"},
-        ],
+        "accessors": buffer.accessors,
         "bufferViews": buffer.views,
         "buffers": [{"byteLength": buffer.bytes.len()}],
     });
     container(&json, buffer.bytes)
 }
 
-/// Bytes with their views. All parts are whole words.
+/// Adds how far retrainings differ at each vertex, if a bootstrap was looked at.
+fn put_retrained(buffer: &mut Buffer, attributes: &mut Value, vertices: &[Vertex], scale: f32) {
+    if vertices.iter().all(|vertex| vertex.retrained.is_none()) {
+        return;
+    }
+    let values: [(&str, fn(&Retrained) -> f32, f32); 2] = [
+        ("_DEPTH_STD", |retrained| retrained.depth, scale),
+        ("_COLOR_STD", |retrained| retrained.color, 1.0),
+    ];
+    for (name, value, scale) in values {
+        let known = vertices.iter().map(|vertex| {
+            let value = vertex.retrained.as_ref().map_or(-1.0, value);
+            if value < 0.0 { -1.0 } else { value * scale }
+        });
+        let form = json!({"componentType": FLOAT, "count": vertices.len(), "type": "SCALAR"});
+        attributes[name] = buffer
+            .put(known.flat_map(f32::to_le_bytes), ARRAY_BUFFER, form)
+            .into();
+    }
+}
+
+/// Bytes with their views and the forms of their numbers. All parts are whole words.
 #[derive(Default)]
 struct Buffer {
     bytes: Vec<u8>,
     views: Vec<Value>,
+    accessors: Vec<Value>,
 }
 
 impl Buffer {
-    fn view(&mut self, bytes: impl Iterator<Item = u8>, target: u32) -> usize {
+    /// Adds numbers of a form and returns the index of their accessor.
+    fn put(&mut self, bytes: impl Iterator<Item = u8>, target: u32, mut form: Value) -> usize {
         let start = self.bytes.len();
         self.bytes.extend(bytes);
         self.views.push(json!({
             "buffer": 0, "byteOffset": start, "byteLength": self.bytes.len() - start, "target": target,
         }));
-        self.views.len() - 1
+        form["bufferView"] = (self.views.len() - 1).into();
+        self.accessors.push(form);
+        self.accessors.len() - 1
     }
 }
 
@@ -160,7 +182,6 @@ mod tests {
     use marf_scene::Scene;
 
     use super::*;
-    use crate::mesh::Vertex;
 
     /// A triangle far from the origin in a site frame (z down), of units of 2 m.
     fn example() -> (Mesh, ExportFrame) {
@@ -215,6 +236,29 @@ mod tests {
                 .all(|at| (0..3).all(|i| at[i] >= bounds.min[i] && at[i] <= bounds.max[i]))
         );
         assert_eq!(bytes.len() % 4, 0);
+    }
+
+    #[test]
+    fn another_program_reads_how_far_retrainings_differ() {
+        let (mut example, frame) = example();
+        let depths = |bytes: &[u8]| {
+            let read = gltf::Gltf::from_slice(bytes).unwrap();
+            let blob = read.blob.clone().unwrap();
+            let primitive = read.meshes().next().unwrap().primitives().next().unwrap();
+            let of = |name: &str| {
+                let semantic = gltf::Semantic::Extras(name.to_owned());
+                let values =
+                    gltf::accessor::Iter::<f32>::new(primitive.get(&semantic)?, |_| Some(blob.as_slice()));
+                Some(values?.collect::<Vec<_>>())
+            };
+            (of("DEPTH_STD"), of("COLOR_STD"))
+        };
+        assert_eq!(depths(&mesh(&example, &frame, "test", "")), (None, None));
+        for (vertex, depth) in example.vertices.iter_mut().zip([0.25, -1.0, 0.5]) {
+            vertex.retrained = Some(Retrained { depth, color: 0.125 });
+        }
+        let expected = (Some(vec![0.5, -1.0, 1.0]), Some(vec![0.125; 3]));
+        assert_eq!(depths(&mesh(&example, &frame, "test", "")), expected);
     }
 
     #[test]

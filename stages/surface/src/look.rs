@@ -103,6 +103,16 @@ pub struct FieldViews {
     pub opacities: Vec<Vec<f32>>,
     /// Of each view `[height * width]` as [`RenderedView::distance`], if splats are requested.
     pub distances: Vec<Vec<f32>>,
+    /// The factor by which each photo was shrunk.
+    pub factors: Vec<u32>,
+}
+
+impl FieldViews {
+    /// Returns the least and the largest factor by which a photo was shrunk.
+    pub fn shrunk(&self) -> [u32; 2] {
+        let factors = || self.factors.iter().copied();
+        [factors().min(), factors().max()].map(|factor| factor.unwrap_or(1))
+    }
 }
 
 /// Returns the factor by which a photo is shrunk to at most `side_px` a side and `most` pixels.

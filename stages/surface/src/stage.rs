@@ -32,7 +32,7 @@ stage! {
     Set,
     Threads::All,
     about: "makes a mesh (PLY, GLB), points, splats, a height map and an orthophoto of a trained field",
-    version: 5,
+    version: 6,
     ports: [
         Port::required("input", WEIGHTS),
         Port::required("input", SCENE),
@@ -59,7 +59,7 @@ impl Set for MakeSurface {
         let (views, held_out) = views_of(&scene)?;
         let limits = self.limits(&frame);
         let seen = self.look(ctx, &scene, &field, &views, &mut outputs)?;
-        let photos = seen.views.len();
+        let (photos, shrunk) = (seen.views.len(), seen.shrunk());
         ctx.progress.at(photos as u64, photos as u64, "surface");
         let mut surface =
             extract(&seen.views, &seen.observers, limits, ctx.cancel).map_err(StageError::from)?;
@@ -75,6 +75,7 @@ impl Set for MakeSurface {
         let made = SurfaceResult {
             surface,
             photos,
+            shrunk,
             members,
             splats,
         };
@@ -119,6 +120,7 @@ impl MakeSurface {
                 self.params.side_px,
                 MOST_PIXELS / views.len() as u64,
             );
+            seen.factors.push(factor);
             let mut shown = rendered(ctx, field, frame, factor)?;
             if self.params.depth {
                 let (width, height) = (shown.camera.width, shown.camera.height);

@@ -17,6 +17,8 @@ pub struct SurfaceResult {
     pub surface: Surface,
     /// Photos whose views were looked at.
     pub photos: usize,
+    /// The least and the largest factor by which a photo was shrunk for its view.
+    pub shrunk: [u32; 2],
     /// Retrainings that were looked at.
     pub members: u32,
     /// Report of the splats, which are written already. `None` if they were not requested.
@@ -96,6 +98,7 @@ fn report(made: SurfaceResult, uncertainty: UncertaintyReport, frame: &ExportFra
     SurfaceReport {
         unit: frame.unit().to_owned(),
         photos: made.photos as u64,
+        shrunk: made.shrunk,
         cell: surface.cell * scale,
         band: surface.band * scale,
         reach: surface.reach * scale,

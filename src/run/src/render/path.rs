@@ -14,12 +14,12 @@ use crate::copies::object_of;
 use crate::error::{Diagnostic, Error};
 use marf_config::nearest::did_you_mean;
 
-/// The words of the command line, and the paths that they are.
-const WORDS: [(&str, PathKind); 4] = [
-    ("train", PathKind::Train),
-    ("heldout", PathKind::Heldout),
-    ("interp", PathKind::Flythrough),
-    ("orbit", PathKind::Orbit),
+/// The paths that the command line has a word for, as pipeline.toml.
+const PATHS: [PathKind; 4] = [
+    PathKind::Train,
+    PathKind::Heldout,
+    PathKind::Flythrough,
+    PathKind::Orbit,
 ];
 
 /// The scene that a bookmark was set in.
@@ -76,7 +76,7 @@ pub enum CameraPath {
 /// # Errors
 /// A text that is neither a word nor a file, or a file without bookmarks.
 pub fn read(given: &str, frames: Option<u32>) -> Result<PathWithOrigins, Error> {
-    if let Some((_, kind)) = WORDS.iter().find(|(word, _)| *word == given) {
+    if let Some(kind) = PATHS.iter().find(|kind| kind.name() == given) {
         let path = CameraPath::OfScene(*kind);
         return Ok(PathWithOrigins {
             path,
@@ -96,7 +96,7 @@ pub fn read(given: &str, frames: Option<u32>) -> Result<PathWithOrigins, Error> 
 fn bookmarks(file: &Path) -> Result<Vec<Bookmark>, Error> {
     let name = file.display();
     let bytes = read_file(file, FileKind::Document, Links::Followed).map_err(|error| {
-        let words = WORDS.map(|(word, _)| word);
+        let words = PATHS.map(PathKind::name);
         let near = did_you_mean(&name.to_string(), words);
         let all = format!("take one of {}, or a file of bookmarks", words.join(", "));
         let message = format!("--path {name}: not a path, and not a readable file: {error}");
@@ -176,13 +176,13 @@ mod tests {
     #[test]
     fn words_are_paths_and_what_is_neither_word_nor_file_is_told_with_the_nearest_word() {
         assert_eq!(
-            read("interp", None).unwrap().path,
+            read("flythrough", None).unwrap().path,
             CameraPath::OfScene(PathKind::Flythrough)
         );
         let error = refused("orbti");
         assert!(error.message.contains("--path orbti"), "{error:?}");
         assert_eq!(error.hint.as_deref(), Some("did you mean `orbit`?"));
-        assert!(refused("no/such.json").hint.unwrap().contains("interp"));
+        assert!(refused("no/such.json").hint.unwrap().contains("flythrough"));
     }
 
     #[test]

@@ -199,15 +199,14 @@ pub struct Calibration {
     pub t: f64,
     /// 90 % of the errors are at most this many spreads: half of the width of the interval that maps show.
     pub factor90: f64,
-    /// Mean |share inside - nominal| over 19 nominal shares of a normal distribution of `t` spreads, at the
-    /// place left out, as a mean over places.
+    /// Mean |share inside - stated share| over the 19 intervals of `inside`, at the place left out, as a mean over places.
     pub ece: f64,
     /// Least and largest of a place.
     pub ece_range: [f64; 2],
-    /// Share of the errors at the place left out within intervals of nominal shares 0.05, 0.10, .. 0.95, as a
-    /// mean over places.
+    /// Share of the errors at the place left out within intervals of stated shares 0.05, 0.10, .. 0.95, each fitted at the other places as
+    /// that of 0.90 is, as a mean over places.
     pub inside: Vec<f64>,
-    /// Share of the errors at the place left out that its 90 % interval covers, as a mean over places.
+    /// Share of the errors at the place left out that its 90 % interval covers, as a mean over places. One of `inside`.
     pub coverage90: f64,
     /// Least and largest of a place.
     pub coverage90_range: [f64; 2],
@@ -215,6 +214,8 @@ pub struct Calibration {
     pub places: u64,
     /// Photos.
     pub views: u64,
+    /// Pixels whose errors were compared, at most 16,384 a photo, evenly spaced.
+    pub errors: u64,
     /// Share of pixels without an interval, since no photo trained on saw them.
     pub unseen_share: f64,
     /// Caveats.

@@ -26,8 +26,8 @@ const Z: [f64; 19] = [
 ];
 /// Share of a normal distribution within one standard deviation.
 const ONE_SD: f64 = 0.682_689_492_137_086;
-/// Share inside the interval that maps show.
-const INSIDE: f64 = 0.9;
+/// Twentieths inside the interval that maps show.
+const NINETY: usize = 18;
 /// Fewer places than this cannot be left out in turn.
 const LEAST_PLACES: usize = 2;
 /// With fewer places, the share of a new one may be far from their mean. The note says so.
@@ -68,12 +68,13 @@ impl Errors {
     }
 }
 
-/// What makes an interval of a spread.
-#[derive(Debug, Clone, Copy, PartialEq)]
+/// What makes intervals of a spread.
+#[derive(Debug, Clone, PartialEq)]
 struct Fit {
     floor: f64,
     t: f64,
-    factor90: f64,
+    /// Spreads that bound 0.05, 0.10, .. 0.95 of the errors.
+    factors: Vec<f64>,
 }
 
 /// Returns √(spread² + floor²).
@@ -101,6 +102,9 @@ pub(crate) fn calibrate(views: &[Errors], floors: &[f64]) -> Option<Calibration>
     });
     let checks: Vec<Check> = checks.collect();
     let count = checks.len().max(1) as f64;
+    let inside: Vec<f64> = (0..Z.len())
+        .map(|at| checks.iter().map(|check| check.inside[at]).sum::<f64>() / count)
+        .collect();
     let range = |value: fn(&Check) -> f64| {
         let values = checks.iter().map(value);
         [
@@ -119,14 +123,13 @@ pub(crate) fn calibrate(views: &[Errors], floors: &[f64]) -> Option<Calibration>
     (!checks.is_empty()).then(|| Calibration {
         floor: fit.floor,
         t: fit.t,
-        factor90: fit.factor90,
+        factor90: fit.factors[NINETY - 1],
         ece: checks.iter().map(Check::ece).sum::<f64>() / count,
         ece_range: range(Check::ece),
-        inside: (0..Z.len())
-            .map(|at| checks.iter().map(|check| check.inside[at]).sum::<f64>() / count)
-            .collect(),
-        coverage90: checks.iter().map(|check| check.covered).sum::<f64>() / count,
-        coverage90_range: range(|check| check.covered),
+        coverage90: inside[NINETY - 1],
+        coverage90_range: range(|check| check.inside[NINETY - 1]),
+        inside,
+        errors: errors as u64,
         places: places.len() as u64,
         views: views.len() as u64,
         unseen_share: views.iter().map(|view| view.unseen_share).sum::<f64>() / views.len() as f64,
@@ -141,9 +144,12 @@ fn fit(views: &[&Errors], floors: &[f64]) -> Option<Fit> {
         let fit = Fit {
             floor: *floor,
             t: score_within(&scores, ONE_SD)?,
-            factor90: score_within(&scores, INSIDE)?,
+            factors: twentieths()
+                .map(|share| score_within(&scores, share))
+                .collect::<Option<_>>()?,
         };
-        Some((calibration_error(&shares_inside(&scores, fit.t)), fit))
+        let normal = Z.map(|z| share_within(&scores, z * fit.t));
+        Some((calibration_error(&normal), fit))
     });
     let best = fits.min_by(|a, b| a.0.total_cmp(&b.0));
     best.map(|(_, fit)| fit)
@@ -151,10 +157,8 @@ fn fit(views: &[&Errors], floors: &[f64]) -> Option<Fit> {
 
 /// How intervals hold at views that they were not fitted on.
 struct Check {
-    /// Shares inside the intervals of [`Z`].
+    /// Shares inside the intervals of 0.05, 0.10, .. 0.95.
     inside: Vec<f64>,
-    /// Share inside the 90 % interval.
-    covered: f64,
 }
 
 impl Check {
@@ -167,8 +171,11 @@ impl Check {
 fn check(views: &[&Errors], fit: &Fit) -> Option<Check> {
     let scores = scores(views, fit.floor);
     (!scores.is_empty()).then(|| Check {
-        inside: shares_inside(&scores, fit.t),
-        covered: share_within(&scores, fit.factor90),
+        inside: fit
+            .factors
+            .iter()
+            .map(|factor| share_within(&scores, *factor))
+            .collect(),
     })
 }
 
@@ -187,18 +194,16 @@ fn share_within(sorted: &[f64], widths: f64) -> f64 {
     sorted.partition_point(|score| *score <= widths) as f64 / sorted.len().max(1) as f64
 }
 
-/// Returns the shares of sorted scores inside the nominal shares 0.05 to 0.95 of a normal distribution whose standard deviation is `t`
-/// spreads.
-fn shares_inside(sorted: &[f64], t: f64) -> Vec<f64> {
-    Z.iter().map(|z| share_within(sorted, z * t)).collect()
+/// Returns the stated shares 0.05, 0.10, .. 0.95.
+fn twentieths() -> impl Iterator<Item = f64> {
+    (1..=Z.len()).map(|twentieth| twentieth as f64 / 20.0)
 }
 
-/// Returns the mean |share inside - nominal|.
+/// Returns the mean |share inside - stated|.
 fn calibration_error(inside: &[f64]) -> f64 {
-    let nominal = (1..=Z.len()).map(|twentieth| twentieth as f64 / 20.0);
     let gaps = inside
         .iter()
-        .zip(nominal)
+        .zip(twentieths())
         .map(|(inside, nominal)| (inside - nominal).abs());
     gaps.sum::<f64>() / Z.len() as f64
 }
@@ -280,6 +285,7 @@ mod tests {
             "{found:?}"
         );
         assert!((found.coverage90 - 0.9).abs() < 0.03, "{found:?}");
+        assert_eq!(found.errors, 3 * 1000);
         assert_eq!((found.places, found.views, found.unseen_share), (3, 3, 0.25));
         assert!(found.note.contains("only 3 places"), "{found:?}");
     }
@@ -311,6 +317,28 @@ mod tests {
         let found = calibrate(&views, &GRAY_FLOORS).unwrap();
         assert_eq!(found.floor, 4.0 / 255.0);
         assert!((found.t - 1.0).abs() < 0.05 && found.ece < 0.02, "{found:?}");
+    }
+
+    #[test]
+    fn the_stated_coverage_is_a_point_of_the_curve_whatever_the_errors_are() {
+        // Most errors are small and a few large: a normal distribution with the same 68 % covers too few at 90 %.
+        let heavy = |place: usize| {
+            let errors = (0..1000).map(|index| {
+                (
+                    0.1,
+                    if index % 8 == 0 {
+                        1.0
+                    } else {
+                        0.1 * index as f32 / 1000.0
+                    },
+                )
+            });
+            Errors::new(place, errors.collect(), 0.0)
+        };
+        let found = calibrate(&[heavy(0), heavy(1), heavy(2)], &[1e-6]).unwrap();
+        assert_eq!(found.coverage90, found.inside[NINETY - 1], "{found:?}");
+        assert!(found.coverage90 >= 0.9, "{found:?}");
+        assert!(1.645 * found.t < 0.5 * found.factor90, "{found:?}");
     }
 
     #[test]

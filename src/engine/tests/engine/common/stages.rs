@@ -127,7 +127,7 @@ impl Source for Archive {
             shards: shards.collect(),
             companions: BTreeMap::new(),
             note: (archive.len() > 2).then(|| format!("{} shards there", archive.len())),
-            warnings: Vec::new(),
+            ..Listing::default()
         })
     }
 

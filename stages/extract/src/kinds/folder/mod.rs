@@ -127,6 +127,12 @@ impl Folder {
         })
     }
 
+    /// Returns the folder in words: its own name alone, since records name no folder of a machine.
+    fn place(&self) -> Option<String> {
+        let root = std::path::absolute(&self.source.root).ok()?;
+        Some(format!("folder `{}`", root.file_name()?.to_string_lossy()))
+    }
+
     fn check_root(&self) -> Result<(), StageError> {
         let fail = |what: &str, hint: &str| {
             Err(StageError::new(format!("`{}` {what}", self.source.root.display())).hint(hint.to_owned()))
@@ -208,6 +214,7 @@ impl ArchiveFiles for Folder {
         Ok(Listing {
             shards: shards.collect(),
             companions,
+            place: self.place(),
             ..Listing::default()
         })
     }

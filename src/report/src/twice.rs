@@ -1,0 +1,51 @@
+//! Numbers that stand twice in a report. Those of a real run are compared in `tests/demo.rs`.
+
+use super::fixture::full;
+
+/// Returns the number right after a text.
+fn number_after<'h>(html: &'h str, before: &str) -> &'h str {
+    let (_, rest) = html.split_once(before).unwrap_or_else(|| panic!("no `{before}`"));
+    let end = rest
+        .find(|letter: char| !letter.is_ascii_digit() && letter != '.')
+        .unwrap();
+    &rest[..end]
+}
+
+#[test]
+fn an_interval_covers_in_its_text_what_it_covers_in_its_chart_and_in_its_table() {
+    let (store, nodes) = full();
+    let html = store.report(&nodes);
+    for (unit, line, key) in [
+        ("gray levels", "gray levels", "calibration"),
+        ("the depth", "depth", "depth_calibration"),
+    ] {
+        let text = html.split_once(&format!("90 % interval of {unit}: ")).unwrap().1;
+        let in_chart = format!("<title>{line} stated share, % 90, errors inside, % ");
+        assert_eq!(
+            number_after(text, "it covers "),
+            number_after(&html, &in_chart),
+            "{unit}"
+        );
+        let cell = |name: &str| format!("heldout.{key}.{name}</th><td class=\"number\">");
+        let share: f64 = number_after(&html, &cell("coverage90")).parse().unwrap();
+        let shown: f64 = number_after(text, "it covers ").parse().unwrap();
+        assert!((100.0 * share - shown).abs() < 1e-9, "{share} {shown}");
+        assert_eq!(
+            number_after(text, "the mean of "),
+            number_after(&html, &cell("places"))
+        );
+        assert!(text.contains("with 12,345 compared pixels"), "{text}");
+    }
+}
+
+#[test]
+fn the_time_of_a_run_is_the_sum_of_the_times_of_the_nodes_that_ran() {
+    let (store, nodes) = full();
+    let html = store.report(&nodes);
+    let of_rows: f64 = html
+        .split("<span class=\"badge ran\">ran</span></td><td class=\"number\">")
+        .skip(1)
+        .map(|rest| rest.split_once(" s<").unwrap().0.parse::<f64>().unwrap_or(0.0))
+        .sum();
+    assert_eq!(number_after(&html, "1 skipped, "), format!("{of_rows:.1}"));
+}
