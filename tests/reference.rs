@@ -68,7 +68,7 @@ fn the_reference_of_the_pipeline_file_is_current() {
     let schema = marf(Path::new("."), &["schema"]).exits(0).stdout;
     let schema: Value = serde_json::from_str(&schema).unwrap();
     let definitions = schema["$defs"].as_object().unwrap();
-    let mut text = "# pipeline.toml\n\nThis page is generated from `marf schema`. An empty default means that the key has none.\n\nEvery node also has the key `uses`. It names the stage if the name of the node does not.\n".to_owned();
+    let mut text = "# pipeline.toml\n\nThis page is generated from `marf schema`. An empty default means that the key has none.\n\nEvery node also has the key `uses`. It names the stage if the name of the node does not. Every archive has the key `kind`, which is the name of a section here.\n".to_owned();
     for title in ["Archives", "Stages"] {
         write!(text, "\n## {title}\n").unwrap();
         for (name, definition) in definitions {
@@ -159,7 +159,7 @@ fn add_rows(table: &Value, prefix: &str, all: &serde_json::Map<String, Value>, r
         let values = values(target);
         let shared = SHARED.iter().find(|(name, _)| name == key);
         let place = shared.map_or_else(String::new, |(_, heading)| {
-            format!(" Its keys are [below]({heading}).")
+            format!(" Its keys are listed [here]({heading}).")
         });
         rows.push(format!(
             "| `{prefix}{key}` | {default} | {}.{values}{place} |",
