@@ -125,7 +125,8 @@ impl Folders {
         marf(&demo, &["export", "cameras", "--out", "../exported"]).exits(0);
         for entry in std::fs::read_dir(dir.path().join("exported")).unwrap() {
             let path = entry.unwrap().path();
-            if path.extension().is_some_and(|ext| ext == "png") {
+            // The photos of one sol.
+            if path.extension().is_some_and(|ext| ext == "png") && path.to_string_lossy().contains("_0001_") {
                 std::fs::rename(&path, photos.join("photos").join(path.file_name().unwrap())).unwrap();
             }
         }
