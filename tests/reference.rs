@@ -68,7 +68,7 @@ fn the_reference_of_the_pipeline_file_is_current() {
     let schema = marf(Path::new("."), &["schema"]).exits(0).stdout;
     let schema: Value = serde_json::from_str(&schema).unwrap();
     let definitions = schema["$defs"].as_object().unwrap();
-    let mut text = "# pipeline.toml\n\nThis page is generated from `marf schema`. An empty default means that the key has none.\n\nEvery node also has the key `uses`. It names the stage if the name of the node does not. Every archive has the key `kind`, which is the name of a section here.\n".to_owned();
+    let mut text = "# pipeline.toml\n\nThis page is generated from `marf schema`. A key without a default may be left out, except `input`.\n\nEvery node also has the key `uses`. It names the stage if the name of the node does not. Every archive has the key `kind`, which is the name of a section here.\n".to_owned();
     for title in ["Archives", "Stages"] {
         write!(text, "\n## {title}\n").unwrap();
         for (name, definition) in definitions {
@@ -149,8 +149,11 @@ fn add_rows(table: &Value, prefix: &str, all: &serde_json::Map<String, Value>, r
             .as_str()
             .and_then(|name| all.get(name.trim_start_matches("#/$defs/")));
         let target = named.unwrap_or(definition);
+        let required = table["required"]
+            .as_array()
+            .is_some_and(|keys| keys.iter().any(|name| name == key));
         let default = match &definition["default"] {
-            Value::Null | Value::Object(_) => String::new(),
+            Value::Null | Value::Object(_) => String::from(if required { "required" } else { "" }),
             default => format!("`{default}`"),
         };
         let meaning = [sentence(definition), sentence(target)]
