@@ -68,7 +68,7 @@ fn the_reference_of_the_pipeline_file_is_current() {
     let schema = marf(Path::new("."), &["schema"]).exits(0).stdout;
     let schema: Value = serde_json::from_str(&schema).unwrap();
     let definitions = schema["$defs"].as_object().unwrap();
-    let mut text = "# pipeline.toml\n\nThis page is generated from `marf schema`. An empty default means that the key has none.\n".to_owned();
+    let mut text = "# pipeline.toml\n\nThis page is generated from `marf schema`. A key without a default may be left out, except `input`.\n\nEvery node also has the key `uses`. It names the stage if the name of the node does not. Every archive has the key `kind`, which is the name of a section here.\n".to_owned();
     for title in ["Archives", "Stages"] {
         write!(text, "\n## {title}\n").unwrap();
         for (name, definition) in definitions {
@@ -77,6 +77,17 @@ fn the_reference_of_the_pipeline_file_is_current() {
                 add_table(&mut text, archive.unwrap_or(name), definition, definitions);
             }
         }
+        let (owner, name) = if title == "Archives" {
+            ("archive.pds", "network")
+        } else {
+            ("train", "field")
+        };
+        add_table(
+            &mut text,
+            name,
+            &definitions[owner]["properties"][name],
+            definitions,
+        );
     }
     text += "\n## Other keys\n";
     for (name, definition) in schema["properties"].as_object().unwrap() {
@@ -86,6 +97,14 @@ fn the_reference_of_the_pipeline_file_is_current() {
     }
     is_current("pipeline.md", &text);
 }
+
+/// Tables that several tables contain, and the heading under which their keys are listed.
+const SHARED: [(&str, &str); 4] = [
+    ("by_hand", "#keep"),
+    ("field", "#field"),
+    ("network", "#network"),
+    ("train", "#train"),
+];
 
 /// Adds a table of the file with its keys.
 fn add_table(text: &mut String, name: &str, definition: &Value, all: &serde_json::Map<String, Value>) {
@@ -102,15 +121,19 @@ fn add_table(text: &mut String, name: &str, definition: &Value, all: &serde_json
     }
 }
 
-/// A description in one line, as a sentence without its full stop.
-fn sentence(definition: &Value) -> String {
+/// A description in one line, without its full stop.
+fn one_line(definition: &Value) -> String {
     let words: Vec<&str> = definition["description"]
         .as_str()
         .unwrap_or_default()
         .split_whitespace()
         .collect();
-    let text = words.join(" ");
-    let text = text.trim_end_matches('.').replace('|', "\\|");
+    words.join(" ").trim_end_matches('.').replace('|', "\\|")
+}
+
+/// A description in one line, as a sentence without its full stop.
+fn sentence(definition: &Value) -> String {
+    let text = one_line(definition);
     let mut letters = text.chars();
     letters
         .next()
@@ -120,24 +143,32 @@ fn sentence(definition: &Value) -> String {
 
 /// Adds a row for each key of a table, those of tables in it as `table.key`.
 fn add_rows(table: &Value, prefix: &str, all: &serde_json::Map<String, Value>, rows: &mut Vec<String>) {
-    for (key, definition) in table["properties"].as_object().into_iter().flatten() {
+    let keys = table["properties"].as_object().into_iter().flatten();
+    for (key, definition) in keys.filter(|(key, _)| !["uses", "kind"].contains(&key.as_str())) {
         let named = definition["$ref"]
             .as_str()
             .and_then(|name| all.get(name.trim_start_matches("#/$defs/")));
         let target = named.unwrap_or(definition);
+        let required = table["required"]
+            .as_array()
+            .is_some_and(|keys| keys.iter().any(|name| name == key));
         let default = match &definition["default"] {
-            Value::Null | Value::Object(_) => String::new(),
+            Value::Null | Value::Object(_) => String::from(if required { "required" } else { "" }),
             default => format!("`{default}`"),
         };
         let meaning = [sentence(definition), sentence(target)]
             .into_iter()
             .find(|text| !text.is_empty());
         let values = values(target);
+        let shared = SHARED.iter().find(|(name, _)| name == key);
+        let place = shared.map_or_else(String::new, |(_, heading)| {
+            format!(" Its keys are listed [here]({heading}).")
+        });
         rows.push(format!(
-            "| `{prefix}{key}` | {default} | {}.{values} |",
+            "| `{prefix}{key}` | {default} | {}.{values}{place} |",
             meaning.unwrap_or_default()
         ));
-        if target["properties"].is_object() {
+        if shared.is_none() && target["properties"].is_object() {
             add_rows(target, &format!("{prefix}{key}."), all, rows);
         }
     }
@@ -147,10 +178,7 @@ fn add_rows(table: &Value, prefix: &str, all: &serde_json::Map<String, Value>, r
 fn values(definition: &Value) -> String {
     let choices = definition["oneOf"].as_array().into_iter().flatten();
     let named: Vec<String> = choices
-        .filter_map(|choice| Some(format!("`{}`: {}", choice["const"].as_str()?, sentence(choice))))
+        .filter_map(|choice| Some(format!(" `{}`: {}.", choice["const"].as_str()?, one_line(choice))))
         .collect();
-    if named.is_empty() {
-        return String::new();
-    }
-    format!(" {}.", named.join(", "))
+    named.concat()
 }

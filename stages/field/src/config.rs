@@ -22,8 +22,8 @@ pub enum Background {
 pub enum Occupied {
     /// All that some camera sees.
     Seen,
-    /// Those near sparse points. Others once a step in them has an optical depth of 0.04. Without points: all
-    /// seen.
+    /// Those near sparse points, and others once a step in them has an optical depth of 0.04. Without
+    /// points: all that some camera sees.
     NearPoints,
 }
 
@@ -31,9 +31,10 @@ pub enum Occupied {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Gain {
-    /// One log gain a photo and channel, zero in the mean over all photos after every step.
+    /// One log gain for each photo and channel. Its mean over all photos is 0 after every step.
     PerPhoto,
-    /// A log gain and an offset a photo and channel, both zero in the mean over all photos after every step.
+    /// A log gain and an offset for each photo and channel. Their means over all photos are 0 after every
+    /// step.
     PerPhotoAndOffset,
     /// All photos share one exposure.
     Off,
@@ -45,7 +46,7 @@ pub enum Gain {
 pub enum ViewDependence {
     /// The colour network sees 16 spherical harmonics of the direction: gloss.
     On,
-    /// It does not, and is smaller by them: dust and rock.
+    /// The colour network does not see the direction, and is smaller: dust and rock.
     Off,
 }
 
@@ -73,34 +74,34 @@ pub struct Config {
     /// raises them.
     #[serde(skip_serializing_if = "is_one")]
     pub finest_factor: f64,
-    /// Neurons in the hidden layer of the density network: 16, 32, 64 or 128 (mock-up after 60 s: 32 gives 21.16 dB,
-    /// 64 gives 21.12).
+    /// Neurons in the hidden layer of the density network: 16, 32, 64 or 128.
+    // Mock-up after 60 s: 32 gives 21.16 dB, 64 gives 21.12.
     pub density_width: u32,
     /// Neurons in a hidden layer of the colour network: 16, 32, 64 or 128.
     pub color_width: u32,
     /// Hidden layers of the colour network, 1 to 3.
     pub color_layers: u32,
-    /// Samples that one step aims at, 256 to 2^20. The number of rays follows from it. Absent in a training
-    /// by the clock on a GPU: as many as suit its pace, 2^12 to 2^18.
+    /// Samples that one step aims at, 256 to 2^20. The number of rays follows from it. Default for a
+    /// training with a time limit on a GPU: from its speed, 2^12 to 2^18.
     pub batch_samples: u32,
-    /// Samples trained on a ray, about, at most, 0 to 4096. 0: all. Once steps along rays were halved,
-    /// samples are chosen by weight from those that show, whose density is known. With few, rays are cheap
-    /// and a step has more of them, but surfaces are less exact: `benches/field.md`.
+    /// Most samples of a ray that are trained, approximately, 0 to 4096. 0: all. Once steps along rays were
+    /// halved, samples are chosen by weight from those that are visible. With few samples, rays are cheap
+    /// and a step has more of them, but surfaces are less exact.
     #[serde(skip_serializing_if = "is_zero")]
     pub ray_samples: u32,
     /// Adam's step size at the start, in (0, 1].
     pub learning_rate: f64,
     /// Adam's step size at the end of the training, as a share of that at the start, in [1e-4, 1]. It falls
-    /// by equal factors in the second half, from step 512 at the earliest. `benches/field.md`.
+    /// by equal factors in the second half, from step 512 at the earliest.
     pub final_rate: f64,
-    /// Share of itself that the running average of the weights keeps in a step, 0 to 0.9999. Fields are made
-    /// of the average.
+    /// Decay of the running average of the weights in a step, 0 to 0.9999. A field consists of the averaged
+    /// weights.
     pub average: f64,
     /// Cells a side of the occupancy grid over the whole contracted box, 16 to 256, a multiple of 4.
     pub occupancy_resolution: u32,
-    /// Cells that rays visit at first. From points, mock-up of 80 photos, one seed: +0.38 dB after 300 steps,
-    /// +0.16 after 800, with 37 % more rays a second. With `depth_weight` it lost 0.39 and 0.16 dB on the
-    /// photos of a fox.
+    /// Cells that rays visit at first.
+    // From points, mock-up of 80 photos, one seed: +0.38 dB after 300 steps, +0.16 after 800, with 37 % more rays a second. With
+    // `depth_weight` it lost 0.39 and 0.16 dB on the photos of a fox.
     pub occupied: Occupied,
     /// Length of a step along the ray at first, as a share of the distance from the camera, in [1/1024, 1/4].
     pub cone: f64,
@@ -109,7 +110,7 @@ pub struct Config {
     pub min_step: f64,
     /// How often `cone` and `min_step` are halved in training, 0 to 6: in equal parts of nine tenths of it
     /// and after 640 steps each at the earliest. All at once where rays have few samples. Absent: until a
-    /// step is at most a pixel long. `benches/field.md`.
+    /// step is at most a pixel long.
     pub halvings: Option<u32>,
     /// Steps after which the box is fitted to the matter that the field has found, and the field restarts in
     /// it. Rounded down to a multiple of 16. 0: never. Absent: an eighth of `steps`, 64 to 512, where they
@@ -118,37 +119,37 @@ pub struct Config {
     /// Distance of the first sample, as a share of the box's half side, in [1e-4, 10]. Absent: from the
     /// sparse points.
     pub near: Option<f64>,
-    /// Distance of the last sample, as a share of the box's half side, above `near`, at most 1e6. Absent:
-    /// from the sparse points.
+    /// Distance of the last sample, as a share of the box's half side, larger than `near`, at most 1e6.
+    /// Absent: from the sparse points.
     pub far: Option<f64>,
     /// Planned steps of the training: a table is not larger than they fill, and the step size and the length
     /// of steps along rays end with it. Absent: not known. Schedules then behave as with 4,000 steps.
     pub steps: Option<u64>,
-    /// Weight of the distortion loss (mip-NeRF 360, arXiv 2111.12077, eq. 15), 0 or more, the same in all steps. Absent: from the
-    /// number of photos, growing with the steps where they are many: `benches/field.md`.
+    /// Weight of the distortion loss (mip-NeRF 360, arXiv 2111.12077, eq. 15), 0 or more, the same in all
+    /// steps. Absent: from the number of photos, growing with the steps if there are many photos.
     pub distortion: Option<f64>,
-    /// Pull of the tables to zero at the start, in [0, 1]: this times an entry is added to its gradient,
-    /// where it has one. It falls to 0 with the square of the remaining share of the training. Absent: from
-    /// the number of photos and of sparse points, `benches/field.md`.
+    /// Weight decay of the tables at the start, in [0, 1]: an entry with a gradient gets this times itself
+    /// added to it. The decay falls to 0 with the square of the remaining share of the training. Absent:
+    /// from the numbers of photos and of sparse points.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub table_decay: Option<f64>,
-    /// Weight of the opacity of every sample in the loss, in [0, 0.1]: thin fog costs samples on every ray.
-    /// After 2,000 steps 0.00003 gained 0.15 dB on the mock-up and 0.07 on the fox, 0.0001 gained 0.31 and
-    /// lost 0.24: `benches/field.md`.
+    /// Weight of the opacity of every sample in the loss, in [0, 0.1]. It removes thin fog, which costs
+    /// samples on every ray.
+    // After 2,000 steps 0.00003 gained 0.15 dB on the mock-up and 0.07 on the fox, 0.0001 gained 0.31 and lost 0.24: `benches/field.md`.
     pub emptiness: f64,
-    /// Weight of the loss that gathers matter at sparse points, in [0, 1], 0: off. It falls to 0 over
-    /// `depth_steps`. It helps most where photos are few: `benches/field.md`. The squared error of the
-    /// expected step instead fogs the ray.
+    /// Weight of the loss that pulls surfaces to sparse points, in [0, 1]. 0: off. It falls to 0 over
+    /// `depth_steps`. It helps most if there are few photos.
+    // `benches/field.md`. The squared error of the expected step instead fogs the ray.
     pub depth_weight: f64,
-    /// Steps after which sparse points no longer pull, 1 or more. Absent: from `steps` and the number of photos, at most 1,000:
-    /// `benches/field.md`.
+    /// Steps after which sparse points no longer pull, 1 or more. Absent: from `steps` and the number of
+    /// photos, at most 1,000.
     pub depth_steps: Option<u32>,
     /// Exposure of single photos.
     pub gain: Gain,
-    /// What is behind the last sample. Rays of photos with transparency train over a random colour each. If
-    /// all photos have some, pictures show black.
+    /// Colour behind the last sample. Each ray of a photo with transparency is trained over a random
+    /// colour. If all photos have transparency, pictures show black there.
     pub background: Background,
-    /// Whether colours depend on where one looks from.
+    /// Whether colours depend on the direction of view.
     pub view_dependence: ViewDependence,
 }
 

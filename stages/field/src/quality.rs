@@ -6,12 +6,12 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Quality {
-    /// To see whether cameras and photos are right.
+    /// To check cameras and photos.
     #[default]
     Draft,
-    /// For looking around.
+    /// For most work.
     Standard,
-    /// As good as the field gets.
+    /// For final results.
     Best,
 }
 

@@ -33,7 +33,7 @@ pub enum BlurRule {
 pub struct BlurParams {
     /// `reblur` (default) or `laplacian` (the paper).
     pub rule: BlurRule,
-    /// Smallest reblur ratio where fewer than `min_set` photos of the instrument are known.
+    /// Smallest reblur ratio if there are fewer than `min_set` photos of the instrument.
     pub min_ratio: f64,
     /// With `min_set` photos and more, the smallest ratio at each size is this share of the median of the
     /// instrument's other photos at that size. It is never below `floor_ratio` nor above `ceiling_ratio`.

@@ -22,9 +22,9 @@ pub struct Shape;
 #[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ShapeParams {
-    /// Fewest pixels a row. The paper asks for 1,000.
+    /// Smallest width, pixels. The paper uses 1,000.
     pub min_width: u32,
-    /// Fewest rows. The paper asks for 1,000.
+    /// Smallest height, pixels. The paper uses 1,000.
     pub min_height: u32,
     /// Smallest short side as a share of the median short side among photos of the same instrument. 0 turns it off.
     /// Half-size copies have 0.5. The 8 to 16 pixels by which tiles of one camera differ do not matter.

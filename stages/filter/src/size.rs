@@ -18,7 +18,8 @@ pub struct Size;
 #[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct SizeParams {
-    /// Fewest bytes of the image as stored in the archive. The paper asks for 100,000, of photos of 2 megapixels.
+    /// Smallest size of the image file in the archive, bytes. The paper uses 100,000 for photos of 2
+    /// megapixels.
     pub min_bytes: u64,
     /// Fewest stored bits per pixel. 0 turns it off. JPEG at the lowest quality takes 0.15 to 0.17, real photos of
     /// Perseverance take 0.7 and more.

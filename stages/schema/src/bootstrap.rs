@@ -188,10 +188,11 @@ pub struct BootstrapParams {
     pub field: Overrides,
     /// Where maps are made: `heldout`, `train`, `flythrough`, `orbit`, or a list of these.
     pub viewpoints: ViewpointList,
-    /// Number of viewpoints along a path, where they are not photos.
+    /// Number of viewpoints of `flythrough` and `orbit`.
     pub map_frames: u32,
-    /// Which processor trains and renders: `auto` (a GPU where there is one, never a software adapter), `cpu`, `gpu`,
-    /// or `gpu:NAME` for the adapter whose name holds NAME. Only what was opened is in the key.
+    /// Device that trains and renders: `auto` (a GPU if there is one, never a software adapter), `cpu`,
+    /// `gpu`, or `gpu:NAME` for the adapter whose name contains NAME. Only the device that is used is part
+    /// of the key.
     pub device: Device,
 }
 

@@ -18,8 +18,8 @@ pub struct CalibrateParams {
     pub hold: Hold,
     /// About one photo in this many is kept from training. 0 keeps none.
     pub hold_every: u32,
-    /// Longest side of the photos the field is trained on, in pixels: larger ones are reduced by a whole
-    /// factor. Without it photos keep their size.
+    /// Longest side of the photos that the field is trained on, pixels. Larger photos are reduced by a
+    /// whole factor. Default: photos keep their size.
     pub longest_side_px: Option<u32>,
     /// Fewest photos with a camera. With fewer the node fails and says why.
     pub min_registered: u32,
@@ -28,7 +28,8 @@ pub struct CalibrateParams {
     pub site: Option<i64>,
     /// `sfm`: most features of a photo.
     pub max_features: u32,
-    /// `sfm`: longest side at which features are sought, in pixels: larger photos are reduced by a whole factor.
+    /// `sfm`: longest side of the photos in which features are detected, pixels. Larger photos are reduced
+    /// by a whole factor.
     pub feature_side_px: u32,
     /// `sfm`: where the search for features begins: `native`, or `doubled` (more features, four times the work).
     pub first_octave: FirstOctaveParam,
@@ -41,19 +42,19 @@ pub struct CalibrateParams {
     pub lens: LensParam,
     /// `sfm`: which photos share a camera: `camera` (one instrument, size and focal length) or `photo` (none).
     pub intrinsics: Intrinsics,
-    /// `sfm`: principal point: `centre` (of the photo, or the label's), `free`, or `auto` (free if 20 photos
-    /// or more look from all sides, no label gives it, and the photos ask for it).
+    /// `sfm`: principal point: `centre` (of the photo, or the label's), `free`, or `auto` (free if 20
+    /// photos or more look from all sides, no label gives it, and the photos support it).
     pub principal_point: PrincipalPoint,
     /// `sfm`: seed of all random samples.
     pub seed: u64,
-    /// `import`: the file to read (`transforms.json`, `sparse/0/cameras.bin`), where there are several.
+    /// `import`: file to read (`transforms.json`, `sparse/0/cameras.bin`) if there are several.
     pub file: Option<String>,
     /// `import`: whether to find points in the photos to train on if the file with the cameras names none.
     /// They decide the box of the field, and where rays begin and end. Features and pairs are chosen by the
     /// keys of `sfm`.
     pub find_points: bool,
-    /// `sfm`: keep the scene of the last run as it is and register only the new photos. Photos kept from
-    /// training stay so. Of the new ones, `hold_every` decides how many are. That scene is then an input of
+    /// `sfm`: keep the scene of the last run as it is and register only the new photos. Held-out photos
+    /// stay held out. `hold_every` decides how many of the new photos are. That scene is then an input of
     /// this node. Without it, or with `false`, the scene is built from scratch.
     pub extend: bool,
     /// `colmap`: the program to run. Default: the `colmap` on PATH.
@@ -72,7 +73,7 @@ pub enum Method {
     Import,
     /// An installed COLMAP. Its answer may differ in bytes between machines.
     Colmap,
-    /// `import` if a file with cameras is next to the photos, else `sfm`.
+    /// `import` if there is a file with cameras next to the photos, otherwise `sfm`.
     Auto,
 }
 
@@ -100,8 +101,8 @@ pub enum FirstOctaveParam {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Pairs {
-    /// All of up to 60 photos. Of more: neighbours by name, those that look alike and those whose labels say
-    /// so.
+    /// All pairs of up to 60 photos. Of more photos: neighbours by name, photos that look alike, and photos
+    /// whose labels overlap.
     Auto,
     /// All.
     Exhaustive,

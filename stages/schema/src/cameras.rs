@@ -8,10 +8,10 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct CamerasParams {
-    /// Whether photos are resampled to ideal pinholes: straight lines are straight, and no lens has a term.
+    /// Whether photos are resampled to ideal pinhole cameras, without distortion of the lens.
     pub undistort: bool,
-    /// Folder of `photos` as seen from transforms.json (`../photos`). A photo stored there in the needed form
-    /// is referred to. Without the key all photos are written next to transforms.json.
+    /// Folder of `photos` as seen from transforms.json (`../photos`). A photo that is there in the needed
+    /// form is referred to. Default: all photos are written next to transforms.json.
     pub photos_at: Option<String>,
 }
 

@@ -32,17 +32,19 @@ pub struct ChangesParams {
     /// Whole factor by which photos are shrunk. Default: as for `train`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub scale: Option<u32>,
-    /// Width of a cell of the map, metres. Without it: the coarser of the cells that `surface` takes for both times.
+    /// Width of a cell of the map, metres. Default: the coarser of the cells that `surface` uses for both
+    /// times.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub cell: Option<f64>,
-    /// Longest side of the pictures with which the fields are looked at, pixels.
+    /// Longest side of the pictures that are rendered to find the ground, pixels.
     pub side_px: u32,
-    /// How many standard deviations a cell must differ to be a change.
+    /// Difference of a cell that counts as a change, in standard deviations.
     pub sigmas: f64,
     /// Fewest cells that a patch needs to be reported.
     pub least_cells: u32,
-    /// Which processor trains and renders: `auto` (a GPU where there is one, never a software adapter), `cpu`, `gpu`, or `gpu:NAME` for
-    /// the adapter whose name holds NAME. Only what was opened is in the key.
+    /// Device that trains and renders: `auto` (a GPU if there is one, never a software adapter), `cpu`,
+    /// `gpu`, or `gpu:NAME` for the adapter whose name contains NAME. Only the device that is used is part
+    /// of the key.
     pub device: Device,
 }
 

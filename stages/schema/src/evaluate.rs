@@ -29,8 +29,9 @@ pub struct EvaluateParams {
     /// Whole factor by which photos are shrunk. Default: that of the training.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub scale: Option<u32>,
-    /// Which processor trains and renders: `auto` (a GPU where there is one, never a software adapter), `cpu`, `gpu`,
-    /// or `gpu:NAME` for the adapter whose name holds NAME. Only what was opened is in the key.
+    /// Device that trains and renders: `auto` (a GPU if there is one, never a software adapter), `cpu`,
+    /// `gpu`, or `gpu:NAME` for the adapter whose name contains NAME. Only the device that is used is part
+    /// of the key.
     pub device: Device,
 }
 

@@ -16,10 +16,12 @@ pub struct FoldsParams {
     pub below: u32,
     /// Trainings, each without another part of the photos. Fewer if there are fewer places.
     pub folds: u32,
-    /// Share of the steps of the node `training` that each takes: with 0.25 four folds take as long as that training.
+    /// Share of the steps of the node `training` that each fold is trained for. With 0.25, four folds take
+    /// as long as that training.
     pub share: f64,
-    /// Which processor trains and renders: `auto` (a GPU where there is one, never a software adapter), `cpu`, `gpu`,
-    /// or `gpu:NAME` for the adapter whose name holds NAME. Only what was opened is in the key.
+    /// Device that trains and renders: `auto` (a GPU if there is one, never a software adapter), `cpu`,
+    /// `gpu`, or `gpu:NAME` for the adapter whose name contains NAME. Only the device that is used is part
+    /// of the key.
     pub device: Device,
 }
 

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct MasksParams {
-    /// Most photos of a camera that are compared, evenly from all.
+    /// Most photos of a camera that are compared, spread evenly over all.
     pub photos: u32,
 }
 

@@ -15,11 +15,12 @@ pub const STEPS_AT_ONCE: u64 = 16;
 pub struct PartialParams {
     /// Optimiser steps after which it stops, those of an input `state` included: a multiple of 16, or all of the training.
     pub until: u64,
-    /// Longest side of the grid of pixels of each photo that it is judged by: the middles of boxes of an odd side.
+    /// Longest side of the grid of pixels of each photo that it is judged by, pixels. The grid consists of
+    /// the centres of boxes with an odd side.
     #[serde(default = "judged_px")]
     pub judged_px: u32,
-    /// The whole training: step size, length of steps along rays and box follow its `steps`, not `until`. Without a time or a
-    /// target.
+    /// The whole training, without a time or a target. Step size, length of steps along rays and box follow
+    /// its `steps`, not `until`.
     #[serde(default)]
     pub train: TrainParams,
 }

@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum PathKind {
-    /// A smooth path through training cameras that lie far apart.
+    /// A smooth path through training cameras that are far apart.
     #[default]
     Flythrough,
     /// To the photos held out.
@@ -63,22 +63,23 @@ pub enum Layer {
 pub struct RenderParams {
     /// Path of the camera.
     pub path: PathKind,
-    /// The cameras of the paths `keyframes` and `stills`, in order: what `marf view` saves as bookmarks.
+    /// Cameras of the paths `keyframes` and `stills`, in order, as `marf view` saves them as bookmarks.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub keyframes: Vec<Place>,
-    /// Pictures along the path. For `heldout` and `train` the most pictures, for `stills` pictures a
+    /// Pictures along the path. For `heldout` and `train`: most pictures. `stills` makes one for each
     /// keyframe.
     pub frames: u32,
     /// Width of a picture, pixels.
     pub width: u32,
-    /// Height of a picture, pixels: more or less is seen above and below. Default: as the photos or the
-    /// keyframes require.
+    /// Height of a picture, pixels. It extends or crops the view above and below. Default: from the shape
+    /// of the photos or keyframes.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub height: Option<u32>,
     /// Layers of every viewpoint, side by side in the film: `rgb`, `depth`, `uncertainty`.
     pub outputs: Vec<Layer>,
-    /// Which processor trains and renders: `auto` (a GPU where there is one, never a software adapter), `cpu`, `gpu`,
-    /// or `gpu:NAME` for the adapter whose name holds NAME. Only what was opened is in the key.
+    /// Device that trains and renders: `auto` (a GPU if there is one, never a software adapter), `cpu`,
+    /// `gpu`, or `gpu:NAME` for the adapter whose name contains NAME. Only the device that is used is part
+    /// of the key.
     pub device: Device,
 }
 
@@ -200,7 +201,7 @@ pub struct Place {
     /// Size, focal length and principal point, pixels, and distortion.
     #[schemars(with = "BTreeMap<String, f64>")]
     pub camera: Camera,
-    /// Where it stands and looks: the rows of (R | t), world units.
+    /// Pose of the camera: the rows of (R | t), world units.
     #[schemars(with = "[[f64; 4]; 3]")]
     pub cam_from_world: Pose,
 }

@@ -14,8 +14,8 @@ const MAX_SIDE_PX: u32 = 4096;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct SurfaceParams {
-    /// Distance between samples of the surface, metres (units of the scene where it has no scale). Without it: twice the width of a
-    /// pixel on the nearer quarter of what the photos show.
+    /// Distance between samples of the surface, metres (or units of the scene). Default: twice the width of
+    /// a pixel on the nearer quarter of the ground that the photos show.
     pub cell: Option<f64>,
     /// Largest distance from a photo to a surface taken from it, metres (or units of the scene). Default:
     /// where a pixel is four cells wide.
@@ -25,19 +25,21 @@ pub struct SurfaceParams {
     /// Largest root mean square of the distances between a point and the surfaces that the views show there,
     /// metres (or units of the scene). With more there is a hole. Default: a cell.
     pub most_spread: Option<f64>,
-    /// Longest side of the pictures with which the field is looked at, pixels.
+    /// Longest side of the pictures that are rendered to find the surface, pixels.
     pub side_px: u32,
-    /// Width of a pixel of height map and orthophoto, metres. Without it: a cell.
+    /// Width of a pixel of height map and orthophoto, metres. Default: a cell.
     pub map_cell: Option<f64>,
-    /// What mesh and points are coloured by: `photos`, or `uncertainty`: dark where it is 0, bright where it is large, gray where it is not
-    /// known. It is how far the retrainings of `members` differ, and without them how far the views of the field do.
+    /// Colours of mesh and points: `photos` or `uncertainty` (dark: none, bright: large, gray: not known).
+    /// Uncertainty is the difference between the retrainings of `members`. Without `members`, it is the
+    /// difference between the views of the field.
     pub color: ColorBy,
-    /// Whether the depths at the views of all photos are written too, as PNG of 16 bits.
+    /// Whether to write the depths at the views of all photos too, as PNG of 16 bits.
     pub depth: bool,
-    /// Whether the surface is made of Gaussian splats too, with their PSNR against the field's pictures.
+    /// Whether to write Gaussian splats too, with their PSNR against the field's pictures.
     pub splats: bool,
-    /// Which processor renders: `auto` (a GPU where there is one, never a software adapter), `cpu`, `gpu`, or `gpu:NAME` for the adapter
-    /// whose name holds NAME. Only what was opened is in the key.
+    /// Device that renders: `auto` (a GPU if there is one, never a software adapter), `cpu`, `gpu`, or
+    /// `gpu:NAME` for the adapter whose name contains NAME. Only the device that is used is part of the
+    /// key.
     pub device: Device,
 }
 
@@ -45,10 +47,10 @@ pub struct SurfaceParams {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ColorBy {
-    /// What the field shows at the views of the photos.
+    /// Colours of the field at the views of the photos.
     #[default]
     Photos,
-    /// How sure it is.
+    /// Uncertainty of the surface.
     Uncertainty,
 }
 

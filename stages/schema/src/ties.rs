@@ -8,9 +8,9 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct TiesParams {
-    /// Most pairs of photos of two scenes that are compared.
+    /// Most pairs of photos that are compared for two scenes.
     pub pairs: u32,
-    /// Fewest points of both scenes that must agree on how these lie to each other.
+    /// Fewest common points that must agree on shift, turn and scale between two scenes.
     pub min_points: u32,
     /// Seed of the random samples.
     pub seed: u64,

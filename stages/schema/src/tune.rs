@@ -26,16 +26,16 @@ pub enum Search {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct TuneParams {
-    /// How they are compared.
+    /// How trials are compared.
     pub search: Search,
     /// Parameter sets that are tried, the defaults among them.
     pub trials: u32,
-    /// With `halving` one trial in this many continues, and the rungs are at this and its square as parts of
-    /// the steps. 2 to 10.
+    /// With `halving`, one trial in this many continues after each rung, 2 to 10. The rungs are at 1/eta²
+    /// and 1/eta of the steps.
     pub eta: u32,
     /// Seed of the draws, and of every trial's weights and rays.
     pub seed: u64,
-    /// Size of the photos and of the field that the draws are laid over.
+    /// Size of the photos and of the field, before drawn keys override it.
     pub quality: Quality,
     /// Optimiser steps. With `halving`: of the training that is tuned, default those of `quality`. With
     /// `random`: of a trial, default a quarter of those.
@@ -46,7 +46,8 @@ pub struct TuneParams {
     /// pixels.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub scale: Option<u32>,
-    /// Keys of the field that all trials have, the defaults too: draws are laid over them, and the keys chosen hold them.
+    /// Keys of the field for all trials, including the defaults. Drawn keys override them. The chosen keys
+    /// include them.
     pub field: Overrides,
     /// Least gain over the defaults for which a trial is chosen, dB. The gain must also exceed the difference
     /// between seeds.
@@ -54,8 +55,9 @@ pub struct TuneParams {
     /// Search space: key = `{ log = [low, high] }`, `{ int = [low, high] }` or `{ choice = [..] }`. A choice
     /// that is a table sets its own keys, and its key here is only a name.
     pub space: Space,
-    /// Which processor trains and renders: `auto` (a GPU where there is one, never a software adapter), `cpu`, `gpu`,
-    /// or `gpu:NAME` for the adapter whose name holds NAME. Only what was opened is in the key.
+    /// Device that trains and renders: `auto` (a GPU if there is one, never a software adapter), `cpu`,
+    /// `gpu`, or `gpu:NAME` for the adapter whose name contains NAME. Only the device that is used is part
+    /// of the key.
     pub device: Device,
 }
 

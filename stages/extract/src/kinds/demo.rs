@@ -16,13 +16,13 @@ use marf_stage::Sols;
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub(crate) struct DemoParams {
-    /// Which sols, as `1..=2` or a list.
+    /// Sols: `1..=5`, `3` or `1,4,7..=9`.
     sols: Sols,
     /// Seed of the terrain.
     seed: u64,
     /// Width of a photo, pixels.
     width: u32,
-    /// The sol from which on its site is changed: a stone is added, and dust is gone from a strip.
+    /// Sol from which its site is changed: a stone is added, and dust is gone from a strip.
     change: Option<u32>,
 }
 

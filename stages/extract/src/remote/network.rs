@@ -12,7 +12,7 @@ use crate::net::{ClientSettings, Origin};
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub(crate) struct Network {
-    /// Requests at a time to one host, 1 to 4.
+    /// Simultaneous requests to one host, 1 to 4.
     #[schemars(range(min = 1, max = 4))]
     pub connections: usize,
     /// Least time between two requests to one host, ms.
@@ -21,14 +21,14 @@ pub(crate) struct Network {
     /// How often a request is tried, 1 to 10.
     #[schemars(range(min = 1, max = 10))]
     pub tries: u32,
-    /// First wait before another try, ms. It doubles, up to a minute.
+    /// Wait before the second try, ms. It doubles with each further try, up to a minute.
     #[schemars(range(min = 1, max = 60_000))]
     pub retry_ms: u64,
     /// Longest silence of a server, s.
     #[schemars(range(min = 1, max = 3_600))]
     pub stall_s: u64,
-    /// Sols younger than the newest by less than this are looked at again: products arrive late. Older ones are not, once
-    /// they are wholly pinned.
+    /// Sols that are less than this many sols older than the newest are listed again, because products
+    /// arrive late. Older sols are not listed again once marf.lock pins them completely.
     pub relist_sols: u32,
     /// Address for the server's administrators, sent in the User-Agent.
     pub contact: Option<String>,

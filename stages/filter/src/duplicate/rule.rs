@@ -39,10 +39,11 @@ pub struct DuplicateParams {
     /// Smallest correlation of the gradient images of two duplicates. Copies reach 0.99, video
     /// neighbours 0.94, stereo partners 0.87.
     pub min_correlation: f64,
-    /// The same for one pointing through different colour filters, by name or label. Where only camera, sol and filter
-    /// are known, the mean of this and `min_correlation`.
+    /// The same for one view through different colour filters, by name or label. If only camera, sol and
+    /// filter are known: the mean of this and `min_correlation`.
     pub filter_correlation: f64,
-    /// The same for two versions of one exposure by name (EFF, RAD, RSL): low, it only guards against wrong names.
+    /// The same for two versions of one exposure by name (EFF, RAD, RSL). It is low, because it only guards
+    /// against wrong names.
     pub version_correlation: f64,
     /// Hashes closer than this many bits are duplicates, for `rule = "phash"`.
     pub max_bits: u32,

@@ -34,10 +34,11 @@ pub struct HistogramParams {
     /// less). With `min_set` photos and more it is added to the upper quartile of the other photos of the instrument. Good photos of
     /// three cameras have 0.054 at most, a Navcam photo of burnt-out ground 0.40.
     pub max_clipped: f64,
-    /// A distance of brightness to the median histogram up to this never rejects a photo, in 8-bit steps. A good
-    /// Navcam photo in deep shadow is 67 away, an underexposed one of the demo 84, one of an eighth of the light 110.
+    /// Distance of brightness to the median histogram, in 8-bit steps, up to which a photo is never
+    /// rejected. A good Navcam photo in deep shadow is 67 away, an underexposed one of the demo 84, one of
+    /// an eighth of the light 110.
     pub min_light: f64,
-    /// The same for the two colour differences: colours of good photos differ by so much.
+    /// The same for the two colour differences. Colours of good photos differ by this much.
     pub min_distance: f64,
     /// Largest distance: the median of the others' distances plus this multiple of (upper quartile - median).
     pub spreads: f64,
@@ -46,7 +47,7 @@ pub struct HistogramParams {
     pub min_set: u32,
     /// Largest share of bins out of place, for `rule = "paper"`.
     pub max_bins: f64,
-    /// How many standard deviations a bin may be off, for `rule = "paper"`.
+    /// Largest deviation of a bin, in standard deviations, for `rule = "paper"`.
     pub sigmas: f64,
     /// Photos kept or rejected by hand, filled from `[keep]` and `[reject]` of the pipeline.
     pub by_hand: ByHand,

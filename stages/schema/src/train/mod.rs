@@ -23,7 +23,8 @@ pub enum Holdout {
     /// Those that `calibrate` holds out.
     #[default]
     Test,
-    /// One in eight of the others, by place, and those that `calibrate` holds out are not looked at: for choosing parameters.
+    /// One in eight of the training photos, by place. Those that `calibrate` holds out are not used. For
+    /// choosing parameters.
     Validation,
 }
 
@@ -65,7 +66,7 @@ pub enum Fit {
     /// The scene and the steps.
     #[default]
     Scene,
-    /// Nothing: the full base configuration of instant-ngp, to compare with.
+    /// Nothing. The field is the full base configuration of instant-ngp, for comparison.
     Fixed,
 }
 
@@ -126,7 +127,7 @@ pub struct TrainParams {
     pub memory: Memory,
     /// Photos that are kept away from training.
     pub holdout: Holdout,
-    /// Holds out these photos instead, and trains a share of the steps: what `folds` asks for.
+    /// Holds out these photos instead, and trains a share of the steps. `folds` sets it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub fold: Option<Fold>,
     /// Most training photos, spread evenly over them. Default: all.
@@ -141,7 +142,7 @@ pub struct TrainParams {
     /// them to 480 pixels.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub judged_scale: Option<u32>,
-    /// Seed with which as many training photos are drawn as there are, with replacement (a bootstrap sample).
+    /// Seed of a bootstrap sample: as many training photos as there are, drawn with replacement.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub resample: Option<u64>,
     /// Starts from the field of this node's last finished run if the scene has only grown: new photos cost
@@ -152,12 +153,14 @@ pub struct TrainParams {
     pub warm_start: bool,
     /// What decides how large the field is.
     pub fit: Fit,
-    /// Short trainings that hold back one training photo in eight, by place: width, exposure and sky by their gain.
+    /// Short trainings that choose width, exposure and sky of the field. They hold back one training photo
+    /// in eight, by place.
     pub trials: TrialsParams,
     /// Keys of the field. They override those of the input `params`.
     pub field: Overrides,
-    /// Which processor trains and renders: `auto` (a GPU where there is one, never a software adapter), `cpu`, `gpu`,
-    /// or `gpu:NAME` for the adapter whose name holds NAME. Only what was opened is in the key.
+    /// Device that trains and renders: `auto` (a GPU if there is one, never a software adapter), `cpu`,
+    /// `gpu`, or `gpu:NAME` for the adapter whose name contains NAME. Only the device that is used is part
+    /// of the key.
     pub device: Device,
 }
 

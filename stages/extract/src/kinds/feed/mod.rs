@@ -50,9 +50,9 @@ pub(crate) struct FeedParams {
     mission: Mission,
     /// The camera.
     instrument: Instrument,
-    /// Which sols: `1..=5`, `3`, `1,4,7..=9` or `latest`.
+    /// Sols: `1..=5`, `3`, `1,4,7..=9` or `latest`.
     sols: Sols,
-    /// Where the feed lies, tried in this order.
+    /// Addresses of the feed, tried in this order.
     #[serde(default)]
     base: Vec<String>,
     /// Hosts that pictures may come from, in addition to those of `base`.

@@ -37,7 +37,7 @@ use marf_stage::Sols;
 pub(crate) struct FolderParams {
     /// The folder. A relative path starts at the folder of pipeline.toml.
     path: PathBuf,
-    /// Which sols: `1..=5`, `3`, `1,4,7..=9` or `latest`. All sols, and photos of unknown sol, if left out.
+    /// Sols: `1..=5`, `3`, `1,4,7..=9` or `latest`. Default: all sols, and photos of unknown sol.
     #[serde(default)]
     #[schemars(with = "Sols")]
     sols: Option<Sols>,

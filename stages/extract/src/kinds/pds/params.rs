@@ -15,7 +15,7 @@ pub(crate) struct PdsParams {
     pub mission: Mission,
     /// The camera.
     pub instrument: Instrument,
-    /// Which sols: `1..=5`, `3`, `1,4,7..=9` or `latest`.
+    /// Sols: `1..=5`, `3`, `1,4,7..=9` or `latest`.
     pub sols: Sols,
     /// Processing level of the products. `edr` is raw.
     #[serde(default)]
@@ -23,14 +23,14 @@ pub(crate) struct PdsParams {
     /// Source of the pixels. Labels come from the folder of the `.IMG` either way.
     #[serde(default)]
     pub pixels: PixelSource,
-    /// Product types, the preferred first. Of each exposure the first existing type is taken. Left out: the usual
-    /// ones.
+    /// Product types, the preferred first. marf fetches the first type that an exposure has. Default: the
+    /// usual types of the camera.
     #[serde(default)]
     pub products: Vec<String>,
     /// How products are found.
     #[serde(default)]
     pub discover: Discover,
-    /// Where the archive lies: folders that hold `mars2020/` and `msl/`, tried in this order.
+    /// Addresses of the archive, tried in this order: folders that contain `mars2020/` and `msl/`.
     #[serde(default)]
     pub base: Vec<String>,
     /// How the network is used.
@@ -38,7 +38,7 @@ pub(crate) struct PdsParams {
     pub network: Network,
 }
 
-/// How far products were worked on.
+/// Processing level of products.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub(crate) enum Level {
