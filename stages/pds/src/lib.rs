@@ -23,9 +23,12 @@ mod pds3;
 pub mod pds4;
 mod pixels;
 pub mod raw;
+mod sensor;
+mod sun;
 #[cfg(test)]
 mod testing;
 mod tone;
+mod units;
 pub mod values;
 mod vicar;
 

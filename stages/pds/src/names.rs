@@ -103,14 +103,22 @@ impl ProductName {
         kinds.contains(&self.product_type.as_str())
     }
 
-    /// Whether, by the name alone, pixels in one band are a colour mosaic that is not interpolated yet.
-    pub fn is_mosaic(&self) -> bool {
+    /// Whether, by the name, pixels in one band are a colour mosaic that is not interpolated yet. `filter` is the colour
+    /// filter by the label, for names without one.
+    pub fn is_mosaic(&self, filter: Option<&str>) -> bool {
         let raw =
             ["ECM", "EDR", "ECV", "EVD", "ECZ", "EZS", "ECR", "ERD"].contains(&self.product_type.as_str());
-        let filter = self.filter.as_deref().unwrap_or_default();
+        let filter = self.filter.as_deref().or(filter).unwrap_or("0");
         let mastcam = self.instrument.starts_with('Z');
         let whole = self.downsampling == 1;
-        self.scheme == Scheme::M2020 && raw && whole && (filter == "E" || (mastcam && filter == "0"))
+        match self.scheme {
+            Scheme::M2020 => raw && whole && (filter == "E" || (mastcam && filter == "0")),
+            // A, B and C are arrays of raw pixels, with a table or lossless compression.
+            Scheme::MslScience => {
+                self.is_as_received() && filter == "0" && b"ABCabc".contains(&self.id.as_bytes()[22])
+            }
+            Scheme::MslEngineering | Scheme::Mer => false,
+        }
     }
 }
 
@@ -282,11 +290,14 @@ mod tests {
 
     #[test]
     fn only_raw_broad_band_names_say_mosaic() {
-        assert!(read("NRE_0060_0672265209_237ECM_N0032046NCAM00410_00_0LLJ").is_mosaic());
-        assert!(!read("NLF_0060_0672265209_237EBY_N0032046NCAM00410_00_0LLJ").is_mosaic());
-        assert!(!read("NRE_0060_0672265209_237ECM_N0032046NCAM00410_00_1LLJ").is_mosaic());
-        assert!(read("ZL0_0001_0667035659_559ECM_N0010052AUT_04096_0260LMJ01").is_mosaic());
-        assert!(!read("ZL1_0001_0667035659_559ECM_N0010052AUT_04096_0260LMJ01").is_mosaic());
+        assert!(read("NRE_0060_0672265209_237ECM_N0032046NCAM00410_00_0LLJ").is_mosaic(None));
+        assert!(!read("NLF_0060_0672265209_237EBY_N0032046NCAM00410_00_0LLJ").is_mosaic(None));
+        assert!(!read("NRE_0060_0672265209_237ECM_N0032046NCAM00410_00_1LLJ").is_mosaic(None));
+        assert!(read("ZL0_0001_0667035659_559ECM_N0010052AUT_04096_0260LMJ01").is_mosaic(None));
+        assert!(!read("ZL1_0001_0667035659_559ECM_N0010052AUT_04096_0260LMJ01").is_mosaic(None));
+        let mastcam = |kind: &str| read(&format!("2264ML0121141200805116{kind}00_DXXX"));
+        assert!(mastcam("C").is_mosaic(None) && !mastcam("C").is_mosaic(Some("3")));
+        assert!(!mastcam("E").is_mosaic(None));
     }
 
     #[test]

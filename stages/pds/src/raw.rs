@@ -111,8 +111,22 @@ pub fn develop_within(
     if let Some(quantity) = name.and_then(|name| quantity(name, &array)) {
         array.quantity = quantity;
     }
+    if name.is_some_and(|name| name.product_type.starts_with("RZ"))
+        && let Some(factor) = array.from_zenith
+    {
+        if array.scaling.is_empty() {
+            array.scaling.push((1.0, 0.0));
+        }
+        let scaled = array
+            .scaling
+            .iter()
+            .map(|(own, offset)| (own * factor, offset * factor));
+        array.scaling = scaled.collect();
+    }
+    let by_name = name.is_some_and(|name| name.is_mosaic(label.filter.as_deref())) && !label.interpolated;
     let mosaic = label
         .mosaic
+        .or(by_name.then(|| label.phase.unwrap_or_default()))
         .filter(|_| array.shape[0] == 1 && label.averaged <= 1);
     // Processed products are counts again, though their labels still state how the camera stored them.
     if !name.is_some_and(ProductName::is_as_received) {
@@ -124,9 +138,9 @@ pub fn develop_within(
     let mut made = pixels::render(&array, mosaic, table, bytes, limit_bytes)?;
     made.notes
         .insert(0, format!("samples {}", describe::array(&array)));
-    if label.mosaic.is_none() && array.shape[0] == 1 && name.is_some_and(ProductName::is_mosaic) {
+    if label.mosaic.is_none() && mosaic.is_some() {
         made.notes
-            .push("the name says colour mosaic, the label does not: left as it is".to_owned());
+            .push("the name says colour mosaic, the label does not: interpolated by the name".to_owned());
     }
     Ok(Developed {
         image: made.image,
