@@ -6,6 +6,7 @@
 
 mod camera;
 mod companding;
+pub mod dat;
 mod demosaic;
 mod describe;
 pub mod exif;

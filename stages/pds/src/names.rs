@@ -87,6 +87,30 @@ impl ProductName {
         }
     }
 
+    /// Returns what all versions of an exposure share, those in another geometry included: the name in upper case, without
+    /// type, geometry, producer and version.
+    pub fn exposure(&self) -> String {
+        let id = self.id.to_ascii_uppercase();
+        match self.scheme {
+            Scheme::M2020 => format!("{}{}", &id[..23], &id[27..48]),
+            Scheme::MslScience => id[..24].to_owned(),
+            Scheme::MslEngineering => format!("{}{}", &id[..13], &id[17..35]),
+            Scheme::Mer => format!("{}{}", &id[..11], &id[14..25]),
+        }
+    }
+
+    /// Returns the rank of the product among the versions of its exposure, the best first: radiance or I/F of 16 bits, then
+    /// other calibrated products, then counts and codes.
+    pub fn processing_rank(&self) -> u8 {
+        match self.product_type.as_str() {
+            "RAD" | "DRXX" => 0,
+            "IOF" => 1,
+            kind if kind.starts_with("DR") || kind.starts_with('R') || kind.starts_with("IO") => 2,
+            "DXXX" => 3,
+            _ => 4,
+        }
+    }
+
     /// Returns the reason if a file of this name is not a photo.
     pub fn no_photo(&self) -> Option<String> {
         (self.scheme != Scheme::MslScience && NO_PICTURE.contains(&self.product_type.as_str()))
@@ -310,6 +334,54 @@ mod tests {
         assert_eq!(
             key("2264ML0121141200805116C00_DRCL"),
             key("2264ML0121141200805116C01_DRCX")
+        );
+    }
+
+    #[test]
+    fn versions_of_one_exposure_are_known_in_every_scheme() {
+        for (best, others) in [
+            (
+                "1N491020834RADCNY9P0706L0M1",
+                &[
+                    "1N491020834EFFCNY9P0706L0M1",
+                    "1N491020834RSLCNY9P0706L0M1",
+                    "1n491020834ilfcny9p0706l0m2",
+                ][..],
+            ),
+            (
+                "NLA_399621413RAD_F0030308NCAM00405M1",
+                &[
+                    "NLA_399621413EDR_F0030308NCAM00405M1",
+                    "NLA_399621413RASLF0030308NCAM00405M1",
+                ],
+            ),
+            (
+                "2264ML0121141200805116C00_DRXX",
+                &[
+                    "2264ML0121141200805116C00_DRCL",
+                    "2264ML0121141200805116C00_XXXX",
+                    "2264ML0121141200805116C01_DXXX",
+                ],
+            ),
+            (
+                "ZL0_0709_0729888971_069RAD_N0332864ZCAM07114_0340LMA01",
+                &["ZL0_0709_0729888971_069RSL_N0332864ZCAM07114_0340LMA02"],
+            ),
+        ] {
+            let first = read(best);
+            for other in others.iter().map(|other| read(other)) {
+                assert_eq!(first.exposure(), other.exposure(), "{}", other.id);
+                assert!(first.processing_rank() < other.processing_rank(), "{}", other.id);
+            }
+        }
+        let key = |stem: &str| read(stem).exposure();
+        assert_ne!(
+            key("1N491020834RADCNY9P0706L0M1"),
+            key("1N491020835RADCNY9P0706L0M1")
+        );
+        assert_ne!(
+            key("1N491020834RADCNY9P0706L0M1"),
+            key("1N491020834RADCNY9P0706R0M1")
         );
     }
 

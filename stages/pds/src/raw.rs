@@ -6,7 +6,7 @@ use crate::demosaic;
 use crate::label::{Array, BayerPhase, Label, MAX_LABEL_BYTES, Quantity};
 use crate::names::ProductName;
 use crate::pixels;
-use crate::{companding, describe, odl, pds3, vicar};
+use crate::{companding, dat, describe, odl, pds3, vicar};
 
 /// Reads the label at the head of a file: VICAR, or PDS3 / ODL.
 ///
@@ -46,6 +46,9 @@ pub enum DevelopError {
     /// No label describes an array.
     #[error("{0}")]
     NoArray(String),
+    /// A compressed product cannot be decompressed.
+    #[error(transparent)]
+    Compressed(#[from] dat::DatError),
     /// The array cannot be converted.
     #[error(transparent)]
     Pixels(#[from] pixels::PixelError),
@@ -93,6 +96,12 @@ pub fn develop_within(
     beside: Option<&Label>,
     limit_bytes: u64,
 ) -> Result<Developed, DevelopError> {
+    if let Some(made) = dat::decompress(bytes, limit_bytes) {
+        let dat::Decompressed { array, bytes, phase } = made?;
+        let mut label = beside.cloned().unwrap_or_default();
+        label.phase = Some(phase);
+        return render(name, &label, array, &bytes, limit_bytes);
+    }
     let (attached, reason) = match head(bytes) {
         Ok(label) => (
             Some(label),
@@ -108,6 +117,25 @@ pub fn develop_within(
         return Err(DevelopError::NoArray(reason));
     };
     let mut array = array.clone();
+    // Processed products are counts again, though their labels still state how the camera stored them.
+    if !name.is_some_and(ProductName::is_as_received) {
+        array.companded_by = None;
+    }
+    let developed = render(name, label, array, bytes, limit_bytes)?;
+    Ok(Developed {
+        attached,
+        ..developed
+    })
+}
+
+/// Returns the image of an array, as label and name describe it.
+fn render(
+    name: Option<&ProductName>,
+    label: &Label,
+    mut array: Array,
+    bytes: &[u8],
+    limit_bytes: u64,
+) -> Result<Developed, DevelopError> {
     if let Some(quantity) = name.and_then(|name| quantity(name, &array)) {
         array.quantity = quantity;
     }
@@ -128,10 +156,6 @@ pub fn develop_within(
         .mosaic
         .or(by_name.then(|| label.phase.unwrap_or_default()))
         .filter(|_| array.shape[0] == 1 && label.averaged <= 1);
-    // Processed products are counts again, though their labels still state how the camera stored them.
-    if !name.is_some_and(ProductName::is_as_received) {
-        array.companded_by = None;
-    }
     let scheme = name.map(|name| name.scheme);
     let codes = array.companded_by.as_deref();
     let table = codes.and_then(|codes| companding::table(codes, scheme));
@@ -146,7 +170,7 @@ pub fn develop_within(
         image: made.image,
         bands: made.bands,
         notes: made.notes,
-        attached,
+        attached: None,
     })
 }
 
