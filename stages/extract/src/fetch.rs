@@ -259,9 +259,10 @@ fn facts(
         .find(|label| label.prior.is_some());
     let prior = with_camera.and_then(|label| label.fit_camera(name, width, height, &mut notes));
     let labels = || [attached, detached].into_iter().flatten();
-    let place = labels()
-        .find_map(|label| label.place.clone())
-        .filter(|_| prior.is_none());
+    let place = labels().find_map(|label| label.place.clone()).filter(|place| {
+        let is_known = !place.motion_counter.is_empty() || place.site_from_frame.is_some();
+        is_known && prior.is_none()
+    });
     let sensor = name
         .and_then(marf_pds::ProductName::sensor)
         .or_else(|| labels().find_map(|label| label.sensor));

@@ -50,7 +50,10 @@ enum Dimension {
 /// Reads a unit in any spelling: `W/m**2/sr/nm`, `WATT*M**-2*SR**-1*NM**-1`, `W.m^-2.sr^-1.um^-1`, `uW/(cm2 sr nm)`, `I/F`.
 /// `None` if it measures something else or is not read.
 pub(crate) fn read(text: &str) -> Option<Unit> {
-    let upper = text.trim().to_uppercase().replace(['µ', 'Μ'], "U");
+    let upper = text
+        .trim()
+        .to_uppercase()
+        .replace(['\u{b5}', '\u{3bc}', '\u{39c}'], "U");
     if ["I/F", "IOF", "I OVER F"].contains(&upper.as_str()) {
         return Some(Unit::Reflectance);
     }

@@ -53,7 +53,7 @@ pub(super) fn apply(odl: &Group, array: &mut Array, notes: &mut Vec<String>) {
         .into_iter()
         .map(|(factor, offset)| (factor * size, offset * size))
         .collect();
-    array.sunlight = sunlight(odl);
+    array.sunlight = sunlight(odl, array.shape[0]);
     let zenith = measured(odl).find_map(|group| values::number(group.text("RAD_ZENITH_SCALING_FACTOR")?));
     array.from_zenith = zenith.filter(|factor| *factor > 0.0);
 }
@@ -127,13 +127,18 @@ fn differ(a: &[(f64, f64)], b: &[(f64, f64)]) -> bool {
 }
 
 /// Returns the radiance of a white surface at the wavelengths of the label's filter, at its solar longitude.
-fn sunlight(odl: &Group) -> Vec<f64> {
+fn sunlight(odl: &Group, bands: u32) -> Vec<f64> {
     let longitude = top(odl, "SOLAR_LONGITUDE").and_then(values::number);
     let state = odl.find(&["INSTRUMENT_STATE_PARMS"]);
     let wavelengths = state
         .and_then(|state| numbers(state.get("CENTER_FILTER_WAVELENGTH")?))
         .filter(|wavelengths| matches!(wavelengths.len(), 1 | 3))
         .unwrap_or_else(|| vec![sun::BROAD_BAND_NM]);
+    // A mosaic in one band has three wavelengths: that of green is in the middle.
+    let wavelengths = match (bands, wavelengths.as_slice()) {
+        (1, [_, green, _]) => vec![*green],
+        _ => wavelengths,
+    };
     let light = |wavelength: f64| sun::white_radiance(wavelength, longitude);
     wavelengths.into_iter().map(light).collect()
 }
