@@ -3,7 +3,7 @@ use std::path::PathBuf;
 use clap::Args;
 use marf_run::photos::{PhotoLine, UnreadFile};
 use marf_run::{Context, Error};
-use marf_scene::CameraPrior;
+use marf_scene::{CameraPrior, PhotoFacts};
 
 use super::options::{NodeArgs, RecordArgs};
 use super::output::print_json;
@@ -70,8 +70,8 @@ fn row(line: &PhotoLine) -> String {
                 .map(camera)
                 .or_else(|| facts.focal_px.map(|focal| format!("EXIF {focal:.1} px"))),
         ),
-        known(prior.map(frame)),
-        known(prior.and_then(place)),
+        known(frame(facts)),
+        known(place(facts)),
         known(facts.sol.map(|sol| sol.to_string())),
         facts.notes.join("; "),
     ])
@@ -90,15 +90,25 @@ fn camera(prior: &CameraPrior) -> String {
     }
 }
 
-fn frame(prior: &CameraPrior) -> String {
-    match prior.site_from_frame {
-        Some(_) => prior.frame.clone(),
-        None => format!("{}, not placed in a site", prior.frame),
-    }
+fn frame(facts: &PhotoFacts) -> Option<String> {
+    let (frame, pose) = match (&facts.prior, &facts.place) {
+        (Some(prior), _) => (&prior.frame, prior.site_from_frame),
+        (None, Some(place)) => (&place.frame, place.site_from_frame),
+        (None, None) => return None,
+    };
+    Some(match pose {
+        Some(_) => frame.clone(),
+        None => format!("{frame}, not placed in a site"),
+    })
 }
 
 /// The first three numbers of the rover's motion counter.
-fn place(prior: &CameraPrior) -> Option<String> {
-    let numbers: Vec<String> = prior.motion_counter.iter().take(3).map(i64::to_string).collect();
+fn place(facts: &PhotoFacts) -> Option<String> {
+    let numbers: Vec<String> = facts
+        .motion_counter()
+        .iter()
+        .take(3)
+        .map(i64::to_string)
+        .collect();
     (!numbers.is_empty()).then(|| numbers.join(", "))
 }

@@ -82,7 +82,7 @@ fn the_table_has_the_format_of_the_bytes_and_every_file_that_is_not_read() {
 #[test]
 fn a_filter_that_rejects_every_photo_says_once_what_keeps_them() {
     let text = "name = \"gray\"\n[archive.a]\nkind = \"folder\"\npath = \"photos\"\n[node.extract]\narchive = \"a\"\n\
-        [node.grayscale]\ninput = \"extract\"\n";
+        [node.grayscale]\ninput = \"extract\"\nkeep = \"color\"\n";
     let dir = with_pipeline(text);
     std::fs::create_dir(dir.path().join("photos")).unwrap();
     for seed in 0..3 {
@@ -97,4 +97,9 @@ fn a_filter_that_rejects_every_photo_says_once_what_keeps_them() {
     assert!(report.contains("rejects all 3 photos"), "the report says it too");
     let kept = marf(dir.path(), &["run", "--set", "grayscale.keep=all"]).exits(0);
     assert!(!kept.stderr.contains("rejects all"), "{}", kept.stderr);
+    let line = "kept as monochrome: 3 photos of an unnamed camera";
+    let usual = marf(dir.path(), &["run", "--set", "grayscale.keep=auto"]).exits(0);
+    assert_eq!(usual.stderr.matches(line).count(), 1, "{}", usual.stderr);
+    let report = std::fs::read_to_string(dir.path().join("out/report.html")).unwrap();
+    assert!(report.contains(line), "the report says it too");
 }

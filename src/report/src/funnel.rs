@@ -30,6 +30,7 @@ pub(super) fn body(page: &Page<'_>) -> Markup {
     }
     html! {
         (drawing(&shown))
+        @for (_, sum) in &shown { @for line in sum.kept_as_lines() { p { (line) "." } } }
         @for (node, sum) in &shown { (emptied(node, sum)) }
         @for missing in missing.into_iter().chain(page.photos.missing()) { (missing) }
         @for (node, sum) in &shown { @if node.run.edges.is_empty() { (no_photos(sum)) } }

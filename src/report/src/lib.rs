@@ -56,12 +56,14 @@ mod twice;
 use marf_model::RunNode;
 use marf_schema::scenes::{Scenes, ScenesParams};
 use marf_schema::ties::Ties;
-use marf_stage::Params;
+use marf_stage::{Params, VERDICTS};
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 use media::Media;
 use page::Page;
 use report::stage;
+use sets::Set;
+use verdicts::Summary;
 
 pub use call::{Call, FACTORS, calls};
 pub use media::{File, LinkedPage, LiveParts};
@@ -76,6 +78,17 @@ const ALL_SCENES: [&str; 2] = ["../report.html", "../"];
 /// panic.
 pub fn write(report: &Report<'_>) -> String {
     page_of(report, &Media::Embedded)
+}
+
+/// Returns one line for each camera whose photos a filter keeps as photos of another kind, such as monochrome ones.
+pub fn kept_as(report: &Report<'_>) -> Vec<String> {
+    let verdicts = report
+        .nodes
+        .iter()
+        .filter_map(|node| Set::open(report, node, VERDICTS)?.ok());
+    let sums = verdicts.filter_map(|set| Summary::new(report, &set).ok());
+    sums.flat_map(|sum| sum.kept_as_lines().collect::<Vec<_>>())
+        .collect()
 }
 
 /// Writes the report as a page that is served: style, pictures and films have addresses of their own, and live parts are added.

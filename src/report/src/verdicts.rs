@@ -9,6 +9,7 @@ use marf_stage::Verdict;
 use serde::{Deserialize, Serialize};
 
 use super::call::{Call, FACTORS};
+use super::format::count;
 use super::photos::{Spot, remembered};
 use super::read::Missing;
 use super::report::Report;
@@ -21,7 +22,7 @@ const CLOSEST: usize = 6;
 /// A score further from its threshold than this share of it is not a close call.
 const NEAR: f64 = 0.5;
 /// Version of the memos: to be raised when the same verdicts would be summed up otherwise.
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 
 /// A verdict, and the sol of its photo.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -39,6 +40,8 @@ pub(super) struct Summary {
     pub(super) kept: usize,
     /// How often each kind of rejection fell.
     pub(super) rejected: BTreeMap<String, u64>,
+    /// How many photos are kept as another kind, by kind and group.
+    pub(super) kept_as: BTreeMap<String, BTreeMap<String, usize>>,
     /// The first rejections.
     pub(super) first_rejected: Vec<Judged>,
     /// Decisions of a person against the filter.
@@ -86,6 +89,10 @@ impl Summary {
             }
             self.near += usize::from(call.margin().abs() <= NEAR);
         }
+        if let Some((kind, group)) = verdict.kept_as() {
+            let groups = self.kept_as.entry(kind.to_owned()).or_default();
+            *groups.entry(group.to_owned()).or_default() += 1;
+        }
         let judged = Judged { shard, verdict };
         if distance(&judged) <= NEAR {
             self.closest.push(judged.clone());
@@ -110,6 +117,12 @@ impl Summary {
         for (kind, count) in next.rejected {
             *self.rejected.entry(kind).or_default() += count;
         }
+        for (kind, groups) in next.kept_as {
+            let own = self.kept_as.entry(kind).or_default();
+            for (group, count) in groups {
+                *own.entry(group).or_default() += count;
+            }
+        }
         self.first_rejected.extend(next.first_rejected);
         self.first_rejected.truncate(MOST_REJECTED);
         self.by_hand.extend(next.by_hand);
@@ -121,6 +134,17 @@ impl Summary {
         self.near += next.near;
         self.closest.extend(next.closest);
         self.cut_closest();
+    }
+
+    /// Returns one line for each kind and group of photos that are kept as another kind.
+    pub(super) fn kept_as_lines(&self) -> impl Iterator<Item = String> + '_ {
+        let kinds = self.kept_as.iter();
+        kinds.flat_map(|(kind, groups)| {
+            let line = move |(group, photos): (&String, &usize)| {
+                format!("kept as {kind}: {} of {group}", count(*photos, "photo"))
+            };
+            groups.iter().map(line)
+        })
     }
 
     fn cut_closest(&mut self) {
@@ -185,7 +209,7 @@ mod tests {
     use super::*;
 
     prop_compose! {
-        fn judged()(shard in 0..200_u32, id in 0..50_u32, kind in 0..3_usize, score in 0.0..3.0, by_hand in 0..9) -> Judged {
+        fn judged()(shard in 0..200_u32, id in 0..50_u32, kind in 0..3_usize, score in 0.0..3.0, by_hand in 0..9_usize) -> Judged {
             let verdict = Verdict {
                 id: id.to_string(),
                 file: String::new(),
@@ -193,7 +217,11 @@ mod tests {
                 score: Some(score),
                 threshold: Some(1.0),
                 twin: None,
-                reason: if by_hand == 0 { "rejected by hand".to_owned() } else { String::new() },
+                reason: match by_hand {
+                    0 => "rejected by hand".to_owned(),
+                    1 | 2 => Verdict::kept_as_reason("monochrome", ["NLA", "NRA"][by_hand - 1]),
+                    _ => String::new(),
+                },
             };
             Judged { shard, verdict }
         }

@@ -120,6 +120,9 @@ pub fn execute_with(session: &Session, options: &Options, extras: &Extras<'_>) -
         files::write(file, trace.json().to_string().as_bytes())?;
     }
     warn_of_lists_and_filters(session, &record);
+    for line in verdicts::kept_as(session, &record)? {
+        context.feedback.note(&line);
+    }
     let failure = listener.failure.into_inner();
     let failure = match record.outcome {
         Outcome::Done => None,

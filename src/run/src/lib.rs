@@ -34,6 +34,7 @@ pub mod program;
 pub mod render;
 pub mod replay;
 pub mod report;
+mod report_memos;
 pub mod results;
 pub mod run;
 pub mod scenes;

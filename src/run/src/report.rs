@@ -11,13 +11,13 @@ use marf_export::iso_time;
 use marf_model::{Run, RunNode, select};
 use marf_report::trade::Trade;
 use marf_report::{ChangedNode, Changes, LinkedPage, LiveParts, Report, ScenePage};
-use marf_stage::Memos;
 use serde_json::Value;
 
 use crate::context::Context;
 use crate::diff::{self, RunNames};
 use crate::documents::{self, Documents};
 use crate::error::Error;
+use crate::report_memos::StoreMemos;
 use crate::session::Session;
 use crate::{files, outputs, scenes};
 
@@ -270,21 +270,4 @@ fn trade(run: &Run<'_>, scene: Option<&str>, warn: impl Fn(String)) -> Result<Op
     let bytes = kept.map(|kept| store.get(&kept.digest)).transpose()?;
     let trade = bytes.map(|bytes| serde_json::from_slice(&bytes)).transpose();
     trade.map_err(|error| Error::failed(format!("{}: {error}", document::TRADE)))
-}
-
-/// Memos in the store, and the key they are kept for. Without a key they are only read. A lost memo only costs time.
-struct StoreMemos<'a>(&'a Store, Option<Digest>);
-
-impl Memos for StoreMemos<'_> {
-    fn load(&self, key: &Digest) -> Option<Arc<[u8]>> {
-        let blob = self.0.memo(key).ok()??;
-        self.0.get(&blob).ok()
-    }
-
-    fn save(&self, key: &Digest, table: &[u8]) {
-        let stored = self.1.and_then(|maker| Some((maker, self.0.put(table).ok()?)));
-        if let Some((maker, blob)) = stored {
-            self.0.put_memo(*key, blob, maker);
-        }
-    }
 }

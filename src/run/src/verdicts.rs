@@ -3,9 +3,12 @@
 use std::collections::BTreeMap;
 
 use marf_engine::RunRecord;
+use marf_model::Run;
+use marf_report::Report;
 use marf_stage::{VERDICTS, Verdict};
 
 use crate::error::Error;
+use crate::report_memos::StoreMemos;
 use crate::session::Session;
 
 /// Verdict of files that are not photos (labels, notes). No filter sees them.
@@ -29,6 +32,26 @@ pub fn by_node(session: &Session, record: &RunRecord) -> Result<BTreeMap<String,
 pub fn all(session: &Session, record: &RunRecord) -> Vec<Verdict> {
     let by_node = by_node(session, record).unwrap_or_default();
     by_node.into_values().flatten().collect()
+}
+
+/// Returns one line for each camera whose photos a run keeps as photos of another kind.
+///
+/// # Errors
+/// A store that cannot be read.
+pub fn kept_as(session: &Session, record: &RunRecord) -> Result<Vec<String>, Error> {
+    let run = Run::new(&session.store, record.clone())?;
+    Ok(marf_report::kept_as(&Report {
+        changes: None,
+        trade: None,
+        read: &|digest| session.store.get(digest).ok(),
+        memos: &StoreMemos(&session.store, None),
+        run: &run,
+        started: String::new(),
+        scene: None,
+        nodes: run.nodes.iter().filter(|node| !node.is_child()).collect(),
+        scenes: Vec::new(),
+        params: &BTreeMap::new(),
+    }))
 }
 
 /// Returns one verdict for each photo, sorted by file: that of the filter that rejected it, else that of the last

@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use marf_cache::{Digest, manifest::Row};
 use marf_pds::exif::{self, Lens};
-use marf_pds::{Label, ProductName, raw};
+use marf_pds::{Label, raw};
 use marf_scene::{DecodeError, Photo, PhotoFacts, thumbnail};
 use marf_stage::{Ctx, Fetched, FetchedMeasure, StageError, Verdict};
 use rayon::prelude::*;
@@ -163,7 +163,8 @@ fn decode(product: &Product, file: &ArchiveFile, bytes: &[u8], limit_bytes: u64)
     }
     let photo = Photo::decode_within(bytes, limit_bytes)
         .map_err(|error| with_key(&error, matches!(error, DecodeError::TooLarge(_))))?;
-    let mosaic = name.is_some_and(ProductName::is_mosaic);
+    let filter = beside.and_then(|label| label.filter.as_deref());
+    let mosaic = name.is_some_and(|name| name.is_mosaic(filter));
     let phase = beside.and_then(|label| label.mosaic.or(label.phase));
     let developed = if mosaic {
         raw::develop_mosaic(&photo, phase)
@@ -257,6 +258,14 @@ fn facts(
         .flatten()
         .find(|label| label.prior.is_some());
     let prior = with_camera.and_then(|label| label.fit_camera(name, width, height, &mut notes));
+    let labels = || [attached, detached].into_iter().flatten();
+    let place = labels().find_map(|label| label.place.clone()).filter(|place| {
+        let is_known = !place.motion_counter.is_empty() || place.site_from_frame.is_some();
+        is_known && prior.is_none()
+    });
+    let sensor = name
+        .and_then(marf_pds::ProductName::sensor)
+        .or_else(|| labels().find_map(|label| label.sensor));
     if let Some(label) = with_camera.or(attached).or(detached) {
         notes.extend(label.notes.iter().cloned());
     }
@@ -286,7 +295,9 @@ fn facts(
                 .into_iter()
                 .flatten()
                 .any(|label| label.thumbnail),
+        sensor,
         prior,
+        place,
         focal_px: decoded.lens.focal_px,
         device: decoded.lens.device,
         notes,

@@ -73,7 +73,7 @@ impl Duplicate {
     /// As [`Filter::MEASURE_VERSION`](crate::Filter::MEASURE_VERSION).
     const MEASURE_VERSION: u32 = 3;
     /// As [`Filter::DECISION_VERSION`](crate::Filter::DECISION_VERSION).
-    const DECISION_VERSION: u32 = 0;
+    const DECISION_VERSION: u32 = 1;
 
     /// Where its measures are kept.
     pub(crate) const TABLE: Table = Table {

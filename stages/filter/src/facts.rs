@@ -1,6 +1,7 @@
 //! What filters read of the facts of a photo.
 
 use marf_cache::manifest::Row;
+use marf_scene::Sensor;
 use marf_stage::StageError;
 use serde::{Deserialize, de::IgnoredAny};
 
@@ -25,11 +26,15 @@ pub struct Facts<'a> {
     pub instrument: Option<&'a str>,
     /// Colour filter as the archive names it.
     pub filter: Option<&'a str>,
+    /// Whether its camera sees colour, where product name or label say so.
+    pub sensor: Option<Sensor>,
     /// Whether the archive calls it a thumbnail.
     pub thumbnail: bool,
     /// Camera model and pose, which [`marf_scene::PhotoFacts`] holds.
     #[serde(rename = "prior")]
     _prior: IgnoredAny,
+    #[serde(rename = "place")]
+    _place: IgnoredAny,
     #[serde(rename = "focal_px")]
     _focal_px: IgnoredAny,
     #[serde(rename = "device")]
@@ -79,11 +84,13 @@ mod tests {
             sol: Some(9),
             instrument: Some("ZL".to_owned()),
             filter: Some("0".to_owned()),
+            sensor: Some(Sensor::Monochrome),
             thumbnail: true,
             focal_px: Some(3.0),
             device: Some("phone".to_owned()),
             notes: vec!["turned".to_owned()],
             prior: None,
+            place: None,
         };
         let row_of_whole = row(whole.to_json());
         let facts = Facts::from_row(&row_of_whole).unwrap();
@@ -96,6 +103,7 @@ mod tests {
             (facts.instrument, facts.filter, facts.thumbnail),
             (Some("ZL"), Some("0"), true)
         );
+        assert_eq!(facts.sensor, Some(Sensor::Monochrome));
         for odd in [json!({"widht": 3}), json!({"width": -3}), json!(7)] {
             let error = Facts::from_row(&row(odd)).unwrap_err().to_string();
             assert_eq!(error, "facts of photo `a` cannot be read");

@@ -1,6 +1,7 @@
 //! The filter `grayscale`.
 
-use marf_stage::ParamError;
+use marf_scene::{Image, Sensor, Srgb};
+use marf_stage::{ParamError, Verdict};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -8,12 +9,26 @@ use crate::by_hand::ByHand;
 use crate::bytes::{Stored, put_number, take_number};
 use crate::decision::Decision;
 use crate::decoded::DecodedPhoto;
-use crate::filter::{Filter, MeasuredPhoto, check_range};
+use crate::facts::Facts;
+use crate::filter::{AnyPass, Filter, MeasuredPhoto, Pass, check_range};
 #[cfg(test)]
 use crate::section::Guard;
 
-/// Rejects photos without colour: one band, or three equal ones within the noise of JPEG.
+/// Rejects gray photos of cameras that see colour, and colour mosaics that are not developed.
 pub struct Grayscale;
+
+/// Channels that differ by more than this make a pixel one with colour, in 8-bit steps.
+const MIN_SPREAD: u8 = 8;
+/// Share of pixels with colour from which on a photo has colour.
+const MIN_SHARE: f64 = 0.005;
+/// A camera of which nothing else is known is monochrome if at most this share of its photos has colour: a lens flare or a
+/// damaged JPEG may give colour to one of many gray photos.
+const MAX_COLORED: f64 = 0.05;
+/// Difference of the means of the four positions of 2 x 2 pixels, in percent, from which on a gray photo is a colour mosaic.
+/// Photos of monochrome cameras have at most 0.4, mosaics of Mars 50 and more.
+const MOSAIC_PERCENT: u8 = 5;
+/// Name of cameras of which no name is known.
+const UNNAMED: &str = "an unnamed camera";
 
 /// Brightness, in 8-bit steps, below which a photo is dark: its colours differ by fewer steps than those of others.
 const DARK: usize = 64;
@@ -24,9 +39,11 @@ const DARKEST: usize = 8;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Keep {
-    /// Photos with colour.
+    /// Photos with colour, and gray photos of monochrome cameras.
+    Auto,
+    /// Photos with colour: the rule of the paper.
     Color,
-    /// All photos: for missions whose cameras are monochrome.
+    /// All photos.
     All,
 }
 
@@ -34,7 +51,8 @@ pub enum Keep {
 #[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct GrayscaleParams {
-    /// `color` keeps photos with colour, `all` keeps every photo (monochrome missions).
+    /// `auto` keeps photos with colour, and gray photos of cameras that are monochrome by product name or label, or of which
+    /// at most one photo in 20 has colour. `color` keeps photos with colour only (the paper), `all` keeps every photo.
     pub keep: Keep,
     /// A pixel has colour if its largest and smallest channel differ by more than this, in 8-bit steps. JPEG
     /// makes differences of a few steps in a gray photo. In a photo whose brightest percent is below 64 the differences are
@@ -49,9 +67,9 @@ pub struct GrayscaleParams {
 impl Default for GrayscaleParams {
     fn default() -> Self {
         Self {
-            keep: Keep::Color,
-            min_spread: 8,
-            min_share: 0.005,
+            keep: Keep::Auto,
+            min_spread: MIN_SPREAD,
+            min_share: MIN_SHARE,
             by_hand: ByHand::default(),
         }
     }
@@ -63,14 +81,16 @@ impl Default for GrayscaleParams {
 pub struct ChannelSpread {
     /// Bands stored in the file.
     bands: u8,
+    /// Largest difference of the mean brightness of the four positions of 2 x 2 pixels, percent of their mean.
+    mosaic_percent: u8,
     /// Pixels of a sample by their spread, without trailing zeros.
     pixels: Vec<u32>,
 }
 
-/// One byte for the bands, then the counts.
+/// One byte for the bands, one for the mosaic, then the counts.
 impl Stored<'_> for ChannelSpread {
     fn encode(&self) -> Vec<u8> {
-        let mut bytes = vec![self.bands];
+        let mut bytes = vec![self.bands, self.mosaic_percent];
         self.pixels
             .iter()
             .for_each(|count| put_number(&mut bytes, u64::from(*count)));
@@ -78,13 +98,14 @@ impl Stored<'_> for ChannelSpread {
     }
 
     fn decode(bytes: &[u8]) -> Option<Self> {
-        let (bands, mut rest) = bytes.split_first()?;
+        let ([bands, mosaic_percent], mut rest) = bytes.split_first_chunk()?;
         let mut pixels = Vec::new();
         while !rest.is_empty() {
             pixels.push(u32::try_from(take_number(&mut rest)?).ok()?);
         }
         (pixels.len() <= 256 && matches!(bands, 1 | 3)).then_some(Self {
             bands: *bands,
+            mosaic_percent: *mosaic_percent,
             pixels,
         })
     }
@@ -92,15 +113,16 @@ impl Stored<'_> for ChannelSpread {
 
 impl Filter for Grayscale {
     const NAME: &'static str = "grayscale";
-    const ABOUT: &'static str = "rejects photos without colour";
-    const RELAX: &'static str = "`keep = \"all\"`, as for monochrome cameras";
-    const MEASURE_VERSION: u32 = 4;
-    const DECISION_VERSION: u32 = 0;
+    const ABOUT: &'static str = "rejects gray photos of colour cameras";
+    const RELAX: &'static str = "`keep = \"all\"`";
+    const MEASURE_VERSION: u32 = 5;
+    const DECISION_VERSION: u32 = 1;
     type Params = GrayscaleParams;
     type Measure<'a> = ChannelSpread;
-    type Context = ();
+    type Context = ColoredPhotos;
     const MEASURE: Option<fn(&DecodedPhoto<'_>) -> ChannelSpread> = Some(|decoded| ChannelSpread {
         bands: decoded.photo.bands,
+        mosaic_percent: mosaic_percent(&decoded.photo.image),
         pixels: spread(decoded.sample()),
     });
 
@@ -118,9 +140,17 @@ impl Filter for Grayscale {
         check_range("min_share", params.min_share, 0.0, 1.0)
     }
 
+    /// Only `auto` looks at the other photos of a camera.
+    fn passes(params: &GrayscaleParams) -> &'static [&'static dyn AnyPass<Self>] {
+        if params.keep == Keep::Auto {
+            return &[&ColorsPass];
+        }
+        &[]
+    }
+
     fn decide(
         params: &GrayscaleParams,
-        _: Option<&()>,
+        camera: Option<&ColoredPhotos>,
         photo: &MeasuredPhoto<'_, ChannelSpread>,
     ) -> Decision {
         let (share, least) = (photo.measure.share_above(params.min_spread), params.min_share);
@@ -130,20 +160,134 @@ impl Filter for Grayscale {
                 ..Decision::pass("")
             };
         }
-        if photo.measure.bands == 1 {
-            return Decision::reject(share, least, "one band");
+        if photo.measure.bands > 1 && share >= least {
+            return Decision::keep(share, least);
         }
-        if share < least {
-            let reason = format!(
+        let gray = match photo.measure.bands {
+            1 => "one band".to_owned(),
+            _ => format!(
                 "{:.2} % of pixels with channels more than {} apart, at least {:.2} %",
                 100.0 * share,
                 params.min_spread,
                 100.0 * least
-            );
-            return Decision::reject(share, least, reason);
+            ),
+        };
+        if params.keep == Keep::Color {
+            return Decision::reject(share, least, gray);
         }
-        Decision::keep(share, least)
+        match colored(&photo.facts, &photo.measure, camera) {
+            Some(why) => Decision::reject(share, least, format!("{gray}: {why}")),
+            None => Decision {
+                score: Some(share),
+                ..Decision::pass(Verdict::kept_as_reason(
+                    "monochrome",
+                    photo.facts.instrument.unwrap_or(UNNAMED),
+                ))
+            },
+        }
     }
+}
+
+/// Returns why a gray photo is not one of a monochrome camera. `None` if it is.
+fn colored(facts: &Facts<'_>, measure: &ChannelSpread, camera: Option<&ColoredPhotos>) -> Option<String> {
+    if measure.mosaic_percent >= MOSAIC_PERCENT {
+        return Some("a colour mosaic that is not developed".to_owned());
+    }
+    match (facts.sensor, camera) {
+        (Some(Sensor::Monochrome), _) => None,
+        (Some(Sensor::Color), _) => Some("its camera sees colour by name or label".to_owned()),
+        (None, Some(camera)) if camera.see_color() => Some(format!(
+            "{} of {} photos of its camera have colour",
+            camera.colored, camera.photos
+        )),
+        (None, _) => None,
+    }
+}
+
+/// How many photos of a camera have colour.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct ColoredPhotos {
+    photos: u64,
+    colored: u64,
+}
+
+impl ColoredPhotos {
+    fn see_color(&self) -> bool {
+        self.colored as f64 > MAX_COLORED * self.photos as f64
+    }
+}
+
+impl Stored<'_> for ColoredPhotos {
+    fn encode(&self) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        put_number(&mut bytes, self.photos);
+        put_number(&mut bytes, self.colored);
+        bytes
+    }
+
+    fn decode(mut bytes: &[u8]) -> Option<Self> {
+        let (photos, colored) = (take_number(&mut bytes)?, take_number(&mut bytes)?);
+        (bytes.is_empty() && colored <= photos).then_some(Self { photos, colored })
+    }
+}
+
+/// Counts the photos of a camera and those that have colour by the default limits: no parameter changes a summary.
+struct ColorsPass;
+
+impl Pass<Grayscale> for ColorsPass {
+    const NAME: &'static str = "colors";
+    type Total = ColoredPhotos;
+
+    fn summarise(_: Option<&ColoredPhotos>, photos: &[&MeasuredPhoto<'_, ChannelSpread>]) -> Vec<u8> {
+        let has_color = |photo: &&&MeasuredPhoto<'_, ChannelSpread>| {
+            photo.measure.bands > 1 && photo.measure.share_above(MIN_SPREAD) >= MIN_SHARE
+        };
+        let counts = ColoredPhotos {
+            photos: photos.len() as u64,
+            colored: photos.iter().filter(has_color).count() as u64,
+        };
+        counts.encode()
+    }
+
+    fn add(total: &mut ColoredPhotos, summary: &[u8]) -> Option<()> {
+        let counts = ColoredPhotos::decode(summary)?;
+        total.photos = total.photos.checked_add(counts.photos)?;
+        total.colored = total.colored.checked_add(counts.colored)?;
+        Some(())
+    }
+
+    fn conclude(
+        _: &GrayscaleParams,
+        _: Option<ColoredPhotos>,
+        total: ColoredPhotos,
+    ) -> Option<ColoredPhotos> {
+        Some(total)
+    }
+}
+
+/// Returns the largest difference of the mean brightness of the four positions of 2 x 2 pixels, percent of their mean. 0 for
+/// a black photo, and for one with colour: it is no mosaic.
+fn mosaic_percent(image: &Image<Srgb>) -> u8 {
+    let (mut sums, mut counts) = ([0_u64; 4], [0_u64; 4]);
+    let rows = image.pixels.chunks_exact(image.width.max(1) as usize);
+    for (y, row) in rows.enumerate() {
+        for (x, [red, green, blue]) in row.iter().enumerate() {
+            if red != green || green != blue {
+                return 0;
+            }
+            let position = 2 * (y % 2) + x % 2;
+            sums[position] += u64::from(*green);
+            counts[position] += 1;
+        }
+    }
+    let all = sums.iter().sum::<u64>();
+    if all == 0 || counts.contains(&0) {
+        return 0;
+    }
+    let means = [0, 1, 2, 3].map(|position| sums[position] as f64 / counts[position] as f64);
+    let most = means.into_iter().fold(means[0], f64::max);
+    let least = means.into_iter().fold(means[0], f64::min);
+    (400.0 * (most - least) / means.iter().sum::<f64>()) as u8
 }
 
 /// Counts pixels by their spread.

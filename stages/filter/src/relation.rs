@@ -1,7 +1,7 @@
 //! How two photos are related by their product names and labels, before any pixel is compared.
 
 use marf_cache::{Digest, manifest::Row};
-use marf_pds::Mars2020Name;
+use marf_pds::{Mars2020Name, ProductName, Scheme};
 use marf_scene::{CameraPrior, PhotoFacts};
 
 use crate::facts::Facts;
@@ -72,10 +72,10 @@ impl<'a> Relative<'a> {
 
     /// Returns the keys by which photos related to this one are found.
     pub(crate) fn keys(&self) -> RelationKeys {
-        let exposure = Mars2020Name::read(self.id).map(|_| {
-            let fields = [&self.id[..23], &self.id[27..48]].concat();
-            key_of("exposure", &[&fields.to_ascii_lowercase()])
-        });
+        let mars2020 = Mars2020Name::read(self.id)
+            .map(|_| [&self.id[..23], &self.id[27..48]].concat().to_ascii_lowercase());
+        let exposure = mars2020.or_else(|| other_exposure(self.id));
+        let exposure = exposure.map(|fields| key_of("exposure", &[&fields]));
         let camera = self.instrument.zip(self.filter).map(|(instrument, filter)| {
             let sol = self.sol.map_or_else(String::new, |sol| sol.to_string());
             let camera = key_of("camera", &[instrument, &sol]);
@@ -88,7 +88,7 @@ impl<'a> Relative<'a> {
 /// Keys to find related photos by. Equal keys may also belong to photos that are not related.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct RelationKeys {
-    /// Equal for versions of one exposure. `None` without a name of Mars 2020.
+    /// Equal for versions of one exposure. `None` without a product name.
     pub(crate) exposure: Option<u32>,
     /// Equal for photos of one camera on one sol, and a key of the filter: the photo is related to those with another one.
     pub(crate) camera: Option<(u32, u32)>,
@@ -106,6 +106,10 @@ fn key_of(kind: &str, texts: &[&str]) -> u32 {
 pub(crate) fn relation_between(a: &Relative<'_>, b: &Relative<'_>) -> Relation {
     let names = Mars2020Name::read(a.id).zip(Mars2020Name::read(b.id));
     if names.is_some_and(|(a, b)| a.is_other_product_of_exposure(b)) {
+        return Relation::SameExposure;
+    }
+    let others = other_exposure(a.id).zip(other_exposure(b.id));
+    if others.is_some_and(|(first, second)| first == second) && !a.id.eq_ignore_ascii_case(b.id) {
         return Relation::SameExposure;
     }
     if !differ_in_filter(a, b) {
@@ -127,14 +131,15 @@ pub(crate) fn relation_between(a: &Relative<'_>, b: &Relative<'_>) -> Relation {
 
 /// Returns the rank of a product's processing level. Of two versions of one exposure, the lower rank is kept.
 ///
-/// Calibrated radiance is 0, so that the same kind of product is kept throughout the set.
+/// Calibrated radiance is first, so that the same kind of product is kept throughout the set.
 pub(crate) fn processing_rank(id: &str) -> u8 {
-    let product_type = Mars2020Name::read(id).map(|name| name.product_type().to_ascii_uppercase());
-    match product_type.as_deref() {
-        Some("RAD") => 0,
-        Some(product) if product.starts_with('R') => 1,
-        _ => 2,
-    }
+    ProductName::read(id).map_or(u8::MAX, |name| name.processing_rank())
+}
+
+/// Returns what the versions of an exposure share by name, of other missions than Mars 2020.
+fn other_exposure(id: &str) -> Option<String> {
+    let name = ProductName::read(id).filter(|name| name.scheme != Scheme::M2020)?;
+    Some(name.exposure())
 }
 
 /// Whether one camera took both photos on one sol through different filters, by the archive's facts.
@@ -231,6 +236,9 @@ mod tests {
         ] {
             assert_eq!(related(RAD, other), Relation::SameExposure, "{other}");
         }
+        let mer = ["1N491020834RADCNY9P0706L0M1", "1N491020834EFFCNY9P0706L0M1"];
+        let mer = relation_between((mer[0], &PhotoFacts::default()), (mer[1], &PhotoFacts::default()));
+        assert_eq!(mer, Relation::SameExposure);
         for other in [
             RAD,
             "ZR0_0709_0729888971_069EFF_N0332864ZCAM07114_0340LMA01",
@@ -325,9 +333,13 @@ mod tests {
 
     #[test]
     fn radiance_is_preferred() {
-        assert_eq!(processing_rank(RAD), 0);
-        assert_eq!(processing_rank(&RAD.replace("RAD", "RSL")), 1);
-        assert_eq!(processing_rank(&RAD.replace("RAD", "EFF")), 2);
-        assert_eq!(processing_rank("rock.jpg"), 2);
+        let ranks = [
+            RAD,
+            &RAD.replace("RAD", "RSL"),
+            &RAD.replace("RAD", "EFF"),
+            "rock.jpg",
+        ]
+        .map(processing_rank);
+        assert!(ranks.is_sorted_by(|a, b| a < b), "{ranks:?}");
     }
 }

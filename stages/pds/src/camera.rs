@@ -4,8 +4,8 @@ use marf_scene::{Cahvor, CahvorError, EntrancePupil};
 
 /// Largest tolerated deviation of |A| and |O| from 1: labels of six digits leave 8e-6.
 const UNIT_TOLERANCE: f64 = 1e-3;
-/// Largest tolerated deviation of the two focal lengths from each other.
-const ASPECT_TOLERANCE: f64 = 0.05;
+/// Largest ratio of the two focal lengths: detectors average up to 8 pixels along one side alone.
+const MAX_ASPECT: f64 = 8.0;
 
 /// A camera model as a label writes it.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -43,8 +43,10 @@ pub enum CameraError {
         /// Its length.
         length: f64,
     },
-    /// Focal lengths that are zero or differ.
-    #[error("focal lengths |A x H| = {horizontal_px:.3} px and |A x V| = {vertical_px:.3} px do not agree")]
+    /// Focal lengths below one pixel, or too far apart for one camera.
+    #[error(
+        "focal lengths |A x H| = {horizontal_px:.3} px and |A x V| = {vertical_px:.3} px are not those of one camera"
+    )]
     Focal {
         /// |A x H|.
         horizontal_px: f64,
@@ -161,8 +163,8 @@ fn unit_length(name: char, vector: [f64; 3]) -> Result<f64, CameraError> {
 
 fn check_axes(a: [f64; 3], h: [f64; 3], v: [f64; 3]) -> Result<(), CameraError> {
     let (horizontal_px, vertical_px) = (norm(cross(a, h)), norm(cross(a, v)));
-    let ratio = horizontal_px / vertical_px;
-    if !(horizontal_px >= 1.0 && (ratio - 1.0).abs() <= ASPECT_TOLERANCE) {
+    let (less, more) = (horizontal_px.min(vertical_px), horizontal_px.max(vertical_px));
+    if !(less >= 1.0 && more <= MAX_ASPECT * less) {
         return Err(CameraError::Focal {
             horizontal_px,
             vertical_px,
@@ -234,7 +236,7 @@ mod tests {
         );
         check(&|raw| raw.cahv[3] = raw.cahv[2], "parallel");
         check(&|raw| raw.cahv[2] = [0.0; 3], "focal lengths");
-        check(&|raw| raw.cahv[3][2] = 15_900.0, "do not agree");
+        check(&|raw| raw.cahv[3][2] = 130_000.0, "not those of one camera");
         check(&|raw| raw.cahv.swap(2, 3), "mirrored");
         let pupil = |term: f64, kind: i64| RawEntrance {
             terms: [term; 3],
@@ -246,6 +248,23 @@ mod tests {
             &|raw| raw.entrance = Some(pupil(f64::INFINITY, 2)),
             "E is missing",
         );
+    }
+
+    /// A camera whose lines were averaged in pairs, and one of a linearised product.
+    #[test]
+    fn unequal_focal_lengths_are_those_of_a_camera() {
+        for vertical_px in [7_400.0, 15_900.0, 29_600.0] {
+            let mut unequal = raw();
+            unequal.cahv[3][2] = vertical_px;
+            let model = normalised(&unequal).unwrap();
+            let scale = 1.0 + 8e-6;
+            let expected = (14_800.0 / scale, vertical_px / scale);
+            let found = focal_px(&model);
+            assert!(
+                (found.0 - expected.0).abs() < 1e-9 && (found.1 - expected.1).abs() < 1e-9,
+                "{found:?}"
+            );
+        }
     }
 
     #[test]

@@ -22,10 +22,13 @@ pub fn array(array: &Array) -> String {
         (_, BandStorage::PixelInterleaved) => " by pixel",
     };
     let bits = array.bits.map_or(String::new(), |bits| format!(", {bits} bits"));
-    let scaling = match array.scaling {
-        Some((factor, offset)) => format!(", x {factor} + {offset}"),
-        None => String::new(),
-    };
+    let mut scaling: Vec<String> = array
+        .scaling
+        .iter()
+        .map(|(factor, offset)| format!(", x {factor} + {offset}"))
+        .collect();
+    scaling.dedup();
+    let scaling = scaling.concat();
     let codes = array.companded_by.as_ref();
     let codes = codes.map_or(String::new(), |table| format!(", stored by {table}"));
     let size = 8 * array.sample.bytes;

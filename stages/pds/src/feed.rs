@@ -4,7 +4,7 @@ use serde_json::Value;
 
 use crate::camera::{CameraError, RawEntrance, RawModel};
 use crate::label::{BayerPhase, FramePose, Label, MAX_LABEL_BYTES};
-use crate::values;
+use crate::{sensor, values};
 
 /// Bytes that are not a record of a raw-image feed.
 #[derive(Debug, thiserror::Error)]
@@ -47,6 +47,7 @@ pub fn read(bytes: &[u8]) -> Result<Label, FeedError> {
         filter: record.text("filter_name"),
         thumbnail: record.thumbnail(),
         averaged: 1,
+        sensor: sensor::of_instrument(&record.host(), &record.text("instrument").unwrap_or_default()),
         size: record.size(),
         phase: record.phase(),
         ..Label::default()
@@ -70,6 +71,12 @@ impl Record<'_> {
                 Value::Bool(truth) => Some(truth.to_string()),
                 _ => None,
             })
+    }
+
+    /// Records of Mars 2020 are nested, those of MSL are flat.
+    fn host(&self) -> String {
+        let host = self.0.get("camera").map_or("MSL", |_| "M20");
+        host.to_owned()
     }
 
     fn thumbnail(&self) -> bool {
@@ -115,15 +122,14 @@ impl Record<'_> {
 }
 
 fn add_camera(record: &Record<'_>, label: &mut Label) {
+    let frame = frame(label);
+    label.set_place(frame, record.pose(), record.counter());
     let Some(components) = record.text("camera_model_component_list") else {
         label.notes.push("label has no camera".to_owned());
         return;
     };
     match model(&components) {
-        Ok(raw) => {
-            let frame = frame(label);
-            label.set_camera(&raw, frame, record.pose(), record.counter());
-        }
+        Ok(raw) => label.set_camera(&raw),
         Err(error) => label.refuse_camera(&error),
     }
 }

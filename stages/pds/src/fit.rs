@@ -103,7 +103,8 @@ mod tests {
             averaged: 1,
             ..Label::default()
         };
-        label.set_camera(&raw, "SITE_FRAME".to_owned(), FramePose::IsSite, vec![1, 2, 3]);
+        label.set_place("SITE_FRAME".to_owned(), FramePose::IsSite, vec![1, 2, 3]);
+        label.set_camera(&raw);
         label
     }
 

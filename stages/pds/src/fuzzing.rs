@@ -8,13 +8,14 @@
     reason = "a broken promise must stop the fuzzer; the program never calls this"
 )]
 
-use crate::{feed, index_table, inventory, listing, odl, pds4, raw, vicar};
+use crate::{dat, feed, index_table, inventory, listing, odl, pds4, raw, vicar};
 
 /// A reader of untrusted bytes.
 pub type Target = fn(&[u8]) -> usize;
 
 /// All targets with the names of their corpora.
-pub const TARGETS: [(&str, Target); 7] = [
+pub const TARGETS: [(&str, Target); 8] = [
+    ("dat", dat),
     ("listing", listing),
     ("odl", odl),
     ("pds4", pds4),
@@ -23,6 +24,17 @@ pub const TARGETS: [(&str, Target); 7] = [
     ("inventory", inventory),
     ("index", index),
 ];
+
+/// Decompresses a product of Mastcam, MAHLI or MARDI.
+pub fn dat(bytes: &[u8]) -> usize {
+    let Some(Ok(made)) = dat::decompress(bytes, 1 << 24) else {
+        return 0;
+    };
+    let [bands, lines, samples] = made.array.shape.map(|side| side as usize);
+    let needed = bands * lines * samples * made.array.sample.bytes as usize;
+    assert_eq!(made.bytes.len(), needed, "whole");
+    needed
+}
 
 /// Reads a folder page.
 pub fn listing(bytes: &[u8]) -> usize {

@@ -1,6 +1,6 @@
 //! The contents that all kinds of labels are read into.
 
-use marf_scene::{CameraPrior, Pose};
+use marf_scene::{CameraPrior, Pose, RoverPlace, Sensor};
 use nalgebra::{Matrix3, Vector3};
 
 use crate::camera::{self, CameraError, RawModel};
@@ -23,6 +23,10 @@ pub struct Label {
     pub filter: Option<String>,
     /// The label calls its photo a thumbnail.
     pub thumbnail: bool,
+    /// Whether the camera sees colour.
+    pub sensor: Option<Sensor>,
+    /// Where the rover stood.
+    pub place: Option<RoverPlace>,
     /// Camera model and pose.
     pub prior: Option<CameraPrior>,
     /// Focal length, mm, where the label has it.
@@ -33,6 +37,8 @@ pub struct Label {
     pub(crate) size: Option<(u32, u32)>,
     /// Where the pixels lie, if the label describes an array.
     pub array: Option<Array>,
+    /// The label says that the pixels of a colour mosaic are interpolated.
+    pub interpolated: bool,
     /// Phase of the colour mosaic, if the pixels are not interpolated yet.
     pub mosaic: Option<BayerPhase>,
     /// Where on the detector the photo starts, for mosaics and other photos.
@@ -69,8 +75,12 @@ pub struct Array {
     pub suffix_bytes: u32,
     /// Significant bits of an unscaled sample, if the label says.
     pub bits: Option<u32>,
-    /// Value = stored x scale + offset, if the label scales.
-    pub scaling: Option<(f64, f64)>,
+    /// Value = stored x scale + offset: of each band, or one for all. Empty if the label does not scale.
+    pub scaling: Vec<(f64, f64)>,
+    /// Factor that turns radiance scaled to the sun in the zenith back into the measured one.
+    pub from_zenith: Option<f64>,
+    /// Radiance of a white surface under the sun, W / (m2 sr nm): of each band, or one for all.
+    pub sunlight: Vec<f64>,
     /// Stored values that mean "no value", or less light than can be stored.
     pub missing: Vec<f64>,
     /// Stored values that mean more light than can be stored.
@@ -157,9 +167,19 @@ pub enum Quantity {
 }
 
 impl Label {
-    /// Sets the camera, or adds a note why it cannot be used. The photo's size must have been read before: the
-    /// lens is checked up to its corners.
-    pub(crate) fn set_camera(&mut self, raw: &RawModel, frame: String, pose: FramePose, counter: Vec<i64>) {
+    /// Sets where the rover stood, which holds whether its camera can be used or not.
+    pub(crate) fn set_place(&mut self, frame: String, pose: FramePose, counter: Vec<i64>) {
+        let site_from_frame = pose.resolve(&mut self.notes);
+        self.place = Some(RoverPlace {
+            frame,
+            site_from_frame,
+            motion_counter: counter,
+        });
+    }
+
+    /// Sets the camera, or adds a note why it cannot be used. The place must have been set and the photo's size read
+    /// before: the lens is checked up to its corners.
+    pub(crate) fn set_camera(&mut self, raw: &RawModel) {
         let checked = camera::normalised(raw).and_then(|model| {
             let (width, height) = self.size.unwrap_or((1, 1));
             let checked = model.check_lens(width, height);
@@ -167,12 +187,12 @@ impl Label {
         });
         match checked {
             Ok(model) => {
-                let site_from_frame = pose.resolve(&mut self.notes);
-                self.prior = Some(CameraPrior {
+                let place = self.place.clone();
+                self.prior = place.map(|place| CameraPrior {
                     model,
-                    frame,
-                    site_from_frame,
-                    motion_counter: counter,
+                    frame: place.frame,
+                    site_from_frame: place.site_from_frame,
+                    motion_counter: place.motion_counter,
                 });
             }
             Err(error) => self.refuse_camera(&error),
@@ -331,8 +351,13 @@ mod tests {
                 size: Some((width, 1200)),
                 ..Label::default()
             };
-            label.set_camera(&raw, "SITE_FRAME".to_owned(), FramePose::IsSite, vec![1]);
+            label.set_place("SITE_FRAME".to_owned(), FramePose::IsSite, vec![1]);
+            label.set_camera(&raw);
             assert_eq!(label.prior.is_some(), usable, "{:?}", label.notes);
+            assert_eq!(
+                label.place.as_ref().map(|place| place.motion_counter.as_slice()),
+                Some(&[1][..])
+            );
             assert_eq!(label.notes.is_empty(), usable);
             let explained = label
                 .notes

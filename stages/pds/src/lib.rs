@@ -6,6 +6,7 @@
 
 mod camera;
 mod companding;
+pub mod dat;
 mod demosaic;
 mod describe;
 pub mod exif;
@@ -23,9 +24,12 @@ mod pds3;
 pub mod pds4;
 mod pixels;
 pub mod raw;
+mod sensor;
+mod sun;
 #[cfg(test)]
 mod testing;
 mod tone;
+mod units;
 pub mod values;
 mod vicar;
 

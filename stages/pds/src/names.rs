@@ -87,6 +87,30 @@ impl ProductName {
         }
     }
 
+    /// Returns what all versions of an exposure share, those in another geometry included: the name in upper case, without
+    /// type, geometry, producer and version.
+    pub fn exposure(&self) -> String {
+        let id = self.id.to_ascii_uppercase();
+        match self.scheme {
+            Scheme::M2020 => format!("{}{}", &id[..23], &id[27..48]),
+            Scheme::MslScience => id[..24].to_owned(),
+            Scheme::MslEngineering => format!("{}{}", &id[..13], &id[17..35]),
+            Scheme::Mer => format!("{}{}", &id[..11], &id[14..25]),
+        }
+    }
+
+    /// Returns the rank of the product among the versions of its exposure, the best first: radiance or I/F of 16 bits, then
+    /// other calibrated products, then counts and codes.
+    pub fn processing_rank(&self) -> u8 {
+        match self.product_type.as_str() {
+            "RAD" | "DRXX" => 0,
+            "IOF" => 1,
+            kind if kind.starts_with("DR") || kind.starts_with('R') || kind.starts_with("IO") => 2,
+            "DXXX" => 3,
+            _ => 4,
+        }
+    }
+
     /// Returns the reason if a file of this name is not a photo.
     pub fn no_photo(&self) -> Option<String> {
         (self.scheme != Scheme::MslScience && NO_PICTURE.contains(&self.product_type.as_str()))
@@ -103,14 +127,22 @@ impl ProductName {
         kinds.contains(&self.product_type.as_str())
     }
 
-    /// Whether, by the name alone, pixels in one band are a colour mosaic that is not interpolated yet.
-    pub fn is_mosaic(&self) -> bool {
+    /// Whether, by the name, pixels in one band are a colour mosaic that is not interpolated yet. `filter` is the colour
+    /// filter by the label, for names without one.
+    pub fn is_mosaic(&self, filter: Option<&str>) -> bool {
         let raw =
             ["ECM", "EDR", "ECV", "EVD", "ECZ", "EZS", "ECR", "ERD"].contains(&self.product_type.as_str());
-        let filter = self.filter.as_deref().unwrap_or_default();
+        let filter = self.filter.as_deref().or(filter).unwrap_or("0");
         let mastcam = self.instrument.starts_with('Z');
         let whole = self.downsampling == 1;
-        self.scheme == Scheme::M2020 && raw && whole && (filter == "E" || (mastcam && filter == "0"))
+        match self.scheme {
+            Scheme::M2020 => raw && whole && (filter == "E" || (mastcam && filter == "0")),
+            // A, B and C are arrays of raw pixels, with a table or lossless compression.
+            Scheme::MslScience => {
+                self.is_as_received() && filter == "0" && b"ABCabc".contains(&self.id.as_bytes()[22])
+            }
+            Scheme::MslEngineering | Scheme::Mer => false,
+        }
     }
 }
 
@@ -282,11 +314,14 @@ mod tests {
 
     #[test]
     fn only_raw_broad_band_names_say_mosaic() {
-        assert!(read("NRE_0060_0672265209_237ECM_N0032046NCAM00410_00_0LLJ").is_mosaic());
-        assert!(!read("NLF_0060_0672265209_237EBY_N0032046NCAM00410_00_0LLJ").is_mosaic());
-        assert!(!read("NRE_0060_0672265209_237ECM_N0032046NCAM00410_00_1LLJ").is_mosaic());
-        assert!(read("ZL0_0001_0667035659_559ECM_N0010052AUT_04096_0260LMJ01").is_mosaic());
-        assert!(!read("ZL1_0001_0667035659_559ECM_N0010052AUT_04096_0260LMJ01").is_mosaic());
+        assert!(read("NRE_0060_0672265209_237ECM_N0032046NCAM00410_00_0LLJ").is_mosaic(None));
+        assert!(!read("NLF_0060_0672265209_237EBY_N0032046NCAM00410_00_0LLJ").is_mosaic(None));
+        assert!(!read("NRE_0060_0672265209_237ECM_N0032046NCAM00410_00_1LLJ").is_mosaic(None));
+        assert!(read("ZL0_0001_0667035659_559ECM_N0010052AUT_04096_0260LMJ01").is_mosaic(None));
+        assert!(!read("ZL1_0001_0667035659_559ECM_N0010052AUT_04096_0260LMJ01").is_mosaic(None));
+        let mastcam = |kind: &str| read(&format!("2264ML0121141200805116{kind}00_DXXX"));
+        assert!(mastcam("C").is_mosaic(None) && !mastcam("C").is_mosaic(Some("3")));
+        assert!(!mastcam("E").is_mosaic(None));
     }
 
     #[test]
@@ -299,6 +334,54 @@ mod tests {
         assert_eq!(
             key("2264ML0121141200805116C00_DRCL"),
             key("2264ML0121141200805116C01_DRCX")
+        );
+    }
+
+    #[test]
+    fn versions_of_one_exposure_are_known_in_every_scheme() {
+        for (best, others) in [
+            (
+                "1N491020834RADCNY9P0706L0M1",
+                &[
+                    "1N491020834EFFCNY9P0706L0M1",
+                    "1N491020834RSLCNY9P0706L0M1",
+                    "1n491020834ilfcny9p0706l0m2",
+                ][..],
+            ),
+            (
+                "NLA_399621413RAD_F0030308NCAM00405M1",
+                &[
+                    "NLA_399621413EDR_F0030308NCAM00405M1",
+                    "NLA_399621413RASLF0030308NCAM00405M1",
+                ],
+            ),
+            (
+                "2264ML0121141200805116C00_DRXX",
+                &[
+                    "2264ML0121141200805116C00_DRCL",
+                    "2264ML0121141200805116C00_XXXX",
+                    "2264ML0121141200805116C01_DXXX",
+                ],
+            ),
+            (
+                "ZL0_0709_0729888971_069RAD_N0332864ZCAM07114_0340LMA01",
+                &["ZL0_0709_0729888971_069RSL_N0332864ZCAM07114_0340LMA02"],
+            ),
+        ] {
+            let first = read(best);
+            for other in others.iter().map(|other| read(other)) {
+                assert_eq!(first.exposure(), other.exposure(), "{}", other.id);
+                assert!(first.processing_rank() < other.processing_rank(), "{}", other.id);
+            }
+        }
+        let key = |stem: &str| read(stem).exposure();
+        assert_ne!(
+            key("1N491020834RADCNY9P0706L0M1"),
+            key("1N491020835RADCNY9P0706L0M1")
+        );
+        assert_ne!(
+            key("1N491020834RADCNY9P0706L0M1"),
+            key("1N491020834RADCNY9P0706R0M1")
         );
     }
 

@@ -1,12 +1,15 @@
 //! PDS3, ODL and VICAR labels, attached or detached, read as [`Label`].
 
-use crate::camera::{CameraError, RawEntrance, RawModel};
+mod camera;
+mod scaling;
+
+use marf_scene::Sensor;
+
 use crate::label::{
-    Array, BandStorage, BayerPhase, FramePose, Label, LineDirection, Quantity, Sample, SampleDirection,
-    SampleKind, ordered_counter, same_place,
+    Array, BandStorage, BayerPhase, Label, LineDirection, Quantity, Sample, SampleDirection, SampleKind,
 };
 use crate::odl::{Group, Value};
-use crate::values;
+use crate::{sensor, values};
 
 /// Keys of values that mean no light: no value, or less than can be stored.
 const MISSING: [&str; 8] = [
@@ -35,12 +38,19 @@ pub fn label(odl: &Group) -> Label {
             .and_then(|state| values::number(state.text("FOCAL_LENGTH")?))
             .filter(|focal| *focal > 0.0),
         averaged: averaged(odl),
+        sensor: sensor(odl),
         array: array(odl).or_else(|| vicar_array(odl)),
+        phase: phase(odl),
         ..Label::default()
     };
+    if let Some(array) = &mut label.array {
+        scaling::apply(odl, array, &mut label.notes);
+    }
     label.size = label.array.as_ref().map(|array| (array.shape[2], array.shape[1]));
+    let method = state.and_then(|state| text(state, "BAYER_METHOD"));
+    label.interpolated = method.as_deref().is_some_and(|method| method != "RAW_BAYER");
     label.mosaic = mosaic(odl);
-    add_camera(odl, &mut label);
+    camera::add(odl, &mut label);
     label
 }
 
@@ -104,6 +114,11 @@ fn mosaic(odl: &Group) -> Option<BayerPhase> {
     if !(raw && pattern) {
         return None;
     }
+    phase(odl)
+}
+
+/// Returns where on the detector the image starts.
+fn phase(odl: &Group) -> Option<BayerPhase> {
     let image = odl.find(&["IMAGE", "IMAGE_DATA"])?;
     let first = |key| unsigned(image, key).unwrap_or(1).max(1) - 1;
     Some(BayerPhase {
@@ -112,128 +127,18 @@ fn mosaic(odl: &Group) -> Option<BayerPhase> {
     })
 }
 
-fn add_camera(odl: &Group, label: &mut Label) {
-    let names = ["GEOMETRIC_CAMERA_MODEL", "GEOMETRIC_CAMERA_MODEL_PARMS"];
-    let Some(group) = odl.find(&names) else {
-        label.notes.push("label has no camera".to_owned());
-        return;
-    };
-    let frame = text(group, "REFERENCE_COORD_SYSTEM_NAME");
-    match (model(group), frame) {
-        (Err(error), _) => label.refuse_camera(&error),
-        (Ok(_), None) => label
-            .notes
-            .push("label has no usable camera: its frame is not named".to_owned()),
-        (Ok(raw), Some(frame)) => {
-            let pose = frame_pose(odl, group, &frame, &mut label.notes);
-            let counter = ordered_counter(&motion_counter(odl));
-            label.set_camera(&raw, frame, pose, counter);
-        }
-    }
-}
-
-fn model(group: &Group) -> Result<RawModel, CameraError> {
-    const KEYS: [&str; 7] = [
-        "MODEL_COMPONENT_1",
-        "MODEL_COMPONENT_2",
-        "MODEL_COMPONENT_3",
-        "MODEL_COMPONENT_4",
-        "MODEL_COMPONENT_5",
-        "MODEL_COMPONENT_6",
-        "MODEL_COMPONENT_7",
-    ];
-    let vector = |index: usize, letter| {
-        let value = group.get(KEYS[index]).and_then(Value::numbers::<3>);
-        value.ok_or(CameraError::Number(letter))
-    };
-    let kind = text(group, "MODEL_TYPE").unwrap_or_default();
-    let cahv = [vector(0, "C")?, vector(1, "A")?, vector(2, "H")?, vector(3, "V")?];
-    let distorted = || Ok(Some([vector(4, "O")?, vector(5, "R")?]));
-    let (distortion, entrance) = match kind.as_str() {
-        "CAHV" => (None, None),
-        "CAHVOR" => (distorted()?, None),
-        "CAHVORE" => (distorted()?, Some(entrance(group, vector(6, "E")?)?)),
-        _ => return Err(CameraError::Number("a model type of CAHV, CAHVOR or CAHVORE")),
-    };
-    Ok(RawModel {
-        cahv,
-        distortion,
-        entrance,
-    })
-}
-
-/// Returns terms, type and parameter of a CAHVORE (components 7 to 9).
-fn entrance(group: &Group, terms: [f64; 3]) -> Result<RawEntrance, CameraError> {
-    let kind = group.text("MODEL_COMPONENT_8").and_then(values::integer);
-    let kind = kind.ok_or(CameraError::Number("the type of the CAHVORE"))?;
-    let parameter = group.text("MODEL_COMPONENT_9").and_then(values::number);
-    let parameter = parameter.or((kind != 3).then_some(0.0));
-    Ok(RawEntrance {
-        terms,
-        kind,
-        parameter: parameter.ok_or(CameraError::Number("the parameter of the CAHVORE"))?,
-    })
-}
-
-/// Returns the rover's counters by name. Without names, in the order of all labels: SITE, DRIVE, POSE, …
-fn motion_counter(odl: &Group) -> Vec<(String, i64)> {
-    let values = identification(odl, "ROVER_MOTION_COUNTER");
-    let names = identification(odl, "ROVER_MOTION_COUNTER_NAME");
-    counters(values, names)
-}
-
-fn counters(values: Option<&Value>, names: Option<&Value>) -> Vec<(String, i64)> {
-    let values = values.map(Value::items).unwrap_or_default();
-    let names = names.map(Value::items).unwrap_or_default();
-    let name = |index: usize| match names.get(index).and_then(Value::text) {
-        Some(name) => name.to_ascii_uppercase(),
-        None => ["SITE", "DRIVE", "POSE"]
-            .get(index)
-            .copied()
-            .unwrap_or("OTHER")
-            .to_owned(),
-    };
-    let entry = |(index, value): (usize, &Value)| Some((name(index), values::integer(value.text()?)?));
-    let all: Option<Vec<_>> = values.iter().enumerate().map(entry).collect();
-    all.unwrap_or_default()
-}
-
-/// Returns the camera frame's pose in its site, from the group of the same name and counters.
-fn frame_pose(odl: &Group, camera: &Group, frame: &str, notes: &mut Vec<String>) -> FramePose {
-    if frame == "SITE_FRAME" {
-        return FramePose::IsSite;
-    }
-    let is = |group: &Group, key: &str, word: &str| group.text(key) == Some(word);
-    let names = camera.get("COORDINATE_SYSTEM_INDEX_NAME");
-    let wanted = match counters(camera.get("REFERENCE_COORD_SYSTEM_INDEX"), names) {
-        given if given.is_empty() => motion_counter(odl),
-        given => given,
-    };
-    let places = |group: &&&Group| {
-        let names = group.get("COORDINATE_SYSTEM_INDEX_NAME");
-        let own = counters(group.get("COORDINATE_SYSTEM_INDEX"), names);
-        is(group, "COORDINATE_SYSTEM_NAME", frame)
-            && is(group, "REFERENCE_COORD_SYSTEM_NAME", "SITE_FRAME")
-            && same_place(&own, &wanted)
-            && same_place(
-                &counters(group.get("REFERENCE_COORD_SYSTEM_INDEX"), None),
-                &wanted,
-            )
-    };
-    let below = odl.descendants();
-    let Some(group) = below.iter().find(places) else {
-        return FramePose::Unknown;
-    };
-    if is(group, "QUATERNION_MEASUREMENT_METHOD", "TILT_ONLY") {
-        notes.push("the rover's yaw was not measured (TILT_ONLY)".to_owned());
-    }
-    let quaternion = group
-        .get("ORIGIN_ROTATION_QUATERNION")
-        .and_then(Value::numbers::<4>);
-    let offset = group.get("ORIGIN_OFFSET_VECTOR").and_then(Value::numbers::<3>);
-    match (quaternion, offset) {
-        (Some(quaternion), Some(offset)) => FramePose::Given { quaternion, offset },
-        _ => FramePose::Unknown,
+/// Returns whether the camera sees colour: by its colour filter array, else by its name.
+fn sensor(odl: &Group) -> Option<Sensor> {
+    let array = odl
+        .find(&["INSTRUMENT_STATE_PARMS"])
+        .and_then(|state| state.text("CFA_TYPE"));
+    match array {
+        Some("NONE") => Some(Sensor::Monochrome),
+        Some(array) if array.starts_with("BAYER") => Some(Sensor::Color),
+        _ => sensor::of_instrument(
+            top(odl, "INSTRUMENT_HOST_ID").unwrap_or_default(),
+            top(odl, "INSTRUMENT_ID").unwrap_or_default(),
+        ),
     }
 }
 
@@ -250,12 +155,6 @@ fn array(odl: &Group) -> Option<Array> {
         Some("SAMPLE_INTERLEAVED") => BandStorage::PixelInterleaved,
         Some(_) => return None,
     };
-    let number = |key| image.text(key).and_then(values::number);
-    let scaling = (
-        number("SCALING_FACTOR").unwrap_or(1.0),
-        number("OFFSET").unwrap_or(0.0),
-    );
-    let scaling = (scaling != (1.0, 0.0)).then_some(scaling);
     Some(Array {
         file,
         offset,
@@ -269,11 +168,13 @@ fn array(odl: &Group) -> Option<Array> {
         prefix_bytes: unsigned(image, "LINE_PREFIX_BYTES").unwrap_or(0),
         suffix_bytes: unsigned(image, "LINE_SUFFIX_BYTES").unwrap_or(0),
         bits: image.text("SAMPLE_BIT_MASK").and_then(values::mask_bits),
-        scaling,
+        scaling: Vec::new(),
+        from_zenith: None,
+        sunlight: Vec::new(),
         missing: constants(image, &MISSING, stored),
         saturated: constants(image, &SATURATED, stored),
         companded_by: companded_by(odl),
-        quantity: quantity(odl),
+        quantity: Quantity::Counts,
         lines: LineDirection::default(),
         samples: SampleDirection::default(),
     })
@@ -304,19 +205,6 @@ fn companded_by(odl: &Group) -> Option<String> {
     codes
         .then(|| known("INVERSE_LUT_FILE_NAME").or_else(|| known("SAMPLE_BIT_MODE_ID")))
         .flatten()
-}
-
-/// Returns the quantity of the values, by their unit.
-fn quantity(odl: &Group) -> Quantity {
-    let derived = odl.find(&["DERIVED_IMAGE_PARMS"]);
-    let unit = derived
-        .and_then(|group| text(group, "UNITS"))
-        .or_else(|| text(odl, "UNITS"));
-    let unit = unit.unwrap_or_default().to_ascii_uppercase().replace("**", "^");
-    match unit.as_str() {
-        "W/M^2/SR/NM" | "W/M^2/NM/SR" => Quantity::Radiance,
-        _ => Quantity::Counts,
-    }
 }
 
 /// Returns file and offset of a group's `^IMAGE = 15` (record from 1), `8641 <BYTES>` (byte from 1), `("F.IMG", 15)`, `"F.IMG"`.
@@ -404,7 +292,9 @@ fn vicar_array(odl: &Group) -> Option<Array> {
         prefix_bytes: unsigned(odl, "NBB").unwrap_or(0),
         suffix_bytes: 0,
         bits: data.and_then(|group| values::mask_bits(group.text("SAMPLE_BIT_MASK")?)),
-        scaling: None,
+        scaling: Vec::new(),
+        from_zenith: None,
+        sunlight: Vec::new(),
         missing: data
             .map(|group| constants(group, &MISSING, sample))
             .unwrap_or_default(),
@@ -412,7 +302,7 @@ fn vicar_array(odl: &Group) -> Option<Array> {
             .map(|group| constants(group, &SATURATED, sample))
             .unwrap_or_default(),
         companded_by: companded_by(odl),
-        quantity: quantity(odl),
+        quantity: Quantity::Counts,
         lines: LineDirection::default(),
         samples: SampleDirection::default(),
     })

@@ -4,12 +4,14 @@
 mod array;
 mod display;
 mod guard;
+mod mosaic;
 mod node;
+mod scaling;
 
 use roxmltree::{Document, Node, ParsingOptions};
 
 use crate::camera::{CameraError, RawEntrance, RawModel};
-use crate::label::{BayerPhase, FramePose, Label, MAX_LABEL_BYTES, ordered_counter, same_place};
+use crate::label::{FramePose, Label, MAX_LABEL_BYTES, ordered_counter, same_place};
 use crate::values;
 use guard::{MAX_ATTRIBUTES, MAX_COMPARISONS, MAX_DEPTH};
 use node::{PDS, at, child, children, number_at, text_at};
@@ -82,18 +84,25 @@ fn label(root: Node<'_, '_>) -> Label {
             .and_then(|node| number_at(node, &[(IMG, "Optical_Properties"), (IMG, "focal_length")]))
             .filter(|focal| *focal > 0.0),
         averaged: imaging.and_then(averaged).unwrap_or(1),
+        sensor: imaging.and_then(mosaic::sensor),
+        interpolated: imaging
+            .is_some_and(|imaging| mosaic::is(imaging, "color_filter_array_state", "Decoded")),
         ..Label::default()
     };
     label.array = array::read(root, &mut label.notes);
     if let Some(array) = &mut label.array {
         array.bits = imaging.and_then(bits);
         array.companded_by = imaging.and_then(companded_by);
+        scaling::apply(area, imaging, array);
     }
     label.size = label.array.as_ref().map(|array| (array.shape[2], array.shape[1]));
-    label.mosaic = imaging.and_then(|node| mosaic(node, &mut label.notes));
+    label.mosaic = imaging.and_then(|node| mosaic::phase(node, &mut label.notes));
     match discipline.and_then(geometry) {
         Some(lander) => add_camera(lander, &mut label),
         None => label.notes.push("label has no camera".to_owned()),
+    }
+    if let Some(lander) = discipline.and_then(lander).filter(|_| label.place.is_none()) {
+        add_place(lander, &mut label);
     }
     let turned = label.array.as_ref().is_some_and(|array| !array.is_upright());
     if turned && label.prior.take().is_some() {
@@ -175,34 +184,30 @@ fn companded_by(imaging: Node<'_, '_>) -> Option<String> {
         .then(|| text_at(companding, &[(IMG, "processing_algorithm")]))?
 }
 
-fn mosaic(imaging: Node<'_, '_>, notes: &mut Vec<String>) -> Option<BayerPhase> {
-    let colours = child(imaging, IMG, "Color_Filter_Array")?;
-    let is = |name, word: &str| {
-        text_at(colours, &[(IMG, name)]).is_some_and(|text| text.eq_ignore_ascii_case(word))
-    };
-    if !(is("color_filter_array_state", "Encoded") && is("color_filter_array_type", "Bayer RGGB")) {
-        return None;
-    }
-    let first = |name| number_at(imaging, &[(IMG, "Detector"), (IMG, name)]).filter(|first| *first >= 1.0);
-    match (first("first_line"), first("first_sample")) {
-        (Some(line), Some(sample)) => Some(BayerPhase {
-            line: line as u32 - 1,
-            sample: sample as u32 - 1,
-        }),
-        _ => {
-            notes.push(
-                "label does not say where on the detector the mosaic starts: taken as its first pixel".into(),
-            );
-            Some(BayerPhase::default())
-        }
-    }
-}
-
 /// Returns the first geometry of a lander that has a camera model. Further ones are refined solutions.
 fn geometry<'a, 'd>(discipline: Node<'a, 'd>) -> Option<Node<'a, 'd>> {
     let geometry = child(discipline, GEOM, "Geometry")?;
     children(geometry, GEOM, "Geometry_Lander")
         .find(|lander| child(*lander, GEOM, "Camera_Model_Parameters").is_some())
+}
+
+/// Returns the first geometry of a lander.
+fn lander<'a, 'd>(discipline: Node<'a, 'd>) -> Option<Node<'a, 'd>> {
+    child(child(discipline, GEOM, "Geometry")?, GEOM, "Geometry_Lander")
+}
+
+/// Adds where the rover stood, which does not need the camera.
+fn add_place(lander: Node<'_, '_>, label: &mut Label) {
+    let definitions: Vec<_> = children(lander, GEOM, "Coordinate_Space_Definition").collect();
+    let rover = |space: &Space| space.frame.starts_with("ROVER");
+    let Some(frame) = definitions.iter().filter_map(|node| present(*node)).find(rover) else {
+        return;
+    };
+    let pose = frame_pose(&frame, &definitions);
+    let counter = counter(lander, &frame, &mut label.notes);
+    if !counter.is_empty() {
+        label.set_place(frame.frame, pose, counter);
+    }
 }
 
 fn add_camera(lander: Node<'_, '_>, label: &mut Label) {
@@ -224,7 +229,8 @@ fn add_camera(lander: Node<'_, '_>, label: &mut Label) {
     };
     let pose = frame_pose(&reference, &definitions);
     let counter = counter(lander, &reference, &mut label.notes);
-    label.set_camera(&raw, reference.frame, pose, counter);
+    label.set_place(reference.frame, pose, counter);
+    label.set_camera(&raw);
 }
 
 /// Reads the model by the elements that are present: old dictionaries say CAHVORE above a CAHVOR.

@@ -7,6 +7,7 @@ use crate::demosaic;
 use crate::label::{
     Array, BandStorage, BayerPhase, LineDirection, Quantity, Sample, SampleDirection, SampleKind,
 };
+use crate::sun;
 use crate::tone::{self, WHITE_RADIANCE};
 
 /// Bytes in memory of a pixel of the image, and of one that is interpolated from a mosaic.
@@ -49,7 +50,7 @@ pub struct RenderedArray {
 /// Returns the 8-bit sRGB image of an array, as it is displayed.
 ///
 /// The scaling is fixed, so that photos of one set stay comparable. White is 0.125 W / (m2 sr nm) for spectral
-/// radiance, 1 for I/F, and the largest count of their bits for counts, followed by the sRGB curve. 8-bit codes are
+/// radiance. I/F is turned into radiance by the light of the sun, so that both come out alike. White is the largest count of their bits for counts, followed by the sRGB curve. 8-bit codes are
 /// taken as they are, or converted to counts by `table`. Colours are not balanced. A pixel becomes black where every
 /// band holds a value that means "missing": in one band alone, such a value may be light. Values that mean
 /// "saturated" become white.
@@ -215,8 +216,9 @@ impl Light<'_> {
         if stored.iter().all(|value| self.scale.is_missing(*value)) {
             return [0.0; N];
         }
-        stored.map(|value| {
-            let light = self.scale.light(value);
+        std::array::from_fn(|band| {
+            let value = stored[band];
+            let light = self.scale.light(band, value);
             self.clipped += u64::from(light > 1.0 && !self.scale.is_saturated(value));
             self.most = self.most.max(light);
             light.clamp(0.0, 1.0) as f32
@@ -284,11 +286,16 @@ enum White {
     Doubtful(f64),
 }
 
+/// Returns the value of a band from those of each band, or the one for all. `None` if there is none.
+fn of_band<T: Copy>(values: &[T], band: usize) -> Option<T> {
+    values.get(band).or(values.first()).copied()
+}
+
 /// Conversion of stored values to light in [0, 1].
 struct Scale<'a> {
     white: White,
-    factor: f64,
-    offset: f64,
+    /// Factor and offset of each band.
+    bands: [(f64, f64); 3],
     missing: &'a [f64],
     saturated: &'a [f64],
     table: Option<Table>,
@@ -297,12 +304,11 @@ struct Scale<'a> {
 
 impl<'a> Scale<'a> {
     fn new(array: &'a Array, table: Option<Table>) -> Result<(Self, Vec<String>), PixelError> {
-        let (scaling, sample) = (array.scaling, array.sample);
-        let with = |factor: f64, offset: f64, curve, note: String| {
+        let sample = array.sample;
+        let with = |bands: [(f64, f64); 3], curve, note: String| {
             let scale = Scale {
                 white: White::Known,
-                factor,
-                offset,
+                bands,
                 missing: &array.missing,
                 saturated: &array.saturated,
                 table: None,
@@ -315,7 +321,7 @@ impl<'a> Scale<'a> {
             .as_deref()
             .filter(|_| sample.kind != SampleKind::Float)
         {
-            let (factor, curve, note) = match table {
+            let (factor, curve, note): (f64, _, _) = match table {
                 Some(table) => (
                     1.0 / f64::from(table.white),
                     Curve::Srgb,
@@ -330,33 +336,51 @@ impl<'a> Scale<'a> {
                     format!("8-bit codes of {codes}, which is not known: as stored"),
                 ),
             };
-            let (scale, notes) = with(factor, 0.0, curve, note)?;
+            let (scale, notes) = with([(factor, 0.0); 3], curve, note)?;
             return Ok((Scale { table, ..scale }, notes));
         }
-        let (scale, offset) = scaling.unwrap_or((1.0, 0.0));
-        let physical = scaling.is_some() || sample.kind == SampleKind::Float;
+        let physical = !array.scaling.is_empty() || sample.kind == SampleKind::Float;
+        let bands_times = |light: [f64; 3]| {
+            [0, 1, 2].map(|band| {
+                let (factor, offset) = of_band(&array.scaling, band).unwrap_or((1.0, 0.0));
+                (factor * light[band], offset * light[band])
+            })
+        };
         match array.quantity {
             Quantity::Radiance if physical => {
                 let note = format!("radiance to sRGB, white at {WHITE_RADIANCE} W/m2/sr/nm");
-                with(scale / WHITE_RADIANCE, offset / WHITE_RADIANCE, Curve::Srgb, note)
+                with(bands_times([1.0 / WHITE_RADIANCE; 3]), Curve::Srgb, note)
             }
             Quantity::Reflectance if physical => {
-                with(scale, offset, Curve::Srgb, "I/F to sRGB, white at 1".to_owned())
+                let sunlight = [0, 1, 2].map(|band| {
+                    let light = of_band(&array.sunlight, band);
+                    light.unwrap_or_else(|| sun::white_radiance(sun::BROAD_BAND_NM, None))
+                });
+                let white = sunlight.map(|light| format!("{:.3}", WHITE_RADIANCE / light));
+                let mut white = white.to_vec();
+                white.dedup();
+                let note = format!("I/F to sRGB, white at {}", white.join(", "));
+                with(
+                    bands_times(sunlight.map(|light| light / WHITE_RADIANCE)),
+                    Curve::Srgb,
+                    note,
+                )
             }
             _ if sample.kind == SampleKind::Float => Err(PixelError::UnknownQuantity),
             _ if sample.bytes == 1 && sample.kind == SampleKind::Unsigned => with(
-                1.0 / 255.0,
-                0.0,
+                [(1.0 / 255.0, 0.0); 3],
                 Curve::AsStored,
                 "8-bit codes as stored".to_owned(),
             ),
             _ => {
                 let whole = 8 * sample.bytes - u32::from(sample.kind == SampleKind::Signed);
                 // A mask of fewer bits describes the detector, not values that were scaled since.
-                let bits = array.bits.filter(|bits| scaling.is_none() && *bits <= whole);
+                let bits = array
+                    .bits
+                    .filter(|bits| array.scaling.is_empty() && *bits <= whole);
                 let white = (1_u64 << bits.unwrap_or(whole).min(63)) as f64 - 1.0;
                 let note = format!("counts to sRGB, white at {white}");
-                let (mut scale, notes) = with(1.0 / white, 0.0, Curve::Srgb, note)?;
+                let (mut scale, notes) = with([(1.0 / white, 0.0); 3], Curve::Srgb, note)?;
                 if array.bits.is_none() {
                     scale.white = White::Doubtful(white);
                 }
@@ -373,8 +397,8 @@ impl<'a> Scale<'a> {
         self.saturated.contains(&stored)
     }
 
-    /// Returns the light, which may be below 0 or above 1. 0 for NaN.
-    fn light(&self, stored: f64) -> f64 {
+    /// Returns the light of a band, which may be below 0 or above 1. 0 for NaN.
+    fn light(&self, band: usize, stored: f64) -> f64 {
         if stored.is_nan() {
             return 0.0;
         }
@@ -385,7 +409,8 @@ impl<'a> Scale<'a> {
             Some(table) => f64::from(table.counts[stored.clamp(0.0, 255.0) as usize]),
             None => stored,
         };
-        value * self.factor + self.offset
+        let (factor, offset) = self.bands[band];
+        value * factor + offset
     }
 
     /// Returns the 8-bit code of light in [0, 1].

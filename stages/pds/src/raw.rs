@@ -6,7 +6,7 @@ use crate::demosaic;
 use crate::label::{Array, BayerPhase, Label, MAX_LABEL_BYTES, Quantity};
 use crate::names::ProductName;
 use crate::pixels;
-use crate::{companding, describe, odl, pds3, vicar};
+use crate::{companding, dat, describe, odl, pds3, vicar};
 
 /// Reads the label at the head of a file: VICAR, or PDS3 / ODL.
 ///
@@ -46,6 +46,9 @@ pub enum DevelopError {
     /// No label describes an array.
     #[error("{0}")]
     NoArray(String),
+    /// A compressed product cannot be decompressed.
+    #[error(transparent)]
+    Compressed(#[from] dat::DatError),
     /// The array cannot be converted.
     #[error(transparent)]
     Pixels(#[from] pixels::PixelError),
@@ -93,6 +96,12 @@ pub fn develop_within(
     beside: Option<&Label>,
     limit_bytes: u64,
 ) -> Result<Developed, DevelopError> {
+    if let Some(made) = dat::decompress(bytes, limit_bytes) {
+        let dat::Decompressed { array, bytes, phase } = made?;
+        let mut label = beside.cloned().unwrap_or_default();
+        label.phase = Some(phase);
+        return render(name, &label, array, &bytes, limit_bytes);
+    }
     let (attached, reason) = match head(bytes) {
         Ok(label) => (
             Some(label),
@@ -108,31 +117,60 @@ pub fn develop_within(
         return Err(DevelopError::NoArray(reason));
     };
     let mut array = array.clone();
-    if let Some(quantity) = name.and_then(|name| quantity(name, &array)) {
-        array.quantity = quantity;
-    }
-    let mosaic = label
-        .mosaic
-        .filter(|_| array.shape[0] == 1 && label.averaged <= 1);
     // Processed products are counts again, though their labels still state how the camera stored them.
     if !name.is_some_and(ProductName::is_as_received) {
         array.companded_by = None;
     }
+    let developed = render(name, label, array, bytes, limit_bytes)?;
+    Ok(Developed {
+        attached,
+        ..developed
+    })
+}
+
+/// Returns the image of an array, as label and name describe it.
+fn render(
+    name: Option<&ProductName>,
+    label: &Label,
+    mut array: Array,
+    bytes: &[u8],
+    limit_bytes: u64,
+) -> Result<Developed, DevelopError> {
+    if let Some(quantity) = name.and_then(|name| quantity(name, &array)) {
+        array.quantity = quantity;
+    }
+    if name.is_some_and(|name| name.product_type.starts_with("RZ"))
+        && let Some(factor) = array.from_zenith
+    {
+        if array.scaling.is_empty() {
+            array.scaling.push((1.0, 0.0));
+        }
+        let scaled = array
+            .scaling
+            .iter()
+            .map(|(own, offset)| (own * factor, offset * factor));
+        array.scaling = scaled.collect();
+    }
+    let by_name = name.is_some_and(|name| name.is_mosaic(label.filter.as_deref())) && !label.interpolated;
+    let mosaic = label
+        .mosaic
+        .or(by_name.then(|| label.phase.unwrap_or_default()))
+        .filter(|_| array.shape[0] == 1 && label.averaged <= 1);
     let scheme = name.map(|name| name.scheme);
     let codes = array.companded_by.as_deref();
     let table = codes.and_then(|codes| companding::table(codes, scheme));
     let mut made = pixels::render(&array, mosaic, table, bytes, limit_bytes)?;
     made.notes
         .insert(0, format!("samples {}", describe::array(&array)));
-    if label.mosaic.is_none() && array.shape[0] == 1 && name.is_some_and(ProductName::is_mosaic) {
+    if label.mosaic.is_none() && mosaic.is_some() {
         made.notes
-            .push("the name says colour mosaic, the label does not: left as it is".to_owned());
+            .push("the name says colour mosaic, the label does not: interpolated by the name".to_owned());
     }
     Ok(Developed {
         image: made.image,
         bands: made.bands,
         notes: made.notes,
-        attached,
+        attached: None,
     })
 }
 

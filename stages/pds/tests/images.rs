@@ -254,3 +254,21 @@ fn real_labels_give_the_pixels_that_gdal_reads() {
         assert_eq!(made.image.at(0, 0)[0], 91);
     }
 }
+
+/// The file as the camera sent it, and the array that the archive made of it.
+#[test]
+fn a_compressed_product_gives_the_pixels_of_its_decompressed_twin() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data/labels");
+    let read = |name: &str| std::fs::read(folder.join(name));
+    let stem = "3778ML1037770010808163I01";
+    let files = [format!("{stem}_XXXX.DAT"), format!("{stem}_DXXX.IMG")].map(|name| read(&name));
+    let [Ok(compressed), Ok(array)] = files else {
+        println!("skipped: a_compressed_product_gives_the_pixels needs ../shared/data/labels");
+        return;
+    };
+    let name = |kind: &str| marf_pds::ProductName::read(&format!("{stem}_{kind}")).unwrap();
+    let made = develop(Some(&name("XXXX")), &compressed, None).unwrap();
+    let twin = develop(Some(&name("DXXX")), &array, None).unwrap();
+    assert_eq!((made.image.width, made.image.height, made.bands), (16, 16, 3));
+    assert_eq!(made.image.pixels, twin.image.pixels);
+}

@@ -85,8 +85,8 @@ pub enum CahvorError {
         /// A · (H x V), pixels².
         determinant: f64,
     },
-    /// The horizontal and the vertical focal length differ too much for a camera.
-    #[error("the camera model's focal lengths are {hs} and {vs} px, further apart than 5 %")]
+    /// The horizontal and the vertical focal length differ too much for a camera: detectors average up to 8 pixels.
+    #[error("the camera model's focal lengths are {hs} and {vs} px, further apart than a factor of 8")]
     Anamorphic {
         /// Horizontal focal length, pixels.
         hs: f64,
@@ -134,6 +134,8 @@ pub enum CahvorError {
 
 /// Most that |A| and |O| may differ from 1: labels round to 6 digits, which makes 1e-5.
 const UNIT_TOLERANCE: f64 = 1e-3;
+/// Largest ratio of the horizontal and the vertical focal length.
+const MAX_ASPECT: f64 = 8.0;
 /// Distance that represents infinity, metres. The pupil of 4 mm turns such a point by 4e-12 rad.
 const FAR_M: f64 = 1e9;
 
@@ -144,7 +146,7 @@ impl Cahvor {
     ///
     /// # Errors
     /// Numbers that are not finite, |A| or |O| off 1 by more than 0.001, a flat or mirrored image plane, focal
-    /// lengths further apart than 5 %.
+    /// lengths further apart than a factor of 8.
     pub fn normalised(&self) -> Result<Self, CahvorError> {
         self.check_finite()?;
         let length_a = unit_length('A', self.a)?;
@@ -227,7 +229,7 @@ impl Cahvor {
         }
         let (a, h, v) = (vector(self.a), vector(self.h), vector(self.v));
         let (hs, vs) = (a.cross(&h).norm(), a.cross(&v).norm());
-        if (hs - vs).abs() > 0.05 * hs.max(vs) {
+        if hs.max(vs) > MAX_ASPECT * hs.min(vs) {
             return Err(CahvorError::Anamorphic { hs, vs });
         }
         Ok(())

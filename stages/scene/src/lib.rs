@@ -26,7 +26,7 @@ pub use alignment::Alignment;
 pub use cahvor::{Cahvor, CahvorError, EntrancePupil, Intrinsics, Pinhole, Ray};
 pub use camera::Camera;
 pub use coverage::{Coverage, Observer, SkySeen, SurfaceSeen, seen_at, typical_distance};
-pub use facts::{CameraPrior, PhotoFacts};
+pub use facts::{CameraPrior, PhotoFacts, RoverPlace, Sensor};
 pub use image::{ColorSpace, Image, Linear, Srgb};
 pub use names::picture_names;
 pub use nearest::{Nearest, TrainedPhotos};

@@ -27,6 +27,20 @@ impl Verdict {
     /// The verdict of an item that is kept.
     pub const KEEP: &'static str = "keep";
 
+    /// Start of the reason of an item that is kept although it is of another kind than the rest.
+    const KEPT_AS: &'static str = "kept as ";
+
+    /// Returns the reason to keep an item as one of a kind, with the group it belongs to: `monochrome` and `NAVCAM_LEFT`.
+    pub fn kept_as_reason(kind: &str, group: &str) -> String {
+        format!("{}{kind}: {group}", Self::KEPT_AS)
+    }
+
+    /// Returns kind and group of an item that is kept for such a reason.
+    pub fn kept_as(&self) -> Option<(&str, &str)> {
+        let reason = self.keeps().then(|| self.reason.strip_prefix(Self::KEPT_AS))??;
+        reason.split_once(": ")
+    }
+
     /// Returns whether the item is kept.
     pub fn keeps(&self) -> bool {
         self.verdict == Self::KEEP

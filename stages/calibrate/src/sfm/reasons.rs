@@ -116,8 +116,8 @@ pub(super) fn cause(reconstruction: &Reconstruction<'_>, component: &[usize], ph
 /// them.
 fn one_place(reconstruction: &Reconstruction<'_>, photos: impl Iterator<Item = usize>) -> Option<Vec<i64>> {
     let place = |photo: usize| {
-        let prior = reconstruction.items[photo].facts.prior.as_ref()?;
-        prior.motion_counter.get(..PLACE).map(<[i64]>::to_vec)
+        let counter = reconstruction.items[photo].facts.motion_counter();
+        counter.get(..PLACE).map(<[i64]>::to_vec)
     };
     let mut places = photos.map(place);
     let first = places.next()??;

@@ -124,9 +124,10 @@ pub(crate) fn kind(name: &str, bytes: &[u8]) -> Kind {
         "xml" => Kind::Pds4,
         "json" => Kind::Feed,
         "lbl" => Kind::Odl,
-        "dat" => {
-            Kind::Other("compressed .DAT of MSL: take the decompressed product (DXXX, DRCX, DRCL)".into())
-        }
+        "dat" if marf_pds::dat::is_compressed(bytes) => Kind::Raw,
+        "dat" => Kind::Other(
+            "no photo and no label: a `.dat` without the header of Mastcam, MAHLI or MARDI".into(),
+        ),
         "" => Kind::Other("no photo and no label: unknown first bytes, no extension".into()),
         other => Kind::Other(format!("no photo and no label: `.{other}`")),
     }

@@ -4,7 +4,7 @@ use crate::common::{
     Photos, bind, defaults, dynamic, encoded, ground, item, jpeg, noise, png, recoloured, smeared,
 };
 use image::ImageFormat;
-use marf_scene::{Image, Srgb};
+use marf_scene::{Image, Sensor, Srgb};
 use serde_json::json;
 
 #[test]
@@ -106,6 +106,87 @@ fn grayscale_sees_one_band_and_three_equal_bands_and_not_a_gray_edge() {
     );
 }
 
+/// Gray photos of a camera of this name and sensor, and photos of it with colour.
+fn camera(photos: &mut Photos, name: &str, sensor: Option<Sensor>, grays: usize, colors: usize) {
+    let gray = encoded(&dynamic(&ground(0)).to_luma8().into(), ImageFormat::Png);
+    let color = png(&ground(1));
+    for at in 0..grays + colors {
+        let bytes = if at < grays { &gray } else { &color };
+        photos.add_with(&format!("{name}-{at}"), bytes, |facts| {
+            (facts.instrument, facts.sensor) = (Some(name.to_owned()), sensor);
+        });
+    }
+}
+
+/// Photos that the default rule keeps, and those of them that it keeps as monochrome, of 87 gray and some coloured ones.
+fn kept_of_camera(sensor: Option<Sensor>, colors: usize) -> (usize, usize) {
+    let mut photos = Photos::default();
+    camera(&mut photos, "NAVCAM_LEFT", sensor, 87, colors);
+    let verdicts = photos.judge("grayscale", defaults());
+    let kept_as = verdicts.values().filter_map(marf_stage::Verdict::kept_as);
+    let monochrome = kept_as.filter(|kept| *kept == ("monochrome", "NAVCAM_LEFT"));
+    (
+        verdicts.values().filter(|verdict| verdict.keeps()).count(),
+        monochrome.count(),
+    )
+}
+
+#[test]
+fn grayscale_keeps_the_photos_of_a_monochrome_camera_and_says_so() {
+    assert_eq!(kept_of_camera(None, 0), (87, 87), "no photo has colour");
+    assert_eq!(kept_of_camera(Some(Sensor::Monochrome), 0), (87, 87));
+    assert_eq!(kept_of_camera(None, 1), (88, 87), "one flare is no evidence");
+    assert_eq!(
+        kept_of_camera(Some(Sensor::Monochrome), 40),
+        (127, 87),
+        "its name knows better"
+    );
+}
+
+#[test]
+fn grayscale_rejects_gray_photos_of_a_colour_camera() {
+    assert_eq!(kept_of_camera(Some(Sensor::Color), 0), (0, 0));
+    assert_eq!(kept_of_camera(Some(Sensor::Color), 9), (9, 0));
+    assert_eq!(kept_of_camera(None, 9), (9, 0), "9 of 96 have colour");
+}
+
+/// Another camera's colours do not matter.
+#[test]
+fn grayscale_judges_each_camera_by_its_own_photos() {
+    let mut photos = Photos::default();
+    camera(&mut photos, "NLA", None, 5, 0);
+    camera(&mut photos, "ML", None, 1, 9);
+    let verdicts = photos.judge("grayscale", defaults());
+    let rejected: Vec<_> = verdicts.values().filter(|verdict| !verdict.keeps()).collect();
+    assert_eq!(rejected.len(), 1, "{rejected:?}");
+    assert_eq!(
+        (rejected[0].id.as_str(), rejected[0].reason.as_str()),
+        ("ML-0", "one band: 9 of 10 photos of its camera have colour")
+    );
+}
+
+/// A mosaic of a reddish ground, and its gray twin, whose means at the four positions are equal.
+#[test]
+fn grayscale_never_keeps_a_colour_mosaic_as_gray() {
+    let place = ground(0);
+    let mosaic = Image::from_fn(320, 240, |x, y| {
+        let [red, green, blue] = place.at(x, y);
+        let light = [red, green, green, blue][(2 * (y % 2) + x % 2) as usize];
+        [light; 3]
+    });
+    for sensor in [None, Some(Sensor::Monochrome), Some(Sensor::Color)] {
+        let mut photos = Photos::default();
+        let bytes = encoded(&dynamic(&mosaic).to_luma8().into(), ImageFormat::Png);
+        photos.add_with("mosaic", &bytes, |facts| facts.sensor = sensor);
+        let verdict = &photos.judge("grayscale", defaults())["mosaic"];
+        assert_eq!(verdict.verdict, "grayscale", "{verdict:?}");
+        assert!(
+            verdict.reason.contains("mosaic that is not developed"),
+            "{verdict:?}"
+        );
+    }
+}
+
 /// By hand: of 200 pixels one has spread 9, which is 0.5 %: not below the default.
 #[test]
 fn grayscale_counts_the_share_of_pixels_with_spread() {
@@ -119,7 +200,7 @@ fn grayscale_counts_the_share_of_pixels_with_spread() {
         });
         let mut photos = Photos::default();
         photos.add("a", &png(&image));
-        let verdict = &photos.judge("grayscale", defaults())["a"];
+        let verdict = &photos.judge("grayscale", json!({"keep": "color"}))["a"];
         assert_eq!(verdict.keeps(), keeps, "spread {spread}: {verdict:?}");
     }
 }

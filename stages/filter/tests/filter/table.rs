@@ -157,7 +157,8 @@ fn a_decision_looks_at_other_photos_only_where_its_rule_does() {
         ("size", defaults(), &[][..]),
         ("shape", defaults(), &["sizes"]),
         ("shape", json!({"min_share": 0.0}), &[]),
-        ("grayscale", defaults(), &[]),
+        ("grayscale", defaults(), &["colors"]),
+        ("grayscale", json!({"keep": "color"}), &[]),
         ("histogram", defaults(), &["shares", "distances"]),
         ("histogram", json!({"rule": "paper"}), &["sums"]),
         ("blur", defaults(), &["ratios"]),
@@ -182,7 +183,7 @@ fn a_decision_on_one_photo_is_that_among_others_where_photos_are_not_compared() 
             "shape",
             json!({"min_share": 0.0, "common_share": 0.5, "min_set": 2}),
         ),
-        ("grayscale", defaults()),
+        ("grayscale", json!({"keep": "color"})),
         ("blur", json!({"rule": "laplacian"})),
     ] {
         let stage = bind(name, params);

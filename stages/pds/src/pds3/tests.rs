@@ -214,3 +214,73 @@ fn special_constants_and_codes_are_read() {
     assert_eq!(with("HARDWARE_INVERTED").companded_by, None);
     assert_eq!(with("NONE").companded_by, None);
 }
+
+/// Site, drive and pose are the rover's: they hold whatever the camera is.
+#[test]
+fn a_label_without_a_usable_camera_keeps_site_drive_and_pose() {
+    let group = DEMO.find("GROUP = GEOMETRIC").unwrap()..DEMO.find("GROUP = RSM_").unwrap();
+    let absent = [&DEMO[..group.start], &DEMO[group.end..]].concat();
+    for (what, text) in [
+        (
+            "a vector without a number",
+            DEMO.replace("(823.5, 14800.0, 0.0)", "(823.5, UNK, 0.0)"),
+        ),
+        (
+            "axes in one line",
+            DEMO.replace("(599.5, 0.0, 14800.0)", "(599.5, 14800.0, 0.0)"),
+        ),
+        ("an unknown model", DEMO.replace("= CAHVOR", "= FISHEYE")),
+        ("no model", absent),
+    ] {
+        let label = read(&text);
+        assert!(label.prior.is_none() && !label.notes.is_empty(), "{what}");
+        let place = label.place.unwrap_or_else(|| panic!("{what}: no place"));
+        assert_eq!(
+            (place.frame.as_str(), place.motion_counter),
+            ("ROVER_NAV_FRAME", vec![7, 42, 0]),
+            "{what}"
+        );
+        let offset = place.site_from_frame.map(|pose| pose.translation);
+        assert_eq!(offset, Some(nalgebra::Vector3::new(12.5, -3.25, 0.125)), "{what}");
+    }
+    let label = read(DEMO);
+    let (prior, place) = (label.prior.unwrap(), label.place.unwrap());
+    assert_eq!(
+        (prior.site_from_frame, prior.motion_counter),
+        (place.site_from_frame, place.motion_counter)
+    );
+}
+
+/// Cameras of Opportunity: a linearised Pancam whose lines were averaged in fours, and the Microscopic Imager, without radial
+/// terms and with unequal focal lengths.
+#[test]
+fn pancam_and_microscopic_imager_have_cameras() {
+    for (instrument, h, v) in [
+        ("PANCAM_LEFT", "(511.5, 3580.0, 0.0)", "(127.5, 0.0, 895.0)"),
+        ("MI", "(511.5, 2210.0, 0.0)", "(511.5, 0.0, 2050.0)"),
+    ] {
+        let text = DEMO
+            .replace("= CAHVOR", "= CAHV")
+            .replace("(823.5, 14800.0, 0.0)", h)
+            .replace("(599.5, 0.0, 14800.0)", v)
+            .replace("CFA_TYPE = BAYER_RGGB", "FILTER_NAME = NONE")
+            .replace("BAYER_METHOD = RAW_BAYER", "FILTER_ID = NONE")
+            .replace(
+                "IMAGE_TYPE = THUMBNAIL",
+                &format!("INSTRUMENT_HOST_ID = MER1\nINSTRUMENT_ID = {instrument}"),
+            );
+        let label = read(&text);
+        let model = label
+            .prior
+            .unwrap_or_else(|| panic!("{instrument}: {:?}", label.notes))
+            .model;
+        let k = model.intrinsics().unwrap();
+        let expected: Vec<f64> = [h, v]
+            .iter()
+            .flat_map(|text| crate::values::tuple::<3>(text).unwrap())
+            .collect();
+        assert_eq!((k.hs, k.vs), (expected[1], expected[5]), "{instrument}");
+        assert!(model.exact_pinhole(1024, 256).unwrap().is_some(), "{instrument}");
+        assert_eq!(label.sensor, Some(marf_scene::Sensor::Monochrome), "{instrument}");
+    }
+}

@@ -2,8 +2,8 @@
 
 use roxmltree::Node;
 
-use super::display;
 use super::node::{PDS, child, children, number_at, text_at};
+use super::{display, scaling};
 use crate::label::{Array, BandStorage, LineDirection, Quantity, Sample, SampleDirection, SampleKind};
 use crate::values;
 
@@ -83,7 +83,7 @@ fn one(node: Node<'_, '_>) -> Option<Array> {
         number("value_offset").unwrap_or(0.0),
     );
     let constants = child(node, PDS, "Special_Constants");
-    Some(Array {
+    let mut array = Array {
         file: text_at(node.parent()?, &[(PDS, "File"), (PDS, "file_name")]),
         offset: number_at(node, &[(PDS, "offset")]).filter(|offset| *offset >= 0.0)? as u64,
         shape,
@@ -92,7 +92,13 @@ fn one(node: Node<'_, '_>) -> Option<Array> {
         prefix_bytes: 0,
         suffix_bytes: 0,
         bits: None,
-        scaling: (scaling != (1.0, 0.0)).then_some(scaling),
+        scaling: if scaling == (1.0, 0.0) {
+            Vec::new()
+        } else {
+            vec![scaling]
+        },
+        from_zenith: None,
+        sunlight: Vec::new(),
         missing: constants
             .map(|node| constants_of(node, &MISSING, sample))
             .unwrap_or_default(),
@@ -103,7 +109,9 @@ fn one(node: Node<'_, '_>) -> Option<Array> {
         quantity: Quantity::Counts,
         lines: LineDirection::default(),
         samples: SampleDirection::default(),
-    })
+    };
+    scaling::apply_unit(element, &mut array);
+    Some(array)
 }
 
 fn constants_of(node: Node<'_, '_>, names: &[&str], sample: Sample) -> Vec<f64> {

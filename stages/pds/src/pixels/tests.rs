@@ -16,7 +16,9 @@ fn array(shape: [u32; 3], kind: SampleKind, bytes: u32) -> Array {
         prefix_bytes: 0,
         suffix_bytes: 0,
         bits: None,
-        scaling: None,
+        scaling: Vec::new(),
+        from_zenith: None,
+        sunlight: Vec::new(),
         missing: Vec::new(),
         saturated: Vec::new(),
         companded_by: None,
@@ -88,7 +90,7 @@ fn the_three_orders_give_the_same_image() {
 #[test]
 fn radiance_counts_and_missing_values_have_fixed_codes() {
     let mut radiance = array([1, 1, 4], SampleKind::Signed, 2);
-    radiance.scaling = Some((5e-6, 0.0));
+    radiance.scaling = vec![(5e-6, 0.0)];
     radiance.quantity = Quantity::Radiance;
     radiance.missing = vec![0.0];
     let stored = |values: [i16; 4]| {
@@ -103,11 +105,29 @@ fn radiance_counts_and_missing_values_have_fixed_codes() {
     };
     // 25,000 x 5e-6 = 0.125 is white. A quarter of it is sRGB 137.
     assert_eq!(codes(&radiance, [0, 6_250, 25_000, 32_767]), [0, 137, 255, 255]);
+    // The same light as I/F: by 0.25 W / (m2 sr nm) of sunlight, I/F 0.5 is white.
+    let mut reflectance = radiance.clone();
+    (reflectance.quantity, reflectance.sunlight) = (Quantity::Reflectance, vec![0.25]);
+    reflectance.scaling = vec![(2e-5, 0.0)];
+    assert_eq!(
+        codes(&reflectance, [0, 6_250, 25_000, 32_767]),
+        [0, 137, 255, 255]
+    );
     let mut counts = array([1, 1, 4], SampleKind::Signed, 2);
     counts.bits = Some(12);
     assert_eq!(codes(&counts, [0, 2048, 4095, 5000]), [0, 188, 255, 255]);
     counts.bits = None;
     assert_eq!(codes(&counts, [-5, 16_384, 32_767, 1]), [0, 188, 255, 0]);
+}
+
+/// Labels of MSL scale each band on its own. By hand: 0.03125 of 0.125 is sRGB 137, and 0.0625 sRGB 188.
+#[test]
+fn each_band_has_its_own_scale() {
+    let mut radiance = array([3, 1, 1], SampleKind::Unsigned, 1);
+    radiance.quantity = Quantity::Radiance;
+    radiance.scaling = vec![(1.25e-3, 0.0), (6.25e-4, 0.0), (0.0, 0.125)];
+    let made = render(&radiance, None, None, &[50, 50, 50], MAX_DECODED_BYTES).unwrap();
+    assert_eq!(made.image.pixels, [[188, 137, 255]]);
 }
 
 #[test]

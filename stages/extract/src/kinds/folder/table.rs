@@ -19,7 +19,7 @@ use crate::files::{read_checked, write_checked};
 use crate::stat::FileState;
 
 /// Raised when an entry has another form, or kind or sol of a file may be read differently.
-const FORM: u32 = 3;
+const FORM: u32 = 4;
 const NO_SOL: u32 = u32::MAX;
 
 /// What of a file is kept, small: a folder may hold millions.

@@ -142,7 +142,7 @@ fn mars2020(
     })
 }
 
-/// Raw Mastcam products hold compressed .DAT, which nothing here reads: the decompressed ones are taken.
+/// Of raw Mastcam products the decompressed ones are taken, which have the calibrated ones next to them.
 fn mastcam(archive: &PdsParams) -> Result<CameraLayout, ParamError> {
     if archive.level == Level::Fdr {
         return Err(ParamError::new(
