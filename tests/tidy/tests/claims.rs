@@ -69,7 +69,10 @@ impl Messages<'_> {
                     } else {
                         sentences.push(std::mem::take(&mut sentence));
                     }
-                    self.add(group.stream());
+                    // Comments on items within a function are attributes `[doc = "…"]`.
+                    if !group.stream().to_string().starts_with("doc ") {
+                        self.add(group.stream());
+                    }
                 }
                 _ => sentences.push(std::mem::take(&mut sentence)),
             }
