@@ -82,6 +82,9 @@ fn numbers_that_stand_twice_agree(page: &str) {
         .split("<svg class=\"funnel\"")
         .nth(1)
         .unwrap()
+        .split("</svg>")
+        .next()
+        .unwrap()
         .split("<title>")
         .skip(1)
         .collect();

@@ -12,9 +12,9 @@ use proc_macro2::{Delimiter, TokenStream, TokenTree};
 use syn::visit::{self, Visit};
 
 /// Messages without a test. The limit only goes down.
-const UNTESTED: usize = 9999;
+const UNTESTED: usize = 730;
 /// Code whose messages are not those of the program.
-const OUTSIDE: [&str; 5] = ["benches/", "fuzz/", "labs/", "target/", "tests/"];
+const OUTSIDE: [&str; 6] = ["benches/", "fuzz/", "labs/", "shaders/", "target/", "tests/"];
 /// Words that make a sentence a claim.
 const CLAIMS: [&str; 13] = [
     "all",
@@ -69,7 +69,10 @@ impl Messages<'_> {
                     } else {
                         sentences.push(std::mem::take(&mut sentence));
                     }
-                    self.add(group.stream());
+                    // Comments on items within a function are attributes `[doc = "…"]`.
+                    if !group.stream().to_string().starts_with("doc ") {
+                        self.add(group.stream());
+                    }
                 }
                 _ => sentences.push(std::mem::take(&mut sentence)),
             }
