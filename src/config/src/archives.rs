@@ -159,7 +159,7 @@ pub(super) fn schema(definitions: &mut Map<String, Json>) -> Json {
 fn kind_schema(def: &ArchiveDef) -> Json {
     let mut schema = (def.schema)().to_value();
     let where_it_lies = if def.remote {
-        " (on servers: obeys --locked and --offline, pinned in marf.lock)"
+        " (on servers: obeys `--locked` and `--offline`, pinned in marf.lock)"
     } else {
         ""
     };
