@@ -120,8 +120,12 @@ pub fn execute_with(session: &Session, options: &Options, extras: &Extras<'_>) -
         files::write(file, trace.json().to_string().as_bytes())?;
     }
     warn_of_lists_and_filters(session, &record);
-    for line in verdicts::kept_as(session, &record)? {
-        context.feedback.note(&line);
+    match verdicts::kept_as(session, &record) {
+        Ok(lines) => lines.iter().for_each(|line| context.feedback.note(line)),
+        Err(error) => context.warn(format!(
+            "which photos are kept as monochrome is not known: {}",
+            error.message()
+        )),
     }
     let failure = listener.failure.into_inner();
     let failure = match record.outcome {

@@ -59,7 +59,7 @@ impl Surveyed for Duplicate {
     #[cfg(test)]
     const GUARD: Guard = Guard {
         measures: "3 9b0277c7e112",
-        decisions: "3 8a7685578a5e",
+        decisions: "4 8a7685578a5e",
     };
 }
 

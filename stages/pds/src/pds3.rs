@@ -1,6 +1,7 @@
 //! PDS3, ODL and VICAR labels, attached or detached, read as [`Label`].
 
 mod camera;
+mod keys;
 mod scaling;
 
 use marf_scene::Sensor;
@@ -10,6 +11,7 @@ use crate::label::{
 };
 use crate::odl::{Group, Value};
 use crate::{sensor, values};
+use keys::{text, top, unsigned};
 
 /// Keys of values that mean no light: no value, or less than can be stored.
 const MISSING: [&str; 8] = [
@@ -72,23 +74,6 @@ pub fn no_photo(odl: &Group) -> Option<String> {
     derived
         .filter(|kind| kind != "IMAGE")
         .map(|kind| format!("a product of type {kind} holds no photo"))
-}
-
-/// Returns the value of a key of the label itself. VICAR has those in a property.
-fn identification<'a>(odl: &'a Group, key: &str) -> Option<&'a Value> {
-    odl.get(key).or_else(|| odl.find(&["IDENTIFICATION"])?.get(key))
-}
-
-fn top<'a>(odl: &'a Group, key: &str) -> Option<&'a str> {
-    identification(odl, key)?.text()
-}
-
-fn text(group: &Group, key: &str) -> Option<String> {
-    values::known(group.text(key)?)
-}
-
-fn unsigned(group: &Group, key: &str) -> Option<u32> {
-    values::integer(group.text(key)?).and_then(|value| u32::try_from(value).ok())
 }
 
 /// Returns the side of the boxes of detector pixels that were averaged, if both sides are equal.

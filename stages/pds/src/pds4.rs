@@ -14,10 +14,9 @@ use crate::camera::{CameraError, RawEntrance, RawModel};
 use crate::label::{FramePose, Label, MAX_LABEL_BYTES, ordered_counter, same_place};
 use crate::values;
 use guard::{MAX_ATTRIBUTES, MAX_COMPARISONS, MAX_DEPTH};
-use node::{PDS, at, child, children, number_at, text_at};
+use node::{IMG, PDS, at, child, children, number_at, text_at};
 
 const GEOM: &str = "http://pds.nasa.gov/pds4/geom/v1";
-const IMG: &str = "http://pds.nasa.gov/pds4/img/v1";
 const MSN: &str = "http://pds.nasa.gov/pds4/msn/v1";
 const MARS2020: &str = "http://pds.nasa.gov/pds4/mission/mars2020/v1";
 /// Real labels have up to 4,000 nodes.

@@ -1,6 +1,6 @@
 //! The camera of a label, and where the rover stood.
 
-use super::{identification, text};
+use super::keys::{identification, text};
 use crate::camera::{CameraError, RawEntrance, RawModel};
 use crate::label::{FramePose, Label, ordered_counter, same_place};
 use crate::odl::{Group, Value};

@@ -1,6 +1,6 @@
 //! How a label scales the samples of its image to radiance or I/F.
 
-use super::{text, top};
+use super::keys::{text, top};
 use crate::label::{Array, Quantity};
 use crate::odl::{Group, Value};
 use crate::units::{self, Unit};

@@ -3,8 +3,7 @@
 use marf_scene::Sensor;
 use roxmltree::Node;
 
-use super::IMG;
-use super::node::{at, child, number_at};
+use super::node::{IMG, at, child, number_at};
 use crate::label::BayerPhase;
 
 /// Whether an element on the colour filter array has this value.
@@ -23,6 +22,7 @@ pub(super) fn sensor(imaging: Node<'_, '_>) -> Option<Sensor> {
     child(imaging, IMG, "Color_Filter_Array").map(|_| Sensor::Color)
 }
 
+/// Returns the phase of the colour mosaic, if by the label the pixels are not interpolated.
 pub(super) fn phase(imaging: Node<'_, '_>, notes: &mut Vec<String>) -> Option<BayerPhase> {
     let says = |name, word| is(imaging, name, word);
     if !(says("color_filter_array_state", "Encoded") && says("color_filter_array_type", "Bayer RGGB")) {

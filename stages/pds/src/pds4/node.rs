@@ -5,6 +5,7 @@ use roxmltree::Node;
 use crate::values;
 
 pub(super) const PDS: &str = "http://pds.nasa.gov/pds4/pds/v1";
+pub(super) const IMG: &str = "http://pds.nasa.gov/pds4/img/v1";
 
 pub(super) fn child<'a, 'd>(node: Node<'a, 'd>, namespace: &str, name: &str) -> Option<Node<'a, 'd>> {
     node.children()

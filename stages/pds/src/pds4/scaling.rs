@@ -2,8 +2,7 @@
 
 use roxmltree::Node;
 
-use super::IMG;
-use super::node::{PDS, child, children, number_at, text_at};
+use super::node::{IMG, PDS, child, children, number_at, text_at};
 use crate::label::{Array, Quantity};
 use crate::sun;
 use crate::units::{self, Unit};
