@@ -2,6 +2,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use clap::builder::PossibleValue;
+use marf_progress::format::number;
 use marf_run::calibrate::{CalibrateRequest, CalibrateResult};
 use marf_run::{Context, Error};
 use marf_scene::Scene;
@@ -96,7 +97,7 @@ fn table(result: &CalibrateResult) -> String {
     rows.push(("points", totals.points.to_string()));
     let scale = scene
         .metres_per_unit
-        .map(|metres| format!("one unit is {metres} m"));
+        .map(|metres| format!("one unit is {} m", number(metres)));
     rows.push(("scale", scale.unwrap_or_else(|| "no scale".to_owned())));
     for (index, path) in written.iter().enumerate() {
         rows.push((if index == 0 { "wrote" } else { "" }, path.display().to_string()));

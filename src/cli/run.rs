@@ -3,7 +3,7 @@ use std::sync::Arc;
 
 use clap::{Args, ValueEnum};
 use marf_engine::{NodeState, Outcome, document};
-use marf_progress::duration;
+use marf_progress::format::{count, duration};
 use marf_run::results::{result, state_word};
 use marf_run::run::PipelineRun;
 use marf_run::{Context, Error};
@@ -87,14 +87,10 @@ fn table(run: &PipelineRun) -> String {
             .to_owned(),
         );
     }
-    let ran = record
-        .nodes
-        .iter()
-        .filter(|node| node.state == NodeState::Finished)
-        .count();
+    let ran = shown().filter(|node| node.state == NodeState::Finished).count();
     lines.push(format!(
-        "{ran} of {} nodes ran in {}",
-        record.nodes.len(),
+        "{ran} of {} ran in {}",
+        count(shown().count(), "node"),
         duration(record.seconds)
     ));
     lines.join("\n")

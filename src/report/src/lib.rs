@@ -12,7 +12,6 @@ mod changes;
 mod curves;
 mod embed;
 pub mod emptied;
-mod format;
 mod funnel;
 mod gallery;
 mod graph;
@@ -50,6 +49,7 @@ mod real;
 mod tests;
 
 use marf_model::RunNode;
+use marf_progress::format;
 use marf_schema::scenes::{Scenes, ScenesParams};
 use marf_schema::ties::Ties;
 use marf_stage::Params;

@@ -7,6 +7,7 @@ use marf_engine::Cancel;
 use marf_export::verify::Trace;
 use marf_provenance::stamp::Stamp;
 
+use super::file::file_bytes;
 use crate::copies::object_of;
 use crate::error::{Answer, Diagnostic, Error};
 use crate::export::{open_crate, verify_crate};
@@ -16,8 +17,7 @@ use crate::export::{open_crate, verify_crate};
 /// # Errors
 /// A file or a crate that cannot be read. Also the answers "altered", for the file or the crate, and "not ours".
 pub fn trace(file: &Path, folder: &Path, cancel: &Cancel) -> Result<Trace, Error> {
-    let bytes = std::fs::read(file)
-        .map_err(|error| Error::failed(format!("cannot read {}: {error}", file.display())))?;
+    let bytes = file_bytes(file)?;
     let answered = |answer, message: String| Error::Answered(answer, Diagnostic::new(message));
     verify_crate(folder, cancel)?;
     let named = Stamp::take_from(&bytes).map(|(_, stamp)| stamp.object);
