@@ -365,10 +365,14 @@ fn check_graph(nodes: &[Node], tables: &[Entry]) -> Result<(), ConfigError> {
 
 /// Returns the hint that names what gives the output that an input lacks: nodes of the pipeline, or else stages.
 fn givers(error: &GraphError, nodes: &[Node]) -> Option<String> {
-    let GraphError::NoSuchOutput { key, output, .. } = error else {
+    let GraphError::NoSuchOutput {
+        node, key, output, ..
+    } = error
+    else {
         return None;
     };
-    let gives = |def: &StageDef| def.outputs.contains(&&**output);
+    let own = nodes.iter().find(|own| own.name == *node).map(|own| own.def.name);
+    let gives = |def: &StageDef| Some(def.name) != own && def.outputs.contains(&&**output);
     let named: Vec<&str> = nodes
         .iter()
         .filter(|node| gives(&node.def))

@@ -3,7 +3,7 @@
 use marf_cache::Digest;
 use marf_engine::Cancel;
 use marf_export::CrateOptions;
-use marf_export::verify::verify;
+use marf_export::verify::{Signature, verify};
 use serde_json::json;
 
 use super::fixture::{IDS, KEPT, World, check, options, public_key, signing_key, world};
