@@ -1,6 +1,6 @@
 """Recomputes every key of a store from the stored actions: python3 recompute_keys.py STORE. Needs the package blake3.
 
-Shares no code with marf: it reads the packs as ARCHITECTURE.md describes them.
+Shares no code with marf: it reads the packs as docs/design/packs-and-records.md describes them.
 """
 import json
 import pathlib

@@ -2,6 +2,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use clap::builder::PossibleValue;
+use marf_progress::format::number;
 use marf_run::calibrate::{CalibrateRequest, CalibrateResult};
 use marf_run::{Context, Error};
 use marf_scene::Scene;
@@ -97,7 +98,7 @@ fn table(result: &CalibrateResult) -> Vec<String> {
     rows.push(("points", totals.points.to_string()));
     let scale = scene
         .metres_per_unit
-        .map(|metres| format!("one unit is {metres} m"));
+        .map(|metres| format!("one unit is {} m", number(metres)));
     rows.push(("scale", scale.unwrap_or_else(|| "no scale".to_owned())));
     let up = metrics.up.as_ref().map(Up::words);
     rows.push(("up", up.unwrap_or_else(|| "not known".to_owned())));

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use marf_field::Quality;
+use marf_progress::format::count;
 use marf_run::compare::{CompareRequest, REPORT};
 use marf_run::{Context, Diagnostic, Error};
 use marf_schema::changes::{Change, ChangesParams, ChangesReport};
@@ -79,8 +80,8 @@ pub fn compare(args: CompareArgs, context: Context) -> Result<(), Error> {
     }
     text(&result.changes).iter().for_each(|line| print_line(line));
     print_line(&format!(
-        "wrote {} files to {}",
-        result.files.len(),
+        "wrote {} to {}",
+        count(result.files.len(), "file"),
         request.out.display()
     ));
     Ok(())
@@ -90,10 +91,14 @@ pub fn compare(args: CompareArgs, context: Context) -> Result<(), Error> {
 fn text(report: &ChangesReport) -> Vec<String> {
     let time = |time: &marf_schema::changes::Time| {
         format!(
-            "{} photos, {:.1} dB, {:.1} m²",
-            time.photos, time.psnr, time.area_m2
+            "{}, {:.1} dB, {:.1} m²",
+            count(time.photos, "photo"),
+            time.psnr,
+            time.area_m2
         )
     };
+    let changed = report.patches.iter();
+    let changed = changed.filter(|patch| patch.change != Change::Undecided).count();
     let mut lines = vec![
         format!("before   {}", time(&report.before)),
         format!("after    {}", time(&report.after)),
@@ -102,13 +107,12 @@ fn text(report: &ChangesReport) -> Vec<String> {
             report.compared_m2, report.cell_m, report.height.interval
         ),
         format!(
-            "changed  {:.3} m² in {} patches, undecided {:.3} m²",
+            "changed  {:.3} m² in {}, undecided {:.3} m²",
             report.changed_m2,
-            report
-                .patches
-                .iter()
-                .filter(|patch| patch.change != Change::Undecided)
-                .count(),
+            match changed {
+                1 => "1 patch".to_owned(),
+                changed => format!("{changed} patches"),
+            },
             report.undecided_m2
         ),
     ];

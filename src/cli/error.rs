@@ -27,6 +27,7 @@ fn answer_code(answer: Answer) -> u8 {
         Answer::Differs => 7,
         Answer::NotMade => 9,
         Answer::NoResult => 12,
+        Answer::NotSigned => 13,
     }
 }
 

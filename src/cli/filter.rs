@@ -1,6 +1,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use marf_progress::format::count;
 use marf_report::{FACTORS, calls, percent};
 use marf_run::filter::FilterCalls;
 use marf_run::{Context, Error};
@@ -34,8 +35,9 @@ pub fn filter(args: FilterArgs, context: Context) -> Result<(), Error> {
     if args.folder.json {
         return print_json(&result.counts);
     }
-    for (name, count) in &result.counts {
-        print_line(&format!("{name:<12} {count}"));
+    let all = count(result.counts.values().sum(), "file");
+    for (name, number) in &result.counts {
+        print_line(&format!("{name:<12} {number} of {all}"));
     }
     changed_by_thresholds(&result.filters)
         .iter()

@@ -1,6 +1,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use marf_progress::format::duration;
 use marf_run::fit::{FitRequest, FitScores, FitTime};
 use marf_run::{Context, Error};
 use marf_schema::train::Target;
@@ -66,14 +67,14 @@ pub fn fit(args: FitArgs, context: Context) -> Result<(), Error> {
 
 fn print_scores(name: &str, scores: &FitScores) {
     print_line(&format!(
-        "{name:>6}  PSNR {:.2} dB  SSIM {:.3}  {} steps in {:.1} s, {:.2} M samples/s, {:.1} s in all, {:.0} s foreseen",
+        "{name:>6}  PSNR {:.2} dB  SSIM {:.3}  {} steps in {}, {:.2} M samples/s, {} in all, {} expected",
         scores.psnr,
         scores.ssim.unwrap_or(f64::NAN),
         scores.steps,
-        scores.seconds.train_seconds,
+        duration(scores.seconds.train_seconds),
         scores.samples_per_s / 1e6,
-        scores.seconds.seconds,
-        scores.seconds.expected_seconds,
+        duration(scores.seconds.seconds),
+        duration(scores.seconds.expected_seconds),
     ));
     if let Some(target) = &scores.target {
         print_line(&format!("        {}", target_text(target, scores.psnr)));
@@ -102,7 +103,7 @@ fn target_text(target: &Target, held_out_psnr: f64) -> String {
     let Some(steps) = reached_at else {
         let foreseen = forecast.map_or_else(String::new, |forecast| {
             format!(
-                " ({:.1} dB were foreseen after {} steps)",
+                " ({:.1} dB were expected after {} steps)",
                 forecast.psnr, forecast.at
             )
         });

@@ -1,7 +1,7 @@
 use clap::Args;
 use marf_engine::{NodeState, RunRecord, RunSource};
 use marf_export::iso_time;
-use marf_progress::duration;
+use marf_progress::format::duration;
 use marf_run::{Context, Error};
 
 use super::options::RecordArgs;

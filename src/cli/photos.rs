@@ -34,7 +34,7 @@ pub fn photos(args: PhotosArgs, context: Context) -> Result<(), Error> {
         return print_json(&table);
     }
     if args.csv {
-        print_line(table.csv()?.trim_end());
+        print_lines(table.csv()?.lines());
         return Ok(());
     }
     print_line(

@@ -1,6 +1,6 @@
 use clap::Args;
 use marf_engine::{Extent, Needs, PlanState, PlannedNode};
-use marf_progress::duration;
+use marf_progress::format::{count, duration};
 use marf_run::plan::WhyRequest;
 use marf_run::{Context, Error};
 use serde::Serialize;
@@ -102,17 +102,10 @@ fn line(node: &PlannedNode) -> String {
 
 /// Returns `30 photos of 1 sol`, or `1 sol` where the photos are not fetched yet.
 fn looks_at(extent: &Extent) -> String {
-    let sols = counted(extent.shards, "sol");
+    let sols = count(extent.shards as usize, "sol");
     match extent.photos {
-        Some(photos) => format!("{} of {sols}", counted(photos, "photo")),
+        Some(photos) => format!("{} of {sols}", count(photos as usize, "photo")),
         None => sols,
-    }
-}
-
-fn counted(number: u64, what: &str) -> String {
-    match number {
-        1 => format!("1 {what}"),
-        _ => format!("{number} {what}s"),
     }
 }
 

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use marf_progress::format::count;
 use marf_run::render::{FILM, RenderRequest, RenderResult, SizeRequest};
 use marf_run::{Context, Error};
 use marf_schema::render::Layer;
@@ -102,8 +103,8 @@ pub fn render(args: RenderArgs, context: Context) -> Result<(), Error> {
         String::new()
     };
     print_line(&format!(
-        "wrote {} files to {}{film}",
-        result.files.len(),
+        "wrote {} to {}{film}",
+        count(result.files.len(), "file"),
         request.out.display()
     ));
     Ok(())
@@ -119,8 +120,8 @@ fn text(outputs: &[Layer], result: &RenderResult) -> String {
     });
     let words: Vec<&str> = words.collect();
     format!(
-        "{} viewpoints of {} x {} pixels: {}",
-        result.pictures,
+        "{} of {} x {} pixels: {}",
+        count(result.pictures, "viewpoint"),
         result.width,
         result.height,
         words.join(", ")

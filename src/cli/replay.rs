@@ -3,10 +3,11 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use marf_progress::format::{count, size};
 use marf_provenance::difference::value_text;
 use marf_provenance::replay::{NotMade, Replayed};
 use marf_run::replay::{ReplayReport, differs, is_equal, is_missing};
-use marf_run::{Context, Error};
+use marf_run::{Answer, Context, Error};
 
 use super::options::{RecordArgs, ThreadsArg};
 use super::output::print_json;
@@ -48,13 +49,14 @@ pub fn replay(args: ReplayArgs, context: Context) -> Result<(), Error> {
 }
 
 fn text(report: &ReplayReport) -> Vec<String> {
-    let mut lines = Vec::new();
+    let mut lines = vec![sentence(report), String::new()];
     for node in &report.nodes {
+        let outputs = count(node.equal as usize + node.differs.len(), "result");
         let word = match (&node.not_made, node.differs.len()) {
-            (Some(NotMade::TakenOver(why)), _) => format!("taken over: {why}"),
-            (Some(NotMade::NotMade(why)), _) => format!("not made: {why}"),
-            (None, 0) => format!("equal, {} outputs", node.equal),
-            (None, count) => format!("differs, {count} of {} outputs", node.equal + count as u64),
+            (Some(NotMade::TakenOver(why)), _) => format!("taken from the run: {why}"),
+            (Some(NotMade::NotMade(why)), _) => format!("not repeated: {why}"),
+            (None, 0) => format!("equal, {outputs}"),
+            (None, different) => format!("different, {different} of {outputs}"),
         };
         lines.push(format!("{:<22} {word}", node.node));
         lines.extend(
@@ -63,21 +65,57 @@ fn text(report: &ReplayReport) -> Vec<String> {
                 .map(|output| format!("  {}", difference(output))),
         );
     }
-    let count = |wanted: fn(&Replayed) -> bool| report.nodes.iter().filter(|node| wanted(node)).count();
-    let outputs: u64 = report.nodes.iter().map(|node| node.equal).sum();
     lines.push(format!(
-        "run {} on {} threads: {outputs} outputs of {} nodes are equal, {} nodes differ, {} are declared to vary, {} were not made",
+        "run {} on {}",
         report.run,
-        report.threads,
-        count(Replayed::is_equal),
-        count(differs),
-        count(|node| matches!(node.not_made, Some(NotMade::TakenOver(_)))),
-        count(is_missing),
+        count(report.threads, "thread")
     ));
-    if let Some(first) = report.nodes.iter().find(|node| differs(node)) {
-        lines.push(format!("the first that differs is `{}`", first.node));
-    }
     lines
+}
+
+/// Returns the answer in a sentence that takes no knowledge of marf.
+fn sentence(report: &ReplayReport) -> String {
+    let nodes = |wanted: fn(&Replayed) -> bool| report.nodes.iter().filter(move |node| wanted(node));
+    let what = match &report.node {
+        Some(node) => format!("`{node}` of run {} and all that leads to it", report.run),
+        None => format!("Run {}", report.run),
+    };
+    let equal: usize = report.nodes.iter().map(|node| node.equal as usize).sum();
+    let different: usize = nodes(differs).map(|node| node.differs.len()).sum();
+    let all = format!(
+        "{} of {}",
+        count(equal + different, "result"),
+        count(nodes(is_repeated).count(), "node")
+    );
+    let taken = nodes(|node| matches!(node.not_made, Some(NotMade::TakenOver(_)))).count();
+    let taken = match taken {
+        0 => String::new(),
+        taken => format!(
+            " The results of {} vary by design and were taken from the run.",
+            count(taken, "node")
+        ),
+    };
+    match (report.answer, nodes(differs).next(), nodes(is_missing).next()) {
+        (Answer::Differs, Some(first), _) => format!(
+            "{what} did not give the same bytes when repeated: {different} of {all} differ, first in `{}`.{taken}",
+            first.node
+        ),
+        (Answer::NotMade, _, Some(first)) => format!(
+            "{what} could not be repeated in full here: {} of {}, first `{}`. What was repeated gave the same bytes: {all}.{taken}",
+            nodes(is_missing).count(),
+            count(report.nodes.len(), "node"),
+            first.node
+        ),
+        (Answer::NoResult, ..) => format!(
+            "Nothing was compared: run {} has no result that can be repeated.",
+            report.run
+        ),
+        _ => format!("{what} gave the same bytes when repeated: all {all} are equal.{taken}"),
+    }
+}
+
+fn is_repeated(node: &Replayed) -> bool {
+    node.not_made.is_none()
 }
 
 /// Most values of a document that are named.
@@ -95,8 +133,11 @@ fn difference(output: &marf_provenance::replay::DifferingOutput) -> String {
     if let Some(found) = &output.difference {
         let (was, is) = found.bytes;
         text.push_str(&format!(
-            ", from byte {} on, {} bytes of {was} ({is} now)",
-            found.first_byte, found.differing_bytes
+            ", from byte {} on, {} of {} ({} now)",
+            found.first_byte,
+            count(found.differing_bytes as usize, "byte"),
+            size(was as u64),
+            size(is as u64)
         ));
         for value in found.values.iter().take(MOST_VALUES) {
             text.push_str(&format!(", {}", value_text(value)));

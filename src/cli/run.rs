@@ -3,7 +3,7 @@ use std::sync::Arc;
 
 use clap::{Args, ValueEnum};
 use marf_engine::{NodeState, Outcome, document};
-use marf_progress::duration;
+use marf_progress::format::{count, duration};
 use marf_run::results::{result, state_word};
 use marf_run::run::PipelineRun;
 use marf_run::{Context, Error};
@@ -91,8 +91,8 @@ fn table(run: &PipelineRun) -> Vec<String> {
     }
     let ran = shown().filter(|node| node.state == NodeState::Finished).count();
     lines.push(format!(
-        "{ran} of {} nodes ran in {}",
-        shown().count(),
+        "{ran} of {} ran in {}",
+        count(shown().count(), "node"),
         duration(record.seconds)
     ));
     lines

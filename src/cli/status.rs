@@ -1,7 +1,7 @@
 use clap::Args;
 use marf_config::scenes::scene_of;
 use marf_engine::{NodeRun, RunRecord};
-use marf_progress::duration;
+use marf_progress::format::duration;
 use marf_run::results::state_word;
 use marf_run::scenes::parent_of;
 use marf_run::status::{self, RunningProgram};
@@ -135,7 +135,7 @@ mod tests {
             r#"{"event":"standing","seconds":70.0,"over":1,"nodes":3,"left_s":30.0,"unknown":1,"text":""}"#,
             r#"{"event":"of a newer version"}"#,
         ]);
-        let expected = "`demo` runs: marf run\n1 of 3 nodes, about 30.0 s left and 1 with no known time, after 1 min 10 s\n\
+        let expected = "`demo` runs: marf run\n1 of 3 nodes, about 30 s left and 1 with no known time, after 70 s\n\
             a                      ran      2.5 s\n\
             b                      running  3/9\n\
             b/part-00              running  1/9  psnr 20\n\
@@ -157,7 +157,7 @@ mod tests {
             r#"{"event":"standing","seconds":70.0,"over":1,"nodes":3,"left_s":30.0,"unknown":0,"text":""}"#;
         let page = pages(&[&[&export], &[&new], &[&other, standing], &[&new]]);
         let expected = "`new` runs: marf run --to a\na                      waiting\n\
-            next to it `other` runs: marf run --to a: 1 of 3 nodes, about 30.0 s left, after 1 min 10 s\n\
+            next to it `other` runs: marf run --to a: 1 of 3 nodes, about 30 s left, after 70 s\n\
             next to it `new` runs: marf run --to a";
         assert_eq!(page.as_deref(), Some(expected));
         assert_eq!(pages(&[&[&export]]), None);

@@ -13,7 +13,7 @@ struct Entry {
     payload: std::ops::Range<usize>,
 }
 
-/// Returns the entries of a pack, as ARCHITECTURE.md describes it, and the offset of its table.
+/// Returns the entries of a pack, as docs/design/packs-and-records.md describes it, and the offset of its table.
 fn entries(pack: &[u8]) -> (Vec<Entry>, usize) {
     let number = |at: usize, bytes: usize| -> usize {
         pack[at..at + bytes]

@@ -33,10 +33,17 @@ fn a_replay_from_the_pinned_bytes_gives_the_same_digests_on_any_number_of_thread
     };
     assert_eq!(told.code, code, "{}", told.stderr);
     let one = marf(dir.path(), &["replay", "blur"]).exits(0).stdout;
-    assert!(
-        one.contains("2 nodes are equal") || one.contains("of 2 nodes are equal"),
-        "{one}"
+    assert_eq!(
+        one.lines().next().unwrap(),
+        "`blur` of run 1 and all that leads to it gave the same bytes when repeated: all 5 results of 2 nodes are equal."
     );
+    let whole = marf(dir.path(), &["replay"]).exits(0).stdout;
+    let first = whole.lines().next().unwrap();
+    assert!(
+        first.starts_with("Run 1 gave the same bytes when repeated: all "),
+        "{first}"
+    );
+    assert!(first.ends_with(" results of 4 nodes are equal."), "{first}");
     marf(dir.path(), &["replay", "nothing"]).exits(2);
     marf(dir.path(), &["replay", "99"]).exits(1);
 }
@@ -52,8 +59,8 @@ fn a_training_with_a_budget_is_replayed_by_the_schedule_that_it_ran() {
     .unwrap();
     marf(dir.path(), &["run"]).exits(0);
     let told = marf(dir.path(), &["replay", "train"]).exits(0).stdout;
-    assert!(told.contains("0 nodes differ, 0 are declared to vary"), "{told}");
-    assert!(!told.contains("taken over"), "{told}");
+    assert!(told.contains(" results of 4 nodes are equal."), "{told}");
+    assert!(!told.contains("taken from the run"), "{told}");
 }
 
 /// Writes a run into a store that differs from the last one in what a node ran on: a GPU that no machine has.
@@ -80,8 +87,7 @@ fn a_node_that_cannot_be_made_here_has_an_answer_of_its_own() {
     claim_a_gpu(dir.path(), "calibrate");
     let told = marf(dir.path(), &["replay", "--json"]).exits(9);
     assert!(
-        told.stderr
-            .contains("run 2 could not all be made again here, first `calibrate`"),
+        told.stderr.contains("a part of run 2 could not be repeated here"),
         "{}",
         told.stderr
     );
@@ -97,9 +103,10 @@ fn a_node_that_cannot_be_made_here_has_an_answer_of_its_own() {
     // The nodes before it can be made, but the requested node decides.
     marf(dir.path(), &["replay", "blur"]).exits(0);
     let told = marf(dir.path(), &["replay", "train"]).exits(9).stdout;
-    assert!(
-        told.contains("of 2 nodes are equal, 0 nodes differ") && told.contains("2 were not made"),
-        "{told}"
+    assert_eq!(
+        told.lines().next().unwrap(),
+        "`train` of run 2 and all that leads to it could not be repeated in full here: 2 of 4 nodes, first `calibrate`. What was repeated \
+         gave the same bytes: 5 results of 2 nodes."
     );
 }
 
@@ -111,9 +118,45 @@ fn a_replay_of_a_run_without_results_is_not_a_success() {
     std::fs::write(dir.path().join("pipeline.toml"), pipeline).unwrap();
     marf(dir.path(), &["run"]).exits(1);
     let replayed = marf(dir.path(), &["replay", "1"]).exits(12);
+    assert_eq!(
+        replayed.stdout.lines().next().unwrap(),
+        "Nothing was compared: run 1 has no result that can be repeated."
+    );
     assert!(
         replayed.stderr.contains("run 1 has no result to compare with"),
         "{}",
         replayed.stderr
     );
+}
+
+/// A run whose root names other bytes than its stages give.
+#[test]
+fn a_replay_that_differs_says_what_and_where() {
+    let dir = ran();
+    let store = Store::open(dir.path().join(".marf")).unwrap();
+    let mut run = marf_engine::runs(&store, |_| {}).unwrap().pop().unwrap();
+    let other = store.put(b"{}").unwrap();
+    let node = run.nodes.iter_mut().find(|node| node.name == "train").unwrap();
+    let output = node.outputs.get_mut("metrics").unwrap();
+    (output.digest, output.bytes) = (other, 2);
+    run.store(&store, |_| {}).unwrap();
+    drop(store);
+    let told = marf(dir.path(), &["replay", "2"]).exits(7);
+    let first = told.stdout.lines().next().unwrap();
+    assert!(
+        first.starts_with("Run 2 did not give the same bytes when repeated: 1 of "),
+        "{first}"
+    );
+    assert!(
+        first.ends_with(" results of 4 nodes differ, first in `train`."),
+        "{first}"
+    );
+    assert!(
+        told.stderr.contains("error: a result of run 2 is different"),
+        "{}",
+        told.stderr
+    );
+    let json = marf(dir.path(), &["replay", "2", "--json"]).exits(7).stdout;
+    let json: Value = serde_json::from_str(&json).unwrap();
+    assert_eq!(json["answer"], "differs");
 }

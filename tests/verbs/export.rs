@@ -58,7 +58,10 @@ fn a_run_is_handed_over_and_checked_without_its_store() {
     let held = run(elsewhere.path(), "verify crate --key pub.pem").exits(0);
     says(
         &held,
-        &["3 actions match their keys", "signed by this key", "holds"],
+        &[
+            "3 actions checked against their keys",
+            "It is signed with the given key.",
+        ],
     );
     let json: serde_json::Value =
         serde_json::from_str(&run(elsewhere.path(), "verify crate --json").exits(0).stdout).unwrap();
@@ -87,9 +90,12 @@ fn a_statement_is_signed_and_checked() {
     let dir = with_keys();
     run(dir.path(), "export attest --key key.pem --out size.json size").exits(0);
     let held = run(dir.path(), "verify size.json --key pub.pem").exits(0);
-    says(&held, &["signed by this key, files covered: 2"]);
-    let other = run(dir.path(), "verify size.json --key other.pem").exits(4);
-    says(&other, &["none of its 1 signatures is of this key"]);
+    says(
+        &held,
+        &["This statement is signed with the given key and covers 2 files."],
+    );
+    let other = run(dir.path(), "verify size.json --key other.pem").exits(13);
+    says(&other, &["size.json is not signed with other.pem"]);
     let nobody = run(dir.path(), "verify size.json").exits(2);
     says(&nobody, &["name a public key with --key"]);
     let about = run(
@@ -102,7 +108,7 @@ fn a_statement_is_signed_and_checked() {
     assert_eq!(stdout.lines().count(), 1, "one line of JSON");
     std::fs::write(dir.path().join("run.json"), stdout).unwrap();
     let held = run(dir.path(), "verify run.json --key pub.pem").exits(0);
-    says(&held, &["files covered: 7"]);
+    says(&held, &["covers 7 files."]);
 }
 
 #[test]
@@ -146,14 +152,23 @@ fn bad_input_has_one_clear_answer() {
             1,
             &["key.pem holds no result of run"],
         ),
-        ("verify nowhere", 2, &["nowhere is not a crate"]),
+        ("verify nowhere", 2, &["there is no folder nowhere"]),
+        ("verify out", 2, &["out is not a crate"]),
         (
             "verify crate --key key.pem",
             2,
             &["it has no `PUBLIC KEY` section", "-pubout"],
         ),
-        ("verify crate --key pub.pem", 4, &["fault: it is not signed"]),
-        ("verify pub.pem --key pub.pem", 2, &["not a signed envelope"]),
+        (
+            "verify crate --key pub.pem",
+            13,
+            &["crate is not signed with this key"],
+        ),
+        (
+            "verify pub.pem --key pub.pem",
+            2,
+            &["pub.pem is neither the folder of a crate nor a signed statement"],
+        ),
     ] {
         let ran = run(dir.path(), line).exits(code);
         says(&ran, words);
@@ -162,4 +177,28 @@ fn bad_input_has_one_clear_answer() {
         !dir.path().join("other").exists(),
         "nothing is left of what failed"
     );
+}
+
+/// What a crate names without its bytes is counted when it is written and when it is checked.
+#[test]
+fn photos_that_are_left_out_are_counted() {
+    let dir = with_keys();
+    let table = marf(dir.path(), &["photos", "--json"]).exits(0).stdout;
+    let table: serde_json::Value = serde_json::from_str(&table).unwrap();
+    let chosen = table["photos"][0]["product"].as_str().unwrap();
+    for (folder, option) in [
+        ("some", format!("--items {chosen}")),
+        ("none", "--without-data".to_owned()),
+    ] {
+        let written = run(dir.path(), &format!("export crate {folder} {option} --json"))
+            .exits(0)
+            .stdout;
+        let written: serde_json::Value = serde_json::from_str(&written).unwrap();
+        let checked = run(dir.path(), &format!("verify {folder} --json"))
+            .exits(0)
+            .stdout;
+        let checked: serde_json::Value = serde_json::from_str(&checked).unwrap();
+        assert!(written["named"].as_u64().unwrap() > 30, "{written}");
+        assert_eq!(written["named"], checked["named"], "{folder}");
+    }
 }

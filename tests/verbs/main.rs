@@ -97,6 +97,9 @@ const PLACEHOLDERS: [(&str, &str); 8] = [
     (r#""seconds": [0-9.e-]+"#, "\"seconds\": [seconds]"),
     (r#""memory_mb": [0-9]+"#, "\"memory_mb\": [MB]"),
     (r"pipeline-[0-9a-f]{8}", "pipeline-[digits]"),
-    (r" *\b(\d+ h \d\d min|\d+ min \d\d s|\d+\.\d s)\b", " [time]"),
+    (
+        r" *(\b(\d+ h \d\d min|\d+ min \d\d s|\d+(\.\d)? s|\d+ ms)|< 1 ms)\b",
+        " [time]",
+    ),
     (r"marf \d+\.\d+\.\d+", "marf [version]"),
 ];

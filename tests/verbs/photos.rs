@@ -90,6 +90,14 @@ fn a_filter_that_rejects_every_photo_says_once_what_keeps_them() {
             .save(dir.path().join(format!("photos/{seed}.png")))
             .unwrap();
     }
+    let absent = marf(dir.path(), &["filter", "nowhere"]).exits(1);
+    assert!(
+        absent
+            .stderr
+            .contains("hint: set DIR to the folder that holds the photos"),
+        "{}",
+        absent.stderr
+    );
     let warning = "`grayscale` rejects all 3 photos that it is given: `keep = \"all\"`";
     let said = marf(dir.path(), &["run"]).exits(0);
     assert_eq!(said.stderr.matches(warning).count(), 1, "{}", said.stderr);

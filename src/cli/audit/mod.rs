@@ -1,13 +1,14 @@
 //! `marf audit`: traces a file's provenance, or lists everything derived from a product.
 
+mod sentence;
 mod tree;
 mod uses;
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use clap::Args;
-use marf_engine::Cancel;
-use marf_run::audit::{self, AuditRequest};
+use marf_export::verify::Trace;
+use marf_run::audit::{self, AuditRequest, Detail};
 use marf_run::{Context, Error};
 
 use super::options::RecordArgs;
@@ -28,9 +29,9 @@ pub struct AuditArgs {
     /// Re-read everything the file was made from, and compare digests
     #[arg(long)]
     pub verify: bool,
-    /// List all products of archives, not only the first few
-    #[arg(long)]
-    pub products: bool,
+    /// List every step, input, product and digest, not only the first few
+    #[arg(long, conflicts_with = "from")]
+    pub all: bool,
     /// Use a crate of `export crate` instead of the store
     #[arg(long = "crate", value_name = "CRATE", conflicts_with_all = ["from", "verify"])]
     pub in_crate: Option<PathBuf>,
@@ -48,13 +49,16 @@ archive has changed a product since.";
 /// `marf audit`: who made a file, from which bytes.
 pub fn audit(args: AuditArgs, context: Context) -> Result<(), Error> {
     let (context, record) = (&args.record.store.context(context), &args.record);
+    let detail = if args.all { Detail::All } else { Detail::Short };
     match (args.path, args.in_crate, args.from) {
-        (Some(file), Some(folder), _) => in_crate(record, &file, &folder, &context.cancel),
+        (Some(file), Some(folder), _) => {
+            in_crate(record, &audit::trace(&file, &folder, &context.cancel)?, detail)
+        }
         (Some(file), None, _) => {
             let request = AuditRequest {
                 file,
                 verify: args.verify,
-                products: args.products,
+                detail,
             };
             audit_file(record, &request, context)
         }
@@ -68,18 +72,17 @@ fn audit_file(record: &RecordArgs, request: &AuditRequest, context: &Context) ->
     if record.json {
         print_json(&report)?;
     } else {
-        print_lines(tree::text(&report));
+        print_lines(tree::text(&report, request.detail));
     }
     audit::is_whole(report.answer, &report.file)
 }
 
 /// Prints the origin of a file from the run of a crate.
-fn in_crate(record: &RecordArgs, file: &Path, folder: &Path, cancel: &Cancel) -> Result<(), Error> {
-    let trace = audit::trace(file, folder, cancel)?;
+fn in_crate(record: &RecordArgs, trace: &Trace, detail: Detail) -> Result<(), Error> {
     if record.json {
-        return print_json(&trace);
+        return print_json(trace);
     }
-    print_lines(trace.lines());
+    print_lines(tree::crate_text(trace, detail));
     Ok(())
 }
 

@@ -3,108 +3,182 @@
 use std::collections::BTreeSet;
 
 use marf_export::iso_time;
-use marf_progress::duration;
+use marf_export::verify::{Role, Trace};
+use marf_progress::format::{count, duration, size};
 use marf_provenance::find::{Maker, Place};
+use marf_provenance::verify::Verified;
 use marf_run::audit::identity::Identity;
-use marf_run::audit::{AuditReport, Changed, Origin, ProductLine, Products, Step};
+use marf_run::audit::{AuditReport, Changed, Detail, Origin, ProductLine, Products, Step};
 
-use super::uses;
+use super::{sentence, uses};
 
+/// Adds a line.
 macro_rules! line {
-    ($text:expr, $($rest:tt)*) => { $text.push(format!($($rest)*)) };
+    ($text:expr, $($rest:tt)*) => {{ $text.push(format!($($rest)*)); }};
 }
 
-/// Returns the answer as text: the identity of the file, its makers, the tree, and what was verified.
-pub(super) fn text(report: &AuditReport) -> Vec<String> {
-    let mut text = verdict(&report.identity);
-    text[0] = format!("{}: {}", report.file.display(), text[0]);
-    if let Some(found) = &report.uses {
-        for tainted in &found.runs {
-            let mut lines = uses::text(tainted);
-            lines[0] = format!("used in {}", lines[0]);
-            text.extend(lines);
-        }
-    }
-    for origin in &report.lineage {
-        line!(text, "");
-        add_origin(&mut text, origin);
-    }
+/// Most steps, runs and photos of a short answer.
+const MOST: usize = 8;
+
+/// Returns the answer as text: a sentence, what was verified, where the file was used, and its lineage.
+pub(super) fn text(report: &AuditReport, detail: Detail) -> Vec<String> {
+    let mut text = Vec::new();
+    line!(text, "{}", sentence::answer(report));
     if let Some(verified) = &report.verified {
-        line!(text, "");
-        line!(
-            text,
-            "verified {} objects, {:.1} MB, {} files of archives by SHA-256: {} faults, {} not in the store",
-            verified.objects,
-            verified.bytes as f64 / 1e6,
-            verified.products,
-            verified.faults.len(),
-            verified.missing.len()
-        );
-        for fault in &verified.faults {
-            let object = fault.object.map(|object| object.short()).unwrap_or_default();
-            line!(text, "  {} {object}: {}", fault.of, fault.what);
-        }
-        for lost in &verified.missing {
-            line!(
-                text,
-                "  {} of {} ({}) is not in the store",
-                lost.role,
-                lost.of,
-                lost.digest.short()
-            );
-        }
+        add_verified(&mut text, verified);
     }
     report
         .changed
         .iter()
         .for_each(|changed| add_changed(&mut text, changed));
+    line!(text, "");
+    line!(text, "{}", report.file.display());
+    text.extend(bytes_text(&report.identity));
+    match detail {
+        Detail::All => {
+            let runs = report.uses.iter().flat_map(|uses| &uses.runs);
+            for run in runs {
+                let mut lines = uses::text(run);
+                lines[0] = format!("used in {}", lines[0]);
+                text.extend(lines);
+            }
+            report
+                .lineage
+                .iter()
+                .for_each(|origin| add_origin(&mut text, origin));
+        }
+        Detail::Short => add_short(&mut text, report),
+    }
     text
 }
 
-fn verdict(identity: &Identity) -> Vec<String> {
-    match identity {
-        Identity::Whole { object, makers } => {
-            let several = match makers.len() {
-                1 => String::new(),
-                count => format!(", {count} makers, all listed"),
-            };
-            let is = if identity.is_input() {
-                "read by marf and unaltered"
-            } else {
-                "made by marf and whole"
-            };
-            vec![format!("{is}, blake3 {object}{several}")]
+/// Adds the first maker with its first steps, and how many there are.
+fn add_short(text: &mut Vec<String>, report: &AuditReport) {
+    if let Some(found) = &report.uses {
+        for run in found.runs.iter().take(MOST) {
+            line!(
+                text,
+                "  used by {} of run {}",
+                count(run.nodes.len(), "node"),
+                run.run
+            );
         }
-        Identity::Altered {
-            content,
-            closest,
-            share,
-            because,
-            ..
-        } => {
-            let share =
-                share.map(|share| format!(", {:.1} % of the bytes are the same", floor_percent(share)));
-            let share = share.unwrap_or_default();
-            vec![
-                format!("altered: {because}"),
-                format!("  it has blake3 {content}, the closest object {closest}{share}"),
-            ]
-        }
-        Identity::Elsewhere { object, run } => vec![
-            "a whole copy, by its mark, of an object that this store does not have (of another store, or collected)"
-                .to_owned(),
-            format!("  object {object}"),
-            format!("  run root {run}"),
-        ],
-        Identity::NotOurs { content } => {
-            vec![format!("not made by a run of this store, blake3 {content}")]
-        }
+        add_rest(text, found.runs.len(), "runs");
+    }
+    let Some(origin) = report.lineage.first() else {
+        return;
+    };
+    add_head(text, origin);
+    let steps = origin.nodes.iter().filter(|step| step.parent.is_none());
+    let steps: Vec<&Step> = steps.rev().collect();
+    for step in steps.iter().take(MOST) {
+        line!(text, "    {}", about(step));
+    }
+    add_rest(text, steps.len(), "steps");
+    line!(text, "`--all` lists every input, product and digest");
+}
+
+fn add_rest(text: &mut Vec<String>, all: usize, what: &str) {
+    let rest = all.saturating_sub(MOST);
+    if rest > 0 {
+        line!(text, "    and {rest} more {what}");
     }
 }
 
-/// Returns a share in percent, rounded down, so that a file that differs never shows as the same.
-fn floor_percent(share: f64) -> f64 {
-    (share * 1000.0).floor() / 10.0
+/// Returns the answer of a crate as text: a sentence, the run, its steps and photos.
+pub(super) fn crate_text(trace: &Trace, detail: Detail) -> Vec<String> {
+    let most = match detail {
+        Detail::All => usize::MAX,
+        Detail::Short => MOST / 2,
+    };
+    let mut text = Vec::new();
+    line!(text, "{}", sentence::answer_of_crate(trace));
+    line!(text, "");
+    for role in trace.is.iter().take(most) {
+        match role {
+            Role::Output { node, output } => line!(text, "output `{output}` of node `{node}`"),
+            Role::Photo { id, role } => line!(text, "{role} of photo `{id}`"),
+        }
+    }
+    line!(
+        text,
+        "  run {} of {}: {}",
+        trace.run,
+        trace.pipeline,
+        trace.command
+    );
+    for step in trace.steps.iter().rev().take(most) {
+        let (stage, version) = (&step.action.stage, step.action.version);
+        line!(text, "  {} ({stage} v{version}), key {}", step.node, step.key);
+        let reads = step.reads.iter().filter(|_| detail == Detail::All);
+        for (input, maker) in reads {
+            line!(text, "    {input} from {}", maker.as_deref().unwrap_or("outside"));
+        }
+    }
+    for product in trace.products.iter().take(most) {
+        line!(text, "  photo {}", product.id);
+        let files = product.files.iter().filter(|_| detail == Detail::All);
+        for file in files {
+            let from = file.url.as_deref().unwrap_or(&file.file);
+            line!(text, "    {from}, blake3 {}", file.blake3);
+        }
+    }
+    if detail == Detail::Short {
+        let (steps, photos) = (
+            count(trace.steps.len(), "step"),
+            count(trace.products.len(), "photo"),
+        );
+        line!(text, "`--all` lists the inputs and files of {steps} and {photos}");
+    }
+    text
+}
+
+fn add_verified(text: &mut Vec<String>, verified: &Verified) {
+    line!(
+        text,
+        "checked {} ({}), {} by SHA-256: {}, {} missing",
+        count(verified.objects as usize, "object"),
+        size(verified.bytes),
+        count(verified.products as usize, "archive file"),
+        count(verified.faults.len(), "fault"),
+        verified.missing.len()
+    );
+    for fault in &verified.faults {
+        let object = fault.object.map(|object| object.short()).unwrap_or_default();
+        line!(text, "  {} {object}: {}", fault.of, fault.what);
+    }
+    for lost in &verified.missing {
+        line!(
+            text,
+            "  {} of {} ({}) is not in the store",
+            lost.role,
+            lost.of,
+            lost.digest.short()
+        );
+    }
+}
+
+/// Returns the digest of the file's bytes, and which object it is or resembles.
+fn bytes_text(identity: &Identity) -> Vec<String> {
+    match identity {
+        Identity::Whole { object, makers } => {
+            let makers = match makers.len() {
+                0 | 1 => String::new(),
+                number => format!(", made by {number} nodes or runs"),
+            };
+            vec![format!("  blake3 {object}{makers}")]
+        }
+        Identity::Altered { content, closest, .. } => {
+            vec![
+                format!("  blake3 {content}"),
+                format!("  closest original {closest}"),
+            ]
+        }
+        Identity::Elsewhere { object, run } => {
+            vec![format!("  blake3 {object}"), format!("  run root {run}")]
+        }
+        Identity::NotOurs { content } => vec![format!("  blake3 {content}")],
+    }
 }
 
 /// Returns the place that a content has in a run.
@@ -123,8 +197,9 @@ pub(super) fn place(place: &Place) -> String {
     }
 }
 
-fn add_origin(text: &mut Vec<String>, origin: &Origin) {
-    line!(text, "{}", place(&origin.maker.place));
+/// Adds what a maker made, in which run, by which program.
+fn add_head(text: &mut Vec<String>, origin: &Origin) {
+    line!(text, "  {}", place(&origin.maker.place));
     let is_input = matches!(origin.maker.place, Place::Product { .. } | Place::File { .. });
     let by = match origin.maker.made_in {
         _ if is_input => "read in",
@@ -152,6 +227,11 @@ fn add_origin(text: &mut Vec<String>, origin: &Origin) {
     if let Some(root) = origin.root {
         line!(text, "  run root {root}{}", others(&origin.maker, origin.run));
     }
+}
+
+fn add_origin(text: &mut Vec<String>, origin: &Origin) {
+    line!(text, "");
+    add_head(text, origin);
     let mut tree = Tree {
         origin,
         shown: BTreeSet::new(),
@@ -229,7 +309,9 @@ impl<'a> Tree<'a> {
             let edge = format!("{input}{count} <- ");
             match &found.made_by {
                 Some(made_by) => self.add(text, &made_by.node, &edge, &format!("{below}  ")),
-                None => line!(text, "{below}  {edge}{}", found.digest.short()),
+                None => {
+                    line!(text, "{below}  {edge}{}", found.digest.short());
+                }
             }
         }
         for source in origin.sources.iter().filter(|source| source.node == name) {
@@ -259,7 +341,8 @@ fn about(step: &Step) -> String {
 }
 
 fn add_products(text: &mut Vec<String>, source: &Products, indent: &str) {
-    line!(text, "{indent}{} photos of {} sols:", source.photos, source.sols);
+    let photos = count(source.photos as usize, "photo");
+    line!(text, "{indent}{photos} of {}:", count(source.sols, "sol"));
     for product in &source.listed {
         line!(text, "{indent}  {} of sol {}", product.id, product.sol);
         for (role, digest) in &product.blobs {
@@ -269,10 +352,6 @@ fn add_products(text: &mut Vec<String>, source: &Products, indent: &str) {
                 file_of(product, role)
             );
         }
-    }
-    let rest = source.photos.saturating_sub(source.listed.len() as u64);
-    if rest > 0 {
-        line!(text, "{indent}  and {rest} more, which --products lists");
     }
     for sol in &source.lost_sols {
         line!(
@@ -293,7 +372,7 @@ fn file_of(product: &ProductLine, role: &str) -> String {
         .unwrap_or_default();
     let bytes = file
         .bytes
-        .map(|bytes| format!(", {bytes} bytes"))
+        .map(|bytes| format!(", {}", size(bytes)))
         .unwrap_or_default();
     let from = match (&file.url, &file.fetched) {
         (Some(url), Some(time)) => format!(", from {url} at {time}"),

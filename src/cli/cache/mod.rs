@@ -4,6 +4,7 @@ mod args;
 mod remote;
 
 use marf_cache::{FsckOptions, GcPlan, Store};
+use marf_progress::format::{count, size};
 use marf_run::cache::{self, GcResult};
 use marf_run::{Context, Diagnostic, Error};
 use serde::Serialize;
@@ -11,7 +12,6 @@ use serde_json::{Value, json};
 
 use super::options::RecordArgs;
 use super::output::print_json;
-use super::traffic::megabytes;
 use crate::terminal::{eprint_line, print_line};
 use args::{FsckArgs, GcArgs, PullArgs, PushArgs};
 
@@ -65,17 +65,23 @@ fn stat(args: &RecordArgs, store: &Store) -> Result<(), Error> {
         return print_json(&json);
     }
     for (key, value) in json.as_object().into_iter().flatten() {
+        let value = match value.as_u64().filter(|_| key.ends_with("bytes")) {
+            Some(bytes) => size(bytes),
+            None => value.to_string(),
+        };
         print_line(&format!("{:<16} {value}", key.replace('_', " ")));
     }
     print_line("");
     print_line(&format!(
         "{:<16} {:>10} {:>10} {:>14}",
-        "stage", "results", "outputs", "bytes"
+        "stage", "results", "outputs", "size"
     ));
     for (stage, of) in stages {
         print_line(&format!(
             "{stage:<16} {:>10} {:>10} {:>14}",
-            of.records, of.outputs, of.bytes
+            of.records,
+            of.outputs,
+            size(of.bytes)
         ));
     }
     Ok(())
@@ -106,8 +112,8 @@ fn gc(store: &Store, args: &GcArgs, context: &Context) -> Result<(), Error> {
         report.records,
         report.memos,
         report.loose_blobs + report.packed_blobs,
-        megabytes(report.loose_bytes + report.pack_bytes),
-        megabytes(report.kept_bytes),
+        size(report.loose_bytes + report.pack_bytes),
+        size(report.kept_bytes),
     ));
     match report.missing.len() {
         0 => {}
@@ -156,13 +162,13 @@ fn fsck(store: &Store, args: &FsckArgs) -> Result<(), Error> {
             ));
         }
         print_line(&format!(
-            "{} blobs, {} records, {} memos, {} runs, {} read, {} faults",
+            "{} blobs, {} records, {} memos, {} runs, {} read, {}",
             report.blobs,
             report.records,
             report.memos,
             report.runs,
-            megabytes(report.verified_bytes),
-            report.faults.len()
+            size(report.verified_bytes),
+            count(report.faults.len(), "fault")
         ));
     }
     if report.faults.is_empty() {
@@ -175,7 +181,7 @@ fn fsck(store: &Store, args: &FsckArgs) -> Result<(), Error> {
         return Ok(());
     }
     Err(Error::Failed(
-        Diagnostic::new(format!("the store has {} faults", report.faults.len()))
+        Diagnostic::new(format!("the store has {}", count(report.faults.len(), "fault")))
             .hint("`marf cache fsck --repair` quarantines the damaged files. A run then computes their results again"),
     ))
 }

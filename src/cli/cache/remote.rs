@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use marf_cache::Store;
+use marf_progress::format::{count, size};
 use marf_remote::{FsckOptions, GcOptions};
 use marf_run::cache::SharedStore;
 use marf_run::{Context, Diagnostic, Error};
@@ -10,7 +11,7 @@ use serde_json::json;
 
 use super::args::{FsckArgs, GcArgs, PullArgs, PushArgs};
 use crate::cli::output::print_json;
-use crate::cli::traffic::{megabytes, traffic_text};
+use crate::cli::traffic::traffic_text;
 use crate::terminal::{eprint_line, print_line};
 
 /// `marf cache push`: sends a run.
@@ -26,7 +27,7 @@ pub fn push(store: &Store, args: &PushArgs, context: &Context) -> Result<(), Err
         pushed.results,
         pushed.known_results,
         pushed.blobs,
-        megabytes(pushed.blob_bytes),
+        size(pushed.blob_bytes),
         pushed.packs,
         traffic_text(pushed.traffic),
     ));
@@ -48,7 +49,7 @@ pub fn pull(store: &Store, args: &PullArgs, context: &Context) -> Result<(), Err
         pulled.results,
         pulled.known_results,
         pulled.blobs,
-        megabytes(pulled.blob_bytes),
+        size(pulled.blob_bytes),
         traffic_text(pulled.traffic),
     ));
     Ok(())
@@ -73,8 +74,8 @@ pub fn gc(args: &GcArgs, grace: Duration, context: &Context) -> Result<(), Error
         done.records,
         done.blobs,
         done.packs,
-        megabytes(done.removed_bytes),
-        megabytes(done.kept_bytes),
+        size(done.removed_bytes),
+        size(done.kept_bytes),
         done.new_packs,
         traffic_text(remote.traffic()),
     ));
@@ -102,12 +103,12 @@ pub fn fsck(args: &FsckArgs, context: &Context) -> Result<(), Error> {
             print_line(&format!("{}: {}", fault.object, fault.what));
         }
         print_line(&format!(
-            "{} blobs, {} records, {} runs, {} read, {} faults",
+            "{} blobs, {} records, {} runs, {} read, {}",
             checked.blobs,
             checked.records,
             checked.runs,
-            megabytes(checked.read_bytes),
-            checked.faults.len()
+            size(checked.read_bytes),
+            count(checked.faults.len(), "fault")
         ));
     }
     if checked.faults.is_empty() {
@@ -120,7 +121,7 @@ pub fn fsck(args: &FsckArgs, context: &Context) -> Result<(), Error> {
         return Ok(());
     }
     Err(Error::Failed(
-        Diagnostic::new(format!("{} has {} faults", remote.place(), checked.faults.len())).hint(
+        Diagnostic::new(format!("{} has {}", remote.place(), count(checked.faults.len(), "fault"))).hint(
             "`marf cache fsck --remote --repair` removes them. `marf cache push` from a machine that has the results sends them again",
         ),
     ))

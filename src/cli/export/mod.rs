@@ -6,6 +6,7 @@ use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
 use marf_export::{Data, Photos};
+use marf_progress::format::{count, number, size};
 use marf_run::export::cameras::{self, CamerasRequest};
 use marf_run::export::{CrateRequest, SurfaceKind};
 use marf_run::{Context, Error};
@@ -143,12 +144,12 @@ fn export_crate(args: CrateArgs, context: Context) -> Result<(), Error> {
         return print_json(&written);
     }
     print_line(&format!(
-        "wrote {}: run {} of {}, {} files, {} bytes, {} files named only",
+        "wrote {}: run {} of {}, {} ({}), {} more named by digest only",
         written.dir.display(),
         written.run,
         written.pipeline,
-        written.files,
-        written.bytes,
+        count(written.files as usize, "file"),
+        size(written.bytes),
         written.named
     ));
     print_line(&format!("manifest SHA-256 {}", written.manifest_sha256));
@@ -179,11 +180,13 @@ fn export_cameras(args: CamerasArgs, context: Context) -> Result<(), Error> {
         return print_json(&result);
     }
     let metres = result.metres_per_unit;
-    let scale = metres.map_or("no scale".to_owned(), |metres| format!("one unit is {metres} m"));
+    let scale = metres.map_or("no scale".to_owned(), |metres| {
+        format!("one unit is {} m", number(metres))
+    });
     print_line(&format!(
-        "wrote {}: {} photos with cameras, transforms.json (nerfstudio, instant-ngp), sparse/0 (COLMAP), points.ply ({scale})",
+        "wrote {}: {} with cameras, transforms.json (nerfstudio, instant-ngp), sparse/0 (COLMAP), points.ply ({scale})",
         result.folder.display(),
-        result.photos
+        count(result.photos, "photo")
     ));
     Ok(())
 }

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use marf_progress::format::{count, number};
 use marf_run::export::{SurfaceKind, SurfaceRequest, export_surface};
 use marf_run::{Context, Error};
 use marf_schema::surface::{ColorBy, SplatPsnr, SplatReport, SpreadOf, SurfaceReport};
@@ -86,6 +87,15 @@ impl SurfaceArgs {
         if matches!(kind, SurfaceKind::Mesh | SurfaceKind::Points) {
             print_line(&uncertainty_text(&result.surface));
         }
+        // Depths are a file a photo.
+        if kind == SurfaceKind::Depth {
+            print_line(&format!(
+                "wrote {} to {}",
+                count(result.files.len(), "file"),
+                request.out.display()
+            ));
+            return Ok(());
+        }
         for path in result.files {
             print_line(&format!("wrote {}", path.display()));
         }
@@ -110,41 +120,53 @@ fn uncertainty_text(report: &SurfaceReport) -> String {
         " of the vertices".to_owned()
     };
     format!(
-        "{what} differ by at most {:.4} ({unit}) at half{of_known}, by at most {:.4} at 95 %",
-        uncertainty.median,
-        uncertainty.scale_end,
-        unit = report.unit
+        "{what} differ by at most {} at half{of_known}, by at most {} at 95 %",
+        length_text(uncertainty.median, report),
+        length_text(uncertainty.scale_end, report)
     )
 }
 
+/// Returns a length with its unit. A scene without scale has units of its own.
+fn length_text(length: f64, report: &SurfaceReport) -> String {
+    let unit = if report.unit == "metres" {
+        "m"
+    } else {
+        "units of the scene"
+    };
+    format!("{} {unit}", number(length))
+}
+
 fn text(kind: SurfaceKind, report: &SurfaceReport) -> Vec<String> {
-    let SurfaceReport {
-        photos, cell, unit, ..
-    } = report;
+    let (photos, cell) = (
+        count(report.photos as usize, "photo"),
+        length_text(report.cell, report),
+    );
     if let (SurfaceKind::Splats, Some(splats)) = (kind, &report.splats) {
         return splats_text(splats, report);
     }
     vec![match (kind, &report.map) {
         (SurfaceKind::Points, _) => format!(
-            "{} points in cells of {cell:.4} ({unit}), from {photos} photos",
-            report.points
+            "{} in cells of {cell}, from {photos}",
+            count(report.points as usize, "point")
         ),
         (SurfaceKind::Height | SurfaceKind::Orthophoto, Some(map)) => format!(
-            "{} x {} pixels of {:.4} m, {:.0} % with a surface, heights from {:.3} m in steps of {} m",
+            "{} x {} pixels of {} m, {:.0} % with a surface, heights from {:.3} m in steps of {} m",
             map.columns,
             map.rows,
-            map.pixel_m,
+            number(map.pixel_m),
             100.0 * map.covered_share,
             map.lowest_m,
-            map.interval_m
+            number(map.interval_m)
         ),
         (SurfaceKind::Depth, _) => format!(
-            "depths at the views of {photos} photos ({unit}), {}",
+            "depths in {} at the views of {photos}, {}",
+            report.unit,
             size_text(report.shrunk)
         ),
         _ => format!(
-            "{} triangles, {} vertices, samples {cell:.4} apart ({unit}), from {photos} photos",
-            report.triangles, report.vertices
+            "{} and {} vertices, samples {cell} apart, from {photos}",
+            count(report.triangles as usize, "triangle"),
+            number(report.vertices as f64)
         ),
     }]
 }
@@ -166,8 +188,12 @@ fn size_text([least, most]: [u32; 2]) -> String {
 /// Describes the splats, and how near they come to the field.
 fn splats_text(splats: &SplatReport, report: &SurfaceReport) -> Vec<String> {
     let mut text = vec![format!(
-        "{} splats, standard deviations {:.4} to {:.4} ({}), from {} photos. Left out: {} floating in front of the surface, the sky, and colours by direction",
-        splats.splats, splats.finest, splats.coarsest, report.unit, report.photos, splats.floating
+        "{}, standard deviations {} to {}, from {}. Left out: {} floating in front of the surface, the sky, and colours by direction",
+        count(splats.splats as usize, "splat"),
+        number(splats.finest),
+        length_text(splats.coarsest, report),
+        count(report.photos as usize, "photo"),
+        splats.floating
     )];
     for (of, psnr) in [
         ("trained on", splats.trained_on),

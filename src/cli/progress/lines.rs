@@ -2,7 +2,8 @@ use std::collections::HashMap;
 use std::time::{Duration, Instant};
 
 use marf_engine::{Event, Listener};
-use marf_progress::{RunProgress, duration, sentence};
+use marf_progress::format::duration;
+use marf_progress::{RunProgress, sentence};
 use parking_lot::Mutex;
 
 use crate::terminal::eprint_line;

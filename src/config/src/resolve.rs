@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 use std::path::Path;
 
-use marf_engine::{Edge, NodeShape};
+use marf_engine::{Edge, GraphError, NodeShape};
 use marf_field::Device;
 use marf_schema::scenes::ScenesParams;
 use marf_stage::{ParamError, Params, Port, Stage, StageDef, Table, Work};
@@ -318,7 +318,9 @@ fn upstream(key: &str, name: &str, written: &SyntaxNode, names: &[&str]) -> Resu
         return Ok(edge);
     }
     let message = format!("`{key} = \"{name}\"` names no node");
-    Err(ConfigError::at(written.at.clone(), message).hint(did_you_mean(name, names.iter().copied())))
+    let all = || Some(format!("this pipeline has {}", names.join(", ")));
+    let hint = did_you_mean(name, names.iter().copied()).or_else(all);
+    Err(ConfigError::at(written.at.clone(), message).hint(hint))
 }
 
 /// Puts a stage's error at the key it is about, in the node's table or in that of the archive it reads.
@@ -357,6 +359,33 @@ fn check_graph(nodes: &[Node], tables: &[Entry]) -> Result<(), ConfigError> {
             Some(key) => entry.value.place(key),
             None => entry.at.clone(),
         });
-        ConfigError::at(at, error.to_string()).hint(error.hint().map(str::to_owned))
+        let hint = error.hint().map(str::to_owned).or_else(|| givers(&error, nodes));
+        ConfigError::at(at, error.to_string()).hint(hint)
     })
+}
+
+/// Returns the hint that names what gives the output that an input lacks: nodes of the pipeline, or else stages.
+fn givers(error: &GraphError, nodes: &[Node]) -> Option<String> {
+    let GraphError::NoSuchOutput {
+        node, key, output, ..
+    } = error
+    else {
+        return None;
+    };
+    let own = nodes.iter().find(|own| own.name == *node).map(|own| own.def.name);
+    let gives = |def: &StageDef| Some(def.name) != own && def.outputs.contains(&&**output);
+    let named: Vec<&str> = nodes
+        .iter()
+        .filter(|node| gives(&node.def))
+        .map(|node| node.name.as_str())
+        .collect();
+    if !named.is_empty() {
+        return Some(format!(
+            "name a node that gives it in `{key}`: {}",
+            named.join(", ")
+        ));
+    }
+    let stages = marf_stages::stages().iter().filter(|def| gives(def));
+    let stages: Vec<String> = stages.map(|def| format!("`{}`", def.name)).collect();
+    (!stages.is_empty()).then(|| format!("add a node of a stage that gives it: {}", stages.join(", ")))
 }

@@ -1,10 +1,11 @@
 //! A run as a folder: a BagIt bag whose payload is an RO-Crate.
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use marf_cache::Sha256;
+use marf_cache::{Digest, Sha256};
 use marf_engine::RunRecord;
 
 use crate::bag::{BagWriter, FileDigest, MANIFEST};
@@ -51,7 +52,7 @@ pub struct Written {
     pub files: u64,
     /// Their bytes.
     pub bytes: u64,
-    /// Files that are named and not included.
+    /// Files that are named by their digests and not included: results, and objects of photos.
     pub named: u64,
     /// Digest of the manifest of the payload, and so of every byte of it.
     pub manifest: Sha256,
@@ -111,7 +112,7 @@ fn write_bag(
         described.push(add_file(&mut bag, file, run, options.data, &failed)?);
     }
     for (digest, purpose) in &contents.objects {
-        if *purpose == Purpose::Record || options.data == Data::Included {
+        if is_included(*purpose, options.data) {
             let bytes = object(run, digest, || "an object of a set".to_owned())?;
             bag.add(&format!("{OBJECTS}{digest}"), &bytes).map_err(&failed)?;
         }
@@ -137,12 +138,19 @@ fn write_bag(
         bag.tag(ATTESTATION, &envelope.encode()).map_err(&failed)?;
     }
     let is_named = |described: &&Described<'_>| described.id != described.file.path;
+    let named = described.iter().filter(is_named);
+    let mut named: BTreeSet<Digest> = named.map(|described| described.digest.blake3).collect();
+    let goes_along = |photo: &Digest| match contents.objects.get(photo) {
+        Some(purpose) => is_included(*purpose, options.data),
+        None => contents.paths.contains_key(photo),
+    };
+    named.extend(contents.photos.iter().filter(|photo| !goes_along(photo)));
     let (files, bytes) = bag.payload_size();
     bag.finish(&info(&run.record)).map_err(&failed)?;
     Ok(Written {
         files,
         bytes,
-        named: described.iter().filter(is_named).count() as u64,
+        named: named.len() as u64,
         manifest: manifest.sha256,
     })
 }
@@ -157,6 +165,10 @@ fn info(run: &RunRecord) -> [(&'static str, String); 3] {
             one_line(&format!("marf run {} of {}", run.id, run.pipeline)),
         ),
     ]
+}
+
+fn is_included(purpose: Purpose, data: Data) -> bool {
+    purpose == Purpose::Record || data == Data::Included
 }
 
 /// Adds a file to the bag, or finds its digests only.
@@ -175,7 +187,7 @@ fn add_file<'a>(
             &stored
         }
     };
-    if file.purpose == Purpose::Data && data == Data::Named {
+    if !is_included(file.purpose, data) {
         let digest = FileDigest::new(bytes);
         let id = name_of(&digest.sha256);
         return Ok(Described { file, digest, id });

@@ -45,11 +45,8 @@ pub enum EnvelopeError {
         found: String,
     },
     /// No signature is of the key.
-    #[error("none of its {signatures} signatures is of this key over this payload")]
-    NotSigned {
-        /// Their number.
-        signatures: usize,
-    },
+    #[error("its signature does not match its content, so one of them was altered")]
+    NotSigned,
 }
 
 impl Envelope {
@@ -97,6 +94,12 @@ impl Envelope {
             .map_err(|_| EnvelopeError::NotBase64)
     }
 
+    /// Returns true if a signature names this key. The name is not trusted.
+    pub fn names(&self, key: &PublicKey) -> bool {
+        let id = key.id().to_string();
+        self.signatures.iter().any(|signature| signature.keyid == id)
+    }
+
     /// Returns the payload if the key has signed it.
     ///
     /// # Errors
@@ -111,9 +114,7 @@ impl Envelope {
         if self.signatures.iter().any(is_of_key) {
             return Ok(payload);
         }
-        Err(EnvelopeError::NotSigned {
-            signatures: self.signatures.len(),
-        })
+        Err(EnvelopeError::NotSigned)
     }
 }
 

@@ -7,7 +7,7 @@ use marf_engine::{Event, NodeState, RunRecord};
 use parking_lot::Mutex;
 use serde::{Deserialize, Serialize};
 
-use super::text::duration;
+use super::format::duration;
 
 /// Shortest time between two standings.
 const EVERY: Duration = Duration::from_secs(1);
@@ -227,7 +227,7 @@ mod tests {
         assert_eq!(standing.left_s, 60.0, "the sum over two at once is 40");
         assert_eq!(
             standing.text(),
-            "1 of 4 nodes, about 1 min 00 s left and 1 with no known time"
+            "1 of 4 nodes, about 60 s left and 1 with no known time"
         );
         assert_eq!(estimate.after(&reused("b")), None, "told a moment ago");
     }

@@ -1,7 +1,8 @@
-//! The events of a run as data: JSON lines, the file that `marf view` follows, a trace, an estimate of the remaining time.
+//! The events of a run as data: JSON lines, the file that `marf view` follows, a trace, an estimate of the remaining time. Numbers as text.
 
 mod estimate;
 mod event_file;
+pub mod format;
 mod json;
 mod text;
 mod trace;
@@ -9,5 +10,5 @@ mod trace;
 pub use estimate::{Estimate, NodeTimes, RunProgress};
 pub use event_file::{EventFile, RunStart, event_folder};
 pub use json::{Line, event_schema};
-pub use text::{duration, sentence};
+pub use text::sentence;
 pub use trace::Trace;

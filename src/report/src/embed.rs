@@ -8,7 +8,7 @@ use marf_cache::Digest;
 use marf_scene::{Image, Photo, Srgb, encode_jpeg, encode_png};
 use maud::{Markup, html};
 
-use super::format::megabytes;
+use super::format::size;
 use super::media::Media;
 use super::read::not_stored;
 use super::report::Report;
@@ -112,7 +112,7 @@ impl<'a> Pictures<'a> {
             return Err("The film is not an MP4 and is not shown.".to_owned());
         }
         if !self.fits(&self.film_bytes, bytes.len() / 3 * 4, FILM_BYTES) {
-            let (size, digest) = (megabytes(bytes.len()), digest.short());
+            let (size, digest) = (size(bytes.len() as u64), digest.short());
             return Err(format!(
                 "The film has {size}, too much for this page. It is object {digest} of the store."
             ));

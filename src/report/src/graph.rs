@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use marf_model::RunNode;
 use maud::{Markup, html};
 
-use super::format::{count, cut, px, seconds};
+use super::format::{count, cut, duration, px};
 use super::page::{Page, key};
 use super::report::{FAILED, Report, SKIPPED, STATES, state};
 
@@ -61,7 +61,9 @@ fn drawn(report: &Report<'_>, node: &RunNode, place: &Place) -> Markup {
 
 fn state_line(node: &RunNode) -> String {
     match node.worked_s {
-        Some(time) if ["ran", FAILED].contains(&state(node)) => format!("{}, {}", state(node), seconds(time)),
+        Some(time) if ["ran", FAILED].contains(&state(node)) => {
+            format!("{}, {}", state(node), duration(time))
+        }
         _ => state(node).to_owned(),
     }
 }

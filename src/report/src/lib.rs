@@ -13,7 +13,6 @@ mod changes;
 mod curves;
 mod embed;
 pub mod emptied;
-mod format;
 mod funnel;
 mod gallery;
 mod graph;
@@ -54,6 +53,7 @@ mod tests;
 mod twice;
 
 use marf_model::RunNode;
+use marf_progress::format;
 use marf_schema::scenes::{Scenes, ScenesParams};
 use marf_schema::ties::Ties;
 use marf_stage::{Params, VERDICTS};

@@ -3,14 +3,14 @@
 use marf_model::RunNode;
 use maud::{Markup, html};
 
-use super::format::{count, seconds};
+use super::format::{count, duration};
 use super::page::Page;
 use super::report::{FAILED, Report, SKIPPED, STATES, stage, state, state_of_all};
 
 /// Says in one sentence what ran: `12 nodes: 3 ran, 9 reused, 61 s`.
 pub(super) fn sentence(report: &Report<'_>) -> String {
     let mut parts = counts(report.nodes.iter().map(|node| state(node)));
-    parts.extend(worked_s(report).map(seconds));
+    parts.extend(worked_s(report).map(duration));
     let nodes = format!("{}: {}", count(report.nodes.len(), "node"), parts.join(", "));
     let scenes = counts(
         report
@@ -107,7 +107,7 @@ fn row(report: &Report<'_>, node: &RunNode) -> Markup {
 
 /// The earlier time of a reused node, in brackets.
 fn time(node: &RunNode) -> String {
-    let time = node.worked_s.map_or_else(|| "–".to_owned(), seconds);
+    let time = node.worked_s.map_or_else(|| "–".to_owned(), duration);
     if node.worked_s.is_some() && ["reused", SKIPPED].contains(&state(node)) {
         return format!("({time})");
     }
@@ -150,7 +150,7 @@ fn children(report: &Report<'_>, node: &RunNode) -> Markup {
                         tr {
                             td { (child.run.name) }
                             td { span.badge.(state(child)) { (state(child)) } }
-                            td.number { (child.worked_s.map_or_else(|| "–".to_owned(), seconds)) }
+                            td.number { (child.worked_s.map_or_else(|| "–".to_owned(), duration)) }
                         }
                     }
                 }

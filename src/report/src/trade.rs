@@ -5,7 +5,7 @@ use maud::{Markup, html};
 use serde::{Deserialize, Serialize};
 
 use super::axis::linear_ticks;
-use super::format::{number, px, seconds};
+use super::format::{duration, number, px};
 
 /// A measured trade of time against quality around a pipeline as it is.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -128,7 +128,6 @@ impl Point {
         if self.is_comparable(base) {
             return None;
         }
-        let (time, before) = (self.means()?.1, base.means()?.1);
         let cameras = run.position_error.zip(as_it_is.position_error);
         let cameras = cameras.map_or_else(String::new, |(error, before)| {
             format!(
@@ -138,10 +137,24 @@ impl Point {
             )
         });
         Some(format!(
-            "{}: its calibration holds out other photos, so its PSNR cannot be compared: {cameras}it takes {:.2} of the time.",
+            "{}: its calibration holds out other photos, so its PSNR cannot be compared: {cameras}{}.",
             self.name(),
-            time / before
+            self.time_beside(base)?
         ))
+    }
+
+    /// Compares its times with those of another point. Only times of repeats that do not overlap differ.
+    fn time_beside(&self, base: &Self) -> Option<String> {
+        let times = |point: &Self| point.runs.iter().map(|run| run.seconds).collect::<Vec<f64>>();
+        let (own, others) = (times(self), times(base));
+        let all_below =
+            |low: &[f64], high: &[f64]| low.iter().all(|time| high.iter().all(|other| time < other));
+        let is_repeated = own.len() > 1 && others.len() > 1;
+        if !is_repeated || !(all_below(&own, &others) || all_below(&others, &own)) {
+            return Some(NO_DIFFERENCE.to_owned());
+        }
+        let share = self.means()?.1 / base.means()?.1;
+        Some(format!("it takes {:.0} % of the time", 100.0 * share))
     }
 
     /// Returns the means of PSNR, dB, and seconds. `None` without a run.
@@ -159,8 +172,8 @@ impl Interval {
     }
 }
 
-/// Time within which two points count as equally fast.
-const SAME_TIME: f64 = 0.05;
+/// Said of times that differ by no more than repeats do, or that were not repeated.
+const NO_DIFFERENCE: &str = "there is no measurable difference in time";
 
 impl Effect {
     /// Returns a sentence that one can act on.
@@ -172,12 +185,16 @@ impl Effect {
             Some(half) => format!("{:.2} dB (± {half:.2})", gain.mean.abs()),
             None => format!("{:.2} dB (one seed)", gain.mean.abs()),
         };
-        let clock = match time.mean {
-            mean if mean < 1.0 - SAME_TIME => format!("saves {} of the time", percent(1.0 - mean)),
-            mean if mean > 1.0 + SAME_TIME => format!("takes {} more time", percent(mean - 1.0)),
-            _ => "takes as long".to_owned(),
+        let change = time.mean - 1.0;
+        let is_measured = time.half.is_some_and(|half| change.abs() > half);
+        let (slower, faster) = (is_measured && change > 0.0, is_measured && change < 0.0);
+        let clock = if faster {
+            format!("it saves {} of the time", percent(-change))
+        } else if slower {
+            format!("it takes {} more time", percent(change))
+        } else {
+            NO_DIFFERENCE.to_owned()
         };
-        let (slower, faster) = (time.mean > 1.0 + SAME_TIME, time.mean < 1.0 - SAME_TIME);
         let (what, advice) = match (unsure, gain.mean > 0.0) {
             (true, _) if faster => (
                 format!("changes the quality by no more than seeds do, {quality}"),
@@ -238,10 +255,10 @@ fn table(trade: &Trade) -> Markup {
                     @match (point.means(), point.runs.first()) {
                         (Some((psnr, time)), Some(run)) => {
                             td.number { (format!("{psnr:.2}")) }
-                            td.number { (seconds(time)) }
+                            td.number { (duration(time)) }
                             @let times = || point.runs.iter().map(|run| run.seconds);
-                            td.number { (seconds(times().fold(f64::INFINITY, f64::min))) }
-                            td.number { (seconds(times().fold(0.0, f64::max))) }
+                            td.number { (duration(times().fold(f64::INFINITY, f64::min))) }
+                            td.number { (duration(times().fold(0.0, f64::max))) }
                             td.number { (number(run.steps as f64)) }
                             td.number { (number(run.parameters as f64)) }
                             td.number { (format!("{:.1}", run.bytes as f64 / 1e6)) }
@@ -334,7 +351,7 @@ pub fn front(trade: &Trade) -> Markup {
             height=(px(height)) role="img" aria-label="PSNR against time" {
             @for time in times {
                 line x1=(px(x_of(time))) x2=(px(x_of(time))) y1=(px(TOP)) y2=(px(HEIGHT - BOTTOM)) stroke="currentColor" stroke-opacity="0.15" {}
-                text x=(px(x_of(time))) y=(px(HEIGHT - BOTTOM + 16.0)) text-anchor="middle" fill="currentColor" { (seconds(time)) }
+                text x=(px(x_of(time))) y=(px(HEIGHT - BOTTOM + 16.0)) text-anchor="middle" fill="currentColor" { (duration(time)) }
             }
             @for psnr in psnrs {
                 line x1=(px(LEFT)) x2=(px(WIDTH - RIGHT)) y1=(px(y_of(psnr))) y2=(px(y_of(psnr))) stroke="currentColor" stroke-opacity="0.15" {}
@@ -347,7 +364,7 @@ pub fn front(trade: &Trade) -> Markup {
                 @let on_front = trade.front.contains(index);
                 @let colour = match (*index, on_front) { (0, _) => "#c7641b", (_, true) => "#33658a", _ => "#a89f92" };
                 circle cx=(px(x_of(*time))) cy=(px(y_of(*psnr))) r=(if *index == 0 { "6" } else { "4" }) fill=(colour) {
-                    title { (trade.points[*index].name()) ": " (format!("{psnr:.2} dB, ")) (seconds(*time)) }
+                    title { (trade.points[*index].name()) ": " (format!("{psnr:.2} dB, ")) (duration(*time)) }
                 }
             }
             @for (rank, (_, (psnr, time))) in best.iter().enumerate() {
@@ -355,7 +372,7 @@ pub fn front(trade: &Trade) -> Markup {
             }
             @for (rank, (y, lines, (psnr, time))) in list.enumerate() {
                 text x="30" y=(px(y)) text-anchor="end" fill="currentColor" { (rank + 1) }
-                text x=(px(LEFT + 60.0)) y=(px(y)) text-anchor="end" fill="currentColor" { (seconds(time)) }
+                text x=(px(LEFT + 60.0)) y=(px(y)) text-anchor="end" fill="currentColor" { (duration(time)) }
                 text x=(px(LEFT + 125.0)) y=(px(y)) text-anchor="end" fill="currentColor" { (format!("{psnr:.2} dB")) }
                 @for (line, settings) in lines.iter().enumerate() {
                     text x=(px(LEFT + 140.0)) y=(px(y + LIST_ROW * line as f64)) fill="currentColor" { (settings) }
@@ -435,23 +452,48 @@ mod tests {
         }
     }
 
+    /// An effect without a gain whose repeats differ in time by `half`.
+    fn noisy(time: f64, half: f64) -> Effect {
+        let time = Interval {
+            mean: time,
+            half: Some(half),
+        };
+        Effect {
+            time,
+            ..effect(0.05, 0.1, 1.0)
+        }
+    }
+
     #[test]
     fn a_point_judged_by_other_photos_is_told_apart() {
         let mut base = crate::fixture_documents::trade().points[0].clone();
         base.runs[0].judged_by = Some(Digest::from_content(b"a"));
         base.runs[0].position_error = Some(0.5);
+        let mut repeat = base.runs[0];
+        repeat.seconds += 1.0;
+        base.runs.push(repeat);
         let mut point = base.clone();
         assert_eq!(point.apart(&base), None);
         point.sets = vec!["calibrate.pairs=\"sequential\"".to_owned()];
         point.runs[0].judged_by = Some(Digest::from_content(b"b"));
         point.runs[0].position_error = Some(0.25);
-        point.runs[0].seconds = base.runs[0].seconds / 2.0;
+        for run in &mut point.runs {
+            run.seconds /= 2.0;
+        }
         assert!(!point.is_comparable(&base));
+        let said = "calibrate.pairs=\"sequential\": its calibration holds out other photos, so its PSNR cannot be compared: cameras are off by \
+             0.25 instead of 0.5, and ";
         assert_eq!(
             point.apart(&base).unwrap(),
-            "calibrate.pairs=\"sequential\": its calibration holds out other photos, so that its PSNR cannot be compared; cameras are off by \
-             0.25 in place of 0.5, and it takes 0.50 of the time."
+            format!("{said}it takes 50 % of the time.")
         );
+        // Times that overlap, and a time that was taken once, show nothing.
+        point.runs[0].seconds = base.runs[1].seconds;
+        let unsure = format!("{said}there is no measurable difference in time.");
+        assert_eq!(point.apart(&base).unwrap(), unsure);
+        point.runs.truncate(1);
+        point.runs[0].seconds /= 9.0;
+        assert_eq!(point.apart(&base).unwrap(), unsure);
         assert_eq!(Point::default().apart(&base), None);
     }
 
@@ -476,42 +518,44 @@ mod tests {
         for (effect, sentence) in [
             (
                 effect(-0.9, 0.1, 0.45),
-                "train.scale=2: costs 0.90 dB (± 0.10), and saves 55 % of the time. Use it if it must be fast.",
+                "train.scale=2: costs 0.90 dB (± 0.10), and it saves 55 % of the time. Use it if it must be fast.",
             ),
             (
                 effect(0.5, 0.1, 2.0),
-                "train.scale=2: gains 0.50 dB (± 0.10), and takes 100 % more time. Use it if there is time.",
+                "train.scale=2: gains 0.50 dB (± 0.10), and it takes 100 % more time. Use it if there is time.",
             ),
             (
-                effect(0.5, 0.1, 1.02),
-                "train.scale=2: gains 0.50 dB (± 0.10), and takes as long. Take it.",
+                effect(0.5, 0.1, 1.005),
+                "train.scale=2: gains 0.50 dB (± 0.10), and there is no measurable difference in time. Take it.",
             ),
             (
                 effect(-0.5, 0.1, 1.5),
-                "train.scale=2: costs 0.50 dB (± 0.10), and takes 50 % more time. Leave it.",
+                "train.scale=2: costs 0.50 dB (± 0.10), and it takes 50 % more time. Leave it.",
             ),
             (
                 effect(0.05, 0.1, 0.5),
-                "train.scale=2: changes the quality by no more than seeds do, 0.05 dB (± 0.10), and saves 50 % of the time. Take it.",
+                "train.scale=2: changes the quality by no more than seeds do, 0.05 dB (± 0.10), and it saves 50 % of the time. Take it.",
+            ),
+            (
+                noisy(0.78, 0.3),
+                "train.scale=2: changes nothing that these seeds can show, 0.05 dB (± 0.10), and there is no measurable difference in time. It does not matter.",
             ),
             (
                 effect(0.05, 0.1, 1.0),
-                "train.scale=2: changes nothing that these seeds can show, 0.05 dB (± 0.10), and takes as long. It does not matter.",
+                "train.scale=2: changes nothing that these seeds can show, 0.05 dB (± 0.10), and there is no measurable difference in time. It does not matter.",
             ),
         ] {
             assert_eq!(effect.sentence(&point), sentence);
         }
+        let alone = |mean| Interval { mean, half: None };
         let once = Effect {
-            gain_db: Interval {
-                mean: -3.0,
-                half: None,
-            },
+            gain_db: alone(-3.0),
+            time: alone(0.5),
             ..effect(0.0, 0.0, 0.5)
         };
-        assert!(
-            once.sentence(&point).contains("(one seed)"),
-            "{}",
-            once.sentence(&point)
+        assert_eq!(
+            once.sentence(&point),
+            "train.scale=2: costs 3.00 dB (one seed), and there is no measurable difference in time. Leave it."
         );
     }
 

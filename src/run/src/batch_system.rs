@@ -28,7 +28,7 @@ pub fn executor(context: &Context, site: Option<&Path>) -> Result<Option<Arc<dyn
             SiteError::Silent { .. } => Error::Failed(diagnostic.hint("run on a machine from which jobs can be submitted")),
             _ => Error::Usage(diagnostic.hint(
                 "a site file has a table [executor] with `store` (the address of the shared store) and `folder` (a folder that \
-                 all machines see); see the README",
+                 all machines see). docs/cluster.md shows one",
             )),
         }
     };

@@ -14,7 +14,7 @@ use crate::context::Context;
 use crate::error::{Diagnostic, Error};
 use crate::execute::{execute, options};
 use crate::export::cameras;
-use crate::folder::PhotoFolder;
+use crate::folder::{self, PhotoFolder};
 use crate::session::{Session, digest, node_named};
 use crate::{copies, files, outputs};
 
@@ -113,20 +113,11 @@ fn refuse_to_replace(path: &Path, digest: &Digest, dir: &Path) -> Result<(), Err
 
 /// Rewrites hints about pipeline.toml as arguments: this verb has no pipeline to edit.
 fn for_this_verb(error: Error) -> Error {
-    let say = |diagnostic: Diagnostic| Diagnostic {
-        hint: diagnostic.hint.map(|hint| as_arguments(&hint)),
-        ..diagnostic
-    };
-    match error {
-        Error::Failed(diagnostic) => Error::Failed(say(diagnostic)),
-        Error::Usage(diagnostic) => Error::Usage(say(diagnostic)),
-        other => other,
-    }
+    folder::for_folder(error).map_hint(as_arguments)
 }
 
 /// What stands between backquotes and is a key becomes the argument that sets it.
 fn as_arguments(hint: &str) -> String {
-    let hint = hint.replace("`path` of the archive", "DIR");
     let argument = |(index, part): (usize, &str)| match part.split_once(" = ") {
         _ if index % 2 == 0 => part.to_owned(),
         Some(("method", value)) => format!("--method {}", value.trim_matches('"')),
@@ -166,7 +157,10 @@ mod tests {
             ),
             ("change `file`", "change `--set calibrate.file=…`"),
             ("use `method = \"sfm\"`", "use `--method sfm`"),
-            ("set `path` of the archive to the folder", "set DIR to the folder"),
+            (
+                "widen `--set archive.folder.sols=…`",
+                "widen `--set archive.folder.sols=…`",
+            ),
             ("nothing of ours, `x/y.json`", "nothing of ours, `x/y.json`"),
         ] {
             assert_eq!(as_arguments(hint), said);

@@ -49,6 +49,8 @@ pub enum Answer {
     NotMade,
     /// A replay of a run without any result, so that nothing was compared.
     NoResult,
+    /// A crate or statement that is not signed with the given key.
+    NotSigned,
 }
 
 /// The text of an error: message, cause, hint.
@@ -99,6 +101,20 @@ impl Error {
     /// Returns the error of something that is not as it was made.
     pub fn altered(diagnostic: Diagnostic) -> Self {
         Self::Answered(Answer::Altered, diagnostic)
+    }
+
+    /// Changes the hint, if there is one.
+    #[must_use]
+    pub fn map_hint(self, change: impl FnOnce(&str) -> String) -> Self {
+        let changed = |diagnostic: Diagnostic| Diagnostic {
+            hint: diagnostic.hint.as_deref().map(change),
+            ..diagnostic
+        };
+        match self {
+            Self::Failed(diagnostic) => Self::Failed(changed(diagnostic)),
+            Self::Usage(diagnostic) => Self::Usage(changed(diagnostic)),
+            other => other,
+        }
     }
 
     /// Returns the text. None for a request that the user has stopped.

@@ -61,7 +61,7 @@ pub fn filter(
             outputs::one(&session.store, &execution.record, &document.digest, path)?;
         }
     }
-    execution.done()?;
+    execution.done().map_err(folder::for_folder)?;
     if merged.is_empty() {
         let diagnostic = Diagnostic::new(format!("{} has no photo", dir.display()));
         return Err(Error::Failed(

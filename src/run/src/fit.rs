@@ -17,7 +17,7 @@ use crate::context::Context;
 use crate::documents::{self, Documents};
 use crate::error::Error;
 use crate::execute::{Extras, execute_with, options};
-use crate::folder::PhotoFolder;
+use crate::folder::{self, PhotoFolder};
 use crate::session::{Session, node_named};
 use crate::{budget, outputs};
 
@@ -125,7 +125,8 @@ pub fn fit(context: &Context, request: &FitRequest) -> Result<BTreeMap<String, F
             trace: None,
             documents: &|record| document(&session, record, &name, &fitted),
         };
-        let record = execute_with(&session, &options(&session), &extras)?.done()?;
+        let record = execute_with(&session, &options(&session), &extras)?.done();
+        let record = record.map_err(folder::for_folder)?;
         let cameras: calibrate::Metrics = session.document(node_named(&record, CalibrateParams::STAGE)?)?;
         let totals = &cameras.totals;
         context.feedback.note(&format!(

@@ -135,6 +135,14 @@ pub fn photos(name: &str, dir: &Path) -> String {
     )
 }
 
+/// Rewrites hints about the archive in pipeline.toml for a verb that has a folder instead.
+pub fn for_folder(error: Error) -> Error {
+    error.map_hint(|hint| {
+        let hint = hint.replace("`path` of the archive", "DIR");
+        hint.replace("`sols` of the archive", "`--set archive.folder.sols=…`")
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -190,6 +198,21 @@ mod tests {
             let found = PhotoFolder::new(&c).unwrap();
             assert_eq!(found.photos, c);
             assert!(found.training("fit").contains("cameras = \"extract\""));
+        }
+    }
+
+    #[test]
+    fn a_hint_about_the_archive_names_the_argument() {
+        let hint = |text: &str| for_folder(Error::Failed(Diagnostic::new("x").hint(text)));
+        for (text, said) in [
+            ("set `path` of the archive to the folder", "set DIR to the folder"),
+            (
+                "widen `sols` of the archive",
+                "widen `--set archive.folder.sols=…`",
+            ),
+            ("free space there", "free space there"),
+        ] {
+            assert_eq!(hint(text).diagnostic().unwrap().hint.as_deref(), Some(said));
         }
     }
 

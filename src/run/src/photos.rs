@@ -127,7 +127,8 @@ pub fn photos(context: &Context, dir: Option<&Path>, node: &str) -> Result<Photo
     let (store, record) = match dir {
         Some(dir) => {
             let session = Session::implicit(context, &folder::photos("photos", dir), "photos", dir)?;
-            let record = execute(&session, &options(&session))?.done()?;
+            let record = execute(&session, &options(&session))?.done();
+            let record = record.map_err(folder::for_folder)?;
             (session.store, record)
         }
         None => {

@@ -1,6 +1,7 @@
 //! The results of the nodes of a run in words.
 
 use marf_engine::{NodeRun, NodeState};
+use marf_progress::format::{count, node_counts};
 use marf_schema::scenes::Scenes;
 use marf_schema::scores::Scores;
 use marf_schema::{bootstrap, evaluate, train};
@@ -20,16 +21,12 @@ pub fn state_word(state: NodeState) -> &'static str {
     }
 }
 
-/// Returns the result of a node in words: counts, means of its metrics, or the message of a failure.
+/// Returns the result of a node in words: its photos, means of its metrics, or the message of a failure.
 pub fn result(node: &NodeRun, session: &Session) -> String {
     if matches!(node.state, NodeState::Failed | NodeState::Skipped) {
         return node.reason.clone();
     }
-    let mut parts: Vec<String> = node
-        .counts
-        .iter()
-        .map(|(what, count)| format!("{count} {}", what.replace('_', " ")))
-        .collect();
+    let mut parts = node_counts(&node.counts);
     parts.extend(figures(node, session).unwrap_or_else(|error| vec![error.message().to_owned()]));
     parts.join(", ")
 }
@@ -47,12 +44,9 @@ fn figures(node: &NodeRun, session: &Session) -> Result<Vec<String>, Error> {
         Scenes::STAGE => {
             let scenes = session.document::<Scenes>(node)?;
             let photos: usize = scenes.scenes.iter().map(|scene| scene.photos.len()).sum();
-            let left_out =
-                (!scenes.skipped.is_empty()).then(|| format!("{} groups left out", scenes.skipped.len()));
-            let found = [
-                format!("{} scenes", scenes.scenes.len()),
-                format!("{photos} photos"),
-            ];
+            let left_out = (!scenes.skipped.is_empty())
+                .then(|| format!("{} left out", count(scenes.skipped.len(), "group")));
+            let found = [count(scenes.scenes.len(), "scene"), count(photos, "photo")];
             found.into_iter().chain(left_out).collect()
         }
         bootstrap::Metrics::STAGE => {

@@ -5,7 +5,8 @@ use std::collections::BTreeMap;
 use marf_cache::Store;
 use marf_engine::{RunRecord, RunSource};
 use marf_model::select;
-use marf_progress::{RunProgress, duration, event_folder};
+use marf_progress::format::duration;
+use marf_progress::{RunProgress, event_folder};
 use marf_view::lines_of_running;
 use serde::Deserialize;
 

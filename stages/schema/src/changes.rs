@@ -102,8 +102,8 @@ impl ChangesParams {
             return refuse("steps", "0 steps train nothing".to_owned());
         }
         check_scale(self.scale)?;
-        if self.cell.is_some_and(|cell| !cell.is_finite() || cell <= 0.0) {
-            return refuse("cell", format!("{:?} is not a length above 0", self.cell));
+        if let Some(cell) = self.cell.filter(|cell| !cell.is_finite() || *cell <= 0.0) {
+            return refuse("cell", format!("{cell} is not a length above 0"));
         }
         if !(16..=MAX_SIDE_PX).contains(&self.side_px) {
             return refuse(

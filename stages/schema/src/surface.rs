@@ -87,11 +87,8 @@ impl SurfaceParams {
             ("most_spread", self.most_spread),
             ("map_cell", self.map_cell),
         ] {
-            if length.is_some_and(|length| !length.is_finite() || length <= 0.0) {
-                return Err(ParamError::new(
-                    key,
-                    format!("{length:?} is not a length above 0"),
-                ));
+            if let Some(length) = length.filter(|length| !length.is_finite() || *length <= 0.0) {
+                return Err(ParamError::new(key, format!("{length} is not a length above 0")));
             }
         }
         if self.least_photos == 0 {

@@ -14,8 +14,8 @@
 //! platform's C library. If `exp` differs in its last bit, a block may be split otherwise. Such streams have
 //! not been seen, and cannot be ruled out. Decoders of AV1 give the same pixels everywhere.
 //!
-//! A codec is a cargo feature (`h264`, `av1`, both on by default). [`Encoder::new`] refuses one that is not
-//! built in.
+//! A codec is a cargo feature (`h264`, `av1`, both on by default in this crate). The program `marf` has `h264` on and `av1` off by
+//! default. [`Encoder::new`] refuses a codec that is not built in.
 #![cfg_attr(
     not(any(feature = "h264", feature = "av1")),
     allow(dead_code, reason = "without a codec nothing is encoded")

@@ -200,6 +200,7 @@ const CRATES: [Crate; 35] = [
                 "marf-schema",
                 "marf-stages",
                 "marf-engine",
+                "marf-progress",
                 "marf-model",
             ],
         )

@@ -70,11 +70,11 @@ pub enum BagFault {
     #[error("`bagit.txt` does not declare a bag of version 1.0")]
     Declaration,
     /// `bag-info.txt` counts other files or bytes.
-    #[error("`bag-info.txt` counts {listed} bytes and files, there are {found}")]
+    #[error("`bag-info.txt` lists {listed}, but the payload has {found}")]
     Oxum {
-        /// Bytes and files found, separated by a point.
+        /// The files and bytes found, in words.
         found: String,
-        /// Bytes and files listed.
+        /// Those listed, in words.
         listed: String,
     },
 }
@@ -211,11 +211,23 @@ impl Bag {
         let bytes: u64 = self.payload.values().map(|digest| digest.bytes).sum();
         let found = format!("{bytes}.{}", self.payload.len());
         if listed != Some(found.as_str()) {
-            self.faults.push(BagFault::Oxum {
-                found,
-                listed: listed.unwrap_or("nothing").to_owned(),
-            });
+            let listed = listed.map_or_else(|| "no size of the payload".to_owned(), oxum_text);
+            let found = oxum_text(&found);
+            self.faults.push(BagFault::Oxum { found, listed });
         }
+    }
+}
+
+/// Returns bytes and files, which a bag separates by a point, in words.
+fn oxum_text(oxum: &str) -> String {
+    let number = |text: &str| text.parse::<u64>().ok();
+    match oxum
+        .split_once('.')
+        .map(|(bytes, files)| (number(bytes), number(files)))
+    {
+        Some((Some(bytes), Some(1))) => format!("1 file with {bytes} bytes"),
+        Some((Some(bytes), Some(files))) => format!("{files} files with {bytes} bytes"),
+        _ => format!("`{oxum}` instead of bytes and files"),
     }
 }
 
@@ -308,7 +320,7 @@ mod tests {
             "`data/a.txt` is missing",
             "`data/new.txt` is in no manifest",
             "`note.txt` is in no manifest",
-            "counts 6.2 bytes and files, there are 3.1",
+            "`bag-info.txt` lists 2 files with 6 bytes, but the payload has 1 file with 3 bytes",
         ] {
             assert!(text.contains(expected), "{text}");
         }

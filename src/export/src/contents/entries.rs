@@ -1,6 +1,6 @@
 //! Contents of a crate: files that the graph describes, and objects of sets.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use marf_cache::{Action, Digest, manifest::Root};
 use marf_engine::{LISTING, document};
@@ -25,6 +25,8 @@ pub struct Contents {
     pub actions: BTreeMap<Digest, Action>,
     /// Lists of the files that sources read of their archives and where these came from, by node.
     pub origins: BTreeMap<String, Vec<Digest>>,
+    /// Objects of all photos that sources brought in, whether or not they go along.
+    pub photos: BTreeSet<Digest>,
     /// Decisions on each chosen photo.
     pub items: Vec<ItemVerdict>,
 }

@@ -31,6 +31,7 @@ pub(super) fn add_photos(
         };
         let what = format!("`{PHOTOS}` of `{}`", node.run.name);
         for row in rows(&photos.digest, &reader(run), &what)? {
+            contents.photos.extend(row.blobs.values());
             match chosen {
                 None => row
                     .blobs

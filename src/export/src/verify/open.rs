@@ -1,6 +1,6 @@
 //! A crate as it is found: bag, graph and run root.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -33,6 +33,12 @@ pub struct OpenCrate {
 /// A folder that cannot be checked.
 #[derive(Debug, thiserror::Error)]
 pub enum OpenError {
+    /// There is no folder.
+    #[error("there is no folder {}", path.display())]
+    NoFolder {
+        /// The folder.
+        path: PathBuf,
+    },
     /// There is no crate.
     #[error("{} is not a crate: {cause}", path.display())]
     NoCrate {
@@ -76,6 +82,9 @@ impl OpenCrate {
     /// stop.
     pub fn open(folder: &Path, cancel: &Cancel) -> Result<Self, OpenError> {
         let path = || folder.to_owned();
+        if !folder.is_dir() {
+            return Err(OpenError::NoFolder { path: path() });
+        }
         let no_crate = |cause: String| OpenError::NoCrate { path: path(), cause };
         let metadata = format!("{PAYLOAD}/{METADATA}");
         let bytes = read_member(folder, &metadata)
@@ -166,10 +175,15 @@ impl OpenCrate {
             .collect()
     }
 
-    /// Returns the number of files that are named and not included.
+    /// Returns the number of files that are named by their digests and not included: results, and objects of photos.
     pub fn named(&self) -> usize {
-        let files = self.of_type("File");
-        files.filter(|file| text(file, "@id").contains(':')).count()
+        let files = self.described().into_iter();
+        let named = files.filter(|(id, _)| id.contains(':'));
+        let mut named: BTreeSet<Digest> = named.map(|(_, file)| file.blake3).collect();
+        let rows = self.run.nodes.iter().flat_map(|node| self.rows(node));
+        let photos = rows.flat_map(|row| row.blobs.into_values());
+        named.extend(photos.filter(|photo| !self.holds(photo)));
+        named.len()
     }
 }
 

@@ -4,7 +4,7 @@ use super::open::OpenCrate;
 use crate::bag::MANIFEST;
 use crate::contents::RUN_ROOT;
 use crate::crates::ATTESTATION;
-use crate::dsse::Envelope;
+use crate::dsse::{Envelope, EnvelopeError};
 use crate::statement::subjects_in;
 use marf_cache::Sha256;
 use marf_keys::PublicKey;
@@ -20,6 +20,10 @@ pub enum Signature {
     NotChecked,
     /// It is of the given key, over this payload.
     Good,
+    /// There is none, and a key was given.
+    Missing,
+    /// It is of another key than the given one.
+    OtherKey,
     /// A fault says what is wrong with it.
     Bad,
 }
@@ -28,15 +32,14 @@ pub enum Signature {
 pub(super) fn check(opened: &OpenCrate, key: Option<&PublicKey>, faults: &mut Vec<String>) -> Signature {
     let (bytes, key) = match (opened.bag.tag(ATTESTATION), key) {
         (None, None) => return Signature::None,
-        (None, Some(_)) => {
-            faults.push("it is not signed".to_owned());
-            return Signature::None;
-        }
+        (None, Some(_)) => return Signature::Missing,
         (Some(_), None) => return Signature::NotChecked,
         (Some(bytes), Some(key)) => (bytes, key),
     };
-    let statement = Envelope::decode(&bytes).and_then(|envelope| envelope.verify(key));
-    let wrong = match statement {
+    let envelope = Envelope::decode(&bytes);
+    let is_of_other_key = envelope.as_ref().is_ok_and(|envelope| !envelope.names(key));
+    let wrong = match envelope.and_then(|envelope| envelope.verify(key)) {
+        Err(EnvelopeError::NotSigned) if is_of_other_key => return Signature::OtherKey,
         Err(error) => Some(format!("`{ATTESTATION}`: {error}")),
         Ok(statement) => wrong_subjects(opened, &statement),
     };

@@ -23,6 +23,10 @@ pub struct Trace {
     pub command: String,
     /// The program with its version.
     pub program: String,
+    /// Start of the run, in seconds since 1970.
+    pub started_unix_s: u64,
+    /// Photos that the sources among the steps gave.
+    pub photos_read: u64,
     /// Roles of the bytes: results of nodes, or objects of a photo.
     pub is: Vec<Role>,
     /// The nodes it took, sources first.
@@ -75,37 +79,6 @@ pub struct Product {
     pub files: Vec<Origin>,
 }
 
-impl Trace {
-    /// Returns the trace as lines of text.
-    pub fn lines(&self) -> Vec<String> {
-        let role = |role: &Role| match role {
-            Role::Output { node, output } => format!("`{output}` of `{node}`"),
-            Role::Photo { id, role } => format!("{role} of photo `{id}`"),
-        };
-        let mut lines: Vec<String> = self.is.iter().map(role).collect();
-        lines.push(format!(
-            "run {} of {}: {} ({})",
-            self.run, self.pipeline, self.command, self.program
-        ));
-        for step in self.steps.iter().rev() {
-            let (stage, version) = (&step.action.stage, step.action.version);
-            lines.push(format!("  {} ({stage} {version}), key {}", step.node, step.key));
-            for (input, maker) in &step.reads {
-                let maker = maker.as_deref().unwrap_or("outside");
-                lines.push(format!("    {input} from {maker}"));
-            }
-        }
-        for product in &self.products {
-            lines.push(format!("  photo {}", product.id));
-            for file in &product.files {
-                let from = file.url.as_deref().unwrap_or(&file.file);
-                lines.push(format!("    {from}, blake3 {}", file.blake3));
-            }
-        }
-        lines
-    }
-}
-
 impl OpenCrate {
     /// Traces the bytes of a digest. `None` if they are neither a result nor a photo of the run.
     ///
@@ -133,6 +106,12 @@ impl OpenCrate {
             pipeline: self.run.pipeline.clone(),
             command: self.run.command.clone(),
             program: self.run.program.clone(),
+            started_unix_s: self.run.started_unix_s,
+            photos_read: nodes
+                .iter()
+                .filter(|node| is_source(&actions, node))
+                .map(|node| self.rows(node).len() as u64)
+                .sum(),
             products: self.products(&actions, &nodes, &is)?,
             is,
             steps: nodes
@@ -238,8 +217,7 @@ impl OpenCrate {
         let mut files = BTreeMap::new();
         for node in nodes {
             let action = actions.get(node.name.as_str());
-            let source = action.filter(|action| action.inputs.contains_key(marf_engine::LISTING));
-            if let Some(action) = source {
+            if let Some(action) = action.filter(|_| is_source(actions, node)) {
                 files.extend(origins(self, node, action)?);
             }
         }
@@ -293,4 +271,10 @@ impl OpenCrate {
         }
         Ok(taken)
     }
+}
+
+/// Returns true if a node reads an archive.
+fn is_source(actions: &BTreeMap<&str, Action>, node: &NodeRun) -> bool {
+    let action = actions.get(node.name.as_str());
+    action.is_some_and(|action| action.inputs.contains_key(marf_engine::LISTING))
 }

@@ -9,7 +9,7 @@ use serde::Serialize;
 use super::changed::{self, Changed};
 use super::from::{ProductUses, uses};
 use super::identity::{Identity, identify};
-use super::lineage::{Origin, origin_of};
+use super::lineage::{Detail, Origin, origin_of};
 use crate::context::Context;
 use crate::error::{Answer, Diagnostic, Error};
 use crate::files::read_named;
@@ -21,8 +21,8 @@ pub struct AuditRequest {
     pub file: PathBuf,
     /// Whether everything that it was made from is read and compared with its digests.
     pub verify: bool,
-    /// Whether all products of archives are listed.
-    pub products: bool,
+    /// How much of its lineage is listed.
+    pub detail: Detail,
 }
 
 /// Who made a file.
@@ -54,9 +54,7 @@ pub struct AuditReport {
 /// A file or a store that cannot be read.
 pub fn audit(context: &Context, request: &AuditRequest) -> Result<AuditReport, Error> {
     let file = &request.file;
-    let bytes = read_named(file, &context.cancel, |error| {
-        Error::failed(format!("cannot read {}: {error}", file.display()))
-    })?;
+    let bytes = file_bytes(file, &context.cancel)?;
     let store = context.existing_store()?;
     let check = request.verify.then(|| verify::check(&store)).transpose()?;
     let runs = marf_engine::runs(&store, context.warnings())?;
@@ -73,7 +71,7 @@ pub fn audit(context: &Context, request: &AuditRequest) -> Result<AuditReport, E
             Some(node) => whole.upstream(node),
             None => whole.nodes.iter().collect(),
         };
-        lineage.push(origin_of(&whole, maker, &nodes, request.products)?);
+        lineage.push(origin_of(&whole, maker, &nodes, request.detail)?);
         if let Some(check) = &check {
             let found = verify::verify(&whole, &nodes, check)?;
             verified = verified.map(|before| before.and(found));
@@ -92,6 +90,23 @@ pub fn audit(context: &Context, request: &AuditRequest) -> Result<AuditReport, E
         lineage,
         verified,
         changed,
+    })
+}
+
+/// Reads a file to trace.
+///
+/// # Errors
+/// A folder, or a file that cannot be read.
+pub(super) fn file_bytes(file: &Path, cancel: &Cancel) -> Result<Vec<u8>, Error> {
+    if file.is_dir() {
+        let folder = file.display();
+        let diagnostic = Diagnostic::new(format!("{folder} is a folder, and `audit` traces one file"));
+        return Err(Error::Usage(diagnostic.hint(format!(
+            "name a file in it. `marf verify {folder}` checks the folder of a crate"
+        ))));
+    }
+    read_named(file, cancel, |error| {
+        Error::failed(format!("cannot read {}: {error}", file.display()))
     })
 }
 
@@ -125,11 +140,13 @@ pub fn is_whole(answer: Answer, file: &Path) -> Result<(), Error> {
     let file = file.display();
     let said = |message: String| Err(Error::Answered(answer, Diagnostic::new(message)));
     match answer {
-        // The last three are answers of a replay.
-        Answer::Whole | Answer::Differs | Answer::NotMade | Answer::NoResult => Ok(()),
-        Answer::NotOurs => said(format!("{file} was not made by a run of this store")),
+        Answer::NotOurs => said(format!("{file} is not a file of this store")),
         Answer::Altered => said(format!("{file}, or something that it was made from, was altered")),
-        Answer::Incomplete => said(format!("not all of what {file} was made from is in the store")),
-        Answer::Changed => said(format!("an archive has changed a product of {file} since")),
+        Answer::Incomplete => said(format!(
+            "{file}, or something that it was made from, is not in this store"
+        )),
+        Answer::Changed => said(format!("an archive has changed a file that {file} was made from")),
+        // The others are answers of `verify` and `replay`.
+        _ => Ok(()),
     }
 }

@@ -97,7 +97,7 @@ pub fn identify(store: &Store, runs: &[RunRecord], file: &[u8]) -> Result<Identi
         let because = "its bytes are not those that its mark names";
         (stamp.object, makers, because)
     } else {
-        let because = "its mark names another object than its bytes are";
+        let because = "its mark is that of another file";
         (content, of_content, because)
     };
     let object = unless_lost(store.get(&closest).map_err(Into::into))?;
@@ -129,7 +129,7 @@ fn unmarked(store: &Store, runs: &[RunRecord], file: &[u8]) -> Result<Identity, 
                 closest,
                 makers,
                 share: Some(1.0),
-                because: "its mark was changed, the rest is whole",
+                because: "its mark was changed, and nothing else",
             });
         }
     }
@@ -154,7 +154,7 @@ fn unmarked(store: &Store, runs: &[RunRecord], file: &[u8]) -> Result<Identity, 
             closest,
             makers: find(store, runs, &closest)?,
             share: Some(share),
-            because: "no object has its bytes, and this one resembles it most",
+            because: "it resembles a result of this store, but has other bytes",
         },
     })
 }

@@ -7,19 +7,17 @@ use marf_engine::Cancel;
 use marf_export::verify::Trace;
 use marf_provenance::stamp::Stamp;
 
+use super::file::file_bytes;
 use crate::copies::object_of;
 use crate::error::{Answer, Diagnostic, Error};
 use crate::export::{open_crate, verify_crate};
-use crate::files::read_named;
 
 /// Traces a file in the run of a crate.
 ///
 /// # Errors
 /// A file or a crate that cannot be read. Also the answers "altered", for the file or the crate, and "not ours".
 pub fn trace(file: &Path, folder: &Path, cancel: &Cancel) -> Result<Trace, Error> {
-    let bytes = read_named(file, cancel, |error| {
-        Error::failed(format!("cannot read {}: {error}", file.display()))
-    })?;
+    let bytes = file_bytes(file, cancel)?;
     let answered = |answer, message: String| Error::Answered(answer, Diagnostic::new(message));
     verify_crate(folder, cancel)?;
     let named = Stamp::take_from(&bytes).map(|(_, stamp)| stamp.object);

@@ -1,12 +1,13 @@
 //! The lineage of a file.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
-use marf_cache::{Digest, Store, manifest};
+use marf_cache::manifest::{Leaf, Root};
+use marf_cache::{Digest, Store};
 use marf_engine::{Build, OutputName};
 use marf_model::{
     Run, RunError, RunNode,
-    product::{Product, products},
+    product::{Product, products, set},
     unless_lost,
 };
 use marf_provenance::find::Maker;
@@ -15,6 +16,15 @@ use serde::Serialize;
 
 /// Number of products listed by default.
 const FIRST: usize = 3;
+
+/// How much of a lineage is listed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Detail {
+    /// The first steps and products.
+    Short,
+    /// All of it.
+    All,
+}
 
 /// Who made a file, with the lineage up to the products.
 #[derive(Debug, Serialize)]
@@ -38,6 +48,20 @@ pub struct Origin {
     pub nodes: Vec<Step>,
     /// The products that the sources among them read.
     pub sources: Vec<Products>,
+    /// The photos that it was made from. Absent if the store has lost a set of photos.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub photos: Option<PhotoCount>,
+}
+
+/// How many photos went into something.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct PhotoCount {
+    /// Photos that went into it.
+    pub used: u64,
+    /// Photos that the archives gave.
+    pub read: u64,
+    /// Sols of the used photos. Empty if a photo has no known sol.
+    pub sols: BTreeSet<u32>,
 }
 
 /// A node of a lineage.
@@ -127,12 +151,19 @@ pub fn origin_of(
     lineage: &Run<'_>,
     maker: &Maker,
     nodes: &[&RunNode],
-    all_products: bool,
+    detail: Detail,
 ) -> Result<Origin, RunError> {
     let run = &lineage.record;
-    let most = if all_products { usize::MAX } else { FIRST };
+    let most = match detail {
+        Detail::All => usize::MAX,
+        Detail::Short => FIRST,
+    };
     let sources = nodes.iter().filter(|node| node.is_source());
+    let sources = sources.map(|node| read_by(lineage.store(), node, most));
+    let sources: Vec<Products> = sources.collect::<Result<_, _>>()?;
+    let read = sources.iter().map(|source| source.photos).sum();
     Ok(Origin {
+        photos: unless_lost(photos_of(lineage.store(), nodes, read))?,
         maker: maker.clone(),
         run: run.number,
         root: run.root,
@@ -141,9 +172,34 @@ pub fn origin_of(
         build: run.build.clone(),
         started_unix_s: run.started_unix_s,
         nodes: nodes.iter().map(|node| step(lineage.store(), node)).collect(),
-        sources: sources
-            .map(|node| read_by(lineage.store(), node, most))
-            .collect::<Result<_, _>>()?,
+        sources,
+    })
+}
+
+/// Counts the photos that nodes read and did not pass on to others. Where all pass them on, counts those that the last one read or gave.
+fn photos_of(store: &Store, nodes: &[&RunNode], read: u64) -> Result<PhotoCount, RunError> {
+    let set_of = |node: &RunNode| {
+        let input = node.run.inputs.get(PHOTOS).map(|input| input.digest);
+        input.or_else(|| node.run.outputs.get(PHOTOS).map(|output| output.digest))
+    };
+    let whole = || nodes.iter().filter(|node| !node.is_child());
+    let ends = whole().filter(|node| !node.run.outputs.contains_key(PHOTOS));
+    let mut sets: BTreeSet<Digest> = ends.filter_map(|node| set_of(node)).collect();
+    if sets.is_empty() {
+        sets.extend(whole().rev().find_map(|node| set_of(node)));
+    }
+    let mut photos = BTreeSet::new();
+    for root in &sets {
+        for leaf in set(store, root)?.leaves {
+            let rows = Leaf::decode(&store.get(&leaf.leaf)?)?.rows;
+            photos.extend(rows.into_iter().map(|row| (leaf.shard, row.id)));
+        }
+    }
+    let sols: BTreeSet<u32> = photos.iter().map(|(sol, _)| *sol).collect();
+    Ok(PhotoCount {
+        used: photos.len() as u64,
+        read,
+        sols: if sols.contains(&0) { BTreeSet::new() } else { sols },
     })
 }
 
@@ -164,7 +220,7 @@ fn step(store: &Store, node: &RunNode) -> Step {
         let input = StepInput {
             digest: input.digest,
             made_by: input.made_by.clone(),
-            photos: bytes.and_then(|bytes| manifest::Root::count(&bytes).ok()),
+            photos: bytes.and_then(|bytes| Root::count(&bytes).ok()),
         };
         (name.clone(), input)
     };

@@ -11,4 +11,4 @@ pub use changed::Changed;
 pub use file::{AuditReport, AuditRequest, audit, is_whole};
 pub use from::{ProductUses, uses};
 pub use in_crate::trace;
-pub use lineage::{Origin, ProductLine, Products, Step, StepInput};
+pub use lineage::{Detail, Origin, PhotoCount, ProductLine, Products, Step, StepInput};

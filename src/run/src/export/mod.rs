@@ -9,4 +9,4 @@ mod verify;
 pub use attest::{Attestation, attest};
 pub use crates::{CrateRequest, CrateResult, export as export_crate};
 pub use surface::{SurfaceKind, SurfaceRequest, SurfaceResult, export as export_surface};
-pub use verify::{Statement, VerifyResult, open_crate, verify_crate, verify_path, without_faults};
+pub use verify::{CrateCheck, Statement, VerifyResult, open_crate, verify_crate, verify_path};

@@ -19,6 +19,11 @@ use crate::program;
 pub struct ReplayReport {
     /// Number of the run.
     pub run: u64,
+    /// The node that was repeated with all that leads to it. Absent for all nodes.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub node: Option<String>,
+    /// The answer in a word.
+    pub answer: Answer,
     /// Threads that the replay used.
     pub threads: usize,
     /// The nodes.
@@ -65,6 +70,8 @@ pub fn replay(context: &Context, what: Option<&str>, scratch: Option<&Path>) -> 
     scratch.take_warnings().into_iter().for_each(context.warnings());
     Ok(ReplayReport {
         run: lineage.record.number,
+        answer: answer(&replayed),
+        node,
         threads: replay.record.threads,
         nodes: replayed,
     })
@@ -100,30 +107,34 @@ pub fn is_missing(node: &Replayed) -> bool {
     matches!(node.not_made, Some(NotMade::NotMade(_)))
 }
 
-/// Returns an error unless every result is equal. A difference counts before a result that could not be computed.
+/// Returns the answer. A difference counts before a result that could not be computed, and that before results that are equal.
+fn answer(nodes: &[Replayed]) -> Answer {
+    if nodes.iter().any(differs) {
+        Answer::Differs
+    } else if nodes.iter().any(is_missing) {
+        Answer::NotMade
+    } else if nodes.iter().any(Replayed::is_equal) {
+        Answer::Whole
+    } else {
+        Answer::NoResult
+    }
+}
+
+/// Returns an error unless every result is equal.
 ///
 /// # Errors
 /// [`Error::Answered`]: differs, not made, or nothing to compare.
 pub fn is_equal(report: &ReplayReport) -> Result<(), Error> {
-    let first = |wanted: fn(&Replayed) -> bool| report.nodes.iter().find(|node| wanted(node));
-    if report.nodes.is_empty() {
-        let diagnostic = Diagnostic::new(format!("run {} has no result to compare with", report.run));
-        let hint = "`marf log` lists all runs. Name one that has results";
-        return Err(Error::Answered(Answer::NoResult, diagnostic.hint(hint)));
-    }
-    let (answer, said) = match (first(differs), first(is_missing)) {
-        (Some(node), _) => (
-            Answer::Differs,
-            format!("did not come out as it was, first at `{}`", node.node),
-        ),
-        (None, Some(node)) => (
-            Answer::NotMade,
-            format!("could not all be made again here, first `{}`", node.node),
-        ),
-        (None, None) => return Ok(()),
-    };
-    let diagnostic = Diagnostic::new(format!("run {} {said}", report.run));
-    Err(Error::Answered(answer, diagnostic))
+    let run = report.run;
+    let diagnostic = Diagnostic::new(match report.answer {
+        Answer::Differs => format!("a result of run {run} is different"),
+        Answer::NotMade => format!("a part of run {run} could not be repeated here"),
+        Answer::NoResult => format!("run {run} has no result to compare with"),
+        _ => return Ok(()),
+    });
+    let hint = (report.answer == Answer::NoResult)
+        .then(|| "`marf log` lists all runs. Name one with results".to_owned());
+    Err(Error::Answered(report.answer, Diagnostic { hint, ..diagnostic }))
 }
 
 #[cfg(test)]
@@ -155,12 +166,15 @@ mod tests {
         let differing = || node(&["field"], None);
         for (nodes, expected) in [
             (vec![], Some(Answer::NoResult)),
+            (vec![taken_over()], Some(Answer::NoResult)),
             (vec![made(), taken_over()], None),
             (vec![made(), missing(), taken_over()], Some(Answer::NotMade)),
             (vec![missing(), differing(), made()], Some(Answer::Differs)),
         ] {
             let report = ReplayReport {
                 run: 1,
+                node: None,
+                answer: answer(&nodes),
                 threads: 1,
                 nodes,
             };

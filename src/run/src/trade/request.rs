@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use marf_cache::file::{FileKind, Links, read_text};
 use marf_engine::{Options, document};
+use marf_progress::format;
 use marf_report::trade::{self, Point, Trade};
 
 use super::base::Base;
@@ -66,8 +67,10 @@ pub fn trade(context: &Context, request: &TradeRequest) -> Result<Trade, Error> 
     let seconds = points[0].means().map_or(0.0, |(_, seconds)| seconds);
     let trainings = (with_seeds as u64 - 1) * request.seeds + (points.len() - with_seeds) as u64;
     context.feedback.note(&format!(
-        "{count} points, {trainings} trainings: about {:.0} min if all took as long as the first",
-        trainings as f64 * seconds / 60.0
+        "{}, {}: about {} if all take as long as the first",
+        format::count(count, "point"),
+        format::count(trainings as usize, "training"),
+        format::duration(trainings as f64 * seconds)
     ));
     for (index, point) in points.iter_mut().enumerate().skip(1) {
         context

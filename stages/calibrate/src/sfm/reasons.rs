@@ -164,7 +164,7 @@ impl Cause {
                 "leave out blurred photos (`blur`), raise `feature_side_px`, or set `first_octave = \"doubled\"`"
             }
             Self::NoOverlap { .. } => {
-                "add the photos between (widen `extract.sols`), compare all with `pairs = \"exhaustive\"`, or \
+                "add the photos between (widen `sols` of the archive), compare all with `pairs = \"exhaustive\"`, or \
                  lower `min_matches`"
             }
             Self::PureRotation { .. } => {

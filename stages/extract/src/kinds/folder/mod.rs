@@ -164,7 +164,8 @@ impl Folder {
         let path = self.source.root.display();
         let message = match files {
             0 => format!("`{path}` is empty"),
-            _ => format!("`{path}` holds {files} files and no photo"),
+            1 => format!("`{path}` has 1 file, which is not a photo"),
+            _ => format!("`{path}` has {files} files, and none is a photo"),
         };
         StageError::new(message)
             .hint("a photo is a JPEG, PNG, WebP, GIF, TIFF, PNM or .IMG. Hidden files are not read")
@@ -185,7 +186,7 @@ impl Folder {
         if wanted.is_empty() {
             let (first, last) = (present.first().unwrap_or(&0), present.last().unwrap_or(&0));
             return Err(StageError::new(format!(
-                "`{}` has no photo of the sols asked for: its photos are of {} sols from {first} to {last}",
+                "`{}` has no photo of the requested sols: the sols of its photos are {first} to {last} ({} in all)",
                 self.source.root.display(),
                 present.len()
             ))
