@@ -7,7 +7,7 @@ use marf_report::File;
 use serde::Serialize;
 
 use crate::content::BYTES;
-use crate::range::{Wanted, wanted};
+use crate::range::{RangePart, wanted};
 
 /// Type of a page.
 pub const HTML: &str = "text/html; charset=utf-8";
@@ -28,13 +28,13 @@ pub fn file(found: Result<File, String>, range: Option<&str>) -> Response {
         (status, [(header::CONTENT_RANGE, content)], response).into_response()
     };
     let mut response = match wanted(range, length) {
-        Wanted::Whole => answer(file.media, Body::from(whole)),
-        Wanted::Part(part) => {
+        RangePart::Whole => answer(file.media, Body::from(whole)),
+        RangePart::Inside(part) => {
             let content = format!("bytes {}-{}/{length}", part.start, part.end - 1);
             let response = answer(file.media, Body::from(whole.slice(part)));
             with_range(StatusCode::PARTIAL_CONTENT, content, response)
         }
-        Wanted::Outside => {
+        RangePart::Outside => {
             let status = StatusCode::RANGE_NOT_SATISFIABLE;
             let response = refusal(status, &format!("the file has {length} bytes"));
             return with_range(status, format!("bytes */{length}"), response);

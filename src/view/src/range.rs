@@ -4,26 +4,26 @@ use std::ops::Range;
 
 /// What a request wants of a file.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Wanted {
+pub enum RangePart {
     /// All of it.
     Whole,
     /// A part that the file has.
-    Part(Range<usize>),
+    Inside(Range<usize>),
     /// A part of which the file has nothing.
     Outside,
 }
 
 /// Returns what a `Range` header requests of a file of a length: the whole without such a header, with several parts, or
 /// with an invalid one (RFC 9110, section 14.2).
-pub fn wanted(header: Option<&str>, length: usize) -> Wanted {
+pub fn wanted(header: Option<&str>, length: usize) -> RangePart {
     let Some(part) = header.and_then(|header| part(header, length)) else {
-        return Wanted::Whole;
+        return RangePart::Whole;
     };
     let part = part.start..part.end.min(length);
     if part.is_empty() {
-        return Wanted::Outside;
+        return RangePart::Outside;
     }
-    Wanted::Part(part)
+    RangePart::Inside(part)
 }
 
 /// Returns the requested part, also outside the file.
@@ -52,7 +52,7 @@ mod tests {
 
     #[test]
     fn a_part_is_within_the_file_or_outside_and_what_is_invalid_is_the_whole() {
-        let part = |range| Wanted::Part(range);
+        let part = |range| RangePart::Inside(range);
         for (header, expected) in [
             ("bytes=0-", part(0..10)),
             ("bytes=4-", part(4..10)),
@@ -62,20 +62,20 @@ mod tests {
             ("bytes=-99", part(0..10)),
             ("bytes=0-18446744073709551615", part(0..10)),
             ("bytes=0-99999999999999999999", part(0..10)),
-            ("bytes=10-", Wanted::Outside),
-            ("bytes=10-12", Wanted::Outside),
-            ("bytes=99999999999999999999-", Wanted::Outside),
-            ("bytes=-0", Wanted::Outside),
-            ("bytes=5-4", Wanted::Whole),
-            ("bytes=0-1,4-5", Wanted::Whole),
-            ("bytes=x-", Wanted::Whole),
-            ("bytes=+1-", Wanted::Whole),
-            ("bytes=-", Wanted::Whole),
-            ("lines=0-1", Wanted::Whole),
+            ("bytes=10-", RangePart::Outside),
+            ("bytes=10-12", RangePart::Outside),
+            ("bytes=99999999999999999999-", RangePart::Outside),
+            ("bytes=-0", RangePart::Outside),
+            ("bytes=5-4", RangePart::Whole),
+            ("bytes=0-1,4-5", RangePart::Whole),
+            ("bytes=x-", RangePart::Whole),
+            ("bytes=+1-", RangePart::Whole),
+            ("bytes=-", RangePart::Whole),
+            ("lines=0-1", RangePart::Whole),
         ] {
             assert_eq!(wanted(Some(header), 10), expected, "{header}");
         }
-        assert_eq!(wanted(None, 10), Wanted::Whole);
-        assert_eq!(wanted(Some("bytes=0-"), 0), Wanted::Outside);
+        assert_eq!(wanted(None, 10), RangePart::Whole);
+        assert_eq!(wanted(Some("bytes=0-"), 0), RangePart::Outside);
     }
 }
