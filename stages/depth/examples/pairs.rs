@@ -3,7 +3,10 @@
 
 use std::path::{Path, PathBuf};
 
-use marf_depth::{NONE, Picture, Raster, Search, match_pair};
+use marf_depth::{Class, Disparities, Picture, Raster, Search, match_pair};
+
+/// No true disparity.
+const NONE: f32 = f32::NEG_INFINITY;
 
 struct Pair {
     name: &'static str,
@@ -116,97 +119,191 @@ fn peak_mib() -> u64 {
     line.split_whitespace().nth(1).unwrap().parse::<u64>().unwrap() / 1024
 }
 
-fn save(out: &Option<PathBuf>, name: &str, map: &Raster<f32>, count: usize) {
-    let Some(out) = out else { return };
+/// Writes disparities as colours from blue (far) to red (near), black where there is none.
+fn save(path: &Path, map: &Raster<f32>, count: usize) {
     let picture = image::RgbImage::from_fn(map.width as u32, map.height as u32, |x, y| {
         let d = map.at(x as usize, y as usize);
-        if d == NONE {
+        if d <= 0.0 {
             return image::Rgb([0, 0, 0]);
         }
         let t = (d / count as f32).clamp(0.0, 1.0);
         let c = |shift: f32| (255.0 * (1.5 - (4.0 * t - shift).abs()).clamp(0.0, 1.0)) as u8;
         image::Rgb([c(3.0).max(30), c(2.0), c(1.0)])
     });
-    picture.save(out.join(format!("{name}.png"))).unwrap();
+    picture.save(path).unwrap();
 }
 
-fn score(disparity: &Raster<f32>, truth: &Raster<f32>) -> [f64; 5] {
-    let (mut known, mut valid, mut good, mut squares, mut locked, mut bias) = (0., 0., 0., 0., 0., 0.);
-    for (&d, &t) in disparity.values.iter().zip(&truth.values) {
-        if t == NONE {
-            continue;
+/// What is printed of a pair.
+#[derive(Default)]
+struct Score {
+    valid: f64,
+    good: f64,
+    bad: f64,
+    rms: f64,
+    locked: f64,
+    one_sigma: f64,
+    two_sigma: f64,
+    cpu: f64,
+}
+
+impl Score {
+    fn new(found: &Disparities, truth: &Raster<f32>, cpu: f64) -> Self {
+        let mut s = Self {
+            cpu,
+            ..Self::default()
+        };
+        let mut known = 0.0;
+        for (i, &t) in truth.values.iter().enumerate().filter(|(_, t)| **t != NONE) {
+            known += 1.0;
+            if found.class.values[i] == Class::None {
+                continue;
+            }
+            let (d, sigma) = (found.disparity.values[i], found.sigma.values[i]);
+            let error = (d - t).abs();
+            s.valid += 1.0;
+            s.locked += f64::from((d - d.round()).abs() <= 0.125);
+            s.one_sigma += f64::from(error <= sigma);
+            s.two_sigma += f64::from(error <= 2.0 * sigma);
+            if error <= 1.0 {
+                s.good += 1.0;
+                s.rms += f64::from(error * error);
+            }
         }
-        known += 1.0;
-        if d == NONE {
-            continue;
+        s.rms = (s.rms / s.good).sqrt();
+        s.bad = 1.0 - s.good / s.valid;
+        for share in [&mut s.locked, &mut s.one_sigma, &mut s.two_sigma] {
+            *share /= s.valid;
         }
-        valid += 1.0;
-        locked += f64::from((d - d.round()).abs() <= 0.125);
-        let e = f64::from(d - t);
-        if e.abs() <= 1.0 {
-            good += 1.0;
-            squares += e * e;
-            bias += e;
-        }
+        s.valid /= known;
+        s.good /= known;
+        s
     }
-    print!("bias {:.3} ", bias / good);
-    [
-        valid / known,
-        good / known,
-        1.0 - good / valid,
-        (squares / good).sqrt(),
-        locked / valid,
-    ]
+
+    fn fields(&self) -> [f64; 8] {
+        let Self {
+            valid,
+            good,
+            bad,
+            rms,
+            locked,
+            cpu,
+            one_sigma,
+            two_sigma,
+        } = *self;
+        [valid, good, bad, rms, locked, cpu, one_sigma, two_sigma]
+    }
+}
+
+fn print_row(name: &str, fields: [f64; 8]) {
+    let fields: Vec<String> = fields.iter().map(|field| format!("{field:.3}")).collect();
+    println!("| marf | {name} | {} |", fields.join(" | "));
 }
 
 fn main() {
     let arguments: Vec<PathBuf> = std::env::args_os().skip(1).map(PathBuf::from).collect();
     let root = &arguments[0];
     let out = arguments.get(1).cloned();
-    let mut sums = [0.0; 5];
+    println!(
+        "| | pair | valid | valid and within 1 px | bad of valid | rms px | locked | CPU s | 1 sigma | 2 sigma |"
+    );
+    println!("|---|---|---|---|---|---|---|---|---|---|");
+    let mut means = [0.0; 8];
     for pair in &PAIRS {
         let [left, right, file] = pair.files.map(|file| root.join(file));
         let (left, right) = (Picture::new(grey(&left)), Picture::new(grey(&right)));
         let truth = truth(&file, pair.scale);
-        let cpu = cpu_seconds();
-        let found = match_pair(
-            &left,
-            &right,
-            Search {
-                first: 0,
-                count: pair.count,
-            },
-        );
-        let cpu = cpu_seconds() - cpu;
-        save(&out, pair.name, &found.disparity, pair.count);
-        save(&out, &format!("{}-truth", pair.name), &truth, pair.count);
-        let raw = score(&found.raw, &truth);
-        let s = score(&found.disparity, &truth);
-        for (sum, s) in sums.iter_mut().zip(s) {
-            *sum += s / PAIRS.len() as f64;
-        }
-        println!(
-            "| {:10} | {:.3} | {:.3} | {:.3} | {:.3} | {:.3} | {:.2} | raw {:.3?}",
-            pair.name, s[0], s[1], s[2], s[3], s[4], cpu, raw
-        );
-    }
-    println!("| mean | {:.3?} | peak {}", sums, peak_mib());
-    if std::env::var("BIG").is_ok() {
-        let big = |name: &str| {
-            let picture = image::open(root.join(name)).unwrap().to_rgb8();
-            let picture =
-                image::imageops::resize(&picture, 1648, 1200, image::imageops::FilterType::Triangle);
-            let path = std::env::temp_dir().join(format!("{name}.big.png"));
-            picture.save(&path).unwrap();
-            Picture::new(grey(&path))
+        let search = Search {
+            first: 0,
+            count: pair.count,
         };
-        let (left, right) = (big("aloeL.jpg"), big("aloeR.jpg"));
         let cpu = cpu_seconds();
-        match_pair(&left, &right, Search { first: 0, count: 256 });
-        println!(
-            "1648x1200x256 cpu {:.2} peak MiB {}",
-            cpu_seconds() - cpu,
-            peak_mib()
-        );
+        let found = match_pair(&left, &right, search).unwrap();
+        let score = Score::new(&found, &truth, cpu_seconds() - cpu);
+        if let Some(out) = &out {
+            save(
+                &out.join(format!("{}.png", pair.name)),
+                &found.disparity,
+                pair.count,
+            );
+            save(&out.join(format!("{}-truth.png", pair.name)), &truth, pair.count);
+        }
+        deciles(&found, &truth);
+        print_row(pair.name, score.fields());
+        for (mean, field) in means.iter_mut().zip(score.fields()) {
+            *mean += field / PAIRS.len() as f64;
+        }
+    }
+    print_row("mean", means);
+    if std::env::var("SMALL").is_err() {
+        large(root);
+    }
+}
+
+/// The largest pair, enlarged to the size of a Mars photo.
+fn large(root: &Path) {
+    let picture = |name: &str| {
+        let picture = image::open(root.join(name)).unwrap().to_luma8();
+        let kind = image::imageops::FilterType::Triangle;
+        let picture = image::imageops::resize(&picture, 1648, 1200, kind);
+        Picture::new(Raster {
+            width: 1648,
+            height: 1200,
+            values: picture.into_raw(),
+        })
+    };
+    let (left, right) = (picture("aloeL.jpg"), picture("aloeR.jpg"));
+    let cpu = cpu_seconds();
+    match_pair(&left, &right, Search { first: 0, count: 256 }).unwrap();
+    println!(
+        "| marf | 1648x1200x256 | CPU s {:.2} | peak MiB {} |",
+        cpu_seconds() - cpu,
+        peak_mib()
+    );
+}
+
+fn deciles(found: &Disparities, truth: &Raster<f32>) {
+    if std::env::var("DEC").is_err() {
+        return;
+    }
+    let mut v: Vec<(f32, f32)> = vec![];
+    let mut edge: Vec<(f32, f32)> = vec![];
+    let (w, h) = (truth.width as isize, truth.height as isize);
+    for i in 0..truth.values.len() {
+        let (d, t) = (found.disparity.values[i], truth.values[i]);
+        if found.class.values[i] == Class::None || t == NONE {
+            continue;
+        }
+        v.push((found.sigma.values[i], (d - t).abs()));
+        let (x, y) = (i as isize % w, i as isize / w);
+        let mut near = 9.0f32;
+        for dy in -4..=4isize {
+            for dx in -4..=4isize {
+                let (a, b) = (x + dx, y + dy);
+                if a < 0 || b < 0 || a >= w || b >= h {
+                    continue;
+                }
+                let o = found.disparity.at(a as usize, b as usize);
+                if o == 0.0 || (o - d).abs() > 2.0 {
+                    near = near.min(dx.abs().max(dy.abs()) as f32);
+                }
+            }
+        }
+        edge.push((near, (d - t).abs()));
+    }
+    for mut v in [v, edge] {
+        v.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let n = v.len();
+        for k in 0..10 {
+            let part = &v[k * n / 10..(k + 1) * n / 10];
+            let bad = part.iter().filter(|p| p.1 > 1.0).count() as f64 / part.len() as f64;
+            let good: Vec<f64> = part
+                .iter()
+                .filter(|p| p.1 <= 1.0)
+                .map(|p| f64::from(p.1))
+                .collect();
+            let rms = (good.iter().map(|e| e * e).sum::<f64>() / good.len() as f64).sqrt();
+            print!("[{:.2} bad {:.3} rms {:.3}] ", part[0].0, bad, rms);
+        }
+        println!();
     }
 }

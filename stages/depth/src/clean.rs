@@ -96,3 +96,62 @@ fn fill_row(row: &mut [f32]) -> bool {
     }
     row.first().is_some_and(|&first| first != NONE)
 }
+
+/// How far an edge reaches, in pixels.
+const EDGE_REACH: isize = 2;
+
+/// A jump between neighbouring surfaces, in pixels of disparity.
+const JUMP: f32 = 2.0;
+
+/// Returns whether a pixel with another surface is at most [`EDGE_REACH`] away.
+pub(crate) fn beside_a_jump(disparity: &Raster<f32>, x: usize, y: usize) -> bool {
+    let here = disparity.at(x, y);
+    let reach = -EDGE_REACH..=EDGE_REACH;
+    reach.clone().any(|dy| {
+        reach.clone().any(|dx| {
+            let there = disparity.clamped(x as isize + dx, y as isize + dy);
+            there != NONE && (there - here).abs() > JUMP * dx.abs().max(dy.abs()).max(1) as f32
+        })
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn raster(width: usize, values: &[f32]) -> Raster<f32> {
+        Raster {
+            width,
+            height: values.len() / width,
+            values: values.to_vec(),
+        }
+    }
+
+    #[test]
+    fn islands_go_and_slopes_stay() {
+        let mut map = raster(4, &[1.0, 2.0, 9.0, 9.5, 1.0, 3.0, NONE, NONE]);
+        remove_islands(&mut map, 3);
+        assert_eq!(map.values, [1.0, 2.0, NONE, NONE, 1.0, 3.0, NONE, NONE]);
+    }
+
+    #[test]
+    fn holes_are_filled_with_the_farther_side_and_empty_rows_with_the_next() {
+        let map = raster(
+            4,
+            &[
+                NONE, NONE, NONE, NONE, 7.0, NONE, 3.0, NONE, NONE, NONE, NONE, NONE,
+            ],
+        );
+        let row = [7.0, 3.0, 3.0, 3.0];
+        assert_eq!(filled(&map, 1.0).values, [row, row, row].concat());
+        assert_eq!(filled(&raster(2, &[NONE; 4]), 1.5).values, [1.5; 4]);
+    }
+
+    #[test]
+    fn an_edge_is_a_jump_of_two_pixels_a_pixel() {
+        let map = raster(5, &[5.0, 6.0, 7.0, 12.0, 12.0]);
+        let found: Vec<bool> = (0..5).map(|x| beside_a_jump(&map, x, 0)).collect();
+        assert_eq!(found, [false, true, true, true, true]);
+        assert!(!beside_a_jump(&raster(2, &[5.0, NONE]), 0, 0));
+    }
+}

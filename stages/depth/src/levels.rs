@@ -21,7 +21,7 @@ pub(crate) fn coarse_to_fine(set: InstructionSet, pair: [&Picture; 2], search: S
             pair,
             Candidates {
                 first,
-                count: search.blocks(),
+                count: search.candidates(),
                 last: search.last(),
             },
             0,
@@ -32,7 +32,7 @@ pub(crate) fn coarse_to_fine(set: InstructionSet, pair: [&Picture; 2], search: S
     let coarse = coarse_to_fine(set, [&halves[0], &halves[1]], half);
     drop(halves);
     let prior = filled(&coarse, half.first as f32);
-    let count = tuning::FINE_CANDIDATES.min(search.blocks());
+    let count = tuning::FINE_CANDIDATES.min(search.candidates());
     let first = around(&prior, [width, height], search, count);
     match_level(
         set,
@@ -48,7 +48,7 @@ pub(crate) fn coarse_to_fine(set: InstructionSet, pair: [&Picture; 2], search: S
 
 /// Returns how often pictures are halved until all disparities of all pixels fit the memory.
 fn coarsest_level(width: usize, height: usize, search: Search) -> usize {
-    if width * height * search.blocks() <= tuning::FULL_CELLS || search.blocks() <= BLOCK {
+    if width * height * search.candidates() <= tuning::FULL_CELLS || search.candidates() <= BLOCK {
         return 0;
     }
     1 + coarsest_level(width.div_ceil(2), height.div_ceil(2), search.halved())

@@ -270,3 +270,122 @@ impl Half<'_> {
 fn average(a: u8, b: u8) -> u8 {
     (u16::from(a) + u16::from(b)).div_ceil(2) as u8
 }
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    #[test]
+    fn a_jump_costs_less_where_brightness_changes_and_always_fits_a_byte() {
+        let penalties = Penalties::new(8, 96, 24, 8);
+        // 24 + 72 x 8 / (8 + change), rounded down.
+        assert_eq!(
+            [0, 8, 64, 255].map(|change: usize| penalties.more[change]),
+            [96, 60, 32, 26]
+        );
+        assert_eq!(Penalties::new(8, 255, 255, 8).more[0], u8::MAX - COST_MAX);
+    }
+
+    /// Path costs of one direction, by the formula alone.
+    fn by_formula(volume: &Volume, grey: &Raster<u8>, penalties: &Penalties, [dx, dy]: [i64; 2]) -> Vec<i64> {
+        let (width, height, n) = (
+            volume.width as i64,
+            volume.height as i64,
+            volume.candidates as i64,
+        );
+        let mut costs = vec![0i64; volume.costs.len()];
+        let rows: Vec<i64> = if dy >= 0 {
+            (0..height).collect()
+        } else {
+            (0..height).rev().collect()
+        };
+        for y in rows {
+            let columns: Vec<i64> = if dx >= 0 {
+                (0..width).collect()
+            } else {
+                (0..width).rev().collect()
+            };
+            for x in columns {
+                let (bx, by) = (x - dx, y - dy);
+                let here = y * width + x;
+                for i in 0..n {
+                    let own = i64::from(volume.costs[(here * n + i) as usize]);
+                    let mut extra = 0;
+                    if bx >= 0 && by >= 0 && bx < width && by < height {
+                        let there = by * width + bx;
+                        let before = &costs[(there * n) as usize..((there + 1) * n) as usize];
+                        let least = *before.iter().min().unwrap();
+                        let shift = volume.first.values[here as usize] - volume.first.values[there as usize];
+                        let at = |j: i64| usize::try_from(j).ok().and_then(|j| before.get(j)).copied();
+                        let j = i + i64::from(shift);
+                        let change = grey.values[here as usize].abs_diff(grey.values[there as usize]);
+                        let one = i64::from(penalties.one);
+                        let mut best = least + i64::from(penalties.more[usize::from(change)]);
+                        for (j, penalty) in [(j, 0), (j - 1, one), (j + 1, one)] {
+                            best = best.min(at(j).map_or(i64::MAX, |cost| cost + penalty));
+                        }
+                        extra = best - least;
+                    }
+                    costs[(here * n + i) as usize] = own + extra;
+                }
+            }
+        }
+        costs
+    }
+
+    fn any_volume() -> impl Strategy<Value = (Volume, Raster<u8>)> {
+        (1usize..7, 1usize..5).prop_flat_map(|(width, height)| {
+            let pixels = width * height;
+            let costs = prop::collection::vec(0..=COST_MAX, pixels * BLOCK);
+            let first = prop::collection::vec(prop_oneof![-2i32..3, -40i32..40], pixels);
+            let grey = prop::collection::vec(any::<u8>(), pixels);
+            (costs, first, grey).prop_map(move |(costs, first, grey)| {
+                let first = Raster {
+                    width,
+                    height,
+                    values: first,
+                };
+                (
+                    Volume {
+                        width,
+                        height,
+                        candidates: BLOCK,
+                        first,
+                        costs,
+                    },
+                    Raster {
+                        width,
+                        height,
+                        values: grey,
+                    },
+                )
+            })
+        })
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+
+        #[test]
+        fn path_costs_are_those_of_the_formula_on_every_set((volume, grey) in any_volume()) {
+            let penalties = Penalties::new(5, 90, 20, 8);
+            let mean = |directions: [[i64; 2]; PATHS]| -> Vec<u8> {
+                let paths = directions.map(|direction| by_formula(&volume, &grey, &penalties, direction));
+                let pair = |a: i64, b: i64| (a + b + 1) / 2;
+                let sums = (0..volume.costs.len()).map(|i| {
+                    pair(pair(paths[0][i], paths[1][i]), pair(paths[2][i], paths[3][i]))
+                });
+                sums.map(|mean| u8::try_from(mean).unwrap()).collect()
+            };
+            let down = mean([[1, 0], [1, 1], [0, 1], [-1, 1]]);
+            let up = mean([[-1, 0], [-1, -1], [0, -1], [1, -1]]);
+            for set in InstructionSet::all() {
+                let found = path_costs(set, &volume, &grey, &penalties);
+                prop_assert!(found.down == down, "{:?}", set);
+                prop_assert!(found.up == up, "{:?}", set);
+            }
+        }
+    }
+}

@@ -9,7 +9,7 @@ use crate::tuning;
 use crate::winner::NONE;
 
 /// Half the width of the window in which a plane is fitted.
-const RADIUS: usize = 4;
+const RADIUS: usize = 8;
 
 /// Pixels that are computed together.
 const LANES: usize = 8;
@@ -40,7 +40,16 @@ pub(crate) fn refine(set: InstructionSet, pair: [&Picture; 2], disparity: Raster
     };
     for round in 0..tuning::T.rounds {
         let measured = Measured::new([&left, &right], &planes.disparity);
-        planes = fit(set, &measured, planes, if round == 0 { 2.0 } else { 1.0 });
+        planes = fit(
+            set,
+            &measured,
+            planes,
+            if round == 0 {
+                tuning::T.reach0
+            } else {
+                tuning::T.reach
+            },
+        );
     }
     planes
 }
@@ -73,6 +82,8 @@ struct Measured {
     push: Raster<f32>,
     /// e^2.
     energy: Raster<f32>,
+    /// Brightness of the left picture.
+    bright: Raster<f32>,
 }
 
 /// Half the width of the window of the mean brightness.
@@ -115,6 +126,7 @@ impl Measured {
             push: Raster::filled(width, height, 0.0),
             energy: Raster::filled(width, height, 0.0),
             weight,
+            bright: left.clone(),
         };
         for i in 0..slope.values.len() {
             if measured.weight.values[i] > 0.0 {
@@ -143,6 +155,7 @@ impl Measured {
             texture: self.texture.padded(margin),
             push: self.push.padded(margin),
             energy: self.energy.padded(margin),
+            bright: self.bright.padded(margin),
         }
     }
 }
@@ -307,7 +320,7 @@ impl Kernel for FitRow<'_> {
                     continue;
                 }
                 // Few pixels decide no slope.
-                let ridge = 0.05 * sums.n[i] + 1e-3;
+                let ridge = tuning::T.ridge * sums.n[i] + 1e-3;
                 let (n, a, b) = (sums.n[i] + 1e-6, sums.x[i], sums.y[i]);
                 let (xx, xy, yy) = (sums.xx[i] + ridge, sums.xy[i], sums.yy[i] + ridge);
                 let (cxx, cxy, cyy) = (xx - a * a / n, xy - a * b / n, yy - b * b / n);
@@ -334,12 +347,19 @@ impl FitRow<'_> {
         let mut sums = Sums::default();
         let margin = RADIUS + LANES;
         let inverse = 1.0 / (self.reach * self.reach);
-        for v in 0..=2 * RADIUS {
-            let row = (self.y + margin - RADIUS + v) * self.measured.disparity.width;
-            let dy = v as f32 - RADIUS as f32;
-            for u in 0..=2 * RADIUS {
-                let dx = u as f32 - RADIUS as f32;
-                let at = row + start + margin - RADIUS + u;
+        let radius = tuning::T.radius;
+        let falls = 1.0 / (tuning::T.space * tuning::T.space);
+        let tones = 1.0 / (tuning::T.tone * tuning::T.tone);
+        let mut own = [0.0; LANES];
+        let at = (self.y + margin) * self.measured.disparity.width + start + margin;
+        own.copy_from_slice(&self.measured.bright.values[at..at + LANES]);
+        for v in 0..=2 * radius {
+            let row = (self.y + margin - radius + v) * self.measured.disparity.width;
+            let dy = v as f32 - radius as f32;
+            for u in 0..=2 * radius {
+                let dx = u as f32 - radius as f32;
+                let at = row + start + margin - radius + u;
+                let space = 1.0 / (1.0 + (dx * dx + dy * dy) * falls);
                 let load = |raster: &Raster<f32>| -> Lanes {
                     let mut lanes = [0.0; LANES];
                     lanes.copy_from_slice(&raster.values[at..at + LANES]);
@@ -350,11 +370,13 @@ impl FitRow<'_> {
                 let texture = load(&self.measured.texture);
                 let push = load(&self.measured.push);
                 let energy = load(&self.measured.energy);
+                let bright = load(&self.measured.bright);
                 for i in 0..LANES {
                     let rise = disparity[i] - centre[i];
                     let off = rise - slopes[0][i] * dx - slopes[1][i] * dy;
                     let near = (1.0 - off * off * inverse).max(0.0);
-                    let w = weight[i] * near;
+                    let tone = bright[i] - own[i];
+                    let w = space * weight[i] * near / (1.0 + tone * tone * tones);
                     let g = w * (texture[i] + eps);
                     let z = g * rise + w * push[i];
                     sums.n[i] += g;

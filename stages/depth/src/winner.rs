@@ -7,6 +7,7 @@ use crate::cost::Volume;
 use crate::kernel::{self, Kernel};
 use crate::paths::PathCosts;
 use crate::raster::Raster;
+use crate::tuning;
 
 /// A pixel without a disparity.
 pub(crate) const NONE: f32 = f32::NEG_INFINITY;
@@ -70,7 +71,16 @@ impl Kernel for WinnerRow<'_> {
                 *key = ((u32::from(down[i]) + u32::from(up[i])) << COST_SHIFT) | i as u32;
             }
             keys[count..].fill(u32::MAX);
-            best[x] = keys.iter().fold(u32::MAX, |best, &key| best.min(key));
+            let least = keys.iter().fold(u32::MAX, |best, &key| best.min(key));
+            let (at, second) = ((least & 0xffff) as usize, least >> COST_SHIFT);
+            let mut rival = u32::MAX;
+            for (i, &key) in keys.iter().enumerate() {
+                let near = i.abs_diff(at) <= 1;
+                rival = rival.min(if near { u32::MAX } else { key });
+            }
+            rival >>= COST_SHIFT;
+            let unique = count > 1 && rival > second + tuning::T.unique;
+            best[x] = if unique { least } else { u32::MAX };
             let offset = (first[x] - lowest) as u32;
             let at = place(width, candidates, x, first[x]);
             for (other, &key) in others[at..at + candidates].iter_mut().zip(&keys) {
@@ -116,4 +126,19 @@ fn vertex(before: i32, after: i32) -> f32 {
         return 0.0;
     }
     (before - after) as f32 / (2 * steep) as f32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn two_lines_of_equal_slope_meet_where_three_costs_say() {
+        // Equal sides: the middle. One side free: half a pixel towards it. 4 and 8: (4 - 8) / 16 to the left.
+        assert_eq!(vertex(6, 6), 0.0);
+        assert_eq!(vertex(0, 6), -0.5);
+        assert_eq!(vertex(6, 0), 0.5);
+        assert_eq!(vertex(4, 8), -0.25);
+        assert_eq!(vertex(0, 0), 0.0);
+    }
 }
