@@ -18,6 +18,7 @@ mod kernel;
 mod levels;
 mod paths;
 mod raster;
+mod rectify;
 mod refine;
 #[cfg(test)]
 mod tests;
@@ -28,6 +29,7 @@ use marf_numeric::InstructionSet;
 use thiserror::Error;
 
 pub use raster::{Picture, Raster};
+pub use rectify::{Eye, LEAST_ANGLE_DEG, Pinhole, Rectified, RectifyError};
 use refine::Planes;
 use winner::NONE;
 
