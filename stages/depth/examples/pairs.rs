@@ -227,16 +227,13 @@ fn main() {
             );
             save(&out.join(format!("{}-truth.png", pair.name)), &truth, pair.count);
         }
-        deciles(&found, &truth);
         print_row(pair.name, score.fields());
         for (mean, field) in means.iter_mut().zip(score.fields()) {
             *mean += field / PAIRS.len() as f64;
         }
     }
     print_row("mean", means);
-    if std::env::var("SMALL").is_err() {
-        large(root);
-    }
+    large(root);
 }
 
 /// The largest pair, enlarged to the size of a Mars photo.
@@ -259,51 +256,4 @@ fn large(root: &Path) {
         cpu_seconds() - cpu,
         peak_mib()
     );
-}
-
-fn deciles(found: &Disparities, truth: &Raster<f32>) {
-    if std::env::var("DEC").is_err() {
-        return;
-    }
-    let mut v: Vec<(f32, f32)> = vec![];
-    let mut edge: Vec<(f32, f32)> = vec![];
-    let (w, h) = (truth.width as isize, truth.height as isize);
-    for i in 0..truth.values.len() {
-        let (d, t) = (found.disparity.values[i], truth.values[i]);
-        if found.class.values[i] == Class::None || t == NONE {
-            continue;
-        }
-        v.push((found.sigma.values[i], (d - t).abs()));
-        let (x, y) = (i as isize % w, i as isize / w);
-        let mut near = 9.0f32;
-        for dy in -4..=4isize {
-            for dx in -4..=4isize {
-                let (a, b) = (x + dx, y + dy);
-                if a < 0 || b < 0 || a >= w || b >= h {
-                    continue;
-                }
-                let o = found.disparity.at(a as usize, b as usize);
-                if o == 0.0 || (o - d).abs() > 2.0 {
-                    near = near.min(dx.abs().max(dy.abs()) as f32);
-                }
-            }
-        }
-        edge.push((near, (d - t).abs()));
-    }
-    for mut v in [v, edge] {
-        v.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let n = v.len();
-        for k in 0..10 {
-            let part = &v[k * n / 10..(k + 1) * n / 10];
-            let bad = part.iter().filter(|p| p.1 > 1.0).count() as f64 / part.len() as f64;
-            let good: Vec<f64> = part
-                .iter()
-                .filter(|p| p.1 <= 1.0)
-                .map(|p| f64::from(p.1))
-                .collect();
-            let rms = (good.iter().map(|e| e * e).sum::<f64>() / good.len() as f64).sqrt();
-            print!("[{:.2} bad {:.3} rms {:.3}] ", part[0].0, bad, rms);
-        }
-        println!();
-    }
 }

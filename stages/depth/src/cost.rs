@@ -20,6 +20,7 @@ pub(crate) const COST_MAX: u8 = 62;
 const COST_UNKNOWN: u8 = 24;
 
 /// Costs of all candidates of all pixels.
+#[derive(Debug)]
 pub(crate) struct Volume {
     pub width: usize,
     pub height: usize,

@@ -3,18 +3,20 @@
 use marf_numeric::InstructionSet;
 use rayon::prelude::*;
 
+use crate::Search;
 use crate::clean::{filled, remove_islands};
 use crate::cost::{BLOCK, Volume};
 use crate::paths::{Penalties, path_costs};
 use crate::raster::{Picture, Raster};
+use crate::tuning::{
+    EDGE_BRIGHTNESS, EDGE_PENALTY, FINE_CANDIDATES, FULL_CELLS, ISLAND, JUMP_PENALTY, STEP_PENALTY,
+};
 use crate::winner::{NONE, winners};
-use crate::{Search, tuning};
 
 /// Returns disparities of the left picture, or [`NONE`] where nothing is sure.
 pub(crate) fn coarse_to_fine(set: InstructionSet, pair: [&Picture; 2], search: Search) -> Raster<f32> {
     let (width, height) = (pair[0].grey.width, pair[0].grey.height);
-    let level = coarsest_level(width, height, search);
-    if level == 0 {
+    if is_coarsest(width, height, search) {
         let first = Raster::filled(width, height, search.first);
         return match_level(
             set,
@@ -24,7 +26,6 @@ pub(crate) fn coarse_to_fine(set: InstructionSet, pair: [&Picture; 2], search: S
                 count: search.candidates(),
                 last: search.last(),
             },
-            0,
         );
     }
     let halves = pair.map(Picture::halved);
@@ -32,7 +33,7 @@ pub(crate) fn coarse_to_fine(set: InstructionSet, pair: [&Picture; 2], search: S
     let coarse = coarse_to_fine(set, [&halves[0], &halves[1]], half);
     drop(halves);
     let prior = filled(&coarse, half.first as f32);
-    let count = tuning::FINE_CANDIDATES.min(search.candidates());
+    let count = FINE_CANDIDATES.min(search.candidates());
     let first = around(&prior, [width, height], search, count);
     match_level(
         set,
@@ -42,16 +43,12 @@ pub(crate) fn coarse_to_fine(set: InstructionSet, pair: [&Picture; 2], search: S
             count,
             last: search.last(),
         },
-        level,
     )
 }
 
-/// Returns how often pictures are halved until all disparities of all pixels fit the memory.
-fn coarsest_level(width: usize, height: usize, search: Search) -> usize {
-    if width * height * search.candidates() <= tuning::FULL_CELLS || search.candidates() <= BLOCK {
-        return 0;
-    }
-    1 + coarsest_level(width.div_ceil(2), height.div_ceil(2), search.halved())
+/// Returns whether all disparities of all pixels fit the memory.
+fn is_coarsest(width: usize, height: usize, search: Search) -> bool {
+    width * height * search.candidates() <= FULL_CELLS || search.candidates() <= BLOCK
 }
 
 /// The disparities to be tried at each pixel.
@@ -61,14 +58,9 @@ struct Candidates {
     last: i32,
 }
 
-fn match_level(
-    set: InstructionSet,
-    pair: [&Picture; 2],
-    candidates: Candidates,
-    _level: usize,
-) -> Raster<f32> {
+fn match_level(set: InstructionSet, pair: [&Picture; 2], candidates: Candidates) -> Raster<f32> {
     let Candidates { first, count, last } = candidates;
-    let penalties = Penalties::new(tuning::T.one, tuning::T.flat, tuning::T.edge, tuning::T.half_at);
+    let penalties = Penalties::new(STEP_PENALTY, JUMP_PENALTY, EDGE_PENALTY, EDGE_BRIGHTNESS);
     let volume = Volume::new(set, pair, first, count);
     let costs = path_costs(set, &volume, &pair[0].grey, &penalties);
     let mut disparity = winners(set, &volume, &costs, last);
@@ -77,7 +69,7 @@ fn match_level(
             *value = NONE;
         }
     }
-    remove_islands(&mut disparity, tuning::ISLAND);
+    remove_islands(&mut disparity, ISLAND);
     disparity
 }
 

@@ -248,7 +248,7 @@ fn classify(planes: Planes, matched: &Raster<f32>) -> Disparities {
     } = planes;
     for (i, value) in disparity.values.iter_mut().enumerate() {
         let drift = (*value - matched.values[i]).abs();
-        if *value != NONE && (sigma.values[i] > tuning::T.sigma_max || drift > tuning::T.drift) {
+        if *value != NONE && (sigma.values[i] > tuning::SIGMA_MOST_PX || drift > tuning::DRIFT_PX) {
             *value = NONE;
         }
     }

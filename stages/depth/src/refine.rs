@@ -5,11 +5,8 @@ use rayon::prelude::*;
 
 use crate::kernel::{self, Kernel};
 use crate::raster::{Picture, Raster};
-use crate::tuning;
+use crate::tuning::{self, PRIOR, RADIUS};
 use crate::winner::NONE;
-
-/// Half the width of the window in which a plane is fitted.
-const RADIUS: usize = 8;
 
 /// Pixels that are computed together.
 const LANES: usize = 8;
@@ -38,16 +35,16 @@ pub(crate) fn refine(set: InstructionSet, pair: [&Picture; 2], disparity: Raster
         sigma: Raster::like(&disparity, 0.0),
         disparity,
     };
-    for round in 0..tuning::T.rounds {
+    for round in 0..tuning::ROUNDS {
         let measured = Measured::new([&left, &right], &planes.disparity);
         planes = fit(
             set,
             &measured,
             planes,
             if round == 0 {
-                tuning::T.reach0
+                tuning::FIRST_REACH_PX
             } else {
-                tuning::T.reach
+                tuning::REACH_PX
             },
         );
     }
@@ -82,8 +79,6 @@ struct Measured {
     push: Raster<f32>,
     /// e^2.
     energy: Raster<f32>,
-    /// Brightness of the left picture.
-    bright: Raster<f32>,
 }
 
 /// Half the width of the window of the mean brightness.
@@ -126,7 +121,6 @@ impl Measured {
             push: Raster::filled(width, height, 0.0),
             energy: Raster::filled(width, height, 0.0),
             weight,
-            bright: left.clone(),
         };
         for i in 0..slope.values.len() {
             if measured.weight.values[i] > 0.0 {
@@ -155,7 +149,6 @@ impl Measured {
             texture: self.texture.padded(margin),
             push: self.push.padded(margin),
             energy: self.energy.padded(margin),
-            bright: self.bright.padded(margin),
         }
     }
 }
@@ -296,7 +289,6 @@ impl Kernel for FitRow<'_> {
     #[inline(always)]
     fn run(self) {
         let width = self.planes.disparity.width;
-        let eps = tuning::T.eps;
         for start in (0..width).step_by(LANES) {
             let mut centre = [0.0; LANES];
             let mut slope_x = [0.0; LANES];
@@ -312,7 +304,7 @@ impl Kernel for FitRow<'_> {
             if !any {
                 continue;
             }
-            let sums = self.sums(start, centre, [slope_x, slope_y], eps);
+            let sums = self.sums(start, centre, [slope_x, slope_y]);
             for i in 0..LANES.min(width - start) {
                 let x = start + i;
                 let before = self.planes.disparity.at(x, self.y);
@@ -320,7 +312,7 @@ impl Kernel for FitRow<'_> {
                     continue;
                 }
                 // Few pixels decide no slope.
-                let ridge = tuning::T.ridge * sums.n[i] + 1e-3;
+                let ridge = 0.05 * sums.n[i] + 1e-3;
                 let (n, a, b) = (sums.n[i] + 1e-6, sums.x[i], sums.y[i]);
                 let (xx, xy, yy) = (sums.xx[i] + ridge, sums.xy[i], sums.yy[i] + ridge);
                 let (cxx, cxy, cyy) = (xx - a * a / n, xy - a * b / n, yy - b * b / n);
@@ -332,7 +324,9 @@ impl Kernel for FitRow<'_> {
                 // Variance of the shift: the corner of the inverse of the normal matrix, times that of the brightness.
                 let corner = 1.0 / n + (a * a * cyy - 2.0 * a * b * cxy + b * b * cxx) / (n * n * det);
                 let noise = sums.energy[i] / (sums.weight[i] + 1e-6);
-                self.out.sigma[x] = (noise * corner).sqrt();
+                let fit = noise * corner * tuning::SIGMA_SCALE * tuning::SIGMA_SCALE;
+                let least = tuning::SIGMA_LEAST_PX * tuning::SIGMA_LEAST_PX;
+                self.out.sigma[x] = (least + fit.max(0.0)).sqrt();
                 self.out.disparity[x] = before + shift.clamp(-1.0, 1.0);
                 self.out.slope_x[x] = sx.clamp(-2.0, 2.0);
                 self.out.slope_y[x] = sy.clamp(-2.0, 2.0);
@@ -343,23 +337,16 @@ impl Kernel for FitRow<'_> {
 
 impl FitRow<'_> {
     #[inline(always)]
-    fn sums(&self, start: usize, centre: Lanes, slopes: [Lanes; 2], eps: f32) -> Sums {
+    fn sums(&self, start: usize, centre: Lanes, slopes: [Lanes; 2]) -> Sums {
         let mut sums = Sums::default();
         let margin = RADIUS + LANES;
         let inverse = 1.0 / (self.reach * self.reach);
-        let radius = tuning::T.radius;
-        let falls = 1.0 / (tuning::T.space * tuning::T.space);
-        let tones = 1.0 / (tuning::T.tone * tuning::T.tone);
-        let mut own = [0.0; LANES];
-        let at = (self.y + margin) * self.measured.disparity.width + start + margin;
-        own.copy_from_slice(&self.measured.bright.values[at..at + LANES]);
-        for v in 0..=2 * radius {
-            let row = (self.y + margin - radius + v) * self.measured.disparity.width;
-            let dy = v as f32 - radius as f32;
-            for u in 0..=2 * radius {
-                let dx = u as f32 - radius as f32;
-                let at = row + start + margin - radius + u;
-                let space = 1.0 / (1.0 + (dx * dx + dy * dy) * falls);
+        for v in 0..=2 * RADIUS {
+            let row = (self.y + margin - RADIUS + v) * self.measured.disparity.width;
+            let dy = v as f32 - RADIUS as f32;
+            for u in 0..=2 * RADIUS {
+                let dx = u as f32 - RADIUS as f32;
+                let at = row + start + margin - RADIUS + u;
                 let load = |raster: &Raster<f32>| -> Lanes {
                     let mut lanes = [0.0; LANES];
                     lanes.copy_from_slice(&raster.values[at..at + LANES]);
@@ -370,14 +357,12 @@ impl FitRow<'_> {
                 let texture = load(&self.measured.texture);
                 let push = load(&self.measured.push);
                 let energy = load(&self.measured.energy);
-                let bright = load(&self.measured.bright);
                 for i in 0..LANES {
                     let rise = disparity[i] - centre[i];
                     let off = rise - slopes[0][i] * dx - slopes[1][i] * dy;
                     let near = (1.0 - off * off * inverse).max(0.0);
-                    let tone = bright[i] - own[i];
-                    let w = space * weight[i] * near / (1.0 + tone * tone * tones);
-                    let g = w * (texture[i] + eps);
+                    let w = weight[i] * near;
+                    let g = w * (texture[i] + PRIOR);
                     let z = g * rise + w * push[i];
                     sums.n[i] += g;
                     sums.x[i] += g * dx;

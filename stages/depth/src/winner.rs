@@ -79,7 +79,7 @@ impl Kernel for WinnerRow<'_> {
                 rival = rival.min(if near { u32::MAX } else { key });
             }
             rival >>= COST_SHIFT;
-            let unique = count > 1 && rival > second + tuning::T.unique;
+            let unique = count > 1 && rival > second + tuning::UNIQUE_MARGIN;
             best[x] = if unique { least } else { u32::MAX };
             let offset = (first[x] - lowest) as u32;
             let at = place(width, candidates, x, first[x]);
