@@ -28,7 +28,7 @@ const fn row(folder: &'static str, package: &'static str, uses: &'static [&'stat
 }
 
 /// From the lowest to the highest: a crate uses only crates above its row.
-const CRATES: [Crate; 35] = [
+const CRATES: [Crate; 36] = [
     row("tests/tidy", "marf-tidy", &[]),
     row("shaders", "marf-shaders", &[]),
     row("cache", "marf-cache", &[]),
@@ -48,6 +48,7 @@ const CRATES: [Crate; 35] = [
         "marf-demo",
         &["marf-cache", "marf-numeric", "marf-scene"],
     ),
+    row("stages/depth", "marf-depth", &["marf-numeric"]),
     row("stages/field", "marf-field", &["marf-numeric", "marf-scene"]),
     Crate {
         tests_use: &["marf-numeric"],

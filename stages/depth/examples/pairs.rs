@@ -1,0 +1,259 @@
+//! Runs the pairs with true disparities in a folder and prints a table.
+#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "a benchmark")]
+
+use std::path::{Path, PathBuf};
+
+use marf_depth::{Class, Disparities, Picture, Raster, Search, match_pair};
+
+/// No true disparity.
+const NONE: f32 = f32::NEG_INFINITY;
+
+struct Pair {
+    name: &'static str,
+    files: [&'static str; 3],
+    /// What the true disparities are multiplied by in their file.
+    scale: f32,
+    count: usize,
+}
+
+const PAIRS: [Pair; 5] = [
+    Pair {
+        name: "cones",
+        files: ["cones/im2.png", "cones/im6.png", "cones/disp2.png"],
+        scale: 4.0,
+        count: 64,
+    },
+    Pair {
+        name: "teddy",
+        files: ["teddy/im2.png", "teddy/im6.png", "teddy/disp2.png"],
+        scale: 4.0,
+        count: 64,
+    },
+    Pair {
+        name: "Cloth3",
+        files: ["Cloth3/view1.png", "Cloth3/view5.png", "Cloth3/disp1.png"],
+        scale: 2.0,
+        count: 128,
+    },
+    Pair {
+        name: "aloe",
+        files: ["aloeL.jpg", "aloeR.jpg", "aloeGT.png"],
+        scale: 1.0,
+        count: 256,
+    },
+    Pair {
+        name: "playground",
+        files: ["playground/im0.png", "playground/im1.png", "playground/disp0.pfm"],
+        scale: 1.0,
+        count: 64,
+    },
+];
+
+fn grey(path: &Path) -> Raster<u8> {
+    let picture = image::open(path).unwrap().to_rgb8();
+    let (width, height) = picture.dimensions();
+    let values = picture.pixels().map(|p| {
+        let [r, g, b] = p.0.map(u32::from);
+        ((r * 4899 + g * 9617 + b * 1868 + 8192) >> 14) as u8
+    });
+    Raster {
+        width: width as usize,
+        height: height as usize,
+        values: values.collect(),
+    }
+}
+
+fn truth(path: &Path, scale: f32) -> Raster<f32> {
+    if path.extension().unwrap() == "pfm" {
+        return pfm(path);
+    }
+    let grey = grey(path);
+    let values = grey
+        .values
+        .iter()
+        .map(|&v| if v == 0 { NONE } else { f32::from(v) / scale });
+    Raster {
+        width: grey.width,
+        height: grey.height,
+        values: values.collect(),
+    }
+}
+
+fn pfm(path: &Path) -> Raster<f32> {
+    let bytes = std::fs::read(path).unwrap();
+    let ends: Vec<usize> = (0..bytes.len()).filter(|&i| bytes[i] == b'\n').take(3).collect();
+    let size = std::str::from_utf8(&bytes[ends[0] + 1..ends[1]]).unwrap();
+    let size: Vec<usize> = size.split_whitespace().map(|n| n.parse().unwrap()).collect();
+    let mut rows: Vec<Vec<f32>> = bytes[ends[2] + 1..]
+        .chunks_exact(4 * size[0])
+        .map(|row| {
+            row.as_chunks::<4>()
+                .0
+                .iter()
+                .map(|b| f32::from_le_bytes(*b))
+                .collect()
+        })
+        .collect();
+    rows.reverse();
+    let values = rows
+        .concat()
+        .into_iter()
+        .map(|v| if v.is_finite() && v > 0.0 { v } else { NONE });
+    Raster {
+        width: size[0],
+        height: size[1],
+        values: values.collect(),
+    }
+}
+
+/// CPU seconds of this process.
+fn cpu_seconds() -> f64 {
+    let stat = std::fs::read_to_string("/proc/self/stat").unwrap();
+    let fields: Vec<&str> = stat.rsplit(')').next().unwrap().split_whitespace().collect();
+    (fields[11].parse::<f64>().unwrap() + fields[12].parse::<f64>().unwrap()) / 100.0
+}
+
+fn peak_mib() -> u64 {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap();
+    let line = status.lines().find(|line| line.starts_with("VmHWM")).unwrap();
+    line.split_whitespace().nth(1).unwrap().parse::<u64>().unwrap() / 1024
+}
+
+/// Writes disparities as colours from blue (far) to red (near), black where there is none.
+fn save(path: &Path, map: &Raster<f32>, count: usize) {
+    let picture = image::RgbImage::from_fn(map.width as u32, map.height as u32, |x, y| {
+        let d = map.at(x as usize, y as usize);
+        if d <= 0.0 {
+            return image::Rgb([0, 0, 0]);
+        }
+        let t = (d / count as f32).clamp(0.0, 1.0);
+        let c = |shift: f32| (255.0 * (1.5 - (4.0 * t - shift).abs()).clamp(0.0, 1.0)) as u8;
+        image::Rgb([c(3.0).max(30), c(2.0), c(1.0)])
+    });
+    picture.save(path).unwrap();
+}
+
+/// What is printed of a pair.
+#[derive(Default)]
+struct Score {
+    valid: f64,
+    good: f64,
+    bad: f64,
+    rms: f64,
+    locked: f64,
+    one_sigma: f64,
+    two_sigma: f64,
+    cpu: f64,
+}
+
+impl Score {
+    fn new(found: &Disparities, truth: &Raster<f32>, cpu: f64) -> Self {
+        let mut s = Self {
+            cpu,
+            ..Self::default()
+        };
+        let mut known = 0.0;
+        for (i, &t) in truth.values.iter().enumerate().filter(|(_, t)| **t != NONE) {
+            known += 1.0;
+            if found.class.values[i] == Class::None {
+                continue;
+            }
+            let (d, sigma) = (found.disparity.values[i], found.sigma.values[i]);
+            let error = (d - t).abs();
+            s.valid += 1.0;
+            s.locked += f64::from((d - d.round()).abs() <= 0.125);
+            s.one_sigma += f64::from(error <= sigma);
+            s.two_sigma += f64::from(error <= 2.0 * sigma);
+            if error <= 1.0 {
+                s.good += 1.0;
+                s.rms += f64::from(error * error);
+            }
+        }
+        s.rms = (s.rms / s.good).sqrt();
+        s.bad = 1.0 - s.good / s.valid;
+        for share in [&mut s.locked, &mut s.one_sigma, &mut s.two_sigma] {
+            *share /= s.valid;
+        }
+        s.valid /= known;
+        s.good /= known;
+        s
+    }
+
+    fn fields(&self) -> [f64; 8] {
+        let Self {
+            valid,
+            good,
+            bad,
+            rms,
+            locked,
+            cpu,
+            one_sigma,
+            two_sigma,
+        } = *self;
+        [valid, good, bad, rms, locked, cpu, one_sigma, two_sigma]
+    }
+}
+
+fn print_row(name: &str, fields: [f64; 8]) {
+    let fields: Vec<String> = fields.iter().map(|field| format!("{field:.3}")).collect();
+    println!("| marf | {name} | {} |", fields.join(" | "));
+}
+
+fn main() {
+    let arguments: Vec<PathBuf> = std::env::args_os().skip(1).map(PathBuf::from).collect();
+    let root = &arguments[0];
+    let out = arguments.get(1).cloned();
+    println!(
+        "| | pair | valid | valid and within 1 px | bad of valid | rms px | locked | CPU s | 1 sigma | 2 sigma |"
+    );
+    println!("|---|---|---|---|---|---|---|---|---|---|");
+    let mut means = [0.0; 8];
+    for pair in &PAIRS {
+        let [left, right, file] = pair.files.map(|file| root.join(file));
+        let (left, right) = (Picture::new(grey(&left)), Picture::new(grey(&right)));
+        let truth = truth(&file, pair.scale);
+        let search = Search {
+            first: 0,
+            count: pair.count,
+        };
+        let cpu = cpu_seconds();
+        let found = match_pair(&left, &right, search).unwrap();
+        let score = Score::new(&found, &truth, cpu_seconds() - cpu);
+        if let Some(out) = &out {
+            save(
+                &out.join(format!("{}.png", pair.name)),
+                &found.disparity,
+                pair.count,
+            );
+            save(&out.join(format!("{}-truth.png", pair.name)), &truth, pair.count);
+        }
+        print_row(pair.name, score.fields());
+        for (mean, field) in means.iter_mut().zip(score.fields()) {
+            *mean += field / PAIRS.len() as f64;
+        }
+    }
+    print_row("mean", means);
+    large(root);
+}
+
+/// The largest pair, enlarged to the size of a Mars photo.
+fn large(root: &Path) {
+    let picture = |name: &str| {
+        let picture = image::open(root.join(name)).unwrap().to_luma8();
+        let kind = image::imageops::FilterType::Triangle;
+        let picture = image::imageops::resize(&picture, 1648, 1200, kind);
+        Picture::new(Raster {
+            width: 1648,
+            height: 1200,
+            values: picture.into_raw(),
+        })
+    };
+    let (left, right) = (picture("aloeL.jpg"), picture("aloeR.jpg"));
+    let cpu = cpu_seconds();
+    match_pair(&left, &right, Search { first: 0, count: 256 }).unwrap();
+    println!(
+        "| marf | 1648x1200x256 | CPU s {:.2} | peak MiB {} |",
+        cpu_seconds() - cpu,
+        peak_mib()
+    );
+}
