@@ -72,9 +72,9 @@ pub struct PushArgs {
     #[arg(long, value_name = "URL")]
     pub remote: Option<String>,
     #[command(flatten)]
-    pub sign: SignArg,
-    #[command(flatten)]
     pub record: RecordArgs,
+    #[command(flatten)]
+    pub sign: SignArg,
 }
 
 /// Arguments of `cache pull`.
