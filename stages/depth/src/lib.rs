@@ -172,7 +172,7 @@ const TRIAL_PIXELS: usize = 1 << 17;
 /// Memory is at most about 200 MiB for the costs and 60 bytes a pixel, for any number of disparities.
 ///
 /// # Extremes
-/// Pixels without texture, with a repeated pattern, masked, or hidden from one camera have no disparity. A pair without
+/// Pixels without texture, masked, or hidden from one camera have no disparity. A pair without
 /// any match is not an error.
 ///
 /// # Errors

@@ -46,8 +46,9 @@ pub(crate) const SIGMA_LEAST_PX: f32 = 0.15;
 /// How many times larger errors are than the fit alone says: neighbours share their errors.
 pub(crate) const SIGMA_SCALE: f32 = 8.0;
 
-/// Above this standard deviation, a fifth of the disparities is off by more than a pixel: there is none.
-pub(crate) const SIGMA_MOST_PX: f32 = 0.5;
+/// Above this standard deviation there is no disparity. With 0.5, the share that is off by more than a pixel halves, and an eighth
+/// of the good ones is lost.
+pub(crate) const SIGMA_MOST_PX: f32 = 1.0;
 
 /// How much the fit may move a disparity, in pixels.
 pub(crate) const DRIFT_PX: f32 = 1.5;
