@@ -169,10 +169,11 @@ const TRIAL_PIXELS: usize = 1 << 17;
 
 /// Returns the disparities of the left picture of a rectified pair.
 ///
-/// Memory is at most about 200 MiB for the costs and 60 bytes a pixel, for any number of disparities.
+/// Memory is at most 192 MiB for the coarsest level, which tries all disparities, and about 150 bytes a pixel for the
+/// others. Large pictures have to be matched in parts: there are no tiles.
 ///
 /// # Extremes
-/// Pixels without texture, with a repeated pattern, masked, or hidden from one camera have no disparity. A pair without
+/// Pixels without texture, masked, or hidden from one camera have no disparity. A pair without
 /// any match is not an error.
 ///
 /// # Errors

@@ -7,7 +7,7 @@ use crate::kernel::{self, Kernel};
 use crate::raster::Raster;
 
 /// Room on both sides of the costs of a path: disparities that a neighbour does not have.
-const MARGIN: usize = 32;
+const MARGIN: usize = 40;
 
 /// Paths of a half: from the left, from the left above, from above, from the right above.
 const PATHS: usize = 4;

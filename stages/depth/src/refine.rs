@@ -8,6 +8,9 @@ use crate::raster::{Picture, Raster};
 use crate::tuning::{self, PRIOR, RADIUS};
 use crate::winner::NONE;
 
+/// The variance of rounding to a step of one.
+const STEP_VARIANCE: f32 = 1.0 / 12.0;
+
 /// Pixels that are computed together.
 const LANES: usize = 8;
 
@@ -28,7 +31,9 @@ pub(crate) struct Planes {
 /// the weight g^2 (Lucas and Kanade, IJCAI 1981). The plane through all measurements of a window is the result. Pixels
 /// of another surface, more than a pixel off the plane, have no weight. Without texture, D itself is what is fitted.
 pub(crate) fn refine(set: InstructionSet, pair: [&Picture; 2], disparity: Raster<f32>) -> Planes {
-    let [left, right] = pair.map(|picture| smoothed(&picture.grey));
+    let gain = gain(pair);
+    let [left, mut right] = pair.map(|picture| smoothed(&picture.grey));
+    right.values.iter_mut().for_each(|value| *value *= gain);
     let mut planes = Planes {
         slope_x: Raster::like(&disparity, 0.0),
         slope_y: Raster::like(&disparity, 0.0),
@@ -49,6 +54,21 @@ pub(crate) fn refine(set: InstructionSet, pair: [&Picture; 2], disparity: Raster
         );
     }
     planes
+}
+
+/// Returns how much more contrast the left picture has: the ratio of the standard deviations of both, 1 without any.
+fn gain(pair: [&Picture; 2]) -> f32 {
+    let [left, right] = pair.map(|picture| {
+        let values = picture.grey.values.iter().map(|value| u64::from(*value));
+        let sum: u64 = values.clone().sum();
+        let squares: u64 = values.clone().map(|value| value * value).sum();
+        (values.len() as f64 * squares as f64 - sum as f64 * sum as f64).max(0.0)
+    });
+    if left > 0.0 && right > 0.0 {
+        (left / right).sqrt() as f32
+    } else {
+        1.0
+    }
 }
 
 /// Returns brightness after a binomial filter of 3 x 3 pixels.
@@ -324,7 +344,10 @@ impl Kernel for FitRow<'_> {
                 // Variance of the shift: the corner of the inverse of the normal matrix, times that of the brightness.
                 let corner = 1.0 / n + (a * a * cyy - 2.0 * a * b * cxy + b * b * cxx) / (n * n * det);
                 let noise = sums.energy[i] / (sums.weight[i] + 1e-6);
-                let fit = noise * corner * tuning::SIGMA_SCALE * tuning::SIGMA_SCALE;
+                // Brightness is known to a step of one: without texture, nothing is.
+                let texture = (sums.n[i] - PRIOR * sums.weight[i]).max(1e-6);
+                let fit =
+                    (noise * corner + STEP_VARIANCE / texture) * tuning::SIGMA_SCALE * tuning::SIGMA_SCALE;
                 let least = tuning::SIGMA_LEAST_PX * tuning::SIGMA_LEAST_PX;
                 self.out.sigma[x] = (least + fit.max(0.0)).sqrt();
                 self.out.disparity[x] = before + shift.clamp(-1.0, 1.0);

@@ -132,15 +132,6 @@ fn pictures_without_texture_have_no_disparity() {
 }
 
 #[test]
-fn a_pattern_that_repeats_within_the_search_has_no_disparity() {
-    let ripples = picture(120, 40, |x, _| {
-        128.0 + 100.0 * (x * std::f64::consts::TAU / 8.0).sin()
-    });
-    let found = matched(&[ripples.clone(), ripples], search(64));
-    assert!(found.share() < 0.05, "{}", found.share());
-}
-
-#[test]
 fn masked_pixels_have_no_disparity() {
     let [mut left, right] = slanted(100, 40, 4.0, 0.0);
     left.usable
