@@ -1,4 +1,4 @@
-# The peer of `cargo run --release -p marf-depth --example pairs -- DIR`: OpenCV StereoSGBM, MODE_HH, on the same pairs of DIR.
+# The peer of `cargo run --release -p marf-labs -- stereo DIR`: OpenCV StereoSGBM, MODE_HH, on the same pairs of DIR.
 import os, resource, sys, time
 import cv2, numpy as np
 root = sys.argv[1]

@@ -8,6 +8,7 @@ mod mars;
 mod options;
 mod output;
 mod process;
+mod stereo;
 mod synthetic;
 mod table1;
 mod training;
@@ -49,6 +50,8 @@ enum Program {
     /// a fault
     #[cfg(unix)]
     Faults(faults::FaultsArgs),
+    /// Match the pairs with true disparities of a folder, and print how many are right
+    Stereo(stereo::StereoArgs),
     #[command(flatten)]
     Mars(mars::MarsProgram),
 }
@@ -80,6 +83,7 @@ fn run(program: Program, cancel: &Cancel) -> Result {
         Program::Items(args) => items::items(&args, cancel),
         #[cfg(unix)]
         Program::Faults(args) => faults::faults(&args, cancel),
+        Program::Stereo(args) => stereo::stereo(&args, cancel),
         Program::Mars(program) => mars::run(program),
     }
 }

@@ -35,6 +35,7 @@ mod sizes;
 mod thumbs;
 mod ties;
 pub mod trade;
+pub mod trade_page;
 mod tune;
 mod unplaced;
 mod vector;
@@ -214,7 +215,7 @@ fn sections(page: &Page<'_>) -> Vec<Section> {
             ground::body(page),
         ));
     }
-    let trade = page.report.trade.as_ref().map(trade::body);
+    let trade = page.report.trade.as_ref().map(trade_page::body);
     sections.extend(trade.map(|body| section("trade", "Time against quality", body)));
     sections
 }

@@ -6,7 +6,7 @@ use marf_schema::calibrate::Missing;
 use marf_sfm::mapper::PoseUncertainty;
 
 use crate::export::TrackPoint;
-use crate::up::FoundUp;
+use crate::up::{FoundUp, find_up};
 
 /// A photo with a camera, before held-out photos are chosen.
 pub(crate) struct PlacedPhoto {
@@ -67,4 +67,10 @@ pub(crate) struct Calibration {
     pub cause: Option<String>,
     /// What to try if too few photos were placed.
     pub hint: String,
+}
+
+/// Finds up of placed photos without labels.
+pub(crate) fn up_of(placed: &[PlacedPhoto], points: &[Point]) -> Option<FoundUp> {
+    let poses: Vec<&Pose> = placed.iter().map(|one| &one.cam_from_world).collect();
+    find_up(&poses, points)
 }

@@ -14,12 +14,11 @@ use marf_schema::calibrate::CalibrateParams;
 use marf_stage::{Ctx, Inputs, StageError};
 use rayon::prelude::*;
 
-use crate::calibration::{Calibration, PlacedPhoto};
+use crate::calibration::{Calibration, PlacedPhoto, up_of};
 use crate::import::{self, Model, read_colmap_binary};
 use crate::mask_files::mask_file;
 use crate::orientation::Orientation;
 use crate::photos::{InputPhoto, decode, size_px};
-use crate::up;
 use program::{Program, cannot_write};
 
 /// Up to this many photos every pair is matched. In larger sets each photo is matched with its neighbours by file name.
@@ -86,7 +85,7 @@ pub(crate) fn run(
         components: None,
         statistics: Vec::new(),
         cause: None,
-        up: up::of_placed(&placed, &cameras.points),
+        up: up_of(&placed, &cameras.points),
         placed,
         points: cameras.points,
         site: None,

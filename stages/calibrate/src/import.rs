@@ -30,11 +30,10 @@ pub use lens::{Focal, Lens};
 pub(crate) use ready::{as_it_is, placed};
 pub use transforms::{Transforms, names_in_transforms, read_transforms};
 
-use crate::calibration::{Calibration, HeldOut, PlacedPhoto};
+use crate::calibration::{Calibration, HeldOut, PlacedPhoto, up_of};
 use crate::export::TrackPoint;
 use crate::photos::InputPhoto;
 use crate::sfm;
-use crate::up;
 use choose::{Source, candidates, choose};
 use marf_schema::calibrate::CalibrateParams;
 use marf_schema::calibrate::Missing;
@@ -83,7 +82,7 @@ pub(crate) fn run(
     }
     let placed: Vec<PlacedPhoto> = imported.into_iter().map(|one| one.placed).collect();
     Ok(Calibration {
-        up: up::of_placed(&placed, &points),
+        up: up_of(&placed, &points),
         placed,
         unplaced: matched.unplaced,
         missing: matched.missing,

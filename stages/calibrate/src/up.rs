@@ -10,8 +10,6 @@ use marf_scene::{Point, Pose};
 use marf_schema::calibrate::{Up, UpSource};
 use nalgebra::{Matrix3, SymmetricEigen, Vector3};
 
-use crate::calibration::PlacedPhoto;
-
 /// Up in the world, a unit vector, and how it was found.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct FoundUp {
@@ -53,12 +51,6 @@ pub(crate) fn find_up(poses: &[&Pose], points: &[Point]) -> Option<FoundUp> {
         .by_axes(plane.as_ref())
         .or_else(|| by_plane(&cameras, &plane?))?;
     (found.up.sigma_deg? <= MOST_SIGMA_DEG).then_some(found)
-}
-
-/// Finds up of placed photos.
-pub(crate) fn of_placed(placed: &[PlacedPhoto], points: &[Point]) -> Option<FoundUp> {
-    let poses: Vec<&Pose> = placed.iter().map(|one| &one.cam_from_world).collect();
-    find_up(&poses, points)
 }
 
 impl FoundUp {

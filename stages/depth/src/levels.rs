@@ -3,11 +3,11 @@
 use marf_numeric::InstructionSet;
 use rayon::prelude::*;
 
-use crate::Search;
 use crate::clean::{filled, remove_islands};
 use crate::cost::{BLOCK, Volume};
 use crate::paths::{Penalties, path_costs};
 use crate::raster::{Picture, Raster};
+use crate::search::Search;
 use crate::tuning::{
     EDGE_BRIGHTNESS, EDGE_PENALTY, FINE_CANDIDATES, FULL_CELLS, ISLAND, JUMP_PENALTY, STEP_PENALTY,
 };

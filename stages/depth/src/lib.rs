@@ -20,6 +20,7 @@ mod paths;
 mod raster;
 mod rectify;
 mod refine;
+mod search;
 #[cfg(test)]
 mod tests;
 mod tuning;
@@ -31,37 +32,8 @@ use thiserror::Error;
 pub use raster::{Picture, Raster};
 pub use rectify::{Eye, LEAST_ANGLE_DEG, Pinhole, Rectified, RectifyError};
 use refine::Planes;
+pub use search::Search;
 use winner::NONE;
-
-/// Disparities to be tried.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Search {
-    /// The smallest disparity, in pixels. It may be negative.
-    pub first: i32,
-    /// How many, in steps of one pixel. One alone is never found: nothing tells it from another.
-    pub count: usize,
-}
-
-impl Search {
-    fn last(self) -> i32 {
-        self.first + self.count as i32 - 1
-    }
-
-    /// Candidates of a pixel, in whole blocks.
-    fn candidates(self) -> usize {
-        self.count.next_multiple_of(cost::BLOCK)
-    }
-
-    /// Returns what covers this search in pictures of half the size.
-    fn halved(self) -> Self {
-        let first = self.first.div_euclid(2);
-        let last = (self.last() + 1).div_euclid(2);
-        Self {
-            first,
-            count: (last - first + 1) as usize,
-        }
-    }
-}
 
 /// What is known about a pixel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]

@@ -13,7 +13,7 @@ use roxmltree::{Document, Node, ParsingOptions};
 use crate::camera::{CameraError, RawEntrance, RawModel};
 use crate::label::{FramePose, Label, MAX_LABEL_BYTES, ordered_counter, same_place};
 use crate::values;
-use guard::{MAX_ATTRIBUTES, MAX_COMPARISONS, MAX_DEPTH};
+pub use guard::TooMuchWork;
 use node::{IMG, PDS, at, child, children, number_at, text_at};
 
 const GEOM: &str = "http://pds.nasa.gov/pds4/geom/v1";
@@ -34,15 +34,9 @@ pub enum Pds4Error {
     /// Not well-formed, with a document type, or of too many nodes.
     #[error("XML is refused: {0}")]
     Malformed(#[from] roxmltree::Error),
-    /// An element whose number of attributes would keep the parser busy.
-    #[error("XML is refused: an element has more than {MAX_ATTRIBUTES} attributes")]
-    Attributes,
-    /// Elements whose nesting would keep the parser busy.
-    #[error("XML is refused: elements are nested more than {MAX_DEPTH} deep")]
-    Depth,
-    /// Names that would keep the parser busy.
-    #[error("XML is refused: its attributes and namespaces take more than {MAX_COMPARISONS} comparisons")]
-    Namespaces,
+    /// More work for the parser than any label.
+    #[error("XML is refused: {0}")]
+    TooMuchWork(#[from] TooMuchWork),
     /// Another document.
     #[error("XML whose root is not `Product_Observational` of PDS4")]
     NoLabel,

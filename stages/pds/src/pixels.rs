@@ -291,6 +291,14 @@ fn of_band<T: Copy>(values: &[T], band: usize) -> Option<T> {
     values.get(band).or(values.first()).copied()
 }
 
+/// Returns factor and offset of each band, times its light.
+fn scaled_bands(array: &Array, light: [f64; 3]) -> [(f64, f64); 3] {
+    [0, 1, 2].map(|band| {
+        let (factor, offset) = of_band(&array.scaling, band).unwrap_or((1.0, 0.0));
+        (factor * light[band], offset * light[band])
+    })
+}
+
 /// Conversion of stored values to light in [0, 1].
 struct Scale<'a> {
     white: White,
@@ -340,12 +348,7 @@ impl<'a> Scale<'a> {
             return Ok((Scale { table, ..scale }, notes));
         }
         let physical = !array.scaling.is_empty() || sample.kind == SampleKind::Float;
-        let bands_times = |light: [f64; 3]| {
-            [0, 1, 2].map(|band| {
-                let (factor, offset) = of_band(&array.scaling, band).unwrap_or((1.0, 0.0));
-                (factor * light[band], offset * light[band])
-            })
-        };
+        let bands_times = |light: [f64; 3]| scaled_bands(array, light);
         match array.quantity {
             Quantity::Radiance if physical => {
                 let note = format!("radiance to sRGB, white at {WHITE_RADIANCE} W/m2/sr/nm");

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use marf_engine::Cancel;
 use marf_model::Run;
 use marf_provenance::verify::{self, Verified};
 use serde::Serialize;

@@ -5,7 +5,8 @@ use std::path::{Path, PathBuf};
 use marf_cache::file::{FileKind, Links, read_text};
 use marf_engine::{Options, document};
 use marf_progress::format;
-use marf_report::trade::{self, Point, Trade};
+use marf_report::trade::{Point, Trade};
+use marf_report::trade_page;
 
 use super::base::Base;
 use super::figures::{self, figures};
@@ -137,10 +138,10 @@ fn write(session: &Session, base: &Base, trade: &Trade, out: &Path) -> Result<()
     let table = figures::csv(trade).map_err(|error| Error::failed(error.to_string()))?;
     files::write(&out.join("trade.csv"), &table)?;
     for (name, drawing) in [
-        ("front.svg", trade::front(trade)),
-        ("effects.svg", trade::effects(trade)),
+        ("front.svg", trade_page::front(trade)),
+        ("effects.svg", trade_page::effects(trade)),
     ] {
-        files::write(&out.join(name), trade::file(&drawing).as_bytes())?;
+        files::write(&out.join(name), trade_page::file(&drawing).as_bytes())?;
     }
     files::write(
         &out.join(document::REPORT),

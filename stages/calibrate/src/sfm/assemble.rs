@@ -18,11 +18,11 @@ use super::photo_features::PhotoFeatures;
 use super::reasons::{Cause, cause};
 use super::reconstruction::Reconstruction;
 use super::supervisor::failed;
-use crate::calibration::{Calibration, PhotoStatistics, PlacedPhoto};
+use crate::calibration::{Calibration, PhotoStatistics, PlacedPhoto, up_of};
 use crate::export::{Observation, TrackPoint};
 use crate::labels::median;
 use crate::photos::{as_png, reduced, reduction};
-use crate::up::{self, FoundUp};
+use crate::up::FoundUp;
 
 /// Returns the calibration of the largest model and of those in the same metric frame.
 pub(super) fn assemble(
@@ -60,7 +60,7 @@ pub(super) fn assemble(
         up: match earlier {
             Some(earlier) => earlier.scene.up.map(FoundUp::extended),
             None if metric => Some(FoundUp::labels()),
-            None => up::of_placed(&placed, &sparse_points),
+            None => up_of(&placed, &sparse_points),
         },
         points: sparse_points,
         tracks: points,

@@ -1,13 +1,25 @@
 //! A check of XML before it is parsed: the parser takes more than linear time for nested and repeated names.
 
-use super::Pds4Error;
-
 /// Deepest nesting of elements. Real labels have at most 10 levels.
-pub(super) const MAX_DEPTH: usize = 100;
+const MAX_DEPTH: usize = 100;
 /// Most attributes of one element. Real labels have up to 30.
-pub(super) const MAX_ATTRIBUTES: usize = 1_000;
+const MAX_ATTRIBUTES: usize = 1_000;
 /// Most comparisons of names. Real labels take up to 18,000.
-pub(super) const MAX_COMPARISONS: usize = 20_000_000;
+const MAX_COMPARISONS: usize = 20_000_000;
+
+/// A limit that is exceeded.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub enum TooMuchWork {
+    /// An element whose number of attributes would keep the parser busy.
+    #[error("an element has more than {MAX_ATTRIBUTES} attributes")]
+    Attributes,
+    /// Elements whose nesting would keep the parser busy.
+    #[error("elements are nested more than {MAX_DEPTH} deep")]
+    Depth,
+    /// Names that would keep the parser busy.
+    #[error("its attributes and namespaces take more than {MAX_COMPARISONS} comparisons")]
+    Namespaces,
+}
 
 /// The start tag of an element, or its end.
 #[derive(Debug, Default, Clone, Copy)]
@@ -31,7 +43,7 @@ struct Tag {
 ///
 /// # Errors
 /// The first limit that is exceeded.
-pub(super) fn check(bytes: &[u8]) -> Result<(), Pds4Error> {
+pub(super) fn check(bytes: &[u8]) -> Result<(), TooMuchWork> {
     // Namespaces in scope, per open element.
     let mut scopes = vec![0];
     let (mut rest, mut comparisons) = (bytes, 0_usize);
@@ -48,20 +60,20 @@ pub(super) fn check(bytes: &[u8]) -> Result<(), Pds4Error> {
             continue;
         }
         if tag.attributes > MAX_ATTRIBUTES {
-            return Err(Pds4Error::Attributes);
+            return Err(TooMuchWork::Attributes);
         }
         let scope = scopes.last().unwrap_or(&0) + tag.declared;
         let lookups = if tag.declared > 0 { scope } else { 0 } + tag.attributes + 1;
         comparisons = comparisons.saturating_add(scope * lookups + tag.attributes * tag.attributes);
         if comparisons > MAX_COMPARISONS {
-            return Err(Pds4Error::Namespaces);
+            return Err(TooMuchWork::Namespaces);
         }
         if tag.empty {
             continue;
         }
         scopes.push(scope);
         if scopes.len() > MAX_DEPTH + 1 {
-            return Err(Pds4Error::Depth);
+            return Err(TooMuchWork::Depth);
         }
     }
     Ok(())

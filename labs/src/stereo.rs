@@ -1,9 +1,24 @@
-//! Runs the pairs with true disparities in a folder and prints a table.
-#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "a benchmark")]
+//! `stereo`: dense disparities of the pairs with true disparities in a folder, as a table.
 
 use std::path::{Path, PathBuf};
 
+use clap::Args;
+use marf_cache::file::{FileKind, Links, read};
 use marf_depth::{Class, Disparities, Picture, Raster, Search, match_pair};
+use marf_engine::Cancel;
+
+use crate::output::{Result, go_on, print_line};
+use crate::process::{cpu_s, peak_mb};
+
+/// Arguments of `stereo`.
+#[derive(Debug, Clone, Args)]
+pub struct StereoArgs {
+    /// Folder with the pairs cones, teddy, Cloth3, aloe and playground
+    dir: PathBuf,
+    /// Folder for pictures of the disparities
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+}
 
 /// No true disparity.
 const NONE: f32 = f32::NEG_INFINITY;
@@ -49,78 +64,75 @@ const PAIRS: [Pair; 5] = [
     },
 ];
 
-fn grey(path: &Path) -> Raster<u8> {
-    let picture = image::open(path).unwrap().to_rgb8();
+fn grey(path: &Path) -> Result<Raster<u8>> {
+    let picture = image::open(path)?.to_rgb8();
     let (width, height) = picture.dimensions();
     let values = picture.pixels().map(|p| {
         let [r, g, b] = p.0.map(u32::from);
         ((r * 4899 + g * 9617 + b * 1868 + 8192) >> 14) as u8
     });
-    Raster {
+    Ok(Raster {
         width: width as usize,
         height: height as usize,
         values: values.collect(),
-    }
+    })
 }
 
-fn truth(path: &Path, scale: f32) -> Raster<f32> {
-    if path.extension().unwrap() == "pfm" {
+fn truth(path: &Path, scale: f32) -> Result<Raster<f32>> {
+    if path.extension().is_some_and(|extension| extension == "pfm") {
         return pfm(path);
     }
-    let grey = grey(path);
+    let grey = grey(path)?;
     let values = grey
         .values
         .iter()
         .map(|&v| if v == 0 { NONE } else { f32::from(v) / scale });
-    Raster {
+    Ok(Raster {
         width: grey.width,
         height: grey.height,
         values: values.collect(),
-    }
+    })
 }
 
-fn pfm(path: &Path) -> Raster<f32> {
-    let bytes = std::fs::read(path).unwrap();
-    let ends: Vec<usize> = (0..bytes.len()).filter(|&i| bytes[i] == b'\n').take(3).collect();
-    let size = std::str::from_utf8(&bytes[ends[0] + 1..ends[1]]).unwrap();
-    let size: Vec<usize> = size.split_whitespace().map(|n| n.parse().unwrap()).collect();
-    let mut rows: Vec<Vec<f32>> = bytes[ends[2] + 1..]
-        .chunks_exact(4 * size[0])
-        .map(|row| {
-            row.as_chunks::<4>()
-                .0
-                .iter()
-                .map(|b| f32::from_le_bytes(*b))
-                .collect()
+fn pfm(path: &Path) -> Result<Raster<f32>> {
+    let bytes = read(path, FileKind::Result, Links::Followed)?;
+    let mut rest = bytes.as_slice();
+    let mut lines = Vec::new();
+    while lines.len() < 3 {
+        let end = rest
+            .iter()
+            .position(|byte| *byte == b'\n')
+            .ok_or("a PFM file without its head")?;
+        lines.push(std::str::from_utf8(&rest[..end])?);
+        rest = &rest[end + 1..];
+    }
+    let (width, height) = lines[1].split_once(' ').ok_or("a PFM file without its size")?;
+    let (width, height) = (width.trim().parse::<usize>()?, height.trim().parse::<usize>()?);
+    let numbers = rest
+        .as_chunks::<4>()
+        .0
+        .iter()
+        .map(|bytes| f32::from_le_bytes(*bytes));
+    let numbers: Vec<f32> = numbers
+        .map(|value| {
+            if value.is_finite() && value > 0.0 {
+                value
+            } else {
+                NONE
+            }
         })
         .collect();
+    let mut rows: Vec<&[f32]> = numbers.chunks_exact(width).take(height).collect();
     rows.reverse();
-    let values = rows
-        .concat()
-        .into_iter()
-        .map(|v| if v.is_finite() && v > 0.0 { v } else { NONE });
-    Raster {
-        width: size[0],
-        height: size[1],
-        values: values.collect(),
-    }
-}
-
-/// CPU seconds of this process.
-fn cpu_seconds() -> f64 {
-    let stat = std::fs::read_to_string("/proc/self/stat").unwrap();
-    let fields: Vec<&str> = stat.rsplit(')').next().unwrap().split_whitespace().collect();
-    (fields[11].parse::<f64>().unwrap() + fields[12].parse::<f64>().unwrap()) / 100.0
-}
-
-fn peak_mib() -> u64 {
-    let status = std::fs::read_to_string("/proc/self/status").unwrap();
-    let line = status.lines().find(|line| line.starts_with("VmHWM")).unwrap();
-    line.split_whitespace().nth(1).unwrap().parse::<u64>().unwrap() / 1024
+    Ok(Raster {
+        width,
+        height,
+        values: rows.concat(),
+    })
 }
 
 /// Writes disparities as colours from blue (far) to red (near), black where there is none.
-fn save(path: &Path, map: &Raster<f32>, count: usize) {
+fn save(path: &Path, map: &Raster<f32>, count: usize) -> Result {
     let picture = image::RgbImage::from_fn(map.width as u32, map.height as u32, |x, y| {
         let d = map.at(x as usize, y as usize);
         if d <= 0.0 {
@@ -130,7 +142,7 @@ fn save(path: &Path, map: &Raster<f32>, count: usize) {
         let c = |shift: f32| (255.0 * (1.5 - (4.0 * t - shift).abs()).clamp(0.0, 1.0)) as u8;
         image::Rgb([c(3.0).max(30), c(2.0), c(1.0)])
     });
-    picture.save(path).unwrap();
+    Ok(picture.save(path)?)
 }
 
 /// What is printed of a pair.
@@ -196,36 +208,38 @@ impl Score {
 
 fn print_row(name: &str, fields: [f64; 8]) {
     let fields: Vec<String> = fields.iter().map(|field| format!("{field:.3}")).collect();
-    println!("| marf | {name} | {} |", fields.join(" | "));
+    print_line(&format!("| marf | {name} | {} |", fields.join(" | ")));
 }
 
-fn main() {
-    let arguments: Vec<PathBuf> = std::env::args_os().skip(1).map(PathBuf::from).collect();
-    let root = &arguments[0];
-    let out = arguments.get(1).cloned();
-    println!(
-        "| | pair | valid | valid and within 1 px | bad of valid | rms px | locked | CPU s | 1 sigma | 2 sigma |"
+/// `marf-labs stereo`: matches every pair, then the largest at the size of a photo of Mars.
+///
+/// # Errors
+/// A file that is absent or not a picture, a folder that cannot be written, the wish to stop.
+pub fn stereo(args: &StereoArgs, cancel: &Cancel) -> Result {
+    print_line(
+        "| | pair | valid | valid and within 1 px | bad of valid | rms px | locked | CPU s | 1 sigma | 2 sigma |",
     );
-    println!("|---|---|---|---|---|---|---|---|---|---|");
+    print_line("|---|---|---|---|---|---|---|---|---|---|");
     let mut means = [0.0; 8];
     for pair in &PAIRS {
-        let [left, right, file] = pair.files.map(|file| root.join(file));
-        let (left, right) = (Picture::new(grey(&left)), Picture::new(grey(&right)));
-        let truth = truth(&file, pair.scale);
+        go_on(cancel)?;
+        let [left, right, file] = pair.files.map(|file| args.dir.join(file));
+        let (left, right) = (Picture::new(grey(&left)?), Picture::new(grey(&right)?));
+        let truth = truth(&file, pair.scale)?;
         let search = Search {
             first: 0,
             count: pair.count,
         };
-        let cpu = cpu_seconds();
-        let found = match_pair(&left, &right, search).unwrap();
-        let score = Score::new(&found, &truth, cpu_seconds() - cpu);
-        if let Some(out) = &out {
+        let cpu = cpu_s();
+        let found = match_pair(&left, &right, search)?;
+        let score = Score::new(&found, &truth, cpu_s() - cpu);
+        if let Some(out) = &args.out {
             save(
                 &out.join(format!("{}.png", pair.name)),
                 &found.disparity,
                 pair.count,
-            );
-            save(&out.join(format!("{}-truth.png", pair.name)), &truth, pair.count);
+            )?;
+            save(&out.join(format!("{}-truth.png", pair.name)), &truth, pair.count)?;
         }
         print_row(pair.name, score.fields());
         for (mean, field) in means.iter_mut().zip(score.fields()) {
@@ -233,27 +247,28 @@ fn main() {
         }
     }
     print_row("mean", means);
-    large(root);
+    large(&args.dir)
 }
 
 /// The largest pair, enlarged to the size of a Mars photo.
-fn large(root: &Path) {
-    let picture = |name: &str| {
-        let picture = image::open(root.join(name)).unwrap().to_luma8();
+fn large(root: &Path) -> Result {
+    let picture = |name: &str| -> Result<Picture> {
+        let picture = image::open(root.join(name))?.to_luma8();
         let kind = image::imageops::FilterType::Triangle;
         let picture = image::imageops::resize(&picture, 1648, 1200, kind);
-        Picture::new(Raster {
+        Ok(Picture::new(Raster {
             width: 1648,
             height: 1200,
             values: picture.into_raw(),
-        })
+        }))
     };
-    let (left, right) = (picture("aloeL.jpg"), picture("aloeR.jpg"));
-    let cpu = cpu_seconds();
-    match_pair(&left, &right, Search { first: 0, count: 256 }).unwrap();
-    println!(
-        "| marf | 1648x1200x256 | CPU s {:.2} | peak MiB {} |",
-        cpu_seconds() - cpu,
-        peak_mib()
-    );
+    let (left, right) = (picture("aloeL.jpg")?, picture("aloeR.jpg")?);
+    let cpu = cpu_s();
+    match_pair(&left, &right, Search { first: 0, count: 256 })?;
+    print_line(&format!(
+        "| marf | 1648x1200x256 | CPU s {:.2} | peak MB {} |",
+        cpu_s() - cpu,
+        peak_mb()
+    ));
+    Ok(())
 }
