@@ -105,7 +105,7 @@ fn depths_are_a_folder_with_a_picture_for_each_photo_trained_on() {
     pictures
         .iter()
         .for_each(|picture| begins_with(&picture.path(), PNG));
-    let scene: Value =
+    let scene: serde_json::Value =
         serde_json::from_slice(&std::fs::read(dir.join("out/train/scene.json")).unwrap()).unwrap();
     let camera = &scene["frames"][0]["camera"];
     let (width, _) = image::image_dimensions(pictures[0].path()).unwrap();

@@ -3,7 +3,7 @@
 use marf_cache::Digest;
 use serde::{Deserialize, Serialize};
 
-use super::format::{duration, number, px};
+use super::format::number;
 
 /// A measured trade of time against quality around a pipeline as it is.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
