@@ -104,13 +104,13 @@ fn a_device_that_is_not_there_is_one_error_with_a_way_out() {
     );
     let ran = marf(dir.path(), &["run", "--device", "cuda"]).exits(2);
     assert!(
-        ran.stderr.contains("auto, cpu, gpu or gpu:NAME"),
+        ran.stderr.contains("use `auto`, `cpu`, `gpu` or `gpu:NAME`"),
         "{}",
         ran.stderr
     );
     let ran = marf(dir.path(), &["run", "--set", "train.device=cuda"]).exits(2);
     assert!(
-        ran.stderr.contains("auto, cpu, gpu or gpu:NAME"),
+        ran.stderr.contains("use `auto`, `cpu`, `gpu` or `gpu:NAME`"),
         "{}",
         ran.stderr
     );

@@ -76,19 +76,13 @@ fn every_file_has_a_verdict_whatever_the_threads_and_a_new_threshold_decodes_not
         6,
         "{lines:?}"
     );
-    assert_eq!(
-        first.matches(" 8 measured").count(),
-        1,
-        "one decode, by extract, measures for all filters: {first}"
-    );
     let (again, _) = run("two.csv", &["--threads", "4", "--store", "b"]);
     assert_eq!(lines, again);
+    // Extract measures for all filters while it decodes.
+    assert!(!first.contains("measured"), "{first}");
     let (other, second) = run("three.csv", &["--store", "a", "--set", "grayscale.keep=all"]);
     assert_ne!(verdict(&other, "gray.png").1, "grayscale");
-    assert!(
-        !second.contains("1 measured") && !second.contains("8 measured"),
-        "{second}"
-    );
+    assert!(!second.contains("measured"), "{second}");
     let page = std::fs::read_to_string(work.path().join("one.html")).unwrap();
     for text in [
         "How firm the verdicts are",

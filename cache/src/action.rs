@@ -153,7 +153,7 @@ mod tests {
             .unwrap()
             .replace("\"action\":2", "\"action\":3");
         let error = Action::decode(newer.as_bytes()).unwrap_err().to_string();
-        assert!(error.contains("form 3"), "{error}");
+        assert!(error.contains("format 3"), "{error}");
         assert!(Action::decode(b"{").is_err());
     }
 }

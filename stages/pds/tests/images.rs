@@ -270,5 +270,13 @@ fn a_compressed_product_gives_the_pixels_of_its_decompressed_twin() {
     let made = develop(Some(&name("XXXX")), &compressed, None).unwrap();
     let twin = develop(Some(&name("DXXX")), &array, None).unwrap();
     assert_eq!((made.image.width, made.image.height, made.bands), (16, 16, 3));
-    assert_eq!(made.image.pixels, twin.image.pixels);
+    // JPEG decoders may round differently: the twin was made by the decoder of the mission.
+    let bytes = made
+        .image
+        .pixels
+        .iter()
+        .flatten()
+        .zip(twin.image.pixels.iter().flatten());
+    let largest = bytes.map(|(made, twin)| made.abs_diff(*twin)).max();
+    assert!(largest.is_some_and(|largest| largest <= 4), "{largest:?}");
 }

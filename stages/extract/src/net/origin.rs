@@ -317,7 +317,7 @@ mod tests {
             ("https://a.example:444/", "origin"),
             ("https://b.example/", "origin"),
             ("https://me@a.example/", "user"),
-            ("https://a.example:x/", "no address"),
+            ("https://a.example:x/", "not an address"),
             ("file:///etc/passwd", "neither"),
             ("data:text/html,x", "neither"),
             ("javascript:alert(1)", "neither"),

@@ -408,7 +408,7 @@ fn a_bad_model_is_named_with_its_number() {
     });
     assert!(flat.contains("flat"), "{flat}");
     let wide = message(Cahvor {
-        h: [823.5, 20_000.0, 0.0],
+        h: [823.5, 200_000.0, 0.0],
         ..cahvor()
     });
     assert!(wide.contains("20000 and 14800 px"), "{wide}");

@@ -253,7 +253,7 @@ mod tests {
         let refused = |text: &str| CameraLayout::new(&archive(text)).unwrap_err().to_string();
         let wrong = refused("mission = 'curiosity'\ninstrument = 'helicam'\nsols = 1");
         assert!(
-            wrong.contains("curiosity has no helicam") && wrong.contains("mastcam, navcam"),
+            wrong.contains("curiosity has no helicam") && wrong.contains("mastcam and navcam"),
             "{wrong}"
         );
         assert!(

@@ -94,5 +94,5 @@ fn a_redirect_without_a_target_is_an_error() {
     let error = kind(one(&client(&server), &download(&server, "/a")));
     assert_eq!(*error.kind, NetErrorKind::NoLocation(302));
     let error = sent_to(&server, "http://[");
-    assert!(error.to_string().contains("no address"), "{error}");
+    assert!(error.to_string().contains("not an address"), "{error}");
 }

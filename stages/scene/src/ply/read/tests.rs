@@ -126,7 +126,7 @@ fn a_wrong_header_is_named_by_its_line() {
         ),
         (
             ply("element vertex 1\nproperty quad x\n", b""),
-            "line 3: `quad` is no type",
+            "line 3: `quad` is not a type",
         ),
         (
             ply("element vertex 1\nproperty float x\nproperty int x\n", b""),
@@ -183,7 +183,7 @@ fn every_cut_and_every_surplus_of_a_body_is_refused() {
         ("1 2 3\n4 5 6\n7 8 9\n", "5 bytes after the last vertex"),
         ("1 2 3\n4 5 6 7\n", "vertex 1: a line of other than 3 numbers"),
         ("1 2 3\n4 5       \n", "vertex 1: a line of other than 3 numbers"),
-        ("1 2 3\n4 five 6\n", "vertex 1: `five` is no number"),
+        ("1 2 3\n4 five 6\n", "vertex 1: `five` is not a number"),
     ] {
         let error = read(&ply(&lines, body.as_bytes())).unwrap_err();
         assert!(error.contains(part), "{error}");
