@@ -137,7 +137,7 @@ fn a_replay_that_differs_says_what_and_where() {
     let mut run = marf_engine::runs(&store, |_| {}).unwrap().pop().unwrap();
     let other = store.put(b"{}").unwrap();
     let node = run.nodes.iter_mut().find(|node| node.name == "train").unwrap();
-    let output = node.outputs.get_mut("metrics").unwrap();
+    let output = node.outputs.get_mut("weights").unwrap();
     (output.digest, output.bytes) = (other, 2);
     run.store(&store, |_| {}).unwrap();
     drop(store);

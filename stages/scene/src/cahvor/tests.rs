@@ -411,7 +411,7 @@ fn a_bad_model_is_named_with_its_number() {
         h: [823.5, 200_000.0, 0.0],
         ..cahvor()
     });
-    assert!(wide.contains("20000 and 14800 px"), "{wide}");
+    assert!(wide.contains("200000 and 14800 px"), "{wide}");
     assert_eq!(cahvor().project(&Vector3::repeat(f64::NAN)), None);
     assert_eq!(cahvor().unproject(&Vector2::repeat(f64::NAN)), None);
     assert_eq!(cahvore(0.6).project(&Vector3::repeat(f64::INFINITY)), None);
