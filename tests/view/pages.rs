@@ -303,7 +303,7 @@ fn what_cannot_be_served_is_one_sentence_and_a_way_out() {
         "{open}"
     );
     assert!(refused(&["view", "--token", "short"], 2).contains("16 or more"));
-    assert!(refused(&["view", "--prefix", "mars"], 2).contains("`mars` is no path"));
+    assert!(refused(&["view", "--prefix", "mars"], 2).contains("`mars` is not a path"));
     assert!(refused(&["view", "--run", "9"], 1).contains("run 9"));
     let viewer = Viewer::start(folder, &[]);
     let port = viewer.authority.rsplit(':').next().unwrap();

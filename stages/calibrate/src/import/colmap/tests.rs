@@ -171,7 +171,7 @@ fn another_lens_is_refused_by_name() {
     assert!(error.contains("OPENCV has 8 parameters, 4 are given"), "{error}");
     for (bad, part) in [
         ("1 PINHOLE 100 80 NaN 1 1 1", "parameter NaN"),
-        ("1 PINHOLE 100 80 0 1 1 1", "0 and 1 are no focal lengths"),
+        ("1 PINHOLE 100 80 0 1 1 1", "0 and 1 are not focal lengths"),
         ("1 PINHOLE 4294967295 80 1 1 1 1", "a size beyond 1 to 100000"),
         ("1 PINHOLE 100", "the line ends before the height"),
         ("1 PINHOLE 100 x 1 1 1 1", "`x` is not the height"),

@@ -134,7 +134,7 @@ fn every_wrong_field_is_named_by_its_pointer() {
             "/frames/0/fl_x: 0 is not a positive focal length",
         ),
         (frame(r#""fl_x": -5"#), "/frames/0/fl_x: -5 is not"),
-        (frame(r#""w": 4.5"#), "/frames/0/w: 4.5 is no size"),
+        (frame(r#""w": 4.5"#), "/frames/0/w: 4.5 is not a size"),
         (
             frame(r#""camera_model": "EQUIRECTANGULAR""#),
             "/frames/0/camera_model: the lens `EQUIRECTANGULAR` is not read",
