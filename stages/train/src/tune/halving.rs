@@ -346,6 +346,6 @@ mod tests {
         let further = search
             .tune
             .further(&search.harness.ctx(), &search.inputs, &search.done);
-        assert!(further.unwrap_err().to_string().contains("8 came"));
+        assert!(further.unwrap_err().to_string().contains("got 8"));
     }
 }

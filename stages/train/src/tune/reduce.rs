@@ -233,7 +233,7 @@ mod tests {
             .unwrap_err();
         assert_eq!(error.to_string(), "trial 00 has no output `metrics`");
         let error = stage.reduce(&harness.ctx(), &Inputs::default(), &[]).unwrap_err();
-        assert!(error.to_string().contains("0 came"), "{error}");
+        assert!(error.to_string().contains("got 0"), "{error}");
     }
 
     /// If this digest changes and `Tune::VERSION` does not, raise the version.
