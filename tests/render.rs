@@ -184,7 +184,7 @@ fn what_cannot_be_rendered_is_one_error_with_the_way_out() {
     refused(&["--path", "empty.json"], "it holds no bookmark");
     refused(&["--output", "normals"], "`rgb`, `depth`, `uncertainty`");
     refused(&["--width", "0"], "at least 1");
-    refused(&["--scale", "0"], "take a factor above 0");
+    refused(&["--scale", "0"], "Take a factor above 0");
     refused(&["--quantizer", "60"], "12 to 51");
     refused(&["--codec", "vp8"], "`h264` or `av1`");
     refused(&["--field", "strange.safetensors"], "gave this field");

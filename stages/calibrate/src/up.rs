@@ -423,10 +423,10 @@ mod tests {
     fn what_nothing_shows_is_not_known() {
         assert_eq!(find_up(&[], &ground()), None);
         let one = camera([0.0, 0.0, 2.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]);
-        assert_eq!(found(&[one.clone(), one.clone()], &[]), None);
+        assert_eq!(found(&[one, one], &[]), None);
         // One place, one heading, straight at a plane: a wall or the ground.
         let still = camera([0.0, 0.0, 6.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]);
-        assert_eq!(found(&[still.clone(), still], &ground()), None);
+        assert_eq!(found(&[still, still], &ground()), None);
         let mut broken = one;
         broken.translation.x = f64::NAN;
         assert_eq!(found(&[broken], &ground()), None);

@@ -95,8 +95,8 @@ impl Rectified {
         let forward = add(left.axes[2], right.axes[2]);
         let across = subtract(forward, scaled(x, dot(forward, x)));
         let sine = length(across) / length(forward);
-        // Not at least: axes that are opposite have no mean, and a NaN must not pass.
-        if !(sine >= LEAST_ANGLE_DEG.to_radians().sin()) {
+        // Axes that are opposite have no mean, and a NaN must not pass.
+        if sine.is_nan() || sine < LEAST_ANGLE_DEG.to_radians().sin() {
             return Err(RectifyError::AlongAxis {
                 angle_deg: sine.asin().to_degrees(),
             });

@@ -147,7 +147,7 @@ impl Measured {
                 let e = error.values[i] - means.values[i] / counts.values[i];
                 let g = slope.values[i];
                 measured.texture.values[i] = g * g;
-                measured.push.values[i] = g * e * -1.0;
+                measured.push.values[i] = -(g * e);
                 measured.energy.values[i] = e * e;
             } else {
                 measured.disparity.values[i] = if disparity.values[i] == NONE {

@@ -94,14 +94,13 @@ fn put_retrained(buffer: &mut Buffer, attributes: &mut Value, vertices: &[Vertex
     if vertices.iter().all(|vertex| vertex.retrained.is_none()) {
         return;
     }
-    let values: [(&str, fn(&Retrained) -> f32, f32); 2] = [
-        ("_DEPTH_STD", |retrained| retrained.depth, scale),
-        ("_COLOR_STD", |retrained| retrained.color, 1.0),
-    ];
-    for (name, value, scale) in values {
+    let depth = |retrained: &Retrained| retrained.depth * scale;
+    let color = |retrained: &Retrained| retrained.color;
+    let values: [(&str, &dyn Fn(&Retrained) -> f32); 2] = [("_DEPTH_STD", &depth), ("_COLOR_STD", &color)];
+    for (name, value) in values {
         let known = vertices.iter().map(|vertex| {
             let value = vertex.retrained.as_ref().map_or(-1.0, value);
-            if value < 0.0 { -1.0 } else { value * scale }
+            if value < 0.0 { -1.0 } else { value }
         });
         let form = json!({"componentType": FLOAT, "count": vertices.len(), "type": "SCALAR"});
         attributes[name] = buffer

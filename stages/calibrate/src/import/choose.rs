@@ -301,7 +301,10 @@ mod tests {
         let error = choose(&files(&["cameras.bin"]), None).unwrap_err().to_string();
         assert!(error.contains("`cameras.bin`"), "{error}");
         let error = choose(&files(&[]), None).unwrap_err().to_string();
-        assert!(error.contains("no file next to the photos holds cameras"), "{error}");
+        assert!(
+            error.contains("no file next to the photos holds cameras"),
+            "{error}"
+        );
         let error = choose(&files(&["transforms.json"]), Some("other.json"))
             .unwrap_err()
             .to_string();

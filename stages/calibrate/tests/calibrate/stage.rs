@@ -306,7 +306,10 @@ fn a_hostile_transforms_file_is_refused_by_its_field() {
             "tf_deep.json",
             "`transforms.json`: not JSON: recursion limit exceeded",
         ),
-        ("tf_huge_wh.json", "`transforms.json` /w: 4294967295 is not a size"),
+        (
+            "tf_huge_wh.json",
+            "`transforms.json` /w: 4294967295 is not a size",
+        ),
         (
             "tf_nan.json",
             "`transforms.json` /fl_x: \"NaN\" is not a finite number",
