@@ -89,6 +89,9 @@ pub fn mesh(mesh: &Mesh, frame: &ExportFrame, generator: &str, colors: &str) -> 
     container(&json, buffer.bytes)
 }
 
+/// A number of a vertex.
+type OfVertex<'a> = &'a dyn Fn(&Retrained) -> f32;
+
 /// Adds how far retrainings differ at each vertex, if a bootstrap was looked at.
 fn put_retrained(buffer: &mut Buffer, attributes: &mut Value, vertices: &[Vertex], scale: f32) {
     if vertices.iter().all(|vertex| vertex.retrained.is_none()) {
@@ -96,7 +99,7 @@ fn put_retrained(buffer: &mut Buffer, attributes: &mut Value, vertices: &[Vertex
     }
     let depth = |retrained: &Retrained| retrained.depth * scale;
     let color = |retrained: &Retrained| retrained.color;
-    let values: [(&str, &dyn Fn(&Retrained) -> f32); 2] = [("_DEPTH_STD", &depth), ("_COLOR_STD", &color)];
+    let values: [(&str, OfVertex<'_>); 2] = [("_DEPTH_STD", &depth), ("_COLOR_STD", &color)];
     for (name, value) in values {
         let known = vertices.iter().map(|vertex| {
             let value = vertex.retrained.as_ref().map_or(-1.0, value);
