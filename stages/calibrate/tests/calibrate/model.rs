@@ -34,7 +34,7 @@ fn a_colmap_model_beside_the_photos_is_read() {
     );
     assert_eq!(frame.error_px, Some(0.0));
     assert_eq!(output.scene.points.len(), 1);
-    assert_eq!(output.scene.up, Some([0.0, -1.0, 0.0]));
+    assert_eq!(output.scene.up, None);
     let photo = &output.metrics.photos[0];
     assert_eq!((photo.matches, photo.inliers), (Some(1), Some(1)));
     assert_eq!(output.metrics.totals.error_px, Some(0.0));

@@ -373,8 +373,8 @@ fn the_version_is_raised_when_the_answer_changes() {
         found,
         (
             11,
-            "6e1d72d788cd 563ab5fcc1aa".to_owned(),
-            "2d65d82fa689 d8f0f8b2add1".to_owned()
+            "921e9d60702d 563ab5fcc1aa".to_owned(),
+            "d6bc5b2d6f28 d8f0f8b2add1".to_owned()
         )
     );
 }

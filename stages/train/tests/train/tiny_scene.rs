@@ -342,7 +342,7 @@ fn the_answers_belong_to_the_versions() {
     assert_eq!(
         found,
         [
-            ("train", 19, "1e6700fcbf6e"),
+            ("train", 20, "961f14d26a01"),
             ("evaluate", 5, "33dfd60e0363"),
             ("render", 7, "30b222f6b290")
         ]
