@@ -136,8 +136,8 @@ fn difference(output: &marf_provenance::replay::DifferingOutput) -> String {
             ", from byte {} on, {} of {} ({} now)",
             found.first_byte,
             count(found.differing_bytes as usize, "byte"),
-            size(was as u64),
-            size(is as u64)
+            size(was),
+            size(is)
         ));
         for value in found.values.iter().take(MOST_VALUES) {
             text.push_str(&format!(", {}", value_text(value)));
