@@ -130,7 +130,7 @@ fn what_cannot_be_traded_is_refused_with_the_way_out() {
         (
             PIPELINE.replace("\"train.scale\" =", "scale ="),
             vec![],
-            "`trade.scale` is no key of a node",
+            "`trade.scale` is not a key of a node",
         ),
     ] {
         let dir = written(&pipeline);
