@@ -296,7 +296,7 @@ fn only_a_value_that_changed_is_a_change() {
     marf(dir.path(), &["run"]).exits(0);
     let why = |value: &str| {
         let text = marf(dir.path(), &["why", "blur", "--set", value]).exits(0).stdout;
-        text.matches(" -> ").count()
+        text.matches("\n  params.").count()
     };
     for own in [
         "blur.min_share=0.55",
@@ -314,7 +314,7 @@ fn absolute_paths_are_recorded_from_the_folder_of_the_pipeline() {
     let dir = pipeline();
     let here = dir.path().canonicalize().unwrap();
     let (file, crate_dir) = (here.join("pipeline.toml"), here.join("crate"));
-    marf(dir.path(), &["--file", file.to_str().unwrap(), "run"]).exits(0);
+    marf(dir.path(), &["run", "--file", file.to_str().unwrap()]).exits(0);
     marf(dir.path(), &["export", "crate", crate_dir.to_str().unwrap()]).exits(0);
     for entry in walkdir::WalkDir::new(&crate_dir) {
         let entry = entry.unwrap();

@@ -6,13 +6,12 @@ use serde_json::Value;
 
 use crate::common::{marf, photos};
 
-/// The built-in Mars before and after its change, with a field of few steps that has a surface.
+/// The built-in Mars with a field of few steps that has a surface.
 const PIPELINE: &str = r#"name = "json"
 [archive.demo]
 kind = "demo"
-sols = "1,8"
+sols = "1"
 width = 320
-change = 8
 
 [node.extract]
 archive = "demo"
@@ -44,7 +43,7 @@ const PUBLIC_KEY: &str = "-----BEGIN PUBLIC KEY-----\n\
     -----END PUBLIC KEY-----\n";
 
 /// Verbs that print a document, in an order in which each finds what it needs.
-const VERBS: [&str; 34] = [
+const VERBS: [&str; 33] = [
     "plan",
     "why train",
     "why train --files",
@@ -56,7 +55,6 @@ const VERBS: [&str; 34] = [
     "calibrate photos --method import --out cameras/transforms.json",
     "fit photos --budget 1s --device cpu --set train.field.log2_table=10 --set train.field.batch_samples=1024",
     "render --frames 1 --width 40 --out rendered --device cpu",
-    "compare --sols 1 --sols 8 --steps 60 -b 2 --cell 0.05 --out changes --device cpu",
     "export crate crate",
     "export cameras --out colmap",
     "export mesh --out mesh.ply --cell 0.05 --most-spread 5 --least-photos 1",

@@ -36,11 +36,11 @@ const fn limit(bar: Bar, now: usize, goal: usize) -> Limit {
 }
 
 static LIMITS: [Limit; 12] = [
-    limit(Bar::Code, 104_450, 97_000),
-    limit(Bar::CodeOfMarf, 3_040, 5_000),
+    limit(Bar::Code, 107_060, 97_000),
+    limit(Bar::CodeOfMarf, 3_170, 5_000),
     limit(Bar::CodeOfACrate, 7_712, 8_000),
     limit(Bar::Rule(Rule::LongFunctions), 0, 0),
-    limit(Bar::Rule(Rule::LongFiles), 5, 0),
+    limit(Bar::Rule(Rule::LongFiles), 6, 0),
     limit(Bar::Rule(Rule::Arguments), 0, 0),
     limit(Bar::Rule(Rule::TupleParameters), 0, 0),
     limit(Bar::Rule(Rule::BooleanMatches), 0, 0),
