@@ -196,7 +196,7 @@ mod tests {
             "file:///",
         ] {
             let error = Address::parse(bad).unwrap_err();
-            assert!(error.to_string().contains("is no address"), "{bad}: {error}");
+            assert!(error.to_string().contains("is not an address"), "{bad}: {error}");
             assert!(error.hint().is_some(), "{bad}");
         }
     }

@@ -136,7 +136,7 @@ impl Injector for Stop<'_> {
         } else {
             String::new()
         };
-        format!("{how} at random moments{downloads}; {stores}")
+        format!("{how} at random moments{downloads}, {stores}")
     }
 }
 

@@ -153,7 +153,7 @@ fn check_enough(found: &Calibration, total: usize, min_registered: u32) -> Resul
     let most_common = reasons.into_iter().max_by_key(|(_, count)| *count);
     let most_common = most_common.map(|(reason, count)| format!("{count} photos: {reason}"));
     let error = StageError::new(format!(
-        "{placed} of {total} photos were placed; `min_registered` asks for {min_registered}"
+        "{placed} of {total} photos were placed, and `min_registered` asks for {min_registered}"
     ))
     .hint(found.hint.clone());
     Err(match found.cause.clone().or(most_common) {

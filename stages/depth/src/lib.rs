@@ -106,7 +106,7 @@ pub enum MatchError {
     },
     /// No disparity to try, or more than fit.
     #[error(
-        "{count} disparities from {first} cannot be tried; the limit is 1 to {MAX_DISPARITIES}, within +-{MAX_DISPARITIES}"
+        "{count} disparities from {first} cannot be tried: the limit is 1 to {MAX_DISPARITIES}, within +-{MAX_DISPARITIES}"
     )]
     Search {
         /// The smallest disparity.
@@ -116,7 +116,7 @@ pub enum MatchError {
     },
     /// The left picture seems to be the right one.
     #[error(
-        "{:.1} % of the pixels match as given and {:.1} % with left and right exchanged; exchange the pictures",
+        "{:.1} % of the pixels match as given and {:.1} % with left and right exchanged. Exchange the pictures",
         100.0 * given, 100.0 * exchanged
     )]
     Swapped {

@@ -56,14 +56,14 @@ pub enum RectifyError {
     },
     /// The baseline is along the viewing direction.
     #[error(
-        "the baseline is {angle_deg:.0} degrees from the viewing direction; the limit is {LEAST_ANGLE_DEG}"
+        "the baseline is {angle_deg:.0} degrees from the viewing direction, and the limit is {LEAST_ANGLE_DEG}"
     )]
     AlongAxis {
         /// Degrees between baseline and viewing direction.
         angle_deg: f64,
     },
     /// The left camera is right of the right one.
-    #[error("the left camera is {baseline_m} m right of the right one; exchange them")]
+    #[error("the left camera is {baseline_m} m right of the right one. Exchange them")]
     Swapped {
         /// Metres between the eyes.
         baseline_m: f64,

@@ -121,7 +121,7 @@ fn a_swapped_pair_is_an_error_that_says_so() {
     let [left, right] = slanted(200, 60, 14.0, 0.05);
     let error = match_pair(&right, &left, search(64)).unwrap_err();
     assert!(matches!(error, MatchError::Swapped { .. }), "{error}");
-    assert!(error.to_string().contains("exchange the pictures"), "{error}");
+    assert!(error.to_string().contains("Exchange the pictures"), "{error}");
 }
 
 #[test]

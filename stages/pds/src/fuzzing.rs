@@ -5,7 +5,7 @@
 #![allow(
     clippy::panic,
     clippy::assertions_on_constants,
-    reason = "a broken promise must stop the fuzzer; the program never calls this"
+    reason = "a broken promise must stop the fuzzer, and the program never calls this"
 )]
 
 use crate::{dat, feed, index_table, inventory, listing, odl, pds4, raw, vicar};

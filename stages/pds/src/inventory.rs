@@ -193,14 +193,14 @@ mod tests {
     #[test]
     fn what_is_no_member_is_refused_with_its_line() {
         for (bad, part) in [
-            ("x", "two columns"),
+            ("x", "not two columns"),
             ("Member Status,LIDVID", "neither"),
-            ("P;urn:nasa:pds:a:b:c::1.0", "two columns"),
-            ("P,", "no identifier"),
-            ("P,urn:nasa:pds:a:b::1.0", "no identifier"),
-            ("P,urn:nasa:pds:a:b:c:d::1.0", "no identifier"),
-            ("P,urn:nasa:pds:a::c::1.0", "no identifier"),
-            ("P,urn:nasa:pds:a:b:../c::1.0", "no identifier"),
+            ("P;urn:nasa:pds:a:b:c::1.0", "not two columns"),
+            ("P,", "not a product identifier"),
+            ("P,urn:nasa:pds:a:b::1.0", "not a product identifier"),
+            ("P,urn:nasa:pds:a:b:c:d::1.0", "not a product identifier"),
+            ("P,urn:nasa:pds:a::c::1.0", "not a product identifier"),
+            ("P,urn:nasa:pds:a:b:../c::1.0", "not a product identifier"),
             ("P,urn:nasa:pds:a:b:c", "version"),
             ("P,urn:nasa:pds:a:b:c::", "version"),
             ("P,urn:nasa:pds:a:b:c::1", "version"),
@@ -208,7 +208,7 @@ mod tests {
             ("S,urn:nasa:pds:a:b:c::", "version"),
             ("P,urn:nasa:pds:a:b:c::1.0,x", "version"),
             ("P,\"urn:nasa:pds:a:b:c::1.0", "quote"),
-            ("<html>403</html>", "two columns"),
+            ("<html>403</html>", "not two columns"),
         ] {
             let error = read(format!("P,urn:nasa:pds:a:b:c::1.0\n\n{bad}\n").as_bytes())
                 .unwrap_err()

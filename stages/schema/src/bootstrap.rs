@@ -299,7 +299,7 @@ mod tests {
             assert_eq!(serde_json::to_value(expected).unwrap(), written);
         }
         for (written, word) in [
-            (json!("many"), "a number of members, or \"auto\""),
+            (json!("many"), "a number of members, or `auto`"),
             (json!(-1), "fewer than no"),
             (json!(1_u64 << 40), "cannot be counted"),
             (json!([]), "a number of members"),

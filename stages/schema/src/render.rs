@@ -229,7 +229,7 @@ mod tests {
             (json!({"frames": 0}), "frames", "at least 1"),
             (json!({"width": 4097}), "width", "more than 4096"),
             (json!({"height": 0}), "height", "at least 1"),
-            (json!({"outputs": []}), "outputs", "nothing"),
+            (json!({"outputs": []}), "outputs", "the list is empty"),
             (json!({"outputs": ["depth", "depth"]}), "outputs", "twice"),
             (json!({"path": "stills"}), "keyframes", "`stills` needs one"),
             (

@@ -65,7 +65,7 @@ impl SurfaceMap {
         let size = (high / pixel_m).map(f64::floor) - first + Vector2::repeat(1.0);
         if size.x * size.y > MOST_PIXELS {
             return Err(refused(format!(
-                "{} x {} pixels of {pixel_m} m are too many; widen `map_cell`",
+                "{} x {} pixels of {pixel_m} m are too many: widen `map_cell`",
                 size.x, size.y
             )));
         }

@@ -85,7 +85,7 @@ mod tests {
             };
             let error = request.keys([640, 480], None).unwrap_err();
             assert!(
-                error.message().contains("take a factor above 0"),
+                error.message().contains("Take a factor above 0"),
                 "{scale}: {error:?}"
             );
         }

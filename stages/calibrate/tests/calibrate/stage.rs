@@ -176,7 +176,7 @@ fn another_site_is_built_when_asked_for() {
     assert_eq!(output.scene.frames[0].id, "D");
     let complaint = mixed().complaint(&json!({"method": "labels", "site": 9}));
     assert!(
-        complaint.starts_with("0 of 6 photos were placed; `min_registered` asks for 2"),
+        complaint.starts_with("0 of 6 photos were placed, and `min_registered` asks for 2"),
         "{complaint}"
     );
     assert!(

@@ -20,7 +20,7 @@ fn joined(count: usize, part: impl Fn(usize) -> String) -> String {
 }
 
 fn attributes(count: usize) -> String {
-    joined(count, |index| format!(" a{index}='>\"<!--'"))
+    joined(count, |index| format!(" a{index}='>\"--'"))
 }
 
 fn namespaces(first: usize, count: usize) -> String {
