@@ -343,7 +343,9 @@ fn photos_without_detail_ask_for_a_small_table_and_a_short_training_decides_befo
 fn points_that_are_of_no_use_are_told_from_those_that_are() {
     let few = sizes(&above(64), &[[0.0; 3]]);
     assert!(
-        few.near.reason.starts_with("1 sparse points are fewer than the 32 needed"),
+        few.near
+            .reason
+            .starts_with("1 sparse points are fewer than the 32 needed"),
         "{}",
         few.near.reason
     );
