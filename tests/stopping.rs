@@ -72,7 +72,7 @@ fn ctrl_c_ends_every_wait_for_another_program() {
         assert!(took <= LIMIT, "{words:?} on {lock}: {took:?}");
         assert_eq!(output.status.code(), Some(130), "{words:?} on {lock}: {text}");
         assert!(
-            text.ends_with("run again to go on\n"),
+            text.ends_with("run the same command again to continue\n"),
             "{words:?} on {lock}: {text}"
         );
     }

@@ -34,7 +34,12 @@ fn answer_code(answer: Answer) -> u8 {
 /// Returns the lines of an error for stderr.
 pub fn lines(error: &Error) -> Vec<String> {
     error.diagnostic().map_or_else(
-        || vec!["stopped. Results so far are kept: run again to go on".to_owned()],
+        || {
+            vec![
+                "stopped. Finished nodes and checkpoints are kept: run the same command again to continue"
+                    .to_owned(),
+            ]
+        },
         diagnostic_lines,
     )
 }

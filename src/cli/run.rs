@@ -56,11 +56,19 @@ pub fn run(args: RunArgs, context: Context) -> Result<(), Error> {
     let run = marf_run::run::run(&context, &args.selection.into(), out, trace, site)?;
     if !args.json {
         print_lines(table(&run));
+        print_lines(summary(&run)?);
         if run.execution.record.outcome != Outcome::Cancelled {
             eprint_line(&format!("report: {}", out.join(document::REPORT).display()));
         }
     }
     run.execution.done().map(|_| ())
+}
+
+/// Returns the figures of the result, one a line.
+fn summary(run: &PipelineRun) -> Result<Vec<String>, Error> {
+    let figures = run.summary()?;
+    let lines = figures.iter().map(|(name, text)| format!("{name:<20} {text}"));
+    Ok(lines.collect())
 }
 
 /// Returns the nodes of a run as a table: state, time, result.

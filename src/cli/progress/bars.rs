@@ -24,7 +24,7 @@ impl Bars {
                 .all
                 .add(ProgressBar::new(standing.nodes as u64))
                 .with_prefix("run");
-            let style = ProgressStyle::with_template("{prefix:<22} {bar:28} {elapsed:>4}  {msg}");
+            let style = ProgressStyle::with_template("{prefix:<22} {bar:28} {elapsed:>4} so far, {msg}");
             bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
             bar
         });
@@ -43,7 +43,7 @@ impl Bars {
                 None => self.all.add(ProgressBar::new(total)),
             };
             let bar = bar.with_prefix(visible(node).into_owned());
-            let template = "{prefix:<22} {bar:28} {pos:>6}/{len:<6} {elapsed:>4} left {eta:<5} {msg}";
+            let template = "{prefix:<22} {bar:28} {pos:>6}/{len:<6} {elapsed:>4} so far, {eta} left  {msg}";
             bar.set_style(
                 ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar()),
             );

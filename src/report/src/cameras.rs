@@ -20,6 +20,7 @@ use super::vector::{Vec3, add, scaled, unit};
 
 /// Most sparse points that are drawn, evenly from all.
 const MOST_POINTS: usize = 3_000;
+const FEW_POINTS: usize = 600;
 /// Length of a drawn view, as a share of the longer side of the drawing, and that of the one camera of a
 /// plan.
 const VIEW_SHARE: f64 = 0.06;
@@ -66,7 +67,8 @@ fn of_nodes(page: &Page<'_>, nodes: &[&RunNode]) -> Markup {
     }
 }
 
-fn scene(page: &Page<'_>, node: &RunNode) -> Result<Scene, Missing> {
+/// Reads the scene of a node.
+pub(super) fn scene(page: &Page<'_>, node: &RunNode) -> Result<Scene, Missing> {
     let bytes = page.bytes(node, output::SCENE)?;
     Scene::decode(&bytes).map_err(|error| unreadable(node, output::SCENE, &error))
 }
@@ -96,8 +98,8 @@ fn of_scene(scene: &Scene) -> Markup {
         }
         @if !scene.frames.is_empty() {
             div.charts {
-                figure { (drawing(scene, &axes.above(), "Cameras from above")) figcaption { "from above" } }
-                figure { (drawing(scene, &axes.aside(), "Cameras from the side")) figcaption { "from the side" } }
+                figure { (drawing(scene, &axes.above(), "Cameras from above", MOST_POINTS)) figcaption { "from above" } }
+                figure { (drawing(scene, &axes.aside(), "Cameras from the side", MOST_POINTS)) figcaption { "from the side" } }
             }
             p.legend {
                 (key("train", "trained on")) (key("held-out", "held out")) (key("point", "sparse point"))
@@ -175,14 +177,24 @@ fn scale_words(scene: &Scene) -> String {
     }
 }
 
-fn drawing(scene: &Scene, view: &View, title: &str) -> Markup {
+/// Draws the cameras from above with few points.
+pub(super) fn overview(scene: &Scene) -> Markup {
+    drawing(
+        scene,
+        &Axes::new(scene).above(),
+        "Cameras of the scene from above",
+        FEW_POINTS,
+    )
+}
+
+fn drawing(scene: &Scene, view: &View, title: &str, most_points: usize) -> Markup {
     let fit = fitted(scene, view);
     // Held-out cameras last, so that they lie on top.
     let (held_out, train): (Vec<&Frame>, Vec<&Frame>) = scene.frames.iter().partition(|frame| frame.held_out);
     html! {
         svg.cameras viewBox={ "0 0 " (px(WIDTH)) " " (px(fit.height)) } width=(px(WIDTH)) height=(px(fit.height))
             role="img" aria-label={ (title) ": " (count(scene.frames.len(), "camera")) } {
-            g.points { @for point in evenly(&scene.points, MOST_POINTS) { (dot_of(point, &fit)) } }
+            g.points { @for point in evenly(&scene.points, most_points) { (dot_of(point, &fit)) } }
             @if scene.frames.len() <= MOST_NAMED {
                 @for frame in train.into_iter().chain(held_out) { (frustum(frame, &fit, VIEW_SHARE)) }
             } @else {

@@ -1,7 +1,7 @@
 //! Pictures and films of the page, small enough that the whole page stays light.
 
 use std::cell::{Cell, RefCell};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use marf_cache::Digest;
@@ -73,6 +73,7 @@ pub(super) struct Pictures<'a> {
     picture_bytes: Cell<usize>,
     film_bytes: Cell<usize>,
     made: RefCell<BTreeMap<(Digest, Form), Result<Picture, String>>>,
+    films: RefCell<BTreeSet<Digest>>,
 }
 
 impl<'a> Pictures<'a> {
@@ -82,6 +83,7 @@ impl<'a> Pictures<'a> {
             picture_bytes: Cell::default(),
             film_bytes: Cell::default(),
             made: RefCell::default(),
+            films: RefCell::default(),
         }
     }
 
@@ -118,7 +120,13 @@ impl<'a> Pictures<'a> {
             ));
         }
         let address = self.media.stored("video/mp4", digest, &bytes);
+        self.films.borrow_mut().insert(*digest);
         Ok(html! { video src=(address) controls loop muted playsinline aria-label=(alt) {} })
+    }
+
+    /// Returns true if a film is on the page already.
+    pub(super) fn has_film(&self, digest: &Digest) -> bool {
+        self.films.borrow().contains(digest)
     }
 
     fn shown(&self, made: Result<Picture, String>, alt: &str) -> Markup {

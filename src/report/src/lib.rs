@@ -19,6 +19,7 @@ mod graph;
 mod ground;
 mod hardware;
 mod json;
+mod lead;
 mod maps;
 mod media;
 mod nodes;
@@ -68,6 +69,7 @@ use verdicts::Summary;
 
 pub use call::{Call, FACTORS, calls};
 pub use media::{File, LinkedPage, LiveParts};
+pub use quality::Figure;
 pub use report::{ChangedNode, Changes, ReadBlob, Report, ScenePage};
 pub use review::percent;
 pub use visible::{visible, visible_document};
@@ -92,6 +94,11 @@ pub fn kept_as(report: &Report<'_>) -> Vec<String> {
         .collect()
 }
 
+/// Returns the figures of the first screen: photos kept and placed, error and unseen share of new views, extent.
+pub fn summary(report: &Report<'_>) -> Vec<Figure> {
+    lead::figures_of(&Page::new(report, &Media::Embedded))
+}
+
 /// Writes the report as a page that is served: style, pictures and films have addresses of their own, and live parts are added.
 pub fn linked(report: &Report<'_>, live: &LiveParts) -> LinkedPage {
     let media = Media::linked(live);
@@ -112,10 +119,12 @@ pub fn sentence_page(sentence: &str, live: &LiveParts) -> LinkedPage {
 
 fn page_of(report: &Report<'_>, media: &Media<'_>) -> String {
     let page = Page::new(report, media);
+    // First, since a film is shown once.
+    let lead = lead::body(&page);
     let sections = sections(&page);
     let title = format!("{}, marf report", report.title());
     let body = html! {
-        (header(report, &sections, media))
+        (header(&page, &lead, &sections, media))
         main {
             @if let Some(live) = media.live() { (live.main) }
             @for section in &sections { (section.shown()) }
@@ -160,63 +169,92 @@ struct Section {
     id: &'static str,
     title: &'static str,
     body: Markup,
+    is_folded: bool,
 }
 
 impl Section {
+    fn open(id: &'static str, title: &'static str, body: Markup) -> Self {
+        Self {
+            id,
+            title,
+            body,
+            is_folded: false,
+        }
+    }
+
+    fn folded(id: &'static str, title: &'static str, body: Markup) -> Self {
+        Self {
+            is_folded: true,
+            ..Self::open(id, title, body)
+        }
+    }
+
     fn shown(&self) -> Markup {
-        html! { section id=(self.id) { h2 { (self.title) } (self.body) } }
+        html! {
+            section id=(self.id) {
+                @if self.is_folded { details { summary { h2 { (self.title) } } (self.body) } }
+                @else { h2 { (self.title) } (self.body) }
+            }
+        }
     }
 }
 
+/// Returns the sections: results first, then what they were made from, then the work.
 fn sections(page: &Page<'_>) -> Vec<Section> {
-    let section = |id, title, body| Section { id, title, body };
-    let mut sections = vec![
-        section("graph", "Pipeline", graph::body(page)),
-        section("nodes", "Nodes", nodes::body(page)),
-        section("changes", "What changed", changes::body(page)),
-    ];
-    if page.report.scene.is_none() {
-        sections.extend([
-            section("funnel", "Filters", funnel::body(page)),
-            section("rejected", "Rejected photos", gallery::rejected(page)),
-            section("kept", "Kept photos", gallery::kept(page)),
-            section("review", "How firm the verdicts are", review::body(page)),
-        ]);
-    }
+    let mut sections = Vec::new();
     if page.with_document::<Scenes>().next().is_some() {
-        sections.insert(0, section("scenes", "Scenes", scenes::body(page)));
+        sections.push(Section::open("scenes", "Scenes", scenes::body(page)));
     }
     if page.with_document::<Ties>().next().is_some() {
-        let after_scenes = sections.iter().position(|one| one.id == "graph").unwrap_or(0);
-        sections.insert(
-            after_scenes,
-            section("ties", "How scenes lie to each other", ties::body(page)),
-        );
+        sections.push(Section::open(
+            "ties",
+            "How scenes lie to each other",
+            ties::body(page),
+        ));
     }
-    if filters_alone(page.report) {
-        return sections;
+    if !filters_alone(page.report) {
+        sections.extend(field_sections(page));
+    }
+    if page.report.scene.is_none() {
+        sections.extend([
+            Section::open("funnel", "Filters", funnel::body(page)),
+            Section::open("rejected", "Rejected photos", gallery::rejected(page)),
+            Section::folded("kept", "Kept photos", gallery::kept(page)),
+            Section::folded("review", "How firm the verdicts are", review::body(page)),
+        ]);
+    }
+    if !filters_alone(page.report) {
+        let trade = page.report.trade.as_ref().map(trade_page::body);
+        sections.extend(trade.map(|body| Section::open("trade", "Time against quality", body)));
+        sections.extend([
+            Section::folded("training", "Training", curves::body(page)),
+            Section::folded("tune", "Tuning", tune::body(page)),
+        ]);
     }
     sections.extend([
-        section(
-            "cameras",
-            "Cameras",
-            html! { (hardware::body(page)) (cameras::body(page)) },
-        ),
-        section("tune", "Tuning", tune::body(page)),
-        section("training", "Training", curves::body(page)),
-        section("heldout", "Held-out photos", pictures::held_out(page)),
-        section("uncertainty", "Uncertainty", maps::body(page)),
-        section("flight", "Fly-through", pictures::flights(page)),
+        Section::open("graph", "Pipeline", graph::body(page)),
+        Section::folded("nodes", "Nodes", nodes::body(page)),
+        Section::open("changes", "What changed", changes::body(page)),
     ]);
+    sections
+}
+
+/// Returns the sections on the field and its cameras.
+fn field_sections(page: &Page<'_>) -> Vec<Section> {
+    let mut sections = vec![
+        Section::open("heldout", "Held-out photos", pictures::held_out(page)),
+        Section::open("uncertainty", "Uncertainty", maps::body(page)),
+        Section::open("flight", "Fly-through", pictures::flights(page)),
+    ];
     if ground::is_compared(page) {
-        sections.push(section(
+        sections.push(Section::open(
             "ground",
             "What changed on the ground",
             ground::body(page),
         ));
     }
-    let trade = page.report.trade.as_ref().map(trade_page::body);
-    sections.extend(trade.map(|body| section("trade", "Time against quality", body)));
+    let cameras = html! { (hardware::body(page)) (cameras::body(page)) };
+    sections.push(Section::open("cameras", "Cameras", cameras));
     sections
 }
 
@@ -229,16 +267,15 @@ fn filters_alone(report: &Report<'_>) -> bool {
     !report.nodes.is_empty() && report.nodes.iter().all(judges)
 }
 
-fn header(report: &Report<'_>, sections: &[Section], media: &Media<'_>) -> Markup {
+fn header(page: &Page<'_>, lead: &Markup, sections: &[Section], media: &Media<'_>) -> Markup {
     let [on_disk, served] = ALL_SCENES;
+    let report = page.report;
     let record = &report.run.record;
     html! {
         header {
             h1 { (report.title()) }
-            p.lead { (nodes::sentence(report)) }
-            p.quiet { code { (record.command) } ", started " (report.started) ", " (record.program) }
-            (nodes::failures(report))
-            (nodes::of_earlier_run(report))
+            (lead)
+            p.quiet.work { (nodes::sentence(report)) ". " code { (record.command) } ", started " (report.started) ", " (record.program) }
             nav aria-label="Contents" {
                 @if let Some(live) = media.live() { (live.navigation) }
                 @if report.scene.is_some() {

@@ -161,6 +161,36 @@ fn difference(a: &Image<Srgb>, b: &Image<Srgb>) -> Result<Image<Srgb>, String> {
     })
 }
 
+/// The first film, or else the best held-out view next to its photo. Empty if there is neither.
+pub(super) fn best(page: &Page<'_>) -> Markup {
+    let films = page.report.nodes.iter();
+    let films = films.filter_map(|node| Some((node, node.digest(output::VIDEO)?)));
+    let shown = films.filter_map(|(node, digest)| {
+        let alt = format!("fly-through by {}", node.run.name);
+        page.pictures.film(page.report, digest, &alt).ok()
+    });
+    if let Some(film) = shown.take(1).next() {
+        return html! { figure { (film) figcaption { "fly-through of the field" } } };
+    }
+    let Some(node) = page.with_document::<train::Metrics>().last() else {
+        return html! {};
+    };
+    let scores = scores(page, node).unwrap_or_default();
+    let best = scores.views.iter().max_by(|a, b| a.psnr.total_cmp(&b.psnr));
+    html! {
+        @if let Some(view) = best {
+            @for (prefix, what) in [(output::PHOTO, "held-out photo"), (output::HELDOUT, "the field from there")] {
+                @if let Some(digest) = node.digest(&format!("{prefix}{}.png", view.name)) {
+                    figure {
+                        (page.pictures.stored(page.report, digest, Form::Photo, &format!("{what} {}", view.name)))
+                        figcaption { (what) ": " (view.file) }
+                    }
+                }
+            }
+        }
+    }
+}
+
 /// Films, or single frames of a node without a usable film.
 pub(super) fn flights(page: &Page<'_>) -> Markup {
     let nodes = &page.report.nodes;
@@ -193,9 +223,12 @@ fn frames(node: &RunNode) -> impl Iterator<Item = (&str, &Digest)> {
 fn flight(page: &Page<'_>, node: &RunNode) -> Markup {
     let frames = frames_of(page, node);
     let alt = format!("fly-through by {}", node.run.name);
-    let film = node
-        .digest(output::VIDEO)
-        .map(|digest| page.pictures.film(page.report, digest, &alt));
+    let film = node.digest(output::VIDEO).map(|digest| {
+        if page.pictures.has_film(digest) {
+            return Ok(html! { p { "This film is at the top of the page." } });
+        }
+        page.pictures.film(page.report, digest, &alt)
+    });
     let has_uncertainty = frames.outputs_under(output::UNCERTAINTY).next().is_some();
     html! {
         h3 {

@@ -9,7 +9,7 @@ use maud::{Markup, html};
 use super::format::{decibels, length, number, similarity};
 
 /// A figure: its name, its value with the unit.
-pub(super) type Figure = (&'static str, String);
+pub type Figure = (&'static str, String);
 
 /// Shows figures, large.
 pub(super) fn figures(figures: &[Figure]) -> Markup {

@@ -2,7 +2,8 @@
 
 use std::path::Path;
 
-use marf_engine::{Options, Outcome};
+use marf_engine::{NodeState, Options, Outcome};
+use marf_report::Figure;
 
 use crate::batch_system;
 use crate::context::Context;
@@ -12,6 +13,7 @@ use crate::outputs::{self, Completeness};
 use crate::report;
 use crate::scenes::{self, Selection};
 use crate::session::Session;
+use crate::verdicts;
 
 /// A run of a pipeline, and the session that it was made in.
 pub struct PipelineRun {
@@ -19,6 +21,20 @@ pub struct PipelineRun {
     pub session: Session,
     /// The run.
     pub execution: Execution,
+}
+
+impl PipelineRun {
+    /// Returns the figures of the first screen of the report. None of a run in which nothing ran.
+    ///
+    /// # Errors
+    /// A store that cannot be read.
+    pub fn summary(&self) -> Result<Vec<Figure>, Error> {
+        let record = &self.execution.record;
+        if record.nodes.iter().all(|node| node.state != NodeState::Finished) {
+            return Ok(Vec::new());
+        }
+        verdicts::summary(&self.session, record)
+    }
 }
 
 /// How often the outputs of one run may be found damaged when they are written out.

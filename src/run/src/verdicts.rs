@@ -4,10 +4,11 @@ use std::collections::BTreeMap;
 
 use marf_engine::RunRecord;
 use marf_model::Run;
-use marf_report::Report;
+use marf_report::{Figure, Report};
 use marf_stage::{VERDICTS, Verdict};
 
 use crate::error::Error;
+use crate::report::nodes_of;
 use crate::report_memos::StoreMemos;
 use crate::session::Session;
 
@@ -39,8 +40,25 @@ pub fn all(session: &Session, record: &RunRecord) -> Vec<Verdict> {
 /// # Errors
 /// A store that cannot be read.
 pub fn kept_as(session: &Session, record: &RunRecord) -> Result<Vec<String>, Error> {
+    of_report(session, record, marf_report::kept_as)
+}
+
+/// Returns the figures of the first screen of a run's report.
+///
+/// # Errors
+/// A store that cannot be read.
+pub fn summary(session: &Session, record: &RunRecord) -> Result<Vec<Figure>, Error> {
+    of_report(session, record, marf_report::summary)
+}
+
+/// Returns what a report of all nodes that are of no scene says.
+fn of_report<T>(
+    session: &Session,
+    record: &RunRecord,
+    make: impl FnOnce(&Report<'_>) -> T,
+) -> Result<T, Error> {
     let run = Run::new(&session.store, record.clone())?;
-    Ok(marf_report::kept_as(&Report {
+    Ok(make(&Report {
         changes: None,
         trade: None,
         read: &|digest| session.store.get(digest).ok(),
@@ -48,7 +66,7 @@ pub fn kept_as(session: &Session, record: &RunRecord) -> Result<Vec<String>, Err
         run: &run,
         started: String::new(),
         scene: None,
-        nodes: run.nodes.iter().filter(|node| !node.is_child()).collect(),
+        nodes: nodes_of(&run, None),
         scenes: Vec::new(),
         params: &BTreeMap::new(),
     }))

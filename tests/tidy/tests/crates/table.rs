@@ -195,6 +195,7 @@ pub const CRATES: [Crate; 36] = [
                 "marf-engine",
                 "marf-progress",
                 "marf-model",
+                "marf-numeric",
             ],
         )
     },

@@ -1,0 +1,304 @@
+//! First screen: what the run made in a sentence and five figures, a picture of it next to its cameras, and what to know.
+
+use marf_numeric::quantile;
+use marf_scene::Scene;
+use marf_schema::scores::Scores;
+use marf_schema::{bootstrap, calibrate, output, train};
+use maud::{Markup, html};
+
+use super::camera_view::Axes;
+use super::cameras;
+use super::format::{count, decibels, length};
+use super::page::Page;
+use super::pictures;
+use super::quality::{Figure, figures};
+use super::vector::{Vec3, dot};
+
+/// Most things to know that are listed.
+const MOST_NOTES: usize = 5;
+/// The extent holds the sparse points between this quantile and its mirror, along each axis of the ground.
+const STRAY: f64 = 0.05;
+/// Fewer held-out photos than this say little about other views.
+const FEW_HELD_OUT: usize = 5;
+
+/// What the first screen says. What the run did not make is absent.
+#[derive(Default)]
+struct Facts {
+    /// Photos that were read.
+    found: Option<usize>,
+    /// Photos that every filter kept.
+    kept: Option<usize>,
+    totals: Option<calibrate::Totals>,
+    scene: Option<Scene>,
+    /// Scores of the last training on its held-out photos.
+    scores: Option<Scores>,
+    has_uncertainty: bool,
+}
+
+/// A thing to know, and the section that shows it.
+struct Note {
+    text: String,
+    section: &'static str,
+}
+
+/// Returns the result in a sentence, then figures, pictures and notes.
+pub(super) fn body(page: &Page<'_>) -> Markup {
+    let facts = Facts::new(page);
+    let (sentence, notes) = (facts.sentence(), facts.notes(page));
+    html! {
+        @if !sentence.is_empty() { p.lead { (sentence) } }
+        (super::nodes::failures(page.report))
+        (super::nodes::of_earlier_run(page.report))
+        (figures(&facts.figures()))
+        div.first {
+            (pictures::best(page))
+            @if let Some(scene) = facts.scene.as_ref().filter(|scene| !scene.frames.is_empty()) {
+                figure { (cameras::overview(scene)) figcaption { "cameras from above" } }
+            }
+        }
+        @if !notes.is_empty() {
+            ul.know {
+                @for note in notes.iter().take(MOST_NOTES) {
+                    li { (note.text) " " a href={ "#" (note.section) } { "Details" } }
+                }
+            }
+        }
+    }
+}
+
+/// Returns the figures of the first screen.
+pub(super) fn figures_of(page: &Page<'_>) -> Vec<Figure> {
+    Facts::new(page).figures()
+}
+
+impl Facts {
+    fn new(page: &Page<'_>) -> Self {
+        let read = page.judged().filter(|(node, _)| node.run.edges.is_empty());
+        let read: Vec<usize> = read.filter_map(|(_, sum)| Some(sum.ok()?.seen)).collect();
+        let kept = page.kept.iter().filter_map(|(_, kept)| kept.as_ref().ok());
+        let kept: Vec<usize> = kept.map(|kept| kept.count).collect();
+        let sum = |counts: Vec<usize>| (!counts.is_empty()).then(|| counts.iter().sum());
+        let calibration = page.with_document::<calibrate::Metrics>().last();
+        let training = page.with_document::<train::Metrics>().last();
+        let metrics = training.and_then(|node| page.document::<train::Metrics>(node).ok());
+        let scene = page.with_output(output::SCENE).last();
+        Self {
+            found: sum(read),
+            kept: sum(kept),
+            totals: calibration.and_then(|node| Some(page.document::<calibrate::Metrics>(node).ok()?.totals)),
+            scene: scene.and_then(|node| cameras::scene(page, node).ok()),
+            scores: metrics
+                .map(|metrics| metrics.scores)
+                .filter(|scores| !scores.views.is_empty()),
+            has_uncertainty: page.with_document::<bootstrap::Metrics>().next().is_some(),
+        }
+    }
+
+    /// Returns the photos of the run: those that were read, or else those that the calibration was given.
+    fn photos(&self) -> Option<usize> {
+        self.found
+            .or_else(|| self.totals.as_ref().map(|totals| totals.photos))
+    }
+
+    fn sentence(&self) -> String {
+        let mut sentences = Vec::new();
+        if let Some(photos) = self.photos() {
+            let photos = count(photos, "photo");
+            let size = self.scene.as_ref().and_then(extent);
+            let size = size.map_or_else(String::new, |size| format!(" of {size}"));
+            sentences.extend(match (&self.totals, self.kept) {
+                (Some(totals), _) if self.scores.is_some() => {
+                    Some(format!("{} of {photos} became a field{size}.", totals.registered))
+                }
+                (Some(totals), _) => Some(format!("{} of {photos} have a camera.", totals.registered)),
+                (None, Some(kept)) => Some(format!("{kept} of {photos} were kept.")),
+                (None, None) => None,
+            });
+        }
+        if let Some(scores) = &self.scores {
+            sentences.push(format!(
+                "New views differ from held-out photos by {} ({} dB).",
+                gray_levels(scores.psnr),
+                decibels(scores.psnr)
+            ));
+            let unseen = unseen_share(scores).filter(|share| *share >= 0.005);
+            sentences.extend(unseen.map(|share| {
+                format!(
+                    "{:.0} % of what these photos show was seen by no photo trained on from a similar direction: there the field guesses.",
+                    100.0 * share
+                )
+            }));
+        }
+        sentences.join(" ")
+    }
+
+    fn figures(&self) -> Vec<Figure> {
+        let of = |part: usize, whole: Option<usize>| match whole {
+            Some(whole) => format!("{part} of {whole}"),
+            None => part.to_string(),
+        };
+        let scores = self.scores.as_ref();
+        let all = [
+            self.kept.map(|kept| ("photos kept", of(kept, self.found))),
+            self.totals
+                .as_ref()
+                .map(|totals| ("photos placed", of(totals.registered, Some(totals.photos)))),
+            scores.map(|scores| ("error of new views", gray_levels(scores.psnr))),
+            scores
+                .and_then(unseen_share)
+                .map(|share| ("unseen from there", format!("{:.0} %", 100.0 * share))),
+            self.scene.as_ref().and_then(extent).map(|size| ("extent", size)),
+        ];
+        all.into_iter().flatten().collect()
+    }
+
+    /// Returns what to know, the weightiest first.
+    fn notes(&self, page: &Page<'_>) -> Vec<Note> {
+        let mut notes = Vec::new();
+        let mut add = |applies: bool, text: String, section: &'static str| {
+            if applies {
+                notes.push(Note { text, section });
+            }
+        };
+        for (node, sum) in page.judged() {
+            let Ok(sum) = sum else { continue };
+            let rejected = sum.seen - sum.kept;
+            let text = format!(
+                "{} rejected {rejected} of {}.",
+                node.run.name,
+                count(sum.seen, "photo")
+            );
+            add(2 * rejected > sum.seen, text, "rejected");
+        }
+        if let Some(totals) = &self.totals {
+            let text = format!(
+                "{} of {} have no camera.",
+                totals.unplaced,
+                count(totals.photos, "photo")
+            );
+            add(totals.unplaced > 0, text, "cameras");
+        }
+        if let Some(scores) = &self.scores {
+            let judged = scores.views.len();
+            let extrapolated = scores.apart.as_ref().map_or(0, |apart| apart.extrapolated);
+            let text = format!(
+                "{extrapolated} of {} look where no photo trained on does.",
+                count(judged, "held-out photo")
+            );
+            add(extrapolated > 0, text, "heldout");
+            let text = format!("The error is that of {} only.", count(judged, "held-out photo"));
+            add(judged < FEW_HELD_OUT, text, "heldout");
+        }
+        if let Some(scene) = &self.scene {
+            let text = "Up is not known: maps and orbits may be tilted.".to_owned();
+            add(scene.up.is_none(), text, "cameras");
+            let text = "The scene has no scale: lengths are in units of its own.".to_owned();
+            add(scene.metres_per_unit.is_none(), text, "cameras");
+        }
+        let text = "Uncertainty was not measured: a `bootstrap` node maps it.".to_owned();
+        add(
+            self.scores.is_some() && !self.has_uncertainty,
+            text,
+            "uncertainty",
+        );
+        notes
+    }
+}
+
+/// Returns the root mean square error that belongs to a PSNR, for channels of 0 to 255: 255 / 10^(PSNR / 20).
+fn gray_levels(psnr: f64) -> String {
+    format!("{:.0} gray levels", 255.0 / 10_f64.powf(psnr / 20.0))
+}
+
+/// Returns the mean share of held-out photos that no photo trained on shows from within 30 degrees.
+fn unseen_share(scores: &Scores) -> Option<f64> {
+    let shares = scores
+        .views
+        .iter()
+        .filter_map(|view| Some(view.nearest.as_ref()?.uncovered_share));
+    let shares: Vec<f64> = shares.collect();
+    (!shares.is_empty()).then(|| shares.iter().sum::<f64>() / shares.len() as f64)
+}
+
+/// Returns the area on the ground that holds the sparse points but for stray ones, the longer side first. `None` where up is not known.
+fn extent(scene: &Scene) -> Option<String> {
+    scene.up?;
+    let axes = Axes::new(scene);
+    let side = |axis: Vec3| {
+        let along = || scene.points.iter().map(|point| dot(point.position, axis));
+        Some(quantile(along(), 1.0 - STRAY)? - quantile(along(), STRAY)?)
+    };
+    let (right, ahead) = (side(axes.right)?, side(axes.ahead)?);
+    let words = |factor: f64, unit: &str| {
+        let [long, short] = [right.max(ahead), right.min(ahead)].map(|side| length(side * factor));
+        format!("{long} x {short} {unit}")
+    };
+    Some(match scene.metres_per_unit {
+        Some(metres) => words(metres, "m"),
+        None => words(1.0, "units"),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use marf_scene::Point;
+
+    use super::*;
+    use crate::fixture::{full, node};
+
+    #[test]
+    fn the_first_screen_says_the_result_with_its_numbers() {
+        let (store, nodes) = full();
+        let said = store.with_report(&nodes, |report| {
+            let media = crate::media::Media::Embedded;
+            body(&Page::new(report, &media)).into_string()
+        });
+        // 255 / 10^(24.567 / 20) = 15.08.
+        for text in [
+            "4 of 7 photos became a field",
+            "New views differ from held-out photos by 15 gray levels (24.57 dB).",
+            "25 % of what these photos show was seen by no photo trained on from a similar direction",
+            "<dt>photos kept</dt><dd>4 of 7</dd>",
+            "<dt>photos placed</dt><dd>4 of 5</dd>",
+            "1 of 5 photos have no camera.",
+            "The error is that of 1 held-out photo only.",
+            "<video",
+        ] {
+            assert!(said.contains(text), "{text}: {said}");
+        }
+    }
+
+    #[test]
+    fn a_run_that_made_nothing_says_nothing() {
+        let store = crate::fixture::Store::default();
+        let said = store.with_report(&[node("train", &[])], |report| {
+            let media = crate::media::Media::Embedded;
+            body(&Page::new(report, &media)).into_string()
+        });
+        assert!(
+            !said.contains("<p class=\"lead\">") && !said.contains("<li>"),
+            "{said}"
+        );
+    }
+
+    /// 101 points on a line of 10 units that stand 2 m apart each tenth: 0.5 to 9.5 units are 18 m, and across there is nothing.
+    #[test]
+    fn an_extent_leaves_stray_points_out() {
+        let scene = |up| Scene {
+            up,
+            metres_per_unit: Some(2.0),
+            points: (0..=100)
+                .map(|index| Point {
+                    position: [f64::from(index) * 0.1, 0.0, 0.0],
+                    color: None,
+                    views: 2,
+                })
+                .collect(),
+            ..Scene::default()
+        };
+        let found = extent(&scene(Some([0.0, 0.0, 1.0]))).unwrap();
+        assert_eq!(found, format!("{} x {} m", length(18.0), length(0.0)));
+        assert_eq!(extent(&scene(None)), None);
+        assert_eq!(extent(&Scene::default()), None);
+    }
+}
