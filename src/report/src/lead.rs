@@ -8,7 +8,7 @@ use maud::{Markup, html};
 
 use super::camera_view::Axes;
 use super::cameras;
-use super::format::{count, decibels, length};
+use super::format::{count, decibels, number};
 use super::page::Page;
 use super::pictures;
 use super::quality::{Figure, figures};
@@ -33,6 +33,8 @@ struct Facts {
     /// Scores of the last training on its held-out photos.
     scores: Option<Scores>,
     has_uncertainty: bool,
+    /// Share of the held-out photos that shows what no photo trained on saw, by the maps of the last bootstrap.
+    invented_share: Option<f64>,
 }
 
 /// A thing to know, and the section that shows it.
@@ -82,6 +84,8 @@ impl Facts {
         let training = page.with_document::<train::Metrics>().last();
         let metrics = training.and_then(|node| page.document::<train::Metrics>(node).ok());
         let scene = page.with_output(output::SCENE).last();
+        let bootstrap = page.with_document::<bootstrap::Metrics>().last();
+        let maps = bootstrap.and_then(|node| page.document::<bootstrap::Metrics>(node).ok());
         Self {
             found: sum(read),
             kept: sum(kept),
@@ -90,7 +94,10 @@ impl Facts {
             scores: metrics
                 .map(|metrics| metrics.scores)
                 .filter(|scores| !scores.views.is_empty()),
-            has_uncertainty: page.with_document::<bootstrap::Metrics>().next().is_some(),
+            has_uncertainty: bootstrap.is_some(),
+            invented_share: maps
+                .filter(|metrics| metrics.heldout.is_some())
+                .map(|metrics| metrics.unseen_share),
         }
     }
 
@@ -121,15 +128,20 @@ impl Facts {
                 gray_levels(scores.psnr),
                 decibels(scores.psnr)
             ));
-            let unseen = unseen_share(scores).filter(|share| *share >= 0.005);
-            sentences.extend(unseen.map(|share| {
-                format!(
-                    "{:.0} % of what these photos show was seen by no photo trained on from a similar direction: there the field guesses.",
-                    100.0 * share
-                )
-            }));
+            sentences.extend(self.unseen_words(scores));
         }
         sentences.join(" ")
+    }
+
+    /// Says what the held-out photos show that no photo trained on saw. None for less than half a percent.
+    fn unseen_words(&self, scores: &Scores) -> Option<String> {
+        let share = self.invented_share.or_else(|| unseen_share(scores))?;
+        let rest = if self.invented_share.is_some() {
+            "of what they show: there the field is invented"
+        } else {
+            "of what they show from a similar direction: there the field guesses"
+        };
+        (share >= 0.005).then(|| format!("No photo trained on saw {} {rest}.", percent(share)))
     }
 
     fn figures(&self) -> Vec<Figure> {
@@ -145,8 +157,8 @@ impl Facts {
                 .map(|totals| ("photos placed", of(totals.registered, Some(totals.photos)))),
             scores.map(|scores| ("error of new views", gray_levels(scores.psnr))),
             scores
-                .and_then(unseen_share)
-                .map(|share| ("unseen from there", format!("{:.0} %", 100.0 * share))),
+                .and_then(|scores| self.invented_share.or_else(|| unseen_share(scores)))
+                .map(|share| ("unseen share", percent(share))),
             self.scene.as_ref().and_then(extent).map(|size| ("extent", size)),
         ];
         all.into_iter().flatten().collect()
@@ -205,6 +217,20 @@ impl Facts {
     }
 }
 
+fn percent(share: f64) -> String {
+    format!("{:.0} %", 100.0 * share)
+}
+
+/// Returns a length with two significant digits, as nobody measures by an extent.
+fn rounded(length: f64) -> String {
+    let step = 10_f64.powf(length.abs().log10().floor() - 1.0);
+    if step > 0.0 && step.is_finite() {
+        number((length / step).round() * step)
+    } else {
+        number(0.0)
+    }
+}
+
 /// Returns the root mean square error that belongs to a PSNR, for channels of 0 to 255: 255 / 10^(PSNR / 20).
 fn gray_levels(psnr: f64) -> String {
     format!("{:.0} gray levels", 255.0 / 10_f64.powf(psnr / 20.0))
@@ -230,7 +256,7 @@ fn extent(scene: &Scene) -> Option<String> {
     };
     let (right, ahead) = (side(axes.right)?, side(axes.ahead)?);
     let words = |factor: f64, unit: &str| {
-        let [long, short] = [right.max(ahead), right.min(ahead)].map(|side| length(side * factor));
+        let [long, short] = [right.max(ahead), right.min(ahead)].map(|side| rounded(side * factor));
         format!("{long} x {short} {unit}")
     };
     Some(match scene.metres_per_unit {
@@ -257,7 +283,7 @@ mod tests {
         for text in [
             "4 of 7 photos became a field",
             "New views differ from held-out photos by 15 gray levels (24.57 dB).",
-            "25 % of what these photos show was seen by no photo trained on from a similar direction",
+            "No photo trained on saw 1 % of what they show: there the field is invented.",
             "<dt>photos kept</dt><dd>4 of 7</dd>",
             "<dt>photos placed</dt><dd>4 of 5</dd>",
             "1 of 5 photos have no camera.",
@@ -297,7 +323,11 @@ mod tests {
             ..Scene::default()
         };
         let found = extent(&scene(Some([0.0, 0.0, 1.0]))).unwrap();
-        assert_eq!(found, format!("{} x {} m", length(18.0), length(0.0)));
+        assert_eq!(found, "18 x 0 m");
+        assert_eq!(
+            [10.45, 8.039, 0.01234, 1234.0].map(rounded),
+            ["10", "8", "0.012", "1,200"]
+        );
         assert_eq!(extent(&scene(None)), None);
         assert_eq!(extent(&Scene::default()), None);
     }
