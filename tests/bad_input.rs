@@ -215,7 +215,7 @@ fn names_of_files_are_escaped_wherever_they_are_printed() {
     std::fs::write(dir.path().join("pipeline.toml"), pipeline).unwrap();
     let acts = |char: char| (char.is_control() && char != '\n') || ('\u{202a}'..='\u{202e}').contains(&char);
     let bad = "photos/no\u{1b}such\nholds\u{202e}";
-    let verbs: [&[&str]; 9] = [
+    let verbs: [&[&str]; 12] = [
         &["run"],
         &["photos"],
         &["photos", "--json"],
@@ -225,6 +225,9 @@ fn names_of_files_are_escaped_wherever_they_are_printed() {
         &["verify", bad],
         &["audit", bad],
         &["render", "--path", bad, "--out", "x"],
+        &[bad],
+        &["run", "--threads", "1\u{1b}\nholds"],
+        &["verify", "--json=1\nholds", bad],
     ];
     for args in verbs {
         let ran = marf(dir.path(), args);

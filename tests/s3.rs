@@ -137,14 +137,7 @@ fn make_bucket(server: SocketAddr) -> bool {
 /// Answers every request on a port of its own with `answer`. A server without an answer reads and says
 /// nothing.
 fn misbehaving(answer: Option<&'static str>) -> SocketAddr {
-    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-    let address = listener.local_addr().unwrap();
-    std::thread::spawn(move || {
-        for stream in listener.incoming().map_while(Result::ok) {
-            std::thread::spawn(move || serve(stream, answer));
-        }
-    });
-    address
+    listening(move |stream| serve(stream, answer))
 }
 
 fn serve(mut stream: TcpStream, answer: Option<&str>) {
@@ -156,6 +149,189 @@ fn serve(mut stream: TcpStream, answer: Option<&str>) {
             return;
         }
     }
+}
+
+/// Announces more bytes than there are anywhere, and sends them for as long as somebody reads.
+fn endless() -> SocketAddr {
+    let head = "HTTP/1.1 200 OK\r\nContent-Length: 9000000000000000000\r\nETag: \"1\"\r\n\
+        Last-Modified: Mon, 23 Nov 2026 17:00:00 GMT\r\n\r\n";
+    listening(move |mut stream| {
+        let _ = stream.read(&mut [0; 1 << 16]);
+        let mut more = stream.write_all(head.as_bytes());
+        while more.is_ok() {
+            more = stream.write_all(&[b'x'; 1 << 16]);
+        }
+    })
+}
+
+/// Serves each connection to a port of its own on a thread of its own.
+fn listening(serve: impl Fn(TcpStream) + Send + Sync + 'static) -> SocketAddr {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap();
+    let serve = std::sync::Arc::new(serve);
+    std::thread::spawn(move || {
+        for stream in listener.incoming().map_while(Result::ok) {
+            let serve = std::sync::Arc::clone(&serve);
+            std::thread::spawn(move || serve(stream));
+        }
+    });
+    address
+}
+
+/// What happens between a program and its server to the requests with `method` for a name with `part`.
+#[derive(Debug, Clone, Copy)]
+struct Between {
+    method: &'static str,
+    part: &'static str,
+    fault: Fault,
+}
+
+#[derive(Debug, Clone, Copy)]
+enum Fault {
+    /// Half of the body comes, then the connection breaks.
+    Cut,
+    /// Half of the body is stored, and the answer is a success.
+    HalfStored,
+    /// The answer begins with its second byte and ends with its first.
+    Turned,
+}
+
+/// Passes requests on to a server, one a connection.
+fn proxy(server: SocketAddr, between: Between) -> SocketAddr {
+    listening(move |mut client| {
+        // A client that has gone wants no answer.
+        let _ = pass(&mut client, server, between);
+    })
+}
+
+fn pass(client: &mut TcpStream, server: SocketAddr, between: Between) -> std::io::Result<()> {
+    let (head, mut body) = message(client)?;
+    let line = head.lines().next().unwrap_or_default();
+    let is_meant = line.starts_with(between.method) && line.contains(between.part);
+    let fault = is_meant.then_some(between.fault);
+    if matches!(fault, Some(Fault::Cut)) {
+        return Ok(());
+    }
+    if matches!(fault, Some(Fault::HalfStored)) {
+        body.truncate(body.len() / 2);
+    }
+    let kept = head.lines().filter(|line| {
+        let line = line.to_ascii_lowercase();
+        !line.starts_with("content-length") && !line.starts_with("connection")
+    });
+    let kept: String = kept.map(|line| format!("{line}\r\n")).collect();
+    let mut upstream = TcpStream::connect(server)?;
+    write!(
+        upstream,
+        "{kept}Content-Length: {}\r\nConnection: close\r\n\r\n",
+        body.len()
+    )?;
+    upstream.write_all(&body)?;
+    let mut answer = Vec::new();
+    upstream.read_to_end(&mut answer)?;
+    if matches!(fault, Some(Fault::Turned)) {
+        let end = answer
+            .windows(4)
+            .position(|bytes| bytes == b"\r\n\r\n")
+            .unwrap_or(0);
+        answer[end + 4..].rotate_left(1);
+    }
+    client.write_all(&answer)
+}
+
+/// Reads a request. Returns its head and its body.
+fn message(client: &mut TcpStream) -> std::io::Result<(String, Vec<u8>)> {
+    let mut bytes = Vec::new();
+    let mut buffer = vec![0; 1 << 16];
+    loop {
+        let count = client.read(&mut buffer)?;
+        if count == 0 {
+            return Err(std::io::ErrorKind::UnexpectedEof.into());
+        }
+        bytes.extend_from_slice(&buffer[..count]);
+        let Some(end) = bytes.windows(4).position(|bytes| bytes == b"\r\n\r\n") else {
+            continue;
+        };
+        let head = String::from_utf8_lossy(&bytes[..end]).into_owned();
+        let length = head.lines().find_map(|line| {
+            line.to_ascii_lowercase()
+                .strip_prefix("content-length:")?
+                .trim()
+                .parse()
+                .ok()
+        });
+        let mut body = bytes.split_off(end + 4);
+        let here = body.len();
+        body.resize(length.unwrap_or(here), 0);
+        if let Some(rest) = body.get_mut(here..) {
+            client.read_exact(rest)?;
+        }
+        return Ok((head, body));
+    }
+}
+
+/// An upload that ends halfway leaves nothing that names what is not there.
+#[test]
+fn a_partial_upload_is_no_upload() {
+    let Some(server) = s3() else { return };
+    let here = machine();
+    marf(here.path(), &["run", "--offline"]).exits(0);
+    let at = |folder: &tempfile::TempDir, args: &[&str]| marf_at(server.address, folder.path(), args);
+    at(&here, &["cache", "push"]).exits(0);
+    for (number, part) in [".pack", ".idx", "/records/", "/runs/"].into_iter().enumerate() {
+        let between = Between {
+            method: "PUT",
+            part,
+            fault: Fault::Cut,
+        };
+        let share = format!("blur.min_share=0.{}", number + 1);
+        let ran = marf_at(
+            proxy(server.address, between),
+            here.path(),
+            &["run", "--set", &share],
+        )
+        .exits(0);
+        assert!(
+            ran.stderr.contains("without the shared store"),
+            "{part}: {}",
+            ran.stderr
+        );
+        at(&here, &["cache", "fsck", "--remote", "--read-data"]).exits(0);
+    }
+    at(&here, &["cache", "push"]).exits(0);
+    let there = machine();
+    at(&there, &["cache", "pull"]).exits(0);
+    marf(there.path(), &["cache", "fsck", "--read-data"]).exits(0);
+}
+
+/// A server that stores half and a server that gives other bytes than those of the range are found by the digests.
+#[test]
+fn a_server_that_lies_of_bytes_is_found_and_repaired() {
+    let Some(server) = s3() else { return };
+    let (here, there) = (machine(), machine());
+    marf(here.path(), &["run", "--offline"]).exits(0);
+    let at = |folder: &tempfile::TempDir, args: &[&str]| marf_at(server.address, folder.path(), args);
+    let half = Between {
+        method: "PUT",
+        part: ".pack",
+        fault: Fault::HalfStored,
+    };
+    marf_at(proxy(server.address, half), here.path(), &["cache", "push"]).exits(0);
+    let pulled = at(&there, &["cache", "pull"]).exits(1);
+    assert!(pulled.stderr.contains("is damaged"), "{}", pulled.stderr);
+    at(&here, &["cache", "fsck", "--remote", "--read-data", "--repair"]).exits(0);
+    at(&here, &["cache", "push"]).exits(0);
+    for part in [".pack", ".idx", "/records/", "/runs/"] {
+        let turned = Between {
+            method: "GET",
+            part,
+            fault: Fault::Turned,
+        };
+        let pulled = marf_at(proxy(server.address, turned), there.path(), &["cache", "pull"]).exits(1);
+        assert!(pulled.stderr.contains("is damaged"), "{part}: {}", pulled.stderr);
+    }
+    at(&there, &["cache", "pull"]).exits(0);
+    marf(there.path(), &["cache", "fsck", "--read-data"]).exits(0);
 }
 
 #[test]
@@ -193,7 +369,7 @@ fn a_run_travels_through_a_bucket() {
 }
 
 #[test]
-fn a_server_that_refuses_fails_or_is_silent_is_one_clear_error_and_stops_no_run() {
+fn a_server_that_refuses_fails_is_silent_or_has_no_end_is_one_clear_error_and_stops_no_run() {
     let refuses = "HTTP/1.1 403 Forbidden\r\nContent-Length: 22\r\n\r\n<Key>do-not-show-this</";
     let fails = "HTTP/1.1 503 Service Unavailable\r\nContent-Length: 0\r\n\r\n";
     let cut = "HTTP/1.1 200 OK\r\nContent-Length: 1000\r\nETag: \"1\"\r\nLast-Modified: Mon, 23 Nov 2026 17:00:00 GMT\r\nConnection: close\r\n\r\nhalf";
@@ -203,6 +379,7 @@ fn a_server_that_refuses_fails_or_is_silent_is_one_clear_error_and_stops_no_run(
         (misbehaving(Some(fails)), "503"),
         (misbehaving(Some(cut)), "cannot"),
         (misbehaving(None), "cannot"),
+        (endless(), "sends more than"),
         (nobody, "cannot"),
     ];
     let folder = machine();
@@ -252,7 +429,7 @@ fn ctrl_c_ends_the_wait_for_a_server_that_is_silent() {
         let output = program.wait_with_output().unwrap();
         let text = String::from_utf8_lossy(&output.stderr);
         assert!(
-            asked.elapsed() <= Duration::from_secs(2),
+            asked.elapsed() <= Duration::from_secs(10),
             "{words:?}: {:?}",
             asked.elapsed()
         );

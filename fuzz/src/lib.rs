@@ -6,7 +6,7 @@
 use marf_cache::manifest::{Leaf, Root};
 use marf_cache::{Action, Digest};
 use marf_calibrate::import::{Model, read_colmap_binary, read_colmap_text, read_transforms};
-use marf_cluster::BackendQuestion;
+use marf_cluster::{BackendQuestion, Site};
 use marf_config::GlobalOptions;
 use marf_engine::RunRecord;
 use marf_export::dsse::Envelope;
@@ -21,7 +21,7 @@ use marf_stage::{Origin, Sols};
 pub type Target = fn(&[u8]) -> usize;
 
 /// All targets with the names of their corpora.
-pub const TARGETS: [(&str, Target); 10] = [
+pub const TARGETS: [(&str, Target); 13] = [
     ("photo", photo),
     ("exif", exif),
     ("ply", points),
@@ -32,6 +32,9 @@ pub const TARGETS: [(&str, Target); 10] = [
     ("envelope", envelope),
     ("documents", documents),
     ("stamp", stamp),
+    ("lock", marf_extract::fuzzing::lock),
+    ("site", site),
+    ("pack", marf_remote::fuzzing::pack),
 ];
 
 /// Most bytes of a decoded photo.
@@ -122,4 +125,10 @@ pub fn documents(bytes: &[u8]) -> usize {
 /// Takes the mark from a copy of a result.
 pub fn stamp(bytes: &[u8]) -> usize {
     Stamp::take_from(bytes).map_or(0, |(object, _)| 1 + object.len())
+}
+
+/// Reads a site file.
+pub fn site(bytes: &[u8]) -> usize {
+    let text = String::from_utf8_lossy(bytes);
+    usize::from(Site::from_text(&text, "site.toml".as_ref()).is_ok())
 }

@@ -39,6 +39,7 @@ use std::sync::Arc;
 use clap::{CommandFactory, Parser};
 use marf_config::GlobalOptions;
 use marf_engine::Cancel;
+use marf_report::visible;
 use marf_run::{Context, Error, Signing};
 
 use crate::terminal::{eprint_line, print_own};
@@ -52,12 +53,16 @@ pub fn main(cancel: &Cancel) -> ExitCode {
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
         Err(error) => {
+            let code = ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(2));
             if error.use_stderr() {
+                // An error of escaped arguments has no line breaks of theirs.
+                let escaped = std::env::args_os().map(|arg| visible(&arg.to_string_lossy()).into_owned());
+                let error = Cli::try_parse_from(escaped).err().unwrap_or(error);
                 error.render().to_string().lines().for_each(eprint_line);
             } else {
                 let _ = error.print(); // help; a closed pipe is no error
             }
-            return ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(2));
+            return code;
         }
     };
     match dispatch(cli, cancel) {

@@ -159,6 +159,7 @@ fn a_product_leads_to_everything_that_was_made_from_it() {
         .to_owned();
     let from = marf(dir.path(), &["audit", "--from", &id, "--json"]).exits(0);
     let from: Value = serde_json::from_str(&from.stdout).unwrap();
+    assert_eq!(from["answer"], "whole");
     let nodes: Vec<&str> = from["runs"][0]["nodes"]
         .as_array()
         .unwrap()
@@ -280,6 +281,9 @@ fn a_crate_tells_who_made_a_file_where_there_is_no_store() {
     for words in ["output `metrics` of node `train`", "extract", "photos from "] {
         assert!(told.stdout.contains(words), "{words}: {}", told.stdout);
     }
+    let json = marf(away.path(), &["audit", metrics, "--crate", "crate", "--json"]).exits(0);
+    let document: Value = serde_json::from_str(&json.stdout).unwrap();
+    assert_eq!(document["answer"], "whole", "{}", json.stdout);
     ask("other.txt", 3);
     let text = std::fs::read_to_string(away.path().join(metrics)).unwrap();
     std::fs::write(away.path().join(metrics), text.replacen('1', "2", 1)).unwrap();

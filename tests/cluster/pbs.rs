@@ -66,7 +66,7 @@ fn with_pbs() -> Site {
 fn the_example_of_pbs_runs_a_training_whose_first_job_had_too_little_memory() {
     let site = with_pbs();
     let ran = site.run(&["--to", "train"]).exits(0);
-    assert!(ran.stderr.contains("is submitted with 1400 MB"), "{}", ran.stderr);
+    assert!(ran.stderr.contains("is submitted with 1.4 GB"), "{}", ran.stderr);
     let scripts = std::fs::read_to_string(site.stub().join("scripts")).unwrap();
     assert_eq!(scripts.matches("#PBS -q workq\n").count(), 2, "{scripts}");
     assert!(

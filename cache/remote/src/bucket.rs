@@ -16,7 +16,8 @@ use marf_cache::{
     file::{self, Links},
 };
 use object_store::{
-    Error, ObjectMeta, ObjectStore, ObjectStoreExt, PutMode, PutOptions, PutPayload, path::Path,
+    Error, GetOptions, GetRange, GetResult, OBJECT_STORE_COALESCE_DEFAULT, ObjectMeta, ObjectStore,
+    ObjectStoreExt, PutMode, PutOptions, PutPayload, coalesce_ranges, path::Path,
 };
 use tokio::{sync::Mutex, time::timeout};
 
@@ -119,8 +120,19 @@ impl Bucket {
         let Some(size) = self.readable_bytes(name).await? else {
             return Ok(None);
         };
+        let most = names::most_bytes(name);
+        if size > most {
+            return Err(self.damaged(name, &format!("it has {size} bytes, above the limit of {most}")));
+        }
         let path = self.path(name);
-        let read = async { self.objects.get(&path).await?.bytes().await };
+        let read = async {
+            let found = self.objects.get(&path).await?;
+            if self.folder.is_some() {
+                found.bytes().await
+            } else {
+                collected(found, most).await.map(Bytes::from)
+            }
+        };
         let bytes = self.there("read", name, self.within(size, read).await)?;
         self.received(bytes.as_ref().map_or(0, Bytes::len));
         Ok(bytes)
@@ -137,11 +149,33 @@ impl Bucket {
         let Some(size) = self.readable_bytes(name).await? else {
             return Ok(None);
         };
+        if self.folder.is_some() && ranges.iter().any(|range| range.end > size) {
+            return Err(self.damaged(name, "it ends before the bytes that its index names"));
+        }
         let path = self.path(name);
-        let read = self.within(size, self.objects.get_ranges(&path, ranges)).await;
-        let parts = self.there("read", name, read)?;
+        let read = async {
+            if self.folder.is_some() {
+                return self.objects.get_ranges(&path, ranges).await;
+            }
+            let get = |range| self.get_range(&path, range);
+            coalesce_ranges(ranges, get, OBJECT_STORE_COALESCE_DEFAULT).await
+        };
+        let parts = self.there("read", name, self.within(size, read).await)?;
         self.received(parts.iter().flatten().map(Bytes::len).sum());
         Ok(parts)
+    }
+
+    /// Returns a range of an object on a server. Where the object is too short, zeros take the place of what is missing: their digest
+    /// is another.
+    async fn get_range(&self, path: &Path, range: Range<u64>) -> Result<Bytes, Error> {
+        let length = range.end - range.start;
+        let options = GetOptions {
+            range: Some(GetRange::Bounded(range)),
+            ..GetOptions::default()
+        };
+        let mut bytes = collected(self.objects.get_opts(path, options).await?, length).await?;
+        bytes.resize(length as usize, 0);
+        Ok(bytes.into())
     }
 
     /// Returns length and time of an object, or `None` if it does not exist.
@@ -316,4 +350,20 @@ impl Bucket {
             what: what.to_owned(),
         }
     }
+}
+
+/// Reads an answer to its end. Memory is taken for bytes that have come and never for those that are announced.
+async fn collected(found: GetResult, most: u64) -> Result<Vec<u8>, Error> {
+    let mut stream = found.into_stream();
+    let mut bytes = Vec::new();
+    while let Some(chunk) = stream.try_next().await? {
+        if (bytes.len() + chunk.len()) as u64 > most {
+            return Err(Error::Generic {
+                store: "S3",
+                source: format!("the server sends more than {most} bytes").into(),
+            });
+        }
+        bytes.extend_from_slice(&chunk);
+    }
+    Ok(bytes)
 }

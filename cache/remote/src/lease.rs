@@ -20,6 +20,9 @@ static OPENED: AtomicU64 = AtomicU64::new(0);
 const RENEWED_EVERY: Duration = Duration::from_secs(60);
 const ENDS_AFTER: Duration = Duration::from_secs(600);
 
+/// Most characters of a holder that are shown.
+const MOST_HOLDER: usize = 100;
+
 /// Name of the lease of a program that removes objects.
 const EXCLUSIVE: &str = "exclusive";
 /// Prefix of the names of leases of programs that add objects.
@@ -127,7 +130,12 @@ impl Lease {
             place: bucket.place.clone(),
             holder: holder.map_or_else(
                 || "another program".to_owned(),
-                |holder| String::from_utf8_lossy(&holder).into_owned(),
+                |holder| {
+                    String::from_utf8_lossy(&holder)
+                        .chars()
+                        .take(MOST_HOLDER)
+                        .collect()
+                },
             ),
         })
     }
@@ -184,4 +192,35 @@ fn holder() -> String {
         std::process::id(),
         since.as_nanos()
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{address::Patience, threads::Threads, trust::Trust};
+
+    #[test]
+    fn a_lease_that_was_taken_over_ends_the_work_and_stays_with_its_new_holder() {
+        let dir = tempfile::tempdir().unwrap();
+        let url = format!("file://{}", dir.path().display());
+        let bucket = Bucket::open(&url, Patience::Patient, Trust::default()).unwrap();
+        Threads::new().unwrap().block_on(async {
+            let lease = Lease::new(Kind::Exclusive);
+            lease.take(&bucket).await.unwrap();
+            lease.renew_once(&bucket).await.unwrap();
+            let other = "another marf".repeat(1_000);
+            bucket.put(&lease.name, Bytes::from(other.clone())).await.unwrap();
+            let lost = lease.renew_once(&bucket).await.unwrap_err();
+            assert!(
+                matches!(&lost, RemoteError::Busy { holder, .. } if *holder == other[..MOST_HOLDER]),
+                "{lost}"
+            );
+            lease.release(&bucket).await.unwrap();
+            assert_eq!(bucket.get(&lease.name).await.unwrap().unwrap(), other);
+            // One that was removed is lost, too.
+            bucket.remove(&lease.name).await.unwrap();
+            let lost = lease.renew_once(&bucket).await.unwrap_err();
+            assert!(matches!(lost, RemoteError::Busy { .. }), "{lost}");
+        });
+    }
 }

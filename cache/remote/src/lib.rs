@@ -37,6 +37,7 @@ mod conflict;
 mod error;
 mod fetch;
 mod fsck;
+pub mod fuzzing;
 mod gc;
 mod inventory;
 mod kept_indexes;

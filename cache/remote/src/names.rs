@@ -1,6 +1,6 @@
 //! Names of objects in a shared store.
 
-use marf_cache::Digest;
+use marf_cache::{Digest, file::FileKind};
 
 /// Object with the format of the shared store.
 pub(crate) const FORMAT: &str = "format";
@@ -19,6 +19,16 @@ pub(crate) const LEASES: &str = "leases";
 const PACK: &str = ".pack";
 /// Ending of an index.
 const INDEX: &str = ".idx";
+
+/// Returns the largest size of an object that is read, bytes.
+pub(crate) fn most_bytes(name: &str) -> u64 {
+    let kind = match name.split('/').next() {
+        Some(BLOBS) => FileKind::State,
+        Some(LEASES | FORMAT) => FileKind::Key,
+        _ => FileKind::Document,
+    };
+    kind.max_bytes()
+}
 
 /// Returns the name of a large blob.
 pub(crate) fn blob(digest: &Digest) -> String {

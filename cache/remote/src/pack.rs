@@ -8,6 +8,8 @@
 use bytes::Bytes;
 use marf_cache::Digest;
 
+/// Blobs from this length on are objects of their own, as in the local store.
+pub(crate) const LARGE_BYTES: u64 = 64 << 10;
 /// A pack is closed when it holds this many bytes.
 pub(crate) const PACK_BYTES: u64 = 32 << 20;
 
@@ -131,13 +133,16 @@ pub(crate) fn decode_index(bytes: &[u8]) -> Option<Vec<Entry>> {
         .then(|| entries.iter().map(decode_entry).collect())?
 }
 
-/// Reads an entry, or returns `None` if its end overflows.
+/// Reads an entry, or returns `None` if its end overflows or its blob does not belong in a pack.
 fn decode_entry(bytes: &[u8; ENTRY]) -> Option<Entry> {
     let (digest, numbers) = bytes.split_first_chunk::<32>()?;
     let (offset, len) = numbers.split_first_chunk::<8>()?;
     let offset = u64::from_le_bytes(*offset);
     let len = u32::from_le_bytes(len.try_into().ok()?);
     offset.checked_add(u64::from(len))?;
+    if u64::from(len) >= LARGE_BYTES {
+        return None;
+    }
     Some(Entry {
         digest: Digest::from_bytes(*digest),
         offset,
@@ -186,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn an_entry_beyond_all_places_makes_the_index_none() {
+    fn an_entry_beyond_all_places_or_too_long_makes_the_index_none() {
         let entry = |offset, len| Entry {
             digest: Digest::from_content(b"far"),
             offset,
@@ -194,5 +199,7 @@ mod tests {
         };
         assert!(decode_index(&encode_index(&[entry(u64::MAX - 7, 7)])).is_some());
         assert_eq!(decode_index(&encode_index(&[entry(u64::MAX - 7, 8)])), None);
+        assert!(decode_index(&encode_index(&[entry(7, 65_535)])).is_some());
+        assert_eq!(decode_index(&encode_index(&[entry(7, 65_536)])), None);
     }
 }

@@ -12,14 +12,12 @@ use crate::{
     error::RemoteError,
     names,
     observer::{Meter, Observer},
-    pack::{PACK_BYTES, PackWriter},
+    pack::{LARGE_BYTES, PACK_BYTES, PackWriter},
     presence,
     sealed::{self, RemoteRecord, RemoteRun},
     survey::{self, Survey},
 };
 
-/// Blobs from this length on are objects of their own, as in the local store.
-const LARGE_BYTES: u64 = 64 << 10;
 /// Large blobs that are sent at once.
 const BLOBS_IN_FLIGHT: usize = 16;
 /// Packs that are sent at once. Each is in memory.

@@ -115,7 +115,12 @@ fn conditional(content: &Content, request: &Request, reply: &Reply) -> Answer {
     };
     let start = (from + shift).clamp(0, total - 1);
     let span = format!("bytes {start}-{}/{total}", total - 1);
-    let answer = Answer::new(206, content.bytes[start as usize..].to_vec()).header("Content-Range", span);
+    let mut rest = content.bytes[start as usize..].to_vec();
+    if let Reply::LyingRest(late) = reply {
+        let length = rest.len();
+        rest.rotate_left((*late).min(length));
+    }
+    let answer = Answer::new(206, rest).header("Content-Range", span);
     if stale {
         return answer.header("ETag", "\"another\"");
     }

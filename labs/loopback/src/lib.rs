@@ -78,6 +78,8 @@ pub enum Reply {
     StaleRest,
     /// To a `Range`: a 206 that begins this many bytes too late (or early). Else the normal answer.
     ShiftedRest(i64),
+    /// To a `Range`: a 206 with the right head, and bytes that begin this many bytes too late. Else the normal answer.
+    LyingRest(usize),
     /// To a `Range`: 416. Else the normal answer.
     NoRest,
     /// This reply, again and again.

@@ -7,8 +7,7 @@ mod uses;
 use std::path::PathBuf;
 
 use clap::Args;
-use marf_export::verify::Trace;
-use marf_run::audit::{self, AuditRequest, Detail};
+use marf_run::audit::{self, AuditRequest, CrateTrace, Detail};
 use marf_run::{Context, Error};
 
 use super::options::RecordArgs;
@@ -78,11 +77,11 @@ fn audit_file(record: &RecordArgs, request: &AuditRequest, context: &Context) ->
 }
 
 /// Prints the origin of a file from the run of a crate.
-fn in_crate(record: &RecordArgs, trace: &Trace, detail: Detail) -> Result<(), Error> {
+fn in_crate(record: &RecordArgs, found: &CrateTrace, detail: Detail) -> Result<(), Error> {
     if record.json {
-        return print_json(trace);
+        return print_json(found);
     }
-    print_lines(tree::crate_text(trace, detail));
+    print_lines(tree::crate_text(&found.trace, detail));
     Ok(())
 }
 

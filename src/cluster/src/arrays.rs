@@ -11,7 +11,7 @@ use std::{
 use marf_cache::Digest;
 use marf_cache::file::{self, FileKind, Links};
 use marf_engine::{Order, PartOrder};
-use marf_stage::{StageError, Threads};
+use marf_stage::{StageError, Threads, format};
 
 use crate::{
     array_plan::{Array, Plan, PlannedArray, Task, array_files},
@@ -22,7 +22,7 @@ use crate::{
     job_result::{JobResult, write_whole},
     queue::{ATTEMPTS, JobState},
     script::{Filling, filled, shell_quoted},
-    words::{counted, in_short},
+    words::{in_short, memory},
 };
 
 /// The parts of a node, from their submission to their results.
@@ -280,9 +280,12 @@ impl<'a> Arrays<'a> {
                 continue;
             }
             let array = &mut self.arrays[number];
-            let state = cluster
-                .queue
-                .look(&cluster.site.commands, &array.planned.name, array.since);
+            let state = cluster.queue.look(
+                &cluster.site.commands,
+                &array.planned.name,
+                array.since,
+                self.order.cancel,
+            );
             let live = match state {
                 JobState::Unknown(fault) => {
                     said = fault;
@@ -297,9 +300,9 @@ impl<'a> Arrays<'a> {
                 array.id.get_or_insert_with(|| id.to_owned());
                 let count = count(&numbers);
                 if job.is_running() {
-                    running += count
+                    running = count.saturating_add(running);
                 } else {
-                    (waiting, said) = (waiting + count, job.reason.clone())
+                    (waiting, said) = (count.saturating_add(waiting), job.reason.clone());
                 }
                 ranges.extend(numbers);
             }
@@ -332,7 +335,7 @@ impl<'a> Arrays<'a> {
         let parts = |tasks: &mut dyn Iterator<Item = &Task>| tasks.map(|task| task.parts.len() as u64).sum();
         let total: u64 = parts(&mut self.tasks.iter());
         let done: u64 = parts(&mut self.tasks.iter().filter(|task| task.is_done));
-        let mut note = format!("{} running, {waiting} waiting", counted(running, "task"));
+        let mut note = format!("{} running, {waiting} waiting", format::count(running, "task"));
         if !said.is_empty() {
             note.push_str(&format!(" ({})", in_short(said)));
         }
@@ -348,7 +351,8 @@ impl<'a> Arrays<'a> {
             } = self.tasks[at];
             let array = &self.arrays[number];
             let said = array.id.as_ref().map_or_else(String::new, |id| {
-                self.cluster.site.commands.explain(&format!("{id}_{index}"))
+                let task = format!("{id}_{index}");
+                self.cluster.site.commands.explain(&task, self.order.cancel)
             });
             let had = array.planned.memory_mb;
             let memory_mb = if said.contains("OUT_OF_MEMORY") {
@@ -366,8 +370,9 @@ impl<'a> Arrays<'a> {
         }
         for (memory_mb, tasks) in by_memory {
             self.order.progress.warn(&format!(
-                "{} ended without a result, submitted again with {memory_mb} MB",
-                counted(tasks.len(), "task")
+                "{} ended without a result, submitted again with {}",
+                format::count(tasks.len(), "task"),
+                memory(memory_mb)
             ));
             self.submit(tasks, memory_mb)?;
         }
@@ -380,7 +385,7 @@ impl<'a> Arrays<'a> {
         let error = StageError::new(format!(
             "`{}`: a task of {} ended {ATTEMPTS} times without a result ({})",
             self.order.node,
-            counted(task.parts.len(), "shard"),
+            format::count(task.parts.len(), "shard"),
             in_short(said),
         ));
         let error = match files.log_tail() {

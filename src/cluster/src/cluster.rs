@@ -70,8 +70,15 @@ impl Cluster {
     ///
     /// # Errors
     /// Returns an error if a template cannot be read, a folder cannot be made, or the batch system does not answer.
-    pub fn new(site: Site, remote: Arc<Remote>, program: PathBuf) -> Result<Self, SiteError> {
-        site.commands.list().map_err(|said| SiteError::Silent { said })?;
+    pub fn new(
+        site: Site,
+        remote: Arc<Remote>,
+        program: PathBuf,
+        cancel: &Cancel,
+    ) -> Result<Self, SiteError> {
+        site.commands
+            .list(cancel)
+            .map_err(|said| SiteError::Silent { said })?;
         fs::create_dir_all(&site.folder).map_err(|source| SiteError::Read {
             path: site.folder.clone(),
             source,

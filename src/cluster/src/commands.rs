@@ -2,18 +2,24 @@
 
 use std::{
     collections::BTreeMap,
-    io::{self, Read as _},
+    io,
     ops::RangeInclusive,
-    process::{Command, Output, Stdio},
+    process::{Command, ExitStatus, Stdio},
+    thread::JoinHandle,
     time::{Duration, Instant},
 };
 
+use marf_stage::{Cancel, format};
 use serde::Deserialize;
 
 /// Longest wait for an answer of the batch system.
 const ANSWER_PATIENCE: Duration = Duration::from_secs(60);
-/// Most bytes of an answer: a queue of a million jobs has 100 MB.
-const MOST_ANSWER_BYTES: u64 = 256 << 20;
+/// Longest wait for it when the user wants to stop.
+const STOP_PATIENCE: Duration = Duration::from_secs(1);
+/// Most bytes of an answer: those of 300,000 jobs.
+const MOST_ANSWER_BYTES: u64 = 32 << 20;
+/// Most characters of a complaint that are shown.
+const MOST_COMPLAINT: usize = 500;
 
 /// Pause between two looks whether it has answered.
 const ANSWER_INTERVAL: Duration = Duration::from_millis(10);
@@ -80,20 +86,24 @@ impl Commands {
     }
 
     /// Submits a job, and returns its id.
-    pub(crate) fn submit(&self, script: &str) -> Result<String, String> {
-        let printed = run(&self.submit, "{script}", script)?;
+    pub(crate) fn submit(&self, script: &str, cancel: &Cancel) -> Result<String, String> {
+        let printed = run(&self.submit, "{script}", script, cancel)?;
         // Slurm adds `;cluster` on sites with several.
         let id = printed.split([';', '\n']).next().unwrap_or_default().trim();
         if is_id(id) {
             Ok(id.to_owned())
         } else {
-            Err(format!("`{}` printed no id of a job: {id:?}", self.submit[0]))
+            let printed = format::cut(id, MOST_COMPLAINT);
+            Err(format!(
+                "`{}` printed no id of a job: {printed:?}",
+                self.submit[0]
+            ))
         }
     }
 
     /// Returns the jobs of the user by name. The tasks of an array have the same name.
-    pub(crate) fn list(&self) -> Result<BTreeMap<String, Vec<ListedJob>>, String> {
-        let printed = run(&self.list, "", "")?;
+    pub(crate) fn list(&self, cancel: &Cancel) -> Result<BTreeMap<String, Vec<ListedJob>>, String> {
+        let printed = run(&self.list, "", "", cancel)?;
         let mut jobs: BTreeMap<String, Vec<ListedJob>> = BTreeMap::new();
         for (name, job) in printed.lines().filter_map(listed) {
             jobs.entry(name).or_default().push(job);
@@ -103,13 +113,14 @@ impl Commands {
 
     /// Takes a job out of the queue.
     pub(crate) fn cancel(&self, id: &str) -> Result<(), String> {
-        run(&self.cancel, "{id}", id).map(drop)
+        // The user wants to stop, and this is how.
+        run(&self.cancel, "{id}", id, &Cancel::default()).map(drop)
     }
 
     /// Returns the explanation of the batch system for a job that is gone, or an empty text if it has
     /// forgotten the job.
-    pub(crate) fn explain(&self, id: &str) -> String {
-        run(&self.explain, "{id}", id).unwrap_or_default()
+    pub(crate) fn explain(&self, id: &str, cancel: &Cancel) -> String {
+        run(&self.explain, "{id}", id, cancel).unwrap_or_default()
     }
 }
 
@@ -159,12 +170,14 @@ pub(crate) fn count(tasks: &[RangeInclusive<usize>]) -> usize {
     if tasks == ALL {
         1
     } else {
-        tasks.iter().map(|range| range.clone().count()).sum()
+        let real = tasks.iter().filter(|range| !range.is_empty());
+        let counts = real.map(|range| (range.end() - range.start()).saturating_add(1));
+        counts.fold(0, usize::saturating_add)
     }
 }
 
 /// Runs a command, and returns what it printed.
-fn run(command: &[String], placeholder: &str, value: &str) -> Result<String, String> {
+fn run(command: &[String], placeholder: &str, value: &str, cancel: &Cancel) -> Result<String, String> {
     let filled = |word: &String| {
         if placeholder.is_empty() {
             word.clone()
@@ -173,20 +186,27 @@ fn run(command: &[String], placeholder: &str, value: &str) -> Result<String, Str
         }
     };
     let words: Vec<String> = command.iter().map(filled).collect();
-    let output = output(&words).map_err(|error| match error.kind() {
+    let answer = answer(&words, cancel).map_err(|error| match error.kind() {
         io::ErrorKind::NotFound => format!("there is no program `{}`", words[0]),
         _ => format!("`{}`: {error}", words[0]),
     })?;
-    if output.status.success() {
-        Ok(String::from_utf8_lossy(&output.stdout).into_owned())
+    if answer.status.success() {
+        Ok(answer.stdout)
     } else {
-        let said = String::from_utf8_lossy(&output.stderr);
-        Err(format!("`{}` says: {}", words[0], said.trim()))
+        let said = format::cut(answer.stderr.trim(), MOST_COMPLAINT);
+        Err(format!("`{}` says: {said}", words[0]))
     }
 }
 
+/// What a command printed.
+struct Answer {
+    status: ExitStatus,
+    stdout: String,
+    stderr: String,
+}
+
 /// Runs a command to its end. A command that does not answer is stopped.
-fn output(words: &[String]) -> io::Result<Output> {
+fn answer(words: &[String], cancel: &Cancel) -> io::Result<Answer> {
     let mut child = Command::new(&words[0])
         .args(&words[1..])
         // Slurm cuts the numbers of the tasks of an array else.
@@ -195,33 +215,51 @@ fn output(words: &[String]) -> io::Result<Output> {
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
         .spawn()?;
+    let (stdout, stderr) = (printed(child.stdout.take()), printed(child.stderr.take()));
     let began = Instant::now();
-    // What these commands print fits a pipe, but for a long queue: it is read while they run.
-    let read = |from: Option<Box<dyn io::Read + Send>>| {
-        std::thread::spawn(move || {
-            let mut bytes = Vec::new();
-            from.map(|from| io::copy(&mut from.take(MOST_ANSWER_BYTES), &mut bytes));
-            bytes
-        })
-    };
-    let stdout = read(child.stdout.take().map(|pipe| Box::new(pipe) as _));
-    let stderr = read(child.stderr.take().map(|pipe| Box::new(pipe) as _));
+    let mut until = began + ANSWER_PATIENCE;
     let status = loop {
-        if let Some(status) = child.try_wait()? {
+        let ended = child.try_wait()?;
+        let is_read = stdout.is_finished() && stderr.is_finished();
+        if let (Some(status), true) = (ended, is_read) {
             break status;
         }
-        if began.elapsed() > ANSWER_PATIENCE {
+        if ended.is_some() || cancel.is_set() {
+            until = until.min(Instant::now() + STOP_PATIENCE);
+        }
+        if Instant::now() >= until {
+            if ended.is_some() {
+                return Err(io::Error::other(
+                    "it ended, and a program that it started keeps its output open",
+                ));
+            }
             child.kill()?;
             child.wait()?;
-            let seconds = ANSWER_PATIENCE.as_secs();
-            return Err(io::Error::other(format!("no answer within {seconds} s")));
+            let seconds = began.elapsed().as_secs();
+            return Err(io::Error::other(format!(
+                "timed out: no answer within {seconds} s"
+            )));
         }
         std::thread::sleep(ANSWER_INTERVAL);
     };
-    Ok(Output {
+    let text = |printed: JoinHandle<io::Result<String>>| printed.join().unwrap_or_else(|_| Ok(String::new()));
+    Ok(Answer {
         status,
-        stdout: stdout.join().unwrap_or_default(),
-        stderr: stderr.join().unwrap_or_default(),
+        stdout: text(stdout)?,
+        stderr: text(stderr)?,
+    })
+}
+
+/// Reads what a command prints while it runs: a long queue does not fit a pipe.
+fn printed(pipe: Option<impl io::Read + Send + 'static>) -> JoinHandle<io::Result<String>> {
+    std::thread::spawn(move || {
+        let mut bytes = Vec::new();
+        let read = pipe.map(|pipe| io::copy(&mut pipe.take(MOST_ANSWER_BYTES), &mut bytes));
+        if read.transpose()? == Some(MOST_ANSWER_BYTES) {
+            let most = format::size(MOST_ANSWER_BYTES);
+            return Err(io::Error::other(format!("it printed {most} or more")));
+        }
+        Ok(String::from_utf8_lossy(&bytes).into_owned())
     })
 }
 
@@ -241,7 +279,7 @@ mod tests {
             ),
             ..Commands::default()
         };
-        let jobs = commands.list().unwrap();
+        let jobs = commands.list(&Cancel::default()).unwrap();
         assert_eq!(jobs.len(), 2);
         let of = |name: &str| {
             let job = &jobs[name][0];
@@ -259,6 +297,12 @@ mod tests {
             ("12_[9]", "12", vec![9..=9], 1),
             ("12_[0-3,...]", "12", ALL.to_vec(), 1),
             ("12", "12", ALL.to_vec(), 1),
+            (
+                "12_[0-18446744073709551615,9-2,0-7]",
+                "12",
+                vec![0..=usize::MAX, 9..=2, 0..=7],
+                usize::MAX,
+            ),
         ] {
             assert_eq!(tasks_of(id), (array, tasks.clone()), "{id}");
             assert_eq!(count(&tasks), number, "{id}");
@@ -271,18 +315,23 @@ mod tests {
             submit: shell(submit),
             ..Commands::default()
         };
-        assert_eq!(commands("echo '77;main'").submit("x").unwrap(), "77");
+        assert_eq!(
+            commands("echo '77;main'")
+                .submit("x", &Cancel::default())
+                .unwrap(),
+            "77"
+        );
         let rejected =
             commands("echo 'sbatch: error: Invalid generic resource (gres) specification' >&2; exit 1");
         assert!(
             rejected
-                .submit("x")
+                .submit("x", &Cancel::default())
                 .unwrap_err()
                 .contains("Invalid generic resource")
         );
         assert!(
             commands("true")
-                .submit("x")
+                .submit("x", &Cancel::default())
                 .unwrap_err()
                 .contains("printed no id")
         );
@@ -299,8 +348,39 @@ mod tests {
             explain: shell("yes 'job {id}' | head -20000"),
             ..Commands::default()
         };
-        let said = commands.explain("9");
+        let said = commands.explain("9", &Cancel::default());
         assert_eq!(said.lines().count(), 20_000);
         assert!(said.starts_with("job 9\n"));
+    }
+
+    #[test]
+    fn a_hostile_command_is_an_error_of_few_words() {
+        let cancel = Cancel::default();
+        let list = |script: &str| {
+            let list = shell(script);
+            Commands {
+                list,
+                ..Commands::default()
+            }
+            .list(&cancel)
+            .unwrap_err()
+        };
+        assert!(list("yes '1|a|RUNNING|None'").contains("it printed 33.6 MB or more"));
+        assert!(list("sleep 20 & echo '1|a|RUNNING|None'").contains("keeps its output open"));
+        let said = list("yes complaint | head -c 5000000 >&2; exit 1");
+        assert!(said.contains("says: complaint") && said.len() < 1_000, "{said}");
+    }
+
+    #[test]
+    fn a_command_that_is_silent_ends_soon_when_the_user_wants_to_stop() {
+        let silent = Commands {
+            list: shell("exec sleep 50"),
+            ..Commands::default()
+        };
+        let cancel = Cancel::default();
+        cancel.set();
+        let began = Instant::now();
+        assert!(silent.list(&cancel).unwrap_err().contains("timed out"));
+        assert!(began.elapsed() < Duration::from_secs(10), "{:?}", began.elapsed());
     }
 }

@@ -14,7 +14,7 @@ use crate::{
     job_result::{Fault, JobProgress, JobResult},
     queue::{ATTEMPTS, Census, JobState, PREFIX},
     script::{Filling, filled, quoted_path},
-    words::{in_short, note},
+    words::{in_short, memory, note},
 };
 
 /// Digits of the key in the name of a job.
@@ -89,7 +89,7 @@ impl Cluster {
                 return Err(lost(order, files, &job, &said));
             }
             let again = if was_too_large {
-                format!("with {memory_mb} MB")
+                format!("with {}", memory(memory_mb))
             } else {
                 "again".to_owned()
             };
@@ -115,14 +115,14 @@ impl Cluster {
             if cancel.is_set() {
                 return Err(StageError::Cancelled);
             }
-            match self.queue.look(&self.site.commands, name, self.began) {
+            match self.queue.look(&self.site.commands, name, self.began, cancel) {
                 JobState::Listed(listed, _) if !listed.is_empty() => {
                     let since = self.began;
                     let id = listed[0].id.clone();
                     return Ok(Job { id, since });
                 }
                 JobState::Unknown(fault) => busy = fault,
-                JobState::Absent | JobState::Listed(..) => match self.submit(node, write)? {
+                JobState::Absent | JobState::Listed(..) => match self.submit(node, cancel, write)? {
                     Ok(job) => return Ok(job),
                     Err(said) => busy = said,
                 },
@@ -139,12 +139,13 @@ impl Cluster {
     fn submit(
         &self,
         node: &str,
+        cancel: &Cancel,
         write: &dyn Fn() -> io::Result<PathBuf>,
     ) -> Result<Result<Job, String>, StageError> {
         let unwritten = |error: io::Error| failed(node, "the files of its job cannot be written", &error);
         let script = write().map_err(unwritten)?;
         let since = Instant::now();
-        match self.site.commands.submit(&script.display().to_string()) {
+        match self.site.commands.submit(&script.display().to_string(), cancel) {
             Ok(id) => Ok(Ok(Job { id, since })),
             Err(said) if BUSY.iter().any(|word| said.contains(word)) => Ok(Err(said)),
             Err(said) => {
@@ -200,7 +201,10 @@ impl Cluster {
                 }
                 return Err(StageError::Cancelled);
             }
-            match self.queue.look(&self.site.commands, &name, job.since) {
+            match self
+                .queue
+                .look(&self.site.commands, &name, job.since, order.cancel)
+            {
                 JobState::Listed(listed, census) => {
                     absent_since = None;
                     if let [listed, ..] = listed.as_slice() {
@@ -219,7 +223,8 @@ impl Cluster {
                 JobState::Absent => {
                     let since = *absent_since.get_or_insert_with(Instant::now);
                     if since.elapsed() >= self.patience() {
-                        return Ok(JobEnd::Lost(self.site.commands.explain(&job.id)));
+                        let said = self.site.commands.explain(&job.id, order.cancel);
+                        return Ok(JobEnd::Lost(said));
                     }
                 }
             }
@@ -276,8 +281,9 @@ fn job_name(key: &Digest) -> String {
 fn show(order: &JobOrder<'_>, files: &JobFiles, listed: &ListedJob, census: Census) {
     let Census { running, waiting } = census;
     let mut note = note(&listed.id, &listed.state, &listed.reason);
-    if running + waiting > 1 {
-        note.push_str(&format!(", {running} of {} jobs running", running + waiting));
+    let all = running.saturating_add(waiting);
+    if all > 1 {
+        note.push_str(&format!(", {running} of {all} jobs running"));
     }
     match JobProgress::read(&files.progress) {
         Some(job) => order

@@ -5,6 +5,7 @@ use std::{
     time::{Duration, Instant},
 };
 
+use marf_stage::Cancel;
 use parking_lot::Mutex;
 
 use crate::commands::{Commands, ListedJob, count, tasks_of};
@@ -15,7 +16,7 @@ pub(crate) const PREFIX: &str = "marf-";
 /// How often a job may be lost.
 pub(crate) const ATTEMPTS: u32 = 3;
 
-/// The queue as it was last last.
+/// The queue as it was last.
 #[derive(Debug)]
 pub(crate) struct Queue {
     interval: Duration,
@@ -58,9 +59,9 @@ impl Census {
         for job in own.flat_map(|(_, jobs)| jobs) {
             let (_, tasks) = tasks_of(&job.id);
             if job.is_running() {
-                census.running += count(&tasks)
+                census.running = census.running.saturating_add(count(&tasks));
             } else {
-                census.waiting += count(&tasks)
+                census.waiting = census.waiting.saturating_add(count(&tasks));
             }
         }
         census
@@ -78,12 +79,12 @@ impl Queue {
     /// Returns the state of a job now. An answer younger than the interval is used again.
     ///
     /// `since` is when the job was submitted: an earlier answer says nothing about it.
-    pub(crate) fn look(&self, commands: &Commands, name: &str, since: Instant) -> JobState {
+    pub(crate) fn look(&self, commands: &Commands, name: &str, since: Instant, cancel: &Cancel) -> JobState {
         let mut last = self.last.lock();
         if last.asked.is_none_or(|asked| asked.elapsed() >= self.interval) {
             let asked = Instant::now();
             last.asked = Some(asked);
-            match commands.list() {
+            match commands.list(cancel) {
                 Ok(jobs) => (last.answer, last.fault) = (Some((asked, jobs)), None),
                 Err(fault) => last.fault = Some(fault),
             }
@@ -123,12 +124,15 @@ mod tests {
         let before = Instant::now();
         for _ in 0..50 {
             assert!(
-                matches!(queue.look(&commands, "a", before), JobState::Listed(jobs, _) if jobs[0].id == "1")
+                matches!(queue.look(&commands, "a", before, &Cancel::default()), JobState::Listed(jobs, _) if jobs[0].id == "1")
             );
         }
-        assert_eq!(queue.look(&commands, "b", before), JobState::Absent);
         assert_eq!(
-            queue.look(&commands, "b", Instant::now()),
+            queue.look(&commands, "b", before, &Cancel::default()),
+            JobState::Absent
+        );
+        assert_eq!(
+            queue.look(&commands, "b", Instant::now(), &Cancel::default()),
             JobState::Unknown(String::new())
         );
         assert_eq!(std::fs::read_to_string(count).unwrap().lines().count(), 1);
@@ -150,7 +154,7 @@ mod tests {
             running: 2,
             waiting: 5,
         };
-        let state = queue.look(&commands, "marf-b", Instant::now());
+        let state = queue.look(&commands, "marf-b", Instant::now(), &Cancel::default());
         assert!(
             matches!(state, JobState::Listed(jobs, found) if jobs[0].reason == "Priority" && found == census)
         );
@@ -160,9 +164,15 @@ mod tests {
     fn a_queue_that_does_not_answer_says_nothing_of_a_job() {
         let queue = Queue::new(Duration::ZERO);
         let now = Instant::now();
-        assert_eq!(queue.look(&list("true"), "a", now), JobState::Absent);
-        let state = queue.look(&list("echo down >&2; exit 1"), "a", now);
+        assert_eq!(
+            queue.look(&list("true"), "a", now, &Cancel::default()),
+            JobState::Absent
+        );
+        let state = queue.look(&list("echo down >&2; exit 1"), "a", now, &Cancel::default());
         assert!(matches!(state, JobState::Unknown(why) if why.contains("down")));
-        assert_eq!(queue.look(&list("true"), "a", now), JobState::Absent);
+        assert_eq!(
+            queue.look(&list("true"), "a", now, &Cancel::default()),
+            JobState::Absent
+        );
     }
 }

@@ -188,6 +188,9 @@ pub enum SiteError {
     },
 }
 
+/// Longest wait: a year.
+const MOST_SECONDS: f64 = 31_536_000.0;
+
 /// The table `[executor]` of a site file.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -207,7 +210,15 @@ impl Site {
                 source,
             })
         };
-        let settings: File = toml::from_str(&read(path)?).map_err(|error| SiteError::Syntax {
+        Self::from_text(&read(path)?, path)
+    }
+
+    /// Reads the text of a site file. Errors name the path.
+    ///
+    /// # Errors
+    /// As [`Site::read`].
+    pub fn from_text(text: &str, path: &Path) -> Result<Self, SiteError> {
+        let settings: File = toml::from_str(text).map_err(|error| SiteError::Syntax {
             path: path.to_owned(),
             message: error.to_string().trim_end().to_owned(),
         })?;
@@ -234,8 +245,12 @@ impl Site {
         positive("max_array", self.max_array > 0)?;
         positive("memory_mb", self.memory_mb > 0)?;
         positive("minutes", self.minutes > 0)?;
-        positive("poll_s", self.poll_s.is_finite() && self.poll_s > 0.0)?;
-        positive("patience_s", self.patience_s.is_finite() && self.patience_s > 0.0)?;
+        for (key, seconds) in [("poll_s", self.poll_s), ("patience_s", self.patience_s)] {
+            if !(seconds > 0.0 && seconds <= MOST_SECONDS) {
+                let message = format!("a number of seconds above 0 and up to {MOST_SECONDS} is needed");
+                return Err((key, message));
+            }
+        }
         self.check_texts()?;
         if !self.folder.is_absolute() {
             let message = format!(

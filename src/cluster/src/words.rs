@@ -1,11 +1,13 @@
 //! Texts about jobs.
 
-/// Returns a number with its noun: `1 task`, `2 tasks`.
-pub(crate) fn counted(number: usize, noun: &str) -> String {
-    match number {
-        1 => format!("1 {noun}"),
-        _ => format!("{number} {noun}s"),
-    }
+use marf_stage::format;
+
+/// Most characters of a word of the batch system.
+const MOST_WORDS: usize = 200;
+
+/// Returns the memory of a job.
+pub(crate) fn memory(memory_mb: u64) -> String {
+    format::size(memory_mb.saturating_mul(1_000_000))
 }
 
 /// Returns the state of a job in words: `job 12 pending (Resources)`.
@@ -13,7 +15,7 @@ pub(crate) fn note(id: &str, state: &str, reason: &str) -> String {
     if reason.is_empty() {
         format!("job {id} {state}")
     } else {
-        format!("job {id} {state} ({reason})")
+        format!("job {id} {state} ({})", format::cut(reason, MOST_WORDS))
     }
 }
 
@@ -26,10 +28,10 @@ pub(crate) fn in_short(said: &str) -> String {
     };
     let words: Vec<&str> = said.split_whitespace().filter(is_wanted).collect();
     if !words.is_empty() {
-        return words.join(" ");
+        return format::cut(&words.join(" "), MOST_WORDS);
     }
     let first = said.trim().lines().next();
-    first.unwrap_or("the batch system knows it no more").to_owned()
+    format::cut(first.unwrap_or("the batch system knows it no more"), MOST_WORDS)
 }
 
 #[cfg(test)]
@@ -50,9 +52,7 @@ mod tests {
         );
         assert_eq!(note("7", "pending", "Priority"), "job 7 pending (Priority)");
         assert_eq!(note("7", "running", ""), "job 7 running");
-        assert_eq!(
-            (counted(1, "task"), counted(0, "task")),
-            ("1 task".to_owned(), "0 tasks".to_owned())
-        );
+        assert_eq!(memory(1_400), "1.4 GB");
+        assert_eq!(in_short(&"x".repeat(9_000)).chars().count(), MOST_WORDS);
     }
 }

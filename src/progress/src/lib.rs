@@ -2,10 +2,11 @@
 
 mod estimate;
 mod event_file;
-pub mod format;
 mod json;
 mod text;
 mod trace;
+
+pub use marf_stage::format;
 
 pub use estimate::{Estimate, NodeTimes, RunProgress};
 pub use event_file::{EventFile, RunStart, event_folder};

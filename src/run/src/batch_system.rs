@@ -44,7 +44,14 @@ pub fn executor(context: &Context, site: Option<&Path>) -> Result<Option<Arc<dyn
         feedback: context.feedback.as_ref(),
         last: Mutex::default(),
     };
-    let mut cluster = Cluster::new(site, remote, program).map_err(refused)?;
+    let unanswered = |error| {
+        if context.cancel.is_set() {
+            Error::Interrupted
+        } else {
+            refused(error)
+        }
+    };
+    let mut cluster = Cluster::new(site, remote, program, &context.cancel).map_err(unanswered)?;
     cluster
         .ask_backend(PROGRAM, &progress, &context.cancel)
         .map_err(failed)?;

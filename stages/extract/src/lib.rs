@@ -17,6 +17,7 @@
 mod archive;
 mod fetch;
 mod files;
+pub mod fuzzing;
 mod kinds;
 mod net;
 mod params;

@@ -6,6 +6,7 @@ mod foreign;
 mod jpeg;
 mod other;
 mod scan;
+mod strips;
 mod tagged;
 #[cfg(test)]
 mod tests;

@@ -9,6 +9,7 @@ mod ctx;
 mod define;
 mod document;
 mod error;
+pub mod format;
 pub mod harness;
 mod origin;
 mod set;

@@ -12,6 +12,8 @@ use crate::error::{Answer, Diagnostic, Error};
 pub struct ProductUses {
     /// The product as the user names it.
     pub product: String,
+    /// Whole, incomplete, or not ours.
+    pub answer: Answer,
     /// The runs, the newest first.
     pub runs: Vec<Tainted>,
     /// Runs with a lost object.
@@ -26,6 +28,7 @@ pub fn uses(context: &Context, product: &str) -> Result<ProductUses, Error> {
     let store = context.existing_store()?;
     let mut found = ProductUses {
         product: product.to_owned(),
+        answer: Answer::Whole,
         runs: Vec::new(),
         lost_runs: Vec::new(),
     };
@@ -41,6 +44,11 @@ pub fn uses(context: &Context, product: &str) -> Result<ProductUses, Error> {
             None => found.lost_runs.push(number),
         }
     }
+    if !found.lost_runs.is_empty() {
+        found.answer = Answer::Incomplete;
+    } else if found.runs.is_empty() {
+        found.answer = Answer::NotOurs;
+    }
     Ok(found)
 }
 
@@ -50,18 +58,17 @@ impl ProductUses {
     /// # Errors
     /// [`Error::Answered`]: incomplete, or not ours.
     pub fn is_whole(&self) -> Result<(), Error> {
-        if !self.lost_runs.is_empty() {
-            let runs: Vec<String> = self.lost_runs.iter().map(ToString::to_string).collect();
-            let message = format!(
-                "objects of runs {} are not in the store any more",
-                runs.join(", ")
-            );
-            return Err(Error::Answered(Answer::Incomplete, Diagnostic::new(message)));
-        }
-        if self.runs.is_empty() {
-            let message = format!("no run of this store read a product `{}`", self.product);
-            return Err(Error::Answered(Answer::NotOurs, Diagnostic::new(message)));
-        }
-        Ok(())
+        let message = match self.answer {
+            Answer::Incomplete => {
+                let runs: Vec<String> = self.lost_runs.iter().map(ToString::to_string).collect();
+                format!(
+                    "objects of runs {} are not in the store any more",
+                    runs.join(", ")
+                )
+            }
+            Answer::NotOurs => format!("no run of this store read a product `{}`", self.product),
+            _ => return Ok(()),
+        };
+        Err(Error::Answered(self.answer, Diagnostic::new(message)))
     }
 }

@@ -6,17 +6,28 @@ use marf_cache::Digest;
 use marf_engine::Cancel;
 use marf_export::verify::Trace;
 use marf_provenance::stamp::Stamp;
+use serde::Serialize;
 
 use super::file::file_bytes;
 use crate::copies::object_of;
 use crate::error::{Answer, Diagnostic, Error};
 use crate::export::{open_crate, verify_crate};
 
+/// The origin of a file by the run of a crate.
+#[derive(Debug, Serialize)]
+pub struct CrateTrace {
+    /// Whole: any other answer is an error of [`trace`].
+    pub answer: Answer,
+    /// The origin.
+    #[serde(flatten)]
+    pub trace: Trace,
+}
+
 /// Traces a file in the run of a crate.
 ///
 /// # Errors
 /// A file or a crate that cannot be read. Also the answers "altered", for the file or the crate, and "not ours".
-pub fn trace(file: &Path, folder: &Path, cancel: &Cancel) -> Result<Trace, Error> {
+pub fn trace(file: &Path, folder: &Path, cancel: &Cancel) -> Result<CrateTrace, Error> {
     let bytes = file_bytes(file, cancel)?;
     let answered = |answer, message: String| Error::Answered(answer, Diagnostic::new(message));
     verify_crate(folder, cancel)?;
@@ -29,11 +40,15 @@ pub fn trace(file: &Path, folder: &Path, cancel: &Cancel) -> Result<Trace, Error
     let trace = open_crate(folder, cancel)?.trace(&digest);
     let trace =
         trace.map_err(|cause| answered(Answer::Incomplete, format!("{}: {cause}", folder.display())))?;
-    trace.ok_or_else(|| {
+    let trace = trace.ok_or_else(|| {
         let (file, folder) = (file.display(), folder.display());
         answered(
             Answer::NotOurs,
             format!("{file} was not made by the run of {folder}"),
         )
+    })?;
+    Ok(CrateTrace {
+        answer: Answer::Whole,
+        trace,
     })
 }

@@ -10,5 +10,5 @@ mod lineage;
 pub use changed::Changed;
 pub use file::{AuditReport, AuditRequest, audit, is_whole};
 pub use from::{ProductUses, uses};
-pub use in_crate::trace;
+pub use in_crate::{CrateTrace, trace};
 pub use lineage::{Detail, Origin, PhotoCount, ProductLine, Products, Step, StepInput};

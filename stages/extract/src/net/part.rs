@@ -18,6 +18,9 @@ use crate::files::{self, beside};
 
 /// Bytes after which the sidecar is written again.
 const CHECKPOINT_BYTES: u64 = 1 << 20;
+/// Bytes before the end of a part that are fetched again and compared, at most half of it: some hosts give other bytes under
+/// an equal `ETag`.
+const COMPARED_BYTES: u64 = 64 << 10;
 /// Largest buffer that is reserved for an announced length, before any byte has come.
 const MOST_RESERVED: u64 = 8 << 20;
 /// Largest sidecar that is read.
@@ -49,6 +52,8 @@ struct Sidecar {
 pub(super) struct Body {
     pub head: Head,
     bytes: Vec<u8>,
+    /// Where the next byte belongs: before the end while bytes are compared.
+    at: usize,
     hasher: blake3::Hasher,
 }
 
@@ -56,6 +61,11 @@ impl Body {
     /// Bytes so far.
     pub(super) fn len(&self) -> u64 {
         self.bytes.len() as u64
+    }
+
+    /// Where the rest begins that is requested.
+    pub(super) fn rest_from(&self) -> u64 {
+        self.len() - COMPARED_BYTES.min(self.len().div_ceil(2))
     }
 }
 
@@ -131,6 +141,7 @@ impl PartialDownload {
         self.body = Some(Body {
             head,
             bytes: Vec::new(),
+            at: 0,
             hasher: blake3::Hasher::new(),
         });
         Ok(())
@@ -177,24 +188,30 @@ impl PartialDownload {
         Ok(())
     }
 
-    /// Sets the length of the whole.
-    pub(super) fn set_length(&mut self, length: u64) {
+    /// Expects the rest of a whole of this length.
+    pub(super) fn resume(&mut self, length: u64) {
         if let Some(body) = &mut self.body {
             body.head.length = Some(length);
+            body.at = body.rest_from() as usize;
         }
     }
 
     /// Adds bytes that came.
     ///
     /// # Errors
-    /// More than the cap, or a part that cannot be written.
+    /// More than the cap, other bytes than the kept ones, or a part that cannot be written.
     pub(super) fn push(&mut self, chunk: &[u8]) -> Result<(), NetErrorKind> {
         let body = self.body.as_mut().ok_or(NetErrorKind::Lost)?;
+        let (again, chunk) = chunk.split_at(chunk.len().min(body.bytes.len() - body.at));
+        if !body.bytes[body.at..].starts_with(again) {
+            return Err(NetErrorKind::Rest("it has other bytes".into()));
+        }
         let bytes = body.len() + chunk.len() as u64;
         if bytes > self.cap {
             return Err(NetErrorKind::TooLarge { bytes, cap: self.cap });
         }
         body.bytes.extend_from_slice(chunk);
+        body.at += again.len() + chunk.len();
         body.hasher.update(chunk);
         if let Some((path, file)) = &mut self.part {
             file.write_all(chunk).map_err(|error| in_part(path, &error))?;
@@ -211,7 +228,7 @@ impl PartialDownload {
     /// Another length, or a part that cannot be written.
     pub(super) fn finish(&mut self) -> Result<(Head, Vec<u8>), NetErrorKind> {
         let body = self.body.as_mut().ok_or(NetErrorKind::Lost)?;
-        let came = body.len();
+        let came = body.at as u64;
         if let Some(announced) = body.head.length.filter(|announced| *announced != came) {
             return Err(NetErrorKind::Length { announced, came });
         }
@@ -320,6 +337,7 @@ fn left_behind(path: &Path, file: &mut File, cap: u64) -> Option<(Body, bool)> {
     let verified = hasher.finalize().as_bytes() == sidecar.blake3.as_bytes();
     let body = Body {
         head: sidecar.head,
+        at: bytes.len(),
         bytes,
         hasher,
     };

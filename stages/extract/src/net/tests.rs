@@ -4,6 +4,7 @@ mod faults;
 mod parts;
 mod politeness;
 mod redirects;
+mod tls;
 
 use std::path::PathBuf;
 use std::time::Duration;

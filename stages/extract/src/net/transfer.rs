@@ -150,7 +150,7 @@ impl Shared {
                 Err(failure) => failure,
             };
             let settled = match &failure.kind {
-                NetErrorKind::TooLarge { .. } => partial.discard(),
+                NetErrorKind::TooLarge { .. } | NetErrorKind::Rest(_) => partial.discard(),
                 _ => partial.settle(),
             };
             let kind = settled.err().unwrap_or(failure.kind);
@@ -234,7 +234,7 @@ impl Shared {
         };
         if let Some((body, validator)) = partial.continues(asked, url) {
             request = request
-                .header(RANGE, format!("bytes={}-", body.len()))
+                .header(RANGE, format!("bytes={}-", body.rest_from()))
                 .header(IF_RANGE, validator);
             about.rest = true;
         }
@@ -265,10 +265,8 @@ impl Shared {
             StatusClass::Whole | StatusClass::Rest => {
                 if class == StatusClass::Whole {
                     partial.restart(head(asked, url, &response))?;
-                } else if let Err(kind) = check_rest(&response, partial) {
-                    partial.discard()?;
-                    return Err(kind.into());
                 } else {
+                    check_rest(&response, partial)?;
                     add(&self.counters.resumed, 1);
                 }
                 let answer = self.body(response, partial).await?;
@@ -401,8 +399,9 @@ fn check_rest(response: &Response, partial: &mut PartialDownload) -> Result<(), 
     if range::differs(&body.head.validators, &validators(response)) {
         return Err(NetErrorKind::Rest("it is of another version".into()));
     }
-    let total = range::rest(text(response, CONTENT_RANGE), body.len(), body.head.length);
-    partial.set_length(total.map_err(NetErrorKind::Rest)?);
+    let from = body.rest_from();
+    let total = range::rest(text(response, CONTENT_RANGE), from, body.head.length);
+    partial.resume(total.map_err(NetErrorKind::Rest)?);
     Ok(())
 }
 

@@ -25,6 +25,7 @@ mod summary;
 use marf_stage::{Ctx, Listing, StageError};
 
 pub(crate) use self::archive::{RemoteArchive, Request};
+pub(crate) use self::lock::pins_in;
 pub use self::lock::{PinnedProduct, UnreadableLock, pinned_products};
 use crate::archive::{ArchiveFiles, ShardFiles};
 

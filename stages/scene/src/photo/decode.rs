@@ -1,6 +1,4 @@
-use std::io::Cursor;
-
-use image::{ImageFormat, ImageReader};
+use image::ImageFormat;
 
 use super::decoded::{Alpha, DecodeError, MAX_DECODED_BYTES, Photo, format_name};
 use super::{foreign, jpeg, other, tagged};
@@ -54,7 +52,7 @@ impl Photo {
 
     /// Returns width and height in pixels from the header alone, before EXIF rotation. `None` without a known header.
     pub fn size_px(bytes: &[u8]) -> Option<(u32, u32)> {
-        ImageReader::with_format(Cursor::new(bytes), guess(bytes)?)
+        other::reader(bytes, guess(bytes)?, MAX_DECODED_BYTES)
             .into_dimensions()
             .ok()
     }

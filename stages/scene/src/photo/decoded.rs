@@ -8,6 +8,9 @@ use crate::{Image, Srgb};
 /// Bytes that the decoded samples of one photo may take unless another limit is given: 333 megapixels of 8-bit colour.
 pub const MAX_DECODED_BYTES: u64 = 1_000_000_000;
 
+/// The note of a photo of 16 bits.
+pub(super) const SIXTEEN_BITS_REDUCED: &str = "16 bits reduced to 8";
+
 /// A decoded photo: upright, three channels over black.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Photo {
@@ -118,7 +121,7 @@ impl Photo {
         }
         match decoded.color().bytes_per_pixel() / decoded.color().channel_count() {
             0 | 1 => {}
-            2 => notes.push("16 bits reduced to 8".to_owned()),
+            2 => notes.push(SIXTEEN_BITS_REDUCED.to_owned()),
             _ => notes.push("numbers from 0 to 1 reduced to 8 bits".to_owned()),
         }
         let bands = if decoded.color().has_color() { 3 } else { 1 };
@@ -133,12 +136,10 @@ impl Photo {
 
     /// Returns the photo of the pixels of a decoder, or `None` if they are too few or too many.
     pub(super) fn from_pixels(width: u32, height: u32, pixels: Vec<u8>) -> Option<Self> {
-        let pixels = bytemuck::allocation::try_cast_vec(pixels);
-        let pixels: Vec<[u8; 3]> = pixels.unwrap_or_else(|(_, bytes)| bytes.as_chunks().0.to_vec());
         let image = Image {
             width,
             height,
-            pixels,
+            pixels: in_threes(pixels),
         };
         let is_whole = image.pixels.len() as u64 == u64::from(width) * u64::from(height);
         is_whole.then(|| image.into())
@@ -229,7 +230,13 @@ pub(crate) fn damaged(format: &'static str, error: &dyn std::fmt::Display) -> De
     DecodeError::Damaged { format, message }
 }
 
-/// Returns the pixels blended over black, and their alpha unless all are opaque. 8-bit colour without alpha is copied once and not
+/// Returns bytes as pixels, without a copy where none of their memory is unused.
+fn in_threes(bytes: Vec<u8>) -> Vec<[u8; 3]> {
+    let pixels = bytemuck::allocation::try_cast_vec(bytes);
+    pixels.unwrap_or_else(|(_, bytes)| bytes.as_chunks().0.to_vec())
+}
+
+/// Returns the pixels blended over black, and their alpha unless all are opaque. 8-bit colour without alpha is neither copied nor
 /// converted.
 fn over_black(decoded: DynamicImage, stored: Alpha) -> (Image<Srgb>, Vec<u8>) {
     let (width, height) = (decoded.width(), decoded.height());
@@ -246,7 +253,7 @@ fn over_black(decoded: DynamicImage, stored: Alpha) -> (Image<Srgb>, Vec<u8>) {
         };
         pixels.pixels().map(over_black).unzip()
     } else {
-        (decoded.into_rgb8().into_raw().as_chunks().0.to_vec(), Vec::new())
+        (in_threes(decoded.into_rgb8().into_raw()), Vec::new())
     };
     let is_opaque = alpha.iter().all(|alpha| *alpha == 255);
     let image = Image {

@@ -7,6 +7,21 @@ use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
 
 use super::decoded::{DecodeError, TooLarge, damaged, format_name};
 
+/// Most bytes of a PNG besides its pixels. A colour profile that unpacks to more is not read.
+const MOST_PNG_EXTRAS: u64 = 32 << 20;
+
+/// Returns a reader of a photo, within a limit of memory.
+pub(super) fn reader(bytes: &[u8], format: ImageFormat, limit_bytes: u64) -> ImageReader<Cursor<&[u8]>> {
+    let mut reader = ImageReader::with_format(Cursor::new(bytes), format);
+    let mut limits = Limits::no_limits();
+    limits.max_alloc = match format {
+        ImageFormat::Png => Some(limit_bytes.min(MOST_PNG_EXTRAS)),
+        _ => Some(limit_bytes),
+    };
+    reader.limits(limits);
+    reader
+}
+
 /// Decodes a photo other than a JPEG with the `image` crate, within a limit of memory.
 pub(super) fn decode(
     bytes: &[u8],
@@ -15,11 +30,7 @@ pub(super) fn decode(
 ) -> Result<(DynamicImage, Vec<String>), DecodeError> {
     let name = format_name(format).unwrap_or("image");
     let fail = |error: image::ImageError| damaged(name, &error);
-    let mut reader = ImageReader::with_format(Cursor::new(bytes), format);
-    let mut limits = Limits::no_limits();
-    limits.max_alloc = Some(limit_bytes);
-    reader.limits(limits);
-    let mut decoder = reader.into_decoder().map_err(fail)?;
+    let mut decoder = reader(bytes, format, limit_bytes).into_decoder().map_err(fail)?;
     let (width, height) = decoder.dimensions();
     TooLarge::check(
         width,
@@ -53,4 +64,31 @@ pub(super) fn upright(mut decoded: DynamicImage, orientation: Orientation) -> (D
         ));
     }
     (decoded, notes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A PNG of one pixel with a profile of zeros.
+    fn with_profile(profile_bytes: usize) -> Vec<u8> {
+        let mut info = png::Info::with_size(1, 1);
+        info.icc_profile = Some(vec![0; profile_bytes].into());
+        let mut bytes = Vec::new();
+        let encoder = png::Encoder::with_info(&mut bytes, info).unwrap();
+        encoder.write_header().unwrap().write_image_data(&[7]).unwrap();
+        bytes
+    }
+
+    #[test]
+    fn a_profile_that_unpacks_to_more_than_the_limit_is_not_read_and_the_photo_is() {
+        for (profile_bytes, is_read) in [(1 << 10, true), (33 << 20, false)] {
+            let bytes = with_profile(profile_bytes);
+            let mut decoder = reader(&bytes, ImageFormat::Png, u64::MAX).into_decoder().unwrap();
+            let profile = decoder.icc_profile().unwrap();
+            assert_eq!(profile.is_some(), is_read, "{profile_bytes}");
+            let (decoded, _) = decode(&bytes, ImageFormat::Png, 1_000).unwrap();
+            assert_eq!(decoded.to_luma8().as_raw(), &[7], "{profile_bytes}");
+        }
+    }
 }

@@ -8,16 +8,16 @@ use tiff::decoder::{Decoder, DecodingResult, Limits};
 use tiff::tags::Tag;
 use tiff::{ColorType, TiffError};
 
-use super::decoded::{Alpha, DecodeError, Photo, TooLarge, damaged};
-use super::other;
+use super::decoded::{Alpha, DecodeError, Photo, SIXTEEN_BITS_REDUCED, TooLarge, damaged};
 use super::tones::Tones;
+use super::{other, strips};
 
 /// First bytes of a BigTIFF, in both byte orders.
 pub(super) const BIG: [&[u8]; 2] = [b"II+\0", b"MM\0+"];
 /// PlanarConfiguration of a TIFF whose pixels have their channels side by side.
 const CHUNKY: u16 = 1;
 
-type Tiff<'a> = Decoder<Cursor<&'a [u8]>>;
+pub(super) type Tiff<'a> = Decoder<Cursor<&'a [u8]>>;
 
 /// Decodes the first page of a TIFF.
 ///
@@ -35,12 +35,24 @@ pub(super) fn decode(bytes: &[u8], limit_bytes: u64) -> Result<Photo, DecodeErro
         .more_images()
         .then(|| "the first of several pages".to_owned());
     let (stored, alpha) = stored(&mut decoder).map_err(fail)?;
-    let (decoded, mut notes) = match stored {
+    let Page {
+        decoded,
+        mut notes,
+        is_reduced,
+    } = match stored {
         // Bits, inks and colours from a palette: as the `image` crate reads them.
-        Stored::Other => other::decode(bytes, ImageFormat::Tiff, limit_bytes)?,
-        _ => page(decoder, &stored, limit_bytes)?,
+        Stored::Other => {
+            let (decoded, notes) = other::decode(bytes, ImageFormat::Tiff, limit_bytes)?;
+            Page {
+                decoded,
+                notes,
+                is_reduced: false,
+            }
+        }
+        _ => page(decoder, stored, limit_bytes)?,
     };
     notes.extend(pages);
+    notes.extend(is_reduced.then(|| SIXTEEN_BITS_REDUCED.to_owned()));
     Ok(Photo::from_upright(decoded, alpha, notes))
 }
 
@@ -108,12 +120,17 @@ fn stored(decoder: &mut Tiff<'_>) -> Result<(Stored, Alpha), TiffError> {
     Ok((stored, alpha))
 }
 
-/// Decodes a page of gray or colour, turned upright, with notes on its tones.
-fn page(
-    decoder: Tiff<'_>,
-    stored: &Stored,
-    limit_bytes: u64,
-) -> Result<(DynamicImage, Vec<String>), DecodeError> {
+/// A page, turned upright.
+struct Page {
+    decoded: DynamicImage,
+    /// On its tones.
+    notes: Vec<String>,
+    /// It was read as 8 bits of the whole range of 16 bits.
+    is_reduced: bool,
+}
+
+/// Decodes a page of gray or colour.
+fn page(decoder: Tiff<'_>, stored: Stored, limit_bytes: u64) -> Result<Page, DecodeError> {
     let mut limits = Limits::default();
     limits.decoding_buffer_size = usize::try_from(limit_bytes).unwrap_or(usize::MAX);
     limits.intermediate_buffer_size = limits.decoding_buffer_size;
@@ -134,14 +151,27 @@ fn page(
         .map_err(fail)?
         .and_then(Orientation::from_exif)
         .unwrap_or(Orientation::NoTransforms);
-    let samples = decoder.read_image().map_err(fail)?;
     let mut notes = Vec::new();
-    let samples = tones.displayed(samples, &mut notes);
-    let decoded = image(samples, *stored, width, height);
+    let is_plain = matches!(stored, Stored::Rgb | Stored::Gray { samples: 1 });
+    let in_strips = if sample_bytes == 2 && is_plain {
+        strips::read(&mut decoder, &tones, &mut notes).map_err(fail)?
+    } else {
+        None
+    };
+    let is_reduced = in_strips.is_some() && tones.white_of_16_bits() == f64::from(u16::MAX);
+    let samples = match in_strips {
+        Some(samples) => DecodingResult::U8(samples),
+        None => tones.displayed(decoder.read_image().map_err(fail)?, &mut notes),
+    };
+    let decoded = image(samples, stored, width, height);
     let decoded = decoded.ok_or_else(|| damaged("TIFF", &"fewer pixels than its header says"))?;
     let (decoded, turned) = other::upright(decoded, orientation);
     notes.extend(turned);
-    Ok((decoded, notes))
+    Ok(Page {
+        decoded,
+        notes,
+        is_reduced,
+    })
 }
 
 /// Returns the picture of samples of 8 or 16 bits, or `None` if they are too few.

@@ -48,7 +48,7 @@ impl Tones {
     /// that holds them is taken, and the note says so.
     pub fn displayed(&self, samples: DecodingResult, notes: &mut Vec<String>) -> DecodingResult {
         let format = Format::from_samples(&samples);
-        let white = self.white(&samples, format, notes);
+        let white = self.white(format, notes, || Statistics::from_samples(&samples));
         if matches!(samples, DecodingResult::U8(_) | DecodingResult::U16(_)) && white == format.white {
             return samples;
         }
@@ -57,17 +57,40 @@ impl Tones {
         DecodingResult::U8(numbers(&samples).map(code).collect())
     }
 
-    fn white(&self, samples: &DecodingResult, format: Format, notes: &mut Vec<String>) -> f64 {
-        if matches!(samples, DecodingResult::U8(_)) {
+    /// Returns the white level of 16-bit integers, which only the tags decide.
+    pub fn white_of_16_bits(&self) -> f64 {
+        let tagged = self.tagged(Format::SIXTEEN_BITS);
+        tagged.map_or(Format::SIXTEEN_BITS.white, |(largest, _)| largest)
+    }
+
+    /// Notes what [`Tones::displayed`] does of 16-bit integers with this largest one.
+    pub fn note_16_bits(&self, most: u16, notes: &mut Vec<String>) {
+        let format = Format::SIXTEEN_BITS;
+        let statistics = Statistics {
+            most: f64::from(most),
+            mean: 0.0,
+        };
+        let white = self.white(format, notes, || statistics);
+        if white != format.white {
+            notes.push(format!("{} from 0 to {white} reduced to 8 bits", format.name));
+        }
+    }
+
+    fn tagged(&self, format: Format) -> Option<(f64, &'static str)> {
+        self.largest.filter(|(largest, _)| format.may_be_white(*largest))
+    }
+
+    fn white(&self, format: Format, notes: &mut Vec<String>, statistics: impl FnOnce() -> Statistics) -> f64 {
+        if format == Format::EIGHT_BITS {
             return format.white;
         }
-        if let Some((largest, name)) = self.largest.filter(|(largest, _)| format.may_be_white(*largest)) {
+        if let Some((largest, name)) = self.tagged(format) {
             if largest != format.white {
                 notes.push(format!("white is {largest} by its tag {name}"));
             }
             return largest;
         }
-        let statistics = Statistics::from_samples(samples);
+        let statistics = statistics();
         let (white, is_sure) = format.guess(&statistics);
         if !is_sure {
             let most = statistics.most;
@@ -106,10 +129,21 @@ struct Format {
 }
 
 impl Format {
+    const EIGHT_BITS: Self = Self::integers("8-bit integers", 255.0);
+    const SIXTEEN_BITS: Self = Self::integers("16-bit integers", 65_535.0);
+
+    const fn integers(name: &'static str, white: f64) -> Self {
+        Self {
+            name,
+            white,
+            is_float: false,
+        }
+    }
+
     fn from_samples(samples: &DecodingResult) -> Self {
         let (name, white, is_float) = match samples {
-            DecodingResult::U8(_) => ("8-bit integers", 255.0, false),
-            DecodingResult::U16(_) => ("16-bit integers", 65_535.0, false),
+            DecodingResult::U8(_) => return Self::EIGHT_BITS,
+            DecodingResult::U16(_) => return Self::SIXTEEN_BITS,
             DecodingResult::U32(_) => ("32-bit integers", f64::from(u32::MAX), false),
             DecodingResult::U64(_) => ("64-bit integers", u64::MAX as f64, false),
             DecodingResult::I8(_) => ("signed 8-bit integers", 127.0, false),

@@ -158,7 +158,11 @@ pub const CRATES: [Crate; 36] = [
             "marf-engine",
         ],
     ),
-    row("src/progress", "marf-progress", &["marf-cache", "marf-engine"]),
+    row(
+        "src/progress",
+        "marf-progress",
+        &["marf-cache", "marf-stage", "marf-engine"],
+    ),
     row(
         "src/model",
         "marf-model",
@@ -240,6 +244,7 @@ pub const CRATES: [Crate; 36] = [
         tests_use: &[
             "marf-calibrate",
             "marf-cluster",
+            "marf-extract",
             "marf-keys",
             "marf-loopback",
             "marf-pds",

@@ -82,13 +82,13 @@ fn a_cut_download_goes_on_by_range() {
     let client = hasty(&server);
     assert_eq!(bytes(one(&client, &download)), body);
     let request = server.requests().remove(0);
-    assert_eq!(request.header("range"), Some("bytes=200000-"));
+    assert_eq!(request.header("range"), Some("bytes=134464-"));
     assert!(
         request.header("if-range").unwrap().starts_with('"'),
         "{request:?}"
     );
     let traffic = client.traffic();
-    assert_eq!((traffic.resumed, traffic.bytes), (1, 100_000));
+    assert_eq!((traffic.resumed, traffic.bytes), (1, 165_536));
     forget(&folder.part("a.part"));
     assert!(folder.files().is_empty(), "{:?}", folder.files());
 }
@@ -113,11 +113,11 @@ fn tries_within_a_call_go_on_too_even_without_a_part() {
         ranges,
         [
             None,
-            Some("bytes=100000-".to_owned()),
-            Some("bytes=200000-".to_owned())
+            Some("bytes=50000-".to_owned()),
+            Some("bytes=84464-".to_owned())
         ]
     );
-    assert_eq!(client.traffic().bytes, 300_000);
+    assert_eq!(client.traffic().bytes, 300_000 + 50_000 + 65_536);
 }
 
 #[test]
@@ -136,8 +136,10 @@ fn a_rest_that_does_not_fit_begins_from_zero() {
         Reply::StaleRest,
         Reply::ShiftedRest(1),
         Reply::ShiftedRest(-5_000),
+        Reply::LyingRest(1),
+        Reply::LyingRest(70_000),
         Reply::NoRest,
-        Reply::with(206, "Content-Range", "bytes 200000-299999/*"),
+        Reply::with(206, "Content-Range", "bytes 134464-299999/*"),
         Reply::status(206),
     ];
     for fault in faults {
@@ -155,6 +157,20 @@ fn a_rest_that_does_not_fit_begins_from_zero() {
             .collect();
         assert_eq!(ranges, [true, false], "{name}");
     }
+}
+
+/// Some hosts make an `ETag` from times, and several hosts may be behind one name.
+#[test]
+fn two_versions_under_one_etag_are_never_mixed() {
+    let (server, folder) = (Server::start().unwrap(), Folder::new());
+    let version = |seed| server.file_with("/a", noise(seed, 300_000), Some("\"same\""), None);
+    version(3);
+    let download = cut(&server, &folder, 200_000);
+    version(4);
+    assert_eq!(bytes(one(&client(&server), &download)), noise(4, 300_000));
+    let ranges = server.requests();
+    let ranges: Vec<_> = ranges.iter().map(|request| request.header("range")).collect();
+    assert_eq!(ranges, [Some("bytes=134464-"), None]);
 }
 
 #[test]
@@ -244,7 +260,7 @@ fn bytes_beyond_the_sidecar_are_fetched_again() {
     longer.extend([0; 700]);
     fs::write(folder.part("a.part"), longer).unwrap();
     assert_eq!(bytes(one(&hasty(&server), &download)), noise(1, 9_000));
-    assert_eq!(server.requests()[0].header("range"), Some("bytes=6000-"));
+    assert_eq!(server.requests()[0].header("range"), Some("bytes=3000-"));
     assert_eq!(folder.files()["a.part"], 9_000);
 }
 
@@ -272,13 +288,13 @@ fn a_part_never_mixes_hosts() {
     first.script("/a", vec![Reply::status(403)]);
     second.script(
         "/a",
-        vec![Reply::Cut { after: 5_000 }, Reply::Cut { after: 2_000 }],
+        vec![Reply::Cut { after: 5_000 }, Reply::Cut { after: 4_500 }],
     );
     kind(one(&client, &both));
     first.clear();
     second.clear();
     assert_eq!(bytes(one(&client, &both)), noise(2, 9_000));
-    assert_eq!(second.requests()[0].header("range"), Some("bytes=7000-"));
+    assert_eq!(second.requests()[0].header("range"), Some("bytes=3500-"));
     assert!(first.requests().is_empty());
 }
 
@@ -378,7 +394,7 @@ fn a_stopped_download_goes_on_at_the_next_call() {
     assert!((50_000..900_000).contains(&kept), "{kept}");
     server.clear();
     assert_eq!(bytes(one(&client(&server), &downloads[1])), noise(5, 900_000));
-    let range = format!("bytes={kept}-");
+    let range = format!("bytes={}-", kept - kept.div_ceil(2).min(65_536));
     assert_eq!(server.requests()[0].header("range"), Some(range.as_str()));
 }
 

@@ -8,7 +8,7 @@ use marf_cache::file::{Links, read_within};
 use marf_cache::{Digest, Sha256};
 
 use super::folder::{MAX_BYTES, in_utf8};
-use super::{Pin, SolPins, WITH_LISTING, text};
+use super::{BadLine, Pin, WITH_LISTING, text};
 
 /// A lock that cannot be read.
 #[derive(Debug, thiserror::Error)]
@@ -56,18 +56,19 @@ pub fn pinned_products(lock: &Path) -> Result<Vec<PinnedProduct>, UnreadableLock
     for folder in entries(lock)?.into_iter().filter(|path| path.is_dir()) {
         for file in entries(&folder)? {
             let Some(sol) = sol_of(&file) else { continue };
-            let pins = text::read(&read(&file)?, sol);
-            add(
-                sol,
-                pins.map_err(|bad| unreadable(&file, Some(bad.line), bad.cause))?,
-                &mut products,
-            );
+            let pinned = pins_in(&read(&file)?, sol);
+            products.extend(pinned.map_err(|bad| unreadable(&file, Some(bad.line), bad.cause))?);
         }
     }
     Ok(products)
 }
 
-fn add(sol: u32, pins: SolPins, products: &mut Vec<PinnedProduct>) {
+/// Returns the products that the text of a sol pins.
+///
+/// # Errors
+/// The first line that cannot be read.
+pub(crate) fn pins_in(text: &str, sol: u32) -> Result<Vec<PinnedProduct>, BadLine> {
+    let pins = text::read(text, sol)?;
     let product = |(name, pin): (String, Pin)| PinnedProduct {
         sol,
         name,
@@ -78,7 +79,7 @@ fn add(sol: u32, pins: SolPins, products: &mut Vec<PinnedProduct>) {
         fetched: pin.fetched,
         others: pin.others.into_iter().collect(),
     };
-    products.extend(pins.files.into_iter().map(product));
+    Ok(pins.files.into_iter().map(product).collect())
 }
 
 /// Returns the sol that a file is of, by its name.

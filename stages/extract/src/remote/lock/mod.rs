@@ -24,6 +24,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use marf_cache::{Digest, Sha256};
 
+pub(crate) use self::all::pins_in;
 pub use self::all::{PinnedProduct, UnreadableLock, pinned_products};
 pub(crate) use self::folder::{Change, Lock, OpenLock};
 pub(crate) use self::text::{read as read_sol, write as write_sol};

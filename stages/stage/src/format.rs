@@ -1,4 +1,4 @@
-//! Numbers, times, sizes and counts as text: the only such module for the terminal and for the report.
+//! Numbers, times, sizes and counts as text: the only such module.
 
 use std::collections::BTreeMap;
 
