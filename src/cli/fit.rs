@@ -2,7 +2,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use marf_progress::format::duration;
-use marf_run::fit::{FitRequest, FitScores, FitTime};
+use marf_run::fit::{FitRequest, FitScores, FitTime, JudgedAt};
 use marf_run::{Context, Error};
 use marf_schema::train::Target;
 
@@ -25,7 +25,7 @@ pub struct FitArgs {
     /// Stop at this PSNR on validation photos, dB
     #[arg(long, value_name = "DB")]
     pub target: Option<f64>,
-    /// Folder for `<time>s/<name>.png` and metrics.json
+    /// Folder for metrics.json, `<time>s/<name>.png` (renders) and `<time>s/compared/<name>.png` (photo and render)
     #[arg(long, value_name = "DIR", default_value = "fit")]
     pub out: PathBuf,
     /// Seed of the training
@@ -76,6 +76,10 @@ fn print_scores(name: &str, scores: &FitScores) {
         duration(scores.seconds.seconds),
         duration(scores.seconds.expected_seconds),
     ));
+    print_line(&format!(
+        "        {}",
+        judged_text(&scores.judged, scores.views.len())
+    ));
     if let Some(target) = &scores.target {
         print_line(&format!("        {}", target_text(target, scores.psnr)));
     }
@@ -88,6 +92,28 @@ fn print_scores(name: &str, scores: &FitScores) {
             folds.scores.psnr,
         ));
     }
+}
+
+/// Returns how many photos were judged at which size, and where they are next to their renders.
+fn judged_text(judged: &JudgedAt, count: usize) -> String {
+    let size =
+        |of: Option<&[u32; 2]>| of.map_or_else(String::new, |[width, height]| format!("{width} x {height}"));
+    let (first, last) = (size(judged.sizes_px.first()), size(judged.sizes_px.last()));
+    let sizes = if first == last {
+        first
+    } else {
+        format!("{first} to {last}")
+    };
+    let reduced = if judged.scale > 1 {
+        format!(", reduced by {}", judged.scale)
+    } else {
+        String::new()
+    };
+    format!(
+        "{count} of {} held-out photos judged at {sizes} pixels{reduced}. Photo and render side by side: {}",
+        judged.held_out_photos,
+        judged.pictures.display()
+    )
 }
 
 /// Returns how a target went, in a sentence.
@@ -117,4 +143,32 @@ fn target_text(target: &Target, held_out_psnr: f64) -> String {
         "target {psnr} dB reached after {steps} steps: {validation_psnr:.2} dB on {photos}, {verdict} {held_out_psnr:.2} dB on those \
          held out"
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_size_at_which_photos_were_judged_is_reported_with_the_pictures() {
+        let mut judged = JudgedAt {
+            held_out_photos: 12,
+            scale: 1,
+            sizes_px: [[480, 360]].into(),
+            pictures: "fit/60s/compared".into(),
+        };
+        let pictures = "Photo and render side by side: fit/60s/compared";
+        assert_eq!(
+            judged_text(&judged, 12),
+            format!("12 of 12 held-out photos judged at 480 x 360 pixels. {pictures}")
+        );
+        judged.sizes_px.insert([96, 128]);
+        judged.scale = 4;
+        assert_eq!(
+            judged_text(&judged, 8),
+            format!(
+                "8 of 12 held-out photos judged at 96 x 128 to 480 x 360 pixels, reduced by 4. {pictures}"
+            )
+        );
+    }
 }

@@ -311,6 +311,15 @@ fn the_metrics_of_fit_are_known_and_stay_where_nothing_is_trained() {
     }
     let told = marf(dir.path(), &[&fit[..], &["--json"]].concat()).exits(0);
     assert!(told.stdout.contains("\"samples_per_s\""), "{}", told.stdout);
+    let told: Value = serde_json::from_str(&told.stdout).unwrap();
+    let judged = &told["1s"]["judged"];
+    let [width, height] = [0, 1].map(|side| judged["sizes_px"][0][side].as_u64().unwrap() as u32);
+    let pictures: Vec<_> = std::fs::read_dir(dir.path().join(judged["pictures"].as_str().unwrap()))
+        .unwrap()
+        .map(|entry| image::image_dimensions(entry.unwrap().path()).unwrap())
+        .collect();
+    let views = told["1s"]["views"].as_array().unwrap().len();
+    assert_eq!(pictures, vec![(2 * width, height); views], "{judged}");
     let path = dir.path().join("fit/metrics.json");
     let object = || String::from_utf8(Stamp::take_from(&std::fs::read(&path).unwrap()).unwrap().0).unwrap();
     let first = object();

@@ -6,7 +6,7 @@ use marf_schema::{evaluate, folds, scores::Scores, train};
 use maud::{Markup, html};
 
 use super::axis::{Chart, Scale};
-use super::format::number;
+use super::format::{count, number};
 use super::json;
 use super::page::Page;
 use super::quality::{figures, of_evaluation, of_folds, of_training};
@@ -119,6 +119,7 @@ fn curves(page: &Page<'_>, node: &RunNode) -> Markup {
                 (loss("Loss against seconds", "seconds", seconds).drawn())
             }
         }
+        @if let Ok(metrics) = page.document::<train::Metrics>(node) { p.quiet { (curve_photos(&metrics)) } }
         @if let Some(last) = points.last() {
             p.quiet {
                 (number(last.rays as f64)) " rays, " (number(last.samples as f64)) " samples in all."
@@ -128,6 +129,25 @@ fn curves(page: &Page<'_>, node: &RunNode) -> Markup {
             }
         }
     }
+}
+
+/// Returns on which photos a curve and the figures above it are measured.
+fn curve_photos(metrics: &train::Metrics) -> String {
+    let on_curve = Curve::MOST_PHOTOS.min(metrics.held_out_photos as usize);
+    let judged = metrics.scores.views.len();
+    let scale = metrics.judged_scale.unwrap_or(metrics.scale);
+    let size = if scale > 1 {
+        format!("reduced by {scale}")
+    } else {
+        "in full size".to_owned()
+    };
+    format!(
+        "PSNR of the curves: {} of those held out, thinned to at most {} pixels a side. PSNR of the figures above: {}, {size}. \
+         So the last point of a curve is not that figure.",
+        count(on_curve, "photo"),
+        Curve::SIDE_PX,
+        count(judged, "photo"),
+    )
 }
 
 /// Returns when each point of a curve was reached: the seconds of all steps, divided in proportion to
@@ -150,6 +170,30 @@ fn line(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::fixture_documents::training;
+    use marf_schema::example;
+
+    #[test]
+    fn a_curve_says_that_its_photos_and_sizes_are_not_those_of_the_figures() {
+        let metrics = training(example::scores());
+        let (judged, sentence) = (metrics.scores.views.len(), curve_photos(&metrics));
+        let expected = format!("figures above: {}, reduced by 4.", count(judged, "photo"));
+        assert!(sentence.contains(&expected), "{sentence}");
+        assert!(
+            sentence.contains("3 photos of those held out, thinned to at most 64 pixels"),
+            "{sentence}"
+        );
+        let whole = train::Metrics {
+            judged_scale: Some(1),
+            held_out_photos: 1,
+            ..metrics
+        };
+        let sentence = curve_photos(&whole);
+        assert!(
+            sentence.contains("1 photo of those held out") && sentence.contains("in full size"),
+            "{sentence}"
+        );
+    }
 
     #[test]
     fn seconds_are_shared_out_by_samples() {

@@ -1,10 +1,11 @@
 //! Trains a field on the photos of a folder, once for each time.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use marf_cache::{Digest, Store};
 use marf_engine::{NodeRun, Outcome, RunRecord, document};
+use marf_scene::{Photo, encode_png, picture::side_by_side};
 use marf_schema::calibrate::{self, CalibrateParams};
 use marf_schema::folds::{self, FoldsParams};
 use marf_schema::output;
@@ -19,7 +20,10 @@ use crate::error::Error;
 use crate::execute::{Extras, execute_with, options};
 use crate::folder::{self, PhotoFolder};
 use crate::session::{Session, node_named};
-use crate::{budget, outputs};
+use crate::{budget, files, outputs};
+
+/// Folder of the pictures of a time that show a photo and its render.
+const COMPARED: &str = "compared";
 
 /// A folder to train on.
 #[derive(Debug, Clone)]
@@ -76,6 +80,19 @@ pub struct Seconds {
     pub expected_seconds: f64,
 }
 
+/// How photos were judged.
+#[derive(Debug, Clone, Serialize)]
+pub struct JudgedAt {
+    /// Photos held out. Each view has the scores of one that was judged.
+    pub held_out_photos: u64,
+    /// Whole factor by which photos and renders were shrunk before they were compared.
+    pub scale: u32,
+    /// Sizes after that, width and height, pixels, in order.
+    pub sizes_px: BTreeSet<[u32; 2]>,
+    /// Folder with one picture a judged photo: the photo on the left, its render on the right.
+    pub pictures: PathBuf,
+}
+
 /// Scores of one time, with the time and memory that it took on this machine.
 #[derive(Debug, Serialize)]
 pub struct FitScores {
@@ -99,6 +116,8 @@ pub struct FitScores {
     /// How the target went, if there was one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub target: Option<Target>,
+    /// At which size photos were judged, and where they are next to their renders.
+    pub judged: JudgedAt,
     /// Scores by photo.
     pub views: Vec<PhotoScores>,
     /// A scene of few photos, judged on all of them.
@@ -134,7 +153,8 @@ pub fn fit(context: &Context, request: &FitRequest) -> Result<BTreeMap<String, F
             cameras.method, totals.registered, totals.photos
         ));
         write(&session.store, &record, &request.out, &name)?;
-        scores.insert(name.clone(), scores_of(&session, &record)?);
+        let folder = request.out.join(&name).join(COMPARED);
+        scores.insert(name.clone(), scores_of(&session, &record, folder)?);
         fitted.insert(name, metrics_of(&session, &record)?);
     }
     Ok(scores)
@@ -217,8 +237,32 @@ fn folds_of(session: &Session, record: &RunRecord) -> Result<Option<folds::Judge
     Ok(metrics.and_then(|metrics| metrics.judged))
 }
 
-/// Returns the scores of a training with the time and memory that it took on this machine.
-fn scores_of(session: &Session, record: &RunRecord) -> Result<FitScores, Error> {
+/// Writes each judged photo next to its render, and returns the sizes of the photos.
+fn write_compared(store: &Store, node: &NodeRun, folder: &Path) -> Result<BTreeSet<[u32; 2]>, Error> {
+    let decoded = |name: &str| {
+        let output = node.outputs.get(name);
+        let output = output.ok_or_else(|| Error::failed(format!("the training has no output `{name}`")))?;
+        let photo = Photo::decode(&store.get(&output.digest)?);
+        photo.map_err(|error| Error::failed(format!("output `{name}`: {error}")))
+    };
+    let mut sizes = BTreeSet::new();
+    for file in node
+        .outputs
+        .keys()
+        .filter_map(|name| name.strip_prefix(output::HELDOUT))
+    {
+        let photo = decoded(&format!("{}{file}", output::PHOTO))?.image;
+        let render = decoded(&format!("{}{file}", output::HELDOUT))?.image;
+        sizes.insert([photo.width, photo.height]);
+        let png = encode_png(&side_by_side(&[&photo, &render]));
+        let png = png.map_err(|error| Error::failed(format!("{file}: {error}")))?;
+        files::write(&folder.join(file), &png)?;
+    }
+    Ok(sizes)
+}
+
+/// Returns the scores of a training with the time and memory that it took on this machine. Photos and renders go into the folder.
+fn scores_of(session: &Session, record: &RunRecord, folder: PathBuf) -> Result<FitScores, Error> {
     let node = node_named(record, TrainParams::STAGE)?;
     let metrics: Metrics = session.document(node)?;
     let made = node.key.and_then(|key| session.store.record(&key).ok().flatten());
@@ -235,6 +279,12 @@ fn scores_of(session: &Session, record: &RunRecord) -> Result<FitScores, Error> 
         seconds,
         peak_mb,
         target: metrics.target,
+        judged: JudgedAt {
+            held_out_photos: metrics.held_out_photos,
+            scale: metrics.judged_scale.unwrap_or(metrics.scale),
+            sizes_px: write_compared(&session.store, node, &folder)?,
+            pictures: folder,
+        },
         views: metrics.scores.views,
         folds: folds_of(session, record)?,
     })

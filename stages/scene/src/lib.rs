@@ -29,7 +29,7 @@ pub use coverage::{Coverage, Observer, SkySeen, SurfaceSeen, seen_at, typical_di
 pub use facts::{CameraPrior, PhotoFacts, RoverPlace, Sensor};
 pub use image::{ColorSpace, Image, Linear, Srgb};
 pub use names::picture_names;
-pub use nearest::{Nearest, TrainedPhotos};
+pub use nearest::{DepthView, Nearest, TrainedPhotos};
 pub use photo::{DecodeError, MAX_DECODED_BYTES, Photo, TooLarge, encode_png};
 pub use places::{PosedPhoto, folds, hold_out_more_places, hold_out_places, places_of};
 pub use pose::Pose;

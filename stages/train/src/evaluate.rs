@@ -1,4 +1,4 @@
-use marf_scene::{PosedPhoto, Scene, TrainedPhotos};
+use marf_scene::{Frame, Scene};
 use marf_schema::{
     evaluate::{EvaluateParams, Metrics, Which},
     output::{HELDOUT, PHOTO, SCENE, WEIGHTS},
@@ -9,6 +9,7 @@ use marf_stage::{Ctx, Document, Inputs, Outputs, Port, Set, StageError, Threads,
 use crate::{
     TrainError,
     checkpoint::identity,
+    depth_views::trained_photos,
     io::{read_field, read_scene},
     photos::PhotoReader,
     scoring::{Judge, JudgedPhotos},
@@ -26,7 +27,7 @@ stage! {
     Set,
     Threads::All,
     about: "compares renders of a trained field with photos",
-    version: 5,
+    version: 6,
     ports: [
         Port::required("input", WEIGHTS),
         Port::required("input", SCENE),
@@ -62,11 +63,11 @@ impl Set for Evaluate {
         let mut outputs = Outputs::new();
         let photos = PhotoReader::new(ctx, &scene, scale);
         let of = identity(self, inputs, "");
-        let nearest = TrainedPhotos::new(&scene, trained_on(&scene, &trained)?);
+        let trained = trained_photos(&field, &photos, &scene, &trained_on(&scene, &trained)?)?;
         let scores = Judge::new(ctx, of, &field, &photos).held_out(
             &frames,
             JudgedPhotos::ALL,
-            &nearest,
+            &trained,
             &mut outputs,
         )?;
         outputs.put(ctx, &Metrics { scores, scale })?;
@@ -75,8 +76,8 @@ impl Set for Evaluate {
 }
 
 /// Returns the photos that a training has used.
-fn trained_on<'a>(scene: &'a Scene, trained: &train::Metrics) -> Result<Vec<PosedPhoto<'a>>, TrainError> {
+fn trained_on<'a>(scene: &'a Scene, trained: &train::Metrics) -> Result<Vec<&'a Frame>, TrainError> {
     let frames = split(scene, trained.holdout, trained.fold)?.training.into_iter();
     let used = frames.filter(|named| trained.has_drawn(&named.frame.id));
-    Ok(used.map(|named| named.frame.into()).collect())
+    Ok(used.map(|named| named.frame).collect())
 }

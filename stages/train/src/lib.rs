@@ -9,6 +9,7 @@
 mod bootstrap;
 mod checkpoint;
 mod child;
+mod depth_views;
 mod error;
 mod evaluate;
 mod folds;

@@ -15,6 +15,7 @@ use serde::{Deserialize, Serialize};
 use crate::{
     TrainError,
     checkpoint::Journal,
+    depth_views::depth_view,
     error::field_failed,
     io::put_png,
     photos::{PhotoReader, ScaledPhoto},
@@ -108,7 +109,8 @@ impl<'a> Judge<'a> {
             self.at(views.len(), frames.len(), named);
             let judged = self.judged(named, |judge| {
                 let mut judged = judge.stored(named)?;
-                judged.scores.nearest = trained.nearest(named.frame.into());
+                let view = depth_view(judge.field, judge.photos, named.frame)?;
+                judged.scores.nearest = trained.nearest(named.frame.into(), &view);
                 Ok(judged)
             })?;
             outputs.extend(judged.pictures);

@@ -2,6 +2,7 @@
 
 use std::fmt;
 
+use marf_sfm::mapper::HiddenPhoto;
 use marf_sfm_features::two_view::RelativePoseKind;
 
 use super::reconstruction::Reconstruction;
@@ -44,10 +45,15 @@ pub(super) enum Cause {
     },
     /// There is no other photo.
     SinglePhoto,
+    /// Something hides a part of it that its neighbours show.
+    Hidden(HiddenPhoto),
 }
 
 /// Returns why a photo was not placed. `component` is the rank of each photo's connected component.
 pub(super) fn cause(reconstruction: &Reconstruction<'_>, component: &[usize], photo: usize) -> Cause {
+    if let Some(hidden) = reconstruction.hidden.iter().find(|hidden| hidden.photo == photo) {
+        return Cause::Hidden(*hidden);
+    }
     let found = reconstruction.features[photo].features.keypoints.len();
     let links: Vec<_> = reconstruction
         .input
@@ -144,6 +150,7 @@ impl Cause {
                 "no three photos that overlap have both matches and parallax enough to begin with"
             }
             Self::SinglePhoto => "a single photo: depth takes two or more, from different places",
+            Self::Hidden(_) => "something that no other photo shows hides a large part",
         }
     }
 
@@ -175,6 +182,7 @@ impl Cause {
                 "add photos that link the parts, compare all with `pairs = \"exhaustive\"`, or calibrate the \
                  parts one by one"
             }
+            Self::Hidden(_) => "hide that part by a mask in `masks`, or leave the photo out",
             Self::NoPose { .. } => "raise `max_features`, or lower `min_matches`",
             Self::NoInitialPair { .. } | Self::SinglePhoto => {
                 "add photos from places farther apart (a tenth of the distance to what they show), or take the \
@@ -221,6 +229,13 @@ impl fmt::Display for Cause {
                 write!(f, "{} (widest angle {angle_deg:.2} degrees)", self.kind())
             }
             Self::NoPose { links } => write!(f, "{}: {links} pairs hold", self.kind()),
+            Self::Hidden(hidden) => write!(
+                f,
+                "something that no other photo shows hides {:.0} % of it: of {} points that its neighbours show there, it shows {}",
+                100.0 * hidden.share,
+                hidden.expected,
+                hidden.shown
+            ),
         }
     }
 }

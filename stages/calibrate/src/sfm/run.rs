@@ -3,7 +3,8 @@
 use marf_schema::calibrate::{CalibrateParams, LensParam, PrincipalPoint};
 use marf_sfm::bundle::LensModel;
 use marf_sfm::mapper::{
-    LensChoice, MapOptions, MapperInput, Model, PrincipalPointChoice, Tracks, extend, map,
+    HiddenPhoto, LensChoice, MapOptions, MapperInput, Model, PrincipalPointChoice, Tracks, extend, map,
+    remove_hidden,
 };
 use marf_sfm::metric::{LabelPose, RejectedLabel, align_to_labels};
 use marf_sfm::view_graph::{SharedCamera, refine_focal_lengths};
@@ -66,6 +67,8 @@ pub(crate) fn run(
             .collect(),
         None => map(&input).map_err(failed)?,
     };
+    let hidden = models.iter_mut().map(|model| remove_hidden(&input, model));
+    let hidden: Vec<HiddenPhoto> = hidden.collect::<Vec<_>>().concat();
     let metric = match &earlier {
         Some(_) => vec![None; models.len()],
         None => align_all(&input, &mut models, &label_poses(items, &features))?,
@@ -76,6 +79,7 @@ pub(crate) fn run(
         compared: &compared,
         input: &input,
         models: &models,
+        hidden: &hidden,
         metric: &metric,
         site: candidates.iter().flatten().find_map(|candidate| candidate.site),
     };

@@ -165,6 +165,13 @@ impl Document for Setup {
 #[serde(transparent)]
 pub struct Curve(pub Vec<CurvePoint>);
 
+impl Curve {
+    /// Held-out photos that a curve is measured on, at most: nine points cost a tenth of a draft.
+    pub const MOST_PHOTOS: usize = 3;
+    /// Their longest side, pixels.
+    pub const SIDE_PX: u32 = 64;
+}
+
 impl Document for Curve {
     const STAGE: &'static str = TrainParams::STAGE;
     const OUTPUT: &'static str = "curve";
@@ -181,6 +188,6 @@ pub struct CurvePoint {
     pub samples: u64,
     /// Mean squared error of the batches since the last point, sRGB in [0, 1].
     pub loss: f64,
-    /// Mean PSNR on up to three held-out photos of at most 64 pixels a side, dB.
+    /// Mean PSNR on up to [`Curve::MOST_PHOTOS`] held-out photos of at most [`Curve::SIDE_PX`] pixels a side, dB.
     pub psnr: f64,
 }

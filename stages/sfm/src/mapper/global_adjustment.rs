@@ -160,10 +160,7 @@ fn remove_weak_photos(input: &MapperInput<'_>, model: &mut Model) {
             model.remove(input, photo);
         }
     }
-    if model.poses[model.anchor].is_none() {
-        let next = model.photos().next();
-        model.anchor = next.unwrap_or(model.anchor);
-    }
+    model.move_anchor();
 }
 
 /// Adjusts the poses of a scope.

@@ -138,6 +138,13 @@ impl Model {
         }
     }
 
+    /// Fixes the gauge by the first photo if the anchor was removed.
+    pub(super) fn move_anchor(&mut self) {
+        if self.poses[self.anchor].is_none() {
+            self.anchor = self.photos().next().unwrap_or(self.anchor);
+        }
+    }
+
     /// Applies a similarity to all poses and points.
     pub fn transform(&mut self, similarity: &Similarity) {
         for pose in self.poses.iter_mut().flatten() {

@@ -324,7 +324,7 @@ fn resection(
 }
 
 /// Returns the photo and those that share most points with it, the first on ties.
-fn neighbours(input: &MapperInput<'_>, model: &Model, photo: usize) -> Vec<usize> {
+pub(super) fn neighbours(input: &MapperInput<'_>, model: &Model, photo: usize) -> Vec<usize> {
     let mut shared = vec![0_usize; input.views.len()];
     for observation in model.active_in(input, photo) {
         let track = input.tracks.observations[observation].track as usize;

@@ -25,6 +25,8 @@ pub(super) struct Synthetic {
     pub start: SharedCamera,
     /// Photos that share their camera with no other.
     pub apart: Vec<usize>,
+    /// Photos in the middle of which a disc of this radius hides what is behind, pixels.
+    pub hidden: Vec<(usize, f64)>,
 }
 
 /// Errors of a model after alignment with the ground truth.
@@ -94,6 +96,7 @@ impl Synthetic {
             confused: 0.0,
             start: known(camera()),
             apart: Vec::new(),
+            hidden: Vec::new(),
         }
     }
 
@@ -112,7 +115,10 @@ impl Synthetic {
                 let pixel = self.camera.project(&pose.point(point))?;
                 let inside = (0.0..f64::from(self.camera.width)).contains(&pixel.x)
                     && (0.0..f64::from(self.camera.height)).contains(&pixel.y);
-                inside.then(|| {
+                let middle = Vector2::new(self.camera.cx_px, self.camera.cy_px);
+                let behind =
+                    |(hidden, radius): &(usize, f64)| *hidden == photo && (pixel - middle).norm() < *radius;
+                (inside && !self.hidden.iter().any(behind)).then(|| {
                     view.pixels
                         .push(pixel + self.noise_px * Vector2::new(normal(&mut rng), normal(&mut rng)));
                     view.pixels.len() as u32 - 1

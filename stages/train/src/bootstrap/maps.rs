@@ -3,7 +3,7 @@ use marf_scene::{Image, Srgb};
 use marf_stage::{Ctx, StageError};
 
 use super::intervals::{locally, widened};
-use crate::view::floats;
+use crate::{depth_views::MIN_OPACITY, view::floats};
 
 /// Spread of the members at one viewpoint, all `[height * width]`, rows from the top.
 ///
@@ -68,9 +68,6 @@ impl Visibility {
         opacity * self.surface + (1.0 - opacity) * self.sky
     }
 }
-
-/// Mean opacity up to which a pixel has no depth.
-pub(crate) const MIN_OPACITY: f32 = 0.5;
 
 /// Mean, median and both standard deviations of a few numbers.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -6,8 +6,15 @@ use nalgebra::{Vector2, Vector3};
 use rayon::prelude::*;
 
 use super::intervals::locally_within;
-use super::maps::{MIN_OPACITY, Surfaces, Visibility, gray};
-use crate::{checkpoint::Journal, error::field_failed, photos::PhotoReader, split::NamedFrame, view::floats};
+use super::maps::{Surfaces, Visibility, gray};
+use crate::{
+    checkpoint::Journal,
+    depth_views::{MIN_OPACITY, surface_distances},
+    error::field_failed,
+    photos::PhotoReader,
+    split::NamedFrame,
+    view::floats,
+};
 
 /// Longest side at which depths of the photos are rendered, pixels: what hides a point is known to one of these.
 const SIDE_PX: u32 = 160;
@@ -133,14 +140,6 @@ impl Sample {
         let photo = photos.read(named.frame)?.image;
         let render = field.render(&self.camera, &named.frame.cam_from_world);
         let render = render.map_err(field_failed)?;
-        let matter = render.depth.iter().zip(&render.opacity);
-        let distances = matter.map(|(depth, opacity)| {
-            if *opacity > MIN_OPACITY {
-                *depth
-            } else {
-                f32::INFINITY
-            }
-        });
         let place = |along: u32| along * self.every + self.every / 2;
         let errors = (0_u32..).zip(&render.rgb).map(|(pixel, rgb)| {
             let (column, row) = (pixel % self.camera.width, pixel / self.camera.width);
@@ -148,7 +147,7 @@ impl Sample {
             let photo = gray(&photo.map(|value| f32::from(value) / 255.0));
             (gray(rgb) - photo).abs() as f32
         });
-        Ok(distances.chain(errors).collect())
+        Ok(surface_distances(&render).chain(errors).collect())
     }
 }
 

@@ -22,11 +22,10 @@ use super::fields::Fields;
 use crate::{
     TrainError,
     bootstrap::maps::{gray, moments},
+    depth_views::MIN_OPACITY,
     io::{picture_failed, put_png},
 };
 
-/// Rays with less opacity have no depth.
-const MIN_OPACITY: f32 = 0.5;
 /// A colour scale reaches this share of the values of every picture: a few far ones would leave the others few colours.
 const SCALE_SHARE: f64 = 0.95;
 

@@ -1,6 +1,6 @@
 //! The photos of a training, and what each is used for.
 
-use marf_scene::{PosedPhoto, Scene};
+use marf_scene::{Frame, Scene};
 
 use super::setup::Settings;
 use crate::{
@@ -53,9 +53,9 @@ impl<'a> PhotoSet<'a> {
         used.filter(|(_, times)| **times > 0).map(|(named, _)| named)
     }
 
-    /// Returns where the training photos that are used were taken.
-    pub fn trained_on(&self) -> Vec<PosedPhoto<'a>> {
-        self.used().map(|named| named.frame.into()).collect()
+    /// Returns the frames of the training photos that are used.
+    pub fn trained_on(&self) -> Vec<&'a Frame> {
+        self.used().map(|named| named.frame).collect()
     }
 
     /// Returns the ids of the training photos, each as often as it is used.

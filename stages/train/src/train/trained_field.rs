@@ -4,7 +4,6 @@ use std::time::Instant;
 
 use marf_cache::Digest;
 use marf_field::{Config, Device, Field, Schedule, Trainer, Trial};
-use marf_scene::TrainedPhotos;
 use marf_schema::{
     output::{SCENE, WEIGHTS},
     train::{BEFORE_STOP, Metrics, Target, TrainParams},
@@ -19,7 +18,7 @@ use super::{
     training::{Training, run_of},
     training_loop::train_to,
 };
-use crate::{TrainError, checkpoint, photos::PhotoReader, scoring::Judge};
+use crate::{TrainError, checkpoint, depth_views::trained_photos, photos::PhotoReader, scoring::Judge};
 
 /// A field with the facts of its training.
 pub(super) struct TrainedField {
@@ -151,7 +150,7 @@ impl TrainedField {
             warm_start.clone(),
         );
         outputs.put(ctx, &setup)?;
-        let trained = TrainedPhotos::new(set.scene, set.trained_on());
+        let trained = trained_photos(&field, photos, set.scene, &set.trained_on())?;
         let mut judge = Judge::new(ctx, plan.identity, &field, photos);
         let held_out = &set.split.held_out;
         let metrics = Metrics {

@@ -3,6 +3,7 @@ use std::time::{Duration, Instant};
 
 use marf_cache::Digest;
 use marf_field::{Schedule, Trainer};
+use marf_schema::train::Curve;
 use marf_stage::{Ctx, StageError};
 
 use super::{
@@ -19,9 +20,6 @@ use crate::{
 
 /// Wall clock between two reports of progress.
 const REPORT_EVERY: Duration = Duration::from_millis(200);
-/// Photos that the curve is measured on, and their longest side in pixels: nine points cost a tenth of a draft.
-const CURVE_PHOTOS: usize = 3;
-const CURVE_SIDE_PX: u32 = 64;
 
 /// A training: how far it goes, where its state is kept, and what it is called.
 pub(crate) struct Run<'a> {
@@ -135,10 +133,10 @@ pub(crate) fn curve_photos<'a>(
     held_out: &[NamedFrame<'a>],
     at_once: usize,
 ) -> Result<Vec<(NamedFrame<'a>, ScaledPhoto)>, StageError> {
-    let count = held_out.len().min(CURVE_PHOTOS);
+    let count = held_out.len().min(Curve::MOST_PHOTOS);
     let places: Vec<usize> = (0..count).map(|photo| photo * held_out.len() / count).collect();
     let thinned =
-        |index: usize, photo: ScaledPhoto| places.contains(&index).then(|| photo.thinned_to(CURVE_SIDE_PX));
+        |index: usize, photo: ScaledPhoto| places.contains(&index).then(|| photo.thinned_to(Curve::SIDE_PX));
     let read = photos.map(held_out, at_once, thinned)?;
     let pairs = held_out.iter().zip(read);
     Ok(pairs
