@@ -235,9 +235,9 @@ fn header(report: &Report<'_>, sections: &[Section], media: &Media<'_>) -> Marku
     html! {
         header {
             h1 { (report.title()) }
+            (nodes::failures(report))
             p.lead { (nodes::sentence(report)) }
             p.quiet { code { (record.command) } ", started " (report.started) ", " (record.program) }
-            (nodes::failures(report))
             (nodes::of_earlier_run(report))
             nav aria-label="Contents" {
                 @if let Some(live) = media.live() { (live.navigation) }
