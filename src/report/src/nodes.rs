@@ -51,7 +51,7 @@ const SHOWN_FAILURES: usize = 3;
 pub(super) fn failures(report: &Report<'_>) -> Markup {
     let of_scenes = report.scenes.iter().flat_map(|scene| &scene.nodes);
     let nodes = report.nodes.iter().chain(of_scenes);
-    let failed: Vec<_> = nodes.filter(|node| state(node) == FAILED).collect();
+    let failed: Vec<_> = nodes.copied().filter(|node| state(node) == FAILED).collect();
     html! {
         @if !failed.is_empty() {
             div.alarm role="alert" {

@@ -9,12 +9,14 @@
 //! archive/  declaration and context of a kind, files by shard
 //! remote/   common to archives on servers: catalogs, marf.lock, downloads
 //! net/      the HTTP client
+//! check/    whether an archive on a server is still as the readers expect
 //! recorded.rs  an archive as an earlier run recorded it
 //! fetch.rs  from the files of a shard to rows, verdicts and measures
 //! survey.rs measures of photos while they are decoded
 //! ```
 
 mod archive;
+mod check;
 mod fetch;
 mod files;
 mod kinds;
@@ -34,6 +36,7 @@ use marf_stage::{
 };
 
 pub use archive::kind::ArchiveDef;
+pub use check::{Check, CheckState, CheckedArchive};
 pub use kinds::ARCHIVES;
 pub use params::{ArchiveTable, ExtractParams};
 pub use remote::{PinnedProduct, UnreadableLock, pinned_products};

@@ -39,11 +39,7 @@ impl Ctx<'_> {
     /// # Errors
     /// [`StageError::Cancelled`].
     pub fn check(&self) -> Result<(), StageError> {
-        if self.cancel.is_set() {
-            Err(StageError::Cancelled)
-        } else {
-            Ok(())
-        }
+        self.cancel.check()
     }
 
     /// Does a part of the work and reports how long it took ([`Progress::took`]).
@@ -161,6 +157,17 @@ impl Cancel {
     /// Requests a stop.
     pub fn set(&self) {
         self.0.store(0, Ordering::Relaxed);
+    }
+
+    /// Returns an error if a stop was requested.
+    ///
+    /// # Errors
+    /// [`StageError::Cancelled`].
+    pub fn check(&self) -> Result<(), StageError> {
+        if self.is_set() {
+            return Err(StageError::Cancelled);
+        }
+        Ok(())
     }
 
     /// Returns whether a stop was requested.
