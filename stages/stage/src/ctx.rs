@@ -39,7 +39,11 @@ impl Ctx<'_> {
     /// # Errors
     /// [`StageError::Cancelled`].
     pub fn check(&self) -> Result<(), StageError> {
-        self.cancel.check()
+        if self.cancel.is_set() {
+            Err(StageError::Cancelled)
+        } else {
+            Ok(())
+        }
     }
 
     /// Does a part of the work and reports how long it took ([`Progress::took`]).
@@ -157,17 +161,6 @@ impl Cancel {
     /// Requests a stop.
     pub fn set(&self) {
         self.0.store(0, Ordering::Relaxed);
-    }
-
-    /// Returns an error if a stop was requested.
-    ///
-    /// # Errors
-    /// [`StageError::Cancelled`].
-    pub fn check(&self) -> Result<(), StageError> {
-        if self.is_set() {
-            return Err(StageError::Cancelled);
-        }
-        Ok(())
     }
 
     /// Returns whether a stop was requested.

@@ -12,8 +12,12 @@ use crate::remote::catalog::RemoteFile;
 const LABEL: &str = "label";
 const PICTURE: &str = "picture";
 
-/// A file with its name.
-type Named<'a> = (&'a String, &'a RemoteFile);
+/// A file of a sol.
+#[derive(Clone, Copy)]
+struct ListedFile<'a> {
+    name: &'a str,
+    remote: &'a RemoteFile,
+}
 
 impl Checkup<'_> {
     /// Asks for label and picture of one product of a sol, one with a label if there is one.
@@ -28,60 +32,48 @@ impl Checkup<'_> {
             }
             return Ok(());
         };
-        let label = match label_of(listed, picture.0) {
-            Some(file) => self.label(file, listed.sol)?,
+        let (beside, sol) = (label_of(listed, picture.name), listed.sol);
+        let is_raw = kind(picture.name, &[]) == Kind::Raw;
+        let label = match beside {
+            Some(file) => self.label(file, sol)?,
             // Raw pixels may begin with their label.
-            None if kind(picture.0, &[]) == Kind::Raw => None,
+            None if is_raw => None,
             None => {
-                self.take::<()>(
-                    LABEL.to_owned(),
-                    None,
-                    Err(format!("no label of `{}` is listed", picture.0)),
-                );
-                None
+                let reason = format!("no label of `{}` is listed", picture.name);
+                self.take::<()>(LABEL.to_owned(), None, Err(reason)).and(None)
             }
         };
-        self.picture(picture, label, listed.sol)
+        let read = |bytes: &[u8]| reading_of_picture(picture.name, bytes, label.as_ref());
+        let attached = self.ask(question(PICTURE, picture.remote), read)?;
+        if beside.is_none() && is_raw {
+            self.attached_label(picture.name, attached, sol);
+        }
+        Ok(())
     }
 
-    fn label(&mut self, (name, file): Named<'_>, sol: u32) -> Result<Option<Label>, StageError> {
+    fn label(&mut self, file: ListedFile<'_>, sol: u32) -> Result<Option<Label>, StageError> {
+        let name = file.name;
         let read = |bytes: &[u8]| {
             let label = read_label(&kind(name, &[]), bytes)?;
             Ok(reading_of_label(label, name, sol))
         };
-        match &file.bytes {
+        match &file.remote.bytes {
             Some(bytes) => Ok(self.take(LABEL.to_owned(), None, read(bytes))),
-            None => self.ask(question(LABEL, file), read),
+            None => self.ask(question(LABEL, file.remote), read),
         }
     }
 
-    fn picture(&mut self, (name, file): Named<'_>, label: Option<Label>, sol: u32) -> Result<(), StageError> {
-        let mut attached = None;
-        let read = |bytes: &[u8]| {
-            let reading = reading_of_picture(name, bytes, label.as_ref())?;
-            attached = reading.value;
-            Ok(Reading {
-                value: (),
-                found: reading.found,
-                differs: reading.differs,
-            })
-        };
-        let is_read = self.ask(question(PICTURE, file), read)?.is_some();
-        if label.is_some() || kind(name, &[]) != Kind::Raw {
-            return Ok(());
-        }
+    /// Checks the label at the head of a picture. `None` if the picture was not read.
+    fn attached_label(&mut self, name: &str, attached: Option<Option<Label>>, sol: u32) {
+        let what = LABEL.to_owned();
         match attached {
-            Some(label) => drop(self.take(LABEL.to_owned(), None, Ok(reading_of_label(label, name, sol)))),
-            None if is_read => drop(self.take::<()>(
-                LABEL.to_owned(),
-                None,
-                Err(format!(
-                    "no label of `{name}` is listed, and it does not begin with one"
-                )),
-            )),
+            Some(Some(label)) => drop(self.take(what, None, Ok(reading_of_label(label, name, sol)))),
+            Some(None) => {
+                let reason = format!("no label of `{name}` is listed, and it does not begin with one");
+                self.take::<()>(what, None, Err(reason));
+            }
             None => self.skip(LABEL, format!("no label is listed, and `{name}` was not read")),
         }
-        Ok(())
     }
 }
 
@@ -99,24 +91,21 @@ fn is_label(name: &str) -> bool {
 }
 
 /// Returns the last picture of a sol that has a label, else the last picture.
-fn chosen(listed: &ListedSol) -> Option<Named<'_>> {
-    let pictures = || {
-        listed
-            .files
-            .files
-            .iter()
-            .rev()
-            .filter(|(name, _)| !is_label(name))
-    };
+fn chosen(listed: &ListedSol) -> Option<ListedFile<'_>> {
+    let pictures = || listed_files(listed).rev().filter(|file| !is_label(file.name));
     pictures()
-        .find(|(name, _)| label_of(listed, name).is_some())
+        .find(|file| label_of(listed, file.name).is_some())
         .or_else(|| pictures().next())
 }
 
-fn label_of<'a>(listed: &'a ListedSol, picture: &str) -> Option<Named<'a>> {
+fn label_of<'a>(listed: &'a ListedSol, picture: &str) -> Option<ListedFile<'a>> {
     let of_picture = |name: &str| join_key(stem(name)) == join_key(stem(picture));
-    let mut files = listed.files.files.iter();
-    files.find(|(name, _)| is_label(name) && of_picture(name))
+    listed_files(listed).find(|file| is_label(file.name) && of_picture(file.name))
+}
+
+fn listed_files(listed: &ListedSol) -> impl DoubleEndedIterator<Item = ListedFile<'_>> {
+    let files = listed.files.files.iter();
+    files.map(|(name, remote)| ListedFile { name, remote })
 }
 
 /// Compares a label with what later stages need.

@@ -81,7 +81,7 @@ impl Client {
         let mut batch = Batch::new(&self.shared, runtime, downloads);
         batch.fill();
         while !batch.under_way.is_empty() {
-            cancel.check()?;
+            go_on(cancel)?;
             match batch.reports.recv_timeout(CHECK) {
                 Ok((index, answer)) => {
                     batch.ended(index);
@@ -91,7 +91,7 @@ impl Client {
                 Err(RecvTimeoutError::Disconnected) => return Err(lost().into()),
             }
         }
-        cancel.check()
+        go_on(cancel)
     }
 
     /// Returns the traffic since the client was made.
@@ -107,6 +107,13 @@ impl Drop for Client {
             runtime.shutdown_background();
         }
     }
+}
+
+fn go_on(cancel: &Cancel) -> Result<(), StageError> {
+    if cancel.is_set() {
+        return Err(StageError::Cancelled);
+    }
+    Ok(())
 }
 
 type Reported = (usize, Result<Answer, NetError>);
