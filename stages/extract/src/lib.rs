@@ -9,7 +9,7 @@
 //! archive/  declaration and context of a kind, files by shard
 //! remote/   common to archives on servers: catalogs, marf.lock, downloads
 //! net/      the HTTP client
-//! check/    whether an archive on a server is still as the readers expect
+//! check/    whether an archive on a server is still as the readers expect, asked through checked.rs
 //! recorded.rs  an archive as an earlier run recorded it
 //! fetch.rs  from the files of a shard to rows, verdicts and measures
 //! survey.rs measures of photos while they are decoded
@@ -17,6 +17,7 @@
 
 mod archive;
 mod check;
+mod checked;
 mod fetch;
 mod files;
 mod kinds;
@@ -35,8 +36,9 @@ use marf_stage::{
     Threads, Work,
 };
 
+pub use archive::check::{Check, CheckState};
 pub use archive::kind::ArchiveDef;
-pub use check::{Check, CheckState, CheckedArchive};
+pub use checked::CheckedArchive;
 pub use kinds::ARCHIVES;
 pub use params::{ArchiveTable, ExtractParams};
 pub use remote::{PinnedProduct, UnreadableLock, pinned_products};

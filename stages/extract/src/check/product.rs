@@ -5,9 +5,9 @@ use marf_scene::Photo;
 use marf_stage::StageError;
 use md5::{Digest as _, Md5};
 
-use super::{Absence, Checkup, ListedSol, Question, Reading};
+use super::{Absence, Checkup, Question, Reading};
 use crate::archive::{Kind, extension, kind, read_label, stem};
-use crate::remote::catalog::RemoteFile;
+use crate::remote::catalog::{ListedSol, RemoteFile};
 
 const LABEL: &str = "label";
 const PICTURE: &str = "picture";

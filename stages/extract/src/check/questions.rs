@@ -2,7 +2,7 @@
 
 use marf_stage::{Cancel, StageError};
 
-use super::{Check, CheckState};
+use crate::archive::check::{Check, CheckState};
 use crate::net::{Answer, Client, Download, NetError, Url};
 
 /// A question to a server.

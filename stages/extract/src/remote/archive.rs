@@ -14,7 +14,8 @@ use super::online::Online;
 use super::pages::Pages;
 use super::summary::{Summaries, damaged};
 use crate::archive::access::RemoteContext;
-use crate::check::{Check, Checkup};
+use crate::archive::check::Check;
+use crate::check::Checkup;
 use crate::net::{Client, ClientSettings};
 use marf_stage::Sols;
 

@@ -7,7 +7,7 @@ use marf_stage::{Ctx, StageError};
 
 use super::lock::{Pin, SolPins};
 use super::pages::Pages;
-use crate::check::{Checkup, ListedSol};
+use crate::check::Checkup;
 use crate::net::{Client, Url};
 use marf_stage::Sols;
 
@@ -49,6 +49,14 @@ pub(crate) enum SolListing {
     Pages(Vec<String>),
     /// It is too old to change, and everything it had is pinned: nobody was asked.
     Pinned,
+}
+
+/// The wanted files of one sol, as a page, table or feed names them.
+pub(crate) struct ListedSol {
+    /// The sol.
+    pub sol: u32,
+    /// Its files.
+    pub files: SolFiles,
 }
 
 /// A request to a catalog.

@@ -26,8 +26,8 @@ use marf_stage::{Cancel, Ctx, Listing, StageError};
 
 pub(crate) use self::archive::{RemoteArchive, Request};
 pub use self::lock::{PinnedProduct, UnreadableLock, pinned_products};
+use crate::archive::check::Check;
 use crate::archive::{ArchiveFiles, ShardFiles};
-use crate::check::Check;
 
 impl ArchiveFiles for RemoteArchive {
     fn list(&self, ctx: &Ctx<'_>) -> Result<Listing, StageError> {

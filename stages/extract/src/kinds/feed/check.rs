@@ -8,7 +8,8 @@ use serde_json::Value;
 use super::question::{MAX_PAGE_BYTES, Newest};
 use super::records::{id_of, sol_of};
 use super::{Feed, RUN_SOLS, Records, runs, wanted};
-use crate::check::{Absence, Checkup, ListedSol, Question, Reading};
+use crate::check::{Absence, Checkup, Question, Reading};
+use crate::remote::catalog::ListedSol;
 use crate::remote::crawl::urls;
 
 /// A page of records, by sol.

@@ -11,7 +11,8 @@ use super::listing::{collection, is_inventory};
 use super::products::{FoundFile, Products};
 use super::tables::{BySol, INDEX, INVENTORY, MAX_TABLE_BYTES, by_members, by_rows};
 use crate::archive::{extension, stem};
-use crate::check::{Absence, Checkup, ListedSol, Question, Reading};
+use crate::check::{Absence, Checkup, Question, Reading};
+use crate::remote::catalog::ListedSol;
 use crate::remote::crawl::{MAX_PAGE_BYTES, urls};
 
 /// Most sols, and most volumes, that are asked for until one has what is looked for.
