@@ -195,6 +195,57 @@ fn a_run_without_outputs_says_so_in_every_section() {
     check_balance(&fixture::Store::default().report(&[]));
 }
 
+#[test]
+fn the_cause_of_a_failed_run_comes_before_all_tables_and_drawings() {
+    let (store, nodes) = full();
+    let mut run = completed_run(nodes.clone());
+    let train = run
+        .nodes
+        .iter_mut()
+        .find(|node| node.run.name == "train")
+        .unwrap();
+    (train.run.cause, train.run.hint) = (Some("no room".to_owned()), Some("free <2 GB".to_owned()));
+    let html = store.with_report_of(&run, write);
+    check_balance(&html);
+    let body = html.split_once("<body>").unwrap().1;
+    let first = ["<table", "<svg", "<img", "<nav"].map(|tag| body.find(tag).unwrap());
+    let first = first.into_iter().min().unwrap();
+    for text in [
+        "train failed: </strong>disk full",
+        "Cause: no room",
+        "What to do: free &lt;2 GB",
+    ] {
+        let at = body.find(text).unwrap_or_else(|| panic!("{text}"));
+        assert!(
+            at < first,
+            "{text} at {at}, the first table, drawing or link at {first}"
+        );
+    }
+
+    // A mission in which all scenes fail: the first ones are explained, the rest named.
+    let failing = |number: usize| {
+        let mut failed = node(&format!("calibrate@{number}"), &[]);
+        (failed.run.state, failed.run.reason) = (NodeState::Failed, format!("reason {number}"));
+        failed
+    };
+    let html = store.report(&(0..9).map(failing).collect::<Vec<_>>());
+    let alarm = html
+        .split_once("role=\"alert\"")
+        .unwrap()
+        .1
+        .split_once("</div>")
+        .unwrap()
+        .0;
+    assert!(
+        alarm.contains("reason 2") && !alarm.contains("reason 3"),
+        "{alarm}"
+    );
+    assert!(
+        alarm.contains("Failed too: calibrate@3, ") && alarm.contains("calibrate@8"),
+        "{alarm}"
+    );
+}
+
 /// A run in which the training failed, with what run 7 made.
 fn completed_run(nodes: Vec<RunNode>) -> Run<'static> {
     let mut earlier = run(&nodes);
