@@ -11,6 +11,7 @@ mod camera_view;
 mod cameras;
 mod changes;
 mod curves;
+mod depth;
 mod embed;
 pub mod emptied;
 mod funnel;
@@ -196,12 +197,15 @@ fn sections(page: &Page<'_>) -> Vec<Section> {
     if filters_alone(page.report) {
         return sections;
     }
+    sections.extend([section(
+        "cameras",
+        "Cameras",
+        html! { (hardware::body(page)) (cameras::body(page)) },
+    )]);
+    if depth::is_made(page) {
+        sections.push(section("depth", "Depths without a field", depth::body(page)));
+    }
     sections.extend([
-        section(
-            "cameras",
-            "Cameras",
-            html! { (hardware::body(page)) (cameras::body(page)) },
-        ),
         section("tune", "Tuning", tune::body(page)),
         section("training", "Training", curves::body(page)),
         section("heldout", "Held-out photos", pictures::held_out(page)),

@@ -1,4 +1,4 @@
-//! Dense disparities of a rectified pair, with slopes, standard deviations and classes.
+//! Dense depths of photos from pairs of them: the stage `depth`, and its core, the disparities of a rectified pair.
 //!
 //! A disparity d says that what is at column x of the left picture is at column x - d of the right one, in the same row.
 //! With the focal length f in pixels and the baseline b in metres, the distance along the axis is f b / d.
@@ -9,30 +9,46 @@
 //! 3. Both pictures have to agree, no other candidate may be as good (`winner`), and islands go (`clean`).
 //! 4. Slanted planes are fitted to the two pictures (`refine`).
 //!
+//! The stage chooses pairs (`pairs`), rectifies them (`rectify`), keeps their disparities from run to run (`kept`), and merges in
+//! each photo what its pairs say (`merge`). From the merged depths it makes a cloud (`cloud`) and a map from above (`ground`).
+//! One photo at a time is in memory with its pairs.
+//!
 //! Invariant: the same pair gives the same bytes on every machine, instruction set and number of threads. Costs are
 //! integers. Each float belongs to one pixel, and its sums have a fixed order.
 
 mod clean;
+mod cloud;
 mod cost;
+mod ground;
+mod kept;
 mod kernel;
 mod levels;
+mod merge;
+mod pairs;
 mod paths;
+mod photos;
 mod raster;
 mod rectify;
 mod refine;
 mod search;
+mod stage;
+#[cfg(test)]
+mod stage_tests;
+mod surfels;
 #[cfg(test)]
 mod tests;
 mod tuning;
 mod winner;
+mod write;
 
 use marf_numeric::InstructionSet;
 use thiserror::Error;
 
 pub use raster::{Picture, Raster};
-pub use rectify::{Eye, LEAST_ANGLE_DEG, Pinhole, Rectified, RectifyError};
+pub use rectify::{Eye, LEAST_ANGLE_DEG, PosedCamera, Rectified, RectifyError};
 use refine::Planes;
 pub use search::Search;
+pub use stage::MakeDepth;
 use winner::NONE;
 
 /// What is known about a pixel.
