@@ -1,8 +1,8 @@
 //! The disparities of a pair as bytes that are kept, and as samples in both rectified pictures.
 
+use crate::disparities::{Class, Disparities};
 use crate::raster::Raster;
 use crate::search::Search;
-use crate::{Class, Disparities};
 
 /// Values of a disparity in a file, without that of none.
 const MOST: f64 = 65_534.0;

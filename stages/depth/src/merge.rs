@@ -4,8 +4,9 @@ use marf_scene::Camera;
 use nalgebra::{Matrix3, Vector2, Vector3};
 use rayon::prelude::*;
 
-use crate::Class;
+use crate::disparities::Class;
 use crate::kept::Sample;
+use crate::pairs::MOST_PAIRS;
 use crate::raster::Raster;
 use crate::rectify::{Eye, Rectified};
 
@@ -14,8 +15,6 @@ const SAME_SHARE: f32 = 0.01;
 const SAME_SIGMAS: f32 = 2.5;
 /// Below so many standard deviations an inverse depth is not told from infinity.
 const FAR_SIGMAS: f32 = 3.0;
-/// Most pairs of a photo.
-const MOST: usize = 16;
 
 /// What one pair says about a photo.
 pub(crate) struct PairView {
@@ -62,15 +61,15 @@ pub(crate) fn merge(camera: Camera, pairs: &[PairView]) -> PhotoDepth {
     let pixel = |index: usize| {
         let at = Vector2::new((index % width) as f64 + 0.5, (index / width) as f64 + 0.5);
         let Some(ray) = camera.unproject(&at) else {
-            return Merged::NONE;
+            return PixelDepth::NONE;
         };
-        let mut planes = [None; MOST];
+        let mut planes = [None; MOST_PAIRS];
         for (plane, pair) in planes.iter_mut().zip(pairs) {
             *plane = plane_at(pair, &ray);
         }
         decide(&planes)
     };
-    let merged: Vec<Merged> = (0..width * height).into_par_iter().map(pixel).collect();
+    let merged: Vec<PixelDepth> = (0..width * height).into_par_iter().map(pixel).collect();
     PhotoDepth {
         camera,
         inverse: merged.iter().map(|one| one.inverse).collect(),
@@ -118,7 +117,7 @@ fn plane_at(pair: &PairView, ray: &Vector3<f64>) -> Option<Plane> {
 
 /// A pixel of a photo.
 #[derive(Clone, Copy)]
-struct Merged {
+struct PixelDepth {
     inverse: f32,
     sigma: f32,
     normal: Vector3<f32>,
@@ -126,7 +125,7 @@ struct Merged {
     differing: bool,
 }
 
-impl Merged {
+impl PixelDepth {
     const NONE: Self = Self {
         inverse: 0.0,
         sigma: 0.0,
@@ -143,7 +142,7 @@ fn agree(a: &Plane, b: &Plane) -> bool {
 }
 
 /// Decides a pixel. Of equal groups that of the pair with the smallest standard deviation wins, then the first.
-fn decide(planes: &[Option<Plane>; MOST]) -> Merged {
+fn decide(planes: &[Option<Plane>; MOST_PAIRS]) -> PixelDepth {
     let known = || planes.iter().flatten();
     let votes = |one: &Plane| known().filter(|other| agree(one, other)).count();
     let mut best: Option<(&Plane, usize)> = None;
@@ -156,12 +155,12 @@ fn decide(planes: &[Option<Plane>; MOST]) -> Merged {
         }
     }
     let Some((best, count)) = best else {
-        return Merged::NONE;
+        return PixelDepth::NONE;
     };
     if count == 1 && known().count() > 1 {
-        return Merged {
+        return PixelDepth {
             differing: true,
-            ..Merged::NONE
+            ..PixelDepth::NONE
         };
     }
     let (mut weight, mut inverse, mut normal) = (0.0, 0.0, Vector3::zeros());
@@ -180,7 +179,7 @@ fn decide(planes: &[Option<Plane>; MOST]) -> Merged {
     } else {
         Class::Pair
     };
-    Merged {
+    PixelDepth {
         inverse: inverse / weight,
         sigma: 1.0 / weight.sqrt(),
         normal: normal / weight,
@@ -202,8 +201,8 @@ mod tests {
         })
     }
 
-    fn decided(planes: &[Option<Plane>]) -> Merged {
-        let mut all = [None; MOST];
+    fn decided(planes: &[Option<Plane>]) -> PixelDepth {
+        let mut all = [None; MOST_PAIRS];
         all[..planes.len()].copy_from_slice(planes);
         decide(&all)
     }

@@ -6,6 +6,7 @@ use nalgebra::{Vector2, Vector3};
 use rayon::prelude::*;
 use thiserror::Error;
 
+use crate::disparities::MAX_DISPARITIES;
 use crate::rectify::{PosedCamera, Rectified, RectifyError};
 use crate::search::Search;
 
@@ -40,6 +41,9 @@ const MARGIN_PX: f64 = 4.0;
 const TO_INFINITY_PX: f64 = 24.0;
 /// Ranges begin and end at multiples of this, so that few of them change with a few points more.
 const STEP: i32 = 16;
+
+/// Most pairs of a photo that others take for want of a better one.
+pub(crate) const MOST_PAIRS: usize = 16;
 
 /// Two photos to be matched.
 #[derive(Debug, Clone)]
@@ -77,10 +81,10 @@ pub(crate) enum Refusal {
 /// The chosen pairs, and those that are not matched.
 pub(crate) struct Pairs {
     pub chosen: Vec<Pair>,
-    pub refused: Vec<Refused>,
+    pub refused: Vec<RefusedPair>,
 }
 
-pub(crate) struct Refused {
+pub(crate) struct RefusedPair {
     pub photos: [usize; 2],
     pub why: Refusal,
 }
@@ -109,7 +113,7 @@ pub(crate) fn choose(scene: &Scene, views: &[PosedCamera], neighbours: usize) ->
         for (j, judged) in row {
             match judged {
                 Ok(pair) => candidates.push(pair),
-                Err(why) => refused.push(Refused { photos: [i, j], why }),
+                Err(why) => refused.push(RefusedPair { photos: [i, j], why }),
             }
         }
     }
@@ -125,13 +129,14 @@ pub(crate) fn choose(scene: &Scene, views: &[PosedCamera], neighbours: usize) ->
     });
     // A photo whose neighbours have enough pairs still gets its best one.
     for pair in rest {
-        if pair.photos.iter().any(|&photo| counts[photo] == 0) {
+        let counts_of = || pair.photos.iter().map(|&photo| counts[photo]);
+        if counts_of().any(|count| count == 0) && counts_of().all(|count| count < MOST_PAIRS) {
             pair.photos.iter().for_each(|&photo| counts[photo] += 1);
             chosen.push(pair);
         } else {
             let why = Refusal::Better;
             let photos = pair.photos;
-            refused.push(Refused { photos, why });
+            refused.push(RefusedPair { photos, why });
         }
     }
     let order = |pair: &Pair| (pair.photos[0].min(pair.photos[1]), pair.photos);
@@ -206,21 +211,21 @@ fn sightings(view: &PosedCamera, points: &[Vector3<f64>]) -> Vec<Sighting> {
 }
 
 /// A point in the views of two photos.
-struct Shared {
+struct CommonPoint {
     point: u32,
     /// How much larger the first photo shows it.
     scale: f64,
 }
 
 /// Returns the points of both, which are sorted by point.
-fn shared(a: &[Sighting], b: &[Sighting]) -> Vec<Shared> {
+fn shared(a: &[Sighting], b: &[Sighting]) -> Vec<CommonPoint> {
     let (mut both, mut j) = (Vec::new(), 0);
     for one in a {
         while j < b.len() && b[j].point < one.point {
             j += 1;
         }
         if j < b.len() && b[j].point == one.point {
-            both.push(Shared {
+            both.push(CommonPoint {
                 point: one.point,
                 scale: one.scale / b[j].scale,
             });
@@ -234,14 +239,14 @@ fn judge(
     photos: [usize; 2],
     views: &[PosedCamera],
     points: &[Vector3<f64>],
-    shared: &[Shared],
+    shared: &[CommonPoint],
     overlap: f64,
 ) -> Result<Pair, Refusal> {
     let [a, b] = photos;
     let stride = shared.len().div_ceil(MOST_OF_PAIR);
-    let shared: Vec<&Shared> = shared.iter().step_by(stride).collect();
+    let shared: Vec<&CommonPoint> = shared.iter().step_by(stride).collect();
     let centres = photos.map(|photo| views[photo].cam_from_world.centre());
-    let angle = |shared: &&Shared| {
+    let angle = |shared: &&CommonPoint| {
         let rays = centres.map(|centre| (centre - points[shared.point as usize]).normalize());
         libm::acos(rays[0].dot(&rays[1]).clamp(-1.0, 1.0)).to_degrees()
     };
@@ -304,7 +309,7 @@ fn search(rectified: &Rectified, disparities: Vec<f64>) -> Option<Search> {
     let last = ((high + far).ceil() as i32).div_euclid(STEP) * STEP + STEP - 1;
     Some(Search {
         first,
-        count: ((last - first + 1) as usize).min(crate::MAX_DISPARITIES),
+        count: ((last - first + 1) as usize).min(MAX_DISPARITIES),
     })
 }
 

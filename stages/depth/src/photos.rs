@@ -31,10 +31,10 @@ pub(crate) struct Photos<'a> {
     frames: &'a [Frame],
     factors: Vec<u32>,
     /// Those in memory, the one used last at the end.
-    kept: VecDeque<Kept>,
+    kept: VecDeque<CachedPhoto>,
 }
 
-struct Kept {
+struct CachedPhoto {
     index: usize,
     photo: Arc<ShrunkPhoto>,
 }
@@ -75,14 +75,14 @@ impl<'a> Photos<'a> {
         let known = self.kept.iter().position(|kept| kept.index == index);
         let kept = match known.and_then(|place| self.kept.remove(place)) {
             Some(kept) => kept,
-            None => Kept {
+            None => CachedPhoto {
                 index,
                 photo: Arc::new(self.read(index)?),
             },
         };
         let photo = Arc::clone(&kept.photo);
         self.kept.push_back(kept);
-        let bytes = |kept: &VecDeque<Kept>| kept.iter().map(|kept| kept.photo.bytes()).sum::<usize>();
+        let bytes = |kept: &VecDeque<CachedPhoto>| kept.iter().map(|kept| kept.photo.bytes()).sum::<usize>();
         while self.kept.len() > 2 && bytes(&self.kept) > KEPT_BYTES {
             self.kept.pop_front();
         }

@@ -13,9 +13,9 @@ use marf_stage::{Ctx, Document, Inputs, Outputs, Port, Set, StageError, Threads,
 use marf_surface::{ExportFrame, SurfaceError};
 
 use crate::cloud::{self, Cloud};
+use crate::disparities::match_pair;
 use crate::ground::Ground;
 use crate::kept;
-use crate::match_pair;
 use crate::merge::{PairView, PhotoDepth, merge};
 use crate::pairs::{Pair, Pairs, choose};
 use crate::photos::Photos;
@@ -66,7 +66,7 @@ impl Set for MakeDepth {
         let pairs = choose(&scene, &views, self.params.neighbours as usize);
         let names = picture_names(&scene);
         let matched = match_all(ctx, &scene, &mut photos, &pairs)?;
-        let mut made = Made::new(&scene, &views, &self.params);
+        let mut made = Products::new(&scene, &views, &self.params);
         let mut outputs = Outputs::new();
         let total = scene.frames.len();
         for (index, name) in names.iter().enumerate() {
@@ -85,15 +85,9 @@ impl Set for MakeDepth {
             } else {
                 String::new()
             };
-            let metrics = write::photo(
-                ctx,
-                &scene.frames[index].id,
-                name,
-                &depth,
-                &made.frame,
-                &mut outputs,
-            )?;
+            let metrics = write::photo(ctx, name, &depth, &made.frame, &mut outputs)?;
             made.photos.push(PhotoMetrics {
+                id: scene.frames[index].id.clone(),
                 pairs: of_photo.len() as u32,
                 reason,
                 ..metrics
@@ -120,7 +114,7 @@ impl Set for MakeDepth {
 }
 
 /// How the matching of a pair went.
-struct Matched {
+struct PairOutcome {
     share: f64,
     /// Why there are no disparities. Empty if there are.
     reason: String,
@@ -132,7 +126,7 @@ fn match_all(
     scene: &Scene,
     photos: &mut Photos<'_>,
     pairs: &Pairs,
-) -> Result<Vec<Matched>, StageError> {
+) -> Result<Vec<PairOutcome>, StageError> {
     let total = pairs.chosen.len() as u64;
     let one = |(done, pair): (usize, &Pair)| {
         ctx.check()?;
@@ -140,12 +134,12 @@ fn match_all(
         Ok(match samples(ctx, scene, photos, pair)? {
             Ok(samples) => {
                 let known = samples.values.iter().filter(|sample| sample.is_some()).count();
-                Matched {
+                PairOutcome {
                     share: known as f64 / samples.values.len() as f64,
                     reason: String::new(),
                 }
             }
-            Err(reason) => Matched { share: 0.0, reason },
+            Err(reason) => PairOutcome { share: 0.0, reason },
         })
     };
     pairs.chosen.iter().enumerate().map(one).collect()
@@ -234,7 +228,7 @@ fn reason(pairs: &Pairs, photo: usize) -> String {
 }
 
 /// What all photos give together.
-struct Made {
+struct Products {
     frame: ExportFrame,
     photos: Vec<PhotoMetrics>,
     cloud: Cloud,
@@ -243,7 +237,7 @@ struct Made {
     widest: f64,
 }
 
-impl Made {
+impl Products {
     fn new(scene: &Scene, views: &[PosedCamera], params: &DepthParams) -> Self {
         let frame = ExportFrame::new(scene);
         let cell = CELL_PX * write::pixel_width(scene, views, NEARER);

@@ -4,7 +4,7 @@ use marf_scene::Pose;
 use nalgebra::{Vector2, Vector3};
 use rayon::prelude::*;
 
-use crate::Class;
+use crate::disparities::Class;
 use crate::merge::PhotoDepth;
 use crate::photos::ShrunkPhoto;
 

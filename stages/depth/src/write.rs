@@ -10,7 +10,7 @@ use marf_surface::{ExportFrame, SurfaceMap};
 use nalgebra::{Vector2, Vector3};
 use rayon::prelude::*;
 
-use crate::Class;
+use crate::disparities::Class;
 use crate::merge::PhotoDepth;
 use crate::rectify::PosedCamera;
 
@@ -19,10 +19,9 @@ const MOST_POINTS: usize = 512;
 /// Share of the depths that are nearer than the brightest colour, and farther than the darkest.
 const OUTLIERS: f64 = 0.02;
 
-/// Writes the pictures of a photo and returns its metrics.
+/// Writes the pictures of a photo and returns its metrics, without its id and what is known of its pairs.
 pub(crate) fn photo(
     ctx: &Ctx<'_>,
-    id: &str,
     name: &str,
     depth: &PhotoDepth,
     frame: &ExportFrame,
@@ -84,7 +83,7 @@ pub(crate) fn photo(
         .zip(&depth.sigma)
         .filter(|(inverse, _)| **inverse > 0.0);
     Ok(PhotoMetrics {
-        id: id.to_owned(),
+        id: String::new(),
         name: name.to_owned(),
         size_px: [width, height],
         depth_step: png16::quantity_step(&distance, frame.scale()),
