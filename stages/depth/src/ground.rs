@@ -11,6 +11,8 @@ use crate::surfels::Surfel;
 const SIDE: i32 = 32;
 /// Most tiles, 64 KB each. With more, pixels get twice as wide.
 const MOST_TILES: usize = 3000;
+/// Most pixels of a map, 40 bytes each while it is written.
+const MOST_PIXELS: i64 = 8_000_000;
 /// Heights within this many standard deviations, or pixels, are one surface.
 const SAME_SIGMAS: f32 = 3.0;
 const SAME_PIXELS: f32 = 1.0;
@@ -82,10 +84,24 @@ impl Layer {
     }
 }
 
+/// The first and the last row and column of tiles.
+struct Extent {
+    first: [i32; 2],
+    last: [i32; 2],
+}
+
+impl Extent {
+    fn pixels(&self) -> i64 {
+        let side = |i: usize| i64::from(self.last[i] - self.first[i] + 1) * i64::from(SIDE);
+        side(0) * side(1)
+    }
+}
+
 /// Two surfaces a pixel, an overhang and the ground below.
 type Tile = Vec<[Layer; 2]>;
 
 /// A map that grows photo by photo.
+#[derive(Clone)]
 pub(crate) struct Ground {
     pub pixel_m: f64,
     /// Whether pixels may get wider.
@@ -132,19 +148,22 @@ impl Ground {
                     self.draw([&a, &b, &c]);
                 }
             }
-            if self.tiles.len() > MOST_TILES {
-                if self.fixed {
-                    let why = format!(
-                        "pixels of {} m are more than {}; widen `map_cell`",
-                        self.pixel_m,
-                        MOST_TILES * (SIDE * SIDE) as usize
-                    );
-                    let what = "the height map";
-                    return Err(SurfaceError::Refused { what, why });
-                }
-                self.coarsen();
+            while self.tiles.len() > MOST_TILES {
+                self.widen()?;
             }
         }
+        Ok(())
+    }
+
+    /// Makes pixels twice as wide, unless the user asked for their width.
+    fn widen(&mut self) -> Result<(), SurfaceError> {
+        if self.fixed {
+            return Err(SurfaceError::Refused {
+                what: "the height map",
+                why: format!("pixels of {} m are too many; widen `map_cell`", self.pixel_m),
+            });
+        }
+        self.coarsen();
         Ok(())
     }
 
@@ -213,6 +232,18 @@ impl Ground {
         &mut self.tiles.entry(tile).or_insert_with(empty)[inside as usize]
     }
 
+    /// Returns the rows and columns of tiles.
+    fn extent(&self) -> Option<Extent> {
+        let one = |tile: &[i32; 2]| Extent {
+            first: *tile,
+            last: *tile,
+        };
+        self.tiles.keys().map(one).reduce(|a, b| Extent {
+            first: [0, 1].map(|i| a.first[i].min(b.first[i])),
+            last: [0, 1].map(|i| a.last[i].max(b.last[i])),
+        })
+    }
+
     fn coarsen(&mut self) {
         self.pixel_m *= 2.0;
         let fine = std::mem::take(&mut self.tiles);
@@ -240,19 +271,20 @@ impl Ground {
     /// one pair shows are left out.
     ///
     /// # Errors
-    /// [`SurfaceError::Refused`] without any surface.
-    pub fn map(&self, frame: &ExportFrame) -> Result<SurfaceMap, SurfaceError> {
-        let bound = |of: &dyn Fn(&[i32; 2]) -> i32| {
-            let values = || self.tiles.keys().map(of);
-            Some((values().min()?, values().max()?))
-        };
-        let (Some((bottom, top)), Some((left, right))) = (bound(&|tile| tile[0]), bound(&|tile| tile[1]))
-        else {
-            return Err(SurfaceError::Refused {
+    /// [`SurfaceError::Refused`] without any surface, and if pixels of the width that the user asked for are too many.
+    pub fn map(mut self, frame: &ExportFrame) -> Result<SurfaceMap, SurfaceError> {
+        let extent = loop {
+            let extent = self.extent().ok_or_else(|| SurfaceError::Refused {
                 what: "the height map",
                 why: "no photo shows a surface near enough".to_owned(),
-            });
+            })?;
+            if extent.pixels() <= MOST_PIXELS {
+                break extent;
+            }
+            self.widen()?;
         };
+        let Extent { first, last } = extent;
+        let ([bottom, left], [top, right]) = (first, last);
         let layers = || self.tiles.values().flatten().flatten();
         let has_confirmed = layers().any(is_firm);
         let (columns, rows) = ((right - left + 1) * SIDE, (top - bottom + 1) * SIDE);
@@ -336,7 +368,7 @@ mod tests {
     }
 
     fn heights(ground: &Ground) -> Vec<f32> {
-        let map = ground.map(&frame()).unwrap();
+        let map = ground.clone().map(&frame()).unwrap();
         let mut read = tiff::decoder::Decoder::new(std::io::Cursor::new(map.height_tiff().unwrap())).unwrap();
         let tiff::decoder::DecodingResult::F32(heights) = read.read_image().unwrap() else {
             panic!("no floats");
