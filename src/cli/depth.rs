@@ -72,11 +72,14 @@ fn table(result: &DepthResult, out: &Path) -> Vec<String> {
     rows.push((
         "depths",
         format!(
-            "{} of the pixels of {} photos, {} confirmed by two pairs; {with_depth} photos have any",
+            "{} of the pixels, {} confirmed by two pairs",
             percent(metrics.share),
-            metrics.photos.len(),
             percent(metrics.confirmed_share),
         ),
+    ));
+    rows.push((
+        "",
+        format!("{with_depth} of {} photos have any", metrics.photos.len()),
     ));
     rows.extend(metrics.median_sigma_share.map(|share| {
         let sigma = format!("{} of the distance in the median", percent(share));

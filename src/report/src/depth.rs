@@ -6,7 +6,6 @@ use marf_schema::output::{DEPTH_PREVIEW, SURFACE_MAPS};
 use maud::{Markup, html};
 
 use super::embed::Form;
-use super::format::number;
 use super::page::Page;
 
 /// Returns true if a run has depths.
@@ -45,7 +44,7 @@ fn of_node(page: &Page<'_>, node: &RunNode) -> Markup {
             @if let Some(sigma) = metrics.median_sigma_share {
                 ", and one standard deviation is " (percent(sigma)) " of the distance in the median"
             }
-            "; " (metrics.points) " points, " (number(metrics.cell)) " " (metrics.unit) " apart."
+            "."
         }
         @if let Some((digest, title)) = shown {
             figure { (page.pictures.stored(page.report, digest, Form::Map, title)) figcaption { (title) } }
