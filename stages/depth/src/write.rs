@@ -86,7 +86,7 @@ pub(crate) fn photo(
         id: String::new(),
         name: name.to_owned(),
         size_px: [width, height],
-        depth_step: png16::quantity_step(&distance, frame.scale()),
+        depth_step: f64::from(distance.iter().copied().fold(0.0, f32::max)) * frame.scale() / png16::MOST,
         pairs: 0,
         share: share(&|class| *class != Class::None),
         confirmed_share: share(&|class| *class == Class::Confirmed),

@@ -101,7 +101,7 @@ pub struct PhotoMetrics {
     pub name: String,
     /// Columns and rows of its files.
     pub size_px: [u32; 2],
-    /// Length that one step of a value of its depth picture stands for.
+    /// Length that one step of a value of its depth picture stands for. 0 without a depth.
     pub depth_step: f64,
     /// Pairs with a result.
     pub pairs: u32,

@@ -90,7 +90,13 @@ pub fn quantity(
     factor: f64,
     quantity: &Quantity<'_>,
 ) -> Result<Vec<u8>, PngError> {
-    let step = quantity_step(values, factor);
+    let is_some = |value: &f32| value.is_finite() && *value > 0.0;
+    let largest = values.iter().copied().filter(is_some).fold(0.0, f32::max);
+    let step = if largest > 0.0 {
+        f64::from(largest) * factor / MOST
+    } else {
+        1.0
+    };
     let write = |value: &f32| {
         if is_some(value) {
             (f64::from(*value) * factor / step).round().clamp(1.0, MOST) as u16
@@ -108,21 +114,6 @@ pub fn quantity(
         (kind_key, (*kind).to_owned()),
     ];
     gray(width, height, &written, &text)
-}
-
-/// Returns whether [`quantity`] writes a value above 0 for this one.
-fn is_some(value: &f32) -> bool {
-    value.is_finite() && *value > 0.0
-}
-
-/// Returns the step of the values that [`quantity`] writes.
-pub fn quantity_step(values: &[f32], factor: f64) -> f64 {
-    let largest = values.iter().copied().filter(is_some).fold(0.0, f32::max);
-    if largest > 0.0 {
-        f64::from(largest) * factor / MOST
-    } else {
-        1.0
-    }
 }
 
 /// Writes depths along the rays of a view ([`quantity`]).
