@@ -32,7 +32,7 @@ const GROUPS: [(&str, &[&str]); 6] = [
         "Pipeline",
         &["init", "run", "plan", "why", "status", "log", "archive"],
     ),
-    ("Own photos", &["photos", "filter", "calibrate", "fit"]),
+    ("Own photos", &["photos", "filter", "calibrate", "depth", "fit"]),
     (
         "Results",
         &["report", "view", "render", "compare", "export", "trade"],
@@ -124,6 +124,8 @@ pub enum Verb {
     Photos(super::photos::PhotosArgs),
     /// Find the cameras of the photos of a folder
     Calibrate(super::calibrate::CalibrateArgs),
+    /// Make depths, points and maps of the photos of a folder, without training
+    Depth(super::depth::DepthArgs),
     /// Train a field on the photos of a folder, and score it
     Fit(super::fit::FitArgs),
     /// Measure what each parameter costs in time and gains in quality

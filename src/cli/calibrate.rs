@@ -30,8 +30,8 @@ pub struct CalibrateArgs {
     folder: FolderArgs,
 }
 
-/// Methods of `calibrate`.
-const METHODS: [(&str, &str); 5] = [
+/// Sources of cameras.
+pub(super) const METHODS: [(&str, &str); 5] = [
     ("sfm", "Structure from motion"),
     ("labels", "Camera models of the labels"),
     ("import", "transforms.json or a COLMAP model in the folder"),

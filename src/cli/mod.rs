@@ -6,6 +6,7 @@ mod audit;
 mod cache;
 mod calibrate;
 mod compare;
+mod depth;
 mod diff;
 mod error;
 mod exec;
@@ -124,6 +125,7 @@ fn dispatch(cli: Cli, cancel: &Cancel) -> Result<(), Error> {
         Verb::Filter(args) => filter::filter(args, context),
         Verb::Photos(args) => photos::photos(args, context),
         Verb::Calibrate(args) => calibrate::calibrate(args, context),
+        Verb::Depth(args) => depth::depth(args, context),
         Verb::Fit(args) => fit::fit(args, context),
         Verb::Trade(args) => trade::trade(args, context),
         Verb::Man { dir } => man::man(&dir),

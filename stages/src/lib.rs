@@ -29,6 +29,7 @@ static STAGES: LazyLock<Vec<StageDef>> = LazyLock::new(|| {
         define::<marf_calibrate::Calibrate>(),
         define::<marf_calibrate::ExportCameras>(),
         define::<marf_calibrate::TieScenes>(),
+        define::<marf_depth::MakeDepth>(),
         define::<marf_train::Tune>(),
         define::<marf_train::Train>(),
         define::<marf_train::Partial>(),

@@ -43,7 +43,7 @@ const PUBLIC_KEY: &str = "-----BEGIN PUBLIC KEY-----\n\
     -----END PUBLIC KEY-----\n";
 
 /// Verbs that print a document, in an order in which each finds what it needs.
-const VERBS: [&str; 34] = [
+const VERBS: [&str; 35] = [
     "plan",
     "why train",
     "why train --files",
@@ -53,6 +53,7 @@ const VERBS: [&str; 34] = [
     "photos photos",
     "filter photos",
     "calibrate photos --method import --out cameras/transforms.json",
+    "depth photos --out depths --method import",
     "fit photos --budget 1s --device cpu --set train.field.log2_table=10 --set train.field.batch_samples=1024",
     "render --frames 1 --width 40 --out rendered --device cpu",
     "export crate crate",

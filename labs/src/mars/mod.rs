@@ -10,6 +10,7 @@ mod maps;
 mod pairs;
 mod pictures;
 mod plain;
+mod stereo;
 mod surface;
 mod truth;
 
@@ -97,6 +98,13 @@ pub enum MarsProgram {
         /// The mesh or cloud
         ply: PathBuf,
     },
+    /// Compare the depths of `depth` with the true ones, on ground within 20 m that a photo and a partner show: one JSON line
+    TrueStereo {
+        /// scene.json of the calibration, of photos as the archive has them
+        scene: PathBuf,
+        /// Folder of the outputs of `depth`
+        dir: PathBuf,
+    },
     /// Compare the maps of two bootstraps of one scene that share no member: a JSON line a kind of map
     MapCorrelation {
         /// Folder of maps of the first bootstrap
@@ -130,6 +138,7 @@ pub fn run(program: MarsProgram) -> Result {
         } => pairs::pairs(&scene, pairs, reach_m),
         MarsProgram::TruePictures { dir } => pictures::pictures(&dir),
         MarsProgram::TrueSurface { scene, ply } => surface::surface(&scene, &ply),
+        MarsProgram::TrueStereo { scene, dir } => stereo::stereo(&scene, &dir),
         MarsProgram::MapCorrelation { first, second } => correlation::correlation(&first, &second),
     }
 }

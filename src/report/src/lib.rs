@@ -11,6 +11,7 @@ mod camera_view;
 mod cameras;
 mod changes;
 mod curves;
+mod depth;
 mod embed;
 pub mod emptied;
 mod funnel;
@@ -251,6 +252,13 @@ fn field_sections(page: &Page<'_>) -> Vec<Section> {
             "ground",
             "What changed on the ground",
             ground::body(page),
+        ));
+    }
+    if depth::is_made(page) {
+        sections.push(Section::open(
+            "depth",
+            "Depths without a field",
+            depth::body(page),
         ));
     }
     let cameras = html! { (hardware::body(page)) (cameras::body(page)) };

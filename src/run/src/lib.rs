@@ -12,6 +12,7 @@ pub mod choice;
 pub mod compare;
 mod context;
 mod copies;
+pub mod depth;
 mod derived;
 pub mod diff;
 mod documents;

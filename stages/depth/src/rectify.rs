@@ -1,33 +1,29 @@
-//! Rectification of two pinhole cameras, also of different focal lengths, in one resampling.
+//! Rectification of two photos, also of different focal lengths and with lens distortion, in one resampling.
 
+use marf_scene::{Camera, Pose};
+use nalgebra::{Matrix3, Vector2, Vector3};
 use rayon::prelude::*;
 use thiserror::Error;
 
 use crate::raster::{Picture, Raster};
 
-type Vector = [f64; 3];
-type Matrix = [Vector; 3];
-
-/// A pinhole camera. Pixel (0, 0) is the top-left corner of a picture, and its first centre is (0.5, 0.5).
+/// A camera and its pose. Lengths are in units of the world.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Pinhole {
-    /// Focal length in pixels of a column, and of a row.
-    pub focal_px: [f64; 2],
-    /// The principal point, in pixels.
-    pub centre_px: [f64; 2],
-    /// The axes of the camera in the world: right, down, forward. Orthonormal.
-    pub axes: Matrix,
-    /// Where the camera is, in metres.
-    pub position_m: Vector,
-    /// Columns and rows.
-    pub size: [usize; 2],
+pub struct PosedCamera {
+    /// The camera.
+    pub camera: Camera,
+    /// Its pose: x right, y down, z forward.
+    pub cam_from_world: Pose,
 }
 
-/// One eye of a rectified pair.
+/// One eye of a rectified pair. Photo and rectified picture share their place.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Eye {
-    photo: Pinhole,
-    rectified: Pinhole,
+    photo: Camera,
+    /// The rectified camera, without distortion.
+    pub camera: Camera,
+    /// The rotation from the axes of the rectified camera to those of the photo.
+    pub photo_from_rectified: Matrix3<f64>,
 }
 
 /// A rectified pair: the same focal length, axes and rows, and a baseline along the rows.
@@ -39,8 +35,8 @@ pub struct Rectified {
     pub right: Eye,
     /// The focal length of both, in pixels.
     pub focal_px: f64,
-    /// Metres from the left eye to the right one.
-    pub baseline_m: f64,
+    /// The distance from the left eye to the right one, in units of the world.
+    pub baseline: f64,
     /// The disparity of what is infinitely far, in pixels.
     pub far_px: f64,
 }
@@ -49,11 +45,8 @@ pub struct Rectified {
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 pub enum RectifyError {
     /// No distance between the eyes.
-    #[error("the cameras are {baseline_m} m apart: a rotation alone shows no depth")]
-    Rotation {
-        /// Metres between the eyes.
-        baseline_m: f64,
-    },
+    #[error("both photos were taken from one place: a rotation alone shows no depth")]
+    Rotation,
     /// The baseline is along the viewing direction.
     #[error(
         "the baseline is {angle_deg:.0} degrees from the viewing direction, and the limit is {LEAST_ANGLE_DEG}"
@@ -63,127 +56,152 @@ pub enum RectifyError {
         angle_deg: f64,
     },
     /// The left camera is right of the right one.
-    #[error("the left camera is {baseline_m} m right of the right one. Exchange them")]
-    Swapped {
-        /// Metres between the eyes.
-        baseline_m: f64,
-    },
+    #[error("the left camera is right of the right one. Exchange them")]
+    Swapped,
+    /// The rectified pictures have no row in common.
+    #[error("no row of the rectified photos shows the same")]
+    NoCommonRow,
 }
 
 /// Below this, a row of the rectified picture would run towards a point in or near the picture.
 pub const LEAST_ANGLE_DEG: f64 = 45.0;
 
-/// The least baseline that is more than rounding, in metres.
-const LEAST_BASELINE_M: f64 = 1e-6;
+/// The least baseline that is more than rounding, in units of the world.
+const LEAST_BASELINE: f64 = 1e-6;
+
+/// Rectified pictures end this far from the axis, in focal lengths: 63 degrees. Beyond, a pixel of a photo is stretched over more than ten.
+const WIDEST: f64 = 2.0;
+
+/// Places on each side of a photo at which its borders are looked up.
+const BORDER_PLACES: u32 = 8;
 
 impl Rectified {
     /// Finds the rectified cameras of two photos.
     ///
     /// Columns run along the baseline, and the axis is the mean of both axes made orthogonal to it (Fusiello, Trucco and
-    /// Verri, Machine Vision and Applications 12, 2000). The coarser photo decides the focal length and the size. The
-    /// middle of each photo stays in the middle of its columns, so eyes that converge have small disparities.
+    /// Verri, Machine Vision and Applications 12, 2000). The coarser photo decides the focal length. The pictures have the
+    /// rows that both photos show, and as many columns as the wider of them. The middle of each photo is in the middle of
+    /// its columns, so eyes that converge have small disparities.
     ///
     /// # Errors
-    /// Returns an error if the cameras are in one place, one behind the other, or exchanged.
-    pub fn new(left: Pinhole, right: Pinhole) -> Result<Self, RectifyError> {
-        let between = subtract(right.position_m, left.position_m);
-        let baseline_m = length(between);
-        if baseline_m < LEAST_BASELINE_M {
-            return Err(RectifyError::Rotation { baseline_m });
+    /// Returns an error if the cameras are in one place, one behind the other, exchanged, or show no row in common.
+    pub fn new(left: &PosedCamera, right: &PosedCamera) -> Result<Self, RectifyError> {
+        let between = right.cam_from_world.centre() - left.cam_from_world.centre();
+        let baseline = between.norm();
+        if baseline.is_nan() || baseline < LEAST_BASELINE {
+            return Err(RectifyError::Rotation);
         }
-        let x = scaled(between, 1.0 / baseline_m);
-        let forward = add(left.axes[2], right.axes[2]);
-        let across = subtract(forward, scaled(x, dot(forward, x)));
-        let sine = length(across) / length(forward);
+        let x = between / baseline;
+        let axis = |row: usize| -> Vector3<f64> {
+            let of = |one: &PosedCamera| one.cam_from_world.rotation.row(row).transpose();
+            of(left) + of(right)
+        };
+        let forward = axis(2);
+        let across = forward - x * forward.dot(&x);
+        let sine = across.norm() / forward.norm();
         // Axes that are opposite have no mean, and a NaN must not pass.
-        if sine.is_nan() || sine < LEAST_ANGLE_DEG.to_radians().sin() {
+        if sine.is_nan() || sine < std::f64::consts::FRAC_1_SQRT_2 {
             return Err(RectifyError::AlongAxis {
-                angle_deg: sine.asin().to_degrees(),
+                angle_deg: libm::asin(sine).to_degrees(),
             });
         }
-        if dot(x, add(left.axes[0], right.axes[0])) < 0.0 {
-            return Err(RectifyError::Swapped { baseline_m });
+        if x.dot(&axis(0)) < 0.0 {
+            return Err(RectifyError::Swapped);
         }
-        let z = scaled(across, 1.0 / length(across));
-        let axes = [x, cross(z, x), z];
-        let coarse = if right.mean_focal_px() < left.mean_focal_px() {
-            right
-        } else {
-            left
+        let z = across.normalize();
+        let rectified_from_world =
+            Matrix3::from_rows(&[x.transpose(), z.cross(&x).transpose(), z.transpose()]);
+        let focal_px = mean_focal_px(&left.camera).min(mean_focal_px(&right.camera));
+        let eyes = [left, right].map(|photo| Eye {
+            photo: photo.camera,
+            camera: Camera::pinhole(1, 1, focal_px),
+            photo_from_rectified: photo.cam_from_world.rotation * rectified_from_world.transpose(),
+        });
+        let [Some(of_left), Some(of_right)] = eyes.map(|eye| eye.extent()) else {
+            return Err(RectifyError::NoCommonRow);
         };
-        let focal = coarse.mean_focal_px();
-        let eye = |photo: Pinhole| {
-            let size = coarse.size;
-            let rectified = Pinhole {
-                focal_px: [focal; 2],
-                centre_px: [0.0; 2],
-                axes,
-                position_m: photo.position_m,
-                size,
-            };
-            let middle = photo.ray(photo.size.map(|side| side as f64 / 2.0));
-            let [u, v] = rectified.project(middle).unwrap_or([0.0; 2]);
-            let centre_px = [size[0] as f64 / 2.0 - u, size[1] as f64 / 2.0 - v];
-            Eye {
-                photo,
-                rectified: Pinhole {
-                    centre_px,
-                    ..rectified
-                },
-            }
+        let top = of_left.low.y.max(of_right.low.y);
+        let bottom = of_left.high.y.min(of_right.high.y);
+        if top >= bottom {
+            return Err(RectifyError::NoCommonRow);
+        }
+        // Rounding must not add a column or a row.
+        let pixels = |length: f64| (length * focal_px - 1e-6).ceil().max(1.0);
+        let width = pixels((of_left.high.x - of_left.low.x).max(of_right.high.x - of_right.low.x));
+        let height = pixels(bottom - top);
+        let placed = |eye: Eye, extent: Extent| Eye {
+            camera: Camera {
+                width: width as u32,
+                height: height as u32,
+                cx_px: width / 2.0 - focal_px * (extent.low.x + extent.high.x) / 2.0,
+                cy_px: height / 2.0 - focal_px * (top + bottom) / 2.0,
+                ..eye.camera
+            },
+            ..eye
         };
-        let (mut left, mut right) = (eye(left), eye(right));
-        let row = (left.rectified.centre_px[1] + right.rectified.centre_px[1]) / 2.0;
-        left.rectified.centre_px[1] = row;
-        right.rectified.centre_px[1] = row;
-        let far_px = left.rectified.centre_px[0] - right.rectified.centre_px[0];
+        let [left, right] = eyes;
+        let (left, right) = (placed(left, of_left), placed(right, of_right));
         Ok(Self {
             left,
             right,
-            focal_px: focal,
-            baseline_m,
-            far_px,
+            focal_px,
+            baseline,
+            far_px: left.camera.cx_px - right.camera.cx_px,
         })
     }
 
-    /// Returns the distance along the axis in metres, f b / (d - far), or nothing at infinity and beyond.
-    pub fn depth_m(&self, disparity_px: f64) -> Option<f64> {
-        let near = disparity_px - self.far_px;
-        (near > 0.0).then(|| self.focal_px * self.baseline_m / near)
+    /// Returns the inverse of the distance along the axis, (d - far) / (f b), in units of the world. At infinity it is 0, and beyond
+    /// it is negative.
+    pub fn inverse_depth(&self, disparity_px: f64) -> f64 {
+        (disparity_px - self.far_px) / (self.focal_px * self.baseline)
     }
 }
 
-impl Pinhole {
-    fn mean_focal_px(&self) -> f64 {
-        (self.focal_px[0] + self.focal_px[1]) / 2.0
-    }
+fn mean_focal_px(camera: &Camera) -> f64 {
+    (camera.fx_px + camera.fy_px) / 2.0
+}
 
-    /// Returns the direction in the world that a pixel shows, of any length.
-    pub fn ray(&self, pixel: [f64; 2]) -> Vector {
-        let [u, v] = std::array::from_fn(|i| (pixel[i] - self.centre_px[i]) / self.focal_px[i]);
-        add(
-            add(scaled(self.axes[0], u), scaled(self.axes[1], v)),
-            self.axes[2],
-        )
-    }
-
-    /// Returns the pixel that shows a direction in the world, or nothing behind the camera.
-    pub fn project(&self, direction: Vector) -> Option<[f64; 2]> {
-        let [x, y, z] = self.axes.map(|axis| dot(axis, direction));
-        let [fx, fy] = self.focal_px;
-        (z > 0.0).then(|| [fx * x / z + self.centre_px[0], fy * y / z + self.centre_px[1]])
-    }
+/// The part of the plane z = 1 that a photo covers.
+#[derive(Clone, Copy)]
+struct Extent {
+    low: Vector2<f64>,
+    high: Vector2<f64>,
 }
 
 impl Eye {
-    /// Returns the rectified camera.
-    pub fn camera(&self) -> Pinhole {
-        self.rectified
+    /// Returns what the photo covers of the plane z = 1 of the rectified camera, or nothing if its borders are behind it.
+    fn extent(&self) -> Option<Extent> {
+        let mut extent: Option<Extent> = None;
+        let [width, height] = [self.photo.width, self.photo.height].map(f64::from);
+        for i in 0..=BORDER_PLACES {
+            let share = f64::from(i) / f64::from(BORDER_PLACES);
+            let border = [[share, 0.0], [share, 1.0], [0.0, share], [1.0, share]];
+            for [u, v] in border {
+                let Some(ray) = self.photo.unproject(&Vector2::new(u * width, v * height)) else {
+                    continue;
+                };
+                let ray = self.photo_from_rectified.transpose() * ray;
+                if ray.z <= 0.0 {
+                    continue;
+                }
+                let at = (ray.xy() / ray.z).map(|place| place.clamp(-WIDEST, WIDEST));
+                let known = extent.get_or_insert(Extent { low: at, high: at });
+                *known = Extent {
+                    low: known.low.inf(&at),
+                    high: known.high.sup(&at),
+                };
+            }
+        }
+        extent
     }
 
     /// Returns where in the photo a rectified pixel comes from.
-    pub fn source(&self, pixel: [f64; 2]) -> Option<[f64; 2]> {
-        self.photo.project(self.rectified.ray(pixel))
+    pub fn source(&self, pixel: Vector2<f64>) -> Option<Vector2<f64>> {
+        let Camera {
+            cx_px, cy_px, fx_px, ..
+        } = self.camera;
+        let ray = Vector3::new((pixel.x - cx_px) / fx_px, (pixel.y - cy_px) / fx_px, 1.0);
+        self.photo.project(&(self.photo_from_rectified * ray))
     }
 
     /// Resamples the photo once, by Catmull-Rom splines. Pixels that need one outside or masked do not take part.
@@ -192,21 +210,26 @@ impl Eye {
     ///
     /// - `photo`: of the size of the photo's camera.
     pub fn resample(&self, photo: &Picture) -> Picture {
-        if self.photo.mean_focal_px() >= 2.0 * self.rectified.mean_focal_px() && photo.grey.width > 1 {
-            let half = |[a, b]: [f64; 2]| [a / 2.0, b / 2.0];
-            let camera = Pinhole {
-                focal_px: half(self.photo.focal_px),
-                centre_px: half(self.photo.centre_px),
-                size: self.photo.size.map(|side| side.div_ceil(2)),
+        if mean_focal_px(&self.photo) >= 2.0 * mean_focal_px(&self.camera) && photo.grey.width > 1 {
+            let Camera {
+                fx_px,
+                fy_px,
+                cx_px,
+                cy_px,
+                ..
+            } = self.photo;
+            let half = Camera {
+                width: self.photo.width.div_ceil(2),
+                height: self.photo.height.div_ceil(2),
+                fx_px: fx_px / 2.0,
+                fy_px: fy_px / 2.0,
+                cx_px: cx_px / 2.0,
+                cy_px: cy_px / 2.0,
                 ..self.photo
             };
-            return Self {
-                photo: camera,
-                ..*self
-            }
-            .resample(&photo.halved());
+            return Self { photo: half, ..*self }.resample(&photo.halved());
         }
-        let [width, height] = self.rectified.size;
+        let [width, height] = [self.camera.width, self.camera.height].map(|side| side as usize);
         let mut out = Picture::new(Raster::filled(width, height, 0));
         let rows = out.grey.values.par_chunks_mut(width.max(1));
         rows.zip(out.usable.values.par_chunks_mut(width.max(1)))
@@ -214,7 +237,7 @@ impl Eye {
             .for_each(|(y, (grey, usable))| {
                 for x in 0..width {
                     let sample = self
-                        .source([x as f64 + 0.5, y as f64 + 0.5])
+                        .source(Vector2::new(x as f64 + 0.5, y as f64 + 0.5))
                         .and_then(|at| sampled(photo, at));
                     usable[x] = sample.is_some();
                     grey[x] = sample.unwrap_or(0);
@@ -225,8 +248,8 @@ impl Eye {
 }
 
 /// Returns the brightness at a place in a photo, or nothing where one of the 4 x 4 pixels around is missing.
-fn sampled(photo: &Picture, at: [f64; 2]) -> Option<u8> {
-    let [x, y] = at.map(|at| at - 0.5);
+fn sampled(photo: &Picture, at: Vector2<f64>) -> Option<u8> {
+    let [x, y] = [at.x - 0.5, at.y - 0.5];
     let (column, row) = (x.floor(), y.floor());
     let inside = column >= 1.0
         && row >= 1.0
@@ -260,50 +283,29 @@ fn catmull_rom(t: f64) -> [f64; 4] {
     ]
 }
 
-fn dot(a: Vector, b: Vector) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
-
-fn length(a: Vector) -> f64 {
-    dot(a, a).sqrt()
-}
-
-fn scaled(a: Vector, factor: f64) -> Vector {
-    a.map(|value| value * factor)
-}
-
-fn add(a: Vector, b: Vector) -> Vector {
-    std::array::from_fn(|i| a[i] + b[i])
-}
-
-fn subtract(a: Vector, b: Vector) -> Vector {
-    std::array::from_fn(|i| a[i] - b[i])
-}
-
-fn cross(a: Vector, b: Vector) -> Vector {
-    [
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
-    ]
-}
-
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;
 
     use super::*;
 
-    const STRAIGHT: Matrix = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
-
-    fn camera(focal: f64, position_m: Vector) -> Pinhole {
-        Pinhole {
-            focal_px: [focal; 2],
-            centre_px: [40.0, 30.0],
-            axes: STRAIGHT,
-            position_m,
-            size: [80, 60],
+    fn posed(focal_px: f64, centre: [f64; 3], angles: [f64; 3]) -> PosedCamera {
+        let rotation = nalgebra::Rotation3::from_euler_angles(angles[0], angles[1], angles[2]).into_inner();
+        PosedCamera {
+            camera: Camera::pinhole(80, 60, focal_px),
+            cam_from_world: Pose {
+                rotation,
+                translation: -(rotation * Vector3::from(centre)),
+            },
         }
+    }
+
+    fn straight(focal_px: f64, centre: [f64; 3]) -> PosedCamera {
+        posed(focal_px, centre, [0.0; 3])
+    }
+
+    fn pair(left: PosedCamera, right: PosedCamera) -> Rectified {
+        Rectified::new(&left, &right).unwrap()
     }
 
     /// Rounding of f64 in a few products of numbers below 1,000.
@@ -311,59 +313,54 @@ mod tests {
 
     #[test]
     fn cameras_side_by_side_stay_as_they_are() {
-        let pair = Rectified::new(camera(100.0, [0.0; 3]), camera(100.0, [0.5, 0.0, 0.0])).unwrap();
-        assert_eq!((pair.focal_px, pair.baseline_m, pair.far_px), (100.0, 0.5, 0.0));
-        let [u, v] = pair.right.source([12.5, 7.25]).unwrap();
+        let pair = pair(straight(100.0, [0.0; 3]), straight(100.0, [0.5, 0.0, 0.0]));
+        assert_eq!((pair.focal_px, pair.baseline), (100.0, 0.5));
+        assert!(pair.far_px.abs() < ROUNDING, "{}", pair.far_px);
+        assert_eq!((pair.left.camera.width, pair.left.camera.height), (80, 60));
+        let at = Vector2::new(12.5, 7.25);
+        let found = pair.right.source(at).unwrap();
+        assert!((found - at).norm() < ROUNDING, "{found}");
+        // 5 px / (100 px x 0.5) is one tenth.
         assert!(
-            (u - 12.5).abs() < ROUNDING && (v - 7.25).abs() < ROUNDING,
-            "{u} {v}"
+            (pair.inverse_depth(5.0) - 0.1).abs() < ROUNDING,
+            "{}",
+            pair.inverse_depth(5.0)
         );
-        // 100 px x 0.5 m / 10 m = 5 px.
-        assert_eq!(pair.depth_m(5.0), Some(10.0));
-        assert_eq!(pair.depth_m(0.0), None);
     }
 
     #[test]
     fn the_coarser_photo_decides_and_the_finer_is_scaled_about_its_middle() {
-        let pair = Rectified::new(camera(100.0, [0.0; 3]), camera(300.0, [0.5, 0.0, 0.0])).unwrap();
+        let pair = pair(straight(100.0, [0.0; 3]), straight(300.0, [0.5, 0.0, 0.0]));
         assert_eq!(pair.focal_px, 100.0);
-        // 10 px from the middle at 100 px are 30 px at 300 px.
-        let [u, v] = pair.right.source([50.0, 30.0]).unwrap();
-        assert!(
-            (u - 70.0).abs() < ROUNDING && (v - 30.0).abs() < ROUNDING,
-            "{u} {v}"
+        // The finer photo shows a third of the rows. 10 px from the middle at 100 px are 30 px at 300 px.
+        assert_eq!((pair.left.camera.width, pair.left.camera.height), (80, 20));
+        let found = pair.right.source(Vector2::new(50.0, 10.0)).unwrap();
+        assert!((found - Vector2::new(70.0, 30.0)).norm() < ROUNDING, "{found}");
+    }
+
+    #[test]
+    fn a_vertical_baseline_turns_the_picture_and_keeps_all_of_it() {
+        let pair = pair(straight(100.0, [0.0; 3]), straight(100.0, [0.0, 0.5, 0.0]));
+        assert_eq!((pair.left.camera.width, pair.left.camera.height), (60, 80));
+    }
+
+    #[test]
+    fn what_has_no_depth_is_refused() {
+        let error = |centre: [f64; 3]| {
+            Rectified::new(&straight(100.0, [0.0; 3]), &straight(100.0, centre)).unwrap_err()
+        };
+        assert_eq!(error([0.0; 3]), RectifyError::Rotation);
+        assert_eq!(error([f64::NAN, 0.0, 0.0]), RectifyError::Rotation);
+        assert_eq!(error([-0.5, 0.0, 0.0]), RectifyError::Swapped);
+        let RectifyError::AlongAxis { angle_deg } = error([0.5, 0.0, 1.0]) else {
+            panic!("not along the axis");
+        };
+        assert!((angle_deg - 26.565).abs() < 1e-3, "{angle_deg}");
+        let up = posed(100.0, [0.5, 0.0, 0.0], [0.8, 0.0, 0.0]);
+        assert_eq!(
+            Rectified::new(&straight(100.0, [0.0; 3]), &up).unwrap_err(),
+            RectifyError::NoCommonRow
         );
-    }
-
-    #[test]
-    fn converging_eyes_have_the_disparity_of_their_middles_where_the_axes_meet() {
-        // Both look at a point 2 m ahead, 0.5 m apart. Rectified, that point is in the middle of both.
-        let turned = |x: f64| {
-            let n = (x * x + 4.0).sqrt();
-            [[2.0 / n, 0.0, -x / n], [0.0, 1.0, 0.0], [x / n, 0.0, 2.0 / n]]
-        };
-        let left = Pinhole {
-            axes: turned(0.25),
-            ..camera(100.0, [-0.25, 0.0, 0.0])
-        };
-        let right = Pinhole {
-            axes: turned(-0.25),
-            ..camera(100.0, [0.25, 0.0, 0.0])
-        };
-        let pair = Rectified::new(left, right).unwrap();
-        // 100 px x 0.25 / 2 to each side.
-        assert!((pair.far_px - -25.0).abs() < ROUNDING, "{}", pair.far_px);
-        let depth = pair.depth_m(0.0).unwrap();
-        assert!((depth - 2.0).abs() < ROUNDING, "{depth}");
-    }
-
-    #[test]
-    fn one_place_one_behind_the_other_and_exchanged_are_errors() {
-        let left = camera(100.0, [0.0; 3]);
-        let error = |position| Rectified::new(left, camera(100.0, position)).unwrap_err();
-        assert_eq!(error([0.0; 3]), RectifyError::Rotation { baseline_m: 0.0 });
-        assert_eq!(error([0.0, 0.0, 2.0]), RectifyError::AlongAxis { angle_deg: 0.0 });
-        assert_eq!(error([-0.5, 0.0, 0.0]), RectifyError::Swapped { baseline_m: 0.5 });
     }
 
     #[test]
@@ -375,12 +372,10 @@ mod tests {
             height: 60,
             values,
         });
-        let eye = Rectified::new(camera(100.0, [0.0; 3]), camera(100.0, [0.5, 0.0, 0.0]))
-            .unwrap()
-            .left;
+        let eye = pair(straight(100.0, [0.0; 3]), straight(100.0, [0.5, 0.0, 0.0])).left;
         let out = eye.resample(&photo);
         assert_eq!((out.grey.at(33, 20), out.usable.at(33, 20)), (ramp(33), true));
-        assert!(!out.usable.at(0, 20) && !out.usable.at(79, 20) && out.usable.at(1, 1));
+        assert!(!out.usable.at(0, 20) && !out.usable.at(79, 20) && out.usable.at(2, 2));
     }
 
     #[test]
@@ -389,42 +384,32 @@ mod tests {
         assert_eq!(catmull_rom(0.5), [-0.0625, 0.5625, 0.5625, -0.0625]);
     }
 
-    /// Axes turned by small angles about the three axes in turn, in radians.
-    fn turned([a, b, c]: Vector) -> Matrix {
-        let about = |i: usize, angle: f64, axes: Matrix| {
-            let (j, k) = ((i + 1) % 3, (i + 2) % 3);
-            let mut out = axes;
-            out[j] = add(scaled(axes[j], angle.cos()), scaled(axes[k], angle.sin()));
-            out[k] = subtract(scaled(axes[k], angle.cos()), scaled(axes[j], angle.sin()));
-            out
-        };
-        about(2, c, about(1, b, about(0, a, STRAIGHT)))
-    }
-
     proptest! {
         #[test]
         fn a_point_has_one_row_its_depth_and_its_place_in_both_photos(
-            angles in prop::array::uniform6(-0.15f64..0.15),
+            angles in prop::array::uniform6(-0.1f64..0.1),
             focal in prop::array::uniform2(80.0f64..400.0),
+            k1 in -0.2f64..0.2,
             place in prop::array::uniform3(-0.2f64..0.2),
-            point in prop::array::uniform3(-1.0f64..1.0),
+            point in prop::array::uniform3(-0.5f64..0.5),
         ) {
             let [a, b, c, d, e, f] = angles;
-            let left = Pinhole { axes: turned([a, b, c]), ..camera(focal[0], place) };
-            let right = Pinhole { axes: turned([d, e, f]), ..camera(focal[1], [place[0] + 0.6, -place[1], place[2]]) };
-            let pair = Rectified::new(left, right).unwrap();
-            let point = [point[0], point[1], 6.0 + point[2]];
-            let [l, r] = [pair.left, pair.right].map(|eye| {
-                let direction = subtract(point, eye.photo.position_m);
-                let pixel = eye.camera().project(direction).unwrap();
-                let found = eye.source(pixel).unwrap();
-                let expected = eye.photo.project(direction).unwrap();
-                assert!((found[0] - expected[0]).abs() + (found[1] - expected[1]).abs() < 1e-7, "{found:?} {expected:?}");
-                pixel
+            let mut left = posed(focal[0], place, [a, b, c]);
+            left.camera.k1 = k1;
+            let right = posed(focal[1], [place[0] + 0.6, -place[1], place[2]], [d, e, f]);
+            let pair = Rectified::new(&left, &right).unwrap();
+            let point = Vector3::new(point[0], point[1], 6.0 + point[2]);
+            let pixels = [(pair.left, left), (pair.right, right)].map(|(eye, photo)| {
+                let seen = photo.cam_from_world.point(&point);
+                let rectified = eye.photo_from_rectified.transpose() * seen;
+                let pixel = eye.camera.project(&rectified).unwrap();
+                let (found, expected) = (eye.source(pixel).unwrap(), photo.camera.project(&seen).unwrap());
+                assert!((found - expected).norm() < 1e-7, "{found} {expected}");
+                (pixel, rectified.z)
             });
-            prop_assert!((l[1] - r[1]).abs() < 1e-7, "rows {} {}", l[1], r[1]);
-            let depth = dot(pair.left.camera().axes[2], subtract(point, left.position_m));
-            let found = pair.depth_m(l[0] - r[0]).unwrap();
+            let [(l, depth), (r, _)] = pixels;
+            prop_assert!((l.y - r.y).abs() < 1e-7, "rows {} {}", l.y, r.y);
+            let found = 1.0 / pair.inverse_depth(l.x - r.x);
             prop_assert!((found - depth).abs() < 1e-6, "{} {}", found, depth);
         }
     }

@@ -3,7 +3,8 @@
 use marf_numeric::{InstructionSet, mix};
 use proptest::prelude::*;
 
-use crate::{Class, Disparities, MatchError, Picture, Raster, Search, match_pair, match_pair_on};
+use crate::disparities::match_pair_on;
+use crate::{Class, Disparities, MatchError, Picture, Raster, Search, match_pair};
 
 /// Smooth brightness that no row or column repeats, in [0, 255].
 fn brightness(x: f64, y: f64) -> f64 {

@@ -1,5 +1,5 @@
 //! Parameters and outputs of `scenes`, `masks`, `calibrate`, `cameras`, `tune`, `train`, `partial`, `folds`, `evaluate`, `render`,
-//! `bootstrap`, `video`, `surface`, `changes` and `ties`.
+//! `bootstrap`, `video`, `depth`, `surface`, `changes` and `ties`.
 //!
 //! One module a stage: its parameters ([`Params`](marf_stage::Params)) with the checks that need no input, and each
 //! JSON output ([`Document`](marf_stage::Document)). Stages, commands and the report read and write these types, so
@@ -16,6 +16,7 @@ pub mod calibrate;
 pub mod cameras;
 pub mod changes;
 mod check;
+pub mod depth;
 pub mod evaluate;
 pub mod example;
 pub mod folds;

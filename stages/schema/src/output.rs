@@ -18,7 +18,7 @@ pub const CAMERAS: &str = "cameras/";
 pub const MASKS: &str = "masks/";
 /// A photo with the proposed mask in red, of `masks`: `overlay/<camera>.png`.
 pub const OVERLAY: &str = "overlay/";
-/// The sparse points of `calibrate` as PLY.
+/// Points as PLY: the sparse ones of `calibrate`, and clouds of `depth` and `surface`.
 pub const POINTS: &str = "points.ply";
 /// A trained field (safetensors), of `train`.
 pub const WEIGHTS: &str = "weights";
@@ -32,10 +32,16 @@ pub const PHOTO: &str = "photo/";
 pub const VIDEO: &str = "video";
 /// Pictures along the path of `render`: `frames/0001.png`.
 pub const FRAMES: &str = "frames/";
-/// Depths as pictures of 16 bits with their scale in the text, of `render` (`depth/0001.png`) and `surface` (`depth/<name>.png`).
+/// Depths as pictures of 16 bits with their scale in the text, of `render` (`depth/0001.png`), `surface` and `depth` (`depth/<name>.png`).
 pub const DEPTH: &str = "depth/";
 /// Depths along the path of `render` in colours: `depth-preview/0001.png`.
 pub const DEPTH_PREVIEW: &str = "depth-preview/";
+/// Inverse depths along the axis, of `depth`, as [`DEPTH`]: `inverse-depth/<name>.png`.
+pub const INVERSE_DEPTH: &str = "inverse-depth/";
+/// Their standard deviations: `sigma/<name>.png`.
+pub const SIGMA: &str = "sigma/";
+/// What is known of each pixel, of `depth`: `class/<name>.png`.
+pub const DEPTH_CLASS: &str = "class/";
 /// How far retrainings differ along the path of `render`, as [`DEPTH`]: `uncertainty/0001.png`.
 pub const UNCERTAINTY: &str = "uncertainty/";
 /// The same in colours: `uncertainty-preview/0001.png`.
@@ -52,7 +58,7 @@ pub const SPLAT_FILES: &str = "splats/";
 pub const SPLATS: &str = "splats/splats.ply";
 /// Pictures splats | field at the views of held-out photos, of `surface`: `splats/views/<name>.png`.
 pub const SPLAT_VIEWS: &str = "splats/views/";
-/// Maps of `surface`: `map/height.png`, with `map/height.pgw`.
+/// Maps of `surface` and `depth`: `map/height.png`, with `map/height.pgw`.
 pub const SURFACE_MAPS: &str = "map/";
 /// Maps of `changes`: `changes/map.png`, with `changes/map.pgw`.
 pub const CHANGE_MAPS: &str = "changes/";

@@ -30,6 +30,17 @@ pub struct MapAxes {
     pub up: Vector3<f64>,
 }
 
+impl MapAxes {
+    /// Returns the place on the map with the height, in the unit of the position.
+    pub fn place(&self, position: &Vector3<f64>) -> Vector3<f64> {
+        Vector3::new(
+            self.right.dot(position),
+            self.top.dot(position),
+            self.up.dot(position),
+        )
+    }
+}
+
 impl ExportFrame {
     /// Returns the frame of a scene.
     pub fn new(scene: &Scene) -> Self {

@@ -5,7 +5,7 @@ use marf_schema::surface::MapReport;
 use nalgebra::{Vector2, Vector3};
 
 use crate::SurfaceError;
-use crate::frame::{ExportFrame, MapAxes};
+use crate::frame::ExportFrame;
 use crate::geotiff;
 use crate::mesh::Mesh;
 use crate::ply::to_byte;
@@ -22,17 +22,39 @@ pub struct SurfaceMap {
     /// Sizes, scales and axes.
     pub report: MapReport,
     /// `[rows * columns]`, from the top: height and colour of the highest surface. `None` without a surface.
-    cells: Vec<Option<Cell>>,
+    cells: Vec<Option<MapCell>>,
+    spread: SpreadWords,
 }
 
 /// Surface in a pixel of a map.
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Cell {
+pub struct MapCell {
     /// Along up from the origin of the map's frame, metres.
-    height_m: f64,
-    color: [f32; 3],
-    /// Metres. Negative if only one view shows it.
-    spread_m: f64,
+    pub height_m: f64,
+    /// sRGB in [0, 1].
+    pub color: [f32; 3],
+    /// How unsure the height is, metres. Negative if that is not known.
+    pub spread_m: f64,
+}
+
+/// What the spread of a map is, in words.
+pub type SpreadWords = &'static str;
+
+/// The spread of a mesh.
+const OF_VIEWS: SpreadWords =
+    "root mean square of the distances between the views' surfaces and this one, along its normal";
+
+/// The pixels of a map.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct MapGrid {
+    /// Width of a pixel, metres.
+    pub pixel_m: f64,
+    /// Pixels from the origin to the first column, to the right, and to the last row, to the top.
+    pub first: Vector2<f64>,
+    /// Columns.
+    pub columns: u32,
+    /// Rows.
+    pub rows: u32,
 }
 
 impl SurfaceMap {
@@ -52,7 +74,7 @@ impl SurfaceMap {
         let flat: Vec<Vector3<f64>> = mesh
             .vertices
             .iter()
-            .map(|vertex| on_map(&axes, &(vertex.position * metres + frame.origin_m())))
+            .map(|vertex| axes.place(&(vertex.position * metres + frame.origin_m())))
             .collect();
         let far = Vector2::repeat(f64::INFINITY);
         let (low, high) = flat.iter().fold((far, -far), |(low, high), at| {
@@ -76,19 +98,46 @@ impl SurfaceMap {
             for pixel in covered_pixels(&corners, pixel_m, &first, columns, rows) {
                 let cell = blend(mesh, triangle, &corners, pixel.shares, metres);
                 let place = &mut cells[pixel.row as usize * columns as usize + pixel.column as usize];
-                if place.is_none_or(|known: Cell| known.height_m < cell.height_m) {
+                if place.is_none_or(|known: MapCell| known.height_m < cell.height_m) {
                     *place = Some(cell);
                 }
             }
         }
+        let grid = MapGrid {
+            pixel_m,
+            first,
+            columns,
+            rows,
+        };
+        Self::from_cells(frame, grid, cells, OF_VIEWS)
+    }
+
+    /// Takes the pixels of a map, `[rows * columns]`, from the top.
+    ///
+    /// # Errors
+    /// [`SurfaceError::Refused`] for a scene without scale or up, and if no pixel has a surface.
+    pub fn from_cells(
+        frame: &ExportFrame,
+        grid: MapGrid,
+        cells: Vec<Option<MapCell>>,
+        spread: SpreadWords,
+    ) -> Result<Self, SurfaceError> {
+        let (axes, _) = frame.metric_map("the height map")?;
+        let MapGrid {
+            pixel_m,
+            first,
+            columns,
+            rows,
+        } = grid;
         let heights = || cells.iter().flatten().map(|cell| cell.height_m);
         let lowest_m = heights().fold(f64::INFINITY, f64::min);
         let highest_m = heights().fold(f64::NEG_INFINITY, f64::max);
         let covered = heights().count();
         if covered == 0 {
-            return Err(refused(format!(
-                "no triangle covers the centre of a pixel of {pixel_m} m"
-            )));
+            return Err(SurfaceError::Refused {
+                what: "the height map",
+                why: format!("no surface covers the centre of a pixel of {pixel_m} m"),
+            });
         }
         let report = MapReport {
             columns,
@@ -104,7 +153,11 @@ impl SurfaceMap {
             origin: frame.origin_words(),
             covered_share: covered as f64 / cells.len() as f64,
         };
-        Ok(Self { report, cells })
+        Ok(Self {
+            report,
+            cells,
+            spread,
+        })
     }
 
     /// Returns the heights as PNG of 16 bits: height = lowest + (value - 1) · interval, 0 where there is no surface.
@@ -115,7 +168,7 @@ impl SurfaceMap {
         let MapReport {
             lowest_m, interval_m, ..
         } = self.report;
-        let value = |cell: &Option<Cell>| match cell {
+        let value = |cell: &Option<MapCell>| match cell {
             Some(cell) => 1 + ((cell.height_m - lowest_m) / interval_m).round().clamp(0.0, MOST) as u16,
             None => 0,
         };
@@ -140,20 +193,19 @@ impl SurfaceMap {
         Ok(png16::gray(self.report.columns, self.report.rows, values, text)?)
     }
 
-    /// Returns how far the views differ in each pixel as PNG of 16 bits: millimetres + 1, 0 where less than two views show a surface.
+    /// Returns how unsure each pixel is as PNG of 16 bits: millimetres + 1, 0 where that is not known.
     ///
     /// # Errors
     /// [`SurfaceError::Png`].
     pub fn spread_png(&self) -> Result<Vec<u8>, SurfaceError> {
-        let value = |cell: &Option<Cell>| match cell {
+        let value = |cell: &Option<MapCell>| match cell {
             Some(cell) if cell.spread_m >= 0.0 => 1 + (cell.spread_m * 1000.0).round().min(MOST) as u16,
             _ => 0,
         };
         let values: Vec<u16> = self.cells.iter().map(value).collect();
-        let words = "millimetres + 1: root mean square of the distances between the views' surfaces and this one, along its normal; \
-                     0: not known";
+        let words = format!("millimetres + 1: {}; 0: not known", self.spread);
         let text = [
-            ("marf:spread", words.to_owned()),
+            ("marf:spread", words),
             (
                 "marf:resolution",
                 format!("{} metres a pixel", self.report.pixel_m),
@@ -184,7 +236,7 @@ impl SurfaceMap {
 
     /// Returns the colours of all pixels, transparent where there is no surface.
     fn pixels(&self) -> Vec<[u8; 4]> {
-        let pixel = |cell: &Option<Cell>| match cell {
+        let pixel = |cell: &Option<MapCell>| match cell {
             Some(cell) => {
                 let [r, g, b] = cell.color.map(to_byte);
                 [r, g, b, 255]
@@ -199,26 +251,22 @@ impl SurfaceMap {
     /// # Errors
     /// [`SurfaceError::Tiff`].
     pub fn height_tiff(&self) -> Result<Vec<u8>, SurfaceError> {
-        let height = |cell: &Cell| Some(cell.height_m);
+        let height = |cell: &MapCell| Some(cell.height_m);
         self.quantity_tiff(height, "height along up from the origin")
     }
 
-    /// Returns how far the views differ in each pixel as GeoTIFF of 32-bit floats, metres. NaN where less
-    /// than two views show a surface.
+    /// Returns how unsure each pixel is as GeoTIFF of 32-bit floats, metres. NaN where that is not known.
     ///
     /// # Errors
     /// [`SurfaceError::Tiff`].
     pub fn spread_tiff(&self) -> Result<Vec<u8>, SurfaceError> {
-        let spread = |cell: &Cell| (cell.spread_m >= 0.0).then_some(cell.spread_m);
-        self.quantity_tiff(
-            spread,
-            "root mean square of the distances between the views' surfaces and this one, along its normal",
-        )
+        let spread = |cell: &MapCell| (cell.spread_m >= 0.0).then_some(cell.spread_m);
+        self.quantity_tiff(spread, self.spread)
     }
 
     fn quantity_tiff(
         &self,
-        value: impl Fn(&Cell) -> Option<f64>,
+        value: impl Fn(&MapCell) -> Option<f64>,
         words: &str,
     ) -> Result<Vec<u8>, SurfaceError> {
         let values = self.cells.iter().map(|cell| cell.as_ref().and_then(&value));
@@ -250,27 +298,18 @@ impl SurfaceMap {
     }
 }
 
-/// Returns the place on the map with the height, in the unit of the position.
-fn on_map(axes: &MapAxes, position: &Vector3<f64>) -> Vector3<f64> {
-    Vector3::new(
-        axes.right.dot(position),
-        axes.top.dot(position),
-        axes.up.dot(position),
-    )
-}
-
 fn blend(
     mesh: &Mesh,
     triangle: &[u32; 3],
     corners: &[Vector3<f64>; 3],
     shares: [f64; 3],
     metres: f64,
-) -> Cell {
+) -> MapCell {
     let vertices = triangle.map(|vertex| mesh.vertices[vertex as usize]);
     let mean =
         |value: &dyn Fn(usize) -> f64| (0..3).map(|corner| shares[corner] * value(corner)).sum::<f64>();
     let is_known = vertices.iter().all(|vertex| vertex.spread >= 0.0);
-    Cell {
+    MapCell {
         height_m: mean(&|corner| corners[corner].z),
         color: [0, 1, 2].map(|channel| mean(&|corner| f64::from(vertices[corner].color[channel])) as f32),
         spread_m: if is_known {

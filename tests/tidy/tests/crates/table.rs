@@ -40,7 +40,6 @@ pub const CRATES: [Crate; 36] = [
         "marf-demo",
         &["marf-cache", "marf-numeric", "marf-scene"],
     ),
-    row("stages/depth", "marf-depth", &["marf-numeric"]),
     row("stages/field", "marf-field", &["marf-numeric", "marf-scene"]),
     Crate {
         tests_use: &["marf-numeric"],
@@ -128,6 +127,18 @@ pub const CRATES: [Crate; 36] = [
         ],
     ),
     row(
+        "stages/depth",
+        "marf-depth",
+        &[
+            "marf-cache",
+            "marf-numeric",
+            "marf-stage",
+            "marf-scene",
+            "marf-schema",
+            "marf-surface",
+        ],
+    ),
+    row(
         "stages",
         "marf-stages",
         &[
@@ -137,6 +148,7 @@ pub const CRATES: [Crate; 36] = [
             "marf-calibrate",
             "marf-train",
             "marf-surface",
+            "marf-depth",
         ],
     ),
     row("src/engine", "marf-engine", &["marf-cache", "marf-stage"]),

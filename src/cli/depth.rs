@@ -1,0 +1,122 @@
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use clap::builder::PossibleValue;
+use marf_progress::format::{duration, number};
+use marf_run::depth::{DepthRequest, DepthResult};
+use marf_run::{Context, Error};
+
+use super::calibrate::METHODS;
+use super::options::FolderArgs;
+use super::output::print_json;
+use crate::terminal::print_lines;
+
+/// Arguments of `depth`.
+#[derive(Debug, Clone, Args)]
+pub struct DepthArgs {
+    /// Folder with photos, and labels or cameras next to them
+    pub dir: PathBuf,
+    /// Folder to write: depth.json, points.ply, map/ (GeoTIFF and PNG), and for each photo a picture in depth/, inverse-depth/, sigma/,
+    /// class/ and depth-preview/
+    #[arg(long, value_name = "DIR", default_value = "depth")]
+    pub out: PathBuf,
+    /// Source of the cameras
+    #[arg(long, value_parser = METHODS.map(|(name, about)| PossibleValue::new(name).help(about)), default_value = "auto")]
+    pub method: String,
+    #[command(flatten)]
+    folder: FolderArgs,
+}
+
+/// `marf depth DIR`: writes depths, points and maps of the photos, without a field.
+pub fn depth(args: DepthArgs, context: Context) -> Result<(), Error> {
+    let request = DepthRequest {
+        dir: args.dir,
+        out: args.out,
+        method: args.method,
+    };
+    let result = marf_run::depth::depth(&args.folder.context(context), &request)?;
+    if args.folder.json {
+        return print_json(&result.metrics);
+    }
+    print_lines(table(&result, &request.out));
+    Ok(())
+}
+
+fn table(result: &DepthResult, out: &Path) -> Vec<String> {
+    let DepthResult {
+        cameras,
+        metrics,
+        seconds,
+        written,
+    } = result;
+    let percent = |share: f64| format!("{:.1} %", 100.0 * share);
+    let matched = metrics.pairs.iter().filter(|pair| pair.reason.is_empty()).count();
+    let refused: u64 = metrics.refused.values().sum();
+    let with_depth = metrics.photos.iter().filter(|photo| photo.share > 0.0).count();
+    let mut rows = vec![
+        (
+            "cameras",
+            format!(
+                "{}, {} of {} photos placed",
+                cameras.method, cameras.totals.registered, cameras.totals.photos
+            ),
+        ),
+        ("pairs", format!("{matched} matched, {refused} refused")),
+    ];
+    rows.extend(
+        metrics
+            .refused
+            .iter()
+            .map(|(reason, count)| ("", format!("{count}: {reason}"))),
+    );
+    rows.push((
+        "depths",
+        format!(
+            "{} of the pixels, {} confirmed by two pairs",
+            percent(metrics.share),
+            percent(metrics.confirmed_share),
+        ),
+    ));
+    rows.push((
+        "",
+        format!("{with_depth} of {} photos have any", metrics.photos.len()),
+    ));
+    rows.extend(metrics.median_sigma_share.map(|share| {
+        let sigma = format!("{} of the distance in the median", percent(share));
+        ("sigma", sigma)
+    }));
+    rows.push((
+        "points",
+        format!(
+            "{}, {} {} apart",
+            metrics.points,
+            number(metrics.cell),
+            metrics.unit
+        ),
+    ));
+    match &metrics.map {
+        Some(map) => rows.push((
+            "map",
+            format!(
+                "{} x {} pixels of {} m, {} with a height",
+                map.columns,
+                map.rows,
+                number(map.pixel_m),
+                percent(map.covered_share)
+            ),
+        )),
+        None => rows.extend(metrics.missing.values().map(|why| ("map", why.clone()))),
+    }
+    rows.push(("took", duration(*seconds)));
+    rows.push((
+        "wrote",
+        format!(
+            "{} pictures of photos below {}",
+            5 * metrics.photos.len(),
+            out.display()
+        ),
+    ));
+    rows.extend(written.iter().map(|path| ("", path.display().to_string())));
+    let line = |(what, value): &(&str, String)| format!("{what:<12} {value}");
+    rows.iter().map(line).collect()
+}

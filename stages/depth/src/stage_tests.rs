@@ -1,0 +1,179 @@
+//! The stage on photos of a slanted plane.
+
+use marf_scene::picture::png16::read_quantity;
+use marf_scene::{Camera, Frame, Image, Point, Pose, Scene, encode_png};
+use marf_schema::depth::{DepthParams, Metrics};
+use marf_schema::output::{POINTS, SCENE};
+use marf_stage::{Define, Inputs, Outputs, Set, TypedOutputs, harness::Harness};
+use nalgebra::{Vector2, Vector3};
+
+use crate::MakeDepth;
+
+/// The plane z = 10 + y / 2 in the world, which is that of the first camera: y down, z forward.
+const SLOPE: f64 = 0.5;
+
+fn height(y: f64) -> f64 {
+    10.0 + SLOPE * y
+}
+
+/// Returns a number in [0, 1) of a place on a grid.
+fn noise(x: i64, y: i64) -> f64 {
+    let mixed =
+        (x.wrapping_mul(0x9e37_79b9) ^ y.wrapping_mul(0x85eb_ca6b)).wrapping_mul(0x27d4_eb2f_1656_67c5);
+    f64::from(((mixed ^ (mixed >> 29)) & 0xffff) as u16) / 65_536.0
+}
+
+/// Brightness of the plane: smooth noise of two sizes.
+fn texture(x: f64, y: f64) -> f64 {
+    let smooth = |x: f64, y: f64| {
+        let (i, j) = (x.floor(), y.floor());
+        let (u, v) = (x - i, y - j);
+        let at = |di: i64, dj: i64| noise(i as i64 + di, j as i64 + dj);
+        (at(0, 0) * (1.0 - u) + at(1, 0) * u) * (1.0 - v) + (at(0, 1) * (1.0 - u) + at(1, 1) * u) * v
+    };
+    0.5 * smooth(x * 6.0, y * 6.0) + 0.5 * smooth(x * 2.0 + 100.0, y * 2.0)
+}
+
+fn frame(harness: &Harness, index: usize, place: Vector3<f64>) -> Frame {
+    let camera = Camera {
+        k1: 0.02,
+        ..Camera::pinhole(160, 120, 160.0)
+    };
+    let pose = Pose::looking_at(place, Vector3::new(0.0, 0.0, 10.0), Vector3::y());
+    let image = Image::from_fn(160, 120, |column, row| {
+        let at = Vector2::new(f64::from(column) + 0.5, f64::from(row) + 0.5);
+        let point = on_plane(&camera, &pose, &at);
+        [(40.0 + 180.0 * texture(point.x, point.y)) as u8; 3]
+    });
+    Frame {
+        id: format!("{index}"),
+        file: format!("{index}.png"),
+        image: harness.put(&encode_png(&image).unwrap()),
+        mask: None,
+        camera,
+        cam_from_world: pose,
+        held_out: false,
+        error_px: None,
+    }
+}
+
+/// Returns where the ray of a pixel meets the plane.
+fn on_plane(camera: &Camera, pose: &Pose, at: &Vector2<f64>) -> Vector3<f64> {
+    let from = pose.centre();
+    let ray = pose.inverse().direction(&camera.unproject(at).unwrap());
+    from + ray * ((height(from.y) - from.z) / (ray.z - SLOPE * ray.y))
+}
+
+fn scene(harness: &Harness, places: &[[f64; 3]]) -> Scene {
+    let frames = places.iter().enumerate();
+    let points = (0..100).map(|index| {
+        let (x, y) = (f64::from(index % 10) - 4.5, f64::from(index / 10) * 0.6 - 2.7);
+        Point {
+            position: [x, y, height(y)],
+            color: None,
+            views: 3,
+        }
+    });
+    Scene {
+        frames: frames
+            .map(|(index, place)| frame(harness, index, Vector3::from(*place)))
+            .collect(),
+        points: points.collect(),
+        up: Some([0.0, -1.0, 0.0]),
+        metres_per_unit: Some(2.0),
+        ..Scene::default()
+    }
+}
+
+fn run(harness: &Harness, scene: &Scene) -> Outputs {
+    let digest = harness.put(&scene.encode().unwrap());
+    let inputs = Inputs([(SCENE.to_owned(), digest)].into());
+    let stage = MakeDepth::new(DepthParams::default()).unwrap();
+    stage.run(&harness.ctx(), &inputs).unwrap()
+}
+
+const PLACES: [[f64; 3]; 3] = [[0.0, 0.0, 0.0], [1.2, 0.1, 0.2], [0.5, 1.3, 0.0]];
+
+#[test]
+fn depths_of_a_plane_are_found_confirmed_and_as_sure_as_they_say() {
+    let harness = Harness::default();
+    let scene = scene(&harness, &PLACES);
+    let outputs = run(&harness, &scene);
+    let metrics: Metrics = outputs.read(&harness.ctx()).unwrap();
+    assert_eq!(metrics.pairs.len(), 3, "{:?}", metrics.refused);
+    assert!(
+        metrics.share > 0.85 && metrics.confirmed_share > 0.6,
+        "{metrics:?}"
+    );
+    assert!(
+        metrics.map.is_some() && metrics.points > 1000,
+        "{:?}",
+        metrics.missing
+    );
+    for (frame, photo) in scene.frames.iter().zip(&metrics.photos) {
+        let read = |folder: &str, quantity: &str| {
+            let png = harness
+                .get(&outputs[&format!("{folder}/{}.png", photo.name)])
+                .unwrap();
+            read_quantity(&png, quantity).unwrap().2
+        };
+        let (inverse, sigma) = (read("inverse-depth", "inverse-depth"), read("sigma", "sigma"));
+        let (mut errors, mut sure) = (Vec::new(), 0);
+        for (index, inverse) in inverse.iter().enumerate().filter(|(_, inverse)| **inverse > 0.0) {
+            let at = Vector2::new((index % 160) as f64 + 0.5, (index / 160) as f64 + 0.5);
+            let point = on_plane(&frame.camera, &frame.cam_from_world, &at);
+            // The unit is 2 m.
+            let truth = 0.5 / frame.cam_from_world.point(&point).z;
+            let error = (f64::from(*inverse) - truth).abs();
+            sure += usize::from(error <= 3.0 * f64::from(sigma[index]));
+            errors.push(error / truth);
+        }
+        errors.sort_by(f64::total_cmp);
+        let median = errors[errors.len() / 2];
+        assert!(median < 0.005, "{}: {median}", photo.name);
+        assert!(
+            sure as f64 > 0.97 * errors.len() as f64,
+            "{}: {sure} of {}",
+            photo.name,
+            errors.len()
+        );
+    }
+}
+
+#[test]
+fn results_are_equal_for_any_threads_and_from_kept_pairs() {
+    let on = |threads: usize, harness: &Harness| {
+        let scene = scene(harness, &PLACES);
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .unwrap();
+        pool.install(|| run(harness, &scene))
+    };
+    let (one, three) = (Harness::default(), Harness::default());
+    let first = on(1, &one);
+    assert_eq!(first, on(3, &three));
+    assert_eq!(first, on(2, &three), "from kept pairs");
+    assert!(first.contains_key(POINTS) && first.contains_key("map/height.tif"));
+}
+
+#[test]
+fn photos_of_one_place_have_no_depth_and_the_reason() {
+    let harness = Harness::default();
+    let scene = scene(&harness, &[[0.0; 3], [0.01, 0.0, 0.0]]);
+    let outputs = run(&harness, &scene);
+    let metrics: Metrics = outputs.read(&harness.ctx()).unwrap();
+    assert_eq!((metrics.share, metrics.points), (0.0, 0));
+    for photo in &metrics.photos {
+        assert!(
+            photo.reason.contains("a rotation alone shows no depth"),
+            "{}",
+            photo.reason
+        );
+    }
+    assert!(
+        metrics.missing["map/"].contains("no photo shows a surface"),
+        "{:?}",
+        metrics.missing
+    );
+}
