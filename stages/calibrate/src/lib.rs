@@ -23,6 +23,7 @@ mod scenes;
 mod sfm;
 mod stage;
 mod ties;
+mod tones;
 mod up;
 
 pub use cameras::ExportCameras;

@@ -13,6 +13,7 @@ use crate::export::{TrackPoint, Tracks, beside, write_colmap, write_ply, write_t
 use crate::mask_files::field_masks;
 use crate::orientation::Orientation;
 use crate::photos::{InputPhoto, as_png, load, reduced, size_px};
+use crate::tones::find_tones;
 use crate::{colmap, import, labels, sfm};
 
 /// Returns the camera of each photo, as a scene.
@@ -31,7 +32,7 @@ stage! {
     Set,
     Threads::All,
     about: "photos to a calibrated scene: from what they show, from labels, or from imported cameras",
-    version: 11,
+    version: 12,
     ports: [
         Port::required("input", PHOTOS),
         Port::optional("cameras", COMPANIONS),
@@ -81,12 +82,13 @@ impl Set for Calibrate {
         }
         let tracks = std::mem::take(&mut found.tracks);
         let masks = field_masks(ctx, inputs, &items, &found.placed, params)?;
-        let scene = scene(found, &items, &masks);
+        let mut scene = scene(found, &items, &masks);
         let tracks = if tracks.is_empty() {
             Tracks::without_observations(&scene.points)
         } else {
             of_frames(tracks, &scene, &items)
         };
+        scene.tones = find_tones(&scene, &tracks);
         let bytes = scene
             .encode()
             .map_err(|error| StageError::new(error.to_string()))?;
@@ -312,6 +314,7 @@ fn scene(found: Calibration, items: &[InputPhoto], masks: &BTreeMap<usize, Diges
         up: found.up.map(|found| found.direction),
         metres_per_unit: found.metres_per_unit,
         site: found.site,
+        tones: None,
         method: found.method,
     }
 }

@@ -30,6 +30,8 @@ pub struct Observation {
     pub frame: u32,
     /// Position in that frame's image, pixels.
     pub pixel: [f64; 2],
+    /// sRGB there, if the method has read it.
+    pub tone: Option<[u8; 3]>,
 }
 
 impl Tracks {
