@@ -399,6 +399,7 @@ pub(super) fn scene() -> Scene {
         up: Some([0.0, 0.0, 1.0]),
         site: None,
         metres_per_unit: Some(2.0),
+        tones: None,
         method: "import <x>".to_owned(),
     }
 }

@@ -149,6 +149,7 @@ fn scene() -> Scene {
         up: Some([0.0, 0.0, 1.0]),
         site: None,
         metres_per_unit: None,
+        tones: None,
         method: "import of transforms.json".to_owned(),
     }
 }

@@ -23,7 +23,6 @@ mod scenes;
 mod sfm;
 mod stage;
 mod ties;
-mod tones;
 mod up;
 
 pub use cameras::ExportCameras;

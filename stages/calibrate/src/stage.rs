@@ -6,6 +6,7 @@ use marf_cache::Digest;
 use marf_scene::{Frame, PosedPhoto, Scene, Unplaced, hold_out_more_places};
 use marf_schema::calibrate::{CalibrateParams, Hold, Method, Metrics, PhotoMetrics, Totals};
 use marf_schema::output::{POINTS, SCENE, SPARSE, SPARSE_IMAGES, SPARSE_POINTS, TRANSFORMS};
+use marf_sfm::tones::find_tones;
 use marf_stage::{COMPANIONS, Ctx, Document, Inputs, Outputs, PHOTOS, Port, Set, StageError, Threads, stage};
 
 use crate::calibration::{Calibration, HeldOut, PlacedPhoto};
@@ -13,7 +14,6 @@ use crate::export::{TrackPoint, Tracks, beside, write_colmap, write_ply, write_t
 use crate::mask_files::field_masks;
 use crate::orientation::Orientation;
 use crate::photos::{InputPhoto, as_png, load, reduced, size_px};
-use crate::tones::find_tones;
 use crate::{colmap, import, labels, sfm};
 
 /// Returns the camera of each photo, as a scene.
@@ -88,7 +88,8 @@ impl Set for Calibrate {
         } else {
             of_frames(tracks, &scene, &items)
         };
-        scene.tones = find_tones(&scene, &tracks);
+        let ids: Vec<&str> = scene.frames.iter().map(|frame| frame.id.as_str()).collect();
+        scene.tones = find_tones(&ids, &tracks.tones(ids.len()));
         let bytes = scene
             .encode()
             .map_err(|error| StageError::new(error.to_string()))?;

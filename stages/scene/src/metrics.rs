@@ -10,6 +10,6 @@ mod tests;
 
 pub use affine::psnr_affine;
 pub use comparable::{Hidden, MetricError};
-pub use logarithm::ln;
+pub(crate) use logarithm::ln;
 pub use psnr::{psnr, psnr_paper};
 pub use ssim::ssim;

@@ -1,7 +1,7 @@
 /// Returns the natural logarithm of a positive normal number within 2 ulp, from + - * / alone.
 ///
 /// x = m 2ᵉ with m in [√½, √2). ln m = 2 artanh(s), s = (m - 1) / (m + 1), |s| <= 0.172: the first dropped term is s²⁴ / 25 < 2e-20.
-pub fn ln(x: f64) -> f64 {
+pub(crate) fn ln(x: f64) -> f64 {
     let bits = x.to_bits();
     let mut exponent = (bits >> 52) as i64 - 1023;
     let mut mantissa = f64::from_bits((bits & 0x000f_ffff_ffff_ffff) | 0x3ff0_0000_0000_0000);

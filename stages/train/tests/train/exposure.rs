@@ -69,7 +69,12 @@ fn photos_that_differ_get_exposures_of_their_own_without_a_key() {
     assert_eq!(with["tones"], json!(UNEQUAL));
     // Half of the photos differ from the other half by more than the floor's squares do.
     let loss = |metrics: &Value| metrics["loss"].as_f64().unwrap();
-    assert!(loss(&with) < 0.7 * loss(&without), "{} {}", with["loss"], without["loss"]);
+    assert!(
+        loss(&with) < 0.7 * loss(&without),
+        "{} {}",
+        with["loss"],
+        without["loss"]
+    );
     let view = &with["views"][0];
     assert!(
         view["psnr_affine"].as_f64() > view["psnr"].as_f64(),

@@ -2,22 +2,21 @@
 //!
 //! A photo shows gain * colour + offset, channel by channel. A line through the tones that two photos give their common points has the
 //! ratio of their gains as slope. All pairs together give the gains, then the offsets, by weighted least squares. One point in eight is held
-//! back from this. Exposures are kept only if photos agree much better there with them than without.
+//! back at first. Exposures are kept only if photos agree much better there with them than without, and are then solved from all points.
 
 use std::collections::BTreeMap;
 
+use libm::{exp, log};
 use marf_numeric::{mix, upper_median};
-use marf_scene::{PhotoTone, Scene, ToneDifference, Tones, metrics::ln};
+use marf_scene::{PhotoTone, ToneDifference, Tones};
 use nalgebra::{DMatrix, DVector};
-
-use crate::export::{TrackPoint, Tracks};
 
 /// One point in this many is held back.
 const HELD_BACK: u64 = 8;
 /// Fewest points that several photos show: an eighth of them measures the differences.
 const LEAST_POINTS: usize = 64;
 /// Fewest common points of two photos from which their exposures are compared.
-const LEAST_COMMON: usize = 12;
+const LEAST_COMMON: usize = 8;
 /// Fewest points held back by which a photo counts in the differences.
 const LEAST_JUDGED: usize = 4;
 /// A photo of a point is paired with as many that follow.
@@ -35,11 +34,24 @@ const SIGMA_PER_MEDIAN: f64 = 1.4826;
 /// Least standard deviation of a tone: that of rounding to 8 bits.
 const ROUNDING: f64 = 0.29 / 255.0;
 
-/// The tone of a point in a photo: the frame's index, and sRGB with white = 1.
-#[derive(Clone, Copy)]
-struct Sight {
-    photo: usize,
-    tone: [f64; 3],
+/// The tone of a point in a photo.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PointTone {
+    /// Index of the photo.
+    pub photo: usize,
+    /// sRGB with white = 1.
+    pub tone: [f64; 3],
+}
+
+impl PointTone {
+    /// Returns the tone that a photo shows in 8 bits. `None` if it is clipped.
+    pub fn unclipped(photo: usize, rgb: [u8; 3]) -> Option<Self> {
+        let is_clipped = rgb.iter().any(|channel| !UNCLIPPED.contains(channel));
+        (!is_clipped).then(|| Self {
+            photo,
+            tone: rgb.map(|channel| f64::from(channel) / 255.0),
+        })
+    }
 }
 
 /// Gain and offset of a photo in one channel.
@@ -48,6 +60,9 @@ struct Exposure {
     log_gain: f64,
     offset: f64,
 }
+
+/// Those of the three channels.
+type Exposures = [Exposure; 3];
 
 impl Exposure {
     const NEUTRAL: Self = Self {
@@ -61,66 +76,62 @@ impl Exposure {
     }
 }
 
-/// Returns what the tracks say of the exposures of a scene's photos. `None` if photos share too few points.
-pub(crate) fn find_tones(scene: &Scene, tracks: &Tracks) -> Option<Tones> {
-    let photos = scene.frames.len();
-    let seen: Vec<Vec<Sight>> = tracks.points.iter().map(|point| sights(point, photos)).collect();
-    let shared: Vec<&[Sight]> = seen
-        .iter()
-        .map(Vec::as_slice)
-        .filter(|all| all.len() > 1)
-        .collect();
+/// Returns what the tones of points say of the exposures of photos. `None` if photos share too few points.
+///
+/// - `ids`: those of the photos, sorted.
+/// - `points`: for each point its tones in these photos.
+pub fn find_tones(ids: &[&str], points: &[Vec<PointTone>]) -> Option<Tones> {
+    let photos = ids.len();
+    let all = points.iter().map(Vec::as_slice);
+    let shared: Vec<&[PointTone]> = all.filter(|tones| tones.len() > 1).collect();
     if shared.len() < LEAST_POINTS {
         return None;
     }
-    let is_held_back = |index: usize| mix(index as u64).is_multiple_of(HELD_BACK);
-    let part = |held_back: bool| {
-        let points = shared.iter().enumerate();
-        let part = points.filter(move |(index, _)| is_held_back(*index) == held_back);
-        part.map(|(_, sights)| *sights)
+    let (judging, solving): (Vec<_>, Vec<_>) = shared
+        .iter()
+        .enumerate()
+        .partition(|(index, _)| mix(*index as u64).is_multiple_of(HELD_BACK));
+    let found = solve(&pairs(solving.iter().map(|(_, tones)| **tones)), photos);
+    let known = |tones: &[PointTone]| -> Vec<PointTone> {
+        let known = tones.iter().filter(|seen| found[seen.photo].is_some());
+        known.copied().collect()
     };
-    let pairs = pairs(part(false));
-    let exposures = [0, 1, 2].map(|channel| solve(&pairs, photos, channel));
-    let judged: Vec<&[Sight]> = part(true).collect();
+    let judging = judging.iter().map(|(_, tones)| known(tones));
+    let judging: Vec<Vec<PointTone>> = judging.filter(|tones| tones.len() > 1).collect();
     let difference = ToneDifference {
         points: shared.len() as u64,
-        spread: difference(&judged, photos, |_, _| Exposure::NEUTRAL)?,
-        noise: difference(&judged, photos, |photo, channel| exposures[channel][photo])?,
+        spread: difference(&judging, &vec![None; photos])?,
+        noise: difference(&judging, &found)?,
     };
-    let tone = |photo: usize| PhotoTone {
-        id: scene.frames[photo].id.clone(),
-        log_gain: [0, 1, 2].map(|channel| exposures[channel][photo].log_gain),
-        offset: [0, 1, 2].map(|channel| exposures[channel][photo].offset),
+    if !difference.is_real() {
+        return Some(Tones {
+            difference,
+            photos: Vec::new(),
+        });
+    }
+    let tone = |(exposure, id): (Option<Exposures>, &&str)| {
+        let exposure = exposure?;
+        Some(PhotoTone {
+            id: (*id).to_owned(),
+            log_gain: exposure.map(|channel| channel.log_gain),
+            offset: exposure.map(|channel| channel.offset),
+        })
     };
-    let needed = if difference.is_real() { photos } else { 0 };
+    let exposures = solve(&pairs(shared.into_iter()), photos).into_iter();
     Some(Tones {
         difference,
-        photos: (0..needed).map(tone).collect(),
+        photos: exposures.zip(ids).filter_map(tone).collect(),
     })
-}
-
-/// Returns the tones of a point in the photos of a scene, without those that are clipped.
-fn sights(point: &TrackPoint, photos: usize) -> Vec<Sight> {
-    let seen = point.observations.iter().filter_map(|observation| {
-        let tone = observation.tone?;
-        let is_clipped = tone.iter().any(|channel| !UNCLIPPED.contains(channel));
-        let photo = observation.frame as usize;
-        (!is_clipped && photo < photos).then(|| Sight {
-            photo,
-            tone: tone.map(|channel| f64::from(channel) / 255.0),
-        })
-    });
-    seen.collect()
 }
 
 /// Tones of common points by pairs of photos, the lower index first.
 type Pairs = BTreeMap<[usize; 2], Vec<[[f64; 3]; 2]>>;
 
-fn pairs<'a>(points: impl Iterator<Item = &'a [Sight]>) -> Pairs {
+fn pairs<'a>(points: impl Iterator<Item = &'a [PointTone]>) -> Pairs {
     let mut pairs = Pairs::new();
-    for sights in points {
-        for (index, a) in sights.iter().enumerate() {
-            for b in sights[index + 1..].iter().take(PARTNERS) {
+    for tones in points {
+        for (index, a) in tones.iter().enumerate() {
+            for b in tones[index + 1..].iter().take(PARTNERS) {
                 let (low, high) = if a.photo < b.photo { (a, b) } else { (b, a) };
                 if low.photo != high.photo {
                     let common = pairs.entry([low.photo, high.photo]).or_default();
@@ -132,8 +143,17 @@ fn pairs<'a>(points: impl Iterator<Item = &'a [Sight]>) -> Pairs {
     pairs
 }
 
-/// Returns the exposures of all photos in a channel. Those that share too few points are neutral.
-fn solve(pairs: &Pairs, photos: usize, channel: usize) -> Vec<Exposure> {
+/// Returns the exposures of all photos. `None` for those that share too few points with others.
+fn solve(pairs: &Pairs, photos: usize) -> Vec<Option<Exposures>> {
+    let channels = [0, 1, 2].map(|channel| solve_channel(pairs, photos, channel));
+    let exposure = |photo: usize| {
+        let [red, green, blue] = channels.each_ref().map(|channel| channel[photo]);
+        Some([red?, green?, blue?])
+    };
+    (0..photos).map(exposure).collect()
+}
+
+fn solve_channel(pairs: &Pairs, photos: usize, channel: usize) -> Vec<Option<Exposure>> {
     let lines = pairs.iter().filter_map(|(pair, common)| {
         let tones: Vec<[f64; 2]> = common.iter().map(|both| both.map(|tone| tone[channel])).collect();
         Some((*pair, line(&tones)?))
@@ -141,7 +161,7 @@ fn solve(pairs: &Pairs, photos: usize, channel: usize) -> Vec<Exposure> {
     let lines: Vec<([usize; 2], Line)> = lines.collect();
     let differences = lines.iter().map(|(pair, line)| Difference {
         pair: *pair,
-        value: ln(line.slope),
+        value: log(line.slope),
         weight: line.weight,
     });
     let log_gains = least_squares(differences.collect(), photos);
@@ -156,12 +176,14 @@ fn solve(pairs: &Pairs, photos: usize, channel: usize) -> Vec<Exposure> {
         }
     });
     let shifts = least_squares(differences.collect(), photos);
-    let all = log_gains.into_iter().zip(gains).zip(shifts);
-    all.map(|((log_gain, gain), shift)| Exposure {
-        log_gain,
-        offset: gain * shift,
-    })
-    .collect()
+    let is_known = |photo: usize| lines.iter().any(|(pair, _)| pair.contains(&photo));
+    let exposure = |photo: usize| Exposure {
+        log_gain: log_gains[photo],
+        offset: gains[photo] * shifts[photo],
+    };
+    (0..photos)
+        .map(|photo| is_known(photo).then(|| exposure(photo)))
+        .collect()
 }
 
 /// A line through the tones that two photos give their common points.
@@ -274,23 +296,20 @@ fn weighted_least_squares(differences: &[Difference], before: Vec<f64>) -> Vec<f
 
 /// Returns how far photos differ in the colours of points, as a share of the mean colour: the root of the mean square over photos of each
 /// photo's typical difference from the other photos of a point. `None` if no two photos can be judged.
-fn difference(
-    points: &[&[Sight]],
-    photos: usize,
-    exposure: impl Fn(usize, usize) -> Exposure,
-) -> Option<f64> {
-    let mut squares: Vec<Vec<f64>> = vec![Vec::new(); photos];
+fn difference(points: &[Vec<PointTone>], exposures: &[Option<Exposures>]) -> Option<f64> {
+    let mut squares: Vec<Vec<f64>> = vec![Vec::new(); exposures.len()];
     let (mut sum, mut count) = (0.0, 0.0);
-    for sights in points {
-        let color = |sight: &Sight| {
-            [0, 1, 2].map(|channel| exposure(sight.photo, channel).color(sight.tone[channel]))
+    for tones in points {
+        let color = |seen: &PointTone| {
+            let exposure = exposures[seen.photo].unwrap_or([Exposure::NEUTRAL; 3]);
+            [0, 1, 2].map(|channel| exposure[channel].color(seen.tone[channel]))
         };
-        let colors: Vec<[f64; 3]> = sights.iter().map(color).collect();
+        let colors: Vec<[f64; 3]> = tones.iter().map(color).collect();
         let total = [0, 1, 2].map(|channel| colors.iter().map(|color| color[channel]).sum::<f64>());
         let others = (colors.len() - 1) as f64;
-        for (sight, color) in sights.iter().zip(&colors) {
+        for (seen, color) in tones.iter().zip(&colors) {
             let apart = |channel: usize| color[channel] - (total[channel] - color[channel]) / others;
-            squares[sight.photo].push([0, 1, 2].map(|channel| apart(channel).powi(2)).iter().sum());
+            squares[seen.photo].push([0, 1, 2].map(|channel| apart(channel).powi(2)).iter().sum());
         }
         sum += total.iter().sum::<f64>();
         count += 3.0 * colors.len() as f64;
@@ -301,16 +320,6 @@ fn difference(
     let typical: Vec<f64> = judged.filter_map(upper_median).collect();
     let mean_square = typical.iter().sum::<f64>() / (3.0 * typical.len() as f64);
     (typical.len() > 1).then(|| mean_square.sqrt() / (sum / count))
-}
-
-/// Returns e^x within 1e-13 for |x| < 10, from + - * / alone: (e^(x / 64))^64.
-fn exp(x: f64) -> f64 {
-    let part = x / 64.0;
-    let mut power = (1..=12).rev().fold(1.0, |sum, k| 1.0 + part / f64::from(k) * sum);
-    for _ in 0..6 {
-        power *= power;
-    }
-    power
 }
 
 #[cfg(test)]
