@@ -313,6 +313,7 @@ fn field_nodes(store: &mut Store) -> Vec<RunNode> {
 fn train(store: &mut Store, scene: Digest) -> RunNode {
     let metrics = training(Scores {
         psnr: 24.567,
+        psnr_affine: Some(26.5),
         psnr_paper: Some(23.0),
         ssim: Some(0.81),
         views: vec![PhotoScores {
@@ -320,6 +321,7 @@ fn train(store: &mut Store, scene: Digest) -> RunNode {
             file: HOSTILE.to_owned(),
             name: "v1".to_owned(),
             psnr: 24.0,
+            psnr_affine: Some(26.5),
             psnr_paper: None,
             ssim: Some(0.8),
             nearest: Some(Nearest {
@@ -399,6 +401,7 @@ pub(super) fn scene() -> Scene {
         up: Some([0.0, 0.0, 1.0]),
         site: None,
         metres_per_unit: Some(2.0),
+        tones: None,
         method: "import <x>".to_owned(),
     }
 }

@@ -3,6 +3,7 @@
 use super::fixture::HOSTILE;
 use super::trade;
 use marf_field::{Choice, Config, Facts, Overrides, Sizes};
+use marf_scene::ToneDifference;
 use marf_schema::scores::Scores;
 use marf_schema::{bootstrap, calibrate, train, tune};
 
@@ -82,6 +83,11 @@ pub(super) fn training(scores: Scores) -> train::Metrics {
         loss: 0.0031,
         scale: 4,
         thinned: None,
+        tones: Some(ToneDifference {
+            points: 1240,
+            spread: 0.34,
+            noise: 0.05,
+        }),
         warm_start: None,
         seed: 7,
         holdout: train::Holdout::Test,
@@ -104,7 +110,7 @@ pub(super) fn facts() -> Facts {
         Choice { value, reason }
     }
     let trial = marf_field::Trial {
-        part: "gain".to_owned(),
+        part: "width".to_owned(),
         with_db: Some(20.02),
         without_db: Some(20.0),
         parameters: Some(100),

@@ -47,12 +47,14 @@ pub(super) fn of_training(metrics: &train::Metrics) -> Vec<Figure> {
         };
         ("began from", from)
     });
+    let exposure = metrics.exposure().map(|words| ("exposure", words));
     let seen = metrics.on_training.iter();
     let seen = seen.map(|seen| ("PSNR on photos trained on", format!("{} dB", decibels(seen.psnr))));
     means(&metrics.scores)
         .into_iter()
         .chain(seen)
         .chain(target)
+        .chain(exposure)
         .chain(start)
         .chain(counts)
         .chain(some)
@@ -160,6 +162,13 @@ pub(super) fn by_distance(scores: &Scores) -> Markup {
 fn means(scores: &Scores) -> Vec<Figure> {
     let paper = "PSNR, peak of the picture";
     let mut figures = of_scores(scores.psnr, scores.psnr_paper, scores.ssim, paper);
+    let affine = scores.psnr_affine.iter();
+    figures.extend(affine.map(|psnr| {
+        (
+            "PSNR after an affine fit to each photo",
+            format!("{} dB", decibels(*psnr)),
+        )
+    }));
     if let Some(apart) = &scores.apart {
         let in_db = |value: f64| format!("{} dB", decibels(value));
         let others = apart.psnr_others.map(in_db);

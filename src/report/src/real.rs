@@ -149,6 +149,7 @@ fn scene() -> Scene {
         up: Some([0.0, 0.0, 1.0]),
         site: None,
         metres_per_unit: None,
+        tones: None,
         method: "import of transforms.json".to_owned(),
     }
 }
@@ -159,6 +160,7 @@ fn scores(index: usize, id: &str) -> PhotoScores {
         file: id.to_owned(),
         name: id.trim_end_matches(".jpg").to_owned(),
         psnr: 24.0 + index as f64 * 0.37,
+        psnr_affine: None,
         psnr_paper: Some(23.1 + index as f64 * 0.3),
         ssim: Some(0.78),
         nearest: Some(Nearest {
@@ -193,6 +195,7 @@ fn train(store: &mut Store, rows: &[Row], scene: Digest) -> RunNode {
     let views = rows.iter().take(6).enumerate();
     let metrics = training(Scores {
         psnr: 25.1,
+        psnr_affine: None,
         psnr_paper: Some(24.2),
         ssim: Some(0.78),
         apart: Some(Apart {

@@ -72,6 +72,8 @@ fn known_figures_have_their_unit() {
         "score 12.5, threshold 20, 7.5 below",
         "4 cameras, 1 held out; 1 sparse point; 1 unit is 2 m",
         "PSNR 24.00 dB",
+        "PSNR after an affine fit to each photo</dt><dd>26.50 dB",
+        "one for all photos, as `field.gain` or `fit` says: tones differ by 34.0 % between photos at 1240 matched points, 5.0 %",
         "nearest photo trained on 3 m, 90°",
         "figcaption>standard deviation<",
         "where, from above, ringed: nearest trained on",

@@ -6,6 +6,7 @@ use marf_cache::Digest;
 use marf_scene::{Frame, PosedPhoto, Scene, Unplaced, hold_out_more_places};
 use marf_schema::calibrate::{CalibrateParams, Hold, Method, Metrics, PhotoMetrics, Totals};
 use marf_schema::output::{POINTS, SCENE, SPARSE, SPARSE_IMAGES, SPARSE_POINTS, TRANSFORMS};
+use marf_sfm::tones::find_tones;
 use marf_stage::{COMPANIONS, Ctx, Document, Inputs, Outputs, PHOTOS, Port, Set, StageError, Threads, stage};
 
 use crate::calibration::{Calibration, HeldOut, PlacedPhoto};
@@ -81,12 +82,14 @@ impl Set for Calibrate {
         }
         let tracks = std::mem::take(&mut found.tracks);
         let masks = field_masks(ctx, inputs, &items, &found.placed, params)?;
-        let scene = scene(found, &items, &masks);
+        let mut scene = scene(found, &items, &masks);
         let tracks = if tracks.is_empty() {
             Tracks::without_observations(&scene.points)
         } else {
             of_frames(tracks, &scene, &items)
         };
+        let ids: Vec<&str> = scene.frames.iter().map(|frame| frame.id.as_str()).collect();
+        scene.tones = find_tones(&ids, &tracks.tones(ids.len()));
         let bytes = scene
             .encode()
             .map_err(|error| StageError::new(error.to_string()))?;
@@ -312,6 +315,7 @@ fn scene(found: Calibration, items: &[InputPhoto], masks: &BTreeMap<usize, Diges
         up: found.up.map(|found| found.direction),
         metres_per_unit: found.metres_per_unit,
         site: found.site,
+        tones: None,
         method: found.method,
     }
 }

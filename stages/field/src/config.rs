@@ -144,7 +144,8 @@ pub struct Config {
     /// Steps after which sparse points no longer pull, 1 or more. Absent: from `steps` and the number of
     /// photos, at most 1,000.
     pub depth_steps: Option<u32>,
-    /// Exposure of single photos.
+    /// Exposure of single photos. Default: `per_photo_and_offset` if photos differ in the tones of matched points by more than noise, else
+    /// `off`.
     pub gain: Gain,
     /// Colour behind the last sample. Each ray of a photo with transparency is trained over a random
     /// colour. If all photos have transparency, pictures show black there.

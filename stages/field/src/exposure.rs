@@ -1,6 +1,7 @@
 //! Exposure of single photos: a photo shows gain * colour + offset, channel by channel.
 
 use crate::Gain;
+use crate::cpu::math::exp;
 
 /// Step size of log gains and offsets, as a share of the learning rate.
 pub const RATE: f32 = 0.1;
@@ -15,6 +16,15 @@ pub const ROW: usize = 4;
 pub struct Exposure {
     /// e^(log gain).
     pub gain: [f32; 3],
+    /// Added after the gain, sRGB in [0, 1].
+    pub offset: [f32; 3],
+}
+
+/// Exposure that a photo starts with.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct StartExposure {
+    /// Natural logarithms of its gains.
+    pub log_gain: [f32; 3],
     /// Added after the gain, sRGB in [0, 1].
     pub offset: [f32; 3],
 }
@@ -76,10 +86,30 @@ pub fn centre(numbers: &mut [f32], limit: f32) {
     }
 }
 
+/// Returns exposures of the same photos by which a scene of other colours looks the same: their log gains and their offsets have a mean of 0.
+///
+/// A colour c becomes e^m c + s, with m the mean log gain and s the sum of the offsets over that of the new gains.
+pub fn centred(mut exposures: Vec<StartExposure>) -> Vec<StartExposure> {
+    let count = exposures.len() as f32;
+    for channel in 0..3 {
+        let mean = exposures.iter().map(|one| one.log_gain[channel]).sum::<f32>() / count;
+        let gains: Vec<f32> = exposures
+            .iter()
+            .map(|one| exp(one.log_gain[channel] - mean))
+            .collect();
+        let offsets: f32 = exposures.iter().map(|one| one.offset[channel]).sum();
+        let shift = offsets / gains.iter().sum::<f32>();
+        for (exposure, gain) in exposures.iter_mut().zip(gains) {
+            exposure.log_gain[channel] -= mean;
+            exposure.offset[channel] -= gain * shift;
+        }
+    }
+    exposures
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cpu::math::exp;
 
     #[test]
     fn a_comparison_sends_back_the_slopes_of_its_f64_twin() {
@@ -123,6 +153,26 @@ mod tests {
         };
         let found = exposure.compare([0.2; 3], [0.5; 3], 1.0);
         assert!(found.squares.iter().all(|square| *square < 1e-12), "{found:?}");
+    }
+
+    /// Gains of 1 and 4 become 1/2 and 2, offsets of 0 and 0.5 lose 0.2 of each gain, and c becomes 2 c + 0.2.
+    #[test]
+    fn centred_exposures_show_the_same_photos_of_other_colours() {
+        let exposure = |gain: f32, offset: f32| StartExposure {
+            log_gain: [gain.ln(); 3],
+            offset: [offset; 3],
+        };
+        let found = centred(vec![exposure(1.0, 0.0), exposure(4.0, 0.5)]);
+        for (found, expected) in found.iter().zip([exposure(0.5, -0.1), exposure(2.0, 0.1)]) {
+            let error = |a: f32, b: f32| (a - b).abs();
+            assert!(error(found.log_gain[1], expected.log_gain[1]) < 1e-6, "{found:?}");
+            assert!(error(found.offset[1], expected.offset[1]) < 1e-6, "{found:?}");
+        }
+        for (before, after) in [exposure(1.0, 0.0), exposure(4.0, 0.5)].iter().zip(&found) {
+            let shown = |one: &StartExposure, color: f32| one.log_gain[2].exp() * color + one.offset[2];
+            assert!((shown(before, 0.3) - shown(after, 0.8)).abs() < 1e-6);
+        }
+        assert_eq!(centred(vec![exposure(3.0, 0.2)]), [StartExposure::default()]);
     }
 
     #[test]

@@ -2,6 +2,7 @@ use std::sync::Arc;
 
 use crate::backend::{Backend, Session, Step};
 use crate::cpu_backend::Cpu;
+use crate::exposure::StartExposure;
 use crate::model::Model;
 use crate::surface::surface_points;
 use crate::training::Training;
@@ -66,6 +67,15 @@ impl Trainer {
         let mut training = Training::with_derived(views, points, config, seed, &field.derived())?;
         training.start_from(field)?;
         Self::from_training(training, Arc::new(Cpu::best()))
+    }
+
+    /// Gives the photos their first exposures, one for each view, where photos have gains and offsets of their own. For step 0.
+    ///
+    /// # Errors
+    /// As [`Trainer::with_backend`].
+    pub fn with_exposures(mut self, exposures: Vec<StartExposure>) -> Result<Self, FieldError> {
+        self.training.start_exposures(exposures);
+        Self::from_training(self.training, self.backend)
     }
 
     /// Returns a trainer of a training on a backend.

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use crate::exposure::ROW;
+use crate::exposure::{LIMITS, ROW, StartExposure, centre, centred};
 use crate::training::Training;
 use crate::{Field, FieldError, PhotoHistory};
 
@@ -17,6 +17,22 @@ impl Training {
                 .flat_map(|rows| &rows[view * ROW..][..ROW])
                 .copied()
                 .collect(),
+        }
+    }
+
+    /// Gives the photos their first exposures, one for each view, where photos have gains and offsets of their own.
+    pub fn start_exposures(&mut self, exposures: Vec<StartExposure>) {
+        if self.config.gain != crate::Gain::PerPhotoAndOffset {
+            return;
+        }
+        let (gains, offsets) = self.state.gains.split_at_mut(self.views.len() * ROW);
+        let rows = gains.chunks_exact_mut(ROW).zip(offsets.chunks_exact_mut(ROW));
+        for ((gain, offset), exposure) in rows.zip(centred(exposures)) {
+            gain[..3].copy_from_slice(&exposure.log_gain);
+            offset[..3].copy_from_slice(&exposure.offset);
+        }
+        for (numbers, limit) in [gains, offsets].into_iter().zip(LIMITS) {
+            centre(numbers, limit);
         }
     }
 

@@ -21,6 +21,7 @@ mod pose;
 mod reach;
 mod scene;
 mod thumbnail;
+mod tones;
 
 pub use alignment::Alignment;
 pub use cahvor::{Cahvor, CahvorError, EntrancePupil, Intrinsics, Pinhole, Ray};
@@ -35,3 +36,4 @@ pub use places::{PosedPhoto, folds, hold_out_more_places, hold_out_places, place
 pub use pose::Pose;
 pub use scene::{Frame, Point, Scene, SceneError, SiteFrame, Unplaced};
 pub use thumbnail::{encode_jpeg, shrunk, thumbnail};
+pub use tones::{PhotoTone, ToneDifference, Tones};

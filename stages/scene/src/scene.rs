@@ -3,7 +3,7 @@
 use marf_cache::Digest;
 use serde::{Deserialize, Serialize};
 
-use crate::{Camera, Pose};
+use crate::{Camera, Pose, Tones};
 
 /// A calibrated scene: the camera and the pose of each photo.
 ///
@@ -28,6 +28,9 @@ pub struct Scene {
     /// The world's frame in the site of its labels. Scenes of one site share the site's frame.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub site: Option<SiteFrame>,
+    /// What matched points say of the photos' exposures. Absent if photos share too few.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tones: Option<Tones>,
     /// Name of the method and what it did to the photos (`resampled to an ideal pinhole`).
     #[serde(default)]
     pub method: String,

@@ -21,6 +21,7 @@ pub fn train_metrics() -> train::Metrics {
         loss: 0.0031,
         scale: 1,
         thinned: None,
+        tones: None,
         warm_start: None,
         seed: 0,
         holdout: Holdout::Test,
@@ -43,12 +44,14 @@ pub fn scores() -> Scores {
         file: "0001.png".to_owned(),
         name: "0001".to_owned(),
         psnr: 20.0,
+        psnr_affine: None,
         psnr_paper: Some(19.0),
         ssim: Some(0.75),
         nearest: None,
     };
     Scores {
         psnr: photo.psnr,
+        psnr_affine: None,
         psnr_paper: photo.psnr_paper,
         ssim: photo.ssim,
         apart: None,

@@ -14,6 +14,9 @@ pub struct PhotoScores {
     pub name: String,
     /// Peak signal-to-noise ratio, peak 1, dB. At most 100, the value of equal pictures.
     pub psnr: f64,
+    /// PSNR after gain and offset of each channel were fitted to the photo, dB. Only if the photos trained on have exposures of their own.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub psnr_affine: Option<f64>,
     /// The paper's definition, peak = largest value of the photo, dB. `None` for a black photo.
     pub psnr_paper: Option<f64>,
     /// Structural similarity, at most 1. `None` for a photo smaller than its window of 11 pixels.
@@ -39,6 +42,9 @@ pub struct Apart {
 pub struct Scores {
     /// Mean of [`PhotoScores::psnr`], dB.
     pub psnr: f64,
+    /// Mean of [`PhotoScores::psnr_affine`], dB. Photos are not judged by it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub psnr_affine: Option<f64>,
     /// Mean of [`PhotoScores::psnr_paper`] over the photos that have one, dB.
     pub psnr_paper: Option<f64>,
     /// Mean of [`PhotoScores::ssim`] over the photos that have one.

@@ -2,7 +2,7 @@ use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
 use marf_cache::{Digest, digest_of};
-use marf_field::Field;
+use marf_field::{Field, Gain};
 use marf_scene::{Image, Srgb, TrainedPhotos, metrics};
 use marf_schema::{
     output::{HELDOUT, PHOTO},
@@ -197,7 +197,10 @@ impl PhotoJudge<'_> {
         let photo = &self.photos.read(named.frame)?;
         let pose = &named.frame.cam_from_world;
         let render = render_view(self.ctx, self.of, self.field, &photo.camera, pose)?.to_image();
-        let scores = compare(named, &render, photo)?;
+        let mut scores = compare(named, &render, photo)?;
+        if self.field.config().gain != Gain::Off {
+            scores.psnr_affine = metrics::psnr_affine(&render, &photo.image, &photo.hidden).ok();
+        }
         let (name, mut pictures) = (&named.name, BTreeMap::new());
         put_png(self.ctx, &mut pictures, format!("{HELDOUT}{name}.png"), &render)?;
         put_png(
@@ -251,6 +254,7 @@ fn compare(
         file: named.frame.file.clone(),
         name: named.name.clone(),
         psnr,
+        psnr_affine: None,
         // The sizes agree, or the line above had stopped. This fails only for a black or a tiny photo, or a mask with small holes.
         psnr_paper: metrics::psnr_paper(render, photo, hidden).ok(),
         ssim: metrics::ssim(render, photo, hidden).ok(),
@@ -266,6 +270,7 @@ pub(crate) fn means(views: Vec<PhotoScores>) -> Scores {
     };
     Scores {
         psnr: mean(|view| Some(view.psnr)).unwrap_or_default(),
+        psnr_affine: mean(|view| view.psnr_affine),
         psnr_paper: mean(|view| view.psnr_paper),
         ssim: mean(|view| view.ssim),
         apart: apart(&views),

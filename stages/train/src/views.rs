@@ -1,7 +1,7 @@
 //! Views that a field is trained on, and the trainer itself.
 
-use marf_field::{Config, Derived, Field, Pixels, Trainer, View};
-use marf_scene::Scene;
+use marf_field::{Config, Derived, Field, Pixels, Trainer, View, exposure::StartExposure};
+use marf_scene::{Scene, Tones};
 use marf_schema::train::TrainParams;
 use marf_stage::StageError;
 
@@ -11,6 +11,9 @@ use crate::{
     photos::{PhotoReader, ScaledPhoto},
     split::NamedFrame,
 };
+
+/// Separates the id of a photo from the number of a further copy of it.
+const COPY: char = '#';
 
 /// Returns views of training photos, each as often as `times` says.
 ///
@@ -36,7 +39,7 @@ pub(crate) fn training_views(
             id: if copy == 0 {
                 id.clone()
             } else {
-                format!("{id}#{}", copy + 1)
+                format!("{id}{COPY}{}", copy + 1)
             },
             camera,
             cam_from_world: named.frame.cam_from_world,
@@ -44,6 +47,11 @@ pub(crate) fn training_views(
         }));
     }
     Ok(views)
+}
+
+/// Returns the id of the photo of a copy.
+fn photo_of(view: &str) -> &str {
+    view.rsplit_once(COPY).map_or(view, |(id, _)| id)
 }
 
 /// What a trainer begins with.
@@ -74,6 +82,25 @@ pub(crate) fn new_trainer(
         Begin::Anew => Trainer::new(views, &points, config, seed),
         Begin::Sized(derived) => Trainer::with_derived(views, &points, config, seed, derived),
         Begin::From(field) => Trainer::from_field(views, &points, config, seed, field),
+    }?;
+    let trainer = match (&scene.tones, begin) {
+        (Some(tones), Begin::Anew | Begin::Sized(_)) if !tones.photos.is_empty() => {
+            let exposures = first_exposures(tones, &trainer.training.views);
+            trainer.with_exposures(exposures)?
+        }
+        _ => trainer,
     };
-    Ok(trainer?.with_backend(marf_field_gpu::open(&params.device)?)?)
+    Ok(trainer.with_backend(marf_field_gpu::open(&params.device)?)?)
+}
+
+/// Returns the exposures that matched points say, neutral where they say none.
+fn first_exposures(tones: &Tones, views: &[View]) -> Vec<StartExposure> {
+    let first = |view: &View| {
+        let tone = tones.photo(&view.id).or_else(|| tones.photo(photo_of(&view.id)));
+        tone.map_or_else(StartExposure::default, |tone| StartExposure {
+            log_gain: tone.log_gain.map(|number| number as f32),
+            offset: tone.offset.map(|number| number as f32),
+        })
+    };
+    views.iter().map(first).collect()
 }

@@ -1,6 +1,7 @@
 //! Sparse points with their observations.
 
 use marf_scene::{Point, Scene};
+use marf_sfm::tones::PointTone;
 use nalgebra::{Vector2, Vector3};
 
 /// Sparse points with their observations. Every number is finite.
@@ -30,6 +31,8 @@ pub struct Observation {
     pub frame: u32,
     /// Position in that frame's image, pixels.
     pub pixel: [f64; 2],
+    /// sRGB there, if the method has read it.
+    pub tone: Option<[u8; 3]>,
 }
 
 impl Tracks {
@@ -44,6 +47,18 @@ impl Tracks {
         Self {
             points: points.iter().map(point).collect(),
         }
+    }
+
+    /// Returns the tones of each point in the first `frames` frames, without those that are clipped or not known.
+    pub(crate) fn tones(&self, frames: usize) -> Vec<Vec<PointTone>> {
+        let tone = |seen: &Observation| {
+            let frame = Some(seen.frame as usize).filter(|frame| *frame < frames);
+            PointTone::unclipped(frame?, seen.tone?)
+        };
+        let points = self.points.iter();
+        points
+            .map(|point| point.observations.iter().filter_map(tone).collect())
+            .collect()
     }
 
     /// Sets the error of each point to the mean distance of its observations from its projections, pixels. 0 without observations.

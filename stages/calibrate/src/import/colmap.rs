@@ -103,6 +103,7 @@ pub fn read_tracks(
                 track.observations.push(Observation {
                     frame: *frame as u32,
                     pixel,
+                    tone: None,
                 });
             }
         }

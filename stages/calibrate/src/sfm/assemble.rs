@@ -264,18 +264,20 @@ pub(super) fn tracks(
                 Some(model.error_px(input, observation)? * scale(observation.photo))
             });
             let error_px = errors.sum::<f64>() / seen.len().max(1) as f64;
-            let observations = seen.iter().map(|observation| Observation {
-                frame: observation.photo,
-                pixel: (observation.pixel * scale(observation.photo)).into(),
-            });
             let colors = seen
                 .iter()
                 .map(|observation| features[observation.photo as usize].colors[observation.feature as usize]);
+            let colors: Vec<[u8; 3]> = colors.collect();
+            let observations = seen.iter().zip(&colors).map(|(observation, color)| Observation {
+                frame: observation.photo,
+                pixel: (observation.pixel * scale(observation.photo)).into(),
+                tone: Some(*color),
+            });
             Some(TrackPoint {
                 position: position.into(),
-                color: mean_color(colors.collect()),
                 error_px,
                 observations: observations.collect(),
+                color: mean_color(colors),
             })
         })
         .collect()

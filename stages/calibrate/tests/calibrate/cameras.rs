@@ -41,7 +41,11 @@ fn calibrated() -> (Input, Outputs) {
             .project(&at.cam_from_world.point(&POINT.into()))
             .unwrap();
         let pixel = [pixel.x + 0.5, pixel.y];
-        Observation { frame, pixel }
+        Observation {
+            frame,
+            pixel,
+            tone: None,
+        }
     };
     let point = TrackPoint {
         position: POINT,

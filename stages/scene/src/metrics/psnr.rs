@@ -52,7 +52,10 @@ fn mean_squared_error(a: &Image<Srgb>, b: &Image<Srgb>, hidden: Hidden<'_>) -> R
 }
 
 /// Returns the pixels that are not hidden, with their places.
-fn open<'a>(pixels: &'a [[u8; 3]], hidden: Hidden<'a>) -> impl Iterator<Item = (usize, &'a [u8; 3])> {
+pub(super) fn open<'a>(
+    pixels: &'a [[u8; 3]],
+    hidden: Hidden<'a>,
+) -> impl Iterator<Item = (usize, &'a [u8; 3])> {
     let is_open = |(index, _): &(usize, &[u8; 3])| !hidden.get(*index).copied().unwrap_or(false);
     pixels.iter().enumerate().filter(is_open)
 }

@@ -189,3 +189,27 @@ fn nothing_hidden_gives_the_same_bits_as_no_mask() {
     assert_eq!(psnr(&a, &b, &none), psnr(&a, &b, &[]));
     assert_eq!(ssim(&a, &b, &none), ssim(&a, &b, &[]));
 }
+
+#[test]
+fn an_affine_fit_takes_away_gain_and_offset_and_nothing_else() {
+    let render = Image::<Srgb>::from_fn(16, 16, |column, row| [column as u8 * 8, row as u8 * 8, 50]);
+    let exposed = |pixel: [u8; 3]| pixel.map(|channel| channel / 2 * 3 + 20);
+    let photo = Image::from_fn(16, 16, |column, row| exposed(render.at(column, row)));
+    assert_eq!(psnr_affine(&render, &photo, &[]).unwrap(), 100.0);
+    assert!(psnr(&render, &photo, &[]).unwrap() < 20.0);
+    // No gain and no offset turns one picture into another of as many tones at other places.
+    let turned = Image::from_fn(16, 16, |column, row| render.at(row, column));
+    let fitted = psnr_affine(&render, &turned, &[]).unwrap();
+    assert!(fitted < 25.0, "{fitted}");
+    // Hidden pixels count neither in the fit nor in the score.
+    let mut spoilt = photo.clone();
+    spoilt.pixels[5] = [255, 0, 255];
+    let hidden: Vec<bool> = (0..256).map(|index| index == 5).collect();
+    assert_eq!(psnr_affine(&render, &spoilt, &hidden).unwrap(), 100.0);
+    let black = Image::from_fn(16, 16, |_, _| [0; 3]);
+    assert_eq!(psnr_affine(&black, &black, &[]).unwrap(), 100.0);
+    assert_eq!(
+        psnr_affine(&render, &photo, &[true; 256]),
+        Err(MetricError::Hidden)
+    );
+}

@@ -1,7 +1,8 @@
 //! Metrics and setup that `train` writes in addition to the weights.
 
 use marf_cache::Digest;
-use marf_field::{Config, Derived, Facts, Schedule};
+use marf_field::{Config, Derived, Facts, Gain, Schedule};
+use marf_scene::ToneDifference;
 use marf_stage::{Document, Params};
 use serde::{Deserialize, Serialize};
 
@@ -41,6 +42,10 @@ pub struct Metrics {
     /// On some of the photos trained on. Only if those of the final metric are held out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub on_training: Option<OnTraining>,
+    /// How far photos differ in the tones of matched points, which decides whether they have exposures of their own. Absent if they share too
+    /// few points.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tones: Option<ToneDifference>,
     /// What it began from. Only with `warm_start`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub warm_start: Option<WarmStart>,
@@ -92,6 +97,24 @@ pub struct Metrics {
 }
 
 impl Metrics {
+    /// Returns in words whether photos have exposures of their own, and why.
+    #[must_use]
+    pub fn exposure(&self) -> Option<String> {
+        let tones = self.tones?;
+        let (is_on, is_needed) = (self.config.gain != Gain::Off, tones.is_real());
+        let exposures = if is_on {
+            "one for each photo"
+        } else {
+            "one for all photos"
+        };
+        let by_key = if is_on == is_needed {
+            ""
+        } else {
+            ", as `field.gain` or `fit` says"
+        };
+        Some(format!("{exposures}{by_key}: {}", tones.words()))
+    }
+
     /// Returns true if it trained on a photo that was not held out.
     pub fn has_drawn(&self, id: &str) -> bool {
         let is_it = |drawn: &Vec<String>| drawn.iter().any(|drawn| drawn == id);

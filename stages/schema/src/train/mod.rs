@@ -153,7 +153,7 @@ pub struct TrainParams {
     pub warm_start: bool,
     /// What decides how large the field is.
     pub fit: Fit,
-    /// Short trainings that choose width, exposure and sky of the field. They hold back one training photo
+    /// Short trainings that choose width and sky of the field. They hold back one training photo
     /// in eight, by place.
     pub trials: TrialsParams,
     /// Keys of the field. They override those of the input `params`.

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use marf_field::{Background, Config, Gain, Trial};
+use marf_field::{Background, Config, Trial};
 
 /// A part of the field, and the configurations with and without it.
 pub(super) struct Part {
@@ -13,21 +13,11 @@ pub(super) struct Part {
     pub without: fn(&Config) -> Config,
 }
 
+/// Exposures are not tried: matched points decide about them ([`marf_scene::ToneDifference`]).
+///
 /// Whether colours depend on the direction is not tried: a short trial rejects it even where the whole training gains by it
 /// (`benches/time.md`).
-pub(super) const PARTS: [Part; 3] = [
-    Part {
-        name: "gain",
-        keys: &["gain"],
-        with: |config| Config {
-            gain: Gain::PerPhoto,
-            ..config.clone()
-        },
-        without: |config| Config {
-            gain: Gain::Off,
-            ..config.clone()
-        },
-    },
+pub(super) const PARTS: [Part; 2] = [
     Part {
         name: "background",
         keys: &["background"],

@@ -1,7 +1,7 @@
 //! What decides a training before it begins: its own parameters, or the setup of another training.
 
 use marf_field::{
-    Config, Derived, EXPECTED_STEPS_PER_S, Facts, Field, OpenSizes, Overrides, Quality, Schedule,
+    Config, Derived, EXPECTED_STEPS_PER_S, Facts, Field, Gain, OpenSizes, Overrides, Quality, Schedule,
 };
 use marf_scene::Scene;
 use marf_schema::train::{Budget, Fit, Fold, Holdout, Memory, Setup, TrainParams, WarmStart};
@@ -61,6 +61,14 @@ impl Settings {
         }
         let schedule = scheduled(params);
         let keys = field_keys(ctx, inputs, &params.field)?;
+        let mut config = field_config(&keys, params.fit, schedule.first())?;
+        let are_unequal = scene
+            .tones
+            .as_ref()
+            .is_some_and(|tones| tones.difference.is_real());
+        if are_unequal && params.fit == Fit::Scene && !keys.0.contains_key("gain") {
+            config.gain = Gain::PerPhotoAndOffset;
+        }
         Ok(Self {
             scale: params
                 .scale
@@ -70,7 +78,7 @@ impl Settings {
             holdout: params.holdout,
             fold: params.fold,
             fit: params.fit,
-            config: field_config(&keys, params.fit, schedule.first())?,
+            config,
             keys,
             given: None,
             follows: false,

@@ -159,6 +159,7 @@ impl TrainedField {
                 Some(seen) => Some(judge.on_training(&seen)?),
                 None => None,
             },
+            tones: set.scene.tones.as_ref().map(|tones| tones.difference),
             warm_start,
             target,
             steps: length.steps,

@@ -12,11 +12,7 @@ const STEPS: u64 = 96;
 /// A training whose box is fitted to the field after 32 steps, with trials of its parts.
 fn table() -> Value {
     let mut field = small();
-    for (key, value) in [
-        ("refit_steps", json!(32)),
-        ("gain", json!("off")),
-        ("background", json!("black")),
-    ] {
+    for (key, value) in [("refit_steps", json!(32)), ("background", json!("black"))] {
         field[key] = value;
     }
     json!({"steps": STEPS, "holdout": "validation", "field": field, "trials": {"steps": 6}, "device": "cpu"})

@@ -140,9 +140,7 @@ fn training(harness: &Harness, more: Value) -> Node {
 
 /// Trials with one open part, so that trials and training take part in every piece.
 fn trials() -> Value {
-    let mut field = small();
-    field["gain"] = json!("off");
-    json!({"field": field, "trials": {"steps": 6}})
+    json!({"field": small(), "trials": {"steps": 6}})
 }
 
 #[test]

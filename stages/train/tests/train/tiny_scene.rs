@@ -123,9 +123,8 @@ fn photos_are_shrunk_before_training() {
 #[test]
 fn parts_are_tried_on_training_photos_and_the_decisions_stand_in_metrics_and_header() {
     let harness = Harness::default();
-    let mut field = small();
-    field["gain"] = json!("off");
-    // All but the width, whose keys `small` sets, and the gain.
+    let field = small();
+    // All but the width, whose keys `small` sets.
     let outputs = trained(&harness, json!({"field": field, "trials": {"steps": 12}}));
     let metrics = json(&harness, &outputs, "metrics");
     let trials = metrics["field"]["trials"].as_array().unwrap();
@@ -133,10 +132,7 @@ fn parts_are_tried_on_training_photos_and_the_decisions_stand_in_metrics_and_hea
         let trial = trials.iter().find(|trial| trial["part"] == part).unwrap();
         trial["decision"].as_str().unwrap()
     };
-    assert_eq!(
-        (told("gain"), told("width")),
-        ("not tried: `gain` says so", "not tried: `density_width` says so")
-    );
+    assert_eq!(told("width"), "not tried: `density_width` says so");
     // 9 training photos, each in a separate place. One judges.
     let decision = told("background");
     assert!(

@@ -315,15 +315,15 @@ fn parts_that_trials_decided_are_taken_over() {
     );
     assert_eq!(grown.field(&second).facts().trials, trials, "none was made again");
     let decided = grown.field(&first).config().clone();
-    let other = if decided.gain == marf_field::Gain::Off {
-        "per_photo"
+    let other = if decided.background == marf_field::Background::Direction {
+        "black"
     } else {
-        "off"
+        "direction"
     };
-    field["gain"] = json!(other);
+    field["background"] = json!(other);
     let third = grown.train(&grown.scene, tried(&field), Some(second["weights"]));
     let said = grown.metrics(&third)["warm_start"]["cold"].to_string();
-    assert!(said.contains("`field.gain` is"), "{said}");
+    assert!(said.contains("`field.background` is"), "{said}");
 }
 
 /// A photo that was trained on two runs ago and was not in the last scene is not forgotten.

@@ -64,6 +64,7 @@ fn tracks(scene: &Scene, off_px: f64) -> Tracks {
         Observation {
             frame: frame as u32,
             pixel: (pixel + Vector2::new(off_px, 0.0)).into(),
+            tone: None,
         }
     };
     let point = |index: u32| TrackPoint {
@@ -171,6 +172,7 @@ fn a_sight_of_a_frame_that_is_not_there_is_left_out() {
         Observation {
             frame: 5,
             pixel: [1.0, 2.0],
+            tone: None,
         },
     );
     let cameras = read_back(&write_colmap(&scene, &tracks));

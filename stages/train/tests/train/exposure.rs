@@ -1,0 +1,117 @@
+//! Exposures that matched points say: when photos have their own, what these start from, and how held-out photos are judged.
+
+use marf_cache::Digest;
+use marf_field::Gain;
+use marf_scene::{Image, Photo, PhotoTone, Scene, ToneDifference, Tones, encode_png};
+use marf_stage::{Outputs, harness::Harness};
+use marf_train::Train;
+use serde_json::{Value, json};
+
+use crate::common::{inputs, json, put_scene, run, scene, small, stage};
+
+/// Photos of the tiny scene.
+const PHOTOS: u32 = 12;
+
+/// Gain and offset of a photo.
+fn planted(index: usize) -> [f64; 2] {
+    [[1.0, 0.0], [0.5, 0.2], [0.8, 0.0], [0.6, 0.35]][index % 4]
+}
+
+/// The tiny scene with exposures planted in its photos, and what matched points say of them.
+fn exposed(harness: &Harness, difference: ToneDifference) -> Scene {
+    let mut scene = scene(harness, PHOTOS);
+    let mut photos = Vec::new();
+    for (index, frame) in scene.frames.iter_mut().enumerate() {
+        let [gain, offset] = planted(index);
+        let plain = Photo::decode(&harness.get(&frame.image).unwrap()).unwrap().image;
+        let shown = |channel: u8| (gain.mul_add(f64::from(channel), 255.0 * offset) + 0.5) as u8;
+        let image = Image::from_fn(plain.width, plain.height, |column, row| {
+            plain.at(column, row).map(shown)
+        });
+        frame.image = harness.put(&encode_png(&image).unwrap());
+        photos.push(PhotoTone {
+            id: frame.id.clone(),
+            log_gain: [gain.ln(); 3],
+            offset: [offset; 3],
+        });
+    }
+    if !difference.is_real() {
+        photos.clear();
+    }
+    scene.tones = Some(Tones { difference, photos });
+    scene
+}
+
+const UNEQUAL: ToneDifference = ToneDifference {
+    points: 1240,
+    spread: 0.34,
+    noise: 0.05,
+};
+
+fn trained(harness: &Harness, scene: Digest, more: &Value) -> Outputs {
+    let mut field = small();
+    let both = field.as_object_mut().unwrap();
+    both.extend(more.as_object().unwrap().clone());
+    let train: Train = stage(json!({"steps": 200, "field": field}));
+    run(&train, &harness.ctx(), &inputs(&[("scene", scene)])).unwrap()
+}
+
+#[test]
+fn photos_that_differ_get_exposures_of_their_own_without_a_key() {
+    let harness = Harness::default();
+    let scene = put_scene(&harness, &exposed(&harness, UNEQUAL));
+    let [with, without] = [json!({}), json!({"gain": "off"})].map(|keys| {
+        let outputs = trained(&harness, scene, &keys);
+        json(&harness, &outputs, "metrics")
+    });
+    assert_eq!(with["config"]["gain"], json!(Gain::PerPhotoAndOffset));
+    assert_eq!(without["config"]["gain"], json!(Gain::Off));
+    assert_eq!(with["tones"], json!(UNEQUAL));
+    // Half of the photos differ from the other half by more than the floor's squares do.
+    let loss = |metrics: &Value| metrics["loss"].as_f64().unwrap();
+    assert!(
+        loss(&with) < 0.7 * loss(&without),
+        "{} {}",
+        with["loss"],
+        without["loss"]
+    );
+    let view = &with["views"][0];
+    assert!(
+        view["psnr_affine"].as_f64() > view["psnr"].as_f64(),
+        "the exposure of a held-out photo counts in one and not in the other: {view}"
+    );
+    assert!(with["psnr_affine"].is_number() && without.get("psnr_affine").is_none());
+}
+
+/// The same weights with the key `off`, without evidence, and with evidence that photos are equal.
+#[test]
+fn photos_that_do_not_differ_are_trained_as_without_exposures() {
+    let harness = Harness::default();
+    let equal = ToneDifference {
+        spread: 0.06,
+        ..UNEQUAL
+    };
+    let silent = Scene {
+        tones: None,
+        ..exposed(&harness, equal)
+    };
+    let [equal, silent, unequal] = [exposed(&harness, equal), silent, exposed(&harness, UNEQUAL)]
+        .map(|scene| put_scene(&harness, &scene));
+    let weights = |scene: Digest, keys: Value| trained(&harness, scene, &keys)["weights"];
+    let off = weights(unequal, json!({"gain": "off"}));
+    assert_eq!(weights(equal, json!({})), off);
+    assert_eq!(weights(silent, json!({})), off);
+    assert_ne!(weights(unequal, json!({})), off);
+}
+
+/// A sample drawn with replacement gives a photo and its copies the same start, so that it trains.
+#[test]
+fn copies_of_a_photo_start_from_its_exposure() {
+    let harness = Harness::default();
+    let scene = put_scene(&harness, &exposed(&harness, UNEQUAL));
+    let train: Train = stage(json!({"steps": 200, "resample": 3, "field": small()}));
+    let outputs = run(&train, &harness.ctx(), &inputs(&[("scene", scene)])).unwrap();
+    let metrics = json(&harness, &outputs, "metrics");
+    assert_eq!(metrics["config"]["gain"], json!(Gain::PerPhotoAndOffset));
+    assert!(metrics["loss"].as_f64().unwrap() < 0.02, "{}", metrics["loss"]);
+}
