@@ -141,7 +141,8 @@ impl Model {
     /// Fixes the gauge by the first photo if the anchor was removed.
     pub(super) fn move_anchor(&mut self) {
         if self.poses[self.anchor].is_none() {
-            self.anchor = self.photos().next().unwrap_or(self.anchor);
+            let first = self.photos().next();
+            self.anchor = first.unwrap_or(self.anchor);
         }
     }
 
