@@ -229,7 +229,7 @@ fn size_and_checksum_are_compared_where_the_label_has_them() {
         let mut longer = product.pixels();
         longer.push(0);
         server.file(&product.path("IMG"), longer);
-        let found = &of(&checked(&archive), "picture").found;
+        let found = of(&checked(&archive), "picture").found.clone();
         assert!(
             found.contains("it has 641 bytes, its label says 640") && found.contains("its MD5 is"),
             "{found}"
@@ -237,7 +237,7 @@ fn size_and_checksum_are_compared_where_the_label_has_them() {
         let mut other = product.pixels();
         other[600] ^= 1;
         server.file(&product.path("IMG"), other);
-        let found = &of(&checked(&archive), "picture").found;
+        let found = of(&checked(&archive), "picture").found.clone();
         assert!(
             found.contains("its MD5 is") && !found.contains("it has"),
             "{found}"
