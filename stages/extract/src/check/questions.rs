@@ -100,11 +100,9 @@ impl<'a> Checkup<'a> {
         let (url, reading) = match self.download(urls, cap_bytes)? {
             Some(Ok(Answer::Whole { bytes, url, .. })) => (url, read(&bytes)),
             Some(Ok(Answer::Absent { .. })) if absence == Absence::Usual => return Ok(None),
-            Some(Ok(Answer::Absent { status, url })) => {
-                (url, Err(format!("the server answers status {status}")))
-            }
+            Some(Ok(Answer::Absent { status, url })) => (url, Err(answered(status))),
             // Nothing was known before, so that no server may say that it is unchanged.
-            Some(Ok(Answer::Unchanged)) => (first, Err("the server answers status 304".to_owned())),
+            Some(Ok(Answer::Unchanged)) => (first, Err(answered(304))),
             Some(Err(error)) => {
                 self.is_silent = error.retryable;
                 let state = if error.retryable {
@@ -179,4 +177,8 @@ impl<'a> Checkup<'a> {
         })?;
         Ok(got)
     }
+}
+
+fn answered(status: u16) -> String {
+    format!("the server answers status {status}")
 }

@@ -229,7 +229,7 @@ fn size_and_checksum_are_compared_where_the_label_has_them() {
         let mut longer = product.pixels();
         longer.push(0);
         server.file(&product.path("IMG"), longer);
-        let found = &of(&checked(&archive), "picture").found;
+        let found = of(&checked(&archive), "picture").found.clone();
         assert!(
             found.contains("it has 641 bytes, its label says 640") && found.contains("its MD5 is"),
             "{found}"
@@ -237,7 +237,7 @@ fn size_and_checksum_are_compared_where_the_label_has_them() {
         let mut other = product.pixels();
         other[600] ^= 1;
         server.file(&product.path("IMG"), other);
-        let found = &of(&checked(&archive), "picture").found;
+        let found = of(&checked(&archive), "picture").found.clone();
         assert!(
             found.contains("its MD5 is") && !found.contains("it has"),
             "{found}"
@@ -373,4 +373,55 @@ fn a_feed_is_checked_by_its_latest_sol_and_a_page_of_records() {
     server.feed("/rss/api/", |_, _| Some(b"<html/>".to_vec()));
     let checks = checked(&place.feed(&server, "latest"));
     assert!(differing(&checks).found.contains("no JSON"), "{checks:#?}");
+}
+
+#[test]
+fn names_that_are_not_as_expected_differ() {
+    let (server, _place, archive) = mars();
+    for collection in [BROWSE, DATA] {
+        let name = format!("{}/collection_inventory.csv", collection.trim_end_matches("/sol"));
+        server.remove(&name);
+    }
+    let checks = checked(&archive);
+    all_well(&checks);
+    let found = &of(&checks, "page of the collection").found;
+    assert!(
+        found.ends_with("it names no inventory, so that each run asks for every young sol"),
+        "{found}"
+    );
+
+    let (server, place) = (Server::start().unwrap(), Place::new());
+    server.file(
+        "/img/data/mars2020/mars2020_mastcamz_ops_raw/browse/sol/0001/a.png",
+        image_bytes(3),
+    );
+    let checks = checked(&place.archive(&server, "1"));
+    let found = &of(&checks, "page of sols").found;
+    assert!(
+        found.ends_with("none of its 1 entries is a folder like `00012`"),
+        "{found}"
+    );
+    server.folder("/img/data/msl/MSLNAV_10/");
+    let found = differing(&checked(&trees::archive(&place, &server, "1")))
+        .found
+        .clone();
+    assert!(
+        found.ends_with("none of its 1 entries is named like volume `MSLNAV_?XXX`"),
+        "{found}"
+    );
+
+    let product = bundle::Version::new(2, 1, 1);
+    bundle::release(&server, &[product], &[product]);
+    let checks = checked(&bundle::archive(&place, &server));
+    let found = &of(&checks, "inventory").found;
+    assert!(
+        found.ends_with("collection_data_inventory.csv`: 1 sols from 2 to 2"),
+        "{found}"
+    );
+
+    let mut record = feed::navcam(&server, 50, 1);
+    record["imageid"] = json!("UNK");
+    feed::play_in_its_envelope(&server, vec![record]);
+    let found = differing(&checked(&place.feed(&server, "latest"))).found.clone();
+    assert_eq!(found, "none of its 1 records has `imageid` and `sol`");
 }

@@ -213,14 +213,14 @@ fn the_latest_sol_is_the_latest_with_a_photo_of_this_camera() {
 pub(super) fn navcam(server: &Server, sol: u32, number: u32) -> Value {
     let id = format!("NLF_{sol:04}_0671{number:06}_448ECM_N0031950NCAM00500_01_295J");
     let path = format!("/mars2020-raw-images/{id}01.png");
-    server.file(&path, image_bytes((number % 200) as u8 + 1));
+    server.file(&path, image_bytes((number % 17) as u8));
     json!({
         "imageid": id, "sol": sol, "site": 3, "drive": "1950", "sample_type": "Full", "link": "UNK",
         "attitude": "(0.8,0.0,0.0,0.6)", "date_received": "2021-04-11T16:01:56Z",
         "image_files": {"small": "UNK", "full_res": server.url(&path)},
         "camera": {
             "instrument": "NAVCAM_LEFT", "filter_name": "UNK", "camera_model_type": "CAHVORE",
-            "camera_model_component_list": "(0.67,0.77,-1.96);(1,0,0);(8,20,0);(6,0,20);(1,0,0);(2e-06,0.05,-0.016);\
+            "camera_model_component_list": "(0.67,0.77,-1.96);(1,0,0);(8,200,0);(6,0,200);(1,0,0);(2e-06,0.05,-0.016);\
                                             (-0.0036,0.013,-0.024);2.0;0.0",
         },
         "extended": {"xyz": "(10.3,66.0,0.7)", "scaleFactor": "4", "dimension": "(16,12)", "mastAz": "UNK"},

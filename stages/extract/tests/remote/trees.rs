@@ -47,7 +47,7 @@ impl Edr {
 /// Big-endian samples of 12 bits behind headers.
 fn pixels(clock: u32) -> Vec<u8> {
     let mut bytes = vec![0; HEADER_RECORDS * SIDE * 2];
-    let sample = |at: u32| ((at * 97 + clock * 31) % 4_000 + 50) as u16;
+    let sample = |at: u32| ((at * 97 + clock % 1_000 * 31) % 4_000 + 50) as u16;
     bytes.extend((0..(SIDE * SIDE) as u32).flat_map(|at| sample(at).to_be_bytes()));
     bytes
 }
