@@ -376,19 +376,26 @@ mod tests {
         heights.into_iter().filter(|height| !height.is_nan()).collect()
     }
 
+    /// Checks that all 8 x 8 pixels have this height.
+    fn is_level(ground: &Ground, expected: f32) {
+        let heights = heights(ground);
+        assert_eq!(heights.len(), 64);
+        for height in heights {
+            assert!((height - expected).abs() < 1e-5, "{height}");
+        }
+    }
+
     #[test]
     fn surfaces_are_filled_between_their_points_and_photos_are_weighed() {
         let mut ground = Ground::new(&frame(), Some(0.5), 1.0).unwrap();
         ground.add(&square(2.0, 0.1), 5).unwrap();
-        assert_eq!(heights(&ground), [2.0; 64]);
+        is_level(&ground, 2.0);
         // Four times the weight: 2.0 + 0.8 x 0.1.
         ground.add(&square(2.1, 0.05), 5).unwrap();
-        for height in heights(&ground) {
-            assert!((height - 2.08).abs() < 1e-5, "{height}");
-        }
+        is_level(&ground, 2.08);
         // A roof far above hides the ground.
         ground.add(&square(5.0, 0.05), 5).unwrap();
-        assert_eq!(heights(&ground), [5.0; 64]);
+        is_level(&ground, 5.0);
     }
 
     #[test]
