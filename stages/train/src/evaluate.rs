@@ -26,7 +26,7 @@ stage! {
     Set,
     Threads::All,
     about: "compares renders of a trained field with photos",
-    version: 5,
+    version: 6,
     ports: [
         Port::required("input", WEIGHTS),
         Port::required("input", SCENE),
