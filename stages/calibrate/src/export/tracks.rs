@@ -57,7 +57,7 @@ impl Tracks {
             .points
             .iter()
             .map(|point| point.observations.iter().filter_map(tone));
-        find_tones(&ids, &tones.map(Iterator::collect).collect::<Vec<_>>())
+        find_tones(&ids, &tones.map(Iterator::collect).collect::<Vec<Vec<_>>>())
     }
 
     /// Sets the error of each point to the mean distance of its observations from its projections, pixels. 0 without observations.
