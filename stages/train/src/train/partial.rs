@@ -50,7 +50,7 @@ impl Set for Partial {
         let Training {
             mut trainer,
             curve_photos,
-        } = Training::new(ctx, train, plan, photos)?;
+        } = Training::new(train, plan, photos)?;
         let mut planner = plan.planner();
         planner.until = Some(*until);
         let mut run = run_of(plan, &curve_photos, planner);

@@ -71,7 +71,7 @@ impl TrainedField {
         let Training {
             mut trainer,
             curve_photos,
-        } = Training::new(ctx, params, plan, photos)?;
+        } = Training::new(params, plan, photos)?;
         let began = Instant::now();
         let target = params
             .target_psnr

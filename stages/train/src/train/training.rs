@@ -2,7 +2,7 @@
 
 use marf_field::Trainer;
 use marf_schema::train::TrainParams;
-use marf_stage::{Ctx, StageError};
+use marf_stage::StageError;
 
 use super::{
     plan::Plan,
@@ -26,12 +26,7 @@ impl<'a> Training<'a> {
     ///
     /// # Errors
     /// A photo that cannot be read, or the errors of a training.
-    pub fn new(
-        ctx: &Ctx<'_>,
-        params: &TrainParams,
-        plan: &Plan<'a>,
-        photos: &PhotoReader<'_>,
-    ) -> Result<Self, StageError> {
+    pub fn new(params: &TrainParams, plan: &Plan<'a>, photos: &PhotoReader<'_>) -> Result<Self, StageError> {
         let (split, times) = (&plan.photos.split, &plan.photos.times);
         let curve_photos = curve_photos(photos, &split.held_out, plan.memory.at_once)?;
         let views = training_views(photos, &split.training, times, plan.memory, params.seed)?;

@@ -29,6 +29,16 @@ pub(crate) struct TrainingTime {
     pub reserve: Option<JudgingReserve>,
 }
 
+impl TrainingTime {
+    /// Returns the time after `seconds` more.
+    pub fn after(self, seconds: f64) -> Self {
+        Self {
+            used_s: self.used_s + seconds,
+            ..self
+        }
+    }
+}
+
 /// The part of a wait that is kept for judging.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(crate) struct JudgingReserve {
