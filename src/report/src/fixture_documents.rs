@@ -109,14 +109,6 @@ pub(super) fn facts() -> Facts {
         let reason = reason.to_owned();
         Choice { value, reason }
     }
-    let trial = marf_field::Trial {
-        part: "width".to_owned(),
-        with_db: Some(20.02),
-        without_db: Some(20.0),
-        parameters: Some(100),
-        steps: 500,
-        decision: "left out: +0.02 dB".to_owned(),
-    };
     Facts {
         origin: [0.0; 3],
         half_side: 3.5,
@@ -139,7 +131,6 @@ pub(super) fn facts() -> Facts {
             depth_steps: chosen(200, "half of them"),
             table_decay: chosen(1e-6, "ten photos"),
         },
-        trials: vec![trial],
         parameters: 1_000_000,
         seen_share: 0.5,
         occupied_share: 0.1,

@@ -162,15 +162,10 @@ pub(super) fn by_distance(scores: &Scores) -> Markup {
 fn means(scores: &Scores) -> Vec<Figure> {
     let paper = "PSNR, peak of the picture";
     let mut figures = of_scores(scores.psnr, scores.psnr_paper, scores.ssim, paper);
-    let affine = scores.psnr_affine.iter();
-    figures.extend(affine.map(|psnr| {
-        (
-            "PSNR after an affine fit to each photo",
-            format!("{} dB", decibels(*psnr)),
-        )
-    }));
+    let in_db = |value: f64| format!("{} dB", decibels(value));
+    let affine = scores.psnr_affine.map(in_db);
+    figures.extend(affine.map(|psnr| ("PSNR after an affine fit to each photo", psnr)));
     if let Some(apart) = &scores.apart {
-        let in_db = |value: f64| format!("{} dB", decibels(value));
         let others = apart.psnr_others.map(in_db);
         figures.extend(others.map(|psnr| ("PSNR without extrapolation", psnr)));
         figures.push(("photos that extrapolate", number(apart.extrapolated as f64)));

@@ -1,14 +1,12 @@
-//! Numbers that decided the size of a field, each with its reason, and the parts that were tried.
+//! Numbers that decided the size of a field, each with its reason.
 
 use marf_field::Facts;
 use maud::{Markup, html};
 
-use super::format::{count, number};
-use super::json;
+use super::format::number;
 
-/// Shows one row a size, and one a part that was tried.
+/// Shows one row a size.
 pub(super) fn shown(facts: &Facts) -> Markup {
-    let parts: Vec<_> = facts.trials.iter().map(json::value).collect();
     html! {
         details {
             summary { "what decided the size of the field" }
@@ -24,10 +22,6 @@ pub(super) fn shown(facts: &Facts) -> Markup {
                     tr { th scope="row" { (name) } td.number { (number(size)) " " (unit) } td { (reason) } }
                 }
             } }
-            @if !parts.is_empty() {
-                p { (count(parts.len(), "part")) " of the field, tried with and without:" }
-                (json::table(&parts))
-            }
         }
     }
 }
@@ -88,7 +82,7 @@ mod tests {
     use crate::fixture_documents::facts;
 
     #[test]
-    fn every_size_stands_beside_its_reason_and_every_part_beside_its_decision() {
+    fn every_size_stands_beside_its_reason() {
         let facts = Facts {
             transparent_photos: 12,
             ..facts()
@@ -103,7 +97,6 @@ mod tests {
             "half of them",
             "1.00e-6",
             "ten photos",
-            "left out: +0.02 dB",
             "a random colour each",
         ] {
             assert!(shown.contains(part), "{part}: {shown}");

@@ -6,7 +6,6 @@ use marf_cache::Digest;
 use marf_scene::{Frame, PosedPhoto, Scene, Unplaced, hold_out_more_places};
 use marf_schema::calibrate::{CalibrateParams, Hold, Method, Metrics, PhotoMetrics, Totals};
 use marf_schema::output::{POINTS, SCENE, SPARSE, SPARSE_IMAGES, SPARSE_POINTS, TRANSFORMS};
-use marf_sfm::tones::find_tones;
 use marf_stage::{COMPANIONS, Ctx, Document, Inputs, Outputs, PHOTOS, Port, Set, StageError, Threads, stage};
 
 use crate::calibration::{Calibration, HeldOut, PlacedPhoto};
@@ -88,14 +87,10 @@ impl Set for Calibrate {
         } else {
             of_frames(tracks, &scene, &items)
         };
-        let ids: Vec<&str> = scene.frames.iter().map(|frame| frame.id.as_str()).collect();
-        scene.tones = find_tones(&ids, &tracks.tones(ids.len()));
-        let bytes = scene
-            .encode()
-            .map_err(|error| StageError::new(error.to_string()))?;
-        let metrics = metrics
-            .encode()
-            .map_err(|error| StageError::new(error.to_string()))?;
+        scene.tones = tracks.tones(&scene);
+        let failed = |error: &dyn std::fmt::Display| StageError::new(error.to_string());
+        let bytes = scene.encode().map_err(|error| failed(&error))?;
+        let metrics = metrics.encode().map_err(|error| failed(&error))?;
         let outputs = [
             (SCENE, bytes),
             (Metrics::OUTPUT, metrics),
@@ -275,16 +270,7 @@ fn unregistered(item: &InputPhoto) -> PhotoMetrics {
     PhotoMetrics {
         id: item.id.clone(),
         file: item.facts.file.clone(),
-        registered: false,
-        held_out: false,
-        features: None,
-        matches: None,
-        inliers: None,
-        error_px: None,
-        angle_sigma_deg: None,
-        centre_sigma: None,
-        note: None,
-        reason: String::new(),
+        ..PhotoMetrics::default()
     }
 }
 

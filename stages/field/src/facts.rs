@@ -14,24 +14,6 @@ pub struct LevelFacts {
     pub dense: bool,
 }
 
-/// A part of the field that was tried with and without, on photos kept away from the trial.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Trial {
-    /// The part, by its key.
-    pub part: String,
-    /// Mean PSNR with it, dB. `None` where it was not tried.
-    pub with_db: Option<f64>,
-    /// Mean PSNR without it, dB.
-    pub without_db: Option<f64>,
-    /// Trained numbers it adds in the trial.
-    pub parameters: Option<u64>,
-    /// Steps of either side.
-    pub steps: u64,
-    /// `kept`, `left out` or `not tried`, and why.
-    pub decision: String,
-}
-
 /// What decided the size of a field: every number with the number that decided it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -54,8 +36,6 @@ pub struct Facts {
     pub levels: Vec<LevelFacts>,
     /// What decided near, far, levels and table.
     pub sizes: Sizes,
-    /// Parts that were tried with and without. Empty where none were.
-    pub trials: Vec<Trial>,
     /// Trained numbers (tables, networks, background, gains).
     pub parameters: u64,
     /// Share of the occupancy grid that some camera sees.

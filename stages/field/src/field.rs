@@ -8,7 +8,7 @@ use marf_scene::{Camera, Pose};
 use crate::backend::{Backend, Renderer};
 use crate::cpu_backend::Cpu;
 use crate::model::Model;
-use crate::{Config, Derived, Facts, FieldError, PhotoHistory, Render, Trial};
+use crate::{Config, Derived, Facts, FieldError, PhotoHistory, Render};
 
 /// A trained field: everything needed to render.
 #[derive(Clone, Debug)]
@@ -73,13 +73,6 @@ impl Field {
         rows: Range<u32>,
     ) -> Result<Render, FieldError> {
         self.renderer.rows(&self.model, camera, cam_from_world, rows)
-    }
-
-    /// Returns the field with the trials that were made before its training.
-    #[must_use]
-    pub fn with_trials(mut self, trials: Vec<Trial>) -> Self {
-        self.model.facts.trials = trials;
-        self
     }
 
     /// Returns the numbers that decided the size of the field.

@@ -77,7 +77,7 @@ pub use cpu_backend::{Counts, Cpu, StepProfile, WatchedTraining};
 pub use derived::Derived;
 pub use device::{Device, DeviceError};
 pub use error::FieldError;
-pub use facts::{Facts, LevelFacts, Trial};
+pub use facts::{Facts, LevelFacts};
 pub use field::Field;
 pub use footprint::{decoding_bytes, judging_bytes, training_bytes};
 pub use gpu_error::GpuError;

@@ -69,11 +69,13 @@ impl Trainer {
         Self::from_training(training, Arc::new(Cpu::best()))
     }
 
-    /// Gives the photos their first exposures, one for each view, where photos have gains and offsets of their own. For step 0.
+    /// Gives the photos their first exposures, by their ids, where photos have gains and offsets of their own. For step 0.
     ///
     /// # Errors
     /// As [`Trainer::with_backend`].
-    pub fn with_exposures(mut self, exposures: Vec<StartExposure>) -> Result<Self, FieldError> {
+    pub fn with_exposures(mut self, exposure: &dyn Fn(&str) -> StartExposure) -> Result<Self, FieldError> {
+        let views = self.training.views.iter();
+        let exposures = views.map(|view| exposure(&view.id)).collect();
         self.training.start_exposures(exposures);
         Self::from_training(self.training, self.backend)
     }

@@ -211,7 +211,6 @@ impl Training {
             halvings: self.state.halvings,
             levels: levels.collect(),
             sizes: self.sizes.clone(),
-            trials: Vec::new(),
             parameters: parameters as u64,
             seen_share: self.state.occupancy.seen_share(),
             occupied_share: self.state.occupancy.bits.share(),

@@ -36,14 +36,6 @@ pub struct PhotoTone {
     pub offset: [f64; 3],
 }
 
-impl Tones {
-    /// Returns the exposure of a photo.
-    pub fn photo(&self, id: &str) -> Option<&PhotoTone> {
-        let found = self.photos.binary_search_by(|photo| photo.id.as_str().cmp(id));
-        Some(&self.photos[found.ok()?])
-    }
-}
-
 impl ToneDifference {
     /// Photos need exposures of their own if they differ by this multiple of the noise at least: exposures then explain three quarters of
     /// the variance. Where they explain 57 % of it (`fox4`: 5.5 % and 3.6 %) they cost 0.6 dB after 400 steps.

@@ -324,7 +324,7 @@ pub struct Totals {
 }
 
 /// Result of one photo.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct PhotoMetrics {
     /// Its id.
     pub id: String,

@@ -121,7 +121,6 @@ fn facts(config: &Config) -> Facts {
             depth_steps: chosen(200),
             table_decay: chosen(0.0),
         },
-        trials: Vec::new(),
         parameters: 1_000_000,
         seen_share: 0.5,
         occupied_share: 0.25,

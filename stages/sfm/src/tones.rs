@@ -44,18 +44,19 @@ pub struct PointTone {
 }
 
 impl PointTone {
-    /// Returns the tone that a photo shows in 8 bits. `None` if it is clipped.
-    pub fn unclipped(photo: usize, rgb: [u8; 3]) -> Option<Self> {
-        let is_clipped = rgb.iter().any(|channel| !UNCLIPPED.contains(channel));
-        (!is_clipped).then(|| Self {
+    /// Returns the tone that a photo of `photos` shows in 8 bits. `None` if it is clipped, or of another photo.
+    pub fn unclipped(photo: u32, photos: usize, rgb: [u8; 3]) -> Option<Self> {
+        let photo = Some(photo as usize).filter(|photo| *photo < photos)?;
+        let is_unclipped = rgb.iter().all(|channel| UNCLIPPED.contains(channel));
+        is_unclipped.then(|| Self {
             photo,
             tone: rgb.map(|channel| f64::from(channel) / 255.0),
         })
     }
 }
 
-/// Gain and offset of a photo in one channel.
-#[derive(Clone, Copy)]
+/// Gain and offset of a photo in one channel. Neutral by default.
+#[derive(Clone, Copy, Default)]
 struct Exposure {
     log_gain: f64,
     offset: f64,
@@ -63,18 +64,6 @@ struct Exposure {
 
 /// Those of the three channels.
 type Exposures = [Exposure; 3];
-
-impl Exposure {
-    const NEUTRAL: Self = Self {
-        log_gain: 0.0,
-        offset: 0.0,
-    };
-
-    /// Returns the colour that the photo shows as `tone`.
-    fn color(self, tone: f64) -> f64 {
-        (tone - self.offset) / exp(self.log_gain)
-    }
-}
 
 /// Returns what the tones of points say of the exposures of photos. `None` if photos share too few points.
 ///
@@ -92,23 +81,19 @@ pub fn find_tones(ids: &[&str], points: &[Vec<PointTone>]) -> Option<Tones> {
         .enumerate()
         .partition(|(index, _)| mix(*index as u64).is_multiple_of(HELD_BACK));
     let found = solve(&pairs(solving.iter().map(|(_, tones)| **tones)), photos);
-    let known = |tones: &[PointTone]| -> Vec<PointTone> {
-        let known = tones.iter().filter(|seen| found[seen.photo].is_some());
-        known.copied().collect()
-    };
-    let judging = judging.iter().map(|(_, tones)| known(tones));
-    let judging: Vec<Vec<PointTone>> = judging.filter(|tones| tones.len() > 1).collect();
+    let is_known = |seen: &&PointTone| found[seen.photo].is_some();
+    let judging = judging
+        .iter()
+        .map(|(_, tones)| tones.iter().filter(is_known).copied());
+    let mut judging: Vec<Vec<PointTone>> = judging.map(Iterator::collect).collect();
+    judging.retain(|tones| tones.len() > 1);
     let difference = ToneDifference {
         points: shared.len() as u64,
         spread: difference(&judging, &vec![None; photos])?,
         noise: difference(&judging, &found)?,
     };
-    if !difference.is_real() {
-        return Some(Tones {
-            difference,
-            photos: Vec::new(),
-        });
-    }
+    let is_real = difference.is_real();
+    let exposures = is_real.then(|| solve(&pairs(shared.into_iter()), photos));
     let tone = |(exposure, id): (Option<Exposures>, &&str)| {
         let exposure = exposure?;
         Some(PhotoTone {
@@ -117,11 +102,13 @@ pub fn find_tones(ids: &[&str], points: &[Vec<PointTone>]) -> Option<Tones> {
             offset: exposure.map(|channel| channel.offset),
         })
     };
-    let exposures = solve(&pairs(shared.into_iter()), photos).into_iter();
-    Some(Tones {
-        difference,
-        photos: exposures.zip(ids).filter_map(tone).collect(),
-    })
+    let photos = exposures
+        .into_iter()
+        .flatten()
+        .zip(ids)
+        .filter_map(tone)
+        .collect();
+    Some(Tones { difference, photos })
 }
 
 /// Tones of common points by pairs of photos, the lower index first.
@@ -164,7 +151,7 @@ fn solve_channel(pairs: &Pairs, photos: usize, channel: usize) -> Vec<Option<Exp
         value: log(line.slope),
         weight: line.weight,
     });
-    let log_gains = least_squares(differences.collect(), photos);
+    let log_gains = least_squares(&differences.collect::<Vec<_>>(), photos);
     let gains: Vec<f64> = log_gains.iter().map(|log_gain| exp(*log_gain)).collect();
     // The colours that two photos show as their mean tones are equal, so that m / gain - offset / gain is.
     let differences = lines.iter().map(|(pair, line)| {
@@ -175,7 +162,7 @@ fn solve_channel(pairs: &Pairs, photos: usize, channel: usize) -> Vec<Option<Exp
             weight: line.weight,
         }
     });
-    let shifts = least_squares(differences.collect(), photos);
+    let shifts = least_squares(&differences.collect::<Vec<_>>(), photos);
     let is_known = |photo: usize| lines.iter().any(|(pair, _)| pair.contains(&photo));
     let exposure = |photo: usize| Exposure {
         log_gain: log_gains[photo],
@@ -208,11 +195,7 @@ fn line(tones: &[[f64; 2]]) -> Option<Line> {
         let scale = 1.0 / (1.0 + line.slope * line.slope).sqrt();
         let residual =
             |[x, y]: &[f64; 2]| (y - line.means[1] - line.slope * (x - line.means[0])).abs() * scale;
-        let residuals: Vec<f64> = tones.iter().map(residual).collect();
-        let sigma = SIGMA_PER_MEDIAN * upper_median(residuals.iter().copied())?;
-        for (weight, residual) in weights.iter_mut().zip(&residuals) {
-            *weight = cauchy(residual / sigma.max(ROUNDING));
-        }
+        weights = trusted(tones.iter().map(residual).collect());
         found = Some(line);
     }
     found
@@ -241,10 +224,6 @@ fn weighted_line(tones: &[[f64; 2]], weights: &[f64]) -> Option<Line> {
     })
 }
 
-fn cauchy(deviations: f64) -> f64 {
-    1.0 / (1.0 + (deviations / CAUCHY).powi(2))
-}
-
 /// A value of the second photo less that of the first.
 struct Difference {
     pair: [usize; 2],
@@ -252,46 +231,41 @@ struct Difference {
     weight: f64,
 }
 
-/// Returns the values of all photos, with a mean of 0 in each connected part, by least squares, reweighted against outliers.
-fn least_squares(mut differences: Vec<Difference>, photos: usize) -> Vec<f64> {
-    let weights: Vec<f64> = differences.iter().map(|one| one.weight).collect();
-    let mut values = vec![0.0; photos];
+/// Returns the values of all photos by least squares, reweighted against outliers. A pull to 0 of a billionth of all weights
+/// gives each connected part a mean of 0.
+fn least_squares(differences: &[Difference], photos: usize) -> Vec<f64> {
+    let mut values = DVector::zeros(photos);
+    let mut trust = vec![1.0; differences.len()];
+    let pull = 1e-9 * differences.iter().map(|one| one.weight).sum::<f64>();
     for _ in 0..ROUNDS / 4 {
-        values = weighted_least_squares(&differences, values);
-        let residual = |one: &Difference| (values[one.pair[1]] - values[one.pair[0]] - one.value).abs();
-        let residuals: Vec<f64> = differences.iter().map(residual).collect();
-        let sigma = SIGMA_PER_MEDIAN * upper_median(residuals.iter().copied()).unwrap_or_default();
-        for ((one, weight), residual) in differences.iter_mut().zip(&weights).zip(&residuals) {
-            one.weight = weight * cauchy(residual / sigma.max(ROUNDING));
+        let mut normal = DMatrix::from_diagonal_element(photos, photos, pull);
+        let mut right = DVector::zeros(photos);
+        for (Difference { pair, value, weight }, trust) in differences.iter().zip(&trust) {
+            let ([low, high], weight) = (*pair, weight * trust);
+            normal[(low, low)] += weight;
+            normal[(high, high)] += weight;
+            normal[(low, high)] -= weight;
+            normal[(high, low)] -= weight;
+            right[low] -= weight * value;
+            right[high] += weight * value;
         }
+        // A sum of squares and a pull is positive definite.
+        values = normal.cholesky().map_or(values, |factors| factors.solve(&right));
+        let residual = |one: &Difference| (values[one.pair[1]] - values[one.pair[0]] - one.value).abs();
+        trust = trusted(differences.iter().map(residual).collect());
     }
-    values
+    values.iter().copied().collect()
 }
 
-/// Solves the normal equations. A pull to 0 of a billionth decides the mean, and photos without a difference. `before`: what is returned
-/// should they be singular.
-fn weighted_least_squares(differences: &[Difference], before: Vec<f64>) -> Vec<f64> {
-    let photos = before.len();
-    let mean = differences.iter().map(|one| one.weight).sum::<f64>() / differences.len().max(1) as f64;
-    let mut normal = DMatrix::from_diagonal_element(photos, photos, 1e-9 * mean.max(1.0));
-    let mut right = DVector::zeros(photos);
-    for Difference {
-        pair: [low, high],
-        value,
-        weight,
-    } in differences
-    {
-        normal[(*low, *low)] += weight;
-        normal[(*high, *high)] += weight;
-        normal[(*low, *high)] -= weight;
-        normal[(*high, *low)] -= weight;
-        right[*low] -= weight * value;
-        right[*high] += weight * value;
-    }
-    normal.cholesky().map_or(before, |solved| {
-        let solved = solved.solve(&right);
-        solved.iter().copied().collect()
-    })
+/// Returns the weights of residuals, by their median.
+fn trusted(residuals: Vec<f64>) -> Vec<f64> {
+    let sigma = SIGMA_PER_MEDIAN * upper_median(residuals.iter().copied()).unwrap_or_default();
+    let deviations = residuals
+        .into_iter()
+        .map(|residual| residual / sigma.max(ROUNDING));
+    deviations
+        .map(|deviation| 1.0 / (1.0 + (deviation / CAUCHY).powi(2)))
+        .collect()
 }
 
 /// Returns how far photos differ in the colours of points, as a share of the mean colour: the root of the mean square over photos of each
@@ -301,8 +275,8 @@ fn difference(points: &[Vec<PointTone>], exposures: &[Option<Exposures>]) -> Opt
     let (mut sum, mut count) = (0.0, 0.0);
     for tones in points {
         let color = |seen: &PointTone| {
-            let exposure = exposures[seen.photo].unwrap_or([Exposure::NEUTRAL; 3]);
-            [0, 1, 2].map(|channel| exposure[channel].color(seen.tone[channel]))
+            let exposure = exposures[seen.photo].unwrap_or_default();
+            [0, 1, 2].map(|k| (seen.tone[k] - exposure[k].offset) / exp(exposure[k].log_gain))
         };
         let colors: Vec<[f64; 3]> = tones.iter().map(color).collect();
         let total = [0, 1, 2].map(|channel| colors.iter().map(|color| color[channel]).sum::<f64>());

@@ -49,11 +49,6 @@ pub(crate) fn training_views(
     Ok(views)
 }
 
-/// Returns the id of the photo of a copy.
-fn photo_of(view: &str) -> &str {
-    view.rsplit_once(COPY).map_or(view, |(id, _)| id)
-}
-
 /// What a trainer begins with.
 #[derive(Clone, Copy)]
 pub(crate) enum Begin<'a> {
@@ -84,23 +79,23 @@ pub(crate) fn new_trainer(
         Begin::From(field) => Trainer::from_field(views, &points, config, seed, field),
     }?;
     let trainer = match (&scene.tones, begin) {
-        (Some(tones), Begin::Anew | Begin::Sized(_)) if !tones.photos.is_empty() => {
-            let exposures = first_exposures(tones, &trainer.training.views);
-            trainer.with_exposures(exposures)?
+        (Some(tones), Begin::Anew | Begin::Sized(_)) => {
+            trainer.with_exposures(&|view| first_exposure(tones, view))?
         }
         _ => trainer,
     };
     Ok(trainer.with_backend(marf_field_gpu::open(&params.device)?)?)
 }
 
-/// Returns the exposures that matched points say, neutral where they say none.
-fn first_exposures(tones: &Tones, views: &[View]) -> Vec<StartExposure> {
-    let first = |view: &View| {
-        let tone = tones.photo(&view.id).or_else(|| tones.photo(photo_of(&view.id)));
-        tone.map_or_else(StartExposure::default, |tone| StartExposure {
-            log_gain: tone.log_gain.map(|number| number as f32),
-            offset: tone.offset.map(|number| number as f32),
-        })
+/// Returns the exposure of a photo, or of a copy of it, that matched points say. Neutral where they say none.
+fn first_exposure(tones: &Tones, view: &str) -> StartExposure {
+    let is_it = |id: &str| {
+        view.strip_prefix(id)
+            .is_some_and(|copy| copy.is_empty() || copy.starts_with(COPY))
     };
-    views.iter().map(first).collect()
+    let tone = tones.photos.iter().find(|tone| is_it(&tone.id));
+    tone.map_or_else(StartExposure::default, |tone| StartExposure {
+        log_gain: tone.log_gain.map(|number| number as f32),
+        offset: tone.offset.map(|number| number as f32),
+    })
 }

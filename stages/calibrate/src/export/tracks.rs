@@ -1,7 +1,7 @@
 //! Sparse points with their observations.
 
-use marf_scene::{Point, Scene};
-use marf_sfm::tones::PointTone;
+use marf_scene::{Point, Scene, Tones};
+use marf_sfm::tones::{PointTone, find_tones};
 use nalgebra::{Vector2, Vector3};
 
 /// Sparse points with their observations. Every number is finite.
@@ -49,16 +49,15 @@ impl Tracks {
         }
     }
 
-    /// Returns the tones of each point in the first `frames` frames, without those that are clipped or not known.
-    pub(crate) fn tones(&self, frames: usize) -> Vec<Vec<PointTone>> {
-        let tone = |seen: &Observation| {
-            let frame = Some(seen.frame as usize).filter(|frame| *frame < frames);
-            PointTone::unclipped(frame?, seen.tone?)
-        };
-        let points = self.points.iter();
-        points
-            .map(|point| point.observations.iter().filter_map(tone).collect())
-            .collect()
+    /// Returns what the tones of the points say of the exposures of the scene's photos.
+    pub(crate) fn tones(&self, scene: &Scene) -> Option<Tones> {
+        let ids: Vec<&str> = scene.frames.iter().map(|frame| frame.id.as_str()).collect();
+        let tone = |seen: &Observation| PointTone::unclipped(seen.frame, ids.len(), seen.tone?);
+        let tones = self
+            .points
+            .iter()
+            .map(|point| point.observations.iter().filter_map(tone));
+        find_tones(&ids, &tones.map(Iterator::collect).collect::<Vec<Vec<_>>>())
     }
 
     /// Sets the error of each point to the mean distance of its observations from its projections, pixels. 0 without observations.

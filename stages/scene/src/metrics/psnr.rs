@@ -3,7 +3,7 @@ use super::logarithm::ln;
 use crate::{Image, Srgb};
 
 /// Smallest mean squared error that counts, with white = 1: equal images have 100 dB instead of infinity.
-const MIN_MSE: f64 = 1e-10;
+pub(super) const MIN_MSE: f64 = 1e-10;
 /// Returns the peak signal-to-noise ratio in dB, with white as the peak: 10 log₁₀(1 / MSE), over the pixels that are not hidden.
 ///
 /// MSE is the mean over pixels and channels of the squared difference of 8-bit sRGB values divided by 255. The
@@ -61,6 +61,6 @@ pub(super) fn open<'a>(
 }
 
 /// Returns a ratio of powers in decibels.
-fn decibels(ratio: f64) -> f64 {
+pub(super) fn decibels(ratio: f64) -> f64 {
     10.0 * ln(ratio) * std::f64::consts::LOG10_E
 }

@@ -195,7 +195,8 @@ fn an_affine_fit_takes_away_gain_and_offset_and_nothing_else() {
     let render = Image::<Srgb>::from_fn(16, 16, |column, row| [column as u8 * 8, row as u8 * 8, 50]);
     let exposed = |pixel: [u8; 3]| pixel.map(|channel| channel / 2 * 3 + 20);
     let photo = Image::from_fn(16, 16, |column, row| exposed(render.at(column, row)));
-    assert_eq!(psnr_affine(&render, &photo, &[]).unwrap(), 100.0);
+    let equal = psnr(&photo, &photo, &[]);
+    assert_eq!(psnr_affine(&render, &photo, &[]), equal);
     assert!(psnr(&render, &photo, &[]).unwrap() < 20.0);
     // No gain and no offset turns one picture into another of as many tones at other places.
     let turned = Image::from_fn(16, 16, |column, row| render.at(row, column));
@@ -205,9 +206,9 @@ fn an_affine_fit_takes_away_gain_and_offset_and_nothing_else() {
     let mut spoilt = photo.clone();
     spoilt.pixels[5] = [255, 0, 255];
     let hidden: Vec<bool> = (0..256).map(|index| index == 5).collect();
-    assert_eq!(psnr_affine(&render, &spoilt, &hidden).unwrap(), 100.0);
+    assert_eq!(psnr_affine(&render, &spoilt, &hidden), equal);
     let black = Image::from_fn(16, 16, |_, _| [0; 3]);
-    assert_eq!(psnr_affine(&black, &black, &[]).unwrap(), 100.0);
+    assert_eq!(psnr_affine(&black, &black, &[]), equal);
     assert_eq!(
         psnr_affine(&render, &photo, &[true; 256]),
         Err(MetricError::Hidden)

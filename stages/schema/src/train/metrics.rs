@@ -138,9 +138,6 @@ pub struct Setup {
     /// The end as planned during the training. Absent if it was planned once.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub schedule: Option<Schedule>,
-    /// Steps of each trial that decided parts of the field. 0 without trials.
-    #[serde(default)]
-    pub trial_steps: u64,
     /// Whether one training photo in eight, by place, was held back to watch a target by.
     #[serde(default)]
     pub watched: bool,
@@ -163,7 +160,7 @@ pub struct Setup {
     pub warm_start: Option<WarmStart>,
     /// What decided how large the field is.
     pub fit: Fit,
-    /// The configuration as it is used, with what trials decided.
+    /// The configuration as it is used.
     pub config: Config,
     /// Box and sizes.
     pub derived: Derived,

@@ -70,27 +70,6 @@ pub enum Fit {
     Fixed,
 }
 
-/// Short trainings that measure which parts of the field improve it.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct TrialsParams {
-    /// Steps of one trial, 0 for none. Default: none at quality `draft`, else a fifth of the training for all
-    /// trials together.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub steps: Option<u64>,
-    /// Least gain for which a part is kept, dB. Seeds differ by about a tenth.
-    pub least_gain_db: f64,
-}
-
-impl Default for TrialsParams {
-    fn default() -> Self {
-        Self {
-            steps: None,
-            least_gain_db: 0.1,
-        }
-    }
-}
-
 /// Parameters of `train`.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
@@ -100,8 +79,8 @@ pub struct TrainParams {
     /// Optimiser steps, instead of those of `quality`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub steps: Option<u64>,
-    /// Time to train for (`60s`, `5m`), instead of `steps`: trials and optimiser steps, not decoding or
-    /// judging. The end is planned again as time passes, and the metrics hold the schedule that was run.
+    /// Time to train for (`60s`, `5m`), instead of `steps`: optimiser steps, not decoding or judging. The end is
+    /// planned again as time passes, and the metrics hold the schedule that was run.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub budget: Option<Budget>,
     /// Time of the whole wait (`5m`), instead of `steps`: from the start of the run to the end of this
@@ -153,9 +132,6 @@ pub struct TrainParams {
     pub warm_start: bool,
     /// What decides how large the field is.
     pub fit: Fit,
-    /// Short trainings that choose width and sky of the field. They hold back one training photo
-    /// in eight, by place.
-    pub trials: TrialsParams,
     /// Keys of the field. They override those of the input `params`.
     pub field: Overrides,
     /// Device that trains and renders: `auto` (a GPU if there is one, never a software adapter), `cpu`,
@@ -172,7 +148,7 @@ fn is_false(flag: &bool) -> bool {
 /// A time that a training must keep to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Limit {
-    /// Trials and optimiser steps.
+    /// Optimiser steps.
     Training(Budget),
     /// All from the start of the run to the end of the training's node.
     Wait(Budget),
@@ -238,10 +214,6 @@ impl TrainParams {
             scale: Some(setup.scale),
             judged_photos: self.judged_photos.or(judged_photos),
             judged_scale: self.judged_scale.or(metrics.judged_scale),
-            trials: TrialsParams {
-                steps: Some(setup.trial_steps),
-                ..self.trials.clone()
-            },
             ..self.clone()
         })
     }
@@ -270,10 +242,6 @@ impl TrainParams {
         self.fold.map_or(Ok(()), |fold| fold.check())?;
         check_scale(self.scale)?;
         self.check_judged()?;
-        if !(0.0..=100.0).contains(&self.trials.least_gain_db) {
-            let message = format!("{} dB is not from 0 to 100", self.trials.least_gain_db);
-            return Err(ParamError::new("trials.least_gain_db", message));
-        }
         check_field(&self.fit.config(), &self.field)
     }
 }

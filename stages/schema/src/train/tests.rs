@@ -44,7 +44,6 @@ fn what_cannot_be_trained_is_refused_by_its_key() {
             json!({"fold": {"index": 0, "count": 2, "share": 1.5}}),
             "fold.share",
         ),
-        (json!({"trials": {"least_gain_db": -1.0}}), "trials.least_gain_db"),
         (json!({"field": {"levls": 3}}), "field.levls"),
         (json!({"field": {"log2_table": 99}}), "field.log2_table"),
     ] {
@@ -60,12 +59,11 @@ fn what_cannot_be_trained_is_refused_by_its_key() {
 }
 
 #[test]
-fn a_training_with_a_budget_is_repeated_by_its_schedule_and_its_trials() {
+fn a_training_with_a_budget_is_repeated_by_its_schedule() {
     let schedule: Schedule = serde_json::from_value(json!([[0, 900], [30, 700]])).unwrap();
     let setup = Setup {
         steps: 700,
         schedule: Some(schedule.clone()),
-        trial_steps: 40,
         watched: false,
         scale: 1,
         kept_every: 1,
@@ -86,7 +84,7 @@ fn a_training_with_a_budget_is_repeated_by_its_schedule_and_its_trials() {
     };
     let budgeted = params(json!({"budget": "9s", "quality": "standard", "seed": 5, "target_psnr": 20}));
     let expected = json!({
-        "schedule": [[0, 900], [30, 700]], "trials": {"steps": 40}, "quality": "standard", "seed": 5, "target_psnr": 20,
+        "schedule": [[0, 900], [30, 700]], "quality": "standard", "seed": 5, "target_psnr": 20,
         "scale": 1
     });
     let metrics = crate::example::train_metrics();

@@ -4,7 +4,7 @@ use marf_cache::Digest;
 use marf_schema::changes::ChangesParams;
 use marf_schema::output::{SCENE, WEIGHTS};
 use marf_schema::surface::{SurfaceParams, SurfaceReport};
-use marf_schema::train::{Setup, TrainParams, TrialsParams};
+use marf_schema::train::{Setup, TrainParams};
 use marf_stage::{Ctx, Document, Inputs, NodeSpec, Outputs, StageError};
 
 use super::outputs::{digest, document};
@@ -166,11 +166,6 @@ pub(super) fn training(params: &ChangesParams, index: u32) -> TrainParams {
         steps: params.steps,
         scale: params.scale,
         seed: params.seed.wrapping_add(u64::from(index)),
-        // Parts that one time tries and keeps would be a difference of their own.
-        trials: TrialsParams {
-            steps: Some(0),
-            ..TrialsParams::default()
-        },
         device: params.device.clone(),
         ..TrainParams::default()
     }

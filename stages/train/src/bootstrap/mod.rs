@@ -24,7 +24,7 @@ use marf_cache::Digest;
 use marf_schema::{
     bootstrap::{BootstrapParams, MemberFields, Members, Metrics, Mode},
     output::{MAPS, SCENE, WEIGHTS},
-    train::{Setup, TrainParams, TrialsParams},
+    train::{Setup, TrainParams},
     tune::BestParams,
 };
 use marf_stage::{
@@ -109,11 +109,6 @@ fn member(params: &BootstrapParams, index: u32) -> TrainParams {
         seed,
         scale: params.scale,
         resample: (params.mode == Mode::Photos).then_some(seed),
-        // Members differ by their seed or photos alone, so no member tries parts.
-        trials: TrialsParams {
-            steps: Some(0),
-            ..TrialsParams::default()
-        },
         field: params.field.clone(),
         device: params.device.clone(),
         ..TrainParams::default()
@@ -168,8 +163,6 @@ mod tests {
                     "device": "gpu"}),
             ),
         ] {
-            let mut written = written;
-            written["trials"] = json!({"steps": 0});
             let written: TrainParams = serde_json::from_value(written).unwrap();
             let node = asked(table).swap_remove(1);
             let bound: TrainParams = serde_json::from_value(node.params).unwrap();

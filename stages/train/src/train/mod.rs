@@ -2,7 +2,6 @@
 
 mod log;
 mod partial;
-mod parts;
 mod photo_set;
 mod pilot;
 mod plan;
@@ -13,7 +12,6 @@ mod start;
 mod trained_field;
 mod training;
 mod training_loop;
-mod trials;
 
 pub use partial::Partial;
 pub use stage::Train;

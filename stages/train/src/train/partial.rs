@@ -49,10 +49,9 @@ impl Set for Partial {
         let photos = &PhotoReader::new(ctx, &scene, plan.settings.scale);
         let Training {
             mut trainer,
-            trials,
             curve_photos,
-        } = Training::new(ctx, train, plan, photos)?;
-        let mut planner = plan.planner(trials.seconds);
+        } = Training::new(train, plan, photos)?;
+        let mut planner = plan.planner();
         planner.until = Some(*until);
         let mut run = run_of(plan, &curve_photos, planner);
         let log = train_to(ctx, &mut run, &mut trainer)?;

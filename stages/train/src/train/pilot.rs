@@ -11,7 +11,6 @@ use super::{
     photo_set::PhotoSet,
     plan::Plan,
     planner::{JUDGED_SHARE, JudgingCost, JudgingReserve, TrainingTime},
-    trials,
 };
 use crate::{
     TrainError, checkpoint,
@@ -77,11 +76,6 @@ pub(super) fn plan_by_time(
     ctx.progress.took("expected", expected_s);
     let note = format!("about {expected_s:.0} s, {:.0} s of them training", time.budget_s);
     ctx.progress.at(0, steps, &note);
-    let steps = if plan.settings.is_decided() {
-        steps
-    } else {
-        trials::steps_after_trials(params, steps)
-    };
     plan.settings.plan_steps(steps, batch_samples);
     plan.shrink_by(scale)?;
     plan.time = Some(time);

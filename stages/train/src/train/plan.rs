@@ -93,11 +93,11 @@ impl<'a> Plan<'a> {
         Ok(())
     }
 
-    /// Returns the planner of the training, of whose time trials have taken `trials_s` seconds.
-    pub fn planner<'r>(&self, trials_s: f64) -> Planner<'r> {
+    /// Returns the planner of the training.
+    pub fn planner<'r>(&self) -> Planner<'r> {
         let mut planner = Planner::new(self.settings.schedule.clone());
         planner.until = self.settings.until;
-        planner.time = self.time.map(|time| time.after(trials_s));
+        planner.time = self.time;
         planner
     }
 

@@ -30,20 +30,19 @@ pub(super) struct Settings {
     pub holdout: Holdout,
     pub fold: Option<Fold>,
     pub fit: Fit,
-    /// Keys of the field that are set: trials leave them as they are.
+    /// Keys of the field that are set.
     pub keys: Overrides,
-    /// The field before trials change it.
+    /// The field.
     pub config: Config,
     /// What another training decided.
     pub given: Option<GivenSizes>,
-    /// Whether the field is that of an earlier run, which trials cannot change any more.
+    /// Whether the field is that of an earlier run.
     follows: bool,
 }
 
-/// What a training takes over that it would otherwise derive or find by trials.
+/// What a training takes over that it would otherwise derive.
 pub(super) struct GivenSizes {
     kept_every: u32,
-    trial_steps: u64,
     pub derived: Derived,
 }
 
@@ -143,7 +142,6 @@ impl Settings {
             schedule,
             given: Some(GivenSizes {
                 kept_every: setup.kept_every,
-                trial_steps: setup.trial_steps,
                 derived: setup.derived,
             }),
             follows: false,
@@ -158,15 +156,10 @@ impl Settings {
     /// Returns how long the training of a field was, and by which schedule if its time has made one.
     pub fn length_of(&self, facts: &Facts, by_time: Option<&Schedule>) -> TrainingLength {
         let schedule = by_time.unwrap_or(&self.schedule);
-        let tried = facts.trials.iter().map(|trial| trial.steps).max();
         let is_plain = *schedule == Schedule::once(facts.steps);
         TrainingLength {
             steps: facts.steps,
             schedule: (!is_plain).then(|| schedule.clone()),
-            trial_steps: self
-                .given
-                .as_ref()
-                .map_or(tried.unwrap_or(0), |given| given.trial_steps),
         }
     }
 
@@ -197,7 +190,6 @@ impl Settings {
         Setup {
             steps: length.steps,
             schedule: length.schedule.clone(),
-            trial_steps: length.trial_steps,
             watched: self.watched,
             scale: self.scale,
             kept_every,
@@ -218,8 +210,6 @@ pub(super) struct TrainingLength {
     pub steps: u64,
     /// `None` if the end was planned once and not moved.
     pub schedule: Option<Schedule>,
-    /// Steps of each trial.
-    pub trial_steps: u64,
 }
 
 /// Returns the schedule that the parameters say.

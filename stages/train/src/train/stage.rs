@@ -18,7 +18,7 @@ use crate::{io::read_scene, photos::PhotoReader};
 /// With `warm_start` it starts from the field of its own last run if that fits the scene, and reports why if it does not.
 ///
 /// With `training`, the setup of another training of the scene, it repeats that training with its own seed and draw of photos. Nothing is
-/// derived from the photos drawn, and nothing is tried.
+/// derived from the photos drawn.
 #[derive(Debug)]
 pub struct Train {
     params: TrainParams,
@@ -46,7 +46,6 @@ stage! {
             "memory",
             "holdout",
             "fit",
-            "trials",
             "field",
             "warm_start",
         ]),

@@ -12,7 +12,7 @@ use marf_schema::{
 };
 use marf_stage::{Ctx, EARLIER, Inputs, StageError};
 
-use super::{parts::decided_keys, photo_set::PhotoSet, setup::Settings};
+use super::{photo_set::PhotoSet, setup::Settings};
 use crate::split::NamedFrame;
 
 /// Fewest photos of the field that must still be in the scene, to check whether its frame is the same.
@@ -152,16 +152,14 @@ fn moved(was: &Pose, is: &Pose, depth: f64) -> f64 {
     way.max((is.rotation - was.rotation).norm() / std::f64::consts::SQRT_2)
 }
 
-/// Checks that the field was trained with these settings, as far as trials have not decided them.
+/// Checks that the field was trained with these settings.
 fn check_config(field: &Field, settings: &Settings) -> Result<(), String> {
-    let tried = decided_keys(&field.facts().trials);
-    let is_free = |key: &str| key == "steps" || (tried.contains(key) && !settings.keys.0.contains_key(key));
     let [was, is] = [field.config(), &settings.config].map(table);
     let keys: BTreeSet<&String> = was.keys().chain(is.keys()).collect();
     let text = |value: Option<&serde_json::Value>| value.map_or("left out".to_owned(), ToString::to_string);
     match keys
         .into_iter()
-        .find(|key| was.get(*key) != is.get(*key) && !is_free(key))
+        .find(|key| was.get(*key) != is.get(*key) && *key != "steps")
     {
         Some(key) => Err(format!(
             "`field.{key}` is {} and was {}",

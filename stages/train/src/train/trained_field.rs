@@ -3,7 +3,7 @@
 use std::time::Instant;
 
 use marf_cache::Digest;
-use marf_field::{Config, Device, Field, Schedule, Trainer, Trial};
+use marf_field::{Config, Device, Field, Schedule, Trainer};
 use marf_schema::{
     output::{SCENE, WEIGHTS},
     train::{BEFORE_STOP, Metrics, Target, TrainParams},
@@ -32,7 +32,7 @@ struct TrainingFacts {
     config: Config,
     log: TrainingLog,
     target: Option<Target>,
-    /// Seconds of trials and steps.
+    /// Seconds of its steps.
     seconds: f64,
 }
 
@@ -69,15 +69,14 @@ impl TrainedField {
     ) -> Result<Self, StageError> {
         let Training {
             mut trainer,
-            trials,
             curve_photos,
-        } = Training::new(ctx, params, plan, photos)?;
+        } = Training::new(params, plan, photos)?;
         let began = Instant::now();
         let target = params
             .target_psnr
             .map(|psnr| PsnrTarget::new(psnr, photos, plan.memory.at_once, &plan.photos.validation));
         let measure_judging = |trainer: &mut Trainer| plan.photo_s(ctx, photos, trainer);
-        let mut planner = plan.planner(trials.seconds);
+        let mut planner = plan.planner();
         planner.target = target.transpose()?;
         planner.photo_s = Some(&measure_judging);
         let mut run = run_of(plan, &curve_photos, planner);
@@ -88,7 +87,7 @@ impl TrainedField {
             ctx.progress.took(BEFORE_STOP, before_s);
         }
         let field = trainer.field().map_err(TrainError::from)?;
-        let unclocked_s = trials.seconds + before_s + own_s;
+        let unclocked_s = before_s + own_s;
         let looks = log.planner.looks();
         let target = run.planner.target.as_ref();
         let facts = TrainingFacts {
@@ -96,12 +95,12 @@ impl TrainedField {
                 .map(|target| target.report(ctx, &looks, &field, trainer.steps()))
                 .transpose()?,
             seconds: log.planner.time.map_or(unclocked_s, |time| time.used_s),
-            config: trials.config,
+            config: plan.settings.config.clone(),
             log,
         };
         let trained = Self {
             facts,
-            field: finished(plan, field, trials.trials, &mut trainer)?,
+            field: finished(plan, field, &mut trainer)?,
         };
         let bytes = pack(&trained.facts, &trained.field.encode());
         checkpoint::save(ctx, Self::PART, &plan.identity, &bytes);
@@ -187,25 +186,15 @@ impl TrainedField {
     }
 }
 
-/// Returns a trained field with its trials, and the photos that a later training must know.
-fn finished(
-    plan: &Plan<'_>,
-    field: Field,
-    trials: Vec<Trial>,
-    trainer: &mut Trainer,
-) -> Result<Field, TrainError> {
+/// Returns a trained field with the photos that a later training must know.
+fn finished(plan: &Plan<'_>, field: Field, trainer: &mut Trainer) -> Result<Field, TrainError> {
     if plan.start.report.is_none() {
-        return Ok(field.with_trials(trials));
+        return Ok(field);
     }
     let learnt = trainer.learnt(plan.photos.scene.metres_per_unit)?;
-    let Some(earlier) = &plan.start.field else {
-        return Ok(field.with_trials(trials).with_learnt(learnt));
-    };
-    let learnt = match earlier.learnt() {
+    let before = plan.start.field.as_ref().and_then(Field::learnt);
+    Ok(field.with_learnt(match before {
         Some(before) => learnt.and(before),
         None => learnt,
-    };
-    Ok(field
-        .with_trials(earlier.facts().trials.clone())
-        .with_learnt(learnt))
+    }))
 }

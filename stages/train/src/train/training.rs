@@ -1,14 +1,13 @@
-//! A training at step 0: its trials are done, its photos are read.
+//! A training at step 0: its photos are read.
 
 use marf_field::Trainer;
 use marf_schema::train::TrainParams;
-use marf_stage::{Ctx, StageError};
+use marf_stage::StageError;
 
 use super::{
     plan::Plan,
     planner::Planner,
     training_loop::{Run, curve_photos},
-    trials::{self, TrialResults},
 };
 use crate::{
     photos::{PhotoReader, ScaledPhoto},
@@ -19,28 +18,26 @@ use crate::{
 /// A training at step 0.
 pub(super) struct Training<'a> {
     pub trainer: Trainer,
-    pub trials: TrialResults,
     pub curve_photos: Vec<(NamedFrame<'a>, ScaledPhoto)>,
 }
 
 impl<'a> Training<'a> {
-    /// Decides the parts of the field by trials, and reads the photos.
+    /// Reads the photos.
     ///
     /// # Errors
     /// A photo that cannot be read, or the errors of a training.
-    pub fn new(
-        ctx: &Ctx<'_>,
-        params: &TrainParams,
-        plan: &Plan<'a>,
-        photos: &PhotoReader<'_>,
-    ) -> Result<Self, StageError> {
-        let trials = trials::decide(ctx, params, plan)?;
+    pub fn new(params: &TrainParams, plan: &Plan<'a>, photos: &PhotoReader<'_>) -> Result<Self, StageError> {
         let (split, times) = (&plan.photos.split, &plan.photos.times);
         let curve_photos = curve_photos(photos, &split.held_out, plan.memory.at_once)?;
         let views = training_views(photos, &split.training, times, plan.memory, params.seed)?;
         Ok(Self {
-            trainer: new_trainer(views, plan.photos.scene, &trials.config, plan.begin(), params)?,
-            trials,
+            trainer: new_trainer(
+                views,
+                plan.photos.scene,
+                &plan.settings.config,
+                plan.begin(),
+                params,
+            )?,
             curve_photos,
         })
     }

@@ -31,8 +31,6 @@ pub(crate) struct Run<'a> {
     pub part: &'a str,
     /// What the checkpoint is of.
     pub identity: Digest,
-    /// Begins the notes of its progress.
-    pub note: &'a str,
     /// Photos that the curve is measured on. Without any there is no curve.
     pub curve_photos: &'a [(NamedFrame<'a>, ScaledPhoto)],
 }
@@ -45,7 +43,6 @@ impl<'a> Run<'a> {
             from: None,
             part,
             identity,
-            note: "",
             curve_photos: &[],
         }
     }
@@ -88,8 +85,7 @@ pub(crate) fn train_to(
         if reported.is_none_or(|at| at.elapsed() >= REPORT_EVERY) {
             let note = log.note(&run.planner.note(&log.planner), &step);
             let steps = trainer.steps();
-            ctx.progress
-                .at(steps, end.max(steps), &format!("{}{note}", run.note));
+            ctx.progress.at(steps, end.max(steps), &note);
             reported = Some(Instant::now());
         }
         if saved_at.elapsed() >= SAVE_EVERY {

@@ -2,7 +2,7 @@
 
 use marf_field::Overrides;
 use marf_schema::{
-    train::{Holdout, TrainParams, TrialsParams},
+    train::{Holdout, TrainParams},
     tune::TuneParams,
 };
 use marf_stage::{Inputs, NodeSpec, StageError};
@@ -24,10 +24,6 @@ pub(super) fn train_of(params: &TuneParams, seed: u64, set: &Overrides) -> Train
         seed,
         scale: params.scale,
         holdout: Holdout::Validation,
-        trials: TrialsParams {
-            steps: Some(0),
-            ..TrialsParams::default()
-        },
         field: params.field.with(set),
         device: params.device.clone(),
         ..TrainParams::default()

@@ -42,7 +42,7 @@ fn the_trainings_of_the_default_pipeline_decode_each_photo_once_a_working_size()
     let (_, trials) = expand(&ctx, &tune, &inputs);
     let clocked: Train = stage(json!({"budget": "40ms", "scale": 2, "field": small()}));
     run(&clocked, &ctx, &inputs).unwrap();
-    let train: Train = stage(json!({"steps": 2, "scale": 2, "field": small(), "trials": {"steps": 1}}));
+    let train: Train = stage(json!({"steps": 2, "scale": 2, "field": small()}));
     let trained = run(&train, &ctx, &inputs).unwrap();
     let evaluate: Evaluate = stage(json!({"views": "all"}));
     run(&evaluate, &ctx, &Inputs(trained)).unwrap();

@@ -34,8 +34,7 @@ fn delivered(points: bool) -> Delivered {
     for derived in ["levels", "log2_table", "finest_resolution"] {
         field.as_object_mut().unwrap().remove(derived);
     }
-    let table =
-        json!({"quality": "standard", "steps": 24, "scale": 2, "trials": {"steps": 8}, "field": field});
+    let table = json!({"quality": "standard", "steps": 24, "scale": 2, "field": field});
     let train: Train = stage(table);
     let outputs = run(&train, &harness.ctx(), &inputs(&[("scene", scene)])).unwrap();
     Delivered {

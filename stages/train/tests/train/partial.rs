@@ -9,13 +9,13 @@ use serde_json::{Value, json};
 /// Steps of the whole training.
 const STEPS: u64 = 96;
 
-/// A training whose box is fitted to the field after 32 steps, with trials of its parts.
+/// A training whose box is fitted to the field after 32 steps.
 fn table() -> Value {
     let mut field = small();
     for (key, value) in [("refit_steps", json!(32)), ("background", json!("black"))] {
         field[key] = value;
     }
-    json!({"steps": STEPS, "holdout": "validation", "field": field, "trials": {"steps": 6}, "device": "cpu"})
+    json!({"steps": STEPS, "holdout": "validation", "field": field, "device": "cpu"})
 }
 
 struct Tried {
@@ -79,12 +79,6 @@ fn in_pieces_it_gives_the_field_the_curve_and_the_metrics_of_one_piece() {
 #[test]
 fn a_state_of_another_training_is_refused_and_what_differs_is_named() {
     let tried = Tried::new();
-    // Trials of another training may decide otherwise, which is reported before all else.
-    let table = || {
-        let mut table = table();
-        table["trials"] = json!({"steps": 0});
-        table
-    };
     let state = Some(tried.partial(32, None, table()).unwrap()["state"]);
     let with = |key: &str, value: Value| {
         let mut table = table();

@@ -138,14 +138,9 @@ fn training(harness: &Harness, more: Value) -> Node {
     Box::new(move |ctx| run(&train, ctx, &inputs))
 }
 
-/// Trials with one open part, so that trials and training take part in every piece.
-fn trials() -> Value {
-    json!({"field": small(), "trials": {"steps": 6}})
-}
-
 #[test]
-fn a_training_with_trials_and_judging_goes_on_to_the_same_bytes_wherever_it_was_stopped() {
-    same_when_stopped(17, 40, 28, &|harness| training(harness, trials()));
+fn a_training_and_its_judging_go_on_to_the_same_bytes_wherever_it_was_stopped() {
+    same_when_stopped(17, 40, 28, &|harness| training(harness, json!({"steps": 48})));
 }
 
 #[test]
@@ -165,14 +160,14 @@ fn a_checkpoint_of_another_seed_or_of_other_steps_is_not_taken() {
 #[test]
 fn damaged_checkpoints_cost_only_time() {
     let whole = Harness::default();
-    let expected = training(&whole, trials())(&whole.ctx()).unwrap();
+    let expected = training(&whole, json!({"steps": 60}))(&whole.ctx()).unwrap();
     for checks in [25, 50, 85] {
         for damage in [0, 1, 2] {
             let harness = Harness::default();
-            let work = training(&harness, trials());
+            let work = training(&harness, json!({"steps": 60}));
             let stopped = run_for(&Counted::new(&harness), checks, &work);
             assert!(stopped.is_err(), "{checks}");
-            for part in ["training", "trained", "trial", "trials-0", "judging-0"] {
+            for part in ["training", "trained", "judging-0"] {
                 let Some(mut state) = Checkpoints::load(&harness, part) else {
                     continue;
                 };

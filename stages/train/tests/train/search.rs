@@ -57,7 +57,7 @@ fn a_default_rate_that_is_far_too_low_is_found_out() {
     );
     // The last rung went on from the states of two before it: in one piece it is the same training.
     let whole = json!({
-        "steps": 144, "holdout": "validation", "scale": 1, "trials": {"steps": 0}, "field": params, "device": "cpu",
+        "steps": 144, "holdout": "validation", "scale": 1, "field": params, "device": "cpu",
     });
     let whole = run(
         &stage::<Train>(whole),

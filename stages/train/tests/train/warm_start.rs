@@ -291,41 +291,6 @@ fn what_does_not_fit_starts_anew_and_says_why() {
     }
 }
 
-/// A part that trials decided is not a differing key, unless it is set now.
-#[test]
-fn parts_that_trials_decided_are_taken_over() {
-    let grown = Grown::new();
-    let mut field = small();
-    for tried in ["density_width", "color_width"] {
-        field.as_object_mut().unwrap().remove(tried);
-    }
-    let tried = |field: &Value| {
-        let mut table = with("field", field.clone());
-        table["trials"] = json!({"steps": 4, "least_gain_db": 0});
-        table
-    };
-    let first = grown.train(&grown.first, tried(&field), None);
-    let trials = grown.field(&first).facts().trials.clone();
-    assert!(trials.iter().any(|trial| trial.with_db.is_some()));
-    let second = grown.train(&grown.scene, tried(&field), Some(first["weights"]));
-    assert!(
-        grown.metrics(&second)["warm_start"]["from"].is_string(),
-        "{}",
-        grown.metrics(&second)["warm_start"]
-    );
-    assert_eq!(grown.field(&second).facts().trials, trials, "none was made again");
-    let decided = grown.field(&first).config().clone();
-    let other = if decided.background == marf_field::Background::Direction {
-        "black"
-    } else {
-        "direction"
-    };
-    field["background"] = json!(other);
-    let third = grown.train(&grown.scene, tried(&field), Some(second["weights"]));
-    let said = grown.metrics(&third)["warm_start"]["cold"].to_string();
-    assert!(said.contains("`field.background` is"), "{said}");
-}
-
 /// A photo that was trained on two runs ago and was not in the last scene is not forgotten.
 #[test]
 fn what_any_earlier_field_was_trained_on_is_remembered() {

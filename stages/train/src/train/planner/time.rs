@@ -29,16 +29,6 @@ pub(crate) struct TrainingTime {
     pub reserve: Option<JudgingReserve>,
 }
 
-impl TrainingTime {
-    /// Returns the time after `seconds` more.
-    pub fn after(self, seconds: f64) -> Self {
-        Self {
-            used_s: self.used_s + seconds,
-            ..self
-        }
-    }
-}
-
 /// The part of a wait that is kept for judging.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(crate) struct JudgingReserve {
@@ -94,7 +84,10 @@ impl TimePlan {
 
     /// Returns the time with the seconds used until now.
     pub fn time(&self) -> TrainingTime {
-        self.time.after(self.began.elapsed().as_secs_f64())
+        TrainingTime {
+            used_s: self.time.used_s + self.began.elapsed().as_secs_f64(),
+            ..self.time
+        }
     }
 
     /// Returns whether judging is to be measured again: it takes longer with every halving of the steps along rays.
