@@ -158,7 +158,7 @@ pub(crate) fn field_masks(
     placed: &[PlacedPhoto],
     params: &CalibrateParams,
 ) -> Result<BTreeMap<usize, Digest>, StageError> {
-    if inputs.optional(COMPANIONS).is_none() {
+    if inputs.optional(COMPANIONS).is_none() && placed.iter().all(|one| one.mask.is_none()) {
         return Ok(BTreeMap::new());
     }
     let candidates = match params.method {

@@ -1,6 +1,6 @@
 //! Mask proposals (`masks`) for parts that stand still in the pictures of a camera that moves.
 
-mod stationary;
+pub(crate) mod stationary;
 
 use std::collections::BTreeMap;
 
@@ -196,7 +196,7 @@ impl Camera {
 }
 
 /// Returns the luma of a picture (Rec. 601), 0 to 255.
-fn gray(image: &Image<Srgb>) -> Gray {
+pub(crate) fn gray(image: &Image<Srgb>) -> Gray {
     let luma = |[red, green, blue]: &[u8; 3]| {
         f64::from(u32::from(*red) * 299 + u32::from(*green) * 587 + u32::from(*blue) * 114) / 1000.0
     };

@@ -18,7 +18,7 @@ const DIFFER: f64 = 0.5;
 /// The camera has moved between two photos if at least this share of the windows with texture differs.
 const MOVED_SHARE: f64 = 0.25;
 /// Pairs in which the camera has moved, and in which a window has texture, that are needed to say something.
-pub(super) const LEAST_PAIRS: u32 = 8;
+pub(crate) const LEAST_PAIRS: u32 = 8;
 /// A window stands still if it agrees in at least this share of them. Two windows with nothing but an edge each agree by chance
 /// in every second pair.
 const STATIONARY_SHARE: f64 = 0.75;
@@ -37,7 +37,7 @@ const QUIET: f64 = 8.0;
 
 /// Gray values of a photo, 0 to 255.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Gray {
+pub(crate) struct Gray {
     pub width: usize,
     /// `[height * width]`, row-major.
     pub values: Vec<f64>,
@@ -51,7 +51,7 @@ impl Gray {
 
 /// Stationary parts of the pictures of one camera.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct StationaryParts {
+pub(crate) struct StationaryParts {
     /// Pairs that were compared.
     pub pairs: u32,
     /// ... between which the camera has moved.
@@ -66,7 +66,7 @@ impl StationaryParts {
     /// Of at most 16 photos all pairs are compared. Of more, each is paired with the next, with the one a third of the set
     /// further on and with the one halfway, so that some pairs have about the same light and others another view.
     /// O(photos · pixels) time, O(pixels) memory in addition to the photos. No photo, or photos without pixels, give nothing.
-    pub(super) fn find(photos: &[Gray], known: &[bool]) -> Self {
+    pub(crate) fn find(photos: &[Gray], known: &[bool]) -> Self {
         let (width, height) = photos
             .first()
             .map_or((0, 0), |first| (first.width, first.height()));
@@ -262,7 +262,7 @@ fn closed(is_in: &[bool], width: usize, reach: usize) -> Vec<bool> {
 }
 
 /// Returns the pixels within `reach` columns and rows of one that is in.
-pub(super) fn grown_by(is_in: &[bool], width: usize, reach: usize) -> Vec<bool> {
+pub(crate) fn grown_by(is_in: &[bool], width: usize, reach: usize) -> Vec<bool> {
     let height = is_in.len().checked_div(width).unwrap_or(0);
     let around = |at: usize, count: usize| at.saturating_sub(reach)..(at + reach + 1).min(count);
     let along: Vec<bool> = is_in

@@ -8,6 +8,7 @@ mod cameras;
 mod capture_order;
 mod compare;
 mod earlier;
+mod fixed_masks;
 mod links;
 mod overlap;
 mod pair_memos;

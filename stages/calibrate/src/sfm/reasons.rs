@@ -51,7 +51,8 @@ pub(super) enum Cause {
 
 /// Returns why a photo was not placed. `component` is the rank of each photo's connected component.
 pub(super) fn cause(reconstruction: &Reconstruction<'_>, component: &[usize], photo: usize) -> Cause {
-    if let Some(hidden) = reconstruction.hidden.iter().find(|hidden| hidden.photo == photo) {
+    let mut hidden = reconstruction.intruders.iter().flat_map(|found| &found.hidden);
+    if let Some(hidden) = hidden.find(|hidden| hidden.photo == photo) {
         return Cause::Hidden(*hidden);
     }
     let found = reconstruction.features[photo].features.keypoints.len();

@@ -1,6 +1,6 @@
 //! Everything known when the mapping is done.
 
-use marf_sfm::mapper::{HiddenPhoto, MapperInput, Model};
+use marf_sfm::mapper::{Intruders, MapperInput, Model};
 use marf_sfm::metric::RejectedLabel;
 use marf_sfm::view_graph::ComparedPair;
 
@@ -14,8 +14,8 @@ pub(super) struct Reconstruction<'a> {
     pub compared: &'a [ComparedPair],
     pub input: &'a MapperInput<'a>,
     pub models: &'a [Model],
-    /// Photos that were placed and taken out, as something hides a part of them.
-    pub hidden: &'a [HiddenPhoto],
+    /// For each model: what hides the scene in its photos.
+    pub intruders: &'a [Intruders],
     /// For each model that is in the frame of its labels: the labels that were rejected.
     pub metric: &'a [Option<Vec<RejectedLabel>>],
     /// The site of the labels, if they name one.

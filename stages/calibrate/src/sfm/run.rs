@@ -3,8 +3,8 @@
 use marf_schema::calibrate::{CalibrateParams, LensParam, PrincipalPoint};
 use marf_sfm::bundle::LensModel;
 use marf_sfm::mapper::{
-    HiddenPhoto, LensChoice, MapOptions, MapperInput, Model, PrincipalPointChoice, Tracks, extend, map,
-    remove_hidden,
+    Intruders, LensChoice, MapOptions, MapperInput, Model, PrincipalPointChoice, Tracks, extend, map,
+    remove_intruders,
 };
 use marf_sfm::metric::{LabelPose, RejectedLabel, align_to_labels};
 use marf_sfm::view_graph::{SharedCamera, refine_focal_lengths};
@@ -12,6 +12,7 @@ use marf_stage::{Ctx, Inputs, StageError};
 
 use super::capture_order::capture_order;
 use super::compare::{Comparison, choose};
+use super::fixed_masks::FixedMasks;
 use super::links::PairLinks;
 use super::photo_features::{PhotoFeatures, photo_features};
 use super::reconstruction::Reconstruction;
@@ -67,8 +68,8 @@ pub(crate) fn run(
             .collect(),
         None => map(&input).map_err(failed)?,
     };
-    let hidden = models.iter_mut().map(|model| remove_hidden(&input, model));
-    let hidden: Vec<HiddenPhoto> = hidden.collect::<Vec<_>>().concat();
+    let intruders = models.iter_mut().map(|model| remove_intruders(&input, model));
+    let intruders: Vec<Intruders> = intruders.collect();
     let metric = match &earlier {
         Some(_) => vec![None; models.len()],
         None => align_all(&input, &mut models, &label_poses(items, &features))?,
@@ -79,11 +80,19 @@ pub(crate) fn run(
         compared: &compared,
         input: &input,
         models: &models,
-        hidden: &hidden,
+        intruders: &intruders,
         metric: &metric,
         site: candidates.iter().flatten().find_map(|candidate| candidate.site),
     };
-    assemble::assemble(ctx, &reconstruction, earlier.as_ref(), params)
+    let mut calibration = assemble::assemble(ctx, &reconstruction, earlier.as_ref(), params)?;
+    let masks = FixedMasks {
+        ctx,
+        inputs,
+        reconstruction: &reconstruction,
+        candidates: &candidates,
+    };
+    masks.hide(&mut calibration)?;
+    Ok(calibration)
 }
 
 /// Aligns each model with the labels of its photos, where enough of them agree.

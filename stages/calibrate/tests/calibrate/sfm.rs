@@ -1,6 +1,7 @@
 //! Structure from motion on photos whose cameras are known: the demo's, and the rover mock-up's by COLMAP.
 
 mod errors;
+mod intruders;
 mod known;
 mod ties;
 

@@ -23,7 +23,7 @@ pub use extend::extend;
 pub(crate) use global_adjustment::{FINE, refine};
 pub use global_adjustment::{PoseUncertainty, pose_uncertainties};
 pub use input::{MapError, MapperInput};
-pub use intruders::{HiddenPhoto, remove_hidden};
+pub use intruders::{FixedPart, HiddenPhoto, Intruders, remove_intruders};
 pub use map::map;
 pub use model::Model;
 pub use options::{LensChoice, MapOptions, PrincipalPointChoice};

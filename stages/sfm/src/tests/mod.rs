@@ -7,7 +7,7 @@ use marf_scene::{Camera, Pose};
 use nalgebra::{Matrix3, Vector3};
 
 use crate::align::{PosePair, Similarity, Tolerance, align};
-use crate::mapper::{MapError, Model, map, merge_last, remove_hidden, triangulate};
+use crate::mapper::{MapError, Model, map, merge_last, remove_intruders, triangulate};
 use crate::view_graph::PosedCamera;
 use synthetic::{Errors, Synthetic, arc, camera, cloud, guessed, known};
 
@@ -250,7 +250,7 @@ fn a_photo_that_a_disc_hides_is_removed_and_no_other() {
         };
         scene.with_input(|input| {
             let mut models = map(input).unwrap();
-            let found = remove_hidden(input, &mut models[0]);
+            let found = remove_intruders(input, &mut models[0]).hidden;
             let removed: Vec<usize> = found.iter().map(|one| one.photo).collect();
             let expected: Vec<usize> = scene.hidden.iter().map(|(photo, _)| *photo).collect();
             assert_eq!(removed, expected, "{found:?}");
@@ -267,16 +267,37 @@ fn a_photo_that_a_disc_hides_is_removed_and_no_other() {
     }
 }
 
-/// The rover's own parts are in the same place of every photo. They are no reason to lose any.
+/// The rover's own parts are in the same place of every photo. They are found, and are no reason to lose any photo.
 #[test]
-fn a_disc_in_every_photo_removes_none() {
-    let mut scene = Synthetic::new(arc(10, 6.0, 1.2), ball(600));
-    scene.hidden = (0..10).map(|photo| (photo, 150.0)).collect();
-    scene.with_input(|input| {
-        let mut models = map(input).unwrap();
-        assert_eq!(remove_hidden(input, &mut models[0]), []);
-        assert_eq!(models[0].photos().count(), 10);
-    });
+fn a_disc_in_every_photo_is_a_fixed_part_and_removes_none() {
+    // Each camera looks straight ahead, a disc's half further to the right than the one before.
+    let poses: Vec<Pose> = (0..12)
+        .map(|step| {
+            let eye = Vector3::new(0.45 * (f64::from(step) - 5.5), 0.0, -6.0);
+            Pose::looking_at(eye, eye + Vector3::z(), Vector3::y())
+        })
+        .collect();
+    let points = cloud(3000, Vector3::zeros(), Vector3::new(5.0, 2.0, 0.5), 4);
+    for radius in [0.0, 130.0] {
+        let mut scene = Synthetic::new(poses.clone(), points.clone());
+        scene.hidden = (0..12).map(|photo| (photo, radius)).collect();
+        scene.with_input(|input| {
+            let mut models = map(input).unwrap();
+            let found = remove_intruders(input, &mut models[0]);
+            assert_eq!(found.hidden, [], "{radius}");
+            assert_eq!(models[0].photos().count(), 12, "{radius}");
+            if radius == 0.0 {
+                assert_eq!(found.fixed, [], "nothing hides the scene");
+                return;
+            }
+            let [part] = &found.fixed[..] else {
+                panic!("{:?}", found.fixed)
+            };
+            assert_eq!((part.camera, part.shown), (0, 0));
+            assert!(part.covers(0.45, 0.45) && part.covers(0.55, 0.55), "{part:?}");
+            assert!(!part.covers(0.5, 0.15) && !part.covers(0.15, 0.5), "{part:?}");
+        });
+    }
 }
 
 #[test]
