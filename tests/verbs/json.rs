@@ -43,7 +43,7 @@ const PUBLIC_KEY: &str = "-----BEGIN PUBLIC KEY-----\n\
     -----END PUBLIC KEY-----\n";
 
 /// Verbs that print a document, in an order in which each finds what it needs.
-const VERBS: [&str; 33] = [
+const VERBS: [&str; 34] = [
     "plan",
     "why train",
     "why train --files",

@@ -19,6 +19,8 @@ mod check;
 pub mod evaluate;
 pub mod example;
 pub mod folds;
+#[cfg(test)]
+mod limits_tests;
 pub mod masks;
 mod memory;
 pub mod output;
