@@ -152,6 +152,7 @@ fn target_text(target: &Target, held_out_psnr: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use marf_schema::train::Forecast;
 
     #[test]
     fn the_size_at_which_photos_were_judged_is_reported_with_the_pictures() {
@@ -172,6 +173,34 @@ mod tests {
             judged_text(&judged, 8),
             format!(
                 "8 of 12 held-out photos judged at 96 x 128 to 480 x 360 pixels, reduced by 4. {pictures}"
+            )
+        );
+    }
+
+    #[test]
+    fn a_target_is_told_with_its_numbers() {
+        let target = |reached_at, forecast| Target {
+            psnr: 24.0,
+            reached_at,
+            validation_psnr: 24.25,
+            validation_photos: 9,
+            forecast,
+        };
+        let photos = "24.25 dB on 9 training photos held back";
+        assert_eq!(
+            target_text(&target(Some(1600), None), 24.0),
+            format!("target 24 dB reached after 1600 steps: {photos}, and 24.00 dB on those held out")
+        );
+        assert_eq!(
+            target_text(&target(Some(1600), None), 23.5),
+            format!("target 24 dB reached after 1600 steps: {photos}, but 23.50 dB on those held out")
+        );
+        let forecast = Forecast { at: 800, psnr: 23.04 };
+        assert_eq!(
+            target_text(&target(None, Some(forecast)), 22.0),
+            format!(
+                "target 24 dB missed: {photos}, 22.00 dB on those held out (23.0 dB were expected after 800 steps). A longer time or \
+                 more photos would help"
             )
         );
     }

@@ -12,3 +12,19 @@ pub fn traffic_text(traffic: Traffic) -> String {
         size(traffic.received_bytes)
     )
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_sent_and_received_is_not_exchanged() {
+        let traffic = Traffic {
+            requests: 3,
+            sent_bytes: 2000,
+            received_bytes: 5,
+        };
+        let expected = format!("3 requests, {} sent, {} received", size(2000), size(5));
+        assert_eq!(traffic_text(traffic), expected);
+    }
+}

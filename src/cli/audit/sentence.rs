@@ -189,6 +189,74 @@ fn floor_percent(share: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use marf_cache::Digest;
+    use marf_provenance::verify::{Fault, Lost, Verified};
+    use marf_run::audit::{Changed, identity::Identity};
+
+    #[test]
+    fn the_state_of_an_intact_file_says_what_is_not_intact_besides() {
+        let digest = Digest::from_content(b"x");
+        let fault = Fault {
+            object: None,
+            of: "train".to_owned(),
+            what: "other bytes".to_owned(),
+        };
+        let lost = || Lost {
+            digest,
+            role: "output",
+            of: "train".to_owned(),
+        };
+        let checked = |faults: Vec<Fault>, missing: Vec<Lost>| {
+            Some(Verified {
+                objects: 9,
+                bytes: 9,
+                products: 0,
+                faults,
+                missing,
+            })
+        };
+        let changed = || Changed {
+            file: "A.png".to_owned(),
+            sol: 1,
+            used: digest,
+            now: Vec::new(),
+        };
+        let said = |answer, verified, changed| {
+            state(&AuditReport {
+                file: "f".into(),
+                answer,
+                identity: Identity::NotOurs { content: digest },
+                lineage: Vec::new(),
+                uses: None,
+                verified,
+                changed,
+            })
+        };
+        assert_eq!(
+            said(Answer::Altered, checked(vec![fault], Vec::new()), Vec::new()),
+            "Its own bytes are intact, but there is 1 fault in what it was made from or in the store."
+        );
+        assert_eq!(
+            said(Answer::Incomplete, checked(Vec::new(), vec![lost()]), Vec::new()),
+            "Its own bytes are intact, but 1 object that it was made from is no longer in the store."
+        );
+        assert_eq!(
+            said(
+                Answer::Incomplete,
+                checked(Vec::new(), vec![lost(), lost()]),
+                Vec::new()
+            ),
+            "Its own bytes are intact, but 2 objects that it was made from are no longer in the store."
+        );
+        assert_eq!(
+            said(Answer::Incomplete, None, Vec::new()),
+            "Its own bytes are intact, but not everything that it was made from is still in the store."
+        );
+        assert_eq!(
+            said(Answer::Changed, None, vec![changed(), changed()]),
+            "All bytes are intact in the store, but the archive has changed 2 files since."
+        );
+    }
 
     #[test]
     fn photos_have_their_total_and_their_sols() {

@@ -394,3 +394,6 @@ fn add_changed(text: &mut Vec<String>, changed: &Changed) {
         line!(text, "  {now}");
     }
 }
+
+#[cfg(test)]
+mod tests;

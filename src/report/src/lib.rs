@@ -53,6 +53,8 @@ mod fixture_documents;
 #[cfg(test)]
 mod real;
 #[cfg(test)]
+mod sentence_tests;
+#[cfg(test)]
 mod tests;
 #[cfg(test)]
 mod twice;

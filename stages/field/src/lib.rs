@@ -40,6 +40,8 @@ pub mod pixels;
 pub mod planes;
 mod quality;
 mod rates;
+#[cfg(test)]
+mod reason_tests;
 pub mod render;
 pub mod rng;
 #[cfg(test)]

@@ -103,7 +103,7 @@ impl ChangesParams {
         }
         check_scale(self.scale)?;
         if let Some(cell) = self.cell.filter(|cell| !cell.is_finite() || *cell <= 0.0) {
-            return refuse("cell", format!("{cell} is not a length above 0"));
+            return refuse("cell", format!("{cell} is not a finite length above 0"));
         }
         if !(16..=MAX_SIDE_PX).contains(&self.side_px) {
             return refuse(
@@ -114,7 +114,7 @@ impl ChangesParams {
         if !(self.sigmas >= 1.0 && self.sigmas.is_finite()) {
             return refuse(
                 "sigmas",
-                format!("{} is less than 1, within which all noise lies", self.sigmas),
+                format!("{} is below 1 or not finite: noise alone reaches 1", self.sigmas),
             );
         }
         match self.least_cells {

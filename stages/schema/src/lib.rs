@@ -20,6 +20,8 @@ pub mod depth;
 pub mod evaluate;
 pub mod example;
 pub mod folds;
+#[cfg(test)]
+mod limits_tests;
 pub mod masks;
 mod memory;
 pub mod output;

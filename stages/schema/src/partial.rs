@@ -62,7 +62,7 @@ impl PartialParams {
         }
         let (until, steps) = (self.until, self.train.planned_steps());
         let message = match until {
-            0 => "0 steps train nothing: use at least 16".to_owned(),
+            0 => format!("0 steps train nothing: use at least {}", STEPS_AT_ONCE.min(steps)),
             _ if until > steps => format!("{until} steps of a training of {steps}"),
             _ if until < steps && !until.is_multiple_of(STEPS_AT_ONCE) => {
                 format!("{until} steps are not a multiple of {STEPS_AT_ONCE}: a training can only stop there")

@@ -80,7 +80,10 @@ impl ScenesParams {
             return Err(ParamError::new("max_photos", message));
         }
         if !(self.max_span_m > 0.0 && self.max_span_m.is_finite()) {
-            return Err(ParamError::new("max_span_m", "a distance above 0 is needed"));
+            return Err(ParamError::new(
+                "max_span_m",
+                "a finite distance above 0 is needed",
+            ));
         }
         for (name, group) in &self.groups {
             let path = format!("groups.{name}");

@@ -88,7 +88,10 @@ impl SurfaceParams {
             ("map_cell", self.map_cell),
         ] {
             if let Some(length) = length.filter(|length| !length.is_finite() || *length <= 0.0) {
-                return Err(ParamError::new(key, format!("{length} is not a length above 0")));
+                return Err(ParamError::new(
+                    key,
+                    format!("{length} is not a finite length above 0"),
+                ));
             }
         }
         if self.least_photos == 0 {

@@ -185,7 +185,7 @@ impl Range {
         match self {
             Self::Log([low, high]) => {
                 let fine = *low > 0.0 && low <= high && (high / low).is_finite();
-                (!fine).then(|| format!("`log = [{low}, {high}]` must rise from above 0 to a finite number"))
+                (!fine).then(|| format!("`log = [{low}, {high}]` must not fall, and be above 0 and finite"))
             }
             Self::Int([low, high]) => (low > high).then(|| format!("`int = [{low}, {high}]` must not fall")),
             Self::Choice(values) => values.is_empty().then(|| "`choice` is empty".to_owned()),

@@ -8,6 +8,7 @@
 //! paths, matches and printing are read from tokens, also inside macros.
 
 mod checkout;
+mod claim;
 mod graph;
 mod measure;
 mod modules;
@@ -20,6 +21,7 @@ mod source;
 mod table;
 
 pub use checkout::{Checkout, Error};
+pub use claim::is_claim;
 pub use measure::{Circle, Measure, Report};
 pub use rule::{Finding, Rule};
 pub use table::table;

@@ -7,5 +7,6 @@ mod common;
 mod comparisons;
 mod duplicates;
 mod real_data;
+mod reasons;
 mod rules;
 mod table;

@@ -149,7 +149,7 @@ fn a_label_that_does_not_describe_its_rows_is_refused() {
         (
             "START_BYTE = 28",
             "START_BYTE = 32",
-            "`PLANET_DAY_NUMBER` does not fit",
+            "`PLANET_DAY_NUMBER` does not fit a row of 33 bytes",
         ),
         ("START_BYTE = 28", "START_BYTE = 0", "`PLANET_DAY_NUMBER`"),
         ("START_BYTE = 28", "START_BYTE = -1", "`PLANET_DAY_NUMBER`"),
