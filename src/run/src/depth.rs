@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use marf_engine::NodeRun;
 use marf_schema::calibrate::{self, CalibrateParams};
 use marf_schema::depth::{DepthParams, Metrics};
-use marf_schema::output::{DEPTH, POINTS, SURFACE_MAPS};
+use marf_schema::output::{POINTS, SURFACE_MAPS};
 use marf_stage::{Document, Params};
 
 use crate::context::Context;

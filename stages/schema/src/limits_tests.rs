@@ -284,7 +284,7 @@ fn limits_of_scenes_and_surfaces_are_those_that_their_sentences_name() {
         "extend: only method = \"sfm\" goes on from an earlier scene",
         json!({"extend": true, "method": "sfm"}),
     );
-    let surface = |refused, said, taken| limit(SurfaceParams::check, refused, said, taken);
+    let surface = |refused, said: &str, taken| limit(SurfaceParams::check, refused, said, taken);
     surface(
         json!({"cell": 0.0}),
         "cell: 0 is not a finite length above 0",
