@@ -19,8 +19,6 @@ mod check;
 pub mod evaluate;
 pub mod example;
 pub mod folds;
-#[cfg(test)]
-mod limits_tests;
 pub mod masks;
 mod memory;
 pub mod output;
