@@ -55,5 +55,8 @@ mod tests {
         for text in ["", "s", "-1s", "0s", "25h", "10x", "nan", "inf", "1e9s"] {
             assert!(whole_seconds(text).is_err(), "{text}");
         }
+        let said = format!("{:?}", whole_seconds("25h"));
+        assert!(said.contains("from 1 s to 24 h"), "{said}");
+        assert_eq!((whole_seconds("1s"), whole_seconds("24h")), (Ok(1), Ok(86_400)));
     }
 }

@@ -40,8 +40,6 @@ pub mod pixels;
 pub mod planes;
 mod quality;
 mod rates;
-#[cfg(test)]
-mod reason_tests;
 pub mod render;
 pub mod rng;
 #[cfg(test)]

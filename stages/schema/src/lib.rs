@@ -20,8 +20,6 @@ pub mod depth;
 pub mod evaluate;
 pub mod example;
 pub mod folds;
-#[cfg(test)]
-mod limits_tests;
 pub mod masks;
 mod memory;
 pub mod output;

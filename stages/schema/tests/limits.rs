@@ -5,8 +5,8 @@ use marf_scene::{Camera, Pose};
 use marf_stage::{ParamError, Params};
 use serde_json::{Value, json};
 
-use crate::render::{PathKind, Place, RenderParams};
-use crate::{
+use marf_schema::render::{PathKind, Place, RenderParams};
+use marf_schema::{
     bootstrap::BootstrapParams, calibrate::CalibrateParams, changes::ChangesParams, folds::FoldsParams,
     masks::MasksParams, partial::PartialParams, scenes::ScenesParams, surface::SurfaceParams,
     ties::TiesParams, train::TrainParams, tune::TuneParams, video::VideoParams,
