@@ -171,7 +171,7 @@ impl Interval {
 }
 
 /// Said of times that differ by no more than repeats do, or that were not repeated.
-const NO_DIFFERENCE: &str = "there is no measurable difference in time";
+const NO_DIFFERENCE: &str = "the time does not differ measurably";
 
 impl Effect {
     /// Returns a sentence that one can act on.
@@ -268,7 +268,7 @@ mod tests {
         );
         // Times that overlap, and a time that was taken once, show nothing.
         point.runs[0].seconds = base.runs[1].seconds;
-        let unsure = format!("{said}there is no measurable difference in time.");
+        let unsure = format!("{said}the time does not differ measurably.");
         assert_eq!(point.apart(&base).unwrap(), unsure);
         point.runs.truncate(1);
         point.runs[0].seconds /= 9.0;
@@ -294,7 +294,7 @@ mod tests {
             ),
             (
                 effect(0.5, 0.1, 1.005),
-                "train.scale=2: gains 0.50 dB (± 0.10), and there is no measurable difference in time. Take it.",
+                "train.scale=2: gains 0.50 dB (± 0.10), and the time does not differ measurably. Take it.",
             ),
             (
                 effect(-0.5, 0.1, 1.5),
@@ -306,11 +306,11 @@ mod tests {
             ),
             (
                 noisy(0.78, 0.3),
-                "train.scale=2: changes nothing that these seeds can show, 0.05 dB (± 0.10), and there is no measurable difference in time. It does not matter.",
+                "train.scale=2: changes nothing that these seeds can show, 0.05 dB (± 0.10), and the time does not differ measurably. It does not matter.",
             ),
             (
                 effect(0.05, 0.1, 1.0),
-                "train.scale=2: changes nothing that these seeds can show, 0.05 dB (± 0.10), and there is no measurable difference in time. It does not matter.",
+                "train.scale=2: changes nothing that these seeds can show, 0.05 dB (± 0.10), and the time does not differ measurably. It does not matter.",
             ),
         ] {
             assert_eq!(effect.sentence(&point), sentence);
@@ -323,7 +323,7 @@ mod tests {
         };
         assert_eq!(
             once.sentence(&point),
-            "train.scale=2: costs 3.00 dB (one seed), and there is no measurable difference in time. Leave it."
+            "train.scale=2: costs 3.00 dB (one seed), and the time does not differ measurably. Leave it."
         );
     }
 }

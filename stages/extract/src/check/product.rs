@@ -153,7 +153,7 @@ fn reading_of_picture(
             let photo = Photo::decode(bytes).map_err(|error| in_file(error.to_string()))?;
             (photo.image.width, photo.image.height, None)
         }
-        other => return Err(in_file(format!("it is no picture: {other:?}"))),
+        other => return Err(in_file(format!("it is not a picture: {other:?}"))),
     };
     let mut differs = Vec::new();
     if let Some(label) = beside.or(attached.as_ref()) {

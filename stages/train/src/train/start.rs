@@ -73,7 +73,7 @@ impl Start {
             .and_then(|field| {
                 let learnt = field
                     .learnt()
-                    .ok_or("it does not tell its photos: it was trained without `warm_start`")?;
+                    .ok_or("it does not name its photos: it was trained without `warm_start`")?;
                 check_photos(learnt, scene, &judged, field.derived().depth)?;
                 check_config(&field, settings)?;
                 check_box(&field, learnt, scene)?;
