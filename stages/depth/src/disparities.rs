@@ -1,0 +1,227 @@
+//! Disparities of a rectified pair: matching, refinement, classes.
+
+use marf_numeric::InstructionSet;
+use thiserror::Error;
+
+use crate::raster::{Picture, Raster};
+use crate::refine::{self, Planes};
+use crate::search::Search;
+use crate::winner::NONE;
+use crate::{clean, levels, tuning};
+
+/// What is known about a pixel.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[repr(u8)]
+pub enum Class {
+    /// No disparity.
+    None = 0,
+    /// The two pictures of the pair agree.
+    Pair = 1,
+    /// Further photos agree. One pair alone never says so.
+    Confirmed = 2,
+    /// The two pictures agree, but a jump to another surface is at most two pixels away.
+    Edge = 3,
+    /// Sky. One pair alone never says so: it does not know where up is.
+    Sky = 4,
+}
+
+/// Disparities of the left picture. All rasters have its size.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Disparities {
+    /// Pixels, 0 where the class is [`Class::None`].
+    pub disparity: Raster<f32>,
+    /// Change of the disparity from one pixel to the next to the right, in [-2, 2].
+    pub slope_x: Raster<f32>,
+    /// Change of the disparity from one pixel to the next below, in [-2, 2].
+    pub slope_y: Raster<f32>,
+    /// One standard deviation of the disparity, in pixels, 0 where the class is [`Class::None`].
+    pub sigma: Raster<f32>,
+    /// What is known.
+    pub class: Raster<Class>,
+}
+
+impl Disparities {
+    /// Returns the share of pixels that have a disparity, in [0, 1].
+    pub fn share(&self) -> f64 {
+        let known = self
+            .class
+            .values
+            .iter()
+            .filter(|class| **class != Class::None)
+            .count();
+        known as f64 / self.class.values.len() as f64
+    }
+}
+
+/// Why a pair has no disparities.
+#[derive(Debug, Clone, Copy, PartialEq, Error)]
+pub enum MatchError {
+    /// A picture has no pixel.
+    #[error("a picture of {width} x {height} pixels cannot be matched")]
+    Empty {
+        /// Pixels in a row.
+        width: usize,
+        /// Rows.
+        height: usize,
+    },
+    /// The pictures differ in size.
+    #[error(
+        "the left picture has {left_width} x {left_height} pixels, the right one {right_width} x {right_height}"
+    )]
+    SizesDiffer {
+        /// Pixels in a row of the left picture.
+        left_width: usize,
+        /// Rows of the left picture.
+        left_height: usize,
+        /// Pixels in a row of the right picture.
+        right_width: usize,
+        /// Rows of the right picture.
+        right_height: usize,
+    },
+    /// No disparity to try, or more than fit.
+    #[error(
+        "{count} disparities from {first} cannot be tried; the limit is 1 to {MAX_DISPARITIES}, within +-{MAX_DISPARITIES}"
+    )]
+    Search {
+        /// The smallest disparity.
+        first: i32,
+        /// How many.
+        count: usize,
+    },
+    /// The left picture seems to be the right one.
+    #[error(
+        "{:.1} % of the pixels match as given and {:.1} % with left and right exchanged; exchange the pictures",
+        100.0 * given, 100.0 * exchanged
+    )]
+    Swapped {
+        /// Share of pixels with a disparity, in [0, 1].
+        given: f64,
+        /// The same with left and right exchanged, at a coarser level.
+        exchanged: f64,
+    },
+}
+
+/// The most disparities of a search, and the largest disparity.
+pub const MAX_DISPARITIES: usize = 8192;
+
+/// Below this share of matches, the exchanged pair is tried.
+const FEW_MATCHES: f64 = 0.1;
+
+/// From this share of matches on, the exchanged pair is the right one.
+const MANY_MATCHES: f64 = 0.4;
+
+/// The exchanged pair is tried on pictures of at most so many pixels.
+const TRIAL_PIXELS: usize = 1 << 17;
+
+/// Returns the disparities of the left picture of a rectified pair.
+///
+/// Memory is at most 192 MiB for the coarsest level, which tries all disparities, and about 150 bytes a pixel for the
+/// others. Large pictures have to be matched in parts: there are no tiles.
+///
+/// # Extremes
+/// Pixels without texture, masked, or hidden from one camera have no disparity. A pair without
+/// any match is not an error.
+///
+/// # Errors
+/// Returns an error if the pictures differ in size or have no pixel, if the search is empty or too large, or if hardly
+/// anything matches until left and right are exchanged.
+pub fn match_pair(left: &Picture, right: &Picture, search: Search) -> Result<Disparities, MatchError> {
+    match_pair_on(InstructionSet::best(), left, right, search)
+}
+
+pub(crate) fn match_pair_on(
+    set: InstructionSet,
+    left: &Picture,
+    right: &Picture,
+    search: Search,
+) -> Result<Disparities, MatchError> {
+    check(left, right, search)?;
+    let pair = [left, right];
+    let matched = levels::coarse_to_fine(set, pair, search);
+    let given = known_share(&matched);
+    if given < FEW_MATCHES {
+        let exchanged = exchanged_share(set, pair, search);
+        if exchanged >= MANY_MATCHES {
+            return Err(MatchError::Swapped { given, exchanged });
+        }
+    }
+    let planes = refine::refine(set, pair, matched.clone());
+    Ok(classify(planes, &matched))
+}
+
+fn check(left: &Picture, right: &Picture, search: Search) -> Result<(), MatchError> {
+    let (width, height) = (left.grey.width, left.grey.height);
+    if (width, height) != (right.grey.width, right.grey.height) {
+        return Err(MatchError::SizesDiffer {
+            left_width: width,
+            left_height: height,
+            right_width: right.grey.width,
+            right_height: right.grey.height,
+        });
+    }
+    if width == 0 || height == 0 {
+        return Err(MatchError::Empty { width, height });
+    }
+    let Search { first, count } = search;
+    let first_fits = first.unsigned_abs() as usize <= MAX_DISPARITIES;
+    if count == 0 || count > MAX_DISPARITIES || !first_fits {
+        return Err(MatchError::Search { first, count });
+    }
+    Ok(())
+}
+
+/// Returns the share of pixels with a disparity when left and right are exchanged.
+fn exchanged_share(set: InstructionSet, pair: [&Picture; 2], search: Search) -> f64 {
+    let [left, right] = pair;
+    if left.grey.values.len() > TRIAL_PIXELS {
+        let halves = pair.map(Picture::halved);
+        return exchanged_share(set, [&halves[0], &halves[1]], search.halved());
+    }
+    known_share(&levels::coarse_to_fine(set, [right, left], search))
+}
+
+fn known_share(disparity: &Raster<f32>) -> f64 {
+    let known = disparity.values.iter().filter(|value| **value != NONE).count();
+    known as f64 / disparity.values.len() as f64
+}
+
+/// Drops what the fit made unsure, and finds edges.
+fn classify(planes: Planes, matched: &Raster<f32>) -> Disparities {
+    let Planes {
+        mut disparity,
+        mut slope_x,
+        mut slope_y,
+        mut sigma,
+    } = planes;
+    for (i, value) in disparity.values.iter_mut().enumerate() {
+        let drift = (*value - matched.values[i]).abs();
+        if *value != NONE && (sigma.values[i] > tuning::SIGMA_MOST_PX || drift > tuning::DRIFT_PX) {
+            *value = NONE;
+        }
+    }
+    clean::remove_islands(&mut disparity, tuning::ISLAND);
+    let mut class = Raster::like(&disparity, Class::Pair);
+    for y in 0..disparity.height {
+        for x in 0..disparity.width {
+            if clean::beside_a_jump(&disparity, x, y) {
+                class.values[y * disparity.width + x] = Class::Edge;
+            }
+        }
+    }
+    for (i, value) in disparity.values.iter_mut().enumerate() {
+        if *value == NONE {
+            *value = 0.0;
+            slope_x.values[i] = 0.0;
+            slope_y.values[i] = 0.0;
+            sigma.values[i] = 0.0;
+            class.values[i] = Class::None;
+        }
+    }
+    Disparities {
+        disparity,
+        slope_x,
+        slope_y,
+        sigma,
+        class,
+    }
+}
