@@ -342,8 +342,8 @@ fn the_answers_belong_to_the_versions() {
     assert_eq!(
         found,
         [
-            ("train", 20, "961f14d26a01"),
-            ("evaluate", 5, "33dfd60e0363"),
+            ("train", 21, "961f14d26a01"),
+            ("evaluate", 6, "33dfd60e0363"),
             ("render", 7, "30b222f6b290")
         ]
     );
