@@ -58,7 +58,10 @@ fn sentences_of_members_and_of_a_target_have_the_numbers_of_their_documents() {
         validation_photos: 9,
         forecast: None,
     });
-    let outputs = [store.document(&metrics)];
+    let outputs = [
+        store.document(&metrics),
+        ("maps/v1-mean.png", store.put_picture(1)),
+    ];
     let trained = [store.document(&reached)];
     let nodes = [
         giving(node("train", &[]), trained),

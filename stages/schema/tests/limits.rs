@@ -51,16 +51,6 @@ fn limits_of_trainings_are_those_that_their_sentences_name() {
         "target_psnr: 100.5 dB is not above 0 and at most 100",
         json!({"target_psnr": 100.0}),
     );
-    train(
-        json!({"trials": {"least_gain_db": -0.5}}),
-        "trials.least_gain_db: -0.5 dB is not from 0 to 100",
-        json!({"trials": {"least_gain_db": 0.0}}),
-    );
-    train(
-        json!({"trials": {"least_gain_db": 101.0}}),
-        "trials.least_gain_db: 101 dB is not from 0 to 100",
-        json!({"trials": {"least_gain_db": 100.0}}),
-    );
     let fold = |index, count, share| json!({"fold": {"index": index, "count": count, "share": share}});
     train(
         fold(0, 1, 1.0),
