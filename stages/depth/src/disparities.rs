@@ -110,7 +110,7 @@ const FEW_MATCHES: f64 = 0.1;
 /// From this share of matches on, the exchanged pair is the right one.
 const MANY_MATCHES: f64 = 0.4;
 
-/// The exchanged pair is tried on pictures of at most so many pixels.
+/// The exchanged pair is tried on pictures of at most this many pixels.
 const TRIAL_PIXELS: usize = 1 << 17;
 
 /// Returns the disparities of the left picture of a rectified pair.

@@ -91,7 +91,7 @@ fn every_img_of_three_missions_is_developed() {
         assert_eq!(brought.rows.len(), photos, "{name}");
         for (_, row) in &brought.rows {
             let facts = brought.facts(&row.id);
-            // The compressed original lies there without its label.
+            // The folder has no label for the compressed original.
             let is_labelled = !row.id.ends_with("_XXXX");
             assert_eq!(
                 facts.prior.is_some_and(|prior| prior.site_from_frame.is_some()),
