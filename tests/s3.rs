@@ -327,7 +327,8 @@ fn a_server_that_lies_of_bytes_is_found_and_repaired() {
             part,
             fault: Fault::Turned,
         };
-        let pulled = marf_at(proxy(server.address, turned), there.path(), &["cache", "pull"]).exits(1);
+        let fresh = machine();
+        let pulled = marf_at(proxy(server.address, turned), fresh.path(), &["cache", "pull"]).exits(1);
         assert!(pulled.stderr.contains("is damaged"), "{part}: {}", pulled.stderr);
     }
     at(&there, &["cache", "pull"]).exits(0);
