@@ -298,3 +298,137 @@ fn the_real_feed_replayed_to_sol_400_and_then_whole_fetches_and_measures_only_th
         (36, new, new as u64)
     );
 }
+
+/// A pipeline that reads a feed of one record, whose picture and camera are as marf expects.
+fn feed(server: &Server, record: serde_json::Value) -> tempfile::TempDir {
+    server.file("/raw/a.png", picture(5, 1));
+    server.feed("/rss/api/", move |_, query| {
+        let latest = query
+            .contains("latest=true")
+            .then(|| serde_json::json!({"latest_sol": 5}));
+        let page = || serde_json::json!({"images": [record], "total_results": 1});
+        Some(latest.unwrap_or_else(page).to_string().into_bytes())
+    });
+    let dir = tempfile::tempdir().unwrap();
+    let text = format!(
+        "[archive.raws]\nkind = \"feed\"\nmission = \"perseverance\"\ninstrument = \"navcam\"\nsols = \"latest\"\n\
+         base = [\"{}\"]\nnetwork = {{ delay_ms = 0, retry_ms = 1, stall_s = 1 }}\n[archive.local]\nkind = \"demo\"\n\
+         [node.extract]\narchive = \"raws\"\n",
+        server.origin()
+    );
+    std::fs::write(dir.path().join("pipeline.toml"), text).unwrap();
+    dir
+}
+
+fn record(server: &Server) -> serde_json::Value {
+    serde_json::json!({
+        "imageid": "NLF_0005", "sol": 5, "site": 3, "drive": "1950", "sample_type": "Full", "attitude": "(1,0,0,0)",
+        "image_files": {"full_res": server.url("/raw/a.png")},
+        "camera": {"instrument": "NAVCAM_LEFT", "camera_model_component_list":
+            "(0.8,0.56,-1.92);(1,0,0);(32,60,0);(24,0,60)"},
+        "extended": {"xyz": "(12.5,-3.25,0.125)", "dimension": "(64,48)"},
+    })
+}
+
+#[test]
+fn archives_are_checked_with_a_line_for_each_thing_and_an_exit_code() {
+    let server = Server::start().unwrap();
+    let dir = feed(&server, record(&server));
+    let check = |args: &[&str]| marf(dir.path(), &[&["archive", "check"], args].concat());
+    let well = check(&[]).exits(0);
+    let expected = [
+        "raws  as expected  latest sol              sol 5",
+        "raws  as expected  records of sols 0 to 5  1 of 1 records",
+        "raws  as expected  label                   `NLF_0005.json`: sol 5, instrument NAVCAM_LEFT, camera",
+        "raws  as expected  picture                 `NLF_0005.png`: 64 x 48 pixels, ",
+        "everything is as marf expects",
+    ];
+    for (line, start) in well.stdout.lines().zip(expected) {
+        assert!(line.starts_with(start), "{line}");
+    }
+    assert_eq!(well.stdout.lines().count(), expected.len(), "{}", well.stdout);
+    assert_eq!(server.requests().len(), 3, "the record of the feed is the label");
+    assert!(!dir.path().join("marf.lock").exists() && !dir.path().join(".marf").exists());
+
+    let document = |ran: &Ran| -> serde_json::Value { serde_json::from_str(&ran.stdout).unwrap() };
+    let json = document(&check(&["raws", "--json"]).exits(0));
+    assert_eq!(
+        (&json["answer"], &json["archives"][0]["name"]),
+        (&"as_expected".into(), &"raws".into())
+    );
+    assert_eq!(json["archives"][0]["checks"].as_array().unwrap().len(), 4);
+
+    server.script("/raw/a.png", vec![Reply::status(404).always()]);
+    let gone = check(&[]).exits(6);
+    assert!(gone.stdout.contains("differs      picture"), "{}", gone.stdout);
+    assert!(
+        gone.stdout
+            .contains(&format!("answers status 404 ({})", server.url("/raw/a.png"))),
+        "{}",
+        gone.stdout
+    );
+    assert!(
+        gone.stderr.contains("error: 1 of 4 checks differ"),
+        "{}",
+        gone.stderr
+    );
+    assert_eq!(document(&check(&["--json"]).exits(6))["answer"], "differs");
+
+    server.script("/rss/api/", vec![Reply::Silent.always()]);
+    let silent = check(&[]).exits(1);
+    assert!(
+        silent.stdout.contains("not checked  latest sol"),
+        "{}",
+        silent.stdout
+    );
+    assert!(
+        silent.stderr.contains("3 of 3 things could not be checked"),
+        "{}",
+        silent.stderr
+    );
+
+    for (args, part) in [
+        (["rows"].as_slice(), "did you mean `raws`?"),
+        (&["local"], "`local` is on this machine"),
+        (
+            &["--set", "archive.raws.kind=demo", "--set", "archive.raws.sols=1"],
+            "unknown key",
+        ),
+    ] {
+        let refused = check(args).exits(2);
+        assert!(refused.stderr.contains(part), "{}", refused.stderr);
+    }
+    let other = tempfile::tempdir().unwrap();
+    marf(other.path(), &["init"]).exits(0);
+    let none = marf(other.path(), &["archive", "check"]).exits(2);
+    assert!(
+        none.stderr.contains("no archive of pipeline.toml is on a server"),
+        "{}",
+        none.stderr
+    );
+}
+
+#[cfg(unix)]
+#[test]
+fn a_check_stops_when_it_is_asked_to() {
+    let server = Server::start().unwrap();
+    let dir = feed(&server, record(&server));
+    server.script("/rss/api/", vec![Reply::Silent.always()]);
+    let mut child = Command::new(env!("CARGO_BIN_EXE_marf"))
+        .current_dir(dir.path())
+        .args(["archive", "check", "--set", "archive.raws.network.stall_s=600"])
+        .stderr(Stdio::null())
+        .stdout(Stdio::null())
+        .spawn()
+        .unwrap();
+    while server.requests().is_empty() {
+        std::thread::sleep(Duration::from_millis(5));
+        assert!(
+            child.try_wait().unwrap().is_none(),
+            "it ended before it was stopped"
+        );
+    }
+    let kill = format!("kill -INT {}", child.id());
+    assert!(Command::new("sh").args(["-c", &kill]).status().unwrap().success());
+    assert_eq!(child.wait().unwrap().code(), Some(130));
+}

@@ -28,7 +28,10 @@ pub struct Cli {
 
 /// The verbs as `marf --help` groups them.
 const GROUPS: [(&str, &[&str]); 6] = [
-    ("Pipeline", &["init", "run", "plan", "why", "status", "log"]),
+    (
+        "Pipeline",
+        &["init", "run", "plan", "why", "status", "log", "archive"],
+    ),
     ("Own photos", &["photos", "filter", "calibrate", "fit"]),
     (
         "Results",
@@ -71,6 +74,12 @@ pub enum Verb {
     Status(super::status::StatusArgs),
     /// List the runs, newest first
     Log(super::log::LogArgs),
+    /// Check whether archives on servers are still as marf expects
+    Archive {
+        /// What to do
+        #[command(subcommand)]
+        verb: super::archive::ArchiveVerb,
+    },
     /// Write a commented pipeline.toml
     Init(super::init::InitArgs),
     /// Print the JSON schema of pipeline.toml or of `run --json`

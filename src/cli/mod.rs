@@ -1,5 +1,6 @@
 //! The verbs, one file each.
 
+mod archive;
 mod args;
 mod audit;
 mod cache;
@@ -103,6 +104,7 @@ fn dispatch(cli: Cli, cancel: &Cancel) -> Result<(), Error> {
         Verb::Run(args) => run::run(args, context),
         Verb::Plan(args) => plan::plan(args, context),
         Verb::Why(args) => plan::why(args, context),
+        Verb::Archive { verb } => archive::archive(verb, context),
         Verb::Status(args) => status::status(args, context),
         Verb::Log(args) => log::log(args, context),
         Verb::Init(args) => init::init(&args),

@@ -2,7 +2,9 @@
 
 use std::sync::LazyLock;
 
-pub use marf_extract::{ArchiveDef, PinnedProduct, UnreadableLock, pinned_products};
+pub use marf_extract::{
+    ArchiveDef, Check, CheckState, CheckedArchive, PinnedProduct, UnreadableLock, pinned_products,
+};
 use marf_extract::{MeasurePhoto, Survey};
 use marf_stage::{StageDef, Table, define};
 

@@ -18,6 +18,8 @@ help_of! {
     help_exec: "exec", "--help";
     help_status: "status", "--help";
     help_log: "log", "--help";
+    help_archive: "archive", "--help";
+    help_archive_check: "archive", "check", "--help";
     help_init: "init", "--help";
     help_schema: "schema", "--help";
     help_report: "report", "--help";

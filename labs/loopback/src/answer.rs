@@ -159,11 +159,7 @@ fn listing(state: &State, folder: &str) -> Option<String> {
             name.clone()
         };
         let size = bytes.map_or_else(|| "  - ".to_owned(), rounded);
-        let modified = state
-            .files
-            .get(&format!("{folder}{name}"))
-            .and_then(|file| file.modified.as_deref());
-        let date = listed(modified.unwrap_or(super::MODIFIED));
+        let date = date(state, &format!("{folder}{name}"));
         page.push_str(&format!(
             "<tr><td valign=\"top\"><a href=\"{name}\"><img src=\"/icons/image2.gif\" alt=\"[IMG]\"></a></td>\
              <td><a href=\"{name}\">{shown}</a></td><td align=\"right\">{date}  </td>\
@@ -172,6 +168,23 @@ fn listing(state: &State, folder: &str) -> Option<String> {
     }
     page.push_str("   <tr><th colspan=\"5\"><hr></th></tr>\n</table>\n</body></html>\n");
     Some(page)
+}
+
+/// When a file was last changed, or a folder: with the newest file that is directly in it.
+fn date(state: &State, path: &str) -> String {
+    let below = state.files.range(path.to_owned()..);
+    let below = below.take_while(|(other, _)| other.starts_with(path));
+    let is_folder = path.ends_with('/');
+    let is_in = |rest: &str| {
+        if is_folder {
+            !rest.contains('/')
+        } else {
+            rest.is_empty()
+        }
+    };
+    let files = below.filter(|(other, _)| is_in(&other[path.len()..]));
+    let dates = files.filter_map(|(_, file)| Some(listed(file.modified.as_deref()?)));
+    dates.max().unwrap_or_else(|| listed(super::MODIFIED))
 }
 
 /// `Tue, 01 Mar 2022 10:20:00 GMT` as a listing writes it: `2022-03-01 10:20`.

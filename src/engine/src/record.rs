@@ -117,6 +117,12 @@ pub struct NodeRun {
     pub state: NodeState,
     /// Why.
     pub reason: String,
+    /// The cause of a failure, if known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cause: Option<String>,
+    /// What to do about a failure, if known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub hint: Option<String>,
     /// Wall time. For a reused node, this is the time of the run that made the result.
     pub seconds: f64,
     /// Start of the work that made the result, in seconds since 1970. Absent without a result.

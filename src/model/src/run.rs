@@ -84,6 +84,8 @@ impl<'s> Run<'s> {
             if let Some(own) = own {
                 node.run.state = own.run.state;
                 node.run.reason.clone_from(&own.run.reason);
+                node.run.cause.clone_from(&own.run.cause);
+                node.run.hint.clone_from(&own.run.hint);
                 *own = node;
             } else {
                 node.run.state = NodeState::Skipped;

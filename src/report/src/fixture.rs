@@ -157,6 +157,8 @@ pub(super) fn node(name: &str, upstream: &[&str]) -> RunNode {
             key: None,
             state: NodeState::Finished,
             reason: "no record of this key".to_owned(),
+            cause: None,
+            hint: None,
             seconds: 1.0,
             started_unix_s: None,
             outputs: BTreeMap::new(),

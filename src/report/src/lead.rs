@@ -48,8 +48,8 @@ pub(super) fn body(page: &Page<'_>) -> Markup {
     let facts = Facts::new(page);
     let (sentence, notes) = (facts.sentence(), facts.notes(page));
     html! {
-        @if !sentence.is_empty() { p.lead { (sentence) } }
         (super::nodes::failures(page.report))
+        @if !sentence.is_empty() { p.lead { (sentence) } }
         (super::nodes::of_earlier_run(page.report))
         (figures(&facts.figures()))
         div.first {

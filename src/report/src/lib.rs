@@ -44,6 +44,8 @@ mod verdicts;
 mod visible;
 
 #[cfg(test)]
+mod failed;
+#[cfg(test)]
 mod fixture;
 #[cfg(test)]
 mod fixture_documents;

@@ -44,15 +44,25 @@ fn worked_s(report: &Report<'_>) -> Option<f64> {
     (!times.is_empty()).then(|| times.iter().sum())
 }
 
-/// Names every node that failed, with its message. Empty if none did.
+/// Failures that are shown with their cause. Further ones are named.
+const SHOWN_FAILURES: usize = 3;
+
+/// Names every node that failed, the first ones with message, cause and what to do. Empty if none did.
 pub(super) fn failures(report: &Report<'_>) -> Markup {
     let of_scenes = report.scenes.iter().flat_map(|scene| &scene.nodes);
     let nodes = report.nodes.iter().chain(of_scenes);
-    let failed: Vec<_> = nodes.filter(|node| state(node) == FAILED).collect();
+    let failed: Vec<_> = nodes.copied().filter(|node| state(node) == FAILED).collect();
     html! {
         @if !failed.is_empty() {
             div.alarm role="alert" {
-                @for node in failed { p { strong { (node.run.name) " failed: " } (node.run.reason) } }
+                @for node in failed.iter().take(SHOWN_FAILURES) {
+                    p { strong { (node.run.name) " failed: " } (node.run.reason) }
+                    @if let Some(cause) = &node.run.cause { p { "Cause: " (cause) } }
+                    @if let Some(hint) = &node.run.hint { p { "What to do: " (hint) } }
+                }
+                @if failed.len() > SHOWN_FAILURES {
+                    p { "Failed too: " (names(&failed[SHOWN_FAILURES..]).join(", ")) }
+                }
             }
         }
     }
@@ -61,13 +71,17 @@ pub(super) fn failures(report: &Report<'_>) -> Markup {
 /// Names the nodes whose outputs are of an earlier run. Empty if there are none.
 pub(super) fn of_earlier_run(report: &Report<'_>) -> Markup {
     let nodes = report.nodes.iter().filter(|node| node.of_run.is_some());
-    let names: Vec<&str> = nodes.clone().map(|node| node.run.name.as_str()).collect();
-    let run = nodes.filter_map(|node| node.of_run).next();
+    let nodes: Vec<_> = nodes.copied().collect();
+    let run = nodes.first().and_then(|node| node.of_run);
     html! {
         @if let Some(run) = run {
-            p.lead { "Of run " (run) ", the last whole one, as this run has not made them: " (names.join(", ")) "." }
+            p.lead { "Of run " (run) ", the last whole one, as this run has not made them: " (names(&nodes).join(", ")) "." }
         }
     }
+}
+
+fn names<'r>(nodes: &[&'r RunNode]) -> Vec<&'r str> {
+    nodes.iter().map(|node| node.run.name.as_str()).collect()
 }
 
 /// The table of nodes.

@@ -1,9 +1,8 @@
-use super::fixture::{HOSTILE, full, giving, node, run, verdict};
+use super::fixture::{HOSTILE, full, giving, node, verdict};
 
 use super::*;
 use marf_cache::{Digest, Output};
 use marf_engine::NodeState;
-use marf_model::Run;
 use marf_schema::{folds, masks, train};
 use marf_stage::{Document, PHOTOS, VERDICTS};
 
@@ -26,7 +25,7 @@ const TITLES: [&str; 14] = [
 ];
 
 /// Walks all tags: each that is opened is closed, in order. Returns how many there were.
-fn check_balance(html: &str) -> usize {
+pub(super) fn check_balance(html: &str) -> usize {
     let mut open: Vec<&str> = Vec::new();
     let mut count = 0;
     let body = html.strip_prefix("<!DOCTYPE html>").unwrap();
@@ -193,47 +192,6 @@ fn a_run_without_outputs_says_so_in_every_section() {
     );
     assert!(html.matches("No node of this run gave").count() >= 7, "{html}");
     check_balance(&fixture::Store::default().report(&[]));
-}
-
-/// A run in which the training failed, with what run 7 made.
-fn completed_run(nodes: Vec<RunNode>) -> Run<'static> {
-    let mut earlier = run(&nodes);
-    earlier.record.number = 7;
-    failed_run(nodes).completed(earlier)
-}
-
-fn failed_run(nodes: Vec<RunNode>) -> Run<'static> {
-    let mut failed = run(&nodes);
-    let mut nodes = failed.nodes.iter_mut();
-    let train = &mut nodes.find(|node| node.run.name == "train").unwrap().run;
-    (train.state, train.reason) = (NodeState::Failed, "disk full".to_owned());
-    train.outputs.clear();
-    failed.nodes.retain(|node| node.run.name != "video");
-    failed
-}
-
-#[test]
-fn what_an_earlier_run_made_is_shown_with_its_number() {
-    let (store, nodes) = full();
-    let failed = failed_run(nodes.clone());
-    assert!(!store.with_report_of(&failed, write).contains("Of run"));
-    let run = completed_run(nodes);
-    let train = run.node("train").unwrap();
-    assert_eq!(
-        (train.run.state, train.run.reason.as_str()),
-        (NodeState::Failed, "disk full")
-    );
-    let html = store.with_report_of(&run, write);
-    check_balance(&html);
-    for text in [
-        "Of run 7, the last whole one, as this run has not made them: train, skipped&lt;i&gt;, video.",
-        "not part of this run",
-        "outputs of run 7",
-        "train failed:",
-        "24.57 dB",
-    ] {
-        assert!(html.contains(text), "{text}");
-    }
 }
 
 #[test]

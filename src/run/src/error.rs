@@ -41,7 +41,7 @@ pub enum Answer {
     Altered,
     /// Something of the lineage is not in the store any more.
     Incomplete,
-    /// An archive has changed a product since.
+    /// An archive has changed a product since, or is not as the readers expect.
     Changed,
     /// A replay gave something else.
     Differs,

@@ -2,6 +2,7 @@
 //!
 //! Every request gets a [`Context`]: its pipeline, its store, and the receiver of its progress.
 
+pub mod archive;
 pub mod audit;
 mod batch_system;
 pub mod budget;

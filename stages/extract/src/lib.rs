@@ -9,12 +9,15 @@
 //! archive/  declaration and context of a kind, files by shard
 //! remote/   common to archives on servers: catalogs, marf.lock, downloads
 //! net/      the HTTP client
+//! check/    whether an archive on a server is still as the readers expect, asked through checked.rs
 //! recorded.rs  an archive as an earlier run recorded it
 //! fetch.rs  from the files of a shard to rows, verdicts and measures
 //! survey.rs measures of photos while they are decoded
 //! ```
 
 mod archive;
+mod check;
+mod checked;
 mod fetch;
 mod files;
 pub mod fuzzing;
@@ -34,7 +37,9 @@ use marf_stage::{
     Threads, Work,
 };
 
+pub use archive::check::{Check, CheckState};
 pub use archive::kind::ArchiveDef;
+pub use checked::CheckedArchive;
 pub use kinds::ARCHIVES;
 pub use params::{ArchiveTable, ExtractParams};
 pub use remote::{PinnedProduct, UnreadableLock, pinned_products};

@@ -37,6 +37,8 @@ pub struct Label {
     pub(crate) size: Option<(u32, u32)>,
     /// Where the pixels lie, if the label describes an array.
     pub array: Option<Array>,
+    /// The file of the array as a whole.
+    pub file: FileFacts,
     /// The label says that the pixels of a colour mosaic are interpolated.
     pub interpolated: bool,
     /// Phase of the colour mosaic, if the pixels are not interpolated yet.
@@ -54,6 +56,15 @@ pub struct BayerPhase {
     pub line: u32,
     /// First sample.
     pub sample: u32,
+}
+
+/// What a label says of a whole file.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct FileFacts {
+    /// Its size, bytes.
+    pub bytes: Option<u64>,
+    /// Its MD5, in lower case.
+    pub md5: Option<String>,
 }
 
 /// An array of pixels in a file.

@@ -33,6 +33,6 @@ mod units;
 pub mod values;
 mod vicar;
 
-pub use label::{BayerPhase, Label};
+pub use label::{BayerPhase, FileFacts, Label};
 pub use names::{Mars2020Name, ProductName, Scheme, join_key};
 pub use tone::WHITE_RADIANCE;

@@ -7,7 +7,8 @@ mod scaling;
 use marf_scene::Sensor;
 
 use crate::label::{
-    Array, BandStorage, BayerPhase, Label, LineDirection, Quantity, Sample, SampleDirection, SampleKind,
+    Array, BandStorage, BayerPhase, FileFacts, Label, LineDirection, Quantity, Sample, SampleDirection,
+    SampleKind,
 };
 use crate::odl::{Group, Value};
 use crate::{sensor, values};
@@ -42,6 +43,7 @@ pub fn label(odl: &Group) -> Label {
         averaged: averaged(odl),
         sensor: sensor(odl),
         array: array(odl).or_else(|| vicar_array(odl)),
+        file: whole_file(odl),
         phase: phase(odl),
         ..Label::default()
     };
@@ -171,6 +173,20 @@ fn described(odl: &Group) -> &Group {
     let mut files = odl.descendants();
     files.retain(|group| ["FILE", "UNCOMPRESSED_FILE"].contains(&group.name.as_str()));
     std::iter::once(odl).chain(files).find(points).unwrap_or(odl)
+}
+
+/// Returns the size of the file that holds the image, where all its records are equally long.
+fn whole_file(odl: &Group) -> FileFacts {
+    let file = described(odl);
+    let of_records = text(file, "RECORD_TYPE").is_some_and(|kind| kind == "FIXED_LENGTH");
+    let records = || {
+        let [record, records] = ["RECORD_BYTES", "FILE_RECORDS"].map(|key| unsigned(file, key));
+        u64::from(record?).checked_mul(u64::from(records?))
+    };
+    FileFacts {
+        bytes: of_records.then(records).flatten(),
+        md5: None,
+    }
 }
 
 fn constants(image: &Group, names: &[&str], sample: Sample) -> Vec<f64> {

@@ -84,6 +84,7 @@ fn label(root: Node<'_, '_>) -> Label {
     };
     label.array = array::read(root, &mut label.notes);
     if let Some(array) = &mut label.array {
+        label.file = array::whole_file(root, array);
         array.bits = imaging.and_then(bits);
         array.companded_by = imaging.and_then(companded_by);
         scaling::apply(area, imaging, array);

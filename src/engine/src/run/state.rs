@@ -105,6 +105,8 @@ impl<'a> RunState<'a> {
         };
         task.phase = Phase::Failed;
         task.outcome.reason.clone_from(&message);
+        task.outcome.cause.clone_from(&cause);
+        task.outcome.hint.clone_from(&hint);
         self.context.listener.on_event(&Event::Failed {
             node,
             message,
@@ -196,17 +198,24 @@ impl<'a> RunState<'a> {
         let bad: Vec<usize> = (0..phases.len())
             .filter(|&child| !phases[child].is_good())
             .collect();
-        match bad.first() {
+        let failed = bad.iter().find(|&&child| phases[child] == Phase::Failed);
+        match failed.or(bad.first()) {
             None => self.tasks[parent].phase = Phase::Reducible,
             Some(_) if phases.contains(&Phase::Stopped) => self.fail(parent, StageError::Cancelled),
             Some(&first) => {
-                let name = &self.tasks[self.tasks[parent].children[first]].name;
+                let child = &self.tasks[self.tasks[parent].children[first]];
                 let message = format!(
-                    "{} of {} of its nodes failed, first `{name}`",
+                    "{} of {} of its nodes failed, first `{}`",
                     bad.len(),
-                    phases.len()
+                    phases.len(),
+                    child.name
                 );
-                self.fail(parent, StageError::new(message));
+                let error = StageError::Failed {
+                    message,
+                    cause: Some(child.outcome.why()),
+                    hint: child.outcome.hint.clone(),
+                };
+                self.fail(parent, error);
             }
         }
     }

@@ -108,12 +108,22 @@ pub(super) struct RunInputs {
 pub(super) struct NodeOutcome {
     pub(super) key: Option<Digest>,
     pub(super) reason: String,
+    pub(super) cause: Option<String>,
+    pub(super) hint: Option<String>,
     pub(super) seconds: f64,
     pub(super) started_unix_s: Option<u64>,
     pub(super) outputs: BTreeMap<String, Output>,
     pub(super) counts: Counts,
     /// Keys of the children of a reused node.
     pub(super) stored_children: BTreeMap<String, Digest>,
+}
+
+impl NodeOutcome {
+    /// Returns the reason and its cause in one line.
+    pub(super) fn why(&self) -> String {
+        let cause = self.cause.iter().map(|cause| format!(": {cause}"));
+        std::iter::once(self.reason.clone()).chain(cause).collect()
+    }
 }
 
 impl Task {

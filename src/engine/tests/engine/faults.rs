@@ -38,6 +38,16 @@ fn a_failing_node_skips_what_depends_on_it_and_nothing_else() {
     fixture.put_shard(1);
     let (record, log) = run_on(&broken_graph(number, "fails"), &store);
     assert_eq!(record.outcome, Outcome::Failed);
+    let broken = record.node("broken").unwrap();
+    let why = [
+        Some(broken.reason.as_str()),
+        broken.cause.as_deref(),
+        broken.hint.as_deref(),
+    ];
+    assert_eq!(
+        why,
+        [Some("no number is right"), Some("numbers"), Some("use letters")]
+    );
     assert_eq!(record.node("below").unwrap().state, NodeState::Skipped);
     assert_eq!(record.node("below").unwrap().reason, "broken failed");
     assert_eq!(record.node("far_below").unwrap().reason, "broken failed");
@@ -111,6 +121,12 @@ fn of_failing_members_the_others_are_kept() {
     let many = record.node("many").unwrap();
     assert_eq!(many.state, NodeState::Failed);
     assert_eq!(many.reason, "1 of 15 of its nodes failed, first `many/member-13`");
+    let member = record.node("many/member-13").unwrap();
+    assert!(
+        many.cause.as_ref().unwrap().starts_with(&member.reason),
+        "{:?}",
+        many.cause
+    );
     let (_, log) = run_on(&TestPipeline { b: 12, ..pipeline }.graph(), &store);
     assert_eq!(ran(&log), vec!["many"]);
 }

@@ -52,6 +52,8 @@ fn stored(store: &Store, name: &str, source: RunSource, states: [Option<NodeStat
             key: None,
             state: state?,
             reason: String::new(),
+            cause: None,
+            hint: None,
             seconds: 0.0,
             started_unix_s: None,
             outputs: BTreeMap::new(),

@@ -1,6 +1,7 @@
 //! What every archive gives: files by shard, each with its kind and digest.
 
 pub(crate) mod access;
+pub(crate) mod check;
 mod file_kind;
 pub(crate) mod kind;
 
@@ -11,7 +12,7 @@ use std::sync::Arc;
 use marf_cache::file::{Links, read_within};
 use marf_cache::{Digest, Sha256};
 use marf_pds::{Label, ProductName, feed, pds4, raw};
-use marf_stage::{Ctx, Files, Keep, Listing, Origin, OriginKind, StageError};
+use marf_stage::{Cancel, Ctx, Files, Keep, Listing, Origin, OriginKind, StageError};
 
 pub(crate) use file_kind::{Kind, extension, folder, is_system_name, kind, stem};
 
@@ -25,6 +26,10 @@ pub(crate) trait ArchiveFiles: Send + Sync {
     }
     /// Returns the files of one listed shard. Files on servers are downloaded.
     fn files(&self, ctx: &Ctx<'_>, shard: u32) -> Result<ShardFiles, StageError>;
+    /// Asks a server for one thing of each kind that is read. Files on this machine have no checks.
+    fn check(&self, _cancel: &Cancel) -> Result<Vec<check::Check>, StageError> {
+        Ok(Vec::new())
+    }
 }
 
 /// The files of a shard.

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
 use std::time::{Duration, Instant};
 
-use marf_stage::{Ctx, StageError};
+use marf_stage::{Cancel, StageError};
 use reqwest::redirect::Policy;
 use rustls::{ClientConfig, RootCertStore};
 use rustls_platform_verifier::BuilderVerifierExt;
@@ -72,7 +72,7 @@ impl Client {
     /// of running downloads stay, and the next call continues them. A download that fails is not an error here.
     pub(crate) fn get_all(
         &self,
-        ctx: &Ctx<'_>,
+        cancel: &Cancel,
         downloads: &[Download],
         done: &mut dyn FnMut(usize, Result<Answer, NetError>) -> Result<(), StageError>,
     ) -> Result<(), StageError> {
@@ -81,7 +81,7 @@ impl Client {
         let mut batch = Batch::new(&self.shared, runtime, downloads);
         batch.fill();
         while !batch.under_way.is_empty() {
-            ctx.check()?;
+            go_on(cancel)?;
             match batch.reports.recv_timeout(CHECK) {
                 Ok((index, answer)) => {
                     batch.ended(index);
@@ -91,7 +91,7 @@ impl Client {
                 Err(RecvTimeoutError::Disconnected) => return Err(lost().into()),
             }
         }
-        ctx.check()
+        go_on(cancel)
     }
 
     /// Returns the traffic since the client was made.
@@ -107,6 +107,13 @@ impl Drop for Client {
             runtime.shutdown_background();
         }
     }
+}
+
+fn go_on(cancel: &Cancel) -> Result<(), StageError> {
+    if cancel.is_set() {
+        return Err(StageError::Cancelled);
+    }
+    Ok(())
 }
 
 type Reported = (usize, Result<Answer, NetError>);

@@ -9,8 +9,7 @@ mod tls;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use marf_stage::StageError;
-use marf_stage::harness::Harness;
+use marf_stage::{Cancel, StageError};
 
 use super::*;
 use crate::archive::access::NetworkPermit;
@@ -53,13 +52,12 @@ type Answers = Vec<Option<Result<Answer, NetError>>>;
 /// Brings all, answers in the order of the downloads.
 fn all(client: &Client, downloads: &[Download]) -> Answers {
     let mut answers: Answers = vec![None; downloads.len()];
-    let harness = Harness::default();
     let keep = &mut |index: usize, answer| {
         assert!(answers[index].is_none(), "{index} ended twice");
         answers[index] = Some(answer);
         Ok(())
     };
-    client.get_all(&harness.ctx(), downloads, keep).unwrap();
+    client.get_all(&Cancel::default(), downloads, keep).unwrap();
     answers
 }
 

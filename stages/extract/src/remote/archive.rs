@@ -4,18 +4,23 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, OnceLock};
 
 use marf_cache::{Digest, digest_of};
-use marf_stage::{Access, Ctx, LOCK_FILE, Listing, ParamError, Shard, StageError};
+use marf_stage::{Access, Cancel, Ctx, LOCK_FILE, Listing, ParamError, Shard, StageError};
 use parking_lot::{Mutex, MutexGuard};
 
-use super::catalog::{CatalogSource, Question, SolFiles, SolListing};
+use super::catalog::{Catalog, CatalogSource, Question, SolFiles, SolListing};
 use super::lock::{self, Lock, OpenLock, SolPins};
 use super::network::Network;
 use super::online::Online;
 use super::pages::Pages;
 use super::summary::{Summaries, damaged};
 use crate::archive::access::RemoteContext;
+use crate::archive::check::Check;
+use crate::check::Checkup;
 use crate::net::{Client, ClientSettings};
 use marf_stage::Sols;
+
+/// Most tries of a request of a check, whose answer a person waits for.
+const CHECK_TRIES: u32 = 2;
 
 /// An archive on a server.
 pub(crate) struct RemoteArchive {
@@ -120,6 +125,22 @@ impl RemoteArchive {
         Ok(self.client.get_or_init(|| client))
     }
 
+    /// Asks the server for one page of each kind, one label and one picture, and compares them with what the readers expect.
+    ///
+    /// # Errors
+    /// There is no client under `--offline`. An address that is none, the wish to stop.
+    pub(super) fn ask_for_one_of_each(&self, cancel: &Cancel) -> Result<Vec<Check>, StageError> {
+        let settings = ClientSettings {
+            tries: self.settings.tries.min(CHECK_TRIES),
+            ..self.settings.clone()
+        };
+        let client = Client::new(self.context.permit()?, settings)?;
+        let mut checkup = Checkup::new(&client, cancel);
+        let listed = self.source.check(&self.sols, &mut checkup)?;
+        checkup.product(listed.as_ref())?;
+        Ok(checkup.into_checks())
+    }
+
     /// Lists the sols asked for: as the server has them now, or as they are locked.
     ///
     /// # Errors
@@ -195,7 +216,8 @@ impl RemoteArchive {
         };
         let catalog = self.source.catalog(question, pages);
         pages.save();
-        let catalog = catalog?;
+        let mut catalog = catalog?;
+        self.add_withdrawn(&mut catalog, lock.sols());
         let remembered = |sol: u32| self.remembered(ctx, sol);
         let mut online = Online {
             source: self.source.as_ref(),
@@ -225,6 +247,17 @@ impl RemoteArchive {
             lock,
         };
         Ok((listing, survey))
+    }
+
+    /// Adds the sols that are pinned and of which the server lists nothing any more, so that their products are reported.
+    fn add_withdrawn(&self, catalog: &mut Catalog, pinned: &BTreeSet<u32>) {
+        if catalog.sols.is_empty() || self.sols == Sols::Latest {
+            return;
+        }
+        for sol in self.sols.choose(pinned) {
+            let nothing = || SolListing::Pages(Vec::new());
+            catalog.sols.entry(sol).or_insert_with(nothing);
+        }
     }
 
     fn pages<'a>(&self, ctx: &Ctx<'_>, state: &'a mut MutexGuard<'_, State>) -> &'a mut Pages {

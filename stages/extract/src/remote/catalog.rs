@@ -7,6 +7,7 @@ use marf_stage::{Ctx, StageError};
 
 use super::lock::{Pin, SolPins};
 use super::pages::Pages;
+use crate::check::Checkup;
 use crate::net::{Client, Url};
 use marf_stage::Sols;
 
@@ -50,6 +51,14 @@ pub(crate) enum SolListing {
     Pinned,
 }
 
+/// The wanted files of one sol, as a page, table or feed names them.
+pub(crate) struct ListedSol {
+    /// The sol.
+    pub sol: u32,
+    /// Its files.
+    pub files: SolFiles,
+}
+
 /// A request to a catalog.
 #[derive(Clone, Copy)]
 pub(crate) struct Question<'a> {
@@ -83,6 +92,12 @@ pub(crate) trait CatalogSource: Send + Sync {
     /// # Errors
     /// An invalid address.
     fn files(&self, pages: &Pages, sol: u32, listing: &[String]) -> Result<Option<SolFiles>, StageError>;
+
+    /// Asks for one page of each kind. Returns the files of one sol, of those asked for if the server has any of them.
+    ///
+    /// # Errors
+    /// An invalid address, the wish to stop.
+    fn check(&self, sols: &Sols, checkup: &mut Checkup<'_>) -> Result<Option<ListedSol>, StageError>;
 }
 
 /// What of a file decides whether its sol is brought again: its bytes, as far as they are known.

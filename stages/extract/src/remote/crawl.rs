@@ -7,7 +7,7 @@ use super::pages::{PageState, Pages};
 use crate::net::{Answer, Client, Download, Url, Validators};
 
 /// Largest page that is read.
-const MAX_PAGE_BYTES: u64 = 16 << 20;
+pub(crate) const MAX_PAGE_BYTES: u64 = 16 << 20;
 
 /// Reads the folders of a server.
 pub(crate) struct Crawl<'a> {
@@ -91,7 +91,7 @@ impl Crawl<'_> {
             .collect::<Result<Vec<Download>, StageError>>()?;
         let (total, mut done) = (wants.len() as u64, 0);
         let (client, ctx) = (self.client, self.ctx);
-        client.get_all(ctx, &wants, &mut |index, answer| {
+        client.get_all(ctx.cancel, &wants, &mut |index, answer| {
             let folder = asked[index];
             let outcome = answer
                 .map_err(StageError::from)

@@ -175,7 +175,7 @@ impl Sol<'_> {
         let (mut failures, mut meter, began) = (Vec::new(), Meter::new(wanted.len() as u64), Instant::now());
         let (mut done, mut bytes) = (0, 0);
         let client = self.archive.client()?;
-        client.get_all(self.ctx, &wants, &mut |index, answer| {
+        client.get_all(self.ctx.cancel, &wants, &mut |index, answer| {
             let (name, file) = wanted[index];
             let outcome = match answer {
                 Ok(answer) => {

@@ -22,11 +22,12 @@ mod online;
 pub(crate) mod pages;
 mod summary;
 
-use marf_stage::{Ctx, Listing, StageError};
+use marf_stage::{Cancel, Ctx, Listing, StageError};
 
 pub(crate) use self::archive::{RemoteArchive, Request};
 pub(crate) use self::lock::pins_in;
 pub use self::lock::{PinnedProduct, UnreadableLock, pinned_products};
+use crate::archive::check::Check;
 use crate::archive::{ArchiveFiles, ShardFiles};
 
 impl ArchiveFiles for RemoteArchive {
@@ -36,5 +37,9 @@ impl ArchiveFiles for RemoteArchive {
 
     fn files(&self, ctx: &Ctx<'_>, shard: u32) -> Result<ShardFiles, StageError> {
         fetch::sol(self, ctx, shard, self.sol(ctx, shard)?)
+    }
+
+    fn check(&self, cancel: &Cancel) -> Result<Vec<Check>, StageError> {
+        self.ask_for_one_of_each(cancel)
     }
 }

@@ -61,18 +61,19 @@ impl Online<'_> {
             self.push(sol, digest_of(&("lost", digest)), 0);
             return Ok(());
         };
-        if files.is_empty() {
-            if summary.is_none() {
-                self.summaries.set_empty(sol, digest);
-            }
-            return Ok(());
-        }
         let pins = match summary {
             Some(_) => self.lock.pins(sol)?,
             None => self.remembered(sol)?,
         };
+        let is_pinned = pins.is_some();
         let pins = pins.unwrap_or_default();
         let files = files.with_history(&pins);
+        if files.is_empty() {
+            if !is_pinned {
+                self.summaries.set_empty(sol, digest);
+            }
+            return Ok(());
+        }
         let listed = Listed {
             listing: digest,
             fingerprint: files.fingerprint(&pins),

@@ -208,3 +208,88 @@ fn the_latest_sol_is_the_latest_with_a_photo_of_this_camera() {
         .unwrap();
     assert_eq!(brought.rows, offline.rows);
 }
+
+/// A record as the feed has it, with a camera of nine components.
+pub(super) fn navcam(server: &Server, sol: u32, number: u32) -> Value {
+    let id = format!("NLF_{sol:04}_0671{number:06}_448ECM_N0031950NCAM00500_01_295J");
+    let path = format!("/mars2020-raw-images/{id}01.png");
+    server.file(&path, image_bytes((number % 17) as u8));
+    json!({
+        "imageid": id, "sol": sol, "site": 3, "drive": "1950", "sample_type": "Full", "link": "UNK",
+        "attitude": "(0.8,0.0,0.0,0.6)", "date_received": "2021-04-11T16:01:56Z",
+        "image_files": {"small": "UNK", "full_res": server.url(&path)},
+        "camera": {
+            "instrument": "NAVCAM_LEFT", "filter_name": "UNK", "camera_model_type": "CAHVORE",
+            "camera_model_component_list": "(0.67,0.77,-1.96);(1,0,0);(8,200,0);(6,0,200);(1,0,0);(2e-06,0.05,-0.016);\
+                                            (-0.0036,0.013,-0.024);2.0;0.0",
+        },
+        "extended": {"xyz": "(10.3,66.0,0.7)", "scaleFactor": "4", "dimension": "(16,12)", "mastAz": "UNK"},
+    })
+}
+
+/// Answers as the feed does: newest sols first, numbers also as texts, an envelope around each page.
+pub(super) fn play_in_its_envelope(server: &Server, records: Vec<Value>) {
+    let sol = |record: &Value| record["sol"].as_u64().unwrap();
+    server.feed("/rss/api/", move |_, query| {
+        let value = |key: &str| {
+            let mut pairs = query.split('&').filter_map(|pair| pair.split_once('='));
+            pairs.find(|(name, _)| *name == key).map(|(_, value)| value.to_owned())
+        };
+        let newest = records.iter().map(sol).max()?;
+        if value("latest").is_some() {
+            let latest = json!({"latest": "2021-04-11T16:01:56Z", "latest_sol": newest, "latest_sols": [newest], "new_count": 9,
+                                "sol_count": 7, "total": records.len(), "type": "mars2020"});
+            return Some(latest.to_string().into_bytes());
+        }
+        let number = |key: &str| value(key)?.split(':').next()?.parse::<u64>().ok();
+        let (first, last, page) = (number("condition_2")?, number("condition_3")?, number("page")?);
+        let instruments = value("search")?;
+        let is_searched = |record: &&Value| {
+            let instrument = record["camera"]["instrument"].as_str().unwrap();
+            instruments.split("%7C").any(|name| name == instrument) && (first..=last).contains(&sol(record))
+        };
+        let mut found: Vec<&Value> = records.iter().filter(is_searched).collect();
+        found.sort_by_key(|record| std::cmp::Reverse(sol(record)));
+        let images: Vec<&&Value> = found.iter().skip(100 * page as usize).take(100).collect();
+        let page = json!({"images": images, "per_page": "100", "total_results": found.len(), "page": page.to_string(),
+                          "mission": "mars2020", "type": "raw_images", "total_images": 700_000});
+        Some(page.to_string().into_bytes())
+    });
+}
+
+#[test]
+fn pages_of_the_feed_are_read_to_their_end_and_then_only_new_records() {
+    let server = Server::start().unwrap();
+    let mut records: Vec<Value> = (0..130)
+        .map(|number| navcam(&server, 50 + number % 3, number))
+        .collect();
+    for number in 200..220 {
+        let mut thumbnail = navcam(&server, 51, number);
+        thumbnail["sample_type"] = json!("Thumbnail");
+        records.push(thumbnail);
+    }
+    play_in_its_envelope(&server, records.clone());
+    let place = Place::new();
+    let archive = place.feed(&server, "50..=60");
+    let first = place.bring(&archive).unwrap();
+    assert_eq!((first.rows.len(), served(&server)), (130, 130));
+    assert_eq!(
+        server.requests_of("/rss/api/").len(),
+        1 + 2,
+        "the latest sol, and two pages of 150 records"
+    );
+    for facts in first.facts.values() {
+        assert_eq!(facts["prior"]["motion_counter"], json!([3, 1950]), "{facts}");
+    }
+
+    // A young sol gets a photo, and a new sol comes.
+    records.extend([navcam(&server, 52, 300), navcam(&server, 53, 301)]);
+    play_in_its_envelope(&server, records);
+    server.clear();
+    let second = place.bring(&archive).unwrap();
+    assert_eq!((second.rows.len(), served(&server)), (132, 2));
+    assert!(first.rows.iter().all(|(id, row)| second.rows[id] == *row));
+    server.clear();
+    assert_eq!(place.bring(&archive).unwrap().rows, second.rows);
+    assert_eq!(server.requests().len(), 1, "the total is unchanged");
+}

@@ -7,6 +7,8 @@
     reason = "a test that cannot go on should stop"
 )]
 
+mod bundle;
+mod check;
 #[path = "../common/mod.rs"]
 mod common;
 mod curiosity;
@@ -15,6 +17,7 @@ mod lock;
 mod offline;
 mod pds;
 mod questions;
+mod trees;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};

@@ -4,7 +4,9 @@ use roxmltree::Node;
 
 use super::node::{PDS, child, children, number_at, text_at};
 use super::{display, scaling};
-use crate::label::{Array, BandStorage, LineDirection, Quantity, Sample, SampleDirection, SampleKind};
+use crate::label::{
+    Array, BandStorage, FileFacts, LineDirection, Quantity, Sample, SampleDirection, SampleKind,
+};
 use crate::values;
 
 /// Keys of values that mean no light: no value, or less than can be stored.
@@ -52,6 +54,20 @@ pub(super) fn read(root: Node<'_, '_>, notes: &mut Vec<String>) -> Option<Array>
     }
     (array.lines, array.samples) = display::directions(root, text_at(node, &[(PDS, "local_identifier")]));
     Some(array)
+}
+
+/// Returns size and MD5 of the file of an array, where the label has them.
+pub(super) fn whole_file(root: Node<'_, '_>, array: &Array) -> FileFacts {
+    let files = children(root, PDS, "File_Area_Observational").filter_map(|area| child(area, PDS, "File"));
+    let is_named = |file: &Node<'_, '_>| text_at(*file, &[(PDS, "file_name")]) == array.file;
+    files
+        .filter(is_named)
+        .map(|file| FileFacts {
+            bytes: number_at(file, &[(PDS, "file_size")]).map(|bytes| bytes as u64),
+            md5: text_at(file, &[(PDS, "md5_checksum")]).map(|md5| md5.to_ascii_lowercase()),
+        })
+        .next()
+        .unwrap_or_default()
 }
 
 fn array_name(node: Node<'_, '_>) -> Option<String> {

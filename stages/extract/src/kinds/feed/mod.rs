@@ -4,26 +4,26 @@
 //! the latest sol, returns the total number of photos. While that number is unchanged, nothing else is requested. A
 //! revised record is noticed with the next photo that the feed adds.
 
+mod check;
 mod question;
 mod records;
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use marf_cache::Digest;
-use marf_pds::values;
 use marf_stage::{ParamError, StageError};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::Value;
 
-use self::question::FeedPages;
+use self::question::{FeedPages, Newest};
 use self::records::{field, id_of, sol_of, text};
 use super::mission::{Instrument, Mission};
 use crate::archive::ArchiveFiles;
 use crate::archive::access::{Remote, RemoteContext};
 use crate::archive::kind::ArchiveKind;
+use crate::check::Checkup;
 use crate::net::{Origin, Url};
-use crate::remote::catalog::{Catalog, CatalogSource, Question, RemoteFile, SolFiles, SolListing};
+use crate::remote::catalog::{Catalog, CatalogSource, ListedSol, Question, RemoteFile, SolFiles, SolListing};
 use crate::remote::network::{Network, bases, origins};
 use crate::remote::pages::{PageState, Pages};
 use crate::remote::{RemoteArchive, Request};
@@ -144,20 +144,16 @@ impl Feed {
 
     /// Asks for the latest sol: the one question of a run with nothing new.
     fn newest(&self, pages: &FeedPages<'_>) -> Result<Newest, StageError> {
-        let path = match self.form {
+        Ok(Newest::from_answer(&pages.one(&self.latest_path())?))
+    }
+
+    fn latest_path(&self) -> String {
+        match self.form {
             Form::Mars2020(category) => {
                 format!("rss/api/?feed=raw_images&category={category}&feedtype=json&ver=1.2&latest=true")
             }
             Form::Msl => "api/v1/raw_image_items/msl/latest/".to_owned(),
-        };
-        let json = pages.one(&path)?;
-        let sol = json.get("latest_sol").and_then(text);
-        // Keys are sorted: the same answer is the same text.
-        let version = || Digest::from_content(json.to_string().as_bytes()).to_string();
-        Ok(Newest {
-            sol: sol.and_then(|sol| values::sol(&sol)),
-            version: json.get("total").and_then(text).map(|_| version()),
-        })
+        }
     }
 
     fn page_path(&self, first: u32, last: u32, page: usize) -> String {
@@ -393,14 +389,10 @@ impl CatalogSource for Feed {
         }
         Ok(Some(self.sol_files(&records)))
     }
-}
 
-/// The latest sol of a feed.
-struct Newest {
-    /// The sol, which is that of any camera.
-    sol: Option<u32>,
-    /// The version of the whole feed, if it reports its number of photos. While it is unchanged, no photo was added.
-    version: Option<String>,
+    fn check(&self, sols: &Sols, checkup: &mut Checkup<'_>) -> Result<Option<ListedSol>, StageError> {
+        self.one_page_of_each(sols, checkup)
+    }
 }
 
 type Records = BTreeMap<String, Value>;

@@ -1,12 +1,15 @@
 //! Questions to a feed, page by page.
 
+use marf_cache::Digest;
+use marf_pds::values;
 use marf_stage::{Ctx, StageError};
 use serde_json::Value;
 
+use super::records::text;
 use crate::net::{Answer, Client, Download};
 use crate::remote::crawl::urls;
 
-const MAX_PAGE_BYTES: u64 = 32 << 20;
+pub(super) const MAX_PAGE_BYTES: u64 = 32 << 20;
 
 /// Reads the pages of a feed.
 pub(super) struct FeedPages<'a> {
@@ -25,7 +28,7 @@ impl FeedPages<'_> {
             part: None,
         };
         let mut got = None;
-        self.client.get_all(self.ctx, &[want], &mut |_, answer| {
+        self.client.get_all(self.ctx.cancel, &[want], &mut |_, answer| {
             got = Some(answer?);
             Ok(())
         })?;
@@ -39,6 +42,27 @@ impl FeedPages<'_> {
                 StageError::new(format!("the feed is not at {}", self.bases.join(", ")))
                     .hint("it may have moved: set `base` of the archive"),
             ),
+        }
+    }
+}
+
+/// The latest sol of a feed.
+pub(super) struct Newest {
+    /// The sol, which is that of any camera.
+    pub sol: Option<u32>,
+    /// The version of the whole feed, if it reports its number of photos. While it is unchanged, no photo was added.
+    pub version: Option<String>,
+}
+
+impl Newest {
+    /// Reads the answer to the first question.
+    pub fn from_answer(json: &Value) -> Self {
+        let sol = json.get("latest_sol").and_then(text);
+        // Keys are sorted: the same answer is the same text.
+        let version = || Digest::from_content(json.to_string().as_bytes()).to_string();
+        Self {
+            sol: sol.and_then(|sol| values::sol(&sol)),
+            version: json.get("total").and_then(text).map(|_| version()),
         }
     }
 }

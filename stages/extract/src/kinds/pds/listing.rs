@@ -162,7 +162,7 @@ fn roots<'a>(crawl: &mut Crawl<'_>, layout: &'a [Tree]) -> Result<Option<Vec<Roo
 }
 
 /// Returns the folder of the collection of a tree, if its page shows changes in the tree.
-fn collection(tree: &Tree) -> Option<&str> {
+pub(super) fn collection(tree: &Tree) -> Option<&str> {
     let deep = tree.volumes.is_none() && !tree.below_sol.is_empty();
     tree.root
         .rsplit_once('/')
@@ -172,16 +172,18 @@ fn collection(tree: &Tree) -> Option<&str> {
 
 /// Returns the version of a collection by the page of its folder: the dates of its inventory and of its other entries.
 fn released(entries: &[Entry]) -> Option<String> {
-    let inventory = |entry: &Entry| {
-        !entry.folder && entry.name.starts_with("collection") && entry.name.ends_with("inventory.csv")
-    };
     let shown =
-        entries.iter().any(inventory) && entries.iter().all(|entry| is_past(entry.modified.as_deref()));
+        entries.iter().any(is_inventory) && entries.iter().all(|entry| is_past(entry.modified.as_deref()));
     let seen: Vec<(&str, Option<&str>)> = entries
         .iter()
         .map(|entry| (entry.name.as_str(), entry.modified.as_deref()))
         .collect();
     shown.then(|| digest_of(&seen).to_string())
+}
+
+/// Whether an entry is the inventory of a collection.
+pub(super) fn is_inventory(entry: &Entry) -> bool {
+    !entry.folder && entry.name.starts_with("collection") && entry.name.ends_with("inventory.csv")
 }
 
 /// Whether a date of a page, `YYYY-MM-DDTHH:MM`, is so old that all files of that date are present.

@@ -6,15 +6,17 @@
 //! listing.rs    products found by folder pages
 //! tables.rs     products found by inventories and index tables
 //! products.rs   choice among the found products
+//! check.rs      one page of each kind
 //! ```
 
+mod check;
 mod layout;
 mod listing;
 mod params;
 mod products;
 mod tables;
 
-use marf_stage::{ParamError, StageError};
+use marf_stage::{ParamError, Sols, StageError};
 
 use self::layout::CameraLayout;
 use self::params::{Discover, PdsParams};
@@ -22,7 +24,8 @@ use self::products::Products;
 use crate::archive::ArchiveFiles;
 use crate::archive::access::{Remote, RemoteContext};
 use crate::archive::kind::ArchiveKind;
-use crate::remote::catalog::{Catalog, CatalogSource, Question, SolFiles};
+use crate::check::Checkup;
+use crate::remote::catalog::{Catalog, CatalogSource, ListedSol, Question, SolFiles};
 use crate::remote::crawl::Crawl;
 use crate::remote::network::bases;
 use crate::remote::pages::Pages;
@@ -51,7 +54,7 @@ impl ArchiveKind for Pds {
 
     fn open(params: PdsParams, context: RemoteContext) -> Result<Box<dyn ArchiveFiles>, ParamError> {
         let layout = CameraLayout::new(&params)?;
-        check(params.discover, &layout)?;
+        check_discover(params.discover, &layout)?;
         let (mission, instrument, level, pixels) =
             (params.mission, params.instrument, params.level, params.pixels);
         let asked = format!("pds {mission:?} {instrument:?} {level:?} {pixels:?}").to_lowercase();
@@ -111,10 +114,18 @@ impl CatalogSource for Pds {
         }
         self.products.taken(sol, found).map(Some)
     }
+
+    fn check(&self, sols: &Sols, checkup: &mut Checkup<'_>) -> Result<Option<ListedSol>, StageError> {
+        match self.discover {
+            Discover::Listing => check::by_listing(&self.products, checkup, sols),
+            Discover::Inventory => check::by_inventory(&self.products, checkup, sols),
+            Discover::Index => check::by_index(&self.products, checkup, sols),
+        }
+    }
 }
 
 /// Checks that the products of a camera can be found as asked for.
-fn check(discover: Discover, layout: &CameraLayout) -> Result<(), ParamError> {
+fn check_discover(discover: Discover, layout: &CameraLayout) -> Result<(), ParamError> {
     let mut trees = layout.layouts.iter().flatten();
     match discover {
         Discover::Inventory if layout.collection.is_none() => Err(ParamError::new(

@@ -5,8 +5,9 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use marf_pds::ProductName;
 use marf_pds::index_table::{Index, IndexError};
-use marf_pds::{ProductName, inventory};
+use marf_pds::inventory::{self, InventoryError};
 use marf_stage::StageError;
 
 use super::layout::Tree;
@@ -17,15 +18,16 @@ use crate::remote::crawl::Crawl;
 use crate::remote::pages::{PageState, Pages};
 
 /// Largest inventory or index that is read.
-const MAX_TABLE_BYTES: u64 = 128 << 20;
+pub(super) const MAX_TABLE_BYTES: u64 = 128 << 20;
 /// Name of a collection's inventory.
-const INVENTORY: &str = "collection_data_inventory.csv";
+pub(super) const INVENTORY: &str = "collection_data_inventory.csv";
 /// Label and table of a volume's index of decompressed products.
-const INDEX: [&str; 2] = ["RDRINDEX.LBL", "RDRINDEX.TAB"];
+pub(super) const INDEX: [&str; 2] = ["RDRINDEX.LBL", "RDRINDEX.TAB"];
 /// Separates the path of a table from a sol, in the name of the page with the table's products of that sol.
 const OF_SOL: char = '#';
 
-type BySol = BTreeMap<u32, Vec<FoundFile>>;
+/// Products by sol.
+pub(super) type BySol = BTreeMap<u32, Vec<FoundFile>>;
 
 /// Finds products in the inventory of the collection, which has names without folders, dates and versions. The
 /// version is assumed to be that of the identifier. A product whose file has another version is listed as gone.
@@ -37,25 +39,31 @@ pub(super) fn by_inventory(
     let collection = products.layout.collection.as_deref().unwrap_or_default();
     let path = format!("{collection}/{INVENTORY}");
     for table in changed(crawl, std::slice::from_ref(&path))? {
-        let members = inventory::read(&table.bytes).map_err(|error| unreadable(&path, &error.to_string()))?;
-        let mut found = BySol::new();
-        for member in members.iter().filter(|member| member.primary) {
-            let Some(stem) = inventory::file_stems(member).into_iter().next() else {
-                continue;
-            };
-            let Some(sol) = ProductName::read(&stem).and_then(|name| name.sol) else {
-                continue;
-            };
-            for tree in products.layout.layouts.iter().flatten() {
-                found
-                    .entry(sol)
-                    .or_default()
-                    .extend(files_named(tree, sol, &stem));
-            }
-        }
+        let found =
+            by_members(products, &table.bytes).map_err(|error| unreadable(&path, &error.to_string()))?;
         keep(crawl.pages, &path, table.validators, &found);
     }
     Ok(catalog(crawl.pages, &[path], question))
+}
+
+/// Returns the products that an inventory names.
+pub(super) fn by_members(products: &Products, bytes: &[u8]) -> Result<BySol, InventoryError> {
+    let mut found = BySol::new();
+    for member in inventory::read(bytes)?.iter().filter(|member| member.primary) {
+        let Some(stem) = inventory::file_stems(member).into_iter().next() else {
+            continue;
+        };
+        let Some(sol) = ProductName::read(&stem).and_then(|name| name.sol) else {
+            continue;
+        };
+        for tree in products.layout.layouts.iter().flatten() {
+            found
+                .entry(sol)
+                .or_default()
+                .extend(files_named(tree, sol, &stem));
+        }
+    }
+    Ok(found)
 }
 
 /// Returns the files of a product in a tree, as they are named.
@@ -117,7 +125,7 @@ pub(super) fn by_index(
     Ok(catalog(crawl.pages, &tables, question))
 }
 
-/// Returns the products of one volume, by sol: label and pixels of each.
+/// Returns the products of one volume, by sol.
 fn index_of(crawl: &mut Crawl<'_>, path: &str, table: &[u8]) -> Result<BySol, StageError> {
     let bad = |error: IndexError| unreadable(path, &error.to_string());
     let volume = path.rsplit_once("/INDEX/").map_or("", |(volume, _)| volume);
@@ -127,9 +135,14 @@ fn index_of(crawl: &mut Crawl<'_>, path: &str, table: &[u8]) -> Result<BySol, St
         .map(|label| label.bytes)
         .unwrap_or_default();
     let index = Index::from_label(&label).map_err(bad)?;
+    by_rows(&index, volume, table).map_err(bad)
+}
+
+/// Returns the products that the rows of an index name: label and pixels of each.
+pub(super) fn by_rows(index: &Index, volume: &str, table: &[u8]) -> Result<BySol, IndexError> {
     let mut found = BySol::new();
     for row in index.rows(table) {
-        let location = row.map_err(bad)?.location();
+        let location = row?.location();
         let (Some(sol), Some(path), Some(file)) = (location.sol, location.path, location.file) else {
             continue;
         };
@@ -165,24 +178,26 @@ fn changed(crawl: &mut Crawl<'_>, paths: &[String]) -> Result<Vec<DownloadedFile
         .map(|path| crawl.want(path, path, MAX_TABLE_BYTES))
         .collect::<Result<Vec<_>, StageError>>()?;
     let mut tables = Vec::new();
-    crawl.client.get_all(crawl.ctx, &wants, &mut |index, answer| {
-        match answer? {
-            Answer::Whole {
-                bytes, validators, ..
-            } => tables.push(DownloadedFile {
-                path: paths[index].clone(),
-                bytes,
-                validators,
-            }),
-            Answer::Unchanged => {}
-            Answer::Absent { .. } => {
-                return Err(StageError::new(format!("the archive has no `{}`", paths[index]))
-                    .cause(format!("asked at {}", crawl.bases.join(", ")))
-                    .hint("find products by `discover = \"listing\"`, or set `base` of the archive"));
+    crawl
+        .client
+        .get_all(crawl.ctx.cancel, &wants, &mut |index, answer| {
+            match answer? {
+                Answer::Whole {
+                    bytes, validators, ..
+                } => tables.push(DownloadedFile {
+                    path: paths[index].clone(),
+                    bytes,
+                    validators,
+                }),
+                Answer::Unchanged => {}
+                Answer::Absent { .. } => {
+                    return Err(StageError::new(format!("the archive has no `{}`", paths[index]))
+                        .cause(format!("asked at {}", crawl.bases.join(", ")))
+                        .hint("find products by `discover = \"listing\"`, or set `base` of the archive"));
+                }
             }
-        }
-        Ok(())
-    })?;
+            Ok(())
+        })?;
     tables.sort_by(|a, b| a.path.cmp(&b.path));
     Ok(tables)
 }

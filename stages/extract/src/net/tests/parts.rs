@@ -361,7 +361,7 @@ fn a_part_that_cannot_be_written_is_named() {
         "{error}"
     );
     let twice = [kept(&server, "/a", &part), kept(&server, "/a", &part)];
-    let error = hasty(&server).get_all(&Harness::default().ctx(), &twice, &mut |_, _| Ok(()));
+    let error = hasty(&server).get_all(&Cancel::default(), &twice, &mut |_, _| Ok(()));
     assert!(error.unwrap_err().to_string().contains("share the part"));
 }
 
@@ -376,14 +376,14 @@ fn a_stopped_download_goes_on_at_the_next_call() {
         download(&server, "/small"),
         kept(&server, "/a", &folder.part("a.part")),
     ];
-    let harness = Harness::default();
+    let cancel = Cancel::default();
     let mut stopped = None;
-    let ended = client(&server).get_all(&harness.ctx(), &downloads, &mut |index, _| {
+    let ended = client(&server).get_all(&cancel, &downloads, &mut |index, _| {
         assert_eq!(index, 0, "the large one cannot be done");
         while folder.files().get("a.part").is_none_or(|length| *length < 50_000) {
             std::thread::yield_now();
         }
-        harness.cancel.set();
+        cancel.set();
         stopped = Some(Instant::now());
         Ok(())
     });
@@ -409,8 +409,8 @@ fn a_wish_to_stop_ends_every_kind_of_wait() {
             ..quick(&[&server])
         };
         let client = Client::new(permit(), settings).unwrap();
-        let harness = Harness::default();
-        let (cancel, server) = (&harness.cancel, &server);
+        let cancel = Cancel::default();
+        let (cancel, server) = (&cancel, &server);
         let began = std::thread::scope(|scope| {
             let stopper = scope.spawn(move || {
                 while server.requests_of(path).is_empty() {
@@ -419,7 +419,7 @@ fn a_wish_to_stop_ends_every_kind_of_wait() {
                 cancel.set();
                 Instant::now()
             });
-            let ended = client.get_all(&harness.ctx(), &[download(server, path)], &mut |_, _| Ok(()));
+            let ended = client.get_all(cancel, &[download(server, path)], &mut |_, _| Ok(()));
             assert!(matches!(ended, Err(StageError::Cancelled)), "{path}: {ended:?}");
             stopper.join().unwrap()
         });

@@ -183,7 +183,7 @@ fn no_wants_are_no_work_and_done_can_stop() {
     server.file("/a", *b"a");
     let downloads = vec![download(&server, "/a"); 50];
     let mut ended = 0;
-    let stop = client.get_all(&Harness::default().ctx(), &downloads, &mut |_, _| {
+    let stop = client.get_all(&Cancel::default(), &downloads, &mut |_, _| {
         ended += 1;
         Err(StageError::new("the store is full"))
     });
