@@ -8,7 +8,7 @@ use marf_schema::train::Target;
 
 use super::options::{DeviceArg, FolderArgs};
 use super::output::print_json;
-use crate::terminal::print_line;
+use crate::terminal::{eprint_line, print_line};
 
 /// Arguments of `fit`.
 #[derive(Debug, Clone, Args)]
@@ -62,8 +62,12 @@ pub fn fit(args: FitArgs, context: Context) -> Result<(), Error> {
     scores
         .iter()
         .for_each(|(name, scores)| print_scores(name, scores));
+    eprint_line(NEXT);
     Ok(())
 }
+
+/// What a field is for.
+const NEXT: &str = "next: `marf view` shows the field in 3-D, `marf report` writes the report, `marf export mesh --out scene.glb` makes a mesh";
 
 fn print_scores(name: &str, scores: &FitScores) {
     print_line(&format!(

@@ -12,13 +12,16 @@ pub struct ReportArgs {
     /// File to write
     #[arg(long, value_name = "FILE", default_value = "report.html")]
     out: PathBuf,
+    /// Number of the run, as `marf log` lists it [default: the newest one]
+    #[arg(long, value_name = "NUMBER")]
+    run: Option<u64>,
     #[command(flatten)]
     store: StoreArgs,
 }
 
 /// `marf report`: writes the report of the newest run.
 pub fn report(args: ReportArgs, context: Context) -> Result<(), Error> {
-    marf_run::report::report(&args.store.context(context), &args.out)?;
+    marf_run::report::report(&args.store.context(context), &args.out, args.run)?;
     eprint_line(&format!("wrote {}", args.out.display()));
     Ok(())
 }

@@ -1,6 +1,7 @@
 //! Keys: the action of a node or of a part of its work, and how two actions differ.
 
-use std::{collections::BTreeMap, fmt};
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt;
 
 use marf_cache::{ACTION_FORMAT, Action, ChildVersion, Digest, LISTING, Store, StoreError, canonical_json};
 use marf_stage::{EARLIER, Inputs, Stage, StageDef, StageError, Work};
@@ -143,7 +144,7 @@ pub fn changes(old: &Value, new: &Value) -> Vec<Change> {
 
 /// Returns the differences between two tables, sorted by name.
 pub(crate) fn changes_between(old: &BTreeMap<String, String>, new: &BTreeMap<String, String>) -> Vec<Change> {
-    let paths: std::collections::BTreeSet<&String> = old.keys().chain(new.keys()).collect();
+    let paths: BTreeSet<&String> = old.keys().chain(new.keys()).collect();
     let differs = paths.into_iter().filter(|path| old.get(*path) != new.get(*path));
     differs
         .map(|path| Change {
@@ -154,7 +155,7 @@ pub(crate) fn changes_between(old: &BTreeMap<String, String>, new: &BTreeMap<Str
         .collect()
 }
 
-/// Returns the values of a document by their dotted paths.
+/// Returns the values of a document by their dotted paths. A list is one value.
 fn leaves(json: &Value) -> BTreeMap<String, String> {
     let mut leaves = BTreeMap::new();
     add_leaves(String::new(), json, &mut leaves);
@@ -173,9 +174,6 @@ fn add_leaves(path: String, value: &Value, leaves: &mut BTreeMap<String, String>
         Value::Object(table) if !table.is_empty() => table
             .iter()
             .for_each(|(name, value)| add_leaves(below(name), value, leaves)),
-        Value::Array(values) if !values.is_empty() => (0..)
-            .zip(values)
-            .for_each(|(index, value)| add_leaves(below(&index.to_string()), value, leaves)),
         Value::String(text) if is_digest_path(&path) => drop(leaves.insert(path, text.clone())),
         // In the form of keys, so that 3 and 3.0 are one value.
         leaf => drop(leaves.insert(path, String::from_utf8_lossy(&canonical_json(leaf)).into_owned())),
@@ -229,11 +227,34 @@ impl Change {
         self.path.strip_prefix(SHARDS)?.parse().ok()
     }
 
-    /// Writes `path old -> new`.
+    /// Writes `path old -> new`, or which names of a list are new and which are gone.
     fn write_values(&self, f: &mut fmt::Formatter<'_>, path: &str) -> fmt::Result {
+        let names = |value: &Option<String>| match value {
+            Some(value) => serde_json::from_str::<BTreeSet<String>>(value).ok(),
+            None => Some(BTreeSet::new()),
+        };
+        if let (Some(old), Some(new)) = (names(&self.old), names(&self.new))
+            && old != new
+        {
+            let words = [("added", new.difference(&old)), ("removed", old.difference(&new))];
+            let words = words.map(|(word, names)| named(word, &names.collect::<Vec<_>>()));
+            let words: Vec<String> = words.into_iter().flatten().collect();
+            return write!(f, "{path} {}", words.join(", "));
+        }
         let value = |value: &Option<String>| value.clone().unwrap_or_else(|| "absent".to_owned());
         write!(f, "{path} {} -> {}", value(&self.old), value(&self.new))
     }
+}
+
+/// Returns `added "a", "b" and 4 more`. None of no names.
+fn named(word: &str, names: &[&String]) -> Option<String> {
+    const MOST: usize = 3;
+    let shown: Vec<String> = names.iter().take(MOST).map(|name| format!("{name:?}")).collect();
+    let more = names.len().saturating_sub(MOST);
+    let rest = (more > 0)
+        .then(|| format!(" and {more} more"))
+        .unwrap_or_default();
+    (!names.is_empty()).then(|| format!("{word} {}{rest}", shown.join(", ")))
 }
 
 #[cfg(test)]
@@ -311,6 +332,32 @@ mod tests {
         assert_eq!(differences(&action(), &action()), vec![]);
     }
 
+    #[test]
+    fn names_of_a_list_are_told_as_added_and_removed() {
+        let with = |names: Value| Action {
+            params: json!({"by_hand": {"keep": names}}),
+            ..action()
+        };
+        let told = |old: Value, new: Value| {
+            let found = differences(&with(old), &with(new));
+            found.iter().map(ToString::to_string).collect::<Vec<_>>()
+        };
+        let (few, many) = (json!(["a"]), json!(["b", "c", "d", "e", "f"]));
+        assert_eq!(told(json!([]), few.clone()), ["params.by_hand.keep: added \"a\""]);
+        assert_eq!(
+            told(few, many),
+            ["params.by_hand.keep: added \"b\", \"c\", \"d\" and 2 more, removed \"a\""]
+        );
+        assert_eq!(
+            told(json!([0, 1]), json!([0, 2])),
+            ["params.by_hand.keep: [0,1] -> [0,2]"]
+        );
+        assert_eq!(
+            told(json!(["a", "b"]), json!(["b", "a"])),
+            ["params.by_hand.keep: [\"a\",\"b\"] -> [\"b\",\"a\"]"]
+        );
+    }
+
     /// Parameters as a stage gives them: whole numbers as floats, empty lists and tables among them.
     fn params() -> impl Strategy<Value = Value> {
         let leaf = prop_oneof![
@@ -338,9 +385,6 @@ mod tests {
             Value::Object(table) if !table.is_empty() => table
                 .iter()
                 .for_each(|(name, value)| pointers(value, &format!("{path}/{name}"), found)),
-            Value::Array(values) if !values.is_empty() => (0..)
-                .zip(values)
-                .for_each(|(at, value): (usize, _)| pointers(value, &format!("{path}/{at}"), found)),
             _ => found.push(path.to_owned()),
         }
     }

@@ -105,11 +105,11 @@ pub(super) fn of_calibration(metrics: &calibrate::Metrics) -> Vec<Figure> {
 
 /// Returns the figures of one photo.
 pub(super) fn of_photo(scores: &PhotoScores) -> Vec<Figure> {
-    let paper = "PSNR by peak of the picture";
+    let paper = "PSNR, peak of the picture";
     let figures = of_scores(scores.psnr, scores.psnr_paper, scores.ssim, paper);
     let nearest = scores.nearest.iter().flat_map(|nearest| {
         let place = ("nearest photo trained on", place_of(nearest));
-        let share = ("in no photo trained on", percent(nearest.uncovered_share));
+        let share = ("not seen in training", percent(nearest.uncovered_share));
         [Some(place), nearest.extrapolates.then_some(share)]
     });
     figures.into_iter().chain(nearest.flatten()).collect()
@@ -142,7 +142,7 @@ pub(super) fn by_distance(scores: &Scores) -> Markup {
                 summary { "PSNR by distance to the nearest photo trained on" }
                 table {
                     thead { tr {
-                        th { "photo" } th { "nearest" } th { "PSNR, dB" } th { "in no photo trained on" } th {}
+                        th { "photo" } th { "nearest" } th { "PSNR, dB" } th { "not seen in training" } th {}
                     } }
                     tbody { @for (view, nearest) in rows { tr {
                         th scope="row" { (view.name) }

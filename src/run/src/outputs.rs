@@ -5,12 +5,14 @@ use std::path::{Component, Path, PathBuf};
 
 use marf_cache::{Digest, Store};
 use marf_engine::{RunRecord, document, sets};
+use marf_model::select;
 use marf_schema::changes::ChangesReport;
 use marf_schema::scenes::Scenes;
 use marf_schema::ties::Ties;
 use marf_schema::{output, train, tune};
 use marf_stage::{Document, VERDICTS};
 
+use crate::choice::subject;
 use crate::context::Context;
 use crate::copies;
 use crate::error::{Diagnostic, Error};
@@ -185,13 +187,23 @@ pub fn one(store: &Store, record: &RunRecord, digest: &Digest, path: &Path) -> R
     files::write(path, &copies::copy(path, digest, &bytes, record.root))
 }
 
-/// Writes the report that the newest run of a folder without a pipeline file has kept.
+/// Writes the report that a run keeps: of the given number, or else of the newest run that keeps one.
 ///
 /// # Errors
-/// No run, a run without a report, a place that cannot be written.
-pub fn report(context: &Context, path: &Path) -> Result<(), Error> {
+/// No such run, a run without a report, a place that cannot be written.
+pub fn report(context: &Context, path: &Path, number: Option<u64>) -> Result<(), Error> {
     let store = context.existing_store()?;
-    let run = newest_run(context, &store)?;
+    let run = match number {
+        Some(number) => marf_engine::run_of(&store, number)?,
+        None => {
+            let subject = subject(context, &store)?;
+            let keeps_one = |run: &RunRecord| run.documents.contains_key(document::REPORT);
+            match select::newest_with(&store, &subject, context.warnings(), keeps_one)? {
+                Some(run) => run,
+                None => newest_run(context, &store)?,
+            }
+        }
+    };
     let report = run.documents.get(document::REPORT).ok_or_else(|| {
         let message = format!("run {} (`{}`) keeps no report", run.number, run.command);
         Error::Failed(Diagnostic::new(message).hint("`marf view` shows the run"))

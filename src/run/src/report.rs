@@ -21,14 +21,14 @@ use crate::report_memos::StoreMemos;
 use crate::session::Session;
 use crate::{files, outputs, scenes};
 
-/// Writes the report of the last run: the stored one, or a new one if the run stored none. Without a pipeline file, writes the report of
-/// the newest verb on a folder.
+/// Writes the report of a run: of the given number, or else of the last run. That is the stored one, or a new one if the last run stored
+/// none. Without a pipeline file, writes the report of the newest verb on a folder that keeps one.
 ///
 /// # Errors
 /// A pipeline that has not run, a store that cannot be read, a place that cannot be written.
-pub fn report(context: &Context, out: &Path) -> Result<(), Error> {
-    if !context.file.is_file() {
-        return outputs::report(context, out);
+pub fn report(context: &Context, out: &Path, number: Option<u64>) -> Result<(), Error> {
+    if number.is_some() || !context.file.is_file() {
+        return outputs::report(context, out, number);
     }
     let session = Session::open(context)?;
     let record = session

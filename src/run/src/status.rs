@@ -12,7 +12,7 @@ use serde::Deserialize;
 
 use crate::choice::subject;
 use crate::context::Context;
-use crate::error::Error;
+use crate::error::{Diagnostic, Error};
 use crate::scenes::parent_of;
 
 /// Returns the running programs of the pipeline, the one that was started last first.
@@ -39,7 +39,12 @@ pub fn programs(lines: &[Vec<String>]) -> Vec<RunningProgram> {
 pub fn newest_run(context: &Context, store: &Store) -> Result<RunRecord, Error> {
     let subject = subject(context, store)?;
     let newest = select::newest(store, &subject, context.warnings())?;
-    newest.ok_or_else(|| Error::failed(format!("no run in {}", store.dir().display())))
+    newest.ok_or_else(|| {
+        let diagnostic = Diagnostic::new(format!("no run in {}", store.dir().display()));
+        Error::Failed(
+            diagnostic.hint("run `marf run` first, or name the folder of the pipeline with `-C DIR`"),
+        )
+    })
 }
 
 /// A line that a running program has written, with the fields that are shown.

@@ -140,7 +140,7 @@ fn open_error(error: OpenError) -> Error {
     match error {
         OpenError::Newer { .. } => Error::Newer(diagnostic.hint("a newer marf reads it")),
         OpenError::NoFolder { .. } | OpenError::NoCrate { .. } | OpenError::Foreign { .. } => {
-            Error::Usage(diagnostic.hint("name the folder that `marf export crate` wrote"))
+            Error::Usage(diagnostic.hint("name the folder that `marf export crate` wrote. If it is that folder, it is damaged: ask the author for another copy"))
         }
         OpenError::BadRun { .. } => Error::altered(diagnostic),
         OpenError::Stopped => Error::Interrupted,
