@@ -44,7 +44,7 @@ pub fn trace(file: &Path, folder: &Path, cancel: &Cancel) -> Result<CrateTrace, 
         let (file, folder) = (file.display(), folder.display());
         answered(
             Answer::NotOurs,
-            format!("{file} was not made by the run of {folder}"),
+            format!("{file} has the bytes of nothing that the run of {folder} made: it is another file, or it was altered"),
         )
     })?;
     Ok(CrateTrace {
