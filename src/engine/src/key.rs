@@ -155,7 +155,7 @@ pub(crate) fn changes_between(old: &BTreeMap<String, String>, new: &BTreeMap<Str
         .collect()
 }
 
-/// Returns the values of a document by their dotted paths. A list is one value.
+/// Returns the values of a document by their dotted paths. A list of names is one value.
 fn leaves(json: &Value) -> BTreeMap<String, String> {
     let mut leaves = BTreeMap::new();
     add_leaves(String::new(), json, &mut leaves);
@@ -174,6 +174,9 @@ fn add_leaves(path: String, value: &Value, leaves: &mut BTreeMap<String, String>
         Value::Object(table) if !table.is_empty() => table
             .iter()
             .for_each(|(name, value)| add_leaves(below(name), value, leaves)),
+        Value::Array(values) if values.iter().any(|value| !value.is_string()) => (0..)
+            .zip(values)
+            .for_each(|(index, value)| add_leaves(below(&index.to_string()), value, leaves)),
         Value::String(text) if is_digest_path(&path) => drop(leaves.insert(path, text.clone())),
         // In the form of keys, so that 3 and 3.0 are one value.
         leaf => drop(leaves.insert(path, String::from_utf8_lossy(&canonical_json(leaf)).into_owned())),
@@ -350,7 +353,7 @@ mod tests {
         );
         assert_eq!(
             told(json!([0, 1]), json!([0, 2])),
-            ["params.by_hand.keep: [0,1] -> [0,2]"]
+            ["params.by_hand.keep.1: 1 -> 2"]
         );
         assert_eq!(
             told(json!(["a", "b"]), json!(["b", "a"])),
@@ -385,6 +388,9 @@ mod tests {
             Value::Object(table) if !table.is_empty() => table
                 .iter()
                 .for_each(|(name, value)| pointers(value, &format!("{path}/{name}"), found)),
+            Value::Array(values) if values.iter().any(|value| !value.is_string()) => (0..)
+                .zip(values)
+                .for_each(|(at, value): (usize, _)| pointers(value, &format!("{path}/{at}"), found)),
             _ => found.push(path.to_owned()),
         }
     }
@@ -404,7 +410,7 @@ mod tests {
             pointers(&params, "", &mut paths);
             let path = pick.get(&paths);
             let mut changed = params.clone();
-            *changed.pointer_mut(path).unwrap() = json!("another value");
+            *changed.pointer_mut(path).unwrap() = json!(0.123_456_789);
             let found = differences(&stored, &Action { params: changed, ..action() });
             let paths: Vec<String> = found.into_iter().map(|change| change.path).collect();
             prop_assert_eq!(paths, [format!("params{}", path.replace('/', "."))]);

@@ -172,7 +172,7 @@ fn completed<'s>(
 }
 
 /// Returns the nodes of a scene, or those that all scenes share, without those that other nodes asked for.
-pub(crate) fn nodes_of<'r>(run: &'r Run<'_>, scene: Option<&str>) -> Vec<&'r RunNode> {
+fn nodes_of<'r>(run: &'r Run<'_>, scene: Option<&str>) -> Vec<&'r RunNode> {
     let nodes = run.nodes.iter();
     nodes
         .filter(|node| !node.is_child() && scene_of(&node.run.name) == scene)

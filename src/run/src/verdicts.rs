@@ -2,13 +2,13 @@
 
 use std::collections::BTreeMap;
 
+use marf_config::scenes::scene_of;
 use marf_engine::RunRecord;
 use marf_model::Run;
 use marf_report::{Figure, Report};
 use marf_stage::{VERDICTS, Verdict};
 
 use crate::error::Error;
-use crate::report::nodes_of;
 use crate::report_memos::StoreMemos;
 use crate::session::Session;
 
@@ -66,7 +66,11 @@ fn of_report<T>(
         run: &run,
         started: String::new(),
         scene: None,
-        nodes: nodes_of(&run, None),
+        nodes: run
+            .nodes
+            .iter()
+            .filter(|node| !node.is_child() && scene_of(&node.run.name).is_none())
+            .collect(),
         scenes: Vec::new(),
         params: &BTreeMap::new(),
     }))

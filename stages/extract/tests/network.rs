@@ -19,6 +19,7 @@ fn files_with(words: &[&str]) -> Vec<String> {
     sources(&root, &mut files);
     let mut found: Vec<String> = files
         .into_iter()
+        .filter(|path| path.extension().is_some_and(|extension| extension == "rs"))
         .filter(|path| {
             let text = std::fs::read_to_string(path).unwrap();
             words.iter().any(|word| text.contains(word))

@@ -372,7 +372,7 @@ fn a_feed_is_checked_by_its_latest_sol_and_a_page_of_records() {
     );
     server.feed("/rss/api/", |_, _| Some(b"<html/>".to_vec()));
     let checks = checked(&place.feed(&server, "latest"));
-    assert!(differing(&checks).found.contains("no JSON"), "{checks:#?}");
+    assert!(differing(&checks).found.contains("not JSON"), "{checks:#?}");
 }
 
 #[test]

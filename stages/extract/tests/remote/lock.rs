@@ -260,3 +260,36 @@ fn what_was_downloaded_before_a_death_is_not_downloaded_again() {
         "parts are deleted when their bytes are pinned"
     );
 }
+
+#[test]
+fn of_two_versions_under_one_etag_no_mixture_is_pinned() {
+    let server = Server::start().unwrap();
+    let name = super::pds::one_photo(&server);
+    let path = format!("{BROWSE}/00001/{BELOW}/{name}");
+    let version = |byte: u8| [&b"\x89PNG\r\n\x1a\n"[..], &[byte; 9_000]].concat();
+    let mount = |byte| server.file_with(&path, version(byte), Some("\"same\""), None);
+    mount(1);
+    server.script(&path, vec![Reply::Cut { after: 6_000 }]);
+    let place = Place::new();
+    let archive = with(place.archive(&server, "1"), "/network/tries", json!(1));
+    place.bring(&archive).err().unwrap();
+    mount(2);
+    server.clear();
+    place.bring(&archive).err().unwrap();
+    assert!(
+        server.requests_of(&path)[0].header("range").is_some(),
+        "it goes on"
+    );
+    let brought = place.bring(&archive).unwrap();
+    let whole = marf_cache::Digest::from_content(&version(2));
+    let lock = place.lock();
+    let line = lock
+        .values()
+        .flat_map(|text| text.lines())
+        .find(|line| line.contains(&name));
+    let line = line.unwrap_or_else(|| panic!("{:?}", brought.verdicts));
+    assert!(
+        line.contains(&whole.to_string()) && !line.contains("others"),
+        "{line}"
+    );
+}

@@ -87,5 +87,5 @@ impl Feed {
 }
 
 fn json(bytes: &[u8]) -> Result<Value, String> {
-    serde_json::from_slice(bytes).map_err(|error| format!("the answer is no JSON: {error}"))
+    serde_json::from_slice(bytes).map_err(|error| format!("the answer is not JSON: {error}"))
 }

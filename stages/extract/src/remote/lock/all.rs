@@ -125,7 +125,7 @@ fn unreadable(path: &Path, line: Option<usize>, cause: String) -> UnreadableLock
 mod tests {
     use std::collections::{BTreeMap, BTreeSet};
 
-    use super::super::write_sol;
+    use super::super::{SolPins, write_sol};
     use super::*;
     use crate::net::Validators;
 

@@ -93,7 +93,7 @@ fn the_slowest_xml_within_the_limits_is_read_within_a_second_for_a_megabyte() {
         end(format!("<a{}/>", attributes(MAX_ATTRIBUTES)).repeat(19)),
         root(19, "<b xmlns:c='u'/>", 45_000),
         root(190, "<n189:b/>", 100_000),
-        root(900, "<n899:b/>", 20_000),
+        root(900, "<n899:b/>", 19_000),
         end("<![CDATA[x]]>&amp;".repeat(60_000)),
         end("<a/>".repeat(190_000)),
     ] {
