@@ -355,7 +355,7 @@ mod tests {
     #[test]
     fn values_that_no_site_can_have_are_refused_by_key() {
         for (line, expected) in [
-            ("max_jobs = 0", "executor.max_jobs: a number of seconds above 0"),
+            ("max_jobs = 0", "executor.max_jobs: a number above 0 is needed"),
             ("poll_s = 0.0", "executor.poll_s: a number of seconds above 0"),
             (
                 "patience_s = nan",

@@ -36,9 +36,9 @@ const fn limit(bar: Bar, now: usize, goal: usize) -> Limit {
 }
 
 static LIMITS: [Limit; 12] = [
-    limit(Bar::Code, 112_600, 97_000),
-    limit(Bar::CodeOfMarf, 3_730, 5_000),
-    limit(Bar::CodeOfACrate, 7_790, 8_000),
+    limit(Bar::Code, 113_300, 97_000),
+    limit(Bar::CodeOfMarf, 3_745, 5_000),
+    limit(Bar::CodeOfACrate, 7_860, 8_000),
     limit(Bar::Rule(Rule::LongFunctions), 0, 0),
     limit(Bar::Rule(Rule::LongFiles), 0, 0),
     limit(Bar::Rule(Rule::Arguments), 0, 0),
