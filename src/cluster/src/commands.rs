@@ -300,7 +300,7 @@ mod tests {
             (
                 "12_[0-18446744073709551615,9-2,0-7]",
                 "12",
-                vec![0..=usize::MAX, 9..=2, 0..=7],
+                vec![0..=usize::MAX, std::ops::RangeInclusive::new(9, 2), 0..=7],
                 usize::MAX,
             ),
         ] {

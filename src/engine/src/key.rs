@@ -254,9 +254,11 @@ fn named(word: &str, names: &[&String]) -> Option<String> {
     const MOST: usize = 3;
     let shown: Vec<String> = names.iter().take(MOST).map(|name| format!("{name:?}")).collect();
     let more = names.len().saturating_sub(MOST);
-    let rest = (more > 0)
-        .then(|| format!(" and {more} more"))
-        .unwrap_or_default();
+    let rest = if more > 0 {
+        format!(" and {more} more")
+    } else {
+        String::new()
+    };
     (!names.is_empty()).then(|| format!("{word} {}{rest}", shown.join(", ")))
 }
 

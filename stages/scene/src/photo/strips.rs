@@ -1,11 +1,15 @@
 //! TIFFs of 16 bits strip by strip: all strips at 16 bits would take twice the memory of the photo.
 
+use std::io::Cursor;
+
 use tiff::TiffError;
-use tiff::decoder::{ChunkType, DecodingResult};
+use tiff::decoder::{ChunkType, Decoder, DecodingResult};
 use tiff::tags::Tag;
 
-use super::tagged::Tiff;
 use super::tones::Tones;
+
+/// Decoder of a TIFF in memory.
+pub(super) type Tiff<'a> = Decoder<Cursor<&'a [u8]>>;
 
 /// SampleFormat of unsigned integers.
 const UNSIGNED: u16 = 1;

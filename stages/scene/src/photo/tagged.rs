@@ -9,15 +9,14 @@ use tiff::tags::Tag;
 use tiff::{ColorType, TiffError};
 
 use super::decoded::{Alpha, DecodeError, Photo, SIXTEEN_BITS_REDUCED, TooLarge, damaged};
+use super::other;
+use super::strips::{self, Tiff};
 use super::tones::Tones;
-use super::{other, strips};
 
 /// First bytes of a BigTIFF, in both byte orders.
 pub(super) const BIG: [&[u8]; 2] = [b"II+\0", b"MM\0+"];
 /// PlanarConfiguration of a TIFF whose pixels have their channels side by side.
 const CHUNKY: u16 = 1;
-
-pub(super) type Tiff<'a> = Decoder<Cursor<&'a [u8]>>;
 
 /// Decodes the first page of a TIFF.
 ///
