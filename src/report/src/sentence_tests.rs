@@ -5,7 +5,7 @@ use super::fixture_documents::{spread, training};
 
 use super::*;
 use marf_schema::bootstrap::OutOfBag;
-use marf_schema::train::Target;
+use marf_schema::train::{Curve, Target};
 
 #[test]
 fn sentences_of_a_run_have_the_numbers_of_its_documents() {
@@ -62,7 +62,8 @@ fn sentences_of_members_and_of_a_target_have_the_numbers_of_their_documents() {
         store.document(&metrics),
         ("maps/v1-mean.png", store.put_picture(1)),
     ];
-    let trained = [store.document(&reached)];
+    let curve = store.document(&Curve(Vec::new()));
+    let trained = [store.document(&reached), curve];
     let nodes = [
         giving(node("train", &[]), trained),
         giving(node("bootstrap", &["train"]), outputs),

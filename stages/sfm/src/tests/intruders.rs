@@ -24,15 +24,20 @@ fn a_photo_that_a_disc_hides_is_removed_and_no_other() {
         };
         scene.with_input(|input| {
             let mut models = map(input).unwrap();
+            let placed: Vec<usize> = models[0].photos().collect();
             let found = remove_intruders(input, &mut models[0]).hidden;
             let removed: Vec<usize> = found.iter().map(|one| one.photo).collect();
-            let expected: Vec<usize> = scene.hidden.iter().map(|(photo, _)| *photo).collect();
+            let hidden = scene.hidden.iter().map(|(photo, _)| *photo);
+            // The first photo shows only its rim, which the next ones do not reach: it may not be placed at all.
+            let expected: Vec<usize> = hidden.filter(|photo| placed.contains(photo)).collect();
             assert_eq!(removed, expected, "{found:?}");
+            let is_open = |photo: &usize| *photo > 0 || scene.hidden.iter().all(|(hidden, _)| *hidden != 0);
+            assert!((0..12).filter(is_open).all(|photo| placed.contains(&photo)), "{placed:?}");
             assert!(
                 found.iter().all(|one| one.share > 0.4 && one.shown == 0),
                 "{found:?}"
             );
-            assert_eq!(models[0].photos().count(), 12 - removed.len());
+            assert_eq!(models[0].photos().count(), placed.len() - removed.len());
             let anchor = models[0].anchor;
             assert!(models[0].poses[anchor].is_some());
             let unseen = |photo: &usize| models[0].active_in(input, *photo).next().is_none();
