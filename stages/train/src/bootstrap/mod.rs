@@ -48,7 +48,7 @@ stage! {
     Expand,
     Threads::All,
     about: "retrains B times and maps where the fields disagree",
-    version: 14,
+    version: 15,
     ports: [
         Port::required("input", SCENE),
         Port::optional("params", BestParams::OUTPUT),

@@ -231,7 +231,8 @@ fn trained(harness: &Harness, width: u32, height: u32) -> Inputs {
 
 #[test]
 fn an_evaluation_goes_on_to_the_same_bytes_wherever_it_was_stopped() {
-    same_when_stopped(5, 14, 4, &|harness| {
+    // Each piece begins with the depths of all photos that the field was trained on.
+    same_when_stopped(5, 24, 14, &|harness| {
         let inputs = trained(harness, common::WIDTH, common::HEIGHT);
         let evaluate: Evaluate = stage(json!({"views": "all"}));
         Box::new(move |ctx| run(&evaluate, ctx, &inputs))

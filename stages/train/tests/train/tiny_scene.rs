@@ -309,8 +309,8 @@ fn the_answers_belong_to_the_versions() {
     assert_eq!(
         found,
         [
-            ("train", 21, "961f14d26a01"),
-            ("evaluate", 6, "33dfd60e0363"),
+            ("train", 21, "cd6caa2562a8"),
+            ("evaluate", 6, "7b90545a05fa"),
             ("render", 7, "30b222f6b290")
         ]
     );
