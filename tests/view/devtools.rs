@@ -129,6 +129,11 @@ impl Page {
         }
     }
 
+    /// Unfolds what is folded.
+    pub fn opens_all_sections(&mut self) {
+        self.value("document.querySelectorAll('details').forEach((one) => { one.open = true; })");
+    }
+
     /// Presses the left button at a place, moves by some pixels, and lets it go.
     pub fn drags(&mut self, [x, y]: [f64; 2], [dx, dy]: [f64; 2]) {
         for (kind, x, y, buttons) in [

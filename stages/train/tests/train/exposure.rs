@@ -52,7 +52,7 @@ fn trained(harness: &Harness, scene: Digest, more: &Value) -> Outputs {
     let mut field = small();
     let both = field.as_object_mut().unwrap();
     both.extend(more.as_object().unwrap().clone());
-    let train: Train = stage(json!({"steps": 200, "field": field}));
+    let train: Train = stage(json!({"steps": 600, "field": field}));
     run(&train, &harness.ctx(), &inputs(&[("scene", scene)])).unwrap()
 }
 
