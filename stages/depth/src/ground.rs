@@ -219,7 +219,7 @@ impl Ground {
         }
         let [a, b] = layers;
         let lighter = if b.weight < a.weight { b } else { a };
-        if lighter.weight < sample.weight && !(lighter.confirmed && !sample.confirmed) {
+        if lighter.weight < sample.weight && (sample.confirmed || !lighter.confirmed) {
             *lighter = Layer::default();
             lighter.add(sample);
         }
