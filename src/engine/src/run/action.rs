@@ -10,6 +10,7 @@ use super::{
     Options,
     context::RunContext,
     error::ActionError,
+    job::unix_seconds,
     part::{PartJob, part_of, pass_of},
     pool,
     scheduler::Scheduler,
@@ -71,7 +72,7 @@ impl ActionJob {
                 kind,
                 shard,
                 store,
-                program: &options.program,
+                options,
                 threads,
             };
             return pool.install(|| part.run(listener, cancel));
@@ -86,6 +87,7 @@ impl ActionJob {
             last: None,
             executor: None,
             began: Instant::now(),
+            started_unix_s: unix_seconds(),
             shared: None,
         };
         let mut state = RunState::new(context, Vec::new(), &BTreeSet::new());
