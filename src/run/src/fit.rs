@@ -151,7 +151,7 @@ pub fn fit(context: &Context, request: &FitRequest) -> Result<BTreeMap<String, F
         };
         let execution = execute_with(&session, &options(&session), &extras)?;
         if execution.record.outcome == Outcome::Cancelled {
-            live.stopped(&execution.record)?;
+            live.write_stopped(&execution.record);
         } else if let Some(page) = execution.record.documents.get(document::REPORT) {
             let file = request.out.join(document::REPORT);
             outputs::one(&session.store, &execution.record, &page.digest, &file)?;

@@ -56,18 +56,17 @@ impl<'a> LiveReport<'a> {
         }
     }
 
-    /// Writes the report of a run that was stopped, if it made anything.
-    ///
-    /// # Errors
-    /// A store that cannot be read, a place that cannot be written.
-    pub fn stopped(&self, record: &RunRecord) -> Result<(), Error> {
+    /// Writes the report of a run that was stopped, if it made anything. A fault is a warning, as the user waits for the end.
+    pub fn write_stopped(&self, record: &RunRecord) {
         let state = self.state.lock();
         let has_news = state.due.as_ref().is_none_or(|due| !due.is_empty());
         if !state.is_written && !has_news {
-            return Ok(());
+            return;
         }
         let changed = state.due.clone().unwrap_or_default();
-        self.write(record, &changed)
+        if let Err(error) = self.write(record, &changed) {
+            self.session.context.warn(error.message().to_owned());
+        }
     }
 
     /// Writes the page of everything that scenes share, and those of some scenes.

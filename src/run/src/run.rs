@@ -66,7 +66,7 @@ pub fn run(
         let live = LiveReport::new(&session, out);
         let execution = documented(&session, &options, trace, &live)?;
         if execution.record.outcome == Outcome::Cancelled {
-            live.stopped(&execution.record)?;
+            live.write_stopped(&execution.record);
             return Ok(PipelineRun { session, execution });
         }
         match outputs::write(&session, &execution.record, out)? {

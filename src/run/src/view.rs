@@ -67,7 +67,7 @@ impl StoreSource {
         run_of(&self.store, number).map_err(|error| error.to_string())
     }
 
-    /// Returns the trained fields of a run with the retrainings of each, the last first: a draft comes before the training it stands in for.
+    /// Returns the trained fields of a run with the retrainings of each, the last first, so that a training comes before its draft.
     fn fields_of(&self, run: &RunRecord) -> Vec<FieldSource> {
         trained(run)
             .rev()

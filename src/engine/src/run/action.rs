@@ -72,7 +72,7 @@ impl ActionJob {
                 kind,
                 shard,
                 store,
-                options,
+                program: &options.program,
                 threads,
             };
             return pool.install(|| part.run(listener, cancel));
@@ -83,7 +83,7 @@ impl ActionJob {
             listener,
             cancel,
             pool: &pool,
-            program: &options.program,
+            options,
             last: None,
             executor: None,
             began: Instant::now(),
