@@ -11,8 +11,6 @@ use parking_lot::Mutex;
 use schemars::JsonSchema;
 use serde::Serialize;
 
-use crate::record::RunRecord;
-
 /// Shortest time between two progress events of a node, except the last one.
 const PROGRESS_INTERVAL: Duration = Duration::from_millis(100);
 
@@ -100,10 +98,6 @@ struct OutputShape {
 pub trait Listener: Sync {
     /// Receives one event.
     fn on_event(&self, event: &Event);
-
-    /// Receives the run as it is, after each end of a node and at least once a second. `record` makes its record, which is not stored and
-    /// takes time in proportion to the nodes. It is `None` if the store cannot be read. The scheduler waits for the return.
-    fn on_state(&self, _record: &dyn Fn() -> Option<RunRecord>) {}
 }
 
 /// Ignores all events.

@@ -296,7 +296,7 @@ impl RunRecord {
         }
     }
 
-    /// Returns whether the run goes on: the record says how far it is ([`crate::Listener::on_state`]).
+    /// Returns whether the run goes on: the record says how far it is ([`crate::StateListener::on_state`]).
     pub fn goes_on(&self) -> bool {
         self.outcome == Outcome::Cancelled && self.number == 0
     }

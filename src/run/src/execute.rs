@@ -6,7 +6,9 @@ use std::sync::Arc;
 use std::time::SystemTime;
 
 use marf_cache::Digest;
-use marf_engine::{Event, Listener, Options, Outcome, RunRecord, SharedResults, SilentListener};
+use marf_engine::{
+    Event, Listener, Options, Outcome, RunRecord, SharedResults, SilentListener, StateListener,
+};
 use marf_progress::{Estimate, EventFile, NodeTimes, RunStart, Trace, event_folder};
 use marf_report::emptied;
 use parking_lot::Mutex;
@@ -65,7 +67,7 @@ pub struct Extras<'a> {
     /// Makes documents of the run in addition to its pipeline. A run that was stopped has none.
     pub documents: &'a dyn Fn(&RunRecord) -> Result<Documents, Error>,
     /// Also receives what happens in the run.
-    pub listener: &'a dyn Listener,
+    pub listener: &'a dyn StateListener,
 }
 
 /// Runs a session's graph and reports its progress.
@@ -275,14 +277,16 @@ struct RunListener<'a> {
     event_file: Option<EventFile>,
     estimate: Estimate,
     failure: Mutex<Option<Diagnostic>>,
-    other: &'a dyn Listener,
+    other: &'a dyn StateListener,
 }
 
-impl Listener for RunListener<'_> {
+impl StateListener for RunListener<'_> {
     fn on_state(&self, record: &dyn Fn() -> Option<RunRecord>) {
         self.other.on_state(record);
     }
+}
 
+impl Listener for RunListener<'_> {
     fn on_event(&self, event: &Event) {
         self.feedback.on_event(event);
         self.other.on_event(event);

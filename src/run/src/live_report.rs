@@ -5,7 +5,7 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use marf_config::scenes::scene_of;
-use marf_engine::{Event, Listener, RunRecord, document};
+use marf_engine::{Event, Listener, RunRecord, StateListener, document};
 use parking_lot::Mutex;
 
 use crate::error::Error;
@@ -92,7 +92,9 @@ impl Listener for LiveReport<'_> {
             due.insert(scene_of(node).map(str::to_owned));
         }
     }
+}
 
+impl StateListener for LiveReport<'_> {
     fn on_state(&self, record: &dyn Fn() -> Option<RunRecord>) {
         let mut state = self.state.lock();
         if !state.may_write(Instant::now()) || self.session.check().is_err() {

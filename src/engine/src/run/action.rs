@@ -23,6 +23,7 @@ use crate::{
     graph::Graph,
     items::ShardLeaves,
     key::{differences, node_key},
+    state_listener::EventsOnly,
     work::{PASS, PartKind, part_key},
 };
 
@@ -80,7 +81,7 @@ impl ActionJob {
         let context = RunContext {
             graph: &self.graph,
             store,
-            listener,
+            listener: &EventsOnly(listener),
             cancel,
             pool: &pool,
             options,

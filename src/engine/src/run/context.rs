@@ -6,14 +6,16 @@ use marf_cache::Store;
 use marf_stage::Cancel;
 
 use super::Options;
-use crate::{event::Listener, executor::Executor, graph::Graph, record::RunRecord, shared::SharedResults};
+use crate::{
+    executor::Executor, graph::Graph, record::RunRecord, shared::SharedResults, state_listener::StateListener,
+};
 
 /// Data that the scheduler and all jobs of a run share.
 #[derive(Clone, Copy)]
 pub(super) struct RunContext<'a> {
     pub(super) graph: &'a Graph,
     pub(super) store: &'a Store,
-    pub(super) listener: &'a dyn Listener,
+    pub(super) listener: &'a dyn StateListener,
     pub(super) cancel: &'a Cancel,
     /// The threads of the run, for listings.
     pub(super) pool: &'a rayon::ThreadPool,

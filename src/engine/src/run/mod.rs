@@ -32,6 +32,7 @@ use crate::{
     record::{Build, EngineError, RunRecord, last_run},
     shared::SharedResults,
     source::RunSource,
+    state_listener::{EventsOnly, StateListener},
 };
 
 /// How to run.
@@ -76,7 +77,7 @@ pub fn run(
     cancel: &Cancel,
 ) -> Result<RunRecord, EngineError> {
     let warn = |message: String| listener.on_event(&Event::Warning { node: None, message });
-    run_nodes(graph, store, options, listener, cancel)?.store(store, warn)
+    run_nodes(graph, store, options, &EventsOnly(listener), cancel)?.store(store, warn)
 }
 
 /// Runs a graph: every node whose key is not in the store, in parallel as far as threads allow.
@@ -90,7 +91,7 @@ pub fn run_nodes(
     graph: &Graph,
     store: &Store,
     options: &Options,
-    listener: &dyn Listener,
+    listener: &dyn StateListener,
     cancel: &Cancel,
 ) -> Result<RunRecord, EngineError> {
     let (began, started_unix_s) = (Instant::now(), unix_seconds());

@@ -29,7 +29,7 @@ use crate::{
     work::BlobCheck,
 };
 
-/// Longest time between two calls of [`crate::Listener::on_state`].
+/// Longest time between two calls of [`crate::StateListener::on_state`].
 const STATE_EVERY: Duration = Duration::from_secs(1);
 
 /// Starts jobs on threads of their own, and applies their reports to the state of the run.

@@ -13,7 +13,7 @@ use crate::what_ran::after_first_run;
 use proptest::prelude::*;
 
 use marf_engine::{
-    Event, Listener, NodeState, Outcome, PlanState, RunRecord, RunSource, last_run, plan, runs,
+    Event, Listener, NodeState, Outcome, PlanState, RunRecord, RunSource, StateListener, last_run, plan, runs,
 };
 
 #[test]
@@ -128,7 +128,9 @@ struct States(parking_lot::Mutex<Vec<RunRecord>>);
 
 impl Listener for States {
     fn on_event(&self, _event: &Event) {}
+}
 
+impl StateListener for States {
     fn on_state(&self, record: &dyn Fn() -> Option<RunRecord>) {
         self.0.lock().extend(record());
     }
@@ -159,7 +161,7 @@ fn a_run_that_goes_on_tells_what_it_has_and_a_node_shares_with_none_of_one_threa
     let graph = marf_engine::Graph::new(nodes, TABLE).unwrap();
     let states = States::default();
     let cancel = marf_engine::Cancel::default();
-    let last = marf_engine::run(&graph, &store, &options(2), &states, &cancel).unwrap();
+    let last = marf_engine::run_nodes(&graph, &store, &options(2), &states, &cancel).unwrap();
     assert!(!last.goes_on());
     assert_eq!(fixture.sum_threads.lock().clone(), vec![2]);
     let states = states.0.into_inner();
