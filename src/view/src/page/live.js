@@ -86,7 +86,8 @@ class Live {
     const address = ({ digest }) => `object/${digest}`;
     if (outputs.transforms) {
       const read = await fetch(address(outputs.transforms));
-      if (read.ok) this.show("cameras", [[camerasFromAbove((await read.json()).frames ?? []), `${node}: cameras from above`]]);
+      const frames = read.ok ? (await read.json()).frames : [];
+      if (frames.length) this.show("cameras", [[camerasFromAbove(frames), `${node}: cameras from above`]]);
     }
     if (outputs.video && !this.results.has("film")) {
       const film = Object.assign(element("video"), { src: address(outputs.video), controls: true, loop: true, muted: true });
