@@ -49,7 +49,13 @@ fn a_draft_is_shown_as_one_until_its_training_is_done() {
 
     run.record.number = 5;
     let html = store.with_report_of(&run, write);
-    assert!(html.contains("Run 5 was stopped: 4 of 10 nodes done after 65 s.") && !html.contains("goes on"));
+    for text in [
+        "Run 5 was stopped: 4 of 10 nodes done after 65 s.",
+        "Run the same command again to continue.",
+    ] {
+        assert!(html.contains(text), "{text}");
+    }
+    assert!(!html.contains("goes on"));
 
     let (store, run) = with_draft(NodeState::Finished);
     let html = store.with_report_of(&run, write);
