@@ -67,9 +67,10 @@ impl StoreSource {
         run_of(&self.store, number).map_err(|error| error.to_string())
     }
 
-    /// Returns the trained fields of a run with the retrainings of each.
+    /// Returns the trained fields of a run with the retrainings of each, the last first, so that a training comes before its draft.
     fn fields_of(&self, run: &RunRecord) -> Vec<FieldSource> {
         trained(run)
+            .rev()
             .filter_map(|node| {
                 Some(FieldSource {
                     node: node.name.clone(),
@@ -161,7 +162,7 @@ fn objects(run: &RunRecord) -> BTreeSet<Digest> {
 }
 
 /// Returns the nodes of a run that have trained a field.
-fn trained(run: &RunRecord) -> impl Iterator<Item = &NodeRun> {
+fn trained(run: &RunRecord) -> impl DoubleEndedIterator<Item = &NodeRun> {
     let whole = run.nodes.iter().filter(|node| node.parent.is_none());
     whole.filter(|node| {
         [WEIGHTS, SCENE]

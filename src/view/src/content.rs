@@ -9,6 +9,7 @@ use marf_report::{File, LinkedPage, sentence_page};
 use marf_scene::{Photo, encode_jpeg, shrunk};
 use parking_lot::Mutex;
 
+use crate::events::is_output_of_running;
 use crate::field::Field;
 use crate::page::{live_parts, scene_parts};
 use crate::source::{FieldSource, Source};
@@ -125,6 +126,16 @@ impl Content {
         *read = Some(Arc::clone(&field));
         Ok(field)
     }
+}
+
+/// Returns an object that a node of a program that runs now has made.
+pub fn made_now(source: &dyn Source, digest: &Digest) -> Option<File> {
+    let is_made = is_output_of_running(&source.event_folder(), digest);
+    let bytes = is_made.then(|| source.object(digest))??;
+    Some(File {
+        media: media(&bytes),
+        bytes,
+    })
 }
 
 /// Returns the type of an object: pictures and films as such, all else as bytes that no browser opens.

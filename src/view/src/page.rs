@@ -43,6 +43,7 @@ fn main(number: Option<u64>, fields: &[&str]) -> Markup {
                 thead { tr { th { "Node" } th { "State" } th { "Progress" } th { "Note" } } }
                 tbody {}
             } }
+            div #live-results.row {}
             div #live-curves.charts {}
         }
         section #view {

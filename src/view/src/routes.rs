@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::access::Refusal;
 use crate::answers::{HTML, JSON, answer, file, json, redirect, refusal};
-use crate::content::BYTES;
+use crate::content::{BYTES, made_now};
 use crate::difference::Reference;
 use crate::events::follow;
 use crate::field::SharedField;
@@ -181,6 +181,7 @@ async fn object(State(site): State<Arc<Site>>, Path(digest): Path<String>, heade
         let none = || "the shown run names no such object, or the store has lost it".to_owned();
         let mut contents = site.contents().into_iter();
         let found = contents.find_map(|content| content.file(site.source.as_ref(), &digest));
+        let found = found.or_else(|| made_now(site.source.as_ref(), &digest));
         found.ok_or_else(none)
     };
     let range = headers.get(header::RANGE).and_then(|range| range.to_str().ok());

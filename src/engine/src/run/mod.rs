@@ -13,7 +13,7 @@ mod select;
 mod state;
 mod task;
 
-use std::{collections::BTreeMap, num::NonZero, sync::Arc, thread, time::Instant};
+use std::{num::NonZero, sync::Arc, thread, time::Instant};
 
 use marf_cache::Store;
 use marf_stage::Cancel;
@@ -29,9 +29,10 @@ use crate::{
     event::{Event, Listener},
     executor::Executor,
     graph::Graph,
-    record::{Build, EngineError, RUN_FORMAT, RunRecord, last_run},
+    record::{Build, EngineError, RunRecord, last_run},
     shared::SharedResults,
     source::RunSource,
+    state_listener::{EventsOnly, StateListener},
 };
 
 /// How to run.
@@ -76,7 +77,7 @@ pub fn run(
     cancel: &Cancel,
 ) -> Result<RunRecord, EngineError> {
     let warn = |message: String| listener.on_event(&Event::Warning { node: None, message });
-    run_nodes(graph, store, options, listener, cancel)?.store(store, warn)
+    run_nodes(graph, store, options, &EventsOnly(listener), cancel)?.store(store, warn)
 }
 
 /// Runs a graph: every node whose key is not in the store, in parallel as far as threads allow.
@@ -90,7 +91,7 @@ pub fn run_nodes(
     graph: &Graph,
     store: &Store,
     options: &Options,
-    listener: &dyn Listener,
+    listener: &dyn StateListener,
     cancel: &Cancel,
 ) -> Result<RunRecord, EngineError> {
     let (began, started_unix_s) = (Instant::now(), unix_seconds());
@@ -106,37 +107,17 @@ pub fn run_nodes(
         listener,
         cancel,
         pool: &pool,
-        program: &options.program,
+        options,
         last: last.as_ref(),
         executor: options.executor.as_deref(),
         began,
+        started_unix_s,
         shared: options.shared.as_deref(),
     };
     let state = Scheduler::new(RunState::new(context, roles, &lost), threads).run()?;
-    let nodes = report::node_runs(&state)?;
-    let mut latest = last.as_ref().map(|run| run.latest.clone()).unwrap_or_default();
-    let good = nodes.iter().filter(|node| node.state.is_good());
-    latest.extend(good.filter_map(|node| Some((node.name.clone(), node.key?))));
+    let record = report::record(&state)?;
     store.take_warnings().into_iter().for_each(warn);
-    Ok(RunRecord {
-        number: 0,
-        root: None,
-        format: RUN_FORMAT,
-        id: options.id.clone(),
-        pipeline: options.pipeline.clone(),
-        source: options.source.clone(),
-        command: options.command.clone(),
-        program: options.program.clone(),
-        build: options.build.clone(),
-        started_unix_s,
-        seconds: began.elapsed().as_secs_f64(),
-        outcome: report::outcome(&state),
-        digest: graph.digest(),
-        threads,
-        nodes,
-        documents: BTreeMap::new(),
-        latest,
-    })
+    Ok(record)
 }
 
 /// Returns the number of threads of a run. The default is the number of cores.
