@@ -63,7 +63,10 @@ fn fill_bytes_and_zeros_before_the_end_marker_change_nothing() {
 #[test]
 fn other_bytes_before_the_end_marker_are_damage() {
     let error = Photo::decode(&before_end(&[0x5a; 100])).unwrap_err().to_string();
-    assert!(error.contains("left over"), "{error}");
+    assert!(
+        error.contains("100 bytes are left over behind the last unit of a scan: it is damaged"),
+        "{error}"
+    );
 }
 
 /// A preview in a segment has a separate end marker.
