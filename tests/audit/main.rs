@@ -318,8 +318,7 @@ fn a_crate_tells_who_made_a_file_where_there_is_no_store() {
         "{other}"
     );
     // A short answer says how much more there is.
-    let trace = &document["trace"];
-    let number = |key: &str| trace[key].as_array().unwrap().len();
+    let number = |key: &str| document[key].as_array().unwrap().len();
     let short = ask(metrics, 0).stdout;
     let more = format!(
         "`--all` lists the inputs and files of {} steps and {} photos",

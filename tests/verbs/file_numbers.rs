@@ -223,6 +223,13 @@ fn cameras_crates_and_renders_print_the_numbers_of_their_files() {
         dir,
         "render --path orbit --frames 1 --scale 0.5 --out half --device cpu",
     );
-    assert_eq!(half.whole("/width"), scene["w"].as_f64().unwrap() as usize / 2);
+    let whole = told(
+        dir,
+        "render --path orbit --frames 1 --scale 1 --out whole --device cpu",
+    );
+    assert_eq!(2 * half.whole("/width"), whole.whole("/width"));
+    let photos = document(dir, "out/train/scene.json");
+    let mut photos = photos["frames"].as_array().unwrap().iter();
+    assert!(photos.any(|frame| frame["camera"]["width"] == whole.json["width"]));
     assert_eq!(marf_schema::render::RenderParams::default().width, 640);
 }

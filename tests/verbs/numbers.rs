@@ -190,7 +190,7 @@ fn a_run_a_table_and_pages_print_what_they_count() {
     assert!(again.contains("\n0 of 3 nodes ran in "), "{again}");
 
     let photos = told(dir, "photos");
-    let model = &photos.json["photos"][0]["facts"]["prior"]["model"];
+    let model = &photos.json["photos"][0]["prior"]["model"];
     let vector = |name: &str| -> [f64; 3] { serde_json::from_value(model[name].clone()).unwrap() };
     let (a, h, v) = (vector("a"), vector("h"), vector("v"));
     let dot = |x: [f64; 3], y: [f64; 3]| x.iter().zip(y).map(|(x, y)| x * y).sum::<f64>();

@@ -158,6 +158,11 @@ fn a_number_or_a_sol_beyond_the_last_is_refused_and_the_last_is_taken() {
     );
     let dir = with_pipeline(&size("9223372036854775807"));
     marf(dir.path(), &["plan"]).exits(0);
+    let blur = |share: &str| format!("{SMALL}[node.blur]\ninput = \"shape\"\nmin_share = {share}\n");
+    let dir = with_pipeline(&blur("1.5"));
+    refused(dir.path(), "plan", 2, &["1.5 is not in [0, 1]"]);
+    let dir = with_pipeline(&blur("1.0"));
+    marf(dir.path(), &["plan"]).exits(0);
     let dir = with_pipeline(SMALL);
     let args = ["plan", "--set", "archive.demo.sols=999999"];
     let said = marf(dir.path(), &args).stderr;

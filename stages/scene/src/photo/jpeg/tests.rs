@@ -69,6 +69,20 @@ fn other_bytes_before_the_end_marker_are_damage() {
     );
 }
 
+/// A photo of 70 x 50 pixels has 9 x 7 units of 8 pixels, or 5 x 4 of 16.
+#[test]
+fn a_scan_that_ends_early_has_the_units_that_are_there() {
+    let whole = whole();
+    let cut = [&whole[..whole.len() * 3 / 4], &[0xff, 0xd9]].concat();
+    let said = Photo::decode(&cut).unwrap_err().to_string();
+    let numbers = said.split(' ').filter_map(|word| word.parse().ok());
+    let [has, needed] = numbers.collect::<Vec<u32>>()[..] else {
+        panic!("{said}")
+    };
+    assert!(said.contains(" units: it is cut short or damaged"), "{said}");
+    assert!(0 < has && has < needed && [63, 20].contains(&needed), "{said}");
+}
+
 /// A preview in a segment has a separate end marker.
 #[test]
 fn the_end_marker_of_a_preview_is_not_that_of_the_picture() {
