@@ -37,8 +37,22 @@ fn written(pipeline: &str) -> tempfile::TempDir {
 fn traded(dir: &Path, more: &[&str]) -> Value {
     let mut args = vec!["trade", "--seeds", "2", "--random", "1", "--json"];
     args.extend(more);
-    let told = marf(dir, &args).exits(0).stdout;
-    serde_json::from_str(&told).unwrap()
+    let told = marf(dir, &args).exits(0);
+    let trade: Value = serde_json::from_str(&told.stdout).unwrap();
+    // Without the pipeline itself: two seeds of each knob turned, and one of the random point.
+    let points = trade["points"].as_array().unwrap().len() - 1;
+    let one = |count: usize, noun: &str| marf_progress::format::count(count, noun);
+    let expected = format!(
+        "{}, {}: about ",
+        one(points, "point"),
+        one(2 * (points - 1) + 1, "training")
+    );
+    assert!(
+        told.stderr.contains(&expected) && told.stderr.contains(&format!("point 1 of {points}: ")),
+        "{expected}: {}",
+        told.stderr
+    );
+    trade
 }
 
 #[test]
@@ -64,6 +78,12 @@ fn a_trade_has_points_effects_and_a_front_and_is_kept() {
     assert!(
         points[2]["fault"].as_str().unwrap().contains("`scale` 9999"),
         "{trade}"
+    );
+    let cores = std::thread::available_parallelism().unwrap();
+    let machine = trade["machine"].as_str().unwrap();
+    assert!(
+        machine.ends_with(&format!(", {cores} cores, {}", std::env::consts::OS)),
+        "{machine}"
     );
     let effects = trade["effects"].as_array().unwrap();
     assert_eq!(effects.len(), 2, "{trade}");
@@ -121,6 +141,11 @@ fn what_cannot_be_traded_is_refused_with_the_way_out() {
             PIPELINE.replace("steps = 2", "budget = \"1s\""),
             vec![],
             "`train.budget` fixes the time",
+        ),
+        (
+            PIPELINE.replace("steps = 2", "steps = 2\nwarm_start = true"),
+            vec![],
+            "`train.warm_start` would start each training from the one before, and none could be compared",
         ),
         (
             PIPELINE.replace("[10, 9999]", "10"),

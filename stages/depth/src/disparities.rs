@@ -21,8 +21,6 @@ pub enum Class {
     Confirmed = 2,
     /// The two pictures agree, but a jump to another surface is at most two pixels away.
     Edge = 3,
-    /// Sky. One pair alone never says so: it does not know where up is.
-    Sky = 4,
 }
 
 /// Disparities of the left picture. All rasters have its size.
