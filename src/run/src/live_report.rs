@@ -16,8 +16,8 @@ use crate::{files, report, scenes};
 const EVERY: Duration = Duration::from_secs(2);
 /// One part of the time of a run, of so many, may go to its report.
 const PARTS: u32 = 20;
-/// Time of the first write, which nobody has measured yet: small runs of a few seconds have a report only at their end.
-const FIRST: Duration = Duration::from_millis(500);
+/// Time of the first write, which nobody has measured yet: a run of less than 20 s has a report only at its end.
+const FIRST: Duration = Duration::from_secs(1);
 
 /// Writes the report of a run while it goes on.
 pub struct LiveReport<'a> {
@@ -146,20 +146,20 @@ mod tests {
             spent: Duration::ZERO,
         };
         assert!(
-            !state.may_write(at(9.9)) && state.may_write(at(10.1)),
-            "0.5 s of 10"
+            !state.may_write(at(19.9)) && state.may_write(at(20.1)),
+            "1 s of 20"
         );
-        state.last_end = at(10.6);
+        state.last_end = at(20.6);
         state.last_took = Duration::from_millis(50);
         state.spent = Duration::from_millis(50);
         assert!(
-            !state.may_write(at(12.5)) && state.may_write(at(12.7)),
+            !state.may_write(at(22.5)) && state.may_write(at(22.7)),
             "2 s apart"
         );
-        state.spent = Duration::from_secs(1);
+        state.spent = Duration::from_millis(1_500);
         assert!(
-            !state.may_write(at(20.9)) && state.may_write(at(21.1)),
-            "1.05 s of 21"
+            !state.may_write(at(30.9)) && state.may_write(at(31.1)),
+            "1.55 s of 31"
         );
         state.due = Some(BTreeSet::new());
         assert!(!state.may_write(at(99.0)), "nothing is new");
