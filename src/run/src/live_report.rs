@@ -114,9 +114,10 @@ impl StateListener for LiveReport<'_> {
             // The end of the run meets the same fault, and fails.
             Err(error) => self.session.context.warn(error.message().to_owned()),
         }
-        state.last_end = Instant::now();
-        state.last_took = state.last_end - began;
-        state.spent += state.last_took;
+        let end = Instant::now();
+        state.last_end = end;
+        state.last_took = end - began;
+        state.spent += end - began;
     }
 }
 
