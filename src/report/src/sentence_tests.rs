@@ -207,7 +207,7 @@ fn pictures_films_and_starts_are_named_with_their_sizes_and_digests() {
     let mut store = fixture::Store::default();
     let mut metrics = training(marf_schema::example::scores());
     let weights = marf_cache::Digest::from_content(b"weights");
-    metrics.warm_start = Some(train::WarmStart::From(weights));
+    metrics.warm_start = Some(marf_schema::train::WarmStart::From(weights));
     // 6 MB of text hold 4.5 MB.
     let long = store.put(&[&b"\0\0\0\x18ftyp"[..], &vec![0; 4_599_992]].concat());
     let short = store.put(&[&b"\0\0\0\x18ftyp"[..], &vec![0; 992]].concat());
