@@ -7,9 +7,11 @@ uniform float border;
 in vec2 place;
 in vec4 shape;
 in vec4 color;
+flat out vec2 middle;
 flat out vec4 footprint;
 flat out vec4 light;
 void main() {
+  middle = vec2(place.x, size.y - place.y);
   footprint = shape;
   light = color;
   gl_PointSize = shape.w;
@@ -18,12 +20,14 @@ void main() {
 
 const FRAGMENT = `#version 300 es
 precision highp float;
+flat in vec2 middle;
 flat in vec4 footprint;
 flat in vec4 light;
 out vec4 share;
 void main() {
-  vec2 d = (gl_PointCoord - 0.5) * footprint.w;
-  float alpha = min(0.99, light.a * exp(-0.5 * (footprint.x * d.x * d.x + footprint.z * d.y * d.y) - footprint.y * d.x * d.y));
+  // Points are drawn at places that are rounded, by a sixteenth of a pixel or so, and so is gl_PointCoord.
+  vec2 d = gl_FragCoord.xy - middle;
+  float alpha = min(0.99, light.a * exp(-0.5 * (footprint.x * d.x * d.x + footprint.z * d.y * d.y) + footprint.y * d.x * d.y));
   if (alpha < 1.0 / 255.0) discard;
   share = vec4(light.rgb * alpha, alpha);
 }`;
