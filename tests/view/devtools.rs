@@ -61,7 +61,8 @@ impl Page {
                 .success()
         );
         // Chromium reads commands from descriptor 3 and writes answers to 4.
-        let script = "exec chromium --headless --no-sandbox --disable-gpu --disable-dev-shm-usage --window-size=1280,1000 \
+        let script = "exec chromium --headless --no-sandbox --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader \
+            --disable-dev-shm-usage --window-size=1280,1000 \
             --remote-debugging-pipe --user-data-dir=\"$0\" 3<\"$1\" 4>\"$2\"";
         let browser = Command::new("sh")
             .arg("-c")

@@ -24,6 +24,7 @@ use crate::field::SharedField;
 use crate::frames::{FrameError, Shown, View};
 use crate::measure::{distance, pick};
 use crate::site::Site;
+use crate::splats::{SplatState, pack, splats_of_points};
 use crate::stream::Received;
 
 /// Most bytes of a request: a view has some hundred.
@@ -46,6 +47,9 @@ pub fn routes(site: Arc<Site>, prefix: &str) -> Router {
         .route(&at("/live.js"), script(include_str!("page/live.js")))
         .route(&at("/mover.js"), script(include_str!("page/mover.js")))
         .route(&at("/view.js"), script(include_str!("page/view.js")))
+        .route(&at("/pictures.js"), script(include_str!("page/pictures.js")))
+        .route(&at("/projector.js"), script(include_str!("page/projector.js")))
+        .route(&at("/splats.js"), script(include_str!("page/splats.js")))
         .route(
             &at("/view.css"),
             fixed("text/css; charset=utf-8", include_str!("page/view.css")),
@@ -58,6 +62,8 @@ pub fn routes(site: Arc<Site>, prefix: &str) -> Router {
         .route(&at("/events"), get(events))
         .route(&at("/object/{digest}"), get(object))
         .route(&at("/scene/{run}/{field}"), get(scene))
+        .route(&at("/points/{run}/{field}"), get(points))
+        .route(&at("/splats/{run}/{field}"), get(splats))
         .route(&at("/photo/{run}/{field}/{digest}"), get(photo))
         .route(&at("/frames"), post(frames))
         .route(&at("/pick"), post(picked))
@@ -213,6 +219,27 @@ async fn scene(State(site): State<Arc<Site>>, Path((run, field)): Path<(u64, usi
     match blocking(read).await {
         Ok(json) => answer(JSON, json),
         Err(message) => refusal(StatusCode::NOT_FOUND, &message),
+    }
+}
+
+/// Answers with the points of the calibration, as splats.
+async fn points(State(site): State<Arc<Site>>, Path((run, field)): Path<(u64, usize)>) -> Response {
+    match blocking(move || site.field(run, field)).await {
+        Ok((_, field)) => answer(BYTES, pack(&splats_of_points(field.scene()))),
+        Err(message) => refusal(StatusCode::NOT_FOUND, &message),
+    }
+}
+
+/// Answers with the splats of a field, or how far they are.
+async fn splats(State(site): State<Arc<Site>>, Path((run, field)): Path<(u64, usize)>) -> Response {
+    let job = match blocking(move || site.splats(run, field)).await {
+        Ok(job) => job,
+        Err(message) => return refusal(StatusCode::NOT_FOUND, &message),
+    };
+    match job.state() {
+        SplatState::Done(bytes) => answer(BYTES, Bytes::from_owner(bytes)),
+        SplatState::Failed(message) => refusal(StatusCode::UNPROCESSABLE_ENTITY, &message),
+        SplatState::Running(at) => (StatusCode::ACCEPTED, json(&at)).into_response(),
     }
 }
 
