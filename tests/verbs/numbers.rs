@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use marf_progress::format::{count, duration, number, size};
+use marf_progress::format::{count, duration, size};
 use serde_json::Value;
 
 use crate::common::{marf, photos};

@@ -218,8 +218,8 @@ fn pictures_of_height_hold_what_their_texts_say() {
     let (mut risen, mut still, mut inside) = (Vec::new(), 0, 0);
     for index in (0..values.len()).filter(|index| values[*index] > 0) {
         let (column, row) = ((index % width) as f64, (index / width) as f64);
-        let left = f64::from(comparison.extent.left) - 3.0;
-        let top = f64::from(comparison.extent.top) - 7.0;
+        let left = comparison.extent.left as f64 - 3.0;
+        let top = comparison.extent.top as f64 - 7.0;
         let (x, y) = ((column + left) * CELL_M, (f64::from(SIDE) - row + top) * CELL_M);
         if (1.2..1.8).contains(&x) && (2.2..2.8).contains(&y) {
             risen.push(change(index));
