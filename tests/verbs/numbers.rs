@@ -264,7 +264,6 @@ fn verbs_of_a_shared_store_print_the_numbers_of_their_json() {
     let json: Value = serde_json::from_str(&json).unwrap();
     let short = |json: &Value| json["run"].as_str().unwrap()[..12].to_owned();
     let bytes_of = |json: &Value| size(json["blob_bytes"].as_u64().unwrap());
-    assert_eq!(json["number"], 1);
     let line = format!(
         "pushed run 1 ({}): {} results (0 already there), {} blobs ({}), {} packs, ",
         short(&json),
