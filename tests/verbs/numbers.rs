@@ -159,7 +159,7 @@ fn verbs_on_a_folder_print_the_numbers_of_their_files() {
         "each of the 4 photos judged by a field trained without it, {} of {} steps: PSNR {:.2} dB",
         of("folds/steps"),
         of("folds/steps_of_whole"),
-        of("folds/scores/psnr")
+        of("folds/psnr")
     ));
     assert!(fit.stderr.contains("4 of 4 photos placed"), "{}", fit.stderr);
     let again = "fit photos --budget 1s --device cpu --set train.field.log2_table=10 --set train.field.batch_samples=1024 --memory 4GB";
