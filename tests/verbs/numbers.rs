@@ -159,7 +159,7 @@ fn verbs_on_a_folder_print_the_numbers_of_their_files() {
         "each of the 4 photos judged by a field trained without it, {} of {} steps: PSNR {:.2} dB",
         of("folds/steps"),
         of("folds/steps_of_whole"),
-        of("folds/scores/psnr")
+        of("folds/psnr")
     ));
     assert!(fit.stderr.contains("4 of 4 photos placed"), "{}", fit.stderr);
     let again = "fit photos --budget 1s --device cpu --set train.field.log2_table=10 --set train.field.batch_samples=1024 --memory 4GB";
@@ -264,7 +264,6 @@ fn verbs_of_a_shared_store_print_the_numbers_of_their_json() {
     let json: Value = serde_json::from_str(&json).unwrap();
     let short = |json: &Value| json["run"].as_str().unwrap()[..12].to_owned();
     let bytes_of = |json: &Value| size(json["blob_bytes"].as_u64().unwrap());
-    assert_eq!(json["number"], 1);
     let line = format!(
         "pushed run 1 ({}): {} results (0 already there), {} blobs ({}), {} packs, ",
         short(&json),

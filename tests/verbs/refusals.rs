@@ -164,7 +164,7 @@ fn a_number_or_a_sol_beyond_the_last_is_refused_and_the_last_is_taken() {
     let dir = with_pipeline(&blur("1.0"));
     marf(dir.path(), &["plan"]).exits(0);
     let dir = with_pipeline(SMALL);
-    let args = ["plan", "--set", "archive.demo.sols=999999"];
+    let args = ["plan", "--set", "archive.demo.sols=9999"];
     let said = marf(dir.path(), &args).stderr;
     let range = said
         .split_once("the demo has sols ")
