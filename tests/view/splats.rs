@@ -13,7 +13,7 @@ const LEAST_PSNR_DB: f64 = 35.0;
 /// Splats on a canvas of their own. `drawn(view)` is done when they are drawn.
 const SPLATS: &str = "(async () => { const { Splats } = await import('./splats.js'); \
     const canvas = document.body.appendChild(document.createElement('canvas')); let done; \
-    const splats = new Splats(canvas, () => { splats.gl.readPixels(0, 0, 1, 1, splats.gl.RGBA, splats.gl.UNSIGNED_BYTE, new Uint8Array(4)); done(canvas.toDataURL()); }); \
+    const splats = new Splats(canvas, () => { splats.gl.readPixels(0, 0, 1, 1, splats.gl.RGBA, splats.gl.UNSIGNED_BYTE, new Uint8Array(4)); done(canvas); }); \
     globalThis.load = (buffer) => splats.load(buffer); \
     globalThis.drawn = (view) => new Promise((resolve) => { done = resolve; splats.show(view); }); })()";
 
@@ -61,7 +61,7 @@ fn the_browser_draws_splats_as_our_rasteriser_does() {
         }
         (camera["width"], camera["height"]) = (json!(pair.width() / 2), json!(pair.height()));
         let view = json!({"camera": camera, "pose": photo["cam_from_world"]});
-        let drawn = picture(&page.value(&format!("drawn({view})")));
+        let drawn = picture(&page.value(&format!("drawn({view}).then((canvas) => canvas.toDataURL())")));
         let psnr_db = psnr_of_left_half(&drawn, &pair);
         println!("{stem}: {psnr_db:.1} dB");
         assert!(psnr_db >= LEAST_PSNR_DB, "{stem}: {psnr_db}");
