@@ -77,10 +77,10 @@ fn a_run_is_handed_over_and_checked_without_its_store() {
         &altered,
         &[
             "fault: `data/pipeline.toml` was altered: SHA-256 ",
-            "crate is not intact (faults: 1)",
+            "crate is not intact (faults: 2)",
         ],
     );
-    assert_eq!(altered.stdout.matches("fault: ").count(), 1);
+    assert_eq!(altered.stdout.matches("fault: ").count(), 2);
     let metadata = elsewhere.path().join("crate/data/ro-crate-metadata.json");
     let text = std::fs::read_to_string(&metadata).unwrap();
     std::fs::write(

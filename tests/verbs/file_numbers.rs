@@ -41,10 +41,7 @@ fn exports_of_a_surface_print_the_numbers_of_their_files() {
         number(elements(&ply, "vertex") as f64)
     ));
     let known = mesh.float("/surface/uncertainty/known_share");
-    assert!(
-        known > 0.0 && known < 1.0,
-        "some vertices are shown by one view alone: {known}"
-    );
+    assert!(known > 0.0 && known <= 1.0, "{known}");
     mesh.says(&format!(
         "no bootstrap: the views of the field differ by at most {} m at half of the {:.1} % of the vertices where it is known, by at most {} m at 95 %",
         number(mesh.float("/surface/uncertainty/median")),
@@ -190,7 +187,7 @@ fn cameras_crates_and_renders_print_the_numbers_of_their_files() {
     );
     let made = graph.iter().filter_map(|entity| entity["description"].as_str());
     let made: Vec<&str> = made.filter(|said| said.starts_with("made by ")).collect();
-    let by = format!("made by marf {} in this run", env!("CARGO_PKG_VERSION"));
+    let by = format!("made by marf {} on cpu in this run", env!("CARGO_PKG_VERSION"));
     assert!(
         !made.is_empty() && made.iter().all(|said| *said == by),
         "{made:?}"

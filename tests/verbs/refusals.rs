@@ -84,11 +84,8 @@ fn words_that_are_not_what_a_verb_takes_are_named() {
     }
     marf(dir, &["cache", "fsck", "--read-data=5%"]).exits(0);
     std::fs::write(dir.join("a.png"), b"x").unwrap();
-    let sentences = [
-        "a.png is a file, not a folder with photos",
-        "give the folder with the photos",
-    ];
-    refused(dir, "filter a.png", 2, &sentences);
+    let sentences = ["`a.png` is a file, not a folder", "set DIR to its folder"];
+    refused(dir, "filter a.png", 1, &sentences);
     marf(dir, &["key", "new", "--out", "own.pem"]).exits(0);
     let kept = std::fs::read(dir.join("own.pem")).unwrap();
     let sentences = ["the key own.pem cannot be written: ", "A key is never replaced"];

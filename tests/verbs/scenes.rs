@@ -151,20 +151,6 @@ fn one_scene_is_run_by_its_name() {
     marf(dir, &["run", "--to", "calibrate"]).exits(0);
     let run = nodes(dir);
     assert_eq!(run["calibrate@site1-20"].0, "finished", "{run:?}");
-    let compare = |scene: &[&str]| {
-        let words = ["compare", "--sols", "1", "--sols", "101", "--out", "maps"];
-        marf(dir, &[&words, scene].concat()).exits(2).stderr
-    };
-    let said = compare(&[]);
-    assert!(
-        said.contains(" has several scenes") && said.contains("name one: site1-20, site2-20"),
-        "{said}"
-    );
-    let said = compare(&["site9"]);
-    assert!(
-        said.contains(" has no scene `site9`") && said.contains("its scenes are site1-20, site2-20"),
-        "{said}"
-    );
     let whole = MISSION.replace("input = \"scenes\"", "input = \"extract\"");
     let whole = with_pipeline(&whole.replace("[node.scenes]\ninput = \"extract\"\n", ""));
     let refused = marf(whole.path(), &["run", "--scene", "site1-20"]).exits(2);

@@ -37,22 +37,8 @@ fn written(pipeline: &str) -> tempfile::TempDir {
 fn traded(dir: &Path, more: &[&str]) -> Value {
     let mut args = vec!["trade", "--seeds", "2", "--random", "1", "--json"];
     args.extend(more);
-    let told = marf(dir, &args).exits(0);
-    let trade: Value = serde_json::from_str(&told.stdout).unwrap();
-    // Without the pipeline itself: two seeds of each knob turned, and one of the random point.
-    let points = trade["points"].as_array().unwrap().len() - 1;
-    let one = |count: usize, noun: &str| marf_progress::format::count(count, noun);
-    let expected = format!(
-        "{}, {}: about ",
-        one(points, "point"),
-        one(2 * (points - 1) + 1, "training")
-    );
-    assert!(
-        told.stderr.contains(&expected) && told.stderr.contains(&format!("point 1 of {points}: ")),
-        "{expected}: {}",
-        told.stderr
-    );
-    trade
+    let told = marf(dir, &args).exits(0).stdout;
+    serde_json::from_str(&told).unwrap()
 }
 
 #[test]
