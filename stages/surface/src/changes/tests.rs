@@ -231,7 +231,8 @@ fn pictures_of_height_hold_what_their_texts_say() {
     let mean = risen.iter().sum::<f64>() / risen.len() as f64;
     assert!((mean - 0.15).abs() < 0.01, "{mean} m of {} cells", risen.len());
     let share = inside as f64 / still as f64;
-    assert!((0.85..=0.96).contains(&share), "{inside} of {still}");
+    // Without noise, nothing changes where nothing was planted.
+    assert!(share >= 0.85, "{inside} of {still}");
 }
 
 /// Many cells are beyond the limits where little of the change is left, and none of them is reported.
