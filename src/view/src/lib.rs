@@ -21,6 +21,7 @@ mod routes;
 mod server;
 mod site;
 mod source;
+mod splat_progress;
 mod splats;
 mod stream;
 
@@ -29,4 +30,4 @@ pub use error::ViewError;
 pub use events::lines_of_running;
 pub use server::{Options, Server};
 pub use source::{DepthInterval, FieldSource, Source};
-pub use splats::SplatProgress;
+pub use splat_progress::SplatProgress;

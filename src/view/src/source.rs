@@ -7,7 +7,7 @@ use std::sync::Arc;
 use marf_cache::Digest;
 use marf_report::{LinkedPage, LiveParts};
 
-use crate::splats::SplatProgress;
+use crate::splat_progress::SplatProgress;
 
 /// The store, as far as the page reads it.
 pub trait Source: Send + Sync {

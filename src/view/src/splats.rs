@@ -6,35 +6,14 @@ use marf_scene::Scene;
 use marf_scene::path::focus_point;
 use marf_surface::splats::{Splat, file};
 use nalgebra::Vector3;
-use parking_lot::Mutex;
-use serde::Serialize;
 
 use crate::source::{FieldSource, Source};
+use crate::splat_progress::{SplatProgress, SplatStep};
 
 /// Bytes of a packed splat.
 const PACKED_BYTES: usize = 24;
 /// Standard deviation of a point of the calibration, as a share of the distance between the first photo and what the photos look at.
 const POINT_SHARE: f64 = 1e-3;
-
-/// How far splats are.
-#[derive(Debug, Default)]
-pub struct SplatProgress(Mutex<SplatStep>);
-
-/// A step of making splats.
-#[derive(Debug, Default, Clone, Serialize)]
-pub struct SplatStep {
-    done: u64,
-    total: u64,
-    note: String,
-}
-
-impl SplatProgress {
-    /// Keeps the newest step.
-    pub fn at(&self, done: u64, total: u64, note: &str) {
-        let note = note.to_owned();
-        *self.0.lock() = SplatStep { done, total, note };
-    }
-}
 
 /// Splats that are being made.
 #[derive(Debug, Default)]
@@ -72,7 +51,7 @@ impl SplatJob {
     /// Returns how far it is, or its result.
     pub fn state(&self) -> SplatState {
         match self.result.get() {
-            None => SplatState::Running(self.progress.0.lock().clone()),
+            None => SplatState::Running(self.progress.step()),
             Some(Ok(bytes)) => SplatState::Done(Arc::clone(bytes)),
             Some(Err(message)) => SplatState::Failed(message.clone()),
         }

@@ -7,10 +7,10 @@ use marf_stage::{Cancel, Inputs, Stage, StageDef};
 use serde_json::Value;
 
 use super::{
-    Options,
     context::RunContext,
     error::ActionError,
     job::unix_seconds,
+    options::Options,
     part::{PartJob, part_of, pass_of},
     pool,
     scheduler::Scheduler,

@@ -5,7 +5,7 @@ use std::time::Instant;
 use marf_cache::Store;
 use marf_stage::Cancel;
 
-use super::Options;
+use super::options::Options;
 use crate::{
     executor::Executor, graph::Graph, record::RunRecord, shared::SharedResults, state_listener::StateListener,
 };

@@ -5,9 +5,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use marf_cache::{Digest, Record, Store, StoreError};
 
 use super::{
+    options::threads,
     state::RunState,
     task::{Phase, Role, Task},
-    threads,
 };
 use crate::{
     key::action_at,

@@ -61,10 +61,13 @@ pub fn read(bytes: &[u8]) -> Result<Vec<Splat>, String> {
             body.len() % size
         ));
     }
-    body.chunks_exact(size).enumerate().map(read_one).collect()
+    body.chunks_exact(size)
+        .enumerate()
+        .map(|(index, bytes)| read_one(index, bytes))
+        .collect()
 }
 
-fn read_one((index, bytes): (usize, &[u8])) -> Result<Splat, String> {
+fn read_one(index: usize, bytes: &[u8]) -> Result<Splat, String> {
     let mut values = [0.0_f64; PROPERTIES.len()];
     for (value, bytes) in values.iter_mut().zip(bytes.as_chunks::<4>().0) {
         *value = f64::from(f32::from_le_bytes(*bytes));
