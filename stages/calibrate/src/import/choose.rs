@@ -310,19 +310,6 @@ mod tests {
             hint.unwrap()
                 .starts_with("put a transforms.json, or cameras and images of a COLMAP model")
         );
-        let StageError::Failed { message, hint, .. } =
-            choose(&files(&["transforms.json", "transforms_b.json"]), None).unwrap_err()
-        else {
-            panic!("no failure")
-        };
-        assert_eq!(
-            message,
-            "2 files hold cameras: `transforms.json`, `transforms_b.json`"
-        );
-        assert_eq!(
-            hint.as_deref(),
-            Some("choose one, for example `file = \"transforms.json\"`")
-        );
         // What the hint names is used.
         for model in ["", "sparse/0/", "colmap/sparse/0/"] {
             for ending in ["bin", "txt"] {

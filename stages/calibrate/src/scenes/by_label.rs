@@ -144,9 +144,9 @@ mod tests {
         let found = of(5, 12);
         assert_eq!(
             (found.name.as_str(), found.reason.as_str()),
-            ("site3-5", "site 3, drives 5 to 12")
+            ("site3-5", "by labels: site 3, drives 5 to 12")
         );
-        assert_eq!(of(5, 5).reason, "site 3, drive 5");
+        assert_eq!(of(5, 5).reason, "by labels: site 3, drive 5");
     }
 
     #[test]
