@@ -14,7 +14,7 @@ mod select;
 mod state;
 mod task;
 
-use std::{num::NonZero, sync::Arc, thread, time::Instant};
+use std::time::Instant;
 
 use marf_cache::Store;
 use marf_stage::Cancel;
@@ -29,11 +29,8 @@ use self::{
 };
 use crate::{
     event::{Event, Listener},
-    executor::Executor,
     graph::Graph,
-    record::{Build, EngineError, RunRecord, last_run},
-    shared::SharedResults,
-    source::RunSource,
+    record::{EngineError, RunRecord, last_run},
     state_listener::{EventsOnly, StateListener},
 };
 
