@@ -152,7 +152,7 @@ mod tests {
         assert_eq!(bytes[32..40], [0xff, 0x7f, 0, 0, 0, 51, 255, 153]);
         assert_eq!(
             bytes[40..44],
-            [0xff, 0x7f, 0xff, 0x7f],
+            [0x01, 0x80, 0x01, 0x80],
             "down is a corner of the square"
         );
     }

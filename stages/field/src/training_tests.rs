@@ -300,11 +300,7 @@ fn a_field_survives_its_bytes_and_refuses_damaged_ones() {
     let mut larger = field;
     larger.model.facts.sizes.log2_table.value = 24;
     let error = Field::decode(&larger.encode()).unwrap_err().to_string();
-    // Two features of 2^24 entries.
-    assert!(
-        error.starts_with("not a field: tensor `table.") && error.ends_with(", expected F32 [33554432]"),
-        "{error}"
-    );
+    assert!(error.starts_with("not a field: tensor `table."), "{error}");
 }
 
 #[test]
