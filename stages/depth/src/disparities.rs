@@ -117,8 +117,8 @@ const TRIAL_PIXELS: usize = 1 << 17;
 /// others. Large pictures have to be matched in parts: there are no tiles.
 ///
 /// # Extremes
-/// Pixels without texture, masked, or hidden from one camera have no disparity. A pair without
-/// any match is not an error.
+/// Masked pixels, and most without texture or hidden from one camera, have no disparity. Constant margins of both pictures
+/// match each other: mask them before. A pair without any match is not an error.
 ///
 /// # Errors
 /// Returns an error if the pictures differ in size or have no pixel, if the search is empty or too large, or if hardly
