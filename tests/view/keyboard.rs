@@ -87,7 +87,13 @@ fn distances_photos_and_bookmarks_need_no_mouse() {
         });
         assert!(is_marked, "{key}: {}", page.value(told));
     }
-    page.waits_for(&format!("/^Distance: [0-9.]+ m; /.test({told})"));
+    // Where the two points are depends on the machine's speed, and so does whether all retrainings have a surface there.
+    let distance = page.value(told);
+    assert_eq!(
+        page.value(&format!("/^Distance: [0-9.e-]+ m[;.]/.test({told})")),
+        json!(true),
+        "{distance}"
+    );
     page.value(
         "document.getElementById('view-bookmarks').closest('details').querySelector('summary').focus()",
     );
