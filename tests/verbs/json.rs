@@ -27,7 +27,7 @@ method = "labels"
 
 [node.train]
 input = "calibrate"
-steps = 200
+steps = 100
 scale = 2
 device = "cpu"
 
