@@ -27,7 +27,7 @@ method = "sfm"
 
 fn compare(dir: &Path, more: &[&str]) -> Ran {
     let words = [
-        "compare", "--device", "cpu", "--steps", "30", "-b", "2", "--cell", "0.05",
+        "compare", "--device", "cpu", "--steps", "60", "-b", "2", "--cell", "0.05",
     ];
     marf(dir, &[&words, more].concat())
 }

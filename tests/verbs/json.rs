@@ -27,7 +27,7 @@ method = "labels"
 
 [node.train]
 input = "calibrate"
-steps = 100
+steps = 200
 scale = 2
 device = "cpu"
 
