@@ -6,6 +6,7 @@ use serde_json::{Map, Number, Value as Json};
 use toml::de::{DeTable, DeValue};
 
 use super::error::{ConfigError, Origin};
+use super::tuning;
 use crate::nearest::did_you_mean;
 
 /// A value and its place.
@@ -153,7 +154,9 @@ pub fn set(root: &mut SyntaxNode, argument: &str) -> Result<(), ConfigError> {
         return Err(ConfigError::at(origin, "write it as node.key=value".to_owned()));
     };
     let mut parts: Vec<&str> = path.trim().split('.').collect();
-    if !matches!(parts[0], "node" | "archive" | "name" | "keep" | "reject") {
+    let is_top =
+        matches!(parts[0], "node" | "archive" | "name" | "keep" | "reject") || parts == [tuning::KEY];
+    if !is_top {
         parts.insert(0, "node");
     }
     if parts.iter().any(|part| part.is_empty()) || (parts[0] == "node" && parts.len() < 3) {
