@@ -15,13 +15,21 @@ pub struct ReportArgs {
     /// Number of the run, as `marf log` lists it [default: the newest one]
     #[arg(long, value_name = "NUMBER")]
     run: Option<u64>,
+    /// Include a 3-D view of the field, in one file of at most 15 MB
+    #[arg(long)]
+    with_3d: bool,
     #[command(flatten)]
     store: StoreArgs,
 }
 
 /// `marf report`: writes the report of the newest run.
 pub fn report(args: ReportArgs, context: Context) -> Result<(), Error> {
-    marf_run::report::report(&args.store.context(context), &args.out, args.run)?;
+    let context = args.store.context(context);
+    if args.with_3d {
+        marf_run::report_view::report_with_view(&context, &args.out, args.run)?;
+    } else {
+        marf_run::report::report(&context, &args.out, args.run)?;
+    }
     eprint_line(&format!("wrote {}", args.out.display()));
     Ok(())
 }

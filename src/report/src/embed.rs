@@ -18,6 +18,8 @@ use super::report::Report;
 /// megabyte of text and drawings, the file stays below 15 MB.
 const PICTURE_BYTES: usize = 8_300_000;
 const FILM_BYTES: usize = 6_000_000;
+/// Most bytes of a 3-D view. Pictures have as much less.
+const VIEW_BYTES: usize = 5_000_000;
 /// A map that takes more than this as PNG becomes a JPEG.
 const MAP_BYTES: usize = 120_000;
 
@@ -138,7 +140,11 @@ impl<'a> Pictures<'a> {
             Err(why) => return words(&why),
         };
         let address = self.media.made(picture.media(), &picture.bytes);
-        if !self.fits(&self.picture_bytes, address.len(), PICTURE_BYTES) {
+        let most = self
+            .media
+            .view()
+            .map_or(PICTURE_BYTES, |_| PICTURE_BYTES - VIEW_BYTES);
+        if !self.fits(&self.picture_bytes, address.len(), most) {
             return words("Not shown: this page holds as many pictures as it can.");
         }
         let loading = self.media.live().map(|_| "lazy");
