@@ -219,7 +219,7 @@ fn after_ctrl_c_the_report_shows_the_draft_and_says_which_run_it_is_and_how_far(
     let page = std::fs::read_to_string(folder.join("out/report.html")).unwrap();
     let stopped = page.split("<strong>Run 1 was stopped: ").nth(1);
     let stopped = stopped.unwrap_or_else(|| panic!("no state in {page}"));
-    // The seven nodes up to the cameras, and the draft.
+    // The archive, six filters, the cameras and the draft.
     let done: usize = stopped.split(' ').next().unwrap().parse().unwrap();
     assert!(done >= 9, "{done} nodes done");
     for said in [
