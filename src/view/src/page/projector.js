@@ -128,8 +128,7 @@ function picture(view) {
   const { width, height } = view.camera;
   const { points, count } = project(view);
   const words = new Uint32Array(points.buffer);
-  const light = new Float32Array(4 * width * height);
-  for (let at = 3; at < light.length; at += 4) light[at] = 1;
+  const light = new Float32Array(3 * width * height), behind = new Float32Array(width * height).fill(1);
   for (let at = NUMBERS * (count - 1); at >= 0; at -= NUMBERS) {
     const column = points[at], row = points[at + 1], xx = points[at + 2], xy = points[at + 3], yy = points[at + 4], color = words[at + 6];
     const opacity = (color >>> 24) / 255, red = color & 255, green = (color >>> 8) & 255, blue = (color >>> 16) & 255;
@@ -141,20 +140,23 @@ function picture(view) {
       const dy = y + 0.5 - row, below = across * dy * dy;
       const wide = Math.sqrt(Math.max(0, most - below) / xx), middle = column - slant * dy - 0.5;
       const end = Math.min(width - 1, Math.floor(middle + wide));
-      for (let x = Math.max(0, Math.ceil(middle - wide)), to = 4 * (y * width + x); x <= end; x += 1, to += 4) {
-        const left = light[to + 3];
+      for (let x = Math.max(0, Math.ceil(middle - wide)), to = y * width + x; x <= end; x += 1, to += 1) {
+        const left = behind[to];
         if (left < FULL) continue;
         const dx = x - middle;
         const share = left * Math.min(0.99, opacity * exponential[((xx * dx * dx + below) * SCALE + 0.5) | 0]);
-        light[to] += share * red;
-        light[to + 1] += share * green;
-        light[to + 2] += share * blue;
-        light[to + 3] = left - share;
+        light[3 * to] += share * red;
+        light[3 * to + 1] += share * green;
+        light[3 * to + 2] += share * blue;
+        behind[to] = left - share;
       }
     }
   }
-  const pixels = new Uint8ClampedArray(light.length);
-  for (let at = 0; at < light.length; at += 1) pixels[at] = (at & 3) === 3 ? 255 : light[at];
+  const pixels = new Uint8ClampedArray(4 * width * height);
+  for (let to = 0; to < width * height; to += 1) {
+    for (let channel = 0; channel < 3; channel += 1) pixels[4 * to + channel] = light[3 * to + channel];
+    pixels[4 * to + 3] = 255;
+  }
   return pixels;
 }
 
