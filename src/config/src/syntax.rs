@@ -6,7 +6,6 @@ use serde_json::{Map, Number, Value as Json};
 use toml::de::{DeTable, DeValue};
 
 use super::error::{ConfigError, Origin};
-use super::tuning;
 use crate::nearest::did_you_mean;
 
 /// A value and its place.
@@ -154,8 +153,7 @@ pub fn set(root: &mut SyntaxNode, argument: &str) -> Result<(), ConfigError> {
         return Err(ConfigError::at(origin, "write it as node.key=value".to_owned()));
     };
     let mut parts: Vec<&str> = path.trim().split('.').collect();
-    let is_top =
-        matches!(parts[0], "node" | "archive" | "name" | "keep" | "reject") || parts == [tuning::KEY];
+    let is_top = matches!(parts[0], "node" | "archive" | "name" | "keep" | "reject") || parts == ["tune"];
     if !is_top {
         parts.insert(0, "node");
     }

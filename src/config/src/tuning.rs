@@ -7,7 +7,7 @@ use super::error::ConfigError;
 use super::syntax::{Entry, SyntaxNode, Value};
 
 /// Key of a whole pipeline.
-pub(super) const KEY: &str = "tune";
+const KEY: &str = "tune";
 
 /// Takes the nodes of the stage `tune` and the inputs that name them out of a pipeline whose key `tune` is false. Takes the key out too.
 ///
@@ -44,7 +44,7 @@ pub(super) fn apply(root: &mut SyntaxNode) -> Result<(), ConfigError> {
 fn stage(node: &Entry) -> Option<&str> {
     node.value
         .entry("uses")
-        .map_or(Some(&node.key), |uses| uses.value.text())
+        .map_or(Some(node.key.as_str()), |uses| uses.value.text())
 }
 
 /// Returns whether a key takes the parameters that one of some nodes chooses.
