@@ -108,14 +108,15 @@ fn judged(page: &Page<'_>, node: &RunNode, view: &View<'_>, plan: Option<&Plan>)
         let nearest = scores.nearest.as_ref().map(|nearest| nearest.id.as_str());
         plan.whereabouts(&scores.id, nearest)
     });
-    let stored = |prefix: &str, what: &'static str| match node.digest(&format!("{prefix}{name}.png")) {
-        Some(digest) => page.pictures.stored(
-            page.report,
-            digest,
-            Form::Panel(what),
-            &format!("{what} of {name}"),
-        ),
+    let shown = |digest: Option<&Digest>, form: Form, what: &str| match digest {
+        Some(digest) => page
+            .pictures
+            .stored(page.report, digest, form, &format!("{what} of {name}")),
         None => words(&format!("The node has no {what} of this view.")),
+    };
+    let stored = |prefix: &str, what: &'static str| {
+        let digest = node.digest(&format!("{prefix}{name}.png"));
+        shown(digest, Form::Panel(what), what)
     };
     html! {
         div.view {
@@ -125,10 +126,7 @@ fn judged(page: &Page<'_>, node: &RunNode, view: &View<'_>, plan: Option<&Plan>)
                 figure { (stored(output::HELDOUT, "render")) figcaption { "render" } }
                 figure { (error) figcaption { "error, gray levels" } }
                 @if let Some((heading, map)) = uncertainty_of(page, node, name) {
-                    figure {
-                        (page.pictures.stored(page.report, map, Form::Map, &format!("{heading} of {name}")))
-                        figcaption { (heading) }
-                    }
+                    figure { (shown(Some(map), Form::Map, heading)) figcaption { (heading) } }
                 }
                 @if let Some(place) = place { figure { (place) figcaption { "where, from above, ringed: nearest trained on" } } }
             }
@@ -157,11 +155,7 @@ impl<'a> Errors<'a> {
             .iter()
             .map(|name| (*name, error_of(page, node, name)))
             .collect();
-        let tops = maps.iter().filter_map(|(_, error)| {
-            let error = error.as_ref().ok()?;
-            Some(quantile(&levels(error), WITHIN).max(1.0))
-        });
-        let high = round_upper_limit(&tops.collect::<Vec<_>>(), 1.0);
+        let high = end(maps.iter().filter_map(|(_, error)| error.as_ref().ok()));
         Self {
             maps,
             scale: ColorScale::linear("error", "gray levels", high, Palette::Inferno),
@@ -178,6 +172,12 @@ impl<'a> Errors<'a> {
             Err(why) => words(why),
         }
     }
+}
+
+/// Returns the end of the scale of some errors: at least one gray level.
+fn end<'e>(errors: impl Iterator<Item = &'e Image<Srgb>>) -> f64 {
+    let tops: Vec<f32> = errors.map(|error| quantile(&levels(error), WITHIN)).collect();
+    round_upper_limit(&tops, 1.0).max(1.0)
 }
 
 /// Returns the errors of a view at the size of its map.
@@ -330,7 +330,18 @@ fn single_frames(page: &Page<'_>, node: &RunNode) -> Markup {
 mod tests {
     use super::*;
 
-    /// (1 + 150 + 63) / 3 = 71.3, (0 + 150 + 63) / 3 = 71.
+    /// 95 of the levels 0 to 99 do not exceed 94, and 3 is less.
+    #[test]
+    fn the_scale_of_errors_holds_95_percent_of_the_pixels_of_each_photo() {
+        let rising = Image::from_fn(100, 1, |x, _| [x as u8; 3]);
+        let plain = |level: u8| Image::from_fn(4, 1, |_, _| [level; 3]);
+        assert_eq!(end([&rising, &plain(3)].into_iter()), 100.0);
+        assert_eq!(end([&plain(3)].into_iter()), 5.0);
+        assert_eq!(end([&plain(0)].into_iter()), 1.0);
+        assert_eq!(end([].into_iter()), 1.0);
+    }
+
+    /// (0 + 150 + 63) / 3 = 71, (1 + 150 + 63) / 3 = 71.3.
     #[test]
     fn an_error_is_the_mean_of_the_channels_and_another_size_is_refused() {
         let photo = Image::from_fn(2, 1, |x, _| [10 + x as u8, 250, 0]);

@@ -26,8 +26,7 @@ const SCRIPTS: [&str; 3] = [
     include_str!("page/splats.js"),
     include_str!("page/standalone.js"),
 ];
-const STYLE: &str = "#view-canvas { display: block; width: min(100%, 960px); background: #18181c; touch-action: none; cursor: grab; } \
-    #view-canvas:focus-visible { outline: 3px solid var(--held-out); outline-offset: 2px; }";
+const STYLE: &str = include_str!("page/standalone.css");
 
 /// Returns the 3-D view of a field for a page in one file. Its splats are made unless the store has them, which takes minutes.
 ///
@@ -107,6 +106,8 @@ fn bundled() -> String {
 
 #[cfg(test)]
 mod tests {
+    use marf_scene::{Camera, Frame, Pose};
+
     use super::*;
 
     fn splat(sigma: f64, opacity: f32) -> Splat {
@@ -125,6 +126,36 @@ mod tests {
         let splats = vec![splat(1.0, 0.9), splat(2.0, 0.1), splat(2.0, 0.5), splat(0.5, 1.0)];
         let kept: Vec<f64> = largest(splats, 2).iter().map(|splat| splat.sigma).collect();
         assert_eq!(kept, [1.0, 2.0]);
+    }
+
+    #[test]
+    fn the_page_says_how_many_splats_it_has() {
+        let frame = Frame {
+            id: "a".to_owned(),
+            file: "a.png".to_owned(),
+            image: Digest::from_content(b"a"),
+            camera: Camera::pinhole(64, 48, 50.0),
+            cam_from_world: Pose::identity(),
+            held_out: false,
+            mask: None,
+            error_px: None,
+        };
+        let scene = Scene {
+            frames: vec![frame],
+            ..Scene::default()
+        };
+        let said = |count: usize| {
+            let view = view_of("train", &scene, vec![splat(1.0, 0.5); count]).unwrap();
+            let page = view.main.into_string();
+            assert!(page.contains(&format!("nonce=\"{}\"", view.nonce)), "{count}");
+            page
+        };
+        assert!(said(2).contains("<p class=\"quiet\">2 splats of `train`, in this file."));
+        let most = said(MOST_SPLATS + 1);
+        assert!(most.contains("The 150000 of 150001 splats of `train` that cover most, in this file."));
+        assert!(most.len() < 5_000_000, "{} bytes", most.len());
+        let none = view_of("train", &Scene::default(), Vec::new());
+        assert_eq!(none.err().unwrap(), "the scene of `train` has no photo");
     }
 
     #[test]
