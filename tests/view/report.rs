@@ -113,6 +113,13 @@ fn a_report_with_a_3_d_view_is_one_file_that_loads_nothing() {
     let [x, y] = [0, 1].map(|axis| place[axis].as_f64().unwrap());
     page.drags([x, y], [120.0, 0.0]);
     page.waits_for(&format!("{picture} !== '{}'", before.as_str().unwrap()));
+    page.value("document.getElementById('view-canvas').focus()");
+    page.presses_key("0", "Digit0", 48, "0");
+    page.waits_for(&format!("{picture} === '{}'", before.as_str().unwrap()));
+    let text = std::fs::read_to_string(&file).unwrap();
+    assert!(text.contains(
+        "<noscript><p class=\"missing\">The 3-D view needs scripts. Everything below does not.</p></noscript>"
+    ));
     assert!(page.complaints().is_empty(), "{:?}", page.complaints());
     for address in page.asked_for() {
         let is_own = ["file://", "data:", "blob:"]
