@@ -1,7 +1,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use marf_run::{Context, Error};
+use marf_run::{Context, Error, report::report as plain, report_view::with_view};
 
 use super::options::StoreArgs;
 use crate::terminal::eprint_line;
@@ -24,12 +24,8 @@ pub struct ReportArgs {
 
 /// `marf report`: writes the report of the newest run.
 pub fn report(args: ReportArgs, context: Context) -> Result<(), Error> {
-    let context = args.store.context(context);
-    if args.with_3d {
-        marf_run::report_view::report_with_view(&context, &args.out, args.run)?;
-    } else {
-        marf_run::report::report(&context, &args.out, args.run)?;
-    }
+    let write = if args.with_3d { with_view } else { plain };
+    write(&args.store.context(context), &args.out, args.run)?;
     eprint_line(&format!("wrote {}", args.out.display()));
     Ok(())
 }

@@ -15,7 +15,7 @@ use crate::{files, report};
 ///
 /// # Errors
 /// No such run, a run without a field, a field without a surface, a place that cannot be written.
-pub fn report_with_view(context: &Context, out: &Path, number: Option<u64>) -> Result<(), Error> {
+pub fn with_view(context: &Context, out: &Path, number: Option<u64>) -> Result<(), Error> {
     let store = context.existing_store()?;
     let record = match number {
         Some(number) => marf_engine::run_of(&store, number)?,
