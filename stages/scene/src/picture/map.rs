@@ -62,10 +62,8 @@ impl ColorScale {
 
 /// Powers of ten that the colours of depths span: near ground takes most of a picture, and the farthest point sets the end.
 pub const DEPTH_DECADES: i32 = 2;
-/// Those of their spread.
+/// Those of their spread and of their intervals.
 pub const DEPTH_SPREAD_DECADES: i32 = 3;
-/// Those of their intervals, which a floor keeps from being much narrower than the widest.
-pub const DEPTH_INTERVAL_DECADES: i32 = 2;
 
 /// Colour of a pixel without a value.
 const NO_VALUE: [u8; 3] = [96, 96, 104];

@@ -1,6 +1,4 @@
-use marf_scene::picture::{
-    ColorScale, DEPTH_INTERVAL_DECADES, DEPTH_SPREAD_DECADES, Palette, draw_map, round_upper_limit,
-};
+use marf_scene::picture::{ColorScale, DEPTH_SPREAD_DECADES, Palette, draw_map, round_upper_limit};
 use marf_schema::{
     bootstrap::{Calibration, HeldOut},
     output::MAPS,
@@ -77,9 +75,10 @@ impl Scales {
         let scale =
             |title: &str, unit: &str, high: f64| ColorScale::linear(title, unit, high, Palette::Inferno);
         let gray = |title: &str, high: f64| scale(title, GRAY, rounded((high * LEVELS).max(LEAST_LEVELS)));
-        let length = |title: &str, high: f64, decades: i32| {
+        let length = |title: &str, high: f64| {
             let unit = if metres_per_unit.is_some() { "m" } else { "units" };
-            scale(title, unit, rounded(high * metres_per_unit.unwrap_or(1.0))).over_decades(decades)
+            scale(title, unit, rounded(high * metres_per_unit.unwrap_or(1.0)))
+                .over_decades(DEPTH_SPREAD_DECADES)
         };
         let calibration = held_out.and_then(|held_out| held_out.calibration.clone());
         let interval = calibration.map(|calibration| {
@@ -92,7 +91,7 @@ impl Scales {
             // The floor is a share of the depth.
             let spread = widened(reach.depth_std as f32, calibration.floor * reach.depth);
             let high = calibration.factor90 * spread;
-            let scale = length("depth, 90 % interval, +-", high, DEPTH_INTERVAL_DECADES);
+            let scale = length("depth, 90 % interval, +-", high);
             (calibration, scale)
         });
         Self {
@@ -106,7 +105,7 @@ impl Scales {
                 rounded(reach.photos.max(1.0)),
                 Palette::Viridis,
             ),
-            depth_std: length("depth, std deviation", reach.depth_std, DEPTH_SPREAD_DECADES),
+            depth_std: length("depth, std deviation", reach.depth_std),
             error: gray("error of the mean", reach.error),
             interval,
             depth_interval,
