@@ -52,9 +52,12 @@ fn view_of(label: &str, scene: &Scene, splats: Vec<Splat>) -> Result<EmbeddedVie
         "camera": typical_camera(scene, CAMERA_PX),
     });
     let all = splats.len();
-    let kept = largest(splats, MOST_SPLATS);
+    let kept = thinned(splats, MOST_SPLATS);
     let number = if kept.len() < all {
-        format!("The {} of {all} splats of `{label}` that cover most", kept.len())
+        format!(
+            "{} of {all} splats of `{label}`, enlarged to cover as much",
+            kept.len()
+        )
     } else {
         format!("{all} splats of `{label}`")
     };
@@ -81,17 +84,20 @@ fn view_of(label: &str, scene: &Scene, splats: Vec<Splat>) -> Result<EmbeddedVie
     Ok(EmbeddedView { main, nonce })
 }
 
-/// Returns the splats that cover most, opacity times area, in their order.
-fn largest(splats: Vec<Splat>, most: usize) -> Vec<Splat> {
-    if splats.len() <= most {
+/// Returns at most so many splats, evenly among all, each as large as those that it stands for.
+fn thinned(mut splats: Vec<Splat>, most: usize) -> Vec<Splat> {
+    let all = splats.len();
+    if all <= most {
         return splats;
     }
-    let covered = |splat: &Splat| f64::from(splat.opacity) * splat.sigma * splat.sigma;
-    let mut order: Vec<usize> = (0..splats.len()).collect();
-    order.sort_by(|a, b| covered(&splats[*b]).total_cmp(&covered(&splats[*a])));
-    order.truncate(most);
-    order.sort_unstable();
-    order.into_iter().map(|index| splats[index]).collect()
+    let factor = (all as f64 / most as f64).sqrt();
+    let mut index = 0;
+    splats.retain(|_| {
+        index += 1;
+        index * most / all > (index - 1) * most / all
+    });
+    splats.iter_mut().for_each(|splat| splat.sigma *= factor);
+    splats
 }
 
 /// Returns the scripts as one, without what joins files.
@@ -120,12 +126,16 @@ mod tests {
         }
     }
 
-    /// Opacity times area: 0.9 x 1, 0.1 x 4, 0.5 x 4, 1 x 0.25.
+    /// Two of eight have four times the area, hence twice the deviation.
     #[test]
-    fn the_splats_that_cover_most_are_kept_in_their_order() {
-        let splats = vec![splat(1.0, 0.9), splat(2.0, 0.1), splat(2.0, 0.5), splat(0.5, 1.0)];
-        let kept: Vec<f64> = largest(splats, 2).iter().map(|splat| splat.sigma).collect();
-        assert_eq!(kept, [1.0, 2.0]);
+    fn fewer_splats_are_spread_evenly_and_cover_as_much() {
+        let splats: Vec<Splat> = (1..=8).map(|sigma| splat(f64::from(sigma), 0.9)).collect();
+        let kept: Vec<f64> = thinned(splats.clone(), 2)
+            .iter()
+            .map(|splat| splat.sigma)
+            .collect();
+        assert_eq!(kept, [8.0, 16.0]);
+        assert_eq!(thinned(splats.clone(), 8), splats);
     }
 
     #[test]
@@ -152,7 +162,9 @@ mod tests {
         };
         assert!(said(2).contains("<p class=\"quiet\">2 splats of `train`, in this file."));
         let most = said(MOST_SPLATS + 1);
-        assert!(most.contains("The 150000 of 150001 splats of `train` that cover most, in this file."));
+        assert!(
+            most.contains("150000 of 150001 splats of `train`, enlarged to cover as much, in this file.")
+        );
         assert!(most.len() < 5_000_000, "{} bytes", most.len());
         let none = view_of("train", &Scene::default(), Vec::new());
         assert_eq!(none.err().unwrap(), "the scene of `train` has no photo");
