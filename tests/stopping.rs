@@ -5,11 +5,12 @@
 mod common;
 
 use std::fs::File;
+use std::io::{BufRead as _, BufReader};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use common::{copy, marf, photos, shared};
+use common::{SMALL_DEMO, copy, marf, photos, shared};
 
 /// A program that was asked to stop must have ended after this time. It takes 2 s at most on a machine that does nothing else.
 const LIMIT: Duration = Duration::from_secs(10);
@@ -188,4 +189,45 @@ fn ctrl_c_ends_every_wait_for_another_program() {
     }
     marf(&folder, &work).exits(0);
     marf(&folder, &["cache", "fsck", "--read-data"]).exits(0);
+}
+
+/// Stops the small demo as soon as its draft is done, and reads the report.
+#[test]
+fn after_ctrl_c_the_report_shows_the_draft_and_says_which_run_it_is_and_how_far() {
+    let dir = tempfile::tempdir().unwrap();
+    let folder = dir.path().canonicalize().unwrap();
+    marf(&folder, &["init"]).exits(0);
+    let mut program = Command::new(env!("CARGO_BIN_EXE_marf"))
+        .current_dir(&folder)
+        .args(["run", "--json"])
+        .args(SMALL_DEMO.iter().flat_map(|set| ["--set", set]))
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut lines = BufReader::new(program.stdout.take().unwrap()).lines();
+    let is_end_of_draft = |line: &str| {
+        let event: serde_json::Value = serde_json::from_str(line).unwrap();
+        event["event"] == "finished" && event["node"] == "draft"
+    };
+    assert!(lines.any(|line| is_end_of_draft(&line.unwrap())), "no draft");
+    let rest = std::thread::spawn(move || lines.count());
+    let (code, text) = stop(program, "run");
+    rest.join().unwrap();
+    assert_eq!(code, 130, "{text}");
+    let page = std::fs::read_to_string(folder.join("out/report.html")).unwrap();
+    let stopped = page.split("<strong>Run 1 was stopped: ").nth(1);
+    let stopped = stopped.unwrap_or_else(|| panic!("no state in {page}"));
+    // The archive, six filters, the cameras and the draft.
+    let done: usize = stopped.split(' ').next().unwrap().parse().unwrap();
+    assert!(done >= 9, "{done} nodes done");
+    for said in [
+        "Results are kept. Run the same command again to continue.",
+        "This is a draft, as `train` has no result yet.",
+        "error of new views, draft",
+    ] {
+        assert!(page.contains(said), "{said}");
+    }
+    assert!(!page.contains("The run goes on"), "two states");
 }

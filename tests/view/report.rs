@@ -2,6 +2,7 @@
 
 use serde_json::json;
 
+use super::common::{copy, marf};
 use super::devtools::Page;
 use super::{hostile_run, small_run};
 
@@ -81,4 +82,63 @@ fn hostile_names_stay_text_in_the_report() {
     );
     assert_ne!(page.value("document.title"), json!("hit"));
     assert!(page.complaints().is_empty(), "{:?}", page.complaints());
+}
+
+/// Splats, scene and scripts are in the file: it is opened from disk, drawn, and turned, and asks nobody for anything.
+#[test]
+fn a_report_with_a_3_d_view_is_one_file_that_loads_nothing() {
+    let dir = tempfile::tempdir().unwrap();
+    copy(small_run(), dir.path());
+    marf(dir.path(), &["report", "--with-3d", "--out", "with-3d.html"]).exits(0);
+    let file = dir.path().join("with-3d.html");
+    let size = std::fs::metadata(&file).unwrap().len();
+    assert!(size <= 15_000_000, "{size} bytes");
+    let Some(mut page) = Page::open(&format!("file://{}", file.display())) else {
+        return;
+    };
+    let frames = "Number(document.getElementById('view-canvas').dataset.frames ?? 0)";
+    page.waits_for(&format!("{frames} > 0"));
+    page.value("document.getElementById('view').scrollIntoView()");
+    let picture = "document.getElementById('view-canvas').toDataURL()";
+    let colors = "(() => { const canvas = document.getElementById('view-canvas'); const small = document.createElement('canvas'); \
+        const shown = small.getContext('2d'); shown.drawImage(canvas, 0, 0); \
+        return new Set(shown.getImageData(0, 0, small.width, small.height).data).size; })()";
+    let (before, colors) = (page.value(picture), page.value(colors));
+    assert!(
+        colors.as_u64().is_some_and(|colors| colors > 50),
+        "{colors} values"
+    );
+    page.keeps("report-3d.png");
+    let place = page.value("(() => { const box = document.getElementById('view-canvas').getBoundingClientRect(); return [box.left + box.width / 2, box.top + box.height / 2]; })()");
+    let [x, y] = [0, 1].map(|axis| place[axis].as_f64().unwrap());
+    page.drags([x, y], [120.0, 0.0]);
+    page.waits_for(&format!("{picture} !== '{}'", before.as_str().unwrap()));
+    page.value("document.getElementById('view-canvas').focus()");
+    page.presses_key("0", "Digit0", 48, "0");
+    page.waits_for(&format!("{picture} === '{}'", before.as_str().unwrap()));
+    let text = std::fs::read_to_string(&file).unwrap();
+    assert!(text.contains(
+        "<noscript><p class=\"missing\">The 3-D view needs scripts. Everything below does not.</p></noscript>"
+    ));
+    assert!(page.complaints().is_empty(), "{:?}", page.complaints());
+    for address in page.asked_for() {
+        let is_own = ["file://", "data:", "blob:"]
+            .iter()
+            .any(|own| address.starts_with(own));
+        assert!(is_own, "{address}");
+    }
+}
+
+#[test]
+fn a_run_without_a_field_has_no_3_d_view_and_says_so() {
+    let dir = hostile_run();
+    let printed = marf(dir.path(), &["report", "--with-3d"]).exits(1);
+    assert!(
+        printed
+            .stderr
+            .contains("run 1 has no trained field for a 3-D view"),
+        "{}",
+        printed.stderr
+    );
+    assert!(!dir.path().join("report.html").exists());
 }

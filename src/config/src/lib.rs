@@ -14,6 +14,7 @@ mod schema;
 mod store;
 mod syntax;
 mod templates;
+mod tuning;
 
 use std::path::{Path, PathBuf};
 
@@ -75,6 +76,7 @@ pub fn check(
     for argument in sets {
         syntax::set(&mut root, argument)?;
     }
+    tuning::apply(&mut root)?;
     resolve::check(&root, options, &PathBuf::from(base))
 }
 

@@ -38,6 +38,11 @@ pub fn schema() -> Json {
                 "additionalProperties": {"type": "array", "minItems": 1},
             },
             "store": super::store::schema(),
+            "tune": {
+                "type": "boolean",
+                "default": true,
+                "description": "Whether nodes of the stage `tune` choose parameters. `false` leaves these nodes out, and trainings use their own.",
+            },
             "archive": archive,
             "node": {
                 "type": "object",

@@ -153,7 +153,8 @@ pub fn set(root: &mut SyntaxNode, argument: &str) -> Result<(), ConfigError> {
         return Err(ConfigError::at(origin, "write it as node.key=value".to_owned()));
     };
     let mut parts: Vec<&str> = path.trim().split('.').collect();
-    if !matches!(parts[0], "node" | "archive" | "name" | "keep" | "reject") {
+    let is_top = matches!(parts[0], "node" | "archive" | "name" | "keep" | "reject") || parts == ["tune"];
+    if !is_top {
         parts.insert(0, "node");
     }
     if parts.iter().any(|part| part.is_empty()) || (parts[0] == "node" && parts.len() < 3) {

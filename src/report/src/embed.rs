@@ -5,6 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use marf_cache::Digest;
+use marf_scene::picture::draw_titled;
 use marf_scene::{Image, Photo, Srgb, encode_jpeg, encode_png};
 use maud::{Markup, html};
 
@@ -17,6 +18,8 @@ use super::report::Report;
 /// megabyte of text and drawings, the file stays below 15 MB.
 const PICTURE_BYTES: usize = 8_300_000;
 const FILM_BYTES: usize = 6_000_000;
+/// Most bytes of a 3-D view. Pictures have as much less.
+const VIEW_BYTES: usize = 5_000_000;
 /// A map that takes more than this as PNG becomes a JPEG.
 const MAP_BYTES: usize = 120_000;
 
@@ -27,6 +30,8 @@ pub(super) enum Form {
     Thumb,
     /// JPEG of at most 480 px a side.
     Photo,
+    /// As a photo, below a title, with the space that a map of that size has for its scale: a point is at one place in both.
+    Panel(&'static str),
     /// PNG of at most 480 px a side, since colours carry numbers. JPEG if noise makes it too large.
     Map,
 }
@@ -135,7 +140,11 @@ impl<'a> Pictures<'a> {
             Err(why) => return words(&why),
         };
         let address = self.media.made(picture.media(), &picture.bytes);
-        if !self.fits(&self.picture_bytes, address.len(), PICTURE_BYTES) {
+        let most = self
+            .media
+            .view()
+            .map_or(PICTURE_BYTES, |_| PICTURE_BYTES - VIEW_BYTES);
+        if !self.fits(&self.picture_bytes, address.len(), most) {
             return words("Not shown: this page holds as many pictures as it can.");
         }
         let loading = self.media.live().map(|_| "lazy");
@@ -189,13 +198,16 @@ pub(super) fn words(why: &str) -> Markup {
 fn scaled(image: &Image<Srgb>, form: Form) -> Result<Picture, String> {
     let (most_px, quality) = match form {
         Form::Thumb => (160, 80),
-        Form::Photo => (480, 85),
+        Form::Photo | Form::Panel(_) => (480, 85),
         Form::Map => (480, 92),
     };
-    let small = shrunk(image, most_px)?;
+    let mut small = shrunk(image, most_px)?;
+    if let Form::Panel(title) = form {
+        small = draw_titled(&small, title);
+    }
     let jpeg = || encode_jpeg(&small, quality).map_err(|error| error.to_string());
     let bytes = match form {
-        Form::Thumb | Form::Photo => jpeg()?,
+        Form::Thumb | Form::Photo | Form::Panel(_) => jpeg()?,
         Form::Map => match encode_png(&small) {
             Ok(bytes) if bytes.len() <= MAP_BYTES => bytes,
             Ok(_) => jpeg()?,
@@ -211,6 +223,8 @@ fn scaled(image: &Image<Srgb>, form: Form) -> Result<Picture, String> {
 
 #[cfg(test)]
 mod tests {
+    use marf_scene::picture::{ColorScale, Palette, draw_map};
+
     use super::*;
 
     #[test]
@@ -231,6 +245,17 @@ mod tests {
         assert_eq!(noisy.media(), "image/jpeg", "{} bytes", noisy.bytes.len());
         assert_eq!(Picture::decode(&noisy.encode()), Some(noisy));
         assert_eq!(Picture::decode(&[0; 7]), None);
+    }
+
+    /// 480 x 360 becomes 480 x 486, and a map of 640 x 480 that is 640 x 648 becomes 475 x 480: one shape.
+    #[test]
+    fn a_photo_has_the_shape_of_a_map_next_to_it() {
+        let photo = Image::from_fn(960, 720, |x, _| [x as u8; 3]);
+        let panel = scaled(&photo, Form::Panel("photo")).unwrap();
+        assert_eq!((panel.width, panel.height), (480, 486));
+        let scale = ColorScale::linear("error", "gray levels", 20.0, Palette::Inferno);
+        let map = scaled(&draw_map(&[0.0; 640 * 480], 640, 480, &scale), Form::Map).unwrap();
+        assert_eq!((map.width, map.height), (475, 480));
     }
 
     #[test]

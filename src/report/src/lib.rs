@@ -75,7 +75,7 @@ use sets::Set;
 use verdicts::Summary;
 
 pub use call::{Call, FACTORS, calls};
-pub use media::{File, LinkedPage, LiveParts};
+pub use media::{EmbeddedView, File, LinkedPage, LiveParts};
 pub use quality::Figure;
 pub use report::{ChangedNode, Changes, ReadBlob, Report, ScenePage};
 pub use review::percent;
@@ -88,6 +88,11 @@ const ALL_SCENES: [&str; 2] = ["../report.html", "../"];
 /// panic.
 pub fn write(report: &Report<'_>) -> String {
     page_of(report, &Media::Embedded)
+}
+
+/// Writes the report as one HTML file with a 3-D view.
+pub fn write_with_view(report: &Report<'_>, view: &EmbeddedView) -> String {
+    page_of(report, &Media::WithView(view))
 }
 
 /// Returns one line for each camera whose photos a filter keeps as photos of another kind, such as monochrome ones.
@@ -134,6 +139,7 @@ fn page_of(report: &Report<'_>, media: &Media<'_>) -> String {
         (header(&page, &lead, &sections, media))
         main {
             @if let Some(live) = media.live() { (live.main) }
+            @if let Some(view) = media.view() { (view.main) }
             @for section in &sections { (section.shown()) }
         }
         footer { (report.run.record.program) ", run started " (report.started) "." }
@@ -148,10 +154,7 @@ fn document(title: &str, body: &Markup, media: &Media<'_>) -> String {
         html lang="en" {
             head {
                 meta charset="utf-8";
-                @if media.live().is_none() {
-                    meta http-equiv="Content-Security-Policy"
-                        content="default-src 'none'; img-src data:; media-src data:; style-src 'unsafe-inline'";
-                }
+                @if media.live().is_none() { meta http-equiv="Content-Security-Policy" content=(policy(media)); }
                 meta name="viewport" content="width=device-width";
                 title { (title) }
                 @match media.live() {
@@ -169,6 +172,16 @@ fn document(title: &str, body: &Markup, media: &Media<'_>) -> String {
         visible(char.encode_utf8(&mut [0; 4])).into_owned()
     })
     .into_owned()
+}
+
+/// Returns the content security policy of a page in one file: nothing is loaded, and no script runs but that of its 3-D view.
+fn policy(media: &Media<'_>) -> String {
+    let scripts = media.view().map(|view| {
+        let nonce = &view.nonce;
+        format!("; script-src 'nonce-{nonce}'; worker-src blob:")
+    });
+    let scripts = scripts.unwrap_or_default();
+    format!("default-src 'none'; img-src data:; media-src data:; style-src 'unsafe-inline'{scripts}")
 }
 
 /// A part of the page that the contents list leads to.
@@ -292,6 +305,7 @@ fn header(page: &Page<'_>, lead: &Markup, sections: &[Section], media: &Media<'_
             p.quiet.work { (nodes::sentence(report)) ". " code { (record.command) } ", started " (report.started) ", " (record.program) }
             nav aria-label="Contents" {
                 @if let Some(live) = media.live() { (live.navigation) }
+                @if media.view().is_some() { a href="#view" { "3-D view" } " " }
                 @if report.scene.is_some() {
                     a href=(media.live().map_or(on_disk, |_| served)) { "All scenes" } " "
                 }

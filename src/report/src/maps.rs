@@ -34,6 +34,10 @@ const KINDS: [(&str, &str); 12] = [
     ("rgb-std", "standard deviation, each channel"),
 ];
 
+/// What is true of the scales of all maps.
+const SCALES: &str = "Maps of one kind share a scale. It ends at a round number that most of the pixels that photos saw do not exceed. \
+    Pixels above it have the colour of the end, and its label begins with >=. Gray pixels have no value.";
+
 /// Maps of every node that has some.
 pub(super) fn body(page: &Page<'_>) -> Markup {
     let nodes: Vec<&RunNode> = page.with_outputs_under(output::MAPS).collect();
@@ -77,6 +81,7 @@ fn of_node(page: &Page<'_>, node: &RunNode) -> Markup {
             Ok(metrics) => (reliability(metrics)),
             Err(missing) => (missing),
         }
+        @if !pictures.is_empty() { p.quiet { (SCALES) } }
         @for (name, maps) in pictures.iter().take(MOST_VIEWS) { (row(page, name, maps, view(name))) }
         @if pictures.len() > MOST_VIEWS {
             p.quiet { (count(pictures.len() - MOST_VIEWS, "viewpoint")) " not shown." }
@@ -256,10 +261,10 @@ fn row(
 
 /// Colours of a map carry numbers and stay exact. Photos may be JPEG.
 fn form(kind: &str) -> Form {
-    if matches!(kind, "photo" | "mean") {
-        Form::Photo
-    } else {
-        Form::Map
+    match kind {
+        "photo" => Form::Panel("photo"),
+        "mean" => Form::Panel("mean of the members"),
+        _ => Form::Map,
     }
 }
 

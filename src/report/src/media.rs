@@ -40,10 +40,20 @@ pub struct LiveParts {
     pub main: Markup,
 }
 
+/// A 3-D view that needs no server.
+pub struct EmbeddedView {
+    /// Parts after the first screen: what is shown, its data and its script.
+    pub main: Markup,
+    /// The `nonce` of the script. No other script of the page runs.
+    pub nonce: String,
+}
+
 /// Places of the pictures and films of a page.
 pub(super) enum Media<'a> {
     /// In the page, as data URIs.
     Embedded,
+    /// As these, next to a 3-D view.
+    WithView(&'a EmbeddedView),
     /// Next to it.
     Linked(&'a LiveParts, RefCell<LinkedPage>),
 }
@@ -57,15 +67,23 @@ impl<'a> Media<'a> {
     /// Returns the parts of a page that is served.
     pub(super) fn live(&self) -> Option<&'a LiveParts> {
         match self {
-            Self::Embedded => None,
+            Self::Embedded | Self::WithView(_) => None,
             Self::Linked(live, _) => Some(live),
+        }
+    }
+
+    /// Returns the 3-D view of a page that needs no server.
+    pub(super) fn view(&self) -> Option<&'a EmbeddedView> {
+        match self {
+            Self::WithView(view) => Some(view),
+            Self::Embedded | Self::Linked(..) => None,
         }
     }
 
     /// Returns the address of something made for the page.
     pub(super) fn made(&self, media: &'static str, bytes: &[u8]) -> String {
         match self {
-            Self::Embedded => data_uri(media, bytes),
+            Self::Embedded | Self::WithView(_) => data_uri(media, bytes),
             Self::Linked(live, page) => {
                 let digest = Digest::from_content(bytes);
                 let bytes = bytes.into();
@@ -78,7 +96,7 @@ impl<'a> Media<'a> {
     /// Returns the address of an object of the store.
     pub(super) fn stored(&self, media: &str, digest: &Digest, bytes: &[u8]) -> String {
         match self {
-            Self::Embedded => data_uri(media, bytes),
+            Self::Embedded | Self::WithView(_) => data_uri(media, bytes),
             Self::Linked(live, page) => {
                 page.borrow_mut().objects.insert(*digest);
                 address(live, digest)
@@ -89,7 +107,7 @@ impl<'a> Media<'a> {
     /// Returns a page with the files that it shows.
     pub(super) fn with_files(self, html: String) -> LinkedPage {
         let page = match self {
-            Self::Embedded => LinkedPage::default(),
+            Self::Embedded | Self::WithView(_) => LinkedPage::default(),
             Self::Linked(_, page) => page.into_inner(),
         };
         LinkedPage { html, ..page }

@@ -4,13 +4,14 @@ use std::collections::BTreeSet;
 
 use marf_cache::Digest;
 use marf_model::RunNode;
+use marf_scene::picture::{ColorScale, Palette, draw_map, quantile, round_upper_limit};
 use marf_scene::{Image, Srgb};
 use marf_schema::scores::{PhotoScores, Scores};
 use marf_schema::{evaluate, folds, output, train};
 use maud::{Markup, html};
 
 use super::cameras::Plan;
-use super::embed::{Form, decode, words};
+use super::embed::{Form, decode, shrunk, words};
 use super::format::count;
 use super::maps::uncertainty_of;
 use super::page::{Page, has_document};
@@ -21,8 +22,10 @@ use super::read::Missing;
 const MOST_VIEWS: usize = 12;
 /// Most single frames instead of a film.
 const MOST_FRAMES: usize = 12;
-/// Error pictures show the difference this many times larger.
-const ERROR_GAIN: u8 = 4;
+/// Longest side of an error map, pixels.
+const ERROR_PX: u32 = 480;
+/// Share of the pixels of every photo within the scale of the errors.
+const WITHIN: f64 = 0.95;
 
 /// Held-out views of every node that rendered some, worst first.
 pub(super) fn held_out(page: &Page<'_>) -> Markup {
@@ -42,7 +45,10 @@ pub(super) fn held_out(page: &Page<'_>) -> Markup {
         return page.absent("renders of held-out photos");
     }
     html! {
-        p.quiet { "Worst first. Error: |render - photo| x " (ERROR_GAIN) " in each channel." }
+        p.quiet {
+            "Worst first. Error: |render - photo|, mean of the channels. All photos of a node share its scale, and 95 % of the pixels of "
+            "each are within it. Larger errors have the top colour."
+        }
         @for part in parts { (part) }
     }
 }
@@ -67,7 +73,11 @@ fn views(page: &Page<'_>, node: &RunNode) -> Markup {
         @if let Err(missing) = &scores { (missing) }
         @if let Ok(scores) = &scores { (by_distance(scores)) }
         @let plan = Plan::new(page, node);
-        @for name in names.iter().take(MOST_VIEWS) { (judged(page, node, name, view(name), plan.as_ref())) }
+        @let errors = Errors::new(page, node, &names[..names.len().min(MOST_VIEWS)]);
+        @for (name, error) in &errors.maps {
+            @let error = errors.picture(page, name, error);
+            (judged(page, node, &View { name: *name, scores: view(name), error }, plan.as_ref()))
+        }
         @if names.len() > MOST_VIEWS { p.quiet { (count(names.len() - MOST_VIEWS, "better view")) " not shown." } }
     }
 }
@@ -84,35 +94,39 @@ fn scores(page: &Page<'_>, node: &RunNode) -> Result<Scores, Missing> {
     Ok(page.document::<train::Metrics>(node)?.scores)
 }
 
+/// A held-out view: its name, its figures, and the map of its errors.
+struct View<'a> {
+    name: &'a str,
+    scores: Option<&'a PhotoScores>,
+    error: Markup,
+}
+
 /// Photo, render, error, uncertainty and place in a row, with the figures of the view.
-fn judged(
-    page: &Page<'_>,
-    node: &RunNode,
-    name: &str,
-    scores: Option<&PhotoScores>,
-    plan: Option<&Plan>,
-) -> Markup {
+fn judged(page: &Page<'_>, node: &RunNode, view: &View<'_>, plan: Option<&Plan>) -> Markup {
+    let View { name, scores, error } = view;
     let place = scores.zip(plan).and_then(|(scores, plan)| {
         let nearest = scores.nearest.as_ref().map(|nearest| nearest.id.as_str());
         plan.whereabouts(&scores.id, nearest)
     });
-    let render = node.digest(&format!("{}{name}.png", output::HELDOUT));
-    let photo = node.digest(&format!("{}{name}.png", output::PHOTO));
-    let stored = |digest: Option<&Digest>, what: &str| match digest {
+    let shown = |digest: Option<&Digest>, form: Form, what: &str| match digest {
         Some(digest) => page
             .pictures
-            .stored(page.report, digest, Form::Photo, &format!("{what} of {name}")),
+            .stored(page.report, digest, form, &format!("{what} of {name}")),
         None => words(&format!("The node has no {what} of this view.")),
+    };
+    let stored = |prefix: &str, what: &'static str| {
+        let digest = node.digest(&format!("{prefix}{name}.png"));
+        shown(digest, Form::Panel(what), what)
     };
     html! {
         div.view {
-            h4 { span.file { (name) } @for text in view_figures(scores) { span.quiet { (text) } } }
+            h4 { span.file { (name) } @for text in view_figures(*scores) { span.quiet { (text) } } }
             div.row.judged {
-                figure { (stored(photo, "photo")) figcaption { "photo" } }
-                figure { (stored(render, "render")) figcaption { "render" } }
-                figure { (error_picture(page, render, photo, name)) figcaption { "error x " (ERROR_GAIN) } }
+                figure { (stored(output::PHOTO, "photo")) figcaption { "photo" } }
+                figure { (stored(output::HELDOUT, "render")) figcaption { "render" } }
+                figure { (error) figcaption { "error, gray levels" } }
                 @if let Some((heading, map)) = uncertainty_of(page, node, name) {
-                    figure { (stored(Some(map), heading)) figcaption { (heading) } }
+                    figure { (shown(Some(map), Form::Map, heading)) figcaption { (heading) } }
                 }
                 @if let Some(place) = place { figure { (place) figcaption { "where, from above, ringed: nearest trained on" } } }
             }
@@ -128,22 +142,60 @@ fn view_figures(scores: Option<&PhotoScores>) -> Vec<String> {
     named.map(|(name, text)| format!("{name} {text}")).collect()
 }
 
-fn error_picture(page: &Page<'_>, render: Option<&Digest>, photo: Option<&Digest>, name: &str) -> Markup {
-    let (Some(render), Some(photo)) = (render, photo) else {
-        return words("No error without both.");
-    };
-    let made = decode(page.report, render)
-        .and_then(|render| decode(page.report, photo).map(|photo| (render, photo)))
-        .and_then(|(render, photo)| difference(&render, &photo));
-    match made {
-        Ok(image) => page
-            .pictures
-            .own(&image, Form::Photo, &format!("error of {name}")),
-        Err(why) => words(&why),
+/// Errors of the held-out views of a node, on one scale.
+struct Errors<'a> {
+    /// By view: an error as the gray of each pixel, or why there is none.
+    maps: Vec<(&'a str, Result<Image<Srgb>, String>)>,
+    scale: ColorScale,
+}
+
+impl<'a> Errors<'a> {
+    fn new(page: &Page<'_>, node: &RunNode, names: &[&'a str]) -> Self {
+        let maps: Vec<_> = names
+            .iter()
+            .map(|name| (*name, error_of(page, node, name)))
+            .collect();
+        let high = end(maps.iter().filter_map(|(_, error)| error.as_ref().ok()));
+        Self {
+            maps,
+            scale: ColorScale::linear("error", "gray levels", high, Palette::Inferno),
+        }
+    }
+
+    /// Shows the errors of a view.
+    fn picture(&self, page: &Page<'_>, name: &str, error: &Result<Image<Srgb>, String>) -> Markup {
+        match error {
+            Ok(error) => {
+                let map = draw_map(&levels(error), error.width, error.height, &self.scale);
+                page.pictures.own(&map, Form::Map, &format!("error of {name}"))
+            }
+            Err(why) => words(why),
+        }
     }
 }
 
-/// |a - b| x [`ERROR_GAIN`] in each channel, at most 255.
+/// Returns the end of the scale of some errors: at least one gray level.
+fn end<'e>(errors: impl Iterator<Item = &'e Image<Srgb>>) -> f64 {
+    let tops: Vec<f32> = errors.map(|error| quantile(&levels(error), WITHIN)).collect();
+    round_upper_limit(&tops, 1.0).max(1.0)
+}
+
+/// Returns the errors of a view at the size of its map.
+fn error_of(page: &Page<'_>, node: &RunNode, name: &str) -> Result<Image<Srgb>, String> {
+    let digest = |prefix: &str| node.digest(&format!("{prefix}{name}.png"));
+    let (Some(render), Some(photo)) = (digest(output::HELDOUT), digest(output::PHOTO)) else {
+        return Err("No error without both.".to_owned());
+    };
+    let (render, photo) = (decode(page.report, render)?, decode(page.report, photo)?);
+    shrunk(&difference(&render, &photo)?, ERROR_PX)
+}
+
+/// Returns the values of an error map.
+fn levels(error: &Image<Srgb>) -> Vec<f32> {
+    error.pixels.iter().map(|rgb| f32::from(rgb[0])).collect()
+}
+
+/// Returns |a - b|, the mean of the channels, as gray.
 fn difference(a: &Image<Srgb>, b: &Image<Srgb>) -> Result<Image<Srgb>, String> {
     if (a.width, a.height) != (b.width, b.height) {
         return Err(format!(
@@ -151,14 +203,16 @@ fn difference(a: &Image<Srgb>, b: &Image<Srgb>) -> Result<Image<Srgb>, String> {
             a.width, a.height, b.width, b.height
         ));
     }
-    let channel = |a: u8, b: u8| a.abs_diff(b).saturating_mul(ERROR_GAIN);
-    let pixels = a.pixels.iter().zip(&b.pixels);
+    let pixels = a.pixels.iter().zip(&b.pixels).map(|(a, b)| {
+        let sum: u32 = (0..3)
+            .map(|channel| u32::from(a[channel].abs_diff(b[channel])))
+            .sum();
+        [((sum + 1) / 3) as u8; 3]
+    });
     Ok(Image {
         width: a.width,
         height: a.height,
-        pixels: pixels
-            .map(|(a, b)| [0, 1, 2].map(|index| channel(a[index], b[index])))
-            .collect(),
+        pixels: pixels.collect(),
     })
 }
 
@@ -276,14 +330,24 @@ fn single_frames(page: &Page<'_>, node: &RunNode) -> Markup {
 mod tests {
     use super::*;
 
+    /// 95 of the levels 0 to 99 do not exceed 94, and 3 is less.
     #[test]
-    fn an_error_picture_saturates_and_refuses_another_size() {
+    fn the_scale_of_errors_holds_95_percent_of_the_pixels_of_each_photo() {
+        let rising = Image::from_fn(100, 1, |x, _| [x as u8; 3]);
+        let plain = |level: u8| Image::from_fn(4, 1, |_, _| [level; 3]);
+        assert_eq!(end([&rising, &plain(3)].into_iter()), 100.0);
+        assert_eq!(end([&plain(3)].into_iter()), 5.0);
+        assert_eq!(end([&plain(0)].into_iter()), 1.0);
+        assert_eq!(end([].into_iter()), 1.0);
+    }
+
+    /// (0 + 150 + 63) / 3 = 71, (1 + 150 + 63) / 3 = 71.3.
+    #[test]
+    fn an_error_is_the_mean_of_the_channels_and_another_size_is_refused() {
         let photo = Image::from_fn(2, 1, |x, _| [10 + x as u8, 250, 0]);
         let render = Image::from_fn(2, 1, |_, _| [10, 100, 63]);
-        assert_eq!(
-            difference(&render, &photo).unwrap().pixels,
-            [[0, 255, 252], [4, 255, 252]]
-        );
+        assert_eq!(difference(&render, &photo).unwrap().pixels, [[71; 3], [71; 3]]);
+        assert_eq!(difference(&photo, &photo).unwrap().pixels, [[0; 3]; 2]);
         let other = Image::from_fn(1, 2, |_, _| [0; 3]);
         let error = difference(&render, &other).unwrap_err();
         assert!(error.contains("2 x 1") && error.contains("1 x 2"), "{error}");

@@ -235,7 +235,7 @@ fn pictures_films_and_starts_are_named_with_their_sizes_and_digests() {
                 long.short()
             ),
             "<h3>again</h3><p>The same renders as above.</p>",
-            "Worst first. Error: |render - photo| x 4 in each channel.",
+            "Worst first. Error: |render - photo|, mean of the channels.",
         ],
     );
     assert_eq!(html.matches("<video").count(), 1, "the one that fits");

@@ -38,6 +38,7 @@ pub mod render;
 pub mod replay;
 pub mod report;
 mod report_memos;
+pub mod report_view;
 pub mod results;
 pub mod run;
 pub mod scenes;

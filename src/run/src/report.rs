@@ -10,7 +10,7 @@ use marf_engine::{Outcome, Purpose, RunRecord, document};
 use marf_export::iso_time;
 use marf_model::{Run, RunNode, select};
 use marf_report::trade::Trade;
-use marf_report::{ChangedNode, Changes, LinkedPage, LiveParts, Report, ScenePage};
+use marf_report::{ChangedNode, Changes, EmbeddedView, LinkedPage, LiveParts, Report, ScenePage};
 use serde_json::Value;
 
 use crate::context::Context;
@@ -124,6 +124,26 @@ pub fn linked(
     scene: Option<&str>,
     live: &LiveParts,
 ) -> Result<LinkedPage, Error> {
+    of_stored(store, record, scene, |report| marf_report::linked(report, live))
+}
+
+/// Returns the report of a stored run with a 3-D view, as one file.
+///
+/// # Errors
+/// A store that cannot be read.
+pub fn with_view(store: &Store, record: &RunRecord, view: &EmbeddedView) -> Result<String, Error> {
+    of_stored(store, record, None, |report| {
+        marf_report::write_with_view(report, view)
+    })
+}
+
+/// Writes the report of a stored run, or the page of one of its scenes.
+fn of_stored<T>(
+    store: &Store,
+    record: &RunRecord,
+    scene: Option<&str>,
+    write: impl FnOnce(&Report<'_>) -> T,
+) -> Result<T, Error> {
     let resolved = documents::resolved(store, record).unwrap_or_default();
     let names: Vec<&String> = resolved["node"]
         .as_object()
@@ -154,7 +174,7 @@ pub fn linked(
         scenes: pages(&run, scene, &listed),
         params: &params.collect(),
     };
-    Ok(marf_report::linked(&report, live))
+    Ok(write(&report))
 }
 
 /// Returns a run. Nodes of its pipeline without a result in it are taken from the last run on the same folders with results of all of

@@ -9,6 +9,7 @@ mod answers;
 mod connections;
 mod content;
 mod difference;
+mod embedded;
 mod error;
 mod events;
 mod field;
@@ -26,6 +27,7 @@ mod splats;
 mod stream;
 
 pub use access::AccessError;
+pub use embedded::embedded_view;
 pub use error::ViewError;
 pub use events::lines_of_running;
 pub use server::{Options, Server};

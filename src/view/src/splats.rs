@@ -63,12 +63,24 @@ impl SplatJob {
     }
 }
 
-/// Makes the splats of a field, in the world of its scene.
 fn packed(
     source: &dyn Source,
     field: &FieldSource,
     progress: &Arc<SplatProgress>,
 ) -> Result<Arc<[u8]>, String> {
+    let (_, splats) = splats_of_field(source, field, progress)?;
+    Ok(pack(&splats).into())
+}
+
+/// Makes the splats of a field, in the world of its scene. Returns the scene too.
+///
+/// # Errors
+/// One sentence: a field without a surface, or a lost object.
+pub fn splats_of_field(
+    source: &dyn Source,
+    field: &FieldSource,
+    progress: &Arc<SplatProgress>,
+) -> Result<(Scene, Vec<Splat>), String> {
     let scene = source
         .object(&field.scene)
         .ok_or("the store has lost the scene of the field")?;
@@ -80,7 +92,7 @@ fn packed(
         splat.position /= unit;
         splat.sigma /= unit;
     }
-    Ok(pack(&splats).into())
+    Ok((scene, splats))
 }
 
 /// Returns the points of the calibration as small splats.

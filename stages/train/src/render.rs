@@ -35,7 +35,7 @@ stage! {
     Set,
     Threads::All,
     about: "renders a trained field along a path: the pictures of a film",
-    version: 7,
+    version: 8,
     ports: [
         Port::required("input", WEIGHTS),
         Port::required("input", SCENE),

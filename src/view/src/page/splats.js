@@ -1,4 +1,5 @@
-// Splats in the browser: a thread projects and orders them, WebGL2 blends them from back to front.
+// Splats in the browser: a thread projects and orders them, WebGL2 blends them from back to front. Where WebGL2 is a program that runs on
+// the processor, or missing, the thread blends them.
 
 const VERTEX = `#version 300 es
 precision highp float;
@@ -37,13 +38,27 @@ const STRIDE = 28;
 /** Points whose middle is outside of the viewport are dropped, so it is this many times as wide as the picture. */
 const BORDER = 2;
 
+/** Share of the width, and of the splats, at which a moving camera shows them: one in so many. */
+const LEVELS = [[1, 1], [2, 1], [2, 4], [3, 9], [4, 16]];
+/** Where a moving camera begins without a GPU: the processor has a picture of 100,000 splats in 50 ms. */
+const SOFTWARE_LEVEL = 2;
+/** A moving camera goes to the next level if a picture takes longer, and back if it takes so much less that a finer one is as fast. */
+const [SLOW_MS, FAST_MS] = [60, 12];
+/** Twice the exponent to which a moving camera draws a splat: 2.5 standard deviations. One at rest draws what is above 1 / 255. */
+const MOVING_MOST = 6.25;
+
 /** Draws splats onto a canvas. */
 export class Splats {
-  /** `drawn` is called with each view that is drawn. Throws if the browser has no WebGL2. */
-  constructor(canvas, drawn) {
-    const gl = canvas.getContext("webgl2", { alpha: false, depth: false, antialias: false });
-    if (!gl) throw new Error("This browser has no WebGL2.");
-    Object.assign(this, { canvas, gl, drawn, loaded: false, wanted: null, busy: false });
+  /** `drawn` is called with each view that is drawn. Throws if WebGL2 refuses the shaders. */
+  constructor(canvas, drawn, { isSoftware = !hasGpu(), projector = new URL("projector.js", import.meta.url) } = {}) {
+    Object.assign(this, { canvas, drawn, loaded: false, wanted: null, busy: false, level: isSoftware ? SOFTWARE_LEVEL : 0 });
+    if (isSoftware) this.flat = canvas.getContext("2d", { alpha: false });
+    else this.begin(canvas.getContext("webgl2", { alpha: false, depth: false, antialias: false }));
+    this.projector = new Worker(projector);
+    this.projector.addEventListener("message", ({ data }) => this.draw(data));
+  }
+  begin(gl) {
+    this.gl = gl;
     const program = linked(gl);
     gl.useProgram(program);
     this.size = gl.getUniformLocation(program, "size");
@@ -56,29 +71,44 @@ export class Splats {
     }
     gl.enable(gl.BLEND);
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
-    this.projector = new Worker(new URL("projector.js", import.meta.url));
-    this.projector.addEventListener("message", ({ data }) => this.draw(data));
   }
   /** Takes splats as the server packs them, in place of those before. */
   load(buffer) {
     this.loaded = true;
     this.projector.postMessage({ buffer }, [buffer]);
   }
-  /** Draws a view as soon as the one before is drawn. Of the views in between only the newest is drawn. */
-  show(view) {
-    this.wanted = view;
+  /** Draws a view as soon as the one before is drawn. Of the views in between only the newest is drawn. At rest nothing is left out. */
+  show(view, isMoving = false) {
+    this.wanted = { ...view, isMoving };
     this.next();
   }
   next() {
     if (this.busy || !this.wanted || !this.loaded) return;
     this.busy = true;
-    this.projector.postMessage({ view: this.wanted });
+    const { wanted } = this;
     this.wanted = null;
+    const [divisor, stride] = LEVELS[wanted.isMoving ? this.level : 0];
+    const view = { ...wanted, camera: reduced(wanted.camera, divisor), stride, most: wanted.isMoving ? MOVING_MOST : Infinity };
+    this.sent = performance.now();
+    this.projector.postMessage({ view, isDrawn: !this.gl });
   }
-  draw({ points, count, view }) {
-    const { gl, canvas } = this;
+  draw(made) {
+    const { canvas, level } = this;
+    const { view } = made;
     const { width, height } = view.camera;
     if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
+    if (this.gl) this.blend(made);
+    else this.flat.putImageData(new ImageData(made.pixels, width, height), 0, 0);
+    const took = performance.now() - this.sent;
+    if (view.isMoving && took > SLOW_MS) this.level = Math.min(level + 1, LEVELS.length - 1);
+    if (view.isMoving && took < FAST_MS) this.level = Math.max(level - 1, 0);
+    this.busy = false;
+    this.next();
+    this.drawn(view);
+  }
+  blend({ points, count, view }) {
+    const { gl } = this;
+    const { width, height } = view.camera;
     const beyond = (BORDER - 1) / 2;
     gl.viewport(...[-beyond * width, -beyond * height, BORDER * width, BORDER * height].map(Math.round));
     gl.clearColor(0, 0, 0, 1);
@@ -86,10 +116,24 @@ export class Splats {
     gl.uniform2f(this.size, width, height);
     gl.bufferData(gl.ARRAY_BUFFER, points, gl.STREAM_DRAW);
     gl.drawArrays(gl.POINTS, 0, count);
-    this.busy = false;
-    this.next();
-    this.drawn(view, count);
   }
+}
+
+/** Returns whether WebGL2 runs on a GPU. */
+function hasGpu() {
+  const gl = document.createElement("canvas").getContext("webgl2");
+  if (!gl) return false;
+  const names = gl.getExtension("WEBGL_debug_renderer_info");
+  const name = gl.getParameter(names ? names.UNMASKED_RENDERER_WEBGL : gl.RENDERER);
+  gl.getExtension("WEBGL_lose_context")?.loseContext();
+  return !/swiftshader|llvmpipe|softpipe|software|basic render/i.test(name);
+}
+
+/** Returns a camera with a share of the pixels in each direction. */
+function reduced(camera, divisor) {
+  const lengths = ["fx_px", "fy_px", "cx_px", "cy_px"].map((key) => [key, camera[key] / divisor]);
+  const [width, height] = [camera.width, camera.height].map((side) => Math.ceil(side / divisor));
+  return { ...camera, ...Object.fromEntries(lengths), width, height };
 }
 
 function linked(gl) {

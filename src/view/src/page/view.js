@@ -10,8 +10,6 @@ const byId = (id) => document.getElementById(id);
 
 /** The camera rests when nobody has moved it for so long. */
 const REST_MS = 150;
-/** With a longer time for a picture of splats, these are drawn at half the width while the camera moves. */
-const SLOW_MS = 66;
 
 class View {
   constructor(run) {
@@ -78,7 +76,7 @@ class View {
     if (!this.scene) return;
     clearTimeout(this.rest);
     const view = this.view();
-    this.drawSplats(view, 1);
+    this.drawSplats(view, false);
     this.pictures.want(view);
     this.legend();
   }
@@ -91,14 +89,11 @@ class View {
 
   // ---- splats
 
-  /** Draws splats, or points until there are some, at a share of the width; the field's picture is drawn over them. */
-  drawSplats(view, divisor) {
+  /** Draws splats, or points until there are some; the field's picture is drawn over them. */
+  drawSplats(view, isMoving) {
     this.resize(view.camera);
     if (view.mode !== "color") return byId("view-stage").classList.remove("moving");
-    const { camera } = view;
-    const sized = Object.fromEntries(["fx_px", "fy_px", "cx_px", "cy_px"].map((key) => [key, camera[key] / divisor]));
-    const [width, height] = [camera.width, camera.height].map((side) => Math.ceil(side / divisor));
-    this.splats?.show({ camera: { ...camera, ...sized, width, height }, pose: view.cam_from_world, view });
+    this.splats?.show({ camera: view.camera, pose: view.cam_from_world, view }, isMoving);
   }
   /** Shows splats or points that are drawn, unless the field's picture of the same view is there. */
   splatted({ view }) {
@@ -106,7 +101,6 @@ class View {
     if (this.hasSplats) {
       const { dataset, classList } = byId("view-stage");
       const took = performance.now() - view.since;
-      this.slow = took > SLOW_MS;
       dataset.frames = Number(dataset.frames ?? 0) + 1;
       dataset.firstMs ??= Math.round(took);
       classList.add("moving");
@@ -124,7 +118,7 @@ class View {
   loadSplats(scene, buffer) {
     if (scene !== this.scene || !this.splats) return;
     this.splats.load(buffer);
-    if (!this.shown) this.drawSplats(this.view(), 1);
+    if (!this.shown) this.drawSplats(this.view(), false);
   }
   /** Asks for splats until they are made: once the camera is moved, since making them takes a while. */
   async makeSplats() {
@@ -311,7 +305,7 @@ class View {
     this.makeSplats().catch(() => this.saySplats("The server does not answer any more."));
     if (!this.hasSplats || this.mode !== "color") return this.draw();
     this.pictures.stop();
-    this.drawSplats(this.view(), this.slow ? 2 : 1);
+    this.drawSplats(this.view(), true);
     clearTimeout(this.rest);
     this.rest = setTimeout(() => this.draw(), REST_MS);
   }

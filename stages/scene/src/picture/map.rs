@@ -63,7 +63,7 @@ impl ColorScale {
 /// Powers of ten that the colours of depths span: near ground takes most of a picture, and the farthest point sets the end.
 pub const DEPTH_DECADES: i32 = 2;
 /// Those of their spread and of their intervals.
-pub const DEPTH_SPREAD_DECADES: i32 = 4;
+pub const DEPTH_SPREAD_DECADES: i32 = 3;
 
 /// Colour of a pixel without a value.
 const NO_VALUE: [u8; 3] = [96, 96, 104];
@@ -73,15 +73,14 @@ const GROUND: [u8; 3] = [24, 24, 28];
 /// Draws values as colours, the title above and the colour scale with its two ends below.
 ///
 /// `values`: `[height * width]`, row-major from the top. Negative ones have no value and are gray.
-/// The picture is at least as wide as its text, the map is centred in it.
+/// The picture is at least as wide as its text, the map is centred in it. At 160 pixels or more that is the width of the map, if the title
+/// has at most 24 letters, and unit and ends together at most 22. Pictures next to each other have one size then.
 pub fn draw_map(values: &[f32], width: u32, height: u32, scale: &ColorScale) -> Image<Srgb> {
     let Layout { zoom, gap, line } = Layout::new(width);
     let (low, high) = ((scale.low as f32).to_string(), top_label(values, scale));
     // As wide as the longest label: maps on one scale have one size, whatever their values.
-    let longest = format!("{ABOVE}{}", scale.high);
-    let end = text_width_px(&low, zoom).max(text_width_px(&longest, zoom));
-    // The unit is in the middle, hence space for the longer end label on both sides.
-    let legend = text_width_px(&scale.unit, zoom) + 2 * end + 10 * gap;
+    let longest = format!("{low} {} {ABOVE}{}", scale.unit, scale.high);
+    let legend = text_width_px(&longest, zoom) + 4 * gap;
     let mut picture = titled(&scale.title, width.max(legend), width, height);
     let full = picture.width;
     let left = (full - width) / 2;
@@ -99,14 +98,16 @@ pub fn draw_map(values: &[f32], width: u32, height: u32, scale: &ColorScale) -> 
         left: gap,
         top: bar_top,
         width: full - 2 * gap,
-        height: 2 * gap,
+        height: 3 * gap,
     };
     paste(&mut picture, bar, |column, _| {
         scale.palette.color(column as f32 / bar.width.max(2) as f32)
     });
-    let text_top = bar_top + 3 * gap;
+    let text_top = bar_top + 4 * gap;
     let right = full - gap - text_width_px(&high, zoom);
-    let middle = full.saturating_sub(text_width_px(&scale.unit, zoom)) / 2;
+    // In the middle of the space between the ends.
+    let low_end = gap + text_width_px(&low, zoom);
+    let middle = (low_end + right).saturating_sub(text_width_px(&scale.unit, zoom)) / 2;
     draw_text(&mut picture, gap, text_top, zoom, &low);
     draw_text(&mut picture, middle, text_top, zoom, &scale.unit);
     draw_text(&mut picture, right, text_top, zoom, &high);
@@ -125,7 +126,7 @@ struct Layout {
 impl Layout {
     /// Returns those of a map of a width.
     fn new(width: u32) -> Self {
-        let zoom = (width / 240).max(1);
+        let zoom = (width / 160).max(1);
         let gap = 3 * zoom;
         let line = HEIGHT_PX * zoom + 2 * gap;
         Self { zoom, gap, line }
@@ -136,7 +137,7 @@ impl Layout {
 fn titled(title: &str, full: u32, width: u32, height: u32) -> Image<Srgb> {
     let Layout { zoom, gap, line } = Layout::new(width);
     let full = full.max(text_width_px(title, zoom) + 2 * gap);
-    let mut picture = Image::from_fn(full, height + 2 * line + 3 * gap, |_, _| GROUND);
+    let mut picture = Image::from_fn(full, height + 2 * line + 4 * gap, |_, _| GROUND);
     draw_text(&mut picture, gap, gap, zoom, title);
     picture
 }
@@ -303,7 +304,7 @@ mod tests {
         let values: Vec<f32> = (0..300 * 20).map(|index| (index % 300) as f32 / 6000.0).collect();
         let picture = draw_map(&values, 300, 20, &scale());
         assert_eq!(picture.width, 300);
-        let row = 2 + 3 * 2 + HEIGHT_PX;
+        let row = 2 * 3 + HEIGHT_PX;
         assert_eq!(picture.at(0, row), Palette::Inferno.color(0.0));
         assert_eq!(picture.at(299, row), Palette::Inferno.color(299.0 / 300.0));
         assert!(picture.pixels.contains(&INK), "no text");
@@ -338,6 +339,20 @@ mod tests {
             };
             let lowest = Palette::Inferno.color(0.0);
             assert_eq!(first(&beside, [9, 99, 199]), first(&below, lowest), "{width}");
+        }
+    }
+
+    /// A title of 24 letters, and ends and unit of 18.
+    #[test]
+    fn texts_fit_into_a_map_of_160_pixels_and_grow_with_it() {
+        let scale = ColorScale::linear(&"M".repeat(24), "gray levels", 0.05, Palette::Inferno);
+        for (width, zoom) in [(160, 1), (319, 1), (320, 2), (1440, 9)] {
+            let values = vec![7.0; width as usize * 8];
+            let map = draw_map(&values, width, 8, &scale);
+            // Two lines of 9 dots and their gaps of 3, and the bar of 9 between gaps of 3.
+            assert_eq!([map.width, map.height], [width, 8 + 42 * zoom], "{width}");
+            let inked = map.pixels.iter().filter(|pixel| **pixel == INK).count() as u32;
+            assert_eq!(inked % (zoom * zoom), 0, "{width}");
         }
     }
 

@@ -10,6 +10,7 @@ pub(crate) mod maps;
 mod normality;
 mod npy;
 mod out_of_bag;
+mod reach;
 mod reduce;
 mod report;
 mod retrainings;
@@ -48,7 +49,7 @@ stage! {
     Expand,
     Threads::All,
     about: "retrains B times and maps where the fields disagree",
-    version: 15,
+    version: 16,
     ports: [
         Port::required("input", SCENE),
         Port::optional("params", BestParams::OUTPUT),

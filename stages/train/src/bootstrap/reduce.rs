@@ -5,7 +5,7 @@ use marf_schema::bootstrap::{BootstrapParams, Members, Metrics};
 use marf_stage::{Ctx, Inputs, Outputs, StageError, TypedOutputs};
 
 use super::{
-    auto::rounds, drawing::Scales, mapper::Mapper, out_of_bag::out_of_bag, report::report,
+    auto::rounds, drawing::Scales, mapper::Mapper, out_of_bag::out_of_bag, reach::Reach, report::report,
     retrainings::Retrainings, viewpoints::map_views, visibility::Witnesses,
 };
 use crate::{
@@ -45,11 +45,10 @@ pub(super) fn reduce(
         out_of_bag: out_of_bag(identity, &members.metrics, &mapper.fields, &photos, &training)?,
         ..report(params.mode, members.report(), &studies)
     };
-    let scales = Scales::new(
-        studies.iter().map(|study| &study.tops),
-        report.heldout.as_ref(),
-        scene.metres_per_unit,
-    );
+    let reach = studies
+        .iter()
+        .fold(Reach::default(), |reach, study| reach.max(&study.reach));
+    let scales = Scales::new(&reach, report.heldout.as_ref(), scene.metres_per_unit);
     let mut outputs = Outputs::new();
     mapper.put_views(&views, &scales, &mut outputs)?;
     outputs.put(ctx, &report)?;

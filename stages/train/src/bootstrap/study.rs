@@ -1,6 +1,6 @@
 //! One viewpoint: its figures, its errors against a photo and sparse points, and how far its maps reach.
 
-use marf_scene::{Image, Point, Pose, Srgb, metrics::psnr, path::Viewpoint, picture::round_upper_limit};
+use marf_scene::{Image, Point, Pose, Srgb, metrics::psnr, path::Viewpoint};
 use marf_schema::bootstrap::{Coverage, PhotoReport, SparsificationCurves, ViewReport};
 use nalgebra::Vector3;
 
@@ -8,12 +8,11 @@ use super::{
     intervals::{Errors, locally},
     maps::{Maps, gray},
     normality::{coverage, mean, nll},
+    reach::Reach,
     sparsification::{Norm, Sparsification, hundredths, sparsify, spearman},
 };
 use crate::TrainError;
 
-/// Share of the pixels within a colour scale. Values above have the top colour, and the label says so.
-const REACH: f64 = 0.995;
 /// Photos that see a sparse point, at least, for it to be compared with: two may be a wrong match.
 const LEAST_VIEWS: u32 = 3;
 /// Side of the cells in which the nearest sparse point hides those behind it, pixels.
@@ -29,7 +28,7 @@ pub(crate) struct ViewStudy {
     pub pixels: f64,
     pub depth_pixels: f64,
     pub rgb_std: [f64; 3],
-    pub tops: Tops,
+    pub reach: Reach,
     pub held_out: Option<HeldOutStudy>,
 }
 
@@ -43,19 +42,6 @@ pub(crate) struct HeldOutStudy {
     pub gray: Errors,
     /// Of the depth, as shares of it.
     pub depth: Errors,
-}
-
-/// Values that nearly all of a viewpoint's pixels are below, on the scale of 1, 2, 5, 10, .. Lengths are in world units.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub(crate) struct Tops {
-    pub std: f64,
-    /// Of [`Maps::local_spread`].
-    pub local_spread: f64,
-    pub residual: f64,
-    pub total: f64,
-    pub depth_std: f64,
-    pub error: f64,
-    pub photos: f64,
 }
 
 /// A photo that was held out, with the number of the place it was taken at.
@@ -92,22 +78,13 @@ pub(crate) fn study(
             .transpose()?,
         ..view_report(place, maps)
     };
-    let top = |values: &[f32]| round_upper_limit(values, REACH);
     let channel = |channel: usize| mean(maps.rgb_std.iter().map(|rgb| rgb[channel]));
     Ok(ViewStudy {
         report,
         pixels: maps.std.len() as f64,
         depth_pixels: maps.depth_std.iter().filter(|std| **std >= 0.0).count() as f64,
         rgb_std: [0, 1, 2].map(channel),
-        tops: Tops {
-            std: top(&maps.std),
-            local_spread: top(&maps.local_spread()),
-            residual: top(&maps.residual),
-            total: top(&maps.total),
-            depth_std: top(&maps.depth_std),
-            error: top(&error),
-            photos: top(&maps.photos),
-        },
+        reach: Reach::new(maps, &error),
         held_out,
     })
 }

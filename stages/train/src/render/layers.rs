@@ -140,6 +140,8 @@ fn uncertainty(ctx: &Ctx<'_>, members: &[Rendered]) -> Result<LayerPicture, Stag
     })
 }
 
+/// Gray levels of a picture: drawings show the uncertainty in these.
+const LEVELS: f32 = 255.0;
 /// Unit of the uncertainty.
 const SPREAD_UNIT: &str = "sRGB, white = 1";
 
@@ -196,17 +198,16 @@ impl<'a> Drawing<'a> {
         let scales = layers.iter().enumerate().map(|(index, layer)| {
             let tops: Vec<f32> = frames.iter().map(|frame| frame.0[index].top).collect();
             let high = round_upper_limit(&tops, 1.0);
-            let length_unit = if scene.metres_per_unit.is_some() {
-                "m"
-            } else {
-                "scene units"
-            };
+            let is_measured = scene.metres_per_unit.is_some();
+            let length_unit = if is_measured { "m" } else { "units" };
             match layer {
                 Layer::Rgb => ColorScale::linear("colour", "", high, Palette::Viridis),
                 Layer::Depth => ColorScale::linear("depth", length_unit, high, Palette::Viridis)
                     .over_decades(DEPTH_DECADES),
                 Layer::Uncertainty => {
-                    ColorScale::linear("std of gray, B-1", SPREAD_UNIT, high, Palette::Inferno)
+                    let levels: Vec<f32> = tops.iter().map(|top| top * LEVELS).collect();
+                    let high = round_upper_limit(&levels, 1.0);
+                    ColorScale::linear("standard deviation", "gray levels", high, Palette::Inferno)
                 }
             }
         });
@@ -299,10 +300,14 @@ fn map(
     let (width, height, mut values) = read
         .filter(|(width, height, _)| (*width, *height) == (camera.width, camera.height))
         .ok_or_else(|| unreadable(layer, &"it is not what was written"))?;
-    if layer == Layer::Depth {
-        for value in values.iter_mut().filter(|value| **value == 0.0) {
-            *value = -1.0;
+    match layer {
+        Layer::Depth => {
+            for value in values.iter_mut().filter(|value| **value == 0.0) {
+                *value = -1.0;
+            }
         }
+        Layer::Uncertainty => values.iter_mut().for_each(|value| *value *= LEVELS),
+        Layer::Rgb => {}
     }
     Ok(draw_map(&values, width, height, scale))
 }
