@@ -178,7 +178,7 @@ fn damage_is_found_by_a_check_named_and_repaired() {
     marf(dir.path(), &["cache", "fsck", "--read-data", "--repair"]).exits(0);
     marf(dir.path(), &["cache", "fsck"]).exits(1);
     let collected = marf(dir.path(), &["cache", "gc", "--dry-run"]).exits(0).stderr;
-    let missing = "1 objects that kept runs need are missing. A run computes them again when it reads them";
+    let missing = "the store lacks 1 object that kept runs need. A run computes what it reads again";
     assert!(collected.contains(missing), "{collected}");
     let ran = marf(dir.path(), &["run", "--json"]).exits(0);
     assert_eq!(ran.nodes("finished"), ["calibrate"]);

@@ -226,7 +226,7 @@ fn verbs_of_the_store_print_the_numbers_of_their_json() {
     let gc = told(dir, "cache gc --keep-last 1 --grace 0s --dry-run");
     assert_eq!(gc.whole("/runs_removed"), 1);
     gc.says(&format!(
-        "would remove 1 runs, {} records, {} memos, {} blobs: {}, kept {}",
+        "would remove 1 run, {} records, {} memos, {} blobs: {}, kept {}",
         gc.whole("/records"),
         gc.whole("/memos"),
         gc.whole("/loose_blobs") + gc.whole("/packed_blobs"),
@@ -298,7 +298,7 @@ fn verbs_of_a_shared_store_print_the_numbers_of_their_json() {
     let fsck = told(dir, &format!("cache fsck --read-data --remote {url}"));
     assert_eq!(fsck.whole("/runs"), 1);
     fsck.says(&format!(
-        "{} blobs, {} records, 1 runs, {} read, 0 faults",
+        "{} blobs, {} records, 1 run, {} read, 0 faults",
         fsck.whole("/blobs"),
         fsck.whole("/records"),
         size(fsck.whole("/read_bytes") as u64)
@@ -312,7 +312,7 @@ fn verbs_of_a_shared_store_print_the_numbers_of_their_json() {
     let of = |name: &str| gc.whole(&format!("/collected/{name}"));
     assert_eq!(of("runs"), 1);
     gc.says(&format!(
-        "would remove 1 runs, {} records, {} large blobs, {} packs: {}, kept {} ({} packs rewritten), ",
+        "would remove 1 run, {} records, {} large blobs, {} packs: {}, kept {} ({} packs rewritten), ",
         of("records"),
         of("blobs"),
         of("packs"),

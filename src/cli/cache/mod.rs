@@ -108,7 +108,8 @@ fn gc(store: &Store, args: &GcArgs, context: &Context) -> Result<(), Error> {
     }
     let would = if args.dry_run { "would remove" } else { "removed" };
     print_line(&format!(
-        "{would} {runs} runs, {} records, {} memos, {} blobs: {}, kept {}",
+        "{would} {}, {} records, {} memos, {} blobs: {}, kept {}",
+        count(runs, "run"),
         report.records,
         report.memos,
         report.loose_blobs + report.packed_blobs,
@@ -118,7 +119,8 @@ fn gc(store: &Store, args: &GcArgs, context: &Context) -> Result<(), Error> {
     match report.missing.len() {
         0 => {}
         missing => context.warn(format!(
-            "{missing} objects that kept runs need are missing. A run computes them again when it reads them"
+            "the store lacks {} that kept runs need. A run computes what it reads again",
+            count(missing, "object")
         )),
     }
     Ok(())
@@ -162,11 +164,11 @@ fn fsck(store: &Store, args: &FsckArgs) -> Result<(), Error> {
             ));
         }
         print_line(&format!(
-            "{} blobs, {} records, {} memos, {} runs, {} read, {}",
+            "{} blobs, {} records, {} memos, {}, {} read, {}",
             report.blobs,
             report.records,
             report.memos,
-            report.runs,
+            count(report.runs as usize, "run"),
             size(report.verified_bytes),
             count(report.faults.len(), "fault")
         ));

@@ -69,8 +69,8 @@ pub fn gc(args: &GcArgs, grace: Duration, context: &Context) -> Result<(), Error
     }
     let would = if args.dry_run { "would remove" } else { "removed" };
     print_line(&format!(
-        "{would} {} runs, {} records, {} large blobs, {} packs: {}, kept {} ({} packs rewritten), {}",
-        done.runs,
+        "{would} {}, {} records, {} large blobs, {} packs: {}, kept {} ({} packs rewritten), {}",
+        count(done.runs as usize, "run"),
         done.records,
         done.blobs,
         done.packs,
@@ -103,10 +103,10 @@ pub fn fsck(args: &FsckArgs, context: &Context) -> Result<(), Error> {
             print_line(&format!("{}: {}", fault.object, fault.what));
         }
         print_line(&format!(
-            "{} blobs, {} records, {} runs, {} read, {}",
+            "{} blobs, {} records, {}, {} read, {}",
             checked.blobs,
             checked.records,
-            checked.runs,
+            count(checked.runs as usize, "run"),
             size(checked.read_bytes),
             count(checked.faults.len(), "fault")
         ));

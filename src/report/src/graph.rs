@@ -171,20 +171,24 @@ impl Layout {
     fn path(&self, from: usize, to: usize) -> Vec<String> {
         let mut pieces = Vec::new();
         let middle = |place: Place| place.y + BOX_HEIGHT / 2.0;
-        let mut at = (self.boxes[from].x + BOX_WIDTH, middle(self.boxes[from]));
+        let mut at = Place {
+            x: self.boxes[from].x + BOX_WIDTH,
+            y: middle(self.boxes[from]),
+        };
         for layer in self.layers[from] + 1..=self.layers[to] {
             let last = layer == self.layers[to];
             let x = MARGIN + (layer % self.columns) as f64 * COLUMN;
-            let track = self.tracks.get(&(from, layer)).copied().unwrap_or(at.1);
+            let track = self.tracks.get(&(from, layer)).copied().unwrap_or(at.y);
             let y = if last { middle(self.boxes[to]) } else { track };
             if layer % self.columns == 0 {
                 at = self.wrap(at, y, self.lane(from, layer), &mut pieces);
             }
-            pieces.push(curve(at, (x, y)));
-            at = (x, y);
+            let next = Place { x, y };
+            pieces.push(curve(at, next));
+            at = next;
             if !last {
-                pieces.push(curve(at, (x + BOX_WIDTH, y)));
-                at.0 = x + BOX_WIDTH;
+                at.x = x + BOX_WIDTH;
+                pieces.push(curve(next, at));
             }
         }
         pieces.push(arrow(at));
@@ -198,43 +202,43 @@ impl Layout {
     }
 
     /// Runs to the right edge, along the gap between the bands and back in from the left.
-    fn wrap(&self, at: (f64, f64), y: f64, lane: f64, pieces: &mut Vec<String>) -> (f64, f64) {
+    fn wrap(&self, at: Place, y: f64, lane: f64, pieces: &mut Vec<String>) -> Place {
         let band = self.bands.iter().rposition(|top| *top <= y).unwrap_or(0);
         let gap = self.bands.get(band).copied().unwrap_or(0.0) - BAND_GAP / 2.0 - lane + 8.0;
         let (right, left) = (self.width - 28.0 + lane, 28.0 - lane);
         pieces.push(format!(
             "M{} {}H{}V{}H{}V{}H{}",
-            px(at.0),
-            px(at.1),
+            px(at.x),
+            px(at.y),
             px(right),
             px(gap),
             px(left),
             px(y),
             px(left + 4.0)
         ));
-        (left + 4.0, y)
+        Place { x: left + 4.0, y }
     }
 }
 
-fn curve(from: (f64, f64), to: (f64, f64)) -> String {
-    let bend = (to.0 - from.0) / 2.0;
+fn curve(from: Place, to: Place) -> String {
+    let bend = (to.x - from.x) / 2.0;
     format!(
         "M{} {}C{} {} {} {} {} {}",
-        px(from.0),
-        px(from.1),
-        px(from.0 + bend),
-        px(from.1),
-        px(to.0 - bend),
-        px(to.1),
-        px(to.0),
-        px(to.1)
+        px(from.x),
+        px(from.y),
+        px(from.x + bend),
+        px(from.y),
+        px(to.x - bend),
+        px(to.y),
+        px(to.x),
+        px(to.y)
     )
 }
 
 /// The head of an arrow that points right.
-fn arrow(at: (f64, f64)) -> String {
-    let (back, up, down) = (px(at.0 - 6.0), px(at.1 - 3.5), px(at.1 + 3.5));
-    format!("M{back} {up}L{} {}L{back} {down}", px(at.0), px(at.1))
+fn arrow(at: Place) -> String {
+    let (back, up, down) = (px(at.x - 6.0), px(at.y - 3.5), px(at.y + 3.5));
+    format!("M{back} {up}L{} {}L{back} {down}", px(at.x), px(at.y))
 }
 
 /// (Producer, consumer) as places in the list. Names outside of it are left out.

@@ -38,7 +38,8 @@ pub(crate) fn mask_file(
     let Some(found) = FoundMask::read(ctx, inputs, item)? else {
         return Ok(None);
     };
-    let (upright, stored) = ((item.facts.width, item.facts.height), item.stored_size_px());
+    let upright = [item.facts.width, item.facts.height];
+    let stored: [u32; 2] = item.stored_size_px().into();
     if found.size_px() != upright && found.size_px() == stored {
         return Ok(Some(item.orientation().upright(&found.mask)));
     }
@@ -57,7 +58,8 @@ pub(crate) fn stored_mask(
     let Some(found) = FoundMask::read(ctx, inputs, item)? else {
         return Ok(None);
     };
-    let (upright, stored) = ((item.facts.width, item.facts.height), item.stored_size_px());
+    let upright = [item.facts.width, item.facts.height];
+    let stored: [u32; 2] = item.stored_size_px().into();
     if found.size_px() != stored && found.size_px() == upright {
         return Ok(Some(item.orientation().stored(&found.mask)));
     }
@@ -102,20 +104,20 @@ impl FoundMask {
         }))
     }
 
-    fn size_px(&self) -> (u32, u32) {
-        (self.mask.width, self.mask.height)
+    fn size_px(&self) -> [u32; 2] {
+        [self.mask.width, self.mask.height]
     }
 
     /// Returns the mask if it has this size. Another size is an error for the photo's own mask, else `None`.
-    fn of_size(self, size_px: (u32, u32), item: &InputPhoto) -> Result<Option<Image<Srgb>>, StageError> {
+    fn of_size(self, size_px: [u32; 2], item: &InputPhoto) -> Result<Option<Image<Srgb>>, StageError> {
         if self.is_own && self.size_px() != size_px {
             let error = StageError::new(format!(
                 "`{}` has {} x {} pixels, its photo `{}` {} x {}",
-                self.name, self.mask.width, self.mask.height, item.id, size_px.0, size_px.1
+                self.name, self.mask.width, self.mask.height, item.id, size_px[0], size_px[1]
             ));
             return Err(error.hint("write the mask in the size of its photo, or remove it"));
         }
-        Ok(Some(self.mask).filter(|mask| (mask.width, mask.height) == size_px))
+        Ok(Some(self.mask).filter(|mask| [mask.width, mask.height] == size_px))
     }
 }
 

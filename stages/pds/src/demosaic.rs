@@ -19,7 +19,7 @@ pub fn rggb(plane: &[f32], width: usize, height: usize, phase: BayerPhase) -> Op
     let mut out = Vec::with_capacity(plane.len());
     for y in 0..height {
         for x in 0..width {
-            let site = ((y + phase.line as usize) % 2, (x + phase.sample as usize) % 2);
+            let site = [(y + phase.line as usize) % 2, (x + phase.sample as usize) % 2];
             out.push(pixel(&at, x as isize, y as isize, site));
         }
     }
@@ -33,7 +33,7 @@ fn mirrored(index: isize, length: usize) -> usize {
     (if index > last { 2 * last - index } else { index }) as usize
 }
 
-fn pixel(at: &impl Fn(isize, isize) -> f32, x: isize, y: isize, site: (usize, usize)) -> [f32; 3] {
+fn pixel(at: &impl Fn(isize, isize) -> f32, x: isize, y: isize, site: [usize; 2]) -> [f32; 3] {
     let own = at(x, y);
     let (near_x, near_y) = (at(x - 1, y) + at(x + 1, y), at(x, y - 1) + at(x, y + 1));
     let (far_x, far_y) = (at(x - 2, y) + at(x + 2, y), at(x, y - 2) + at(x, y + 2));
@@ -43,9 +43,9 @@ fn pixel(at: &impl Fn(isize, isize) -> f32, x: isize, y: isize, site: (usize, us
     let along_column = || (5.0 * own + 4.0 * near_y - corners - far_y + 0.5 * far_x) / 8.0;
     let opposite = || (6.0 * own + 2.0 * corners - 1.5 * (far_x + far_y)) / 8.0;
     let rgb = match site {
-        (0, 0) => [own, green(), opposite()],
-        (0, _) => [along_row(), own, along_column()],
-        (_, 0) => [along_column(), own, along_row()],
+        [0, 0] => [own, green(), opposite()],
+        [0, _] => [along_row(), own, along_column()],
+        [_, 0] => [along_column(), own, along_row()],
         _ => [opposite(), green(), own],
     };
     rgb.map(|channel| channel.max(0.0))
