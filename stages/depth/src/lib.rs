@@ -24,6 +24,7 @@ mod ground;
 mod kept;
 mod kernel;
 mod levels;
+mod margins;
 mod merge;
 mod pairs;
 mod paths;
@@ -31,6 +32,7 @@ mod photos;
 mod raster;
 mod rectify;
 mod refine;
+mod rows;
 mod search;
 mod stage;
 #[cfg(test)]

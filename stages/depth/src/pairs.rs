@@ -15,9 +15,13 @@ const MOST_POINTS: usize = 4096;
 const MOST_OF_PAIR: usize = 256;
 /// Fewest points by which a scene or a pair can be judged.
 const FEWEST: usize = 8;
-/// Without sparse points, rays of so many places of a photo are followed, per side, to these typical distances.
+/// Without sparse points, rays of so many places of a photo are followed, per side, to these multiples of a distance: that at which the nearest
+/// other photo of another place makes 5 degrees, or the typical one if it is less.
 const PLACES: u32 = 5;
 const DISTANCES: [f64; 5] = [0.5, 1.0, 2.0, 4.0, 8.0];
+const BASELINES: f64 = 12.0;
+/// Photos nearer to each other are of one place, as a share of the typical distance.
+const ONE_PLACE: f64 = 1e-4;
 
 /// Least share of the points of either photo that both show.
 const LEAST_OVERLAP: f64 = 0.3;
@@ -178,6 +182,9 @@ fn points(scene: &Scene, views: &[PosedCamera]) -> Vec<Vector3<f64>> {
     } in views.iter().step_by(stride)
     {
         let world_from_cam = cam_from_world.inverse();
+        let apart = |other: &PosedCamera| (other.cam_from_world.centre() - cam_from_world.centre()).norm();
+        let others = views.iter().map(apart).filter(|apart| *apart > ONE_PLACE * typical);
+        let distance = typical.min(BASELINES * others.fold(f64::INFINITY, f64::min));
         for place in 0..PLACES * PLACES {
             let at = |index: u32, side: u32| (f64::from(index) + 0.5) / f64::from(PLACES) * f64::from(side);
             let pixel = Vector2::new(
@@ -185,7 +192,7 @@ fn points(scene: &Scene, views: &[PosedCamera]) -> Vec<Vector3<f64>> {
                 at(place / PLACES, camera.height),
             );
             if let Some(ray) = camera.unproject(&pixel) {
-                points.extend(DISTANCES.map(|far| world_from_cam.point(&(ray.normalize() * far * typical))));
+                points.extend(DISTANCES.map(|far| world_from_cam.point(&(ray.normalize() * far * distance))));
             }
         }
     }
@@ -400,6 +407,21 @@ mod tests {
         // Photos of different things are not even refused.
         let pairs = chosen(&[[0.0; 3], [40.0, 0.0, 0.0]], 3);
         assert!(pairs.chosen.is_empty() && pairs.refused.is_empty());
+    }
+
+    #[test]
+    fn twins_far_from_other_photos_are_a_pair_without_sparse_points() {
+        let (scene, views) = scene(&[[0.0; 3], [0.4, 0.0, 0.0], [900.0, 0.0, 0.0], [-700.0, 0.0, 500.0]]);
+        let bare = Scene {
+            points: Vec::new(),
+            ..scene
+        };
+        let pairs = choose(&bare, &views, 3).chosen;
+        assert_eq!(pairs.len(), 1);
+        assert_eq!(pairs[0].photos, [0, 1]);
+        // Nearest 6 baselines, 200 / 6 px, with a half more.
+        let Search { first, count } = pairs[0].search;
+        assert!(first <= 0 && (50..100).contains(&(first + count as i32)), "{first} {count}");
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! Rectification of two photos, also of different focal lengths and with lens distortion, in one resampling.
 
 use marf_scene::{Camera, Pose};
+use marf_schema::depth::RowOffset;
 use nalgebra::{Matrix3, Vector2, Vector3};
 use rayon::prelude::*;
 use thiserror::Error;
@@ -24,6 +25,8 @@ pub struct Eye {
     pub camera: Camera,
     /// The rotation from the axes of the rectified camera to those of the photo.
     pub photo_from_rectified: Matrix3<f64>,
+    /// How far its rows were moved because the cameras do not say where they are.
+    pub rows: RowOffset,
 }
 
 /// A rectified pair: the same focal length, axes and rows, and a baseline along the rows.
@@ -116,6 +119,7 @@ impl Rectified {
             photo: photo.camera,
             camera: Camera::pinhole(1, 1, focal_px),
             photo_from_rectified: photo.cam_from_world.rotation * rectified_from_world.transpose(),
+            rows: RowOffset::default(),
         });
         let [Some(of_left), Some(of_right)] = eyes.map(|eye| eye.extent()) else {
             return Err(RectifyError::NoCommonRow);
@@ -200,8 +204,21 @@ impl Eye {
         let Camera {
             cx_px, cy_px, fx_px, ..
         } = self.camera;
-        let ray = Vector3::new((pixel.x - cx_px) / fx_px, (pixel.y - cy_px) / fx_px, 1.0);
+        let row = pixel.y + self.row_offset(pixel);
+        let ray = Vector3::new((pixel.x - cx_px) / fx_px, (row - cy_px) / fx_px, 1.0);
         self.photo.project(&(self.photo_from_rectified * ray))
+    }
+
+    /// Returns how many rows below a rectified pixel the cameras put what it shows.
+    fn row_offset(&self, pixel: Vector2<f64>) -> f64 {
+        let middle = Vector2::new(f64::from(self.camera.width), f64::from(self.camera.height)) / 2.0;
+        let from_middle = pixel - middle;
+        self.rows.offset_px + self.rows.slope_x * from_middle.x + self.rows.slope_y * from_middle.y
+    }
+
+    /// Returns how many rows above where the cameras put a pixel it is: the inverse of [`Self::row_offset`].
+    pub(crate) fn rows_above(&self, pixel: Vector2<f64>) -> f64 {
+        self.row_offset(pixel) / (1.0 + self.rows.slope_y)
     }
 
     /// Resamples the photo once, by Catmull-Rom splines. Pixels that need one outside or masked do not take part.
@@ -336,6 +353,25 @@ mod tests {
         assert_eq!((pair.left.camera.width, pair.left.camera.height), (80, 20));
         let found = pair.right.source(Vector2::new(50.0, 10.0)).unwrap();
         assert!((found - Vector2::new(70.0, 30.0)).norm() < ROUNDING, "{found}");
+    }
+
+    #[test]
+    fn moved_rows_come_from_where_the_offset_says_and_go_back() {
+        let eye = Eye {
+            rows: RowOffset {
+                offset_px: 3.0,
+                slope_x: 0.1,
+                slope_y: 0.05,
+                ..RowOffset::default()
+            },
+            ..pair(straight(100.0, [0.0; 3]), straight(100.0, [0.5, 0.0, 0.0])).right
+        };
+        // 20 px right of the middle and 10 px below it: 3 + 2 + 0.5.
+        let (at, row) = (Vector2::new(60.0, 40.0), 45.5);
+        let found = eye.source(at).unwrap();
+        assert!((found - Vector2::new(60.0, row)).norm() < ROUNDING, "{found}");
+        let above = eye.rows_above(Vector2::new(60.0, row));
+        assert!((row - above - 40.0).abs() < ROUNDING, "{above}");
     }
 
     #[test]
