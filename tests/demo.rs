@@ -138,6 +138,20 @@ fn only_what_changed_runs_again() {
     let dir = demo();
     let first = run(dir.path(), &[]);
     assert_eq!(first.nodes("failed"), Vec::<String>::new());
+    let events = first.events();
+    let at = |event: &str, node: &str| {
+        let is_it = |found: &serde_json::Value| {
+            found["event"] == event && found["node"].as_str().is_some_and(|name| name.starts_with(node))
+        };
+        events
+            .iter()
+            .position(is_it)
+            .unwrap_or_else(|| panic!("{event} {node}"))
+    };
+    assert!(
+        at("finished", "draft") < at("will_run", "tune/"),
+        "the draft comes before the trials"
+    );
     let kept = count(&first, "blur", "photos");
     assert!((30..=44).contains(&kept), "{kept} photos kept of two sols");
     let report = std::fs::read_to_string(dir.path().join("out/report.html")).unwrap();

@@ -379,3 +379,20 @@ fn a_push_removes_and_changes_nothing_but_leases() {
     world.cache(&fresh, &["pull"]).exits(0);
     assert_eq!(contents(), after);
 }
+
+#[test]
+fn results_that_a_shared_store_lost_are_counted_by_a_collection_and_named_by_a_check() {
+    let world = World::new();
+    let here = world.machine("here");
+    marf(&here, &["run"]).exits(0);
+    world.cache(&here, &["push"]).exits(0);
+    let path = world.file("records", "");
+    std::fs::remove_file(&path).unwrap();
+    let gc = world.cache(&here, &["gc", "--dry-run"]).exits(0).stderr;
+    let said = "1 results that kept runs name are missing. `marf cache fsck --remote` lists the objects that refer to them";
+    assert!(gc.contains(said), "{gc}");
+    let name = |path: &Path| path.file_name().unwrap().to_string_lossy().into_owned();
+    let key = name(path.parent().unwrap()) + &name(&path);
+    let fsck = world.cache(&here, &["fsck"]).exits(1).stdout;
+    assert!(fsck.contains(&key), "{key}: {fsck}");
+}

@@ -188,7 +188,11 @@ fn what_cannot_be_rendered_is_one_error_with_the_way_out() {
     refused(&["--quantizer", "60"], "12 to 51");
     refused(&["--codec", "vp8"], "`h264` or `av1`");
     refused(&["--field", "strange.safetensors"], "gave this field");
-    refused(&["blur"], "`blur` of run");
+    refused(&["blur"], "`blur` of run 1 gives no trained field");
+    refused(
+        &["--path", "nowhere.json"],
+        "take one of train, heldout, flythrough, orbit, or a file of bookmarks",
+    );
     refused(&["--width", "8", "--scale", "2"], "cannot be used with");
     let wide = ["render", "--out", "refused", "--width", "4000"];
     let ran = marf(dir, &wide).exits(1);
@@ -200,6 +204,13 @@ fn what_cannot_be_rendered_is_one_error_with_the_way_out() {
 fn uncertainty_without_a_bootstrap_names_what_to_add() {
     let dir = small_run("train");
     let ran = render(dir.path(), &["--output", "uncertainty", "--out", "x"]).exits(2);
+    assert!(
+        ran.stderr.contains(
+            "run 1 has no bootstrap of `train`, and the uncertainty is how far its retrainings differ"
+        ),
+        "{}",
+        ran.stderr
+    );
     assert!(
         ran.stderr.contains("[node.bootstrap]") && ran.stderr.contains("training = \"train\""),
         "{}",

@@ -170,8 +170,16 @@ fn damage_is_found_by_a_check_named_and_repaired() {
     let found = marf(dir.path(), &["cache", "fsck", "--read-data"]).exits(1);
     assert!(found.stdout.contains(&scene[..8]), "{}", found.stdout);
     assert!(found.stderr.contains("--repair"), "{}", found.stderr);
+    assert!(
+        found.stdout.contains("  breaks a result of calibrate ("),
+        "{}",
+        found.stdout
+    );
     marf(dir.path(), &["cache", "fsck", "--read-data", "--repair"]).exits(0);
     marf(dir.path(), &["cache", "fsck"]).exits(1);
+    let collected = marf(dir.path(), &["cache", "gc", "--dry-run"]).exits(0).stderr;
+    let missing = "1 objects that kept runs need are missing. A run computes them again when it reads them";
+    assert!(collected.contains(missing), "{collected}");
     let ran = marf(dir.path(), &["run", "--json"]).exits(0);
     assert_eq!(ran.nodes("finished"), ["calibrate"]);
     marf(dir.path(), &["cache", "fsck", "--read-data"]).exits(0);

@@ -120,3 +120,42 @@ fn reasons(scene: &Scene) -> Vec<(&str, usize)> {
     counts.sort_by_key(|(_, count)| std::cmp::Reverse(*count));
     counts
 }
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    /// Photos without a camera by their reasons: all of them are counted, the rarest together.
+    #[test]
+    fn a_table_counts_every_photo_and_has_the_scale_in_metres() {
+        let lost = |reason: &str| marf_scene::Unplaced {
+            id: "a".to_owned(),
+            reason: reason.to_owned(),
+        };
+        let reasons = ["w", "x", "x", "x", "y", "y", "z", "z", "v"];
+        let totals = json!({"photos": 12, "registered": 3, "held_out": 0, "unplaced": 9, "missing": 0, "points": 7,
+                            "error_px": 0.25, "error_working_px": null});
+        let metrics =
+            json!({"method": "m", "totals": totals, "photos": [], "missing": [], "up": null, "tie": null});
+        let result = CalibrateResult {
+            metrics: serde_json::from_value(metrics).unwrap(),
+            scene: Scene {
+                unplaced: reasons.map(lost).to_vec(),
+                metres_per_unit: Some(2.5),
+                ..Scene::default()
+            },
+            written: Vec::new(),
+        };
+        let lines = table(&result);
+        for line in [
+            "registered   3 of 12 photos",
+            "             3 not: x",
+            "             2 not, for other reasons (metrics.json)",
+            "scale        one unit is 2.5 m",
+        ] {
+            assert!(lines.iter().any(|found| found == line), "{line}: {lines:#?}");
+        }
+    }
+}

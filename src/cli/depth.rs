@@ -120,3 +120,37 @@ fn table(result: &DepthResult, out: &Path) -> Vec<String> {
     let line = |(what, value): &(&str, String)| format!("{what:<12} {value}");
     rows.iter().map(line).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    #[test]
+    fn a_table_has_the_numbers_of_depths_and_map() {
+        let totals = json!({"photos": 4, "registered": 3, "held_out": 0, "unplaced": 1, "missing": 0, "points": 7,
+                            "error_px": null, "error_working_px": null});
+        let cameras = json!({"method": "import", "totals": totals, "photos": [], "missing": [], "up": null, "tie": null});
+        let map = json!({"columns": 40, "rows": 30, "pixel_m": 0.05, "lowest_m": 0.0, "interval_m": 0.001, "first_m": [0.0, 0.0],
+                         "axes": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], "origin": "x", "covered_share": 0.625});
+        let metrics = json!({"unit": "metres", "photos": [], "pairs": [], "refused": {"few": 2}, "share": 0.5, "confirmed_share": 0.25,
+                             "median_sigma_share": 0.0125, "points": 9, "cell": 0.1, "map": map, "missing": {}});
+        let result = DepthResult {
+            cameras: serde_json::from_value(cameras).unwrap(),
+            metrics: serde_json::from_value(metrics).unwrap(),
+            seconds: 2.0,
+            written: Vec::new(),
+        };
+        let lines = table(&result, Path::new("out"));
+        for line in [
+            "cameras      import, 3 of 4 photos placed",
+            "pairs        0 matched, 2 refused",
+            "depths       50.0 % of the pixels, 25.0 % confirmed by two pairs",
+            "sigma        1.2 % of the distance in the median",
+            "map          40 x 30 pixels of 0.05 m, 62.5 % with a height",
+        ] {
+            assert!(lines.iter().any(|found| found == line), "{line}: {lines:#?}");
+        }
+    }
+}

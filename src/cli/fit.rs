@@ -1,6 +1,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use marf_engine::document;
 use marf_progress::format::duration;
 use marf_run::fit::{FitRequest, FitScores, FitTime, JudgedAt};
 use marf_run::{Context, Error};
@@ -25,7 +26,7 @@ pub struct FitArgs {
     /// Stop at this PSNR on validation photos, dB
     #[arg(long, value_name = "DB")]
     pub target: Option<f64>,
-    /// Folder for metrics.json, `<time>s/<name>.png` (renders) and `<time>s/compared/<name>.png` (photo and render)
+    /// Folder for report.html, metrics.json, `<time>s/<name>.png` (renders) and `<time>s/compared/<name>.png` (photo and render)
     #[arg(long, value_name = "DIR", default_value = "fit")]
     pub out: PathBuf,
     /// Seed of the training
@@ -37,6 +38,9 @@ pub struct FitArgs {
     /// Size of the field: `scene` (by scene and time) or `fixed` (base configuration of instant-ngp)
     #[arg(long, value_name = "SIZE", value_parser = ["scene", "fixed"], hide_possible_values = true, default_value = "scene")]
     pub fit: String,
+    /// Train again this many times, to map the uncertainty in the report
+    #[arg(short = 'b', long, value_name = "COUNT", value_parser = clap::value_parser!(u32).range(2..), conflicts_with = "within")]
+    pub retrainings: Option<u32>,
     #[command(flatten)]
     folder: FolderArgs,
     #[command(flatten)]
@@ -46,6 +50,7 @@ pub struct FitArgs {
 /// `marf fit DIR`: trains for each time and renders the held-out views.
 pub fn fit(args: FitArgs, context: Context) -> Result<(), Error> {
     let context = args.device.context(args.folder.context(context));
+    let report = args.out.join(document::REPORT);
     let request = FitRequest {
         dir: args.dir,
         time: args.within.map_or(FitTime::Budgets(args.budget), FitTime::Within),
@@ -54,6 +59,7 @@ pub fn fit(args: FitArgs, context: Context) -> Result<(), Error> {
         seed: args.seed,
         memory: args.memory,
         fit: args.fit,
+        retrainings: args.retrainings,
     };
     let scores = marf_run::fit::fit(&context, &request)?;
     if args.folder.json {
@@ -62,12 +68,14 @@ pub fn fit(args: FitArgs, context: Context) -> Result<(), Error> {
     scores
         .iter()
         .for_each(|(name, scores)| print_scores(name, scores));
+    eprint_line(&format!("report: {}", report.display()));
     eprint_line(NEXT);
     Ok(())
 }
 
 /// What a field is for.
-const NEXT: &str = "next: `marf view` shows the field in 3-D, `marf report` writes the report, `marf export mesh --out scene.glb` makes a mesh";
+const NEXT: &str = "next: `marf view` shows the field in 3-D, `marf export mesh --out scene.glb` makes a mesh, `marf init --mission folder` writes \
+                    a pipeline for photos that change";
 
 fn print_scores(name: &str, scores: &FitScores) {
     print_line(&format!(

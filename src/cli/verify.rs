@@ -75,7 +75,7 @@ fn sentence(check: &CrateCheck) -> String {
         );
     }
     let intact = format!(
-        "This crate is intact: all of its {} have the listed bytes, and it traces {} to files of the archive.",
+        "This crate is intact: all {} of its data have the listed bytes, and it traces {} to files of the archive.",
         count(*files as usize, "file"),
         count(*photos as usize, "photo")
     );
@@ -107,7 +107,7 @@ fn text(check: &CrateCheck) -> Vec<String> {
     let manifest = report.manifest_sha256.iter();
     lines.extend(manifest.map(|manifest| format!("manifest SHA-256 {manifest}")));
     lines.push(format!(
-        "{} in the crate, {} named by digest only, {} checked against their keys",
+        "{} in data/, {} named by digest only, {} checked against their keys",
         count(report.files as usize, "file"),
         report.named,
         count(report.actions as usize, "action")

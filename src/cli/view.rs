@@ -39,7 +39,7 @@ pub struct ViewArgs {
 }
 
 const AFTER_HELP: &str = "\
-The page loads nothing from the network, and the store is not changed. From another machine: `ssh -L 8460:127.0.0.1:8460 HOST`, \
+The page loads nothing from the network. The store receives splats of the field once a page needs them. From another machine: `ssh -L 8460:127.0.0.1:8460 HOST`, \
 then open http://127.0.0.1:8460/ there. The 3-D view is rendered here, on the CPU unless --device names a GPU.";
 
 /// `marf view`: serves until Ctrl-C.

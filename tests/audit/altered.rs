@@ -152,8 +152,14 @@ fn one_bit_in_a_line_of_the_lock_is_found_and_the_field_named() {
         let mut bytes = whole.clone().into_bytes();
         bytes[at] ^= bit;
         std::fs::write(&lock, &bytes).unwrap();
-        let told = audit().exits(6).stdout;
-        assert!(told.contains(words), "{field}: {told}");
+        let told = audit().exits(6);
+        assert!(told.stdout.contains(words), "{field}: {}", told.stdout);
+        assert!(
+            told.stderr
+                .contains("an archive has changed a file that out/report.html was made from"),
+            "{}",
+            told.stderr
+        );
     }
     let mut bytes = whole.into_bytes();
     bytes[line] ^= 1;

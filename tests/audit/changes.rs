@@ -39,6 +39,15 @@ fn a_parameter_is_told_with_what_followed_by_the_verb_and_in_the_report() {
         "{json}"
     );
 
+    let picture = &pictures[0];
+    let line = format!(
+        "{}: {:.1} % of the pixels differ, by at most {} of 255",
+        picture["output"].as_str().unwrap(),
+        100.0 * picture["share"].as_f64().unwrap(),
+        picture["most"]
+    );
+    assert!(told.contains(&line), "{line}: {told}");
+
     let shown = section(dir.path());
     assert!(shown.contains("Differs from run 1 in 1 node."), "{shown}");
     // Every line of the verb is in the report, in the same words.

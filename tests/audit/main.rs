@@ -167,6 +167,34 @@ fn a_product_leads_to_everything_that_was_made_from_it() {
         .map(|node| node["node"].as_str().unwrap())
         .collect();
     assert!(nodes.starts_with(&["extract", "blur"]), "{nodes:?}");
+    // For people: a line a node, with the first four outputs and how many more there are.
+    let text = marf(dir.path(), &["audit", "--from", &id]).exits(0).stdout;
+    for node in from["runs"][0]["nodes"].as_array().unwrap() {
+        let words = |value: &Value| -> Vec<String> {
+            let texts = value.as_array().unwrap().iter();
+            texts.map(|text| text.as_str().unwrap().to_owned()).collect()
+        };
+        let outputs: Vec<&String> = node["outputs"].as_object().unwrap().keys().collect();
+        let first: Vec<&str> = outputs.iter().take(4).map(|name| name.as_str()).collect();
+        let more = match outputs.len().saturating_sub(4) {
+            0 => String::new(),
+            more => format!(" and {more} more"),
+        };
+        let (name, through) = (node["node"].as_str().unwrap(), words(&node["through"]).join(", "));
+        let line = format!(
+            "  {name:<22} through {through:<16} into {}{more}",
+            first.join(", ")
+        );
+        assert!(text.lines().any(|found| found == line), "{line}\n{text}");
+    }
+    // A product that a filter rejected.
+    let rejected = marf(dir.path(), &["run", "--set", &format!("reject.ids=[\"{id}\"]")]);
+    rejected.exits(0);
+    let text = marf(dir.path(), &["audit", "--from", &id]).exits(0).stdout;
+    assert!(
+        text.contains("  rejected by blur: what follows does not hold it"),
+        "{text}"
+    );
     marf(dir.path(), &["audit", "--from", "NO_SUCH_PRODUCT"]).exits(3);
 }
 
@@ -284,7 +312,20 @@ fn a_crate_tells_who_made_a_file_where_there_is_no_store() {
     let json = marf(away.path(), &["audit", metrics, "--crate", "crate", "--json"]).exits(0);
     let document: Value = serde_json::from_str(&json.stdout).unwrap();
     assert_eq!(document["answer"], "whole", "{}", json.stdout);
-    ask("other.txt", 3);
+    let other = ask("other.txt", 3).stderr;
+    assert!(
+        other.contains("other.txt has the bytes of nothing that the run of crate made: it is another file, or it was altered"),
+        "{other}"
+    );
+    // A short answer says how much more there is.
+    let number = |key: &str| document[key].as_array().unwrap().len();
+    let short = ask(metrics, 0).stdout;
+    let more = format!(
+        "`--all` lists the inputs and files of {} steps and {} photos",
+        number("steps"),
+        number("products")
+    );
+    assert!(short.contains(&more), "{more}: {short}");
     let text = std::fs::read_to_string(away.path().join(metrics)).unwrap();
     std::fs::write(away.path().join(metrics), text.replacen('1', "2", 1)).unwrap();
     assert!([3, 4].contains(&marf(away.path(), &["audit", metrics, "--crate", "crate"]).code));

@@ -123,7 +123,10 @@ fn a_replay_of_a_run_without_results_is_not_a_success() {
         "Nothing was compared: run 1 has no result that can be repeated."
     );
     assert!(
-        replayed.stderr.contains("run 1 has no result to compare with"),
+        replayed.stderr.contains("run 1 has no result to compare with")
+            && replayed
+                .stderr
+                .contains("`marf log` lists all runs. Name one with results"),
         "{}",
         replayed.stderr
     );
@@ -156,6 +159,17 @@ fn a_replay_that_differs_says_what_and_where() {
         "{}",
         told.stderr
     );
+    let weights = std::fs::read(dir.path().join("out/train/weights.safetensors")).unwrap();
+    let first_byte = b"{}".iter().zip(&weights).position(|(a, b)| a != b).unwrap();
+    let same = b"{}".iter().zip(&weights).filter(|(a, b)| a == b).count();
+    let size = marf_progress::format::size;
+    let line = format!(
+        ", from byte {first_byte} on, {} of 2 bytes ({} now)",
+        marf_progress::format::count(weights.len() - same, "byte"),
+        size(weights.len() as u64)
+    );
+    assert!(told.stdout.contains(&line), "{line}: {}", told.stdout);
+    assert!(told.stdout.contains("different, 1 of "), "{}", told.stdout);
     let json = marf(dir.path(), &["replay", "2", "--json"]).exits(7).stdout;
     let json: Value = serde_json::from_str(&json).unwrap();
     assert_eq!(json["answer"], "differs");

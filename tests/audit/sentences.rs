@@ -67,6 +67,38 @@ fn an_audit_begins_with_the_answer_and_is_short() {
         first_line(folder, &["audit", "out/train/metrics.json", "--verify"], 0),
         format!("This file was computed by {by} from {from}. {all}")
     );
+    // Below the answer: which run, which command and which program.
+    let told = marf(folder, &["audit", "out/train/metrics.json"]).exits(0).stdout;
+    let json = audit(folder, "out/train/metrics.json", &[], 0);
+    let made = &json["lineage"][0];
+    let text = |value: &Value| value.as_str().unwrap_or("unknown").to_owned();
+    let build = &made["build"];
+    let started = iso_time(made["started_unix_s"].as_u64().unwrap());
+    for line in [
+        format!(
+            "  made in run {} of {started}: {}",
+            made["run"],
+            text(&made["command"])
+        ),
+        format!(
+            "  by {PROGRAM}, commit {}, {} {}, program file {}",
+            text(&build["commit"]),
+            text(&build["os"]),
+            text(&build["arch"]),
+            &text(&build["blake3"])[..12]
+        ),
+        "`--all` lists every input, product and digest".to_owned(),
+    ] {
+        assert!(told.lines().any(|found| found == line), "{line}\n{told}");
+    }
+    let listed = marf(folder, &["audit", "out/train/metrics.json", "--all"])
+        .exits(0)
+        .stdout;
+    let all = audit(folder, "out/train/metrics.json", &["--all"], 0);
+    for product in all["lineage"][0]["sources"][0]["listed"].as_array().unwrap() {
+        let (id, digest) = (text(&product["id"]), text(&product["blobs"]["image"]));
+        assert!(listed.contains(&id) && listed.contains(&digest), "{id}: {listed}");
+    }
     // The same facts are fields.
     let json = audit(folder, "out/train/metrics.json", &[], 0);
     assert_eq!(json["answer"], "whole");
@@ -96,6 +128,8 @@ fn an_audit_of_an_altered_an_unknown_and_a_foreign_file_says_so_first() {
         first_line(folder, &["audit", "mine.txt"], 3),
         "marf does not know this file: no run of this store made or read it."
     );
+    let told = marf(folder, &["audit", "mine.txt"]).exits(3).stderr;
+    assert!(told.contains("mine.txt is not a file of this store"), "{told}");
     let told = marf(folder, &["audit", "out"]).exits(2).stderr;
     assert_eq!(
         told,
@@ -113,6 +147,19 @@ fn an_audit_of_a_photo_says_that_it_was_read() {
     assert_eq!(
         first_line(dir.path(), &["audit", "photos/images/2.png"], 0),
         format!("This photo was read by {by}. It is part of 1 run. Its bytes are intact.")
+    );
+    let json = audit(dir.path(), "photos/images/2.png", &[], 0);
+    let nodes = json["uses"]["runs"][0]["nodes"].as_array().unwrap().len();
+    let told = marf(dir.path(), &["audit", "photos/images/2.png"])
+        .exits(0)
+        .stdout;
+    let line = format!(
+        "  used by {} of run 1",
+        marf_progress::format::count(nodes, "node")
+    );
+    assert!(
+        nodes > 0 && told.lines().any(|found| found == line),
+        "{line}\n{told}"
     );
 }
 
@@ -138,7 +185,7 @@ fn a_crate_is_answered_for_in_the_first_line() {
     let intact = |name: &str| {
         let files = files(name);
         format!(
-            "This crate is intact: all of its {files} files have the listed bytes, and it traces {read} photos to files of the archive."
+            "This crate is intact: all {files} files of its data have the listed bytes, and it traces {read} photos to files of the archive."
         )
     };
     for (args, code, said) in [

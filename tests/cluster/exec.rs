@@ -53,6 +53,13 @@ fn every_training_is_computed_again_from_the_shared_store_alone() {
     std::fs::write(&file, action.encode()).unwrap();
     let refused = marf(site.path(), &["exec", "newer.action", "--store", &store]).exits(10);
     assert!(refused.stderr.contains("stage version"), "{}", refused.stderr);
+    assert!(
+        refused
+            .stderr
+            .contains("use the marf that planned it, on a machine with the same backend"),
+        "{}",
+        refused.stderr
+    );
 }
 
 /// Runs a pipeline, computes each of its actions again, and returns the names of the parts among them.

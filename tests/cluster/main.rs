@@ -200,7 +200,12 @@ fn a_run_on_a_batch_system_that_kills_jobs_gives_the_digests_of_a_local_run() {
         (memory(&jobs[0]), memory(&jobs[1])),
         ("700M".to_owned(), "1400M".to_owned())
     );
-    assert!(ran.stderr.contains("is submitted with 1.4 GB"), "{}", ran.stderr);
+    assert!(
+        ran.stderr.contains(" ended without a result (")
+            && ran.stderr.contains(") and is submitted with 1.4 GB"),
+        "{}",
+        ran.stderr
+    );
     let left: Vec<_> = std::fs::read_dir(site.path().join("jobs")).unwrap().collect();
     assert!(left.is_empty(), "{left:?}");
 

@@ -18,11 +18,14 @@ pub use photos::photos;
 pub use ran::Ran;
 
 /// The default pipeline at a quarter of its pixels and a handful of steps.
-pub const SMALL_DEMO: [&str; 14] = [
+pub const SMALL_DEMO: [&str; 17] = [
     "archive.demo.width=320",
     "size.min_bytes=3000",
     "shape.min_width=160",
     "shape.min_height=120",
+    "draft.scale=4",
+    "draft.judged_scale=4",
+    "draft.steps=6",
     "tune.scale=4",
     "train.scale=4",
     "tune.trials=2",

@@ -32,6 +32,51 @@ fn compare(dir: &Path, more: &[&str]) -> Ran {
     marf(dir, &[&words, more].concat())
 }
 
+/// Compares the lines for people with changes.json.
+fn lines_have_the_numbers_of_the_report(text: &str, report: &Value) {
+    let of = |value: &Value, pointer: &str| value.pointer(pointer).and_then(Value::as_f64).unwrap();
+    let number = |pointer: &str| of(report, pointer);
+    let patches = report["patches"].as_array().unwrap();
+    let changed = patches
+        .iter()
+        .filter(|patch| patch["change"] != "undecided")
+        .count();
+    let ending = if changed == 1 { "" } else { "es" };
+    let mut lines = vec![
+        format!(
+            "compared {:.2} m² in cells of {:.3} m. Where nothing changed, 90 % of the heights differ by less than {:.3} m",
+            number("/compared_m2"),
+            number("/cell_m"),
+            number("/height/interval")
+        ),
+        format!(
+            "changed  {:.3} m² in {changed} patch{ending}, undecided {:.3} m²",
+            number("/changed_m2"),
+            number("/undecided_m2")
+        ),
+    ];
+    assert!(!patches.is_empty(), "{report}");
+    lines.extend(patches.iter().take(20).map(|patch| {
+        let of = |pointer: &str| of(patch, pointer);
+        format!(
+            " {:.3} m² ({:.3} to {:.3}) at {:.2} m right, {:.2} m up, {:+.3} m ± {:.3}, light x {:.2}",
+            of("/area_m2"),
+            of("/area_interval_m2/0"),
+            of("/area_interval_m2/1"),
+            of("/middle_m/0"),
+            of("/middle_m/1"),
+            of("/height_m/0"),
+            of("/height_m/1"),
+            of("/brightness")
+        )
+    }));
+    let more = patches.len().saturating_sub(20);
+    lines.extend((more > 0).then(|| format!("  and {more} smaller ones in changes.json")));
+    for line in lines {
+        assert!(text.lines().any(|found| found.ends_with(&line)), "{line}\n{text}");
+    }
+}
+
 #[test]
 fn two_times_are_compared_once_and_written_as_maps() {
     let dir = ran("two-times", TWO_TIMES);
@@ -50,6 +95,7 @@ fn two_times_are_compared_once_and_written_as_maps() {
         (&vec![1].into(), &vec![8].into())
     );
     assert!(report["compared_m2"].as_f64().unwrap() > 1.0, "{report}");
+    lines_have_the_numbers_of_the_report(&ran.stdout, &report);
     let size = [&report["size"][0], &report["size"][1]].map(|side| side.as_u64().unwrap() as u32);
     for name in ["map", "before", "after", "height", "height-interval"] {
         let map = image::open(dir.join(format!("maps/{name}.png"))).unwrap();
@@ -106,6 +152,9 @@ fn times_that_cannot_be_compared_are_refused_with_the_way_out() {
     refused(
         &["--sols", "1", "--sols", "9"],
         1,
-        &["after = \"9\"", "sols with placed photos: 1, 8"],
+        &[
+            "after = \"9\": 0 photos of these sols have a camera, a surface needs 4",
+            "sols with placed photos: 1, 8",
+        ],
     );
 }

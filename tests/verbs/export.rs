@@ -73,7 +73,14 @@ fn a_run_is_handed_over_and_checked_without_its_store() {
     bytes[0] ^= 1;
     std::fs::write(&verdicts, bytes).unwrap();
     let altered = run(elsewhere.path(), "verify crate").exits(4);
-    says(&altered, &["fault: `data/pipeline.toml` was altered: SHA-256 "]);
+    says(
+        &altered,
+        &[
+            "fault: `data/pipeline.toml` was altered: SHA-256 ",
+            "crate is not intact (faults: 2)",
+        ],
+    );
+    assert_eq!(altered.stdout.matches("fault: ").count(), 2);
     let metadata = elsewhere.path().join("crate/data/ro-crate-metadata.json");
     let text = std::fs::read_to_string(&metadata).unwrap();
     std::fs::write(
@@ -104,9 +111,21 @@ fn a_statement_is_signed_and_checked() {
     )
     .exits(4);
     says(&about, &["it is not about pipeline.toml"]);
+    let absent = run(dir.path(), "verify size.json --key pub.pem --subject nowhere").exits(2);
+    says(&absent, &["nowhere cannot be read: "]);
     let stdout = run(dir.path(), "export attest --key key.pem").exits(0).stdout;
     assert_eq!(stdout.lines().count(), 1, "one line of JSON");
     std::fs::write(dir.path().join("run.json"), stdout).unwrap();
+    let envelope = std::fs::read(dir.path().join("run.json")).unwrap();
+    let envelope: serde_json::Value = serde_json::from_slice(&envelope).unwrap();
+    let payload = base64::Engine::decode(
+        &base64::engine::general_purpose::STANDARD,
+        envelope["payload"].as_str().unwrap(),
+    );
+    let statement: serde_json::Value = serde_json::from_slice(&payload.unwrap()).unwrap();
+    let builder = &statement["predicate"]["runDetails"]["builder"]["builderDependencies"][0]["name"];
+    let here = format!("marf for {} on {}", std::env::consts::OS, std::env::consts::ARCH);
+    assert_eq!(builder.as_str(), Some(here.as_str()), "{statement}");
     let held = run(dir.path(), "verify run.json --key pub.pem").exits(0);
     says(&held, &["covers 7 files."]);
 }
@@ -119,7 +138,11 @@ fn bad_input_has_one_clear_answer() {
         (
             "export crate other --key locked.pem",
             2,
-            &["locked with a passphrase", "openssl pkey -in KEY.pem"][..],
+            &[
+                "the key locked.pem cannot be used",
+                "locked with a passphrase",
+                "openssl pkey -in KEY.pem",
+            ][..],
         ),
         (
             "export crate other --key none.pem",
@@ -139,7 +162,10 @@ fn bad_input_has_one_clear_answer() {
         (
             "export crate other --items nobody",
             2,
-            &["the run has no photo `nobody`"],
+            &[
+                "the run has no photo `nobody`",
+                "`marf photos` lists the names of all photos",
+            ],
         ),
         ("export crate other --run 9", 1, &["9"]),
         (
@@ -150,7 +176,10 @@ fn bad_input_has_one_clear_answer() {
         (
             "export attest --key key.pem key.pem",
             1,
-            &["key.pem holds no result of run"],
+            &[
+                "key.pem holds no result of run",
+                "name another run with --run. `marf log` lists all",
+            ],
         ),
         ("verify nowhere", 2, &["there is no folder nowhere"]),
         ("verify out", 2, &["out is not a crate"]),

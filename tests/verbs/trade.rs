@@ -65,6 +65,12 @@ fn a_trade_has_points_effects_and_a_front_and_is_kept() {
         points[2]["fault"].as_str().unwrap().contains("`scale` 9999"),
         "{trade}"
     );
+    let cores = std::thread::available_parallelism().unwrap();
+    let machine = trade["machine"].as_str().unwrap();
+    assert!(
+        machine.ends_with(&format!(", {cores} cores, {}", std::env::consts::OS)),
+        "{machine}"
+    );
     let effects = trade["effects"].as_array().unwrap();
     assert_eq!(effects.len(), 2, "{trade}");
     let judged = points.iter().flat_map(|point| point["runs"].as_array().unwrap());
@@ -121,6 +127,11 @@ fn what_cannot_be_traded_is_refused_with_the_way_out() {
             PIPELINE.replace("steps = 2", "budget = \"1s\""),
             vec![],
             "`train.budget` fixes the time",
+        ),
+        (
+            PIPELINE.replace("steps = 2", "steps = 2\nwarm_start = true"),
+            vec![],
+            "`train.warm_start` would start each training from the one before, and none could be compared",
         ),
         (
             PIPELINE.replace("[10, 9999]", "10"),

@@ -61,7 +61,8 @@ impl Page {
                 .success()
         );
         // Chromium reads commands from descriptor 3 and writes answers to 4.
-        let script = "exec chromium --headless --no-sandbox --disable-gpu --disable-dev-shm-usage --window-size=1280,1000 \
+        let script = "exec chromium --headless --no-sandbox --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader \
+            --disable-dev-shm-usage --window-size=1280,1000 \
             --remote-debugging-pipe --user-data-dir=\"$0\" 3<\"$1\" 4>\"$2\"";
         let browser = Command::new("sh")
             .arg("-c")
@@ -127,6 +128,11 @@ impl Page {
             );
             std::thread::sleep(Duration::from_millis(20));
         }
+    }
+
+    /// Unfolds what is folded.
+    pub fn opens_all_sections(&mut self) {
+        self.value("document.querySelectorAll('details').forEach((one) => { one.open = true; })");
     }
 
     /// Presses the left button at a place, moves by some pixels, and lets it go.

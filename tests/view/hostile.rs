@@ -85,6 +85,11 @@ fn a_part_that_the_file_does_not_have_is_an_error_with_its_length() {
     let refused = http::request(&viewer.authority, "GET", &path, &[("Range", &range)], b"").is(416);
     let expected = format!("bytes */{length}");
     assert_eq!(refused.header("content-range"), Some(expected.as_str()));
+    assert!(
+        refused.text().contains(&format!("the file has {length} bytes")),
+        "{}",
+        refused.text()
+    );
 }
 
 #[test]
@@ -97,4 +102,48 @@ fn a_token_below_a_prefix_leads_to_the_prefix() {
         let let_in = viewer.get(&format!("{path}?token=0123456789abcdef")).is(303);
         assert_eq!(let_in.header("location"), Some(location));
     }
+}
+
+#[test]
+fn what_is_not_a_digest_is_refused_with_what_names_a_file() {
+    let viewer = Viewer::start(small_run(), &[]);
+    for digest in ["0", &"0".repeat(63), &"0".repeat(65), &"g".repeat(64)] {
+        for (path, what) in [
+            (format!("/object/{digest}"), "an object"),
+            (format!("/photo/1/0/{digest}"), "a photo"),
+        ] {
+            let said = viewer.get(&path).is(404).text();
+            let sentence = format!("{what} is named by the 64 hexadecimal digits of its digest");
+            assert!(said.contains(&sentence), "{path}: {said}");
+        }
+    }
+    // 64 digits are a digest, of which the run has no file.
+    let said = viewer.get(&format!("/object/{}", "0".repeat(64))).is(404).text();
+    assert!(!said.contains("64 hexadecimal"), "{said}");
+}
+
+#[test]
+fn a_port_that_another_program_has_is_named() {
+    let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = taken.local_addr().unwrap().port();
+    // Viewers of tests ask for port 0 and get a free one. This one asks for that port alone.
+    let said = super::common::marf(small_run(), &["view", "--port", &port.to_string()])
+        .exits(1)
+        .stderr;
+    assert!(
+        said.contains(&format!("port {port} of 127.0.0.1 cannot be opened: ")),
+        "{said}"
+    );
+    let viewer = Viewer::start(small_run(), &[]);
+    assert!(!viewer.authority.ends_with(":0"), "{}", viewer.authority);
+}
+
+#[test]
+fn a_token_of_fewer_letters_than_the_help_says_is_refused() {
+    let short = ["view", "--port", "0", "--token", "0123456789abcde"];
+    let said = super::common::marf(small_run(), &short).exits(2).stderr;
+    assert!(said.contains("token"), "{said}");
+    let viewer = Viewer::start(small_run(), &["--token", "0123456789abcdef"]);
+    assert!(viewer.address.contains("0123456789abcdef"), "{}", viewer.address);
+    viewer.get("/").is(403);
 }

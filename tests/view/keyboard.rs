@@ -14,9 +14,9 @@ const MOST_STOPS: usize = 2_000;
 const CONTROLS: &str = "(() => { const all = [...document.querySelectorAll('a[href], button, select, input, summary, video, [tabindex]')] \
     .filter((one) => one.checkVisibility() && !one.disabled); \
     all.forEach((one, index) => { one.dataset.stop = index; }); return all.length; })()";
-/// The number of what has the focus, and whether that shows.
+/// The number of what has the focus, whether that shows, and whether it is the page as a whole.
 const FOCUSED: &str = "(() => { const one = document.activeElement, style = getComputedStyle(one); \
-    return [one.dataset.stop ?? null, style.outlineStyle !== 'none' && parseFloat(style.outlineWidth) > 0]; })()";
+    return [one.dataset.stop ?? null, style.outlineStyle !== 'none' && parseFloat(style.outlineWidth) > 0, one === document.body]; })()";
 /// The HTML that identifies a control to a reader of the test.
 const NAMED: &str = "((index) => document.querySelector(`[data-stop='${index}']`).outerHTML.slice(0, 160))";
 
@@ -27,6 +27,7 @@ fn tab_reaches_every_control_and_shows_where_it_is() {
         return;
     };
     page.waits_for("document.getElementById('view-stage').dataset.divisor === '1'");
+    page.opens_all_sections();
     let controls = page.value(CONTROLS).as_u64().unwrap();
     assert!(controls > 40, "{controls}");
     let mut reached = BTreeSet::new();
@@ -34,8 +35,8 @@ fn tab_reaches_every_control_and_shows_where_it_is() {
         page.presses_key("Tab", "Tab", 9, "");
         let focused = page.value(FOCUSED);
         let Some(stop) = focused[0].as_str() else {
-            // The end of the page: the next stop is its beginning.
-            if reached.is_empty() {
+            // A part that scrolls has no number. At the end of the page, the next stop is its beginning.
+            if reached.is_empty() || focused[2] != json!(true) {
                 continue;
             }
             break;
@@ -86,7 +87,13 @@ fn distances_photos_and_bookmarks_need_no_mouse() {
         });
         assert!(is_marked, "{key}: {}", page.value(told));
     }
-    page.waits_for(&format!("/^Distance: [0-9.]+ m; /.test({told})"));
+    // Where the two points are depends on the machine's speed, and so does whether all retrainings have a surface there.
+    let distance = page.value(told);
+    assert_eq!(
+        page.value(&format!("/^Distance: [0-9.e-]+ m[;.]/.test({told})")),
+        json!(true),
+        "{distance}"
+    );
     page.value(
         "document.getElementById('view-bookmarks').closest('details').querySelector('summary').focus()",
     );

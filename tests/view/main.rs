@@ -18,6 +18,7 @@ mod live;
 mod many;
 mod pages;
 mod report;
+mod splats;
 
 use std::io::{BufRead as _, BufReader};
 use std::path::Path;

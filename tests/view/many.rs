@@ -38,6 +38,7 @@ fn a_page_of_two_thousand_photos_is_small_and_scrolls() {
         return;
     };
     page.waits_for("document.getElementById('view-stage').dataset.divisor === '1'");
+    page.opens_all_sections();
     // From top to bottom, a window at a time: every picture that comes into sight is there, and the page goes on answering.
     let longest_ms = page.value(
         "(async () => { let longest = 0, last = performance.now(); \

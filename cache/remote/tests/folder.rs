@@ -350,6 +350,12 @@ fn a_check_names_what_is_broken_and_a_repair_lets_the_next_push_send_it() {
             found.faults.iter().any(|fault| fault.object.starts_with("runs/")),
             "the run is broken too"
         );
+        if folder == "records" {
+            let key = name.strip_prefix("records/").unwrap().replace('/', "");
+            let said = format!("it names the result of key {key}, which is not there or not whole");
+            let named = found.faults.iter().any(|fault| fault.what == said);
+            assert!(named, "{said}: {:?}", found.faults);
+        }
         assert!(!found.is_repaired);
         let repair = FsckOptions { repair: true, ..look };
         assert!(

@@ -100,7 +100,11 @@ fn a_conflict_is_told_with_both_digests() {
     let digests =
         [b"one result".as_slice(), b"another result"].map(|bytes| Digest::from_content(bytes).to_string());
     assert!(
-        told.len() == 1 && digests.iter().all(|digest| told[0].contains(digest)),
+        told.len() == 1
+            && told[0].contains(&format!(
+                "stage `stage` has two results for key {key}: out {} is in the shared store and stays, out {} is not sent",
+                digests[0], digests[1]
+            )),
         "{told:?}"
     );
 }
@@ -155,7 +159,11 @@ fn results_of_strangers_are_not_believed_where_writers_are_named() {
     assert_eq!(reader.store.record(&run.keys[0]).unwrap(), None);
     let told = reader.told();
     assert!(
-        told.len() == 1 && told[0].starts_with("2 results of "),
+        told.len() == 1
+            && told[0].starts_with(&format!(
+                "2 results of {} are signed by no key of `trust`, the first is ",
+                world.url()
+            )),
         "{told:?}"
     );
     let remote = world.remote_of(trust(None, Some(0)));
@@ -164,6 +172,13 @@ fn results_of_strangers_are_not_believed_where_writers_are_named() {
     assert!(
         matches!(refused, RemoteError::Untrusted { what: "run", .. }),
         "{refused}"
+    );
+    assert_eq!(
+        refused.to_string(),
+        format!(
+            "1 run of {} is signed by no key of `trust`, the first is {strange}",
+            world.url()
+        )
     );
     let refused = remote
         .bring(&reader.store, &run.keys, &Quiet::default())

@@ -115,7 +115,7 @@ fn share(text: &str) -> Result<ReadShare, String> {
     match percent {
         Some(100.0) => Ok(ReadShare::ALL),
         Some(percent) if percent > 0.0 && percent < 100.0 => Ok(ReadShare::sample(percent / 100.0)),
-        _ => Err("write a share from 0% to 100%, such as 5%".to_owned()),
+        _ => Err("write a share above 0% and up to 100%, such as 5%".to_owned()),
     }
 }
 

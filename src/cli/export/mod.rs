@@ -144,7 +144,7 @@ fn export_crate(args: CrateArgs, context: Context) -> Result<(), Error> {
         return print_json(&written);
     }
     print_line(&format!(
-        "wrote {}: run {} of {}, {} ({}), {} more named by digest only",
+        "wrote {}: run {} of {}, {} ({}) in data/, {} more named by digest only",
         written.dir.display(),
         written.run,
         written.pipeline,

@@ -224,6 +224,28 @@ mod tests {
     use super::*;
 
     #[test]
+    fn an_uncertainty_that_nothing_shows_is_not_a_number() {
+        let of = |known_share: f64| {
+            let uncertainty = serde_json::json!({"of": SpreadOf::Retrainings, "members": 5, "median": 0.25, "scale_end": 0.5,
+                                                 "known_share": known_share});
+            let report = serde_json::json!({
+                "unit": "metres", "photos": 3, "shrunk": [1, 1], "cell": 0.1, "band": 0.4, "reach": 9.0, "most_spread": 0.1,
+                "vertices": 8, "triangles": 12, "points": 4, "uncertainty": uncertainty, "map": null, "splats": null, "refused": {},
+            });
+            uncertainty_text(&serde_json::from_value(report).unwrap())
+        };
+        assert_eq!(
+            of(0.0),
+            "5 retrainings show none of the vertices: the uncertainty is not known"
+        );
+        assert_eq!(
+            of(0.5),
+            "5 retrainings differ by at most 0.25 m at half of the 50.0 % of the vertices where it is known, by at most 0.5 m at 95 %"
+        );
+        assert!(of(1.0).contains(" at half of the vertices, "), "{}", of(1.0));
+    }
+
+    #[test]
     fn depths_that_are_smaller_than_their_photos_say_so() {
         assert_eq!(size_text([1, 1]), "as large as the photos");
         assert!(size_text([2, 2]).starts_with("smaller than the photos: 2 x 2 pixels of a photo are one. "));

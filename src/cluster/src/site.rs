@@ -356,10 +356,17 @@ mod tests {
     fn values_that_no_site_can_have_are_refused_by_key() {
         for (line, expected) in [
             ("max_jobs = 0", "executor.max_jobs: a number above 0 is needed"),
-            ("poll_s = 0.0", "executor.poll_s: a number of seconds above 0"),
+            (
+                "poll_s = 0.0",
+                "executor.poll_s: a number of seconds above 0 and up to 31536000 is needed",
+            ),
+            (
+                "poll_s = 31536001.0",
+                "executor.poll_s: a number of seconds above 0",
+            ),
             (
                 "patience_s = nan",
-                "executor.patience_s: a number of seconds above 0",
+                "executor.patience_s: a number of seconds above 0 and up to 31536000 is needed",
             ),
             ("device = \"tpu\"", "executor.device: `tpu`: cpu, gpu or gpu:NAME"),
             ("stages = []", "executor.stages: no stage: nothing would be a job"),

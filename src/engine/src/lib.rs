@@ -25,6 +25,7 @@ pub mod sets;
 mod shared;
 mod source;
 mod stage_io;
+mod state_listener;
 mod work;
 
 pub use check::{Edge, GraphError, NodeShape, check};
@@ -47,4 +48,5 @@ pub use roots::{KeptRuns, kept_runs};
 pub use run::{ActionError, ActionJob, Options, run, run_nodes};
 pub use shared::SharedResults;
 pub use source::{Purpose, RunSource};
+pub use state_listener::StateListener;
 pub use work::Extent;

@@ -296,6 +296,11 @@ impl RunRecord {
         }
     }
 
+    /// Returns whether the run goes on: the record says how far it is ([`crate::StateListener::on_state`]).
+    pub fn goes_on(&self) -> bool {
+        self.outcome == Outcome::Cancelled && self.number == 0
+    }
+
     fn has_run(&self) -> bool {
         self.nodes.iter().any(|node| node.state == NodeState::Finished)
     }

@@ -7,7 +7,7 @@ use maud::{Markup, html};
 
 use super::format::{count, cut, duration, px};
 use super::page::{Page, key};
-use super::report::{FAILED, Report, SKIPPED, STATES, state};
+use super::report::{FAILED, Report, SKIPPED, STATES, WAITING, state};
 
 const BOX_WIDTH: f64 = 150.0;
 const BOX_HEIGHT: f64 = 54.0;
@@ -78,8 +78,8 @@ fn third_line(report: &Report<'_>, node: &RunNode) -> String {
         };
     }
     let all = count(children.len(), "sub-node");
-    // Those of a skipped node ran in the run whose outputs are shown.
-    if state(node) == SKIPPED {
+    // Those of a node without a result in this run may have run in the one whose outputs are shown.
+    if [SKIPPED, WAITING].contains(&state(node)) {
         return all;
     }
     let ran = children.iter().filter(|child| state(child) == "ran").count();

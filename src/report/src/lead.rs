@@ -4,6 +4,7 @@ use marf_numeric::quantile;
 use marf_scene::Scene;
 use marf_schema::scores::Scores;
 use marf_schema::{bootstrap, calibrate, output, train};
+use marf_stage::Document;
 use maud::{Markup, html};
 
 use super::camera_view::Axes;
@@ -32,6 +33,9 @@ struct Facts {
     scene: Option<Scene>,
     /// Scores of the last training on its held-out photos.
     scores: Option<Scores>,
+    /// The training that has no result yet, if that of the scores is a draft.
+    awaited: Option<String>,
+    /// Whether a node maps the uncertainty, or will.
     has_uncertainty: bool,
     /// Share of the held-out photos that shows what no photo trained on saw, by the maps of the last bootstrap.
     invented_share: Option<f64>,
@@ -48,6 +52,7 @@ pub(super) fn body(page: &Page<'_>) -> Markup {
     let facts = Facts::new(page);
     let (sentence, notes) = (facts.sentence(), facts.notes(page));
     html! {
+        (super::nodes::standing(page.report))
         (super::nodes::failures(page.report))
         @if !sentence.is_empty() { p.lead { (sentence) } }
         (super::nodes::of_earlier_run(page.report))
@@ -81,7 +86,7 @@ impl Facts {
         let kept: Vec<usize> = kept.map(|kept| kept.count).collect();
         let sum = |counts: Vec<usize>| (!counts.is_empty()).then(|| counts.iter().sum());
         let calibration = page.with_document::<calibrate::Metrics>().last();
-        let training = page.with_document::<train::Metrics>().last();
+        let training = page.training();
         let metrics = training.and_then(|node| page.document::<train::Metrics>(node).ok());
         let scene = page.with_output(output::SCENE).last();
         let bootstrap = page.with_document::<bootstrap::Metrics>().last();
@@ -94,7 +99,14 @@ impl Facts {
             scores: metrics
                 .map(|metrics| metrics.scores)
                 .filter(|scores| !scores.views.is_empty()),
-            has_uncertainty: bootstrap.is_some(),
+            awaited: training
+                .and_then(|node| page.awaited(node))
+                .map(|node| node.run.name.clone()),
+            has_uncertainty: page
+                .report
+                .nodes
+                .iter()
+                .any(|node| node.run.stage == <bootstrap::Metrics as Document>::STAGE),
             invented_share: maps
                 .filter(|metrics| metrics.heldout.is_some())
                 .map(|metrics| metrics.unseen_share),
@@ -121,6 +133,9 @@ impl Facts {
                 (None, Some(kept)) => Some(format!("{kept} of {photos} were kept.")),
                 (None, None) => None,
             });
+        }
+        if let Some(awaited) = &self.awaited {
+            sentences.push(format!("This is a draft, as `{awaited}` has no result yet."));
         }
         if let Some(scores) = &self.scores {
             sentences.push(format!(
@@ -150,12 +165,16 @@ impl Facts {
             None => part.to_string(),
         };
         let scores = self.scores.as_ref();
+        let error = match &self.awaited {
+            Some(_) => "error of new views, draft",
+            None => "error of new views",
+        };
         let all = [
             self.kept.map(|kept| ("photos kept", of(kept, self.found))),
             self.totals
                 .as_ref()
                 .map(|totals| ("photos placed", of(totals.registered, Some(totals.photos)))),
-            scores.map(|scores| ("error of new views", gray_levels(scores.psnr))),
+            scores.map(|scores| (error, gray_levels(scores.psnr))),
             scores
                 .and_then(|scores| self.invented_share.or_else(|| unseen_share(scores)))
                 .map(|share| ("unseen share", percent(share))),

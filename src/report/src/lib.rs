@@ -45,6 +45,8 @@ mod verdicts;
 mod visible;
 
 #[cfg(test)]
+mod draft_tests;
+#[cfg(test)]
 mod failed;
 #[cfg(test)]
 mod fixture;

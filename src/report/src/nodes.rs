@@ -1,16 +1,24 @@
 //! The nodes as a table: state, reason, time, outputs, parameters.
 
+use marf_engine::Outcome;
 use marf_model::RunNode;
 use maud::{Markup, html};
 
 use super::format::{count, duration};
 use super::page::Page;
-use super::report::{FAILED, Report, SKIPPED, STATES, stage, state, state_of_all};
+use super::report::{FAILED, Report, SKIPPED, STATES, WAITING, stage, state, state_of_all};
 
-/// Says in one sentence what ran: `12 nodes: 3 ran, 9 reused, 61 s`.
+/// Says in one sentence what ran: `12 nodes: 3 ran, 9 reused, 61 s of work in 40 s`. The second time is that of the whole run.
 pub(super) fn sentence(report: &Report<'_>) -> String {
     let mut parts = counts(report.nodes.iter().map(|node| state(node)));
-    parts.extend(worked_s(report).map(duration));
+    parts.extend(worked_s(report).map(|worked| {
+        let whole = report
+            .scene
+            .is_none()
+            .then(|| duration(report.run.record.seconds));
+        let whole = whole.map_or_else(String::new, |whole| format!(" in {whole}"));
+        format!("{} of work{whole}", duration(worked))
+    }));
     let nodes = format!("{}: {}", count(report.nodes.len(), "node"), parts.join(", "));
     let scenes = counts(
         report
@@ -42,6 +50,28 @@ fn worked_s(report: &Report<'_>) -> Option<f64> {
         .filter(|node| ["ran", FAILED].contains(&state(node)));
     let times: Vec<f64> = worked.filter_map(|node| node.worked_s).collect();
     (!times.is_empty()).then(|| times.iter().sum())
+}
+
+/// Says how far a run is that goes on or was stopped. Empty for any other.
+pub(super) fn standing(report: &Report<'_>) -> Markup {
+    let record = &report.run.record;
+    let of_scenes = report.scenes.iter().flat_map(|scene| &scene.nodes);
+    let nodes: Vec<_> = report.nodes.iter().chain(of_scenes).collect();
+    let done = nodes.iter().filter(|node| node.run.state.is_good()).count();
+    let done = format!("{done} of {} done", count(nodes.len(), "node"));
+    html! {
+        @if record.goes_on() {
+            p.standing {
+                strong { "The run goes on: " (done) " after " (duration(record.seconds)) "." }
+                " This page is written again as results arrive. Load it again to see them."
+            }
+        } @else if record.outcome == Outcome::Cancelled {
+            p.standing {
+                strong { "Run " (record.number) " was stopped: " (done) " after " (duration(record.seconds)) "." }
+                " Results are kept. Run the same command again to continue."
+            }
+        }
+    }
 }
 
 /// Failures that are shown with their cause. Further ones are named.
@@ -122,7 +152,7 @@ fn row(report: &Report<'_>, node: &RunNode) -> Markup {
 /// The earlier time of a reused node, in brackets.
 fn time(node: &RunNode) -> String {
     let time = node.worked_s.map_or_else(|| "–".to_owned(), duration);
-    if node.worked_s.is_some() && ["reused", SKIPPED].contains(&state(node)) {
+    if node.worked_s.is_some() && ["reused", SKIPPED, WAITING].contains(&state(node)) {
         return format!("({time})");
     }
     time

@@ -2,6 +2,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use marf_model::RunNode;
+use marf_schema::train;
 use marf_stage::{Document, PHOTOS, VERDICTS};
 use maud::{Markup, html};
 
@@ -9,7 +10,7 @@ use super::embed::Pictures;
 use super::media::Media;
 use super::photos::{Kept, PhotoIndex, Spot, last_photo_nodes};
 use super::read::{Missing, read, unreadable};
-use super::report::{FAILED, Report, SKIPPED, state};
+use super::report::{FAILED, Report, SKIPPED, WAITING, state};
 use super::sets::Set;
 use super::verdicts::{ClosestCall, Summary, closest_calls};
 
@@ -93,6 +94,45 @@ impl<'a> Page<'a> {
         nodes.filter(|node| has_document::<D>(node))
     }
 
+    /// Returns the training whose field is shown first: the last one that has a result.
+    pub(super) fn training(&self) -> Option<&'a RunNode> {
+        self.with_document::<train::Metrics>().last()
+    }
+
+    /// Returns the training that a training stands in for as a draft: the next one on the same cameras, which has no result yet.
+    pub(super) fn awaited(&self, draft: &RunNode) -> Option<&'a RunNode> {
+        self.later_trainings(draft)
+            .find(|node| !has_document::<train::Metrics>(node))
+    }
+
+    /// Returns true if a training was a draft that no node reads, and a later one on the same cameras has a result.
+    pub(super) fn is_replaced(&self, draft: &RunNode) -> bool {
+        let reads = |node: &&RunNode| node.upstream().any(|name| name == draft.run.name);
+        self.later_trainings(draft)
+            .any(|node| has_document::<train::Metrics>(node))
+            && !self.report.nodes.iter().any(reads)
+    }
+
+    /// Returns the trainings after a training on the same cameras.
+    fn later_trainings(&self, first: &RunNode) -> impl Iterator<Item = &'a RunNode> {
+        let cameras = |node: &RunNode| {
+            let mut edges = node.run.edges.iter();
+            let input = edges.find(|edge| edge.key == "input");
+            input.map(|edge| edge.upstream.clone())
+        };
+        let (name, of_first) = (first.run.name.clone(), cameras(first));
+        let is_training = first.run.stage == <train::Metrics as Document>::STAGE;
+        let nodes = self.report.nodes.iter().copied();
+        nodes
+            .skip_while(move |node| node.run.name != name)
+            .skip(1)
+            .filter(move |node| {
+                is_training
+                    && node.run.stage == <train::Metrics as Document>::STAGE
+                    && cameras(node) == of_first
+            })
+    }
+
     /// Reads a document of a node.
     pub(super) fn document<D: Document>(&self, node: &RunNode) -> Result<D, Missing> {
         let bytes = self.bytes(node, D::OUTPUT)?;
@@ -101,7 +141,7 @@ impl<'a> Page<'a> {
 
     /// Returns a sentence that no node gave something, and which nodes stopped.
     pub(super) fn absent(&self, what: &str) -> Markup {
-        let stopped = |node: &&&RunNode| [FAILED, SKIPPED].contains(&state(node));
+        let stopped = |node: &&&RunNode| [FAILED, SKIPPED, WAITING].contains(&state(node));
         let stopped = self.report.nodes.iter().filter(stopped);
         let names: Vec<String> = stopped
             .map(|node| format!("{} {}", node.run.name, state(node)))

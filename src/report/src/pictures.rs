@@ -29,6 +29,7 @@ pub(super) fn held_out(page: &Page<'_>) -> Markup {
     let mut shown: BTreeSet<Vec<Digest>> = BTreeSet::new();
     let parts: Vec<Markup> = page
         .with_outputs_under(output::HELDOUT)
+        .filter(|node| !page.is_replaced(node))
         .map(|node| {
             if shown.insert(digests(node, output::HELDOUT)) {
                 views(page, node)
@@ -172,14 +173,17 @@ pub(super) fn best(page: &Page<'_>) -> Markup {
     if let Some(film) = shown.take(1).next() {
         return html! { figure { (film) figcaption { "fly-through of the field" } } };
     }
-    let Some(node) = page.with_document::<train::Metrics>().last() else {
+    let Some(node) = page.training() else {
         return html! {};
     };
+    let field = page
+        .awaited(node)
+        .map_or("the field from there", |_| "draft of the field from there");
     let scores = scores(page, node).unwrap_or_default();
     let best = scores.views.iter().max_by(|a, b| a.psnr.total_cmp(&b.psnr));
     html! {
         @if let Some(view) = best {
-            @for (prefix, what) in [(output::PHOTO, "held-out photo"), (output::HELDOUT, "the field from there")] {
+            @for (prefix, what) in [(output::PHOTO, "held-out photo"), (output::HELDOUT, field)] {
                 @if let Some(digest) = node.digest(&format!("{prefix}{}.png", view.name)) {
                     figure {
                         (page.pictures.stored(page.report, digest, Form::Photo, &format!("{what} {}", view.name)))

@@ -104,9 +104,11 @@ pub struct ChangedNode {
 }
 
 /// The words for the state of a node, which are also its classes in the style sheet.
-pub(super) const STATES: [&str; 4] = ["ran", "reused", FAILED, SKIPPED];
+pub(super) const STATES: [&str; 5] = ["ran", "reused", FAILED, SKIPPED, WAITING];
 pub(super) const FAILED: &str = "failed";
 pub(super) const SKIPPED: &str = "skipped";
+/// The run goes on, or was stopped before the node had its result.
+pub(super) const WAITING: &str = "waiting";
 
 /// Returns the word for the state of a node.
 pub(super) const fn state(node: &RunNode) -> &'static str {
@@ -114,13 +116,14 @@ pub(super) const fn state(node: &RunNode) -> &'static str {
         NodeState::Finished => "ran",
         NodeState::Reused => "reused",
         NodeState::Failed => FAILED,
-        NodeState::Skipped | NodeState::Cancelled => SKIPPED,
+        NodeState::Skipped => SKIPPED,
+        NodeState::Cancelled => WAITING,
     }
 }
 
 /// Returns how nodes fared together: as the one that fared worst, and `ran` where any ran.
 pub(super) fn state_of_all(nodes: &[&RunNode]) -> Option<&'static str> {
-    let mut worst_first = [FAILED, SKIPPED, "ran", "reused"].into_iter();
+    let mut worst_first = [FAILED, SKIPPED, WAITING, "ran", "reused"].into_iter();
     worst_first.find(|word| nodes.iter().any(|node| state(node) == *word))
 }
 

@@ -85,7 +85,11 @@ fn view_of<'v>(views: &'v [ScenePage<'v>], name: &str) -> Option<&'v ScenePage<'
 fn row(page: &Page<'_>, scene: &PhotoGroup, view: Option<&ScenePage<'_>>) -> Markup {
     let none: &[&RunNode] = &[];
     let nodes = view.map_or(none, |view| view.nodes.as_slice());
-    let document = |stage: &str| nodes.iter().find(|node| node.run.stage == stage);
+    let document = |stage: &str| {
+        nodes
+            .iter()
+            .rfind(|node| node.run.stage == stage && !node.run.outputs.is_empty())
+    };
     let calibrated = document(<calibrate::Metrics as Document>::STAGE)
         .and_then(|node| page.document::<calibrate::Metrics>(node).ok());
     let placed = calibrated

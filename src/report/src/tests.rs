@@ -64,7 +64,7 @@ fn known_figures_have_their_unit() {
     let (store, nodes) = full();
     let html = store.report(&nodes);
     for text in [
-        "9 nodes: 7 ran, 1 reused, 1 skipped, 7.0 s",
+        "9 nodes: 7 ran, 1 reused, 1 skipped, 7.0 s of work in 1.0 s",
         "Differs from run 3 in 2 nodes.",
         "<p class=\"quiet\">shape: the outputs are equal</p>",
         "7 in, 6 kept, 1 rejected (1 decode)",

@@ -6,7 +6,9 @@ use std::sync::Arc;
 use std::time::SystemTime;
 
 use marf_cache::Digest;
-use marf_engine::{Event, Listener, Options, Outcome, RunRecord, SharedResults};
+use marf_engine::{
+    Event, Listener, Options, Outcome, RunRecord, SharedResults, SilentListener, StateListener,
+};
 use marf_progress::{Estimate, EventFile, NodeTimes, RunStart, Trace, event_folder};
 use marf_report::emptied;
 use parking_lot::Mutex;
@@ -64,6 +66,8 @@ pub struct Extras<'a> {
     pub trace: Option<&'a Path>,
     /// Makes documents of the run in addition to its pipeline. A run that was stopped has none.
     pub documents: &'a dyn Fn(&RunRecord) -> Result<Documents, Error>,
+    /// Also receives what happens in the run.
+    pub listener: &'a dyn StateListener,
 }
 
 /// Runs a session's graph and reports its progress.
@@ -74,6 +78,7 @@ pub fn execute(session: &Session, options: &Options) -> Result<Execution, Error>
     let extras = Extras {
         trace: None,
         documents: &|_| Ok(Documents::new()),
+        listener: &SilentListener,
     };
     execute_with(session, options, &extras)
 }
@@ -90,6 +95,7 @@ pub fn execute_with(session: &Session, options: &Options, extras: &Extras<'_>) -
         event_file: event_file(session, options),
         estimate: Estimate::new(&nodes_to_run(session, options), expected(session)),
         failure: Mutex::default(),
+        other: extras.listener,
     };
     listener.feedback.on_devices(&devices(session));
     let shared = Shared::open(session)?;
@@ -264,18 +270,26 @@ fn devices(session: &Session) -> String {
 }
 
 /// Passes events on and keeps the first failure: later ones often follow from it.
-struct RunListener {
+struct RunListener<'a> {
     feedback: Box<dyn RunFeedback>,
     trace: Option<Trace>,
     /// The file that `marf view` reads while the run continues.
     event_file: Option<EventFile>,
     estimate: Estimate,
     failure: Mutex<Option<Diagnostic>>,
+    other: &'a dyn StateListener,
 }
 
-impl Listener for RunListener {
+impl StateListener for RunListener<'_> {
+    fn on_state(&self, record: &dyn Fn() -> Option<RunRecord>) {
+        self.other.on_state(record);
+    }
+}
+
+impl Listener for RunListener<'_> {
     fn on_event(&self, event: &Event) {
         self.feedback.on_event(event);
+        self.other.on_event(event);
         if let Some(trace) = &self.trace {
             trace.on_event(event);
         }

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use marf_engine::{RunRecord, document};
+use marf_engine::{RunRecord, SilentListener, document};
 use marf_report::calls;
 use marf_stage::Verdict;
 
@@ -51,6 +51,7 @@ pub fn filter(
     let extras = Extras {
         trace: None,
         documents: &|record| documents(&session, record, &chain),
+        listener: &SilentListener,
     };
     let execution = execute_with(&session, &options(&session), &extras)?;
     let by_node = verdicts::by_node(&session, &execution.record)?;

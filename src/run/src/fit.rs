@@ -19,8 +19,9 @@ use crate::documents::{self, Documents};
 use crate::error::Error;
 use crate::execute::{Extras, execute_with, options};
 use crate::folder::{self, PhotoFolder};
+use crate::live_report::LiveReport;
 use crate::session::{Session, node_named};
-use crate::{budget, files, outputs};
+use crate::{budget, files, outputs, report};
 
 /// Folder of the pictures of a time that show a photo and its render.
 const COMPARED: &str = "compared";
@@ -42,6 +43,8 @@ pub struct FitRequest {
     pub memory: Option<String>,
     /// What decides how large the field is, as pipeline.toml names it.
     pub fit: String,
+    /// Retrainings that map the uncertainty.
+    pub retrainings: Option<u32>,
 }
 
 /// How long to train.
@@ -140,12 +143,20 @@ pub fn fit(context: &Context, request: &FitRequest) -> Result<BTreeMap<String, F
     for seconds in times.collect::<Result<Vec<_>, _>>()? {
         let name = format!("{seconds}s");
         let session = Session::implicit(context, &pipeline(&photos, request, seconds), "fit", &request.dir)?;
+        let live = LiveReport::new(&session, &request.out);
         let extras = Extras {
             trace: None,
-            documents: &|record| document(&session, record, &name, &fitted),
+            documents: &|record| documents(&session, record, &name, &fitted),
+            listener: &live,
         };
-        let record = execute_with(&session, &options(&session), &extras)?.done();
-        let record = record.map_err(folder::for_folder)?;
+        let execution = execute_with(&session, &options(&session), &extras)?;
+        if execution.record.outcome == Outcome::Cancelled {
+            live.write_stopped(&execution.record);
+        } else if let Some(page) = execution.record.documents.get(document::REPORT) {
+            let file = request.out.join(document::REPORT);
+            outputs::one(&session.store, &execution.record, &page.digest, &file)?;
+        }
+        let record = execution.done().map_err(folder::for_folder)?;
         let cameras: calibrate::Metrics = session.document(node_named(&record, CalibrateParams::STAGE)?)?;
         let totals = &cameras.totals;
         context.feedback.note(&format!(
@@ -174,32 +185,34 @@ fn pipeline(photos: &PhotoFolder, request: &FitRequest, seconds: u32) -> String 
     let target = request
         .target
         .map_or_else(String::new, |psnr| format!("target_psnr = {psnr:?}\n"));
+    let bootstrap = request.retrainings.map_or_else(String::new, |count| {
+        format!("[node.bootstrap]\ninput = \"calibrate\"\ntraining = \"train\"\nb = {count}\n")
+    });
     format!(
-        "{}{length} = \"{seconds}s\"\nseed = {}\nfit = \"{}\"\n{memory}{target}{folds}",
+        "{}{length} = \"{seconds}s\"\nseed = {}\nfit = \"{}\"\n{memory}{target}{folds}{bootstrap}",
         photos.training("fit"),
         request.seed,
         request.fit
     )
 }
 
-/// Stores the metrics of this budget and of those before it. Stores nothing for a run that is not done.
-fn document(
+/// Stores the report, and the metrics of this budget and of those before it. A run that failed has no metrics.
+fn documents(
     session: &Session,
     record: &RunRecord,
     budget: &str,
     before: &BTreeMap<String, TimeMetrics>,
 ) -> Result<Documents, Error> {
+    let mut stored = report::documents(session, record)?;
     if record.outcome != Outcome::Done {
-        return Ok(Documents::new());
+        return Ok(stored);
     }
     let mut all = before.clone();
     all.insert(budget.to_owned(), metrics_of(session, record)?);
     let json = serde_json::to_vec_pretty(&all).map_err(|error| Error::failed(error.to_string()))?;
-    Ok(Documents::from([documents::put(
-        session,
-        document::METRICS,
-        &json,
-    )?]))
+    let (name, metrics) = documents::put(session, document::METRICS, &json)?;
+    stored.insert(name, metrics);
+    Ok(stored)
 }
 
 /// Writes metrics.json and, into the folder of the budget, the held-out renders.

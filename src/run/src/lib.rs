@@ -28,6 +28,7 @@ pub mod filter;
 pub mod fit;
 pub mod folder;
 pub mod key;
+mod live_report;
 mod manual_lists;
 mod outputs;
 pub mod photos;

@@ -66,28 +66,39 @@ pub fn page(session: &Session, record: &RunRecord) -> Result<String, Error> {
     page_of(session, record, None)
 }
 
-/// Returns the report of a run: for one of its scenes, or for the nodes that all scenes share, with a list of the scenes.
-fn page_of(session: &Session, record: &RunRecord, scene: Option<&str>) -> Result<String, Error> {
-    session.check()?;
+/// Returns the report of a run: for one of its scenes, or for the nodes that all scenes share, with a list of the scenes. That of a run
+/// that was stopped is made although the user wants to stop.
+///
+/// # Errors
+/// As [`page`].
+pub fn page_of(session: &Session, record: &RunRecord, scene: Option<&str>) -> Result<String, Error> {
+    let is_stopped = record.outcome == Outcome::Cancelled && !record.goes_on();
+    let check = || if is_stopped { Ok(()) } else { session.check() };
+    check()?;
     let params = session
         .nodes
         .iter()
         .map(|node| (node.name.clone(), node.params.clone()));
     let params: BTreeMap<String, Value> = params.collect();
     let names: Vec<&String> = params.keys().collect();
-    let warn = || session.context.warnings();
-    let run = completed(&session.store, record, &session.tree, &names, warn())?;
+    // Each rewrite would warn again.
+    let warn = |message: String| {
+        if !record.goes_on() {
+            session.context.warn(message);
+        }
+    };
+    let run = completed(&session.store, record, &session.tree, &names, warn)?;
     // After a cancellation nothing more is read, and no report is made of the objects read so far.
     let read = |digest: &Digest| -> Option<Arc<[u8]>> {
-        session.check().ok()?;
+        check().ok()?;
         session.store.get(digest).ok()
     };
     // Pictures of the page are kept as long as the last result it shows.
     let maker = record.nodes.iter().rev().find_map(|node| node.key);
     let maker = maker.unwrap_or_else(|| Digest::from_content(&[]));
     let report = Report {
-        changes: changes(&run, scene, &session.tree, warn())?,
-        trade: trade(&run, scene, warn())?,
+        changes: changes(&run, scene, &session.tree, warn)?,
+        trade: trade(&run, scene, warn)?,
         read: &read,
         memos: &StoreMemos(&session.store, Some(maker)),
         run: &run,
@@ -98,7 +109,7 @@ fn page_of(session: &Session, record: &RunRecord, scene: Option<&str>) -> Result
         params: &params,
     };
     let page = marf_report::write(&report);
-    session.check()?;
+    check()?;
     session.store.commit()?;
     Ok(page)
 }

@@ -9,6 +9,7 @@ use crate::batch_system;
 use crate::context::Context;
 use crate::error::Error;
 use crate::execute::{Execution, Extras, execute_with, options};
+use crate::live_report::LiveReport;
 use crate::outputs::{self, Completeness};
 use crate::report;
 use crate::scenes::{self, Selection};
@@ -62,8 +63,10 @@ pub fn run(
         ..options(&session)
     };
     for _ in 0..MAX_REPAIRS {
-        let execution = documented(&session, &options, trace)?;
+        let live = LiveReport::new(&session, out);
+        let execution = documented(&session, &options, trace, &live)?;
         if execution.record.outcome == Outcome::Cancelled {
+            live.write_stopped(&execution.record);
             return Ok(PipelineRun { session, execution });
         }
         match outputs::write(&session, &execution.record, out)? {
@@ -80,10 +83,16 @@ pub fn run(
 }
 
 /// Runs a session's graph, and keeps the report with the run.
-fn documented(session: &Session, options: &Options, trace: Option<&Path>) -> Result<Execution, Error> {
+fn documented(
+    session: &Session,
+    options: &Options,
+    trace: Option<&Path>,
+    live: &LiveReport<'_>,
+) -> Result<Execution, Error> {
     let extras = Extras {
         trace,
         documents: &|record| report::documents(session, record),
+        listener: live,
     };
     execute_with(session, options, &extras)
 }

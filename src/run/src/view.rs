@@ -5,24 +5,27 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use marf_cache::{Digest, Store};
-use marf_engine::{NodeRun, RunRecord, run_of};
+use marf_engine::{Event, Listener, NodeRun, RunRecord, run_of};
 use marf_model::select::{self, Subject};
 use marf_progress::event_folder;
 use marf_report::{LinkedPage, LiveParts};
 use marf_schema::bootstrap::Metrics;
 use marf_schema::output::{SCENE, WEIGHTS};
 use marf_stage::Document;
-use marf_view::{DepthInterval, FieldSource, Source};
+use marf_view::{DepthInterval, FieldSource, Source, SplatProgress};
 use parking_lot::Mutex;
 
 use crate::choice::subject;
-use crate::context::Context;
+use crate::context::{Context, Feedback, RunFeedback};
 use crate::error::Error;
+use crate::export::splats;
 use crate::report;
 use crate::session::bootstraps_of;
 
 /// The store as the page reads it.
 pub struct StoreSource {
+    /// What splats are made with.
+    context: Context,
     store: Store,
     /// The subject of the runs to show.
     subject: Subject,
@@ -41,6 +44,7 @@ impl StoreSource {
         let store = context.existing_store()?;
         Ok(Self {
             subject: subject(context, &store)?,
+            context: context.clone(),
             store,
             run,
             newest: Mutex::default(),
@@ -67,12 +71,15 @@ impl StoreSource {
         run_of(&self.store, number).map_err(|error| error.to_string())
     }
 
-    /// Returns the trained fields of a run with the retrainings of each.
+    /// Returns the trained fields of a run with the retrainings of each, the last first, so that a training comes before its draft.
     fn fields_of(&self, run: &RunRecord) -> Vec<FieldSource> {
         trained(run)
+            .rev()
             .filter_map(|node| {
                 Some(FieldSource {
+                    label: node.name.clone(),
                     node: node.name.clone(),
+                    run: run.number,
                     weights: node.outputs.get(WEIGHTS)?.digest,
                     scene: node.outputs.get(SCENE)?.digest,
                     members: members(run, node),
@@ -122,7 +129,7 @@ impl Source for StoreSource {
         {
             fields = self.fields_of(&earlier);
             for field in &mut fields {
-                field.node = format!("{} of run {}", field.node, earlier.number);
+                field.label = format!("{} of run {}", field.node, earlier.number);
             }
         }
         Ok(fields)
@@ -142,12 +149,59 @@ impl Source for StoreSource {
         report::linked(&self.store, &run, scene, live).map_err(|error| error.message().to_owned())
     }
 
+    fn splats(&self, field: &FieldSource, progress: &Arc<SplatProgress>) -> Result<Arc<[u8]>, String> {
+        let context = Context {
+            feedback: Arc::new(SplatFeedback {
+                of: Arc::clone(&self.context.feedback),
+                progress: Arc::clone(progress),
+            }),
+            ..self.context.clone()
+        };
+        splats(&context, field.run, &field.node).map_err(|error| error.message().to_owned())
+    }
+
     fn object(&self, digest: &Digest) -> Option<Arc<[u8]>> {
         self.store.get(digest).ok()
     }
 
     fn event_folder(&self) -> PathBuf {
         event_folder(&self.store)
+    }
+}
+
+/// Passes on what happens while splats are made, and keeps how far they are.
+struct SplatFeedback {
+    of: Arc<dyn Feedback>,
+    progress: Arc<SplatProgress>,
+}
+
+impl Feedback for SplatFeedback {
+    fn warn(&self, message: &str) {
+        self.of.warn(message);
+    }
+
+    fn note(&self, line: &str) {
+        self.of.note(line);
+    }
+
+    fn follow(&self, _run: &str) -> Box<dyn RunFeedback> {
+        Box::new(SplatListener(Arc::clone(&self.progress)))
+    }
+}
+
+/// Keeps the last progress of the node that makes splats.
+struct SplatListener(Arc<SplatProgress>);
+
+impl RunFeedback for SplatListener {}
+
+impl Listener for SplatListener {
+    fn on_event(&self, event: &Event) {
+        if let Event::Progress {
+            done, total, note, ..
+        } = event
+        {
+            self.0.at(*done, *total, note);
+        }
     }
 }
 
@@ -161,7 +215,7 @@ fn objects(run: &RunRecord) -> BTreeSet<Digest> {
 }
 
 /// Returns the nodes of a run that have trained a field.
-fn trained(run: &RunRecord) -> impl Iterator<Item = &NodeRun> {
+fn trained(run: &RunRecord) -> impl DoubleEndedIterator<Item = &NodeRun> {
     let whole = run.nodes.iter().filter(|node| node.parent.is_none());
     whole.filter(|node| {
         [WEIGHTS, SCENE]

@@ -9,9 +9,11 @@ use marf_report::{File, LinkedPage, sentence_page};
 use marf_scene::{Photo, encode_jpeg, shrunk};
 use parking_lot::Mutex;
 
+use crate::events::is_output_of_running;
 use crate::field::Field;
 use crate::page::{live_parts, scene_parts};
 use crate::source::{FieldSource, Source};
+use crate::splats::SplatJob;
 
 /// Longest side of a photo next to its render, pixels, and its JPEG quality.
 const PHOTO_PX: u32 = 960;
@@ -20,6 +22,8 @@ const PHOTO_QUALITY: u8 = 88;
 /// Text shown without a run.
 const NO_RUN: &str =
     "No run of this store has ended with a report or a field yet. What runs now is shown here.";
+
+const NO_FIELD: &str = "the run has no such field";
 
 /// A run that is shown.
 pub struct Content {
@@ -30,7 +34,14 @@ pub struct Content {
     /// Pages of scenes that were requested, by file name.
     opened: Mutex<HashMap<String, Arc<LinkedPage>>>,
     objects: BTreeSet<Digest>,
-    fields: Vec<(FieldSource, Mutex<Option<Arc<Field>>>)>,
+    fields: Vec<ContentField>,
+}
+
+/// A field of a run. It is read at the first request, and so are its splats.
+struct ContentField {
+    source: FieldSource,
+    field: Mutex<Option<Arc<Field>>>,
+    splats: Mutex<Option<Arc<SplatJob>>>,
 }
 
 impl Content {
@@ -43,7 +54,7 @@ impl Content {
             .map(|run| source.fields(run))
             .transpose()?
             .unwrap_or_default();
-        let names: Vec<&str> = fields.iter().map(|field| field.node.as_str()).collect();
+        let names: Vec<&str> = fields.iter().map(|field| field.label.as_str()).collect();
         let live = live_parts(number, &names);
         let page = match number {
             Some(run) => source.page(run, None, &live)?,
@@ -59,7 +70,11 @@ impl Content {
                 .unwrap_or_default(),
             fields: fields
                 .into_iter()
-                .map(|field| (field, Mutex::default()))
+                .map(|source| ContentField {
+                    source,
+                    field: Mutex::default(),
+                    splats: Mutex::default(),
+                })
                 .collect(),
         })
     }
@@ -116,15 +131,40 @@ impl Content {
     /// # Errors
     /// One sentence: a number without a field, or a field that is lost or damaged.
     pub fn field(&self, index: usize, source: &dyn Source, device: &Device) -> Result<Arc<Field>, String> {
-        let (of, read) = self.fields.get(index).ok_or("the run has no such field")?;
-        let mut read = read.lock();
+        let of = self.fields.get(index).ok_or(NO_FIELD)?;
+        let mut read = of.field.lock();
         if let Some(field) = read.as_ref() {
             return Ok(Arc::clone(field));
         }
-        let field = Arc::new(Field::read(of, source, device)?);
+        let field = Arc::new(Field::read(&of.source, source, device)?);
         *read = Some(Arc::clone(&field));
         Ok(field)
     }
+
+    /// Returns the splats of a field, which the first call begins to make. A call after a failure begins again.
+    ///
+    /// # Errors
+    /// One sentence: a number without a field.
+    pub fn splats(&self, index: usize, source: &Arc<dyn Source>) -> Result<Arc<SplatJob>, String> {
+        let of = self.fields.get(index).ok_or(NO_FIELD)?;
+        let mut job = of.splats.lock();
+        if let Some(job) = job.as_ref().filter(|job| !job.has_failed()) {
+            return Ok(Arc::clone(job));
+        }
+        let begun = SplatJob::begin(Arc::clone(source), of.source.clone())?;
+        *job = Some(Arc::clone(&begun));
+        Ok(begun)
+    }
+}
+
+/// Returns an object that a node of a program that runs now has made.
+pub fn made_now(source: &dyn Source, digest: &Digest) -> Option<File> {
+    let is_made = is_output_of_running(&source.event_folder(), digest);
+    let bytes = is_made.then(|| source.object(digest))??;
+    Some(File {
+        media: media(&bytes),
+        bytes,
+    })
 }
 
 /// Returns the type of an object: pictures and films as such, all else as bytes that no browser opens.

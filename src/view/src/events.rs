@@ -12,7 +12,9 @@ use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 
 use axum::response::sse::Event;
+use marf_cache::Digest;
 use marf_cache::file::{Links, open};
+use serde_json::Value;
 use tokio::sync::mpsc;
 
 use crate::source::Source;
@@ -82,6 +84,20 @@ pub fn follow(source: Arc<dyn Source>) -> mpsc::Receiver<Result<Event, std::conv
 /// first.
 pub fn lines_of_running(folder: &Path) -> Vec<Vec<String>> {
     all_running(folder).map(OpenFile::whole).collect()
+}
+
+/// Returns whether a node that ended in a program that runs now has this output.
+pub fn is_output_of_running(folder: &Path, digest: &Digest) -> bool {
+    let digest = digest.to_string();
+    let has = |line: &String| {
+        // Progress lines are many, and need not be parsed.
+        let parse = || serde_json::from_str::<Value>(line).ok();
+        let event = line.contains(&digest).then(parse).flatten();
+        let event = event.filter(|event| event["event"] == "finished");
+        let outputs = event.and_then(|event| event["outputs"].as_object().cloned());
+        outputs.is_some_and(|outputs| outputs.values().any(|output| output["digest"] == digest.as_str()))
+    };
+    lines_of_running(folder).iter().flatten().any(has)
 }
 
 /// Follows the program that began last.
@@ -250,6 +266,25 @@ mod tests {
         let mut follower = Follower::new(dir.path().to_owned());
         assert_eq!(follower.poll(), [Message::Line("0b".to_owned())]);
         assert!(lines_of_running(&dir.path().join("nowhere")).is_empty());
+    }
+
+    #[test]
+    fn an_output_is_served_from_the_end_of_its_node_to_the_end_of_its_program() {
+        let dir = tempfile::tempdir().unwrap();
+        let lock = File::create(dir.path().join("0a.lock")).unwrap();
+        lock.lock().unwrap();
+        let [made, key] = [b"made", b"key."].map(|bytes| Digest::from_content(bytes));
+        let line = serde_json::json!({
+            "event": "finished", "node": "draft", "reason": key, "outputs": {"heldout/a.png": {"digest": made, "bytes": 4}},
+        });
+        let file = dir.path().join("0a.jsonl");
+        std::fs::write(&file, line.to_string().replace("finished", "other") + "\n").unwrap();
+        assert!(!is_output_of_running(dir.path(), &made), "its node goes on");
+        std::fs::write(&file, format!("{line}\n")).unwrap();
+        assert!(is_output_of_running(dir.path(), &made));
+        assert!(!is_output_of_running(dir.path(), &key), "only outputs");
+        drop(lock);
+        assert!(!is_output_of_running(dir.path(), &made), "the program has ended");
     }
 
     #[test]

@@ -108,28 +108,33 @@ impl Field {
     /// # Errors
     /// One sentence: a lost or damaged object, or an unavailable device.
     pub fn read(of: &FieldSource, source: &dyn Source, device: &Device) -> Result<Self, String> {
-        let object = |digest: &Digest| source.object(digest).ok_or_else(|| lost(&of.node, digest));
+        let object = |digest: &Digest| source.object(digest).ok_or_else(|| lost(&of.label, digest));
         let trained = |digest: &Digest| -> Result<Trained, String> {
             let field = Trained::decode(&object(digest)?)
                 .and_then(|field| field.with_backend(marf_field_gpu::open(device)?));
-            field.map_err(|error| format!("the field of `{}`: {error}", of.node))
+            field.map_err(|error| format!("the field of `{}`: {error}", of.label))
         };
         let scene = Scene::decode(&object(&of.scene)?).map_err(|error| error.to_string())?;
         let start = orbit(&scene, 1, SCALE_PX)
             .first()
             .map(|place| place.cam_from_world);
         let mut field = Self {
-            node: of.node.clone(),
+            node: of.label.clone(),
             trained: trained(&of.weights)?,
             members: of.members.iter().map(trained).collect::<Result<_, _>>()?,
             depth_interval: of.depth_interval,
             scene_digest: of.scene,
             scales: Scales::to(1.0, 1.0),
-            start: start.ok_or_else(|| format!("the scene of `{}` has no photo", of.node))?,
+            start: start.ok_or_else(|| format!("the scene of `{}` has no photo", of.label))?,
             scene,
         };
         field.scales = field.measured_scales().map_err(|error| error.to_string())?;
         Ok(field)
+    }
+
+    /// Returns the scene.
+    pub fn scene(&self) -> &Scene {
+        &self.scene
     }
 
     /// Returns the colour scales.

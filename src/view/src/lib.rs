@@ -1,6 +1,6 @@
 //! The live page: the report of a run, the progress of a running one, and a 3-D view of its field, served on one port.
 //!
-//! It knows no pipeline and writes nothing: all contents come from a [`Source`]. Invariant: a request reaches
+//! It knows no pipeline and writes no file: all contents come from a [`Source`]. Invariant: a request reaches
 //! objects of the store by their digest alone, and only those that shown runs name. Every answer passes the
 //! checks of `access`.
 
@@ -21,6 +21,8 @@ mod routes;
 mod server;
 mod site;
 mod source;
+mod splat_progress;
+mod splats;
 mod stream;
 
 pub use access::AccessError;
@@ -28,3 +30,4 @@ pub use error::ViewError;
 pub use events::lines_of_running;
 pub use server::{Options, Server};
 pub use source::{DepthInterval, FieldSource, Source};
+pub use splat_progress::SplatProgress;

@@ -43,6 +43,7 @@ fn main(number: Option<u64>, fields: &[&str]) -> Markup {
                 thead { tr { th { "Node" } th { "State" } th { "Progress" } th { "Note" } } }
                 tbody {}
             } }
+            div #live-results.row {}
             div #live-curves.charts {}
         }
         section #view {
@@ -74,15 +75,17 @@ fn view(fields: &[&str]) -> Markup {
             (choice("view-size", "Width", &["320", "640", "960", "1280"].map(|width| (width, width))))
             (choice("view-photo", "Go to photo", &[]))
             label { input #view-frusta type="checkbox" checked; " Photos" }
-            button #view-start type="button" { "Start" }
+            button #view-start type="button" { "First view" }
             button #view-measure type="button" aria-pressed="false" { "Measure" }
         }
         div.stage #view-stage {
+            canvas #view-splats {}
             canvas #view-picture {}
             canvas #view-overlay tabindex="0" role="application" aria-label="3-D view of the field" aria-describedby="view-help" {}
         }
         p #view-legend.legend hidden { span #view-low {} span #view-scale.scale {} span #view-high {} }
         p.quiet #view-state {}
+        p.quiet #view-splats-state {}
         p #view-distance role="status" {}
         p.quiet #view-help {
             "Drag turns, with Shift or the right button it moves, the wheel zooms. Keys: W A S D fly, Q and E down and up, arrows turn, "

@@ -17,13 +17,14 @@ use serde::{Deserialize, Serialize};
 
 use crate::access::Refusal;
 use crate::answers::{HTML, JSON, answer, file, json, redirect, refusal};
-use crate::content::BYTES;
+use crate::content::{BYTES, made_now};
 use crate::difference::Reference;
 use crate::events::follow;
 use crate::field::SharedField;
 use crate::frames::{FrameError, Shown, View};
 use crate::measure::{distance, pick};
 use crate::site::Site;
+use crate::splats::{SplatState, pack, splats_of_points};
 use crate::stream::Received;
 
 /// Most bytes of a request: a view has some hundred.
@@ -46,6 +47,9 @@ pub fn routes(site: Arc<Site>, prefix: &str) -> Router {
         .route(&at("/live.js"), script(include_str!("page/live.js")))
         .route(&at("/mover.js"), script(include_str!("page/mover.js")))
         .route(&at("/view.js"), script(include_str!("page/view.js")))
+        .route(&at("/pictures.js"), script(include_str!("page/pictures.js")))
+        .route(&at("/projector.js"), script(include_str!("page/projector.js")))
+        .route(&at("/splats.js"), script(include_str!("page/splats.js")))
         .route(
             &at("/view.css"),
             fixed("text/css; charset=utf-8", include_str!("page/view.css")),
@@ -58,6 +62,8 @@ pub fn routes(site: Arc<Site>, prefix: &str) -> Router {
         .route(&at("/events"), get(events))
         .route(&at("/object/{digest}"), get(object))
         .route(&at("/scene/{run}/{field}"), get(scene))
+        .route(&at("/points/{run}/{field}"), get(points))
+        .route(&at("/splats/{run}/{field}"), get(splats))
         .route(&at("/photo/{run}/{field}/{digest}"), get(photo))
         .route(&at("/frames"), post(frames))
         .route(&at("/pick"), post(picked))
@@ -181,6 +187,7 @@ async fn object(State(site): State<Arc<Site>>, Path(digest): Path<String>, heade
         let none = || "the shown run names no such object, or the store has lost it".to_owned();
         let mut contents = site.contents().into_iter();
         let found = contents.find_map(|content| content.file(site.source.as_ref(), &digest));
+        let found = found.or_else(|| made_now(site.source.as_ref(), &digest));
         found.ok_or_else(none)
     };
     let range = headers.get(header::RANGE).and_then(|range| range.to_str().ok());
@@ -212,6 +219,27 @@ async fn scene(State(site): State<Arc<Site>>, Path((run, field)): Path<(u64, usi
     match blocking(read).await {
         Ok(json) => answer(JSON, json),
         Err(message) => refusal(StatusCode::NOT_FOUND, &message),
+    }
+}
+
+/// Answers with the points of the calibration, as splats.
+async fn points(State(site): State<Arc<Site>>, Path((run, field)): Path<(u64, usize)>) -> Response {
+    match blocking(move || site.field(run, field)).await {
+        Ok((_, field)) => answer(BYTES, pack(&splats_of_points(field.scene()))),
+        Err(message) => refusal(StatusCode::NOT_FOUND, &message),
+    }
+}
+
+/// Answers with the splats of a field, or how far they are.
+async fn splats(State(site): State<Arc<Site>>, Path((run, field)): Path<(u64, usize)>) -> Response {
+    let job = match blocking(move || site.splats(run, field)).await {
+        Ok(job) => job,
+        Err(message) => return refusal(StatusCode::NOT_FOUND, &message),
+    };
+    match job.state() {
+        SplatState::Done(bytes) => answer(BYTES, Bytes::from_owner(bytes)),
+        SplatState::Failed(message) => refusal(StatusCode::UNPROCESSABLE_ENTITY, &message),
+        SplatState::Running(at) => (StatusCode::ACCEPTED, json(&at)).into_response(),
     }
 }
 

@@ -10,6 +10,7 @@ use crate::content::Content;
 use crate::field::SharedField;
 use crate::renderer::Renderer;
 use crate::source::Source;
+use crate::splats::SplatJob;
 
 /// Shared state of all requests.
 pub struct Site {
@@ -69,6 +70,14 @@ impl Site {
         let content = self.content_of(run)?;
         let field = content.field(index, self.source.as_ref(), &self.device)?;
         Ok((content, field))
+    }
+
+    /// Returns the splats of a field as [`Site::field`].
+    ///
+    /// # Errors
+    /// As [`Site::field`].
+    pub fn splats(&self, run: u64, index: usize) -> Result<Arc<SplatJob>, String> {
+        self.content_of(run)?.splats(index, &self.source)
     }
 
     fn content_of(&self, run: u64) -> Result<Arc<Content>, String> {

@@ -7,6 +7,8 @@ use std::sync::Arc;
 use marf_cache::Digest;
 use marf_report::{LinkedPage, LiveParts};
 
+use crate::splat_progress::SplatProgress;
+
 /// The store, as far as the page reads it.
 pub trait Source: Send + Sync {
     /// Returns the number of the run to show now. `None` without a run.
@@ -33,6 +35,12 @@ pub trait Source: Send + Sync {
     /// As [`Source::fields`]. An unknown scene.
     fn page(&self, run: u64, scene: Option<&str>, live: &LiveParts) -> Result<LinkedPage, String>;
 
+    /// Makes the splats of a field, unless the store has them, and returns their PLY file. It takes minutes, and ends with the server.
+    ///
+    /// # Errors
+    /// One sentence: a field without a surface, or a lost object.
+    fn splats(&self, field: &FieldSource, progress: &Arc<SplatProgress>) -> Result<Arc<[u8]>, String>;
+
     /// Reads an object. `None` if the store does not have it.
     fn object(&self, digest: &Digest) -> Option<Arc<[u8]>>;
 
@@ -44,7 +52,11 @@ pub trait Source: Send + Sync {
 #[derive(Debug, Clone)]
 pub struct FieldSource {
     /// The node that trained it, as it is shown.
+    pub label: String,
+    /// The node that trained it.
     pub node: String,
+    /// The run of that node.
+    pub run: u64,
     /// The field.
     pub weights: Digest,
     /// Its scene.

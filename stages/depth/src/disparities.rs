@@ -21,8 +21,6 @@ pub enum Class {
     Confirmed = 2,
     /// The two pictures agree, but a jump to another surface is at most two pixels away.
     Edge = 3,
-    /// Sky. One pair alone never says so: it does not know where up is.
-    Sky = 4,
 }
 
 /// Disparities of the left picture. All rasters have its size.
@@ -119,8 +117,8 @@ const TRIAL_PIXELS: usize = 1 << 17;
 /// others. Large pictures have to be matched in parts: there are no tiles.
 ///
 /// # Extremes
-/// Pixels without texture, masked, or hidden from one camera have no disparity. A pair without
-/// any match is not an error.
+/// Masked pixels, and most without texture or hidden from one camera, have no disparity. Constant margins of both pictures
+/// match each other: mask them before. A pair without any match is not an error.
 ///
 /// # Errors
 /// Returns an error if the pictures differ in size or have no pixel, if the search is empty or too large, or if hardly

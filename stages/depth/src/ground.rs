@@ -219,7 +219,7 @@ impl Ground {
         }
         let [a, b] = layers;
         let lighter = if b.weight < a.weight { b } else { a };
-        if lighter.weight < sample.weight && !(lighter.confirmed && !sample.confirmed) {
+        if lighter.weight < sample.weight && (sample.confirmed || !lighter.confirmed) {
             *lighter = Layer::default();
             lighter.add(sample);
         }
@@ -423,6 +423,9 @@ mod tests {
         assert_eq!(ground.pixel_m, 1.0);
         let mut ground = Ground::new(&frame(), Some(0.5), 1.0).unwrap();
         let why = wide(&mut ground).unwrap_err().to_string();
-        assert!(why.contains("widen `map_cell`"), "{why}");
+        assert!(
+            why.contains("pixels of 0.5 m are too many; widen `map_cell`"),
+            "{why}"
+        );
     }
 }

@@ -177,3 +177,114 @@ fn photos_of_one_place_have_no_depth_and_the_reason() {
         metrics.missing
     );
 }
+
+/// Returns the reason of the second photo of two, which look at one place 10 units away.
+fn reason(place: [f64; 3], turned_away: bool) -> String {
+    let harness = Harness::default();
+    let mut scene = scene(&harness, &[[0.0; 3], place]);
+    if turned_away {
+        let to = Vector3::new(0.0, 0.0, -10.0);
+        scene.frames[1].cam_from_world = Pose::looking_at(Vector3::from(place), to, Vector3::y());
+    }
+    let metrics: Metrics = run(&harness, &scene).read(&harness.ctx()).unwrap();
+    metrics.photos[1].reason.clone()
+}
+
+#[test]
+fn a_photo_without_depth_has_the_limit_that_it_missed() {
+    // To a point 10 units away: atan(5 / 10) is 26.6 degrees, atan(6.5 / 10) 33.0.
+    assert_eq!(reason([5.0, 0.0, 0.0], false), "");
+    assert_eq!(
+        reason([6.5, 0.0, 0.0], false),
+        "the photos look from directions more than 30 degrees apart"
+    );
+    assert_eq!(reason([1.2, 0.0, 0.0], true), "no other photo shows the same");
+}
+
+#[test]
+fn a_photo_of_another_size_than_its_camera_stops_the_stage_with_both() {
+    let harness = Harness::default();
+    let mut scene = scene(&harness, &PLACES);
+    scene.frames[1].mask = Some(harness.put(&encode_png(&Image::from_fn(80, 60, |_, _| [255; 3])).unwrap()));
+    let digest = harness.put(&scene.encode().unwrap());
+    let inputs = Inputs([(SCENE.to_owned(), digest)].into());
+    let stage = MakeDepth::new(DepthParams::default()).unwrap();
+    let error = stage.run(&harness.ctx(), &inputs).unwrap_err();
+    assert_eq!(
+        error.to_string(),
+        "the mask of `1`: 80 x 60 pixels, its camera has 160 x 120"
+    );
+}
+
+/// The texts of a PNG are stored as they are.
+fn has_text(png: &[u8], text: &str) -> bool {
+    png.windows(text.len()).any(|window| window == text.as_bytes())
+}
+
+#[test]
+fn pictures_say_what_their_values_are() {
+    let harness = Harness::default();
+    let mut scene = scene(&harness, &PLACES);
+    let png = |outputs: &Outputs, folder: &str| harness.get(&outputs[&format!("{folder}/0.png")]).unwrap();
+    let outputs = run(&harness, &scene);
+    let metrics: Metrics = outputs.read(&harness.ctx()).unwrap();
+    let class = png(&outputs, "class");
+    assert!(has_text(
+        &class,
+        "0 none, 1 one pair, 2 confirmed by two, 3 next to an edge"
+    ));
+    let mut counts = [0_u32; 4];
+    for value in classes(&class) {
+        counts[usize::from(value)] += 1;
+    }
+    let of_all = |count: u32| f64::from(count) / f64::from(160 * 120);
+    assert_eq!(of_all(counts[2]), metrics.photos[0].confirmed_share);
+    assert_eq!(of_all(counts[1] + counts[2] + counts[3]), metrics.photos[0].share);
+    assert!(has_text(&png(&outputs, "inverse-depth"), "1/metre"));
+    // Without a scale the unit is that of the scene: 2 m before.
+    let largest = |outputs: &Outputs| {
+        let read = read_quantity(&png(outputs, "inverse-depth"), "inverse-depth")
+            .unwrap()
+            .2;
+        read.into_iter().fold(0.0, f32::max)
+    };
+    scene.metres_per_unit = None;
+    let bare = run(&harness, &scene);
+    assert!(has_text(
+        &png(&bare, "inverse-depth"),
+        "1/unit of the scene, whose scale is not known"
+    ));
+    let ratio = largest(&bare) / largest(&outputs);
+    assert!((ratio - 2.0).abs() < 1e-3, "{ratio}");
+}
+
+fn classes(png: &[u8]) -> Vec<u16> {
+    let picture = image::load_from_memory(png).unwrap();
+    picture.as_luma16().unwrap().as_raw().clone()
+}
+
+#[test]
+fn distances_along_the_ray_are_those_to_the_plane() {
+    let harness = Harness::default();
+    let scene = scene(&harness, &PLACES);
+    let outputs = run(&harness, &scene);
+    let (png, frame) = (harness.get(&outputs["depth/0.png"]).unwrap(), &scene.frames[0]);
+    assert!(has_text(&png, "distance along the ray of a pixel; 0: none"));
+    let mut errors: Vec<f64> = Vec::new();
+    for (index, distance) in read_quantity(&png, "depth").unwrap().2.into_iter().enumerate() {
+        let at = Vector2::new((index % 160) as f64 + 0.5, (index / 160) as f64 + 0.5);
+        let point = on_plane(&frame.camera, &frame.cam_from_world, &at);
+        // The unit is 2 m.
+        let truth = 2.0 * (point - frame.cam_from_world.centre()).norm();
+        if distance > 0.0 {
+            errors.push((f64::from(distance) / truth - 1.0).abs());
+        }
+    }
+    errors.sort_by(f64::total_cmp);
+    let median = errors[errors.len() / 2];
+    assert!(
+        errors.len() > 160 * 120 / 2 && median < 0.005,
+        "{} of {median}",
+        errors.len()
+    );
+}

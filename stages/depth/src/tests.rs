@@ -4,7 +4,7 @@ use marf_numeric::{InstructionSet, mix};
 use proptest::prelude::*;
 
 use crate::disparities::match_pair_on;
-use crate::{Class, Disparities, MatchError, Picture, Raster, Search, match_pair};
+use crate::{Class, Disparities, MAX_DISPARITIES, MatchError, Picture, Raster, Search, match_pair};
 
 /// Smooth brightness that no row or column repeats, in [0, 255].
 fn brightness(x: f64, y: f64) -> f64 {
@@ -121,7 +121,21 @@ fn a_darker_right_picture_gives_the_same_surface() {
 fn a_swapped_pair_is_an_error_that_says_so() {
     let [left, right] = slanted(200, 60, 14.0, 0.05);
     let error = match_pair(&right, &left, search(64)).unwrap_err();
-    assert!(matches!(error, MatchError::Swapped { .. }), "{error}");
+    let MatchError::Swapped { given, exchanged } = error else {
+        panic!("{error}");
+    };
+    // What the exchanged pair gives by itself is the larger share.
+    let share = matched(&[left, right], search(64)).share();
+    assert!(
+        given < 0.3 && (exchanged - share).abs() < 0.2,
+        "{given} {exchanged} {share}"
+    );
+    let said = format!(
+        "{:.1} % of the pixels match as given and {:.1} % with",
+        100.0 * given,
+        100.0 * exchanged
+    );
+    assert!(error.to_string().starts_with(&said), "{error}");
     assert!(error.to_string().contains("Exchange the pictures"), "{error}");
 }
 
@@ -157,14 +171,19 @@ fn one_pixel_and_one_disparity_have_no_match_and_no_size_or_search_is_an_error()
         "the left picture has 60 x 30 pixels, the right one 1 x 1"
     );
     let none = picture(0, 0, |_, _| 0.0);
+    let said = |pair: &Picture, search| match_pair(pair, pair, search).unwrap_err().to_string();
     assert_eq!(
-        match_pair(&none, &none, search(8)),
-        Err(MatchError::Empty { width: 0, height: 0 })
+        said(&none, search(8)),
+        "a picture of 0 x 0 pixels cannot be matched"
     );
     assert_eq!(
-        match_pair(&one, &one, search(0)),
-        Err(MatchError::Search { first: 0, count: 0 })
+        said(&one, search(0)),
+        format!(
+            "0 disparities from 0 cannot be tried: the limit is 1 to {MAX_DISPARITIES}, within +-{MAX_DISPARITIES}"
+        )
     );
+    assert!(match_pair(&one, &one, search(MAX_DISPARITIES)).is_ok());
+    assert!(said(&one, search(MAX_DISPARITIES + 1)).contains("disparities from 0"));
 }
 
 #[test]

@@ -207,3 +207,49 @@ fn reported_files_are_read_or_named() {
         }
     }
 }
+
+#[test]
+fn folders_without_photos_are_one_clear_error() {
+    let dir = tempfile::tempdir().unwrap();
+    let fail = |path: &Path, part: &str| {
+        let error = bring(folder(path)).err().unwrap();
+        assert!(error.to_string().contains(part), "{error}");
+        assert!(
+            matches!(&error, marf_stage::StageError::Failed { hint: Some(_), .. }),
+            "{error:?}"
+        );
+    };
+    fail(&dir.path().join("absent"), "does not exist");
+    fail(dir.path(), "is empty");
+    write(dir.path(), "readme.md", b"#");
+    fail(dir.path(), "has 1 file, which is not a photo");
+    fail(&dir.path().join("readme.md"), "is a file, not a folder");
+    write(dir.path(), "notes.txt", b"x");
+    fail(dir.path(), "has 2 files, and none is a photo");
+}
+
+/// The number that the reason names is the number of folders that are entered.
+#[test]
+fn folders_below_the_deepest_are_named_with_the_limit() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = |depth: usize| format!("{}photo.png", "a/".repeat(depth));
+    for depth in 0..40 {
+        let seed = depth as u8;
+        let image = Image::from_fn(16, 12, |x, y| [(x * 9) as u8, (y * 11) as u8, seed]);
+        write(dir.path(), &path(depth), &encode_png(&image).unwrap());
+    }
+    let brought = bring(folder(dir.path())).unwrap();
+    let said = "a folder in which nothing is read: at most ";
+    let mut reasons = brought
+        .verdicts
+        .iter()
+        .filter_map(|verdict| verdict.reason.strip_prefix(said));
+    let reason = reasons
+        .next()
+        .unwrap_or_else(|| panic!("{:#?}", brought.verdicts));
+    assert!(reason.ends_with(" are entered within each other"), "{reason}");
+    let most: usize = reason.split(' ').next().unwrap().parse().unwrap();
+    let ids = brought.ids();
+    assert!(ids.contains(&path(most).as_str()), "{most}: {ids:?}");
+    assert!(!ids.contains(&path(most + 1).as_str()), "{most}: {ids:?}");
+}

@@ -8,9 +8,9 @@ use serde_json::{Value, json};
 
 use marf_schema::render::{PathKind, Place, RenderParams};
 use marf_schema::{
-    bootstrap::BootstrapParams, calibrate::CalibrateParams, changes::ChangesParams, folds::FoldsParams,
-    masks::MasksParams, partial::PartialParams, scenes::ScenesParams, surface::SurfaceParams,
-    ties::TiesParams, train::TrainParams, tune::TuneParams, video::VideoParams,
+    bootstrap::BootstrapParams, calibrate::CalibrateParams, changes::ChangesParams, depth::DepthParams,
+    folds::FoldsParams, masks::MasksParams, partial::PartialParams, scenes::ScenesParams,
+    surface::SurfaceParams, ties::TiesParams, train::TrainParams, tune::TuneParams, video::VideoParams,
 };
 
 type Check<P> = fn(&P) -> Result<(), ParamError>;
@@ -345,5 +345,48 @@ fn limits_of_comparisons_are_those_that_their_sentences_name() {
         ),
     ] {
         limit(ChangesParams::check, with(key, refused), said, with(key, taken));
+    }
+}
+
+#[test]
+fn limits_of_depths_are_those_that_their_sentences_name() {
+    for (key, refused, said, taken) in [
+        (
+            "side_px",
+            json!(63),
+            "side_px: 63 is not within 64 and 8192",
+            json!(64),
+        ),
+        (
+            "side_px",
+            json!(8193),
+            "side_px: 8193 is not within 64 and 8192",
+            json!(8192),
+        ),
+        (
+            "neighbours",
+            json!(0),
+            "neighbours: 0 is not within 1 and 8",
+            json!(1),
+        ),
+        (
+            "neighbours",
+            json!(9),
+            "neighbours: 9 is not within 1 and 8",
+            json!(8),
+        ),
+        (
+            "map_cell",
+            json!(-0.5),
+            "map_cell: -0.5 is not a length above 0",
+            json!(0.001),
+        ),
+    ] {
+        limit(
+            DepthParams::check,
+            json!({key: refused}),
+            said,
+            json!({key: taken}),
+        );
     }
 }

@@ -108,8 +108,8 @@ impl<'a> Judge<'a> {
             let (named, began) = (&frames[index], Instant::now());
             self.at(views.len(), frames.len(), named);
             let judged = self.judged(named, |judge| {
-                let mut judged = judge.stored(named)?;
                 let view = depth_view(judge.field, judge.photos, named.frame)?;
+                let mut judged = judge.stored(named)?;
                 judged.scores.nearest = trained.nearest(named.frame.into(), &view);
                 Ok(judged)
             })?;

@@ -13,11 +13,18 @@ use proc_macro2::{Delimiter, TokenStream, TokenTree};
 use syn::visit::{self, Visit};
 
 /// Messages without a test. The limit only goes down.
-const UNTESTED: usize = 422;
+const UNTESTED: usize = 123;
 /// Code whose messages are not those of the program.
 const OUTSIDE: [&str; 6] = ["benches/", "fuzz/", "labs/", "shaders/", "target/", "tests/"];
 /// Macros and methods whose text only a programmer reads: it stands where the program is wrong.
-const INTERNAL: [&str; 5] = ["assert", "assert_eq", "debug_assert", "expect", "unreachable"];
+const INTERNAL: [&str; 6] = [
+    "assert",
+    "assert_eq",
+    "debug_assert",
+    "digest_of",
+    "expect",
+    "unreachable",
+];
 
 /// Messages by file and function, each with its tests.
 type Claims = BTreeMap<String, BTreeMap<String, BTreeSet<String>>>;

@@ -61,7 +61,16 @@ fn a_damaged_record_or_memo_is_a_miss_and_its_neighbours_stay() {
         assert_eq!(found, (at_end, !at_end), "{kind}");
         assert!(store.get(&blob).is_ok(), "{kind}");
         let warnings = store.take_warnings();
-        assert!(warnings.iter().any(|text| text.contains(kind)), "{warnings:?}");
+        let key = if at_end { memo } else { record.key };
+        let said = format!(
+            "the {kind} of key {} was damaged and is in quarantine in `",
+            key.short()
+        );
+        let warning = warnings.iter().find_map(|text| text.strip_prefix(&said));
+        let file = warning
+            .unwrap_or_else(|| panic!("{said}: {warnings:?}"))
+            .trim_end_matches('`');
+        assert!(Path::new(file).exists(), "{file}");
         assert_eq!(reopen(&dir).take_warnings(), Vec::<String>::new());
     }
 }
@@ -189,6 +198,20 @@ fn a_check_finds_each_damage_names_what_it_breaks_and_repairs_it() {
         ..options
     };
     assert!(store.fsck(repair).unwrap().is_repaired);
+    let warnings = store.take_warnings();
+    let moved = warnings
+        .iter()
+        .find(|text| text.starts_with("a damaged pack was moved to `"));
+    let moved = moved.unwrap_or_else(|| panic!("{warnings:?}"));
+    // An output of each record, the two actions are in it or not: of all, the flipped one alone is not whole.
+    let counts: Vec<usize> = moved.split(' ').filter_map(|word| word.parse().ok()).collect();
+    let [whole, all] = counts[..] else {
+        panic!("{moved}")
+    };
+    assert!(
+        moved.ends_with(&format!("{whole} of its {all} objects are whole and stay")) && whole + 1 == all,
+        "{moved}"
+    );
     let after = reopen(&dir).fsck(options).unwrap();
     assert!(
         after

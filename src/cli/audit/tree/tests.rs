@@ -129,6 +129,31 @@ fn a_step_its_products_and_their_changes_have_their_numbers() {
             "  the products of sol 9 are not in the store any more".to_owned(),
         ]
     );
+    let origin = |url: serde_json::Value| {
+        let file = json!({"file": "A.png", "kind": "photo", "blake3": digest(), "bytes": 3000, "url": url,
+                          "fetched": "2026-01-02T03:04:05Z"});
+        let line = ProductLine {
+            id: "A".to_owned(),
+            sol: 7,
+            blobs: [("image".to_owned(), digest())].into(),
+            files: [("image".to_owned(), serde_json::from_value(file).unwrap())].into(),
+        };
+        file_of(&line, "image")
+    };
+    assert_eq!(
+        origin(json!("https://a.example/A.png")),
+        format!(
+            ", {}, file A.png, from https://a.example/A.png at 2026-01-02T03:04:05Z",
+            size(3000)
+        )
+    );
+    assert_eq!(
+        origin(json!(null)),
+        format!(
+            ", {}, file A.png, with the listing at 2026-01-02T03:04:05Z",
+            size(3000)
+        )
+    );
     let changed = Changed {
         file: "A.txt".to_owned(),
         sol: 7,

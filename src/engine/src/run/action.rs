@@ -7,9 +7,10 @@ use marf_stage::{Cancel, Inputs, Stage, StageDef};
 use serde_json::Value;
 
 use super::{
-    Options,
     context::RunContext,
     error::ActionError,
+    job::unix_seconds,
+    options::Options,
     part::{PartJob, part_of, pass_of},
     pool,
     scheduler::Scheduler,
@@ -22,6 +23,7 @@ use crate::{
     graph::Graph,
     items::ShardLeaves,
     key::{differences, node_key},
+    state_listener::EventsOnly,
     work::{PASS, PartKind, part_key},
 };
 
@@ -79,13 +81,14 @@ impl ActionJob {
         let context = RunContext {
             graph: &self.graph,
             store,
-            listener,
+            listener: &EventsOnly(listener),
             cancel,
             pool: &pool,
-            program: &options.program,
+            options,
             last: None,
             executor: None,
             began: Instant::now(),
+            started_unix_s: unix_seconds(),
             shared: None,
         };
         let mut state = RunState::new(context, Vec::new(), &BTreeSet::new());

@@ -355,7 +355,7 @@ impl Job<'_> {
             peak_mb: 0,
             started_unix_s: unix_seconds(),
             device: self.device(),
-            program: self.context.program.to_owned(),
+            program: self.context.options.program.clone(),
             counts: BTreeMap::new(),
             parts_s: BTreeMap::new(),
         }

@@ -4,6 +4,7 @@ mod action;
 mod context;
 mod error;
 mod job;
+mod options;
 mod part;
 mod prepare;
 mod recover;
@@ -13,12 +14,13 @@ mod select;
 mod state;
 mod task;
 
-use std::{collections::BTreeMap, num::NonZero, sync::Arc, thread, time::Instant};
+use std::time::Instant;
 
 use marf_cache::Store;
 use marf_stage::Cancel;
 
-pub use self::{action::ActionJob, error::ActionError};
+pub(crate) use self::options::threads;
+pub use self::{action::ActionJob, error::ActionError, options::Options};
 use self::{
     context::RunContext,
     job::{STACK_BYTES, unix_seconds},
@@ -27,42 +29,10 @@ use self::{
 };
 use crate::{
     event::{Event, Listener},
-    executor::Executor,
     graph::Graph,
-    record::{Build, EngineError, RUN_FORMAT, RunRecord, last_run},
-    shared::SharedResults,
-    source::RunSource,
+    record::{EngineError, RunRecord, last_run},
+    state_listener::{EventsOnly, StateListener},
 };
-
-/// How to run.
-#[derive(Debug, Clone, Default)]
-pub struct Options {
-    /// Threads to use. None for as many as there are cores.
-    pub threads: Option<NonZero<usize>>,
-    /// Run only these nodes and the nodes they depend on. Empty for all.
-    pub to: Vec<String>,
-    /// Run only these nodes and the nodes that depend on them. Empty for all.
-    pub from: Vec<String>,
-    /// Nodes that have lost an object that their outputs refer to (a leaf of a set). They run although their results are recorded, and
-    /// compute only the incomplete parts.
-    pub lost: Vec<String>,
-    /// Name of the pipeline: a run is compared with the last run of the same name and source.
-    pub pipeline: String,
-    /// The source of the run.
-    pub source: RunSource,
-    /// Name of this run, unique in its store: it is in all events.
-    pub id: String,
-    /// The command as typed, for the record.
-    pub command: String,
-    /// The program with its version, for the record.
-    pub program: String,
-    /// The program's file, for the record.
-    pub build: Option<Build>,
-    /// Computes results on other machines. None if all are computed here.
-    pub executor: Option<Arc<dyn Executor>>,
-    /// Shares results with other machines. None if they are not shared.
-    pub shared: Option<Arc<dyn SharedResults>>,
-}
 
 /// Runs a graph as [`run_nodes`] and stores the record.
 ///
@@ -76,7 +46,7 @@ pub fn run(
     cancel: &Cancel,
 ) -> Result<RunRecord, EngineError> {
     let warn = |message: String| listener.on_event(&Event::Warning { node: None, message });
-    run_nodes(graph, store, options, listener, cancel)?.store(store, warn)
+    run_nodes(graph, store, options, &EventsOnly(listener), cancel)?.store(store, warn)
 }
 
 /// Runs a graph: every node whose key is not in the store, in parallel as far as threads allow.
@@ -90,7 +60,7 @@ pub fn run_nodes(
     graph: &Graph,
     store: &Store,
     options: &Options,
-    listener: &dyn Listener,
+    listener: &dyn StateListener,
     cancel: &Cancel,
 ) -> Result<RunRecord, EngineError> {
     let (began, started_unix_s) = (Instant::now(), unix_seconds());
@@ -106,43 +76,17 @@ pub fn run_nodes(
         listener,
         cancel,
         pool: &pool,
-        program: &options.program,
+        options,
         last: last.as_ref(),
         executor: options.executor.as_deref(),
         began,
+        started_unix_s,
         shared: options.shared.as_deref(),
     };
     let state = Scheduler::new(RunState::new(context, roles, &lost), threads).run()?;
-    let nodes = report::node_runs(&state)?;
-    let mut latest = last.as_ref().map(|run| run.latest.clone()).unwrap_or_default();
-    let good = nodes.iter().filter(|node| node.state.is_good());
-    latest.extend(good.filter_map(|node| Some((node.name.clone(), node.key?))));
+    let record = report::record(&state)?;
     store.take_warnings().into_iter().for_each(warn);
-    Ok(RunRecord {
-        number: 0,
-        root: None,
-        format: RUN_FORMAT,
-        id: options.id.clone(),
-        pipeline: options.pipeline.clone(),
-        source: options.source.clone(),
-        command: options.command.clone(),
-        program: options.program.clone(),
-        build: options.build.clone(),
-        started_unix_s,
-        seconds: began.elapsed().as_secs_f64(),
-        outcome: report::outcome(&state),
-        digest: graph.digest(),
-        threads,
-        nodes,
-        documents: BTreeMap::new(),
-        latest,
-    })
-}
-
-/// Returns the number of threads of a run. The default is the number of cores.
-pub(crate) fn threads(wanted: Option<NonZero<usize>>) -> usize {
-    let cores = || thread::available_parallelism().map_or(1, NonZero::get);
-    wanted.map_or_else(cores, NonZero::get)
+    Ok(record)
 }
 
 /// Returns a pool of that many threads.

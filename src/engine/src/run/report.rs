@@ -5,17 +5,47 @@ use std::collections::{BTreeMap, BTreeSet};
 use marf_cache::{Digest, Record, Store, StoreError};
 
 use super::{
+    options::threads,
     state::RunState,
-    task::{Phase, Task},
+    task::{Phase, Role, Task},
 };
 use crate::{
     key::action_at,
     lookup::lasting_counts,
-    record::{NodeInput, NodeRun, NodeState, Outcome, OutputName},
+    record::{NodeInput, NodeRun, NodeState, Outcome, OutputName, RUN_FORMAT, RunRecord},
 };
 
+/// Returns the record of a run, which is not stored yet. A run that goes on counts as stopped here.
+pub(super) fn record(state: &RunState<'_>) -> Result<RunRecord, StoreError> {
+    let context = &state.context;
+    let options = context.options;
+    let nodes = node_runs(state)?;
+    let mut latest = context.last.map(|run| run.latest.clone()).unwrap_or_default();
+    let good = nodes.iter().filter(|node| node.state.is_good());
+    latest.extend(good.filter_map(|node| Some((node.name.clone(), node.key?))));
+    Ok(RunRecord {
+        number: 0,
+        root: None,
+        format: RUN_FORMAT,
+        id: options.id.clone(),
+        pipeline: options.pipeline.clone(),
+        source: options.source.clone(),
+        command: options.command.clone(),
+        program: options.program.clone(),
+        build: options.build.clone(),
+        started_unix_s: context.started_unix_s,
+        seconds: context.began.elapsed().as_secs_f64(),
+        outcome: outcome(state),
+        digest: context.graph.digest(),
+        threads: threads(options.threads),
+        nodes,
+        documents: BTreeMap::new(),
+        latest,
+    })
+}
+
 /// Returns how the run ended.
-pub(super) fn outcome(state: &RunState<'_>) -> Outcome {
+fn outcome(state: &RunState<'_>) -> Outcome {
     let any = |wanted: fn(Phase) -> bool| state.tasks.iter().any(|task| wanted(task.phase));
     if any(|phase| phase == Phase::Stopped || !phase.is_settled()) {
         return Outcome::Cancelled;
@@ -28,7 +58,7 @@ pub(super) fn outcome(state: &RunState<'_>) -> Outcome {
 }
 
 /// Returns the nodes in topological order, children after the node that requested them.
-pub(super) fn node_runs(state: &RunState<'_>) -> Result<Vec<NodeRun>, StoreError> {
+fn node_runs(state: &RunState<'_>) -> Result<Vec<NodeRun>, StoreError> {
     let mut runs = Vec::new();
     for index in 0..state.context.graph.nodes.len() {
         add_run(state, index, &mut runs)?;
@@ -94,7 +124,8 @@ fn maker(before: &[NodeRun], node: &NodeRun, name: &str, digest: &Digest) -> Opt
 /// Appends a node and its children.
 fn add_run(state: &RunState<'_>, index: usize, runs: &mut Vec<NodeRun>) -> Result<(), StoreError> {
     let task = &state.tasks[index];
-    if matches!(task.phase, Phase::Absent | Phase::Replaced) {
+    let is_only_looked_up = task.role == Role::LookUp && !task.phase.is_settled();
+    if is_only_looked_up || matches!(task.phase, Phase::Absent | Phase::Replaced) {
         return Ok(());
     }
     let parent = task.parent.map(|parent| state.tasks[parent].name.clone());

@@ -1,14 +1,15 @@
 //! The scheduler: a coordinator thread starts ready nodes while thread permits are free.
 //!
-//! An action that an executor takes runs on another machine and needs no permit. A job of one thread takes one permit. A job that can use
-//! all takes its share of the free ones, so it gets all when nothing else is ready. One node at a time is on the GPU of this machine. The
-//! order of jobs and their threads do not change any result.
+//! An action that an executor takes runs on another machine and needs no permit. Ready nodes start in the order of the pipeline, and
+//! children of expanding nodes after all of these. A job of one thread takes one permit. A job that can use all shares the free ones with
+//! the others of its kind that are ready: nodes of the pipeline, or children. One node at a time is on the GPU of this machine. The order of
+//! jobs and their threads do not change any result.
 
 use std::{
     collections::BTreeSet,
-    sync::{Arc, mpsc},
+    sync::{Arc, mpsc, mpsc::RecvTimeoutError},
     thread,
-    time::Instant,
+    time::{Duration, Instant},
 };
 
 use marf_cache::{Digest, StoreError};
@@ -17,7 +18,7 @@ use marf_stage::{Outputs, Threads, Work};
 use super::{
     job::{Job, JobError, JobOutput, Step},
     prepare::prepare_all,
-    recover,
+    recover, report,
     state::RunState,
     task::{Phase, Reuse, RunInputs, Task},
 };
@@ -27,6 +28,9 @@ use crate::{
     needs::{Needs, cores_of},
     work::BlobCheck,
 };
+
+/// Longest time between two calls of [`crate::StateListener::on_state`].
+const STATE_EVERY: Duration = Duration::from_secs(1);
 
 /// Starts jobs on threads of their own, and applies their reports to the state of the run.
 pub(super) struct Scheduler<'a> {
@@ -88,7 +92,9 @@ impl<'a> Scheduler<'a> {
                 if self.running == 0 {
                     return;
                 }
-                let Ok(report) = receiver.recv() else { return };
+                let Some(report) = self.next_report(&receiver) else {
+                    return;
+                };
                 let applied = self.apply(report);
                 if outcome.is_ok() {
                     outcome = applied;
@@ -98,6 +104,19 @@ impl<'a> Scheduler<'a> {
         outcome?;
         self.state.mark_stopped();
         Ok(self.state)
+    }
+
+    /// Waits for the end of a job. Meanwhile the listener receives the state of the run. None if no job is left.
+    fn next_report(&self, reports: &mpsc::Receiver<JobReport>) -> Option<JobReport> {
+        loop {
+            let state = &self.state;
+            state.context.listener.on_state(&|| report::record(state).ok());
+            match reports.recv_timeout(STATE_EVERY) {
+                Ok(report) => return Some(report),
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => return None,
+            }
+        }
     }
 
     /// Returns the first node that may start, and where.
@@ -162,11 +181,17 @@ impl<'a> Scheduler<'a> {
                 && !(gpu_is_busy && is_on_gpu(task))
                 && !self.is_taken(task)
         };
-        let ready = tasks.iter().filter(is_ready).count();
         let index = tasks.iter().position(|task| is_ready(&task))?;
-        let permits = match cores_of(tasks[index].bound.as_ref()) {
+        let first = &tasks[index];
+        // A draft does not share with the trials of a tuning that was declared after it.
+        let shares = |task: &&Task| {
+            is_ready(task)
+                && task.parent.is_some() == first.parent.is_some()
+                && cores_of(task.bound.as_ref()) == Threads::All
+        };
+        let permits = match cores_of(first.bound.as_ref()) {
             Threads::One => 1,
-            Threads::All => (self.free_permits / ready).max(1),
+            Threads::All => (self.free_permits / tasks.iter().filter(shares).count()).max(1),
         };
         Some((index, Place::Here(permits)))
     }

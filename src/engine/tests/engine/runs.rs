@@ -12,7 +12,9 @@ use crate::common::*;
 use crate::what_ran::after_first_run;
 use proptest::prelude::*;
 
-use marf_engine::{Outcome, PlanState, RunSource, last_run, plan, runs};
+use marf_engine::{
+    Event, Listener, NodeState, Outcome, PlanState, RunRecord, RunSource, StateListener, last_run, plan, runs,
+};
 
 #[test]
 fn runs_are_kept_in_order_and_carry_the_latest_keys() {
@@ -118,6 +120,69 @@ fn independent_nodes_and_members_run_side_by_side() {
         vec![1, 1],
         "each gets its share"
     );
+}
+
+/// Keeps the records of a run that goes on.
+#[derive(Default)]
+struct States(parking_lot::Mutex<Vec<RunRecord>>);
+
+impl Listener for States {
+    fn on_event(&self, _event: &Event) {}
+}
+
+impl StateListener for States {
+    fn on_state(&self, record: &dyn Fn() -> Option<RunRecord>) {
+        self.0.lock().extend(record());
+    }
+}
+
+#[test]
+fn a_run_that_goes_on_tells_what_it_has_and_a_node_shares_with_none_of_one_thread() {
+    let (_dir, store) = fresh_store();
+    let (number, fixture) = new_fixture();
+    fixture.put_shard(1);
+    let nodes = vec![
+        node("archive", "archive", number, serde_json::json!({}), &[]),
+        node(
+            "sum",
+            "sum",
+            number,
+            serde_json::json!({ "times": 1 }),
+            &["input=archive"],
+        ),
+        node(
+            "broken",
+            "broken",
+            number,
+            serde_json::json!({ "how": "error" }),
+            &["input=archive"],
+        ),
+    ];
+    let graph = marf_engine::Graph::new(nodes, TABLE).unwrap();
+    let states = States::default();
+    let cancel = marf_engine::Cancel::default();
+    let last = marf_engine::run_nodes(&graph, &store, &options(2), &states, &cancel).unwrap();
+    assert!(!last.goes_on());
+    assert_eq!(fixture.sum_threads.lock().clone(), vec![2]);
+    let states = states.0.into_inner();
+    assert!(states.iter().all(RunRecord::goes_on));
+    let ended =
+        |record: &RunRecord| -> Vec<NodeState> { record.nodes.iter().map(|node| node.state).collect() };
+    let [open, done] = [NodeState::Cancelled, NodeState::Finished];
+    for expected in [[open, open, open], [done, open, open], [done, done, open]] {
+        let found = states.iter().any(|record| ended(record) == expected);
+        assert!(
+            found,
+            "{expected:?}: {:?}",
+            states.iter().map(ended).collect::<Vec<_>>()
+        );
+    }
+    let sum = states
+        .iter()
+        .find(|record| ended(record) == [done, done, open])
+        .unwrap();
+    assert_eq!(text(&store, sum, "sum", "sum"), "sum 45");
+    assert_eq!(sum.node("sum"), last.node("sum"));
 }
 
 #[test]

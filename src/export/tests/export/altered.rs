@@ -71,9 +71,18 @@ fn one_bit_in_any_kind_of_file_is_found() {
             bytes[place] ^= 1;
             std::fs::write(&path, &bytes).unwrap();
             // A graph or a root that cannot be read is an error instead.
-            let found =
-                verify(&folder, None, &Cancel::default()).map_or(true, |report| !report.faults.is_empty());
-            assert!(found, "{kind}, byte {place}");
+            let found = verify(&folder, None, &Cancel::default());
+            let said = match &found {
+                Ok(report) => report.faults.join("; "),
+                Err(error) => error.to_string(),
+            };
+            assert!(!said.is_empty(), "{kind}, byte {place}");
+            let sentence = match kind.as_str() {
+                "bagit.txt" => "`bagit.txt` does not declare a bag of version 1.0".to_owned(),
+                "run.json" if place == 0 => format!("the run root of {}: ", folder.display()),
+                _ => continue,
+            };
+            assert!(said.contains(&sentence), "{kind}: {said}");
         }
         std::fs::write(&path, &whole).unwrap();
     }

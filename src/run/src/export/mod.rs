@@ -8,5 +8,5 @@ mod verify;
 
 pub use attest::{Attestation, attest};
 pub use crates::{CrateRequest, CrateResult, export as export_crate};
-pub use surface::{SurfaceKind, SurfaceRequest, SurfaceResult, export as export_surface};
+pub use surface::{SurfaceKind, SurfaceRequest, SurfaceResult, export as export_surface, splats};
 pub use verify::{CrateCheck, Statement, VerifyResult, open_crate, verify_crate, verify_path};

@@ -1,9 +1,10 @@
 //! Files of the surface of a trained field for other programs.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use marf_cache::Store;
-use marf_engine::{NodeRun, Purpose, RunRecord};
+use marf_engine::{NodeRun, Purpose, RunRecord, run_of};
 use marf_model::select;
 use marf_scene::Scene;
 use marf_schema::output::{
@@ -95,18 +96,9 @@ pub fn export(context: &Context, request: &SurfaceRequest) -> Result<SurfaceResu
     let store = context.existing_store()?;
     let (trained, run) = trained(context, &store, request)?;
     check_map(kind, &store, node_named(&run, &trained)?)?;
-    let added = AddedNode {
-        name: format!("surface-of-{trained}"),
-        table: table(request, &run, &trained),
-    };
-    let DerivedRun { session, record } = run_nodes(
-        context,
-        store,
-        &run,
-        Purpose::Export,
-        std::slice::from_ref(&added),
-    )?;
-    let node = node_named(&record, &added.name)?;
+    let (name, table) = (surface_of(&trained), table(request, &run, &trained));
+    let DerivedRun { session, record } = made(context, store, &run, table)?;
+    let node = node_named(&record, &name)?;
     let surface: SurfaceReport = session.document(node)?;
     check_surface(context, kind, &surface)?;
     let mut files = files_of(kind, node, &request.out);
@@ -124,6 +116,31 @@ pub fn export(context: &Context, request: &SurfaceRequest) -> Result<SurfaceResu
         run: record.number,
         surface,
     })
+}
+
+/// Returns the PLY file of the splats of a field, which are made unless the store has them: those of `export splats`.
+///
+/// # Errors
+/// A run without the field, or a field without a surface.
+pub fn splats(context: &Context, run: u64, node: &str) -> Result<Arc<[u8]>, Error> {
+    let store = context.existing_store()?;
+    let run = run_of(&store, run)?;
+    node_named(&run, node)?;
+    let table = json!({"uses": SurfaceParams::STAGE, "input": node, "least_photos": 1, "splats": true});
+    let DerivedRun { session, record } = made(context, store, &run, table)?;
+    let splats = digest(node_named(&record, &surface_of(node))?, SPLATS)?;
+    Ok(session.store.get(&splats)?)
+}
+
+fn surface_of(trained: &str) -> String {
+    format!("surface-of-{trained}")
+}
+
+/// Runs a node `surface` of this table, which reads `input`.
+fn made(context: &Context, store: Store, run: &RunRecord, table: Value) -> Result<DerivedRun, Error> {
+    let trained = table["input"].as_str().unwrap_or_default();
+    let name = surface_of(trained);
+    run_nodes(context, store, run, Purpose::Export, &[AddedNode { name, table }])
 }
 
 /// What gives a scene a scale and an up direction.

@@ -106,14 +106,16 @@ fn open(context: &Context, dir: Option<&Path>, sets: &[String]) -> Result<Sessio
     Ok(session)
 }
 
-/// Returns the name of the first node of a stage.
+/// Returns the name of the node that is named as a stage, or else of the first one of that stage.
 fn node_of<P: Params>(session: &Session) -> Option<String> {
     let nodes = session.tree.get("node")?.as_object()?;
     let is_of = |(name, table): &(&String, &Value)| {
         let uses = table.get("uses").and_then(Value::as_str);
         uses.unwrap_or(name) == P::STAGE
     };
-    nodes.iter().find(is_of).map(|(name, _)| name.clone())
+    let named = nodes.get_key_value(P::STAGE).filter(is_of);
+    let found = named.or_else(|| nodes.iter().find(is_of));
+    found.map(|(name, _)| name.clone())
 }
 
 /// Returns the name of the training.

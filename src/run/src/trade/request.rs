@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use marf_cache::file::{FileKind, Links, read_text};
-use marf_engine::{Options, document};
+use marf_engine::{Options, SilentListener, document};
 use marf_progress::format;
 use marf_report::trade::{Point, Trade};
 use marf_report::trade_page;
@@ -128,6 +128,7 @@ fn write(session: &Session, base: &Base, trade: &Trade, out: &Path) -> Result<()
                 &json,
             )?]))
         },
+        listener: &SilentListener,
     };
     let options = Options {
         to: vec![base.train.clone()],

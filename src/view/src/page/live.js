@@ -8,6 +8,24 @@ const element = (name, text = "", kind = "") => {
   return made;
 };
 
+/** Draws places and directions of cameras of a transforms.json, whose z axis is up. */
+function camerasFromAbove(frames) {
+  const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
+  const poses = frames.map(({ transform_matrix: [x, y] }) => ({ x: x[3], y: -y[3], ahead: [-x[2], y[2]] }));
+  const [xs, ys] = [poses.map(({ x }) => x), poses.map(({ y }) => y)];
+  const [left, top] = [Math.min(...xs), Math.min(...ys)];
+  const size = Math.max(Math.max(...xs) - left, Math.max(...ys) - top, 1e-9);
+  const step = size / 20;
+  const path = document.createElementNS(svg.namespaceURI, "path");
+  path.setAttribute("d", poses.map(({ x, y, ahead }) => `M${x} ${y}l${ahead[0] * step} ${ahead[1] * step}`).join(""));
+  path.setAttribute("stroke-width", size / 100);
+  svg.setAttribute("viewBox", [left - 2 * step, top - 2 * step, size + 4 * step, size + 4 * step].join(" "));
+  svg.setAttribute("role", "img");
+  svg.setAttribute("aria-label", `${poses.length} cameras from above`);
+  svg.append(path);
+  return svg;
+}
+
 class Live {
   constructor(run) {
     this.run = run;
@@ -26,6 +44,8 @@ class Live {
     byId("live-nodes").hidden = true;
     byId("live-nodes").tBodies[0].replaceChildren();
     byId("live-curves").replaceChildren();
+    byId("live-results").replaceChildren();
+    this.results = new Map();
   }
   idle() {
     for (const row of this.rows.values()) if (row.state.textContent === "waiting") this.state(row, "skipped");
@@ -50,6 +70,7 @@ class Live {
     const row = this.row(event.node);
     const states = { will_run: "running", reused: "reused", finished: "ran", failed: "failed", skipped: "skipped" };
     if (states[event.event]) this.state(row, states[event.event]);
+    if (event.event === "finished" && !event.node.includes("/")) this.finished(event);
     if (event.event === "progress") this.progress(row, event);
     else row.note.textContent = event.reason ?? event.message ?? (event.seconds === undefined ? "" : `${event.seconds.toFixed(1)} s`);
   }
@@ -59,6 +80,35 @@ class Live {
     this.say(`Running: ${command}`);
     byId("live-nodes").hidden = false;
     nodes.forEach((name) => this.row(name));
+  }
+  /** Shows cameras and pictures as soon as their nodes have ended: held-out views until there is a film. */
+  async finished({ node, outputs }) {
+    const address = ({ digest }) => `object/${digest}`;
+    if (outputs.transforms) {
+      const read = await fetch(address(outputs.transforms));
+      const frames = read.ok ? (await read.json()).frames : [];
+      if (frames.length) this.show("cameras", [[camerasFromAbove(frames), `${node}: cameras from above`]]);
+    }
+    if (outputs.video && !this.results.has("film")) {
+      const film = Object.assign(element("video"), { src: address(outputs.video), controls: true, loop: true, muted: true });
+      this.results.delete("views");
+      this.show("film", [[film, `${node}: film`]]);
+    }
+    const views = Object.keys(outputs).filter((name) => name.startsWith("heldout/")).slice(0, 4);
+    if (!views.length || this.results.has("film")) return;
+    this.show("views", views.map((name) => {
+      const picture = Object.assign(element("img"), { src: address(outputs[name]), alt: `${node}: ${name}` });
+      return [picture, `${node}: held-out view ${name.slice("heldout/".length)}`];
+    }));
+  }
+  /** Replaces the results of a kind. */
+  show(kind, pictures) {
+    this.results.set(kind, pictures.map(([picture, caption]) => {
+      const figure = element("figure");
+      figure.append(picture, element("figcaption", caption));
+      return figure;
+    }));
+    byId("live-results").replaceChildren(...[...this.results.values()].flat());
   }
   row(name) {
     if (this.rows.has(name)) return this.rows.get(name);

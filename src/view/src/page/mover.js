@@ -63,3 +63,21 @@ export class Mover {
     this.eye = add(target, this.forward(), -this.distance);
   }
 }
+
+/** What a key does in some seconds, in which the camera flies some world units. */
+export const KEYS = {
+  KeyW: (mover, _, way) => mover.move([0, 0, way]),
+  KeyS: (mover, _, way) => mover.move([0, 0, -way]),
+  KeyA: (mover, _, way) => mover.move([-way, 0, 0]),
+  KeyD: (mover, _, way) => mover.move([way, 0, 0]),
+  KeyQ: (mover, _, way) => mover.move([0, way, 0]),
+  KeyE: (mover, _, way) => mover.move([0, -way, 0]),
+  ArrowLeft: (mover, seconds) => mover.turn(-seconds, 0),
+  ArrowRight: (mover, seconds) => mover.turn(seconds, 0),
+  ArrowUp: (mover, seconds) => mover.turn(0, seconds),
+  ArrowDown: (mover, seconds) => mover.turn(0, -seconds),
+  Equal: (mover, seconds) => mover.zoom(1 - seconds),
+  NumpadAdd: (mover, seconds) => mover.zoom(1 - seconds),
+  Minus: (mover, seconds) => mover.zoom(1 + seconds),
+  NumpadSubtract: (mover, seconds) => mover.zoom(1 + seconds),
+};

@@ -1,83 +1,17 @@
 // The 3-D view of a trained field. Poses are `cam_from_world`; text from outside goes through textContent.
 
-import { Mover, add, centreOf, clamp, inWorld, norm, transformed } from "./mover.js";
+import { KEYS, Mover, add, centreOf, clamp, inWorld, norm, transformed } from "./mover.js";
+import { Pictures, post, refused } from "./pictures.js";
+import { Splats } from "./splats.js";
 
 const byId = (id) => document.getElementById(id);
 
-// ---- pictures from the server
-
-/** Yields the pictures of a response: width, height, divisor and length as u32 LE, then a PNG. */
-async function* pictures(response) {
-  const reader = response.body.getReader();
-  let held = new Uint8Array();
-  for (;;) {
-    const head = held.length >= 16 ? new DataView(held.buffer, held.byteOffset, 16) : null;
-    const end = head ? 16 + head.getUint32(12, true) : Infinity;
-    if (held.length >= end) {
-      const bitmap = await createImageBitmap(new Blob([held.slice(16, end)], { type: "image/png" }));
-      yield { bitmap, divisor: head.getUint32(8, true) };
-      held = held.slice(end);
-      continue;
-    }
-    const { done, value } = await reader.read();
-    if (done) return;
-    const joined = new Uint8Array(held.length + value.length);
-    joined.set(held);
-    joined.set(value, held.length);
-    held = joined;
-  }
-}
-
-const post = (address, body, signal) => fetch(address, { method: "POST", body: JSON.stringify(body), signal });
-
-/** Returns what a response says if it is a refusal. */
-async function refused(response) {
-  return response.ok ? null : (await response.text()).trim();
-}
-
-/** Asks for pictures of the newest view; at most one first picture is awaited, and a newer view stops the finer ones. */
-class Pictures {
-  constructor(show, fail) {
-    Object.assign(this, { show, fail, wanted: null, waiting: false, abort: null });
-    this.viewer = crypto.getRandomValues(new Uint32Array(1))[0];
-  }
-  want(view) {
-    this.wanted = { ...view, viewer: this.viewer };
-    if (!this.waiting) this.next();
-  }
-  async next() {
-    const view = this.wanted;
-    if (!view) return;
-    this.wanted = null;
-    this.waiting = true;
-    this.abort?.abort();
-    const { signal } = (this.abort = new AbortController());
-    const { since, ...body } = view;
-    try {
-      const response = await post("frames", body, signal);
-      const why = await refused(response);
-      if (why && response.status !== 409) this.fail(why);
-      if (!why) {
-        for await (const picture of pictures(response)) {
-          if (signal.aborted) break;
-          this.show(view, picture);
-          this.release(signal);
-        }
-      }
-    } catch (error) {
-      if (error.name !== "AbortError") this.fail("The server does not answer any more.");
-    }
-    this.release(signal);
-  }
-  /** Lets the next view go once the first picture of this one is there. */
-  release(signal) {
-    if (this.abort?.signal !== signal) return;
-    this.waiting = false;
-    if (this.wanted) this.next();
-  }
-}
-
 // ---- the 3-D view
+
+/** The camera rests when nobody has moved it for so long. */
+const REST_MS = 150;
+/** With a longer time for a picture of splats, these are drawn at half the width while the camera moves. */
+const SLOW_MS = 66;
 
 class View {
   constructor(run) {
@@ -85,6 +19,11 @@ class View {
     this.picture = byId("view-picture");
     this.overlay = byId("view-overlay");
     this.pictures = new Pictures((view, picture) => this.show(view, picture), (why) => this.say(why));
+    try {
+      this.splats = new Splats(byId("view-splats"), (view) => this.splatted(view));
+    } catch (error) {
+      this.saySplats(`${error.message} Pictures come from marf alone.`);
+    }
     this.keys = new Set();
     this.pointers = new Map();
     this.marks = [];
@@ -93,6 +32,7 @@ class View {
     this.listen();
   }
   say(text) { byId("view-state").textContent = text; }
+  saySplats(text) { byId("view-splats-state").textContent = text; }
   get mode() { return byId("view-mode").value; }
 
   async open() {
@@ -104,8 +44,13 @@ class View {
     byId("view-mode").querySelector("[value=uncertainty]").disabled = this.scene.members < 2;
     const photos = byId("view-photo");
     photos.replaceChildren(new Option("", ""), ...this.scene.photos.map((photo, index) => new Option(photo.file, index)));
+    Object.assign(this, { hasSplats: false, making: false, shown: null });
+    this.saySplats("");
     this.toStart();
+    this.showPoints();
   }
+  /** Returns the address of something of the field. */
+  address(kind) { return `${kind}/${this.run}/${byId("view-field").value}`; }
   toStart() {
     const { start, up, focus } = this.scene;
     const eye = centreOf(start);
@@ -131,10 +76,77 @@ class View {
   }
   draw() {
     if (!this.scene) return;
+    clearTimeout(this.rest);
+    const view = this.view();
+    this.drawSplats(view, 1);
+    this.pictures.want(view);
+    this.legend();
+  }
+  /** Returns the request for the picture to be shown. */
+  view() {
     const photo = this.mode === "difference" ? { photo: this.fixed.image } : {};
     const request = { run: this.run, field: Number(byId("view-field").value), mode: this.mode, ...photo, ...this.place() };
-    this.pictures.want({ ...request, since: performance.now() });
-    this.legend();
+    return { ...request, since: performance.now() };
+  }
+
+  // ---- splats
+
+  /** Draws splats, or points until there are some, at a share of the width; the field's picture is drawn over them. */
+  drawSplats(view, divisor) {
+    this.resize(view.camera);
+    if (view.mode !== "color") return byId("view-stage").classList.remove("moving");
+    const { camera } = view;
+    const sized = Object.fromEntries(["fx_px", "fy_px", "cx_px", "cy_px"].map((key) => [key, camera[key] / divisor]));
+    const [width, height] = [camera.width, camera.height].map((side) => Math.ceil(side / divisor));
+    this.splats?.show({ camera: { ...camera, ...sized, width, height }, pose: view.cam_from_world, view });
+  }
+  /** Shows splats or points that are drawn, unless the field's picture of the same view is there. */
+  splatted({ view }) {
+    if (view.since === this.pictured || this.mode !== "color") return;
+    if (this.hasSplats) {
+      const { dataset, classList } = byId("view-stage");
+      const took = performance.now() - view.since;
+      this.slow = took > SLOW_MS;
+      dataset.frames = Number(dataset.frames ?? 0) + 1;
+      dataset.firstMs ??= Math.round(took);
+      classList.add("moving");
+    } else if (this.shown) return;
+    this.shown = view;
+    this.drawOverlay();
+  }
+  async showPoints() {
+    const { scene } = this;
+    const response = await fetch(this.address("points"));
+    const why = await refused(response);
+    if (why) return this.saySplats(why);
+    this.loadSplats(scene, await response.arrayBuffer());
+  }
+  loadSplats(scene, buffer) {
+    if (scene !== this.scene || !this.splats) return;
+    this.splats.load(buffer);
+    if (!this.shown) this.drawSplats(this.view(), 1);
+  }
+  /** Asks for splats until they are made: once the camera is moved, since making them takes a while. */
+  async makeSplats() {
+    if (this.making || !this.splats) return;
+    this.making = true;
+    const { scene } = this;
+    while (scene === this.scene) {
+      const response = await fetch(this.address("splats"));
+      const why = await refused(response);
+      if (why) return this.saySplats(`The view has no splats: ${why}`);
+      if (response.status !== 202) {
+        const buffer = await response.arrayBuffer();
+        if (scene !== this.scene) return;
+        this.hasSplats = true;
+        byId("view-stage").dataset.splats = buffer.byteLength / 24;
+        this.saySplats(`${(buffer.byteLength / 24).toLocaleString("en")} splats are drawn while the camera moves.`);
+        return this.loadSplats(scene, buffer);
+      }
+      const { done, total, note } = await response.json();
+      this.saySplats(`marf makes splats, with which the view moves smoothly${total ? `: ${note}, ${done} of ${total}` : ""}.`);
+      await new Promise((resolve) => setTimeout(resolve, 500));
+    }
   }
   legend() {
     byId("view-legend").hidden = this.mode === "color";
@@ -149,18 +161,26 @@ class View {
     byId("view-high").textContent = `${high} ${unitOf[this.mode]}`;
     byId("view-scale").className = `scale ${this.mode}`;
   }
-  show(view, { bitmap, divisor }) {
-    const { width, height } = view.camera;
+  resize({ width, height }) {
     if (this.picture.width !== width || this.picture.height !== height) {
       for (const canvas of [this.picture, this.overlay]) Object.assign(canvas, { width, height });
       // A picture of upright photos stays within the window.
       byId("view-stage").style.maxWidth = `${Math.round((720 * width) / height)}px`;
     }
-    this.picture.getContext("2d").drawImage(bitmap, 0, 0, width, height);
+  }
+  show(view, { bitmap, divisor }) {
+    const { width, height } = view.camera;
+    this.resize(view.camera);
+    // Coarse pictures show less than splats.
+    if (divisor <= 2 || !this.hasSplats || view.mode !== "color") {
+      this.picture.getContext("2d").drawImage(bitmap, 0, 0, width, height);
+      this.pictured = view.since;
+      byId("view-stage").classList.remove("moving");
+    }
     this.shown = view;
     const after = Math.round(performance.now() - view.since);
     const data = byId("view-stage").dataset;
-    if (divisor === 8) data.firstMs = after;
+    if (divisor === 8) data.firstMs ??= after;
     Object.assign(data, { divisor, pictures: Number(data.pictures ?? 0) + 1 });
     this.say(`${bitmap.width} x ${bitmap.height} pixels after ${after} ms${divisor > 1 ? ", going on" : ""}.`);
     if (this.fixed) this.compare(bitmap);
@@ -284,7 +304,17 @@ class View {
 
   // ---- input
 
-  moved() { this.leavePhoto(); this.draw(); }
+  /** Shows the place that the user has moved to: splats if there are some, and the field's picture at rest. */
+  moved() {
+    this.leavePhoto();
+    if (!this.scene) return;
+    this.makeSplats().catch(() => this.saySplats("The server does not answer any more."));
+    if (!this.hasSplats || this.mode !== "color") return this.draw();
+    this.pictures.stop();
+    this.drawSplats(this.view(), this.slow ? 2 : 1);
+    clearTimeout(this.rest);
+    this.rest = setTimeout(() => this.draw(), REST_MS);
+  }
   /** Returns the pixel of the picture below a pointer. */
   at(event) {
     const box = this.overlay.getBoundingClientRect();
@@ -403,23 +433,5 @@ class View {
     URL.revokeObjectURL(link.href);
   }
 }
-
-/** What a key does in some seconds, in which the camera flies some world units. */
-const KEYS = {
-  KeyW: (mover, _, way) => mover.move([0, 0, way]),
-  KeyS: (mover, _, way) => mover.move([0, 0, -way]),
-  KeyA: (mover, _, way) => mover.move([-way, 0, 0]),
-  KeyD: (mover, _, way) => mover.move([way, 0, 0]),
-  KeyQ: (mover, _, way) => mover.move([0, way, 0]),
-  KeyE: (mover, _, way) => mover.move([0, -way, 0]),
-  ArrowLeft: (mover, seconds) => mover.turn(-seconds, 0),
-  ArrowRight: (mover, seconds) => mover.turn(seconds, 0),
-  ArrowUp: (mover, seconds) => mover.turn(0, seconds),
-  ArrowDown: (mover, seconds) => mover.turn(0, -seconds),
-  Equal: (mover, seconds) => mover.zoom(1 - seconds),
-  NumpadAdd: (mover, seconds) => mover.zoom(1 - seconds),
-  Minus: (mover, seconds) => mover.zoom(1 + seconds),
-  NumpadSubtract: (mover, seconds) => mover.zoom(1 + seconds),
-};
 
 if (byId("view-stage")) new View(Number(byId("live").dataset.run)).open();

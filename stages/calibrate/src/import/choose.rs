@@ -298,8 +298,25 @@ mod tests {
 
     #[test]
     fn what_is_not_there_is_named_with_what_is() {
-        let error = choose(&files(&["cameras.bin"]), None).unwrap_err().to_string();
-        assert!(error.contains("`cameras.bin`"), "{error}");
+        let StageError::Failed { message, hint, .. } = choose(&files(&["cameras.bin"]), None).unwrap_err()
+        else {
+            panic!("no failure")
+        };
+        assert_eq!(
+            message,
+            "none of `cameras.bin` next to the photos holds cameras alone"
+        );
+        assert!(
+            hint.unwrap()
+                .starts_with("put a transforms.json, or cameras and images of a COLMAP model")
+        );
+        // What the hint names is used.
+        for model in ["", "sparse/0/", "colmap/sparse/0/"] {
+            for ending in ["bin", "txt"] {
+                let named = ["cameras", "images"].map(|name| format!("{model}{name}.{ending}"));
+                used(&named.each_ref().map(String::as_str));
+            }
+        }
         let error = choose(&files(&[]), None).unwrap_err().to_string();
         assert!(
             error.contains("no file next to the photos holds cameras"),

@@ -139,6 +139,17 @@ mod tests {
     }
 
     #[test]
+    fn a_scene_is_named_by_its_first_drive_and_says_its_last() {
+        let of = |first: i64, last: i64| group(&[&place(3, first, 0.0, 1), &place(3, last, 1.0, 1)]);
+        let found = of(5, 12);
+        assert_eq!(
+            (found.name.as_str(), found.reason.as_str()),
+            ("site3-5", "by labels: site 3, drives 5 to 12")
+        );
+        assert_eq!(of(5, 5).reason, "by labels: site 3, drive 5");
+    }
+
+    #[test]
     fn a_full_scene_takes_no_further_place() {
         let places = [place(1, 0, 0.0, 6), place(1, 1, 1.0, 6), place(1, 2, 2.0, 4)];
         assert_eq!(drives(&places, 20.0, 10), [vec![0], vec![1, 2]]);

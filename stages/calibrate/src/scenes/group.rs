@@ -235,6 +235,12 @@ mod tests {
         assert_eq!(found.members, [0, 2, 3, 5]);
         assert_eq!(free, BTreeSet::from([1, 4]));
         assert_eq!(found.reason, "made by hand (`p9` names no photo)");
+        let wanted = HandMade {
+            sols: Vec::new(),
+            ids: ["p9", "p1", "p8", "p7"].map(str::to_owned).to_vec(),
+        };
+        let found = Group::by_hand("delta", &wanted, &items, &mut (0..6).collect());
+        assert_eq!(found.reason, "made by hand (`p9` and 2 others name no photo)");
     }
 
     #[test]

@@ -58,6 +58,13 @@ fn a_deck_is_proposed_and_hidden_when_its_mask_lies_beside_the_photos() {
         ("320x240", 10, 45, 45)
     );
     assert!((0.17..0.23).contains(&camera.share), "{camera:?}");
+    assert_eq!(
+        camera.found,
+        format!(
+            "{:.1} % of the picture stands still while the camera moves",
+            100.0 * camera.share
+        )
+    );
     let png = input.harness.get(&outputs["masks/320x240.png"]).unwrap();
     let mask = Photo::decode(&png).unwrap().image;
     assert_eq!((mask.width, mask.height), (WIDTH, HEIGHT));

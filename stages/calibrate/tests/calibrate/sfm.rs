@@ -160,6 +160,27 @@ fn a_label_that_is_wrong_is_outvoted_and_named() {
     let named = output.metrics.photos.iter().filter(|photo| photo.note.is_some());
     let named: Vec<&str> = named.map(|photo| photo.id.as_str()).collect();
     assert_eq!(named, [wrong]);
+    let mut notes = output
+        .metrics
+        .photos
+        .iter()
+        .filter_map(|photo| photo.note.as_deref());
+    let note = notes.next().unwrap();
+    let words: Vec<&str> = note.split(' ').collect();
+    let [.., "photos:", metres, "m", "and", degrees, "degrees", "off"] = words[..] else {
+        panic!("{note}")
+    };
+    // Turned by 5 degrees about itself: it stays where it is.
+    let (metres, degrees): (f64, f64) = (metres.parse().unwrap(), degrees.parse().unwrap());
+    assert!(
+        note.starts_with("label outvoted by the photos: ") && metres < 0.1 && (degrees - 5.0).abs() < 0.5,
+        "{note}"
+    );
+    let method = &output.scene.method;
+    assert!(
+        method.contains("in metres by the labels, 1 of them outvoted"),
+        "{method}"
+    );
 }
 
 #[test]
@@ -172,7 +193,7 @@ fn labels_that_contradict_the_photos_give_no_scale_and_that_is_said() {
     assert_eq!(output.scene.metres_per_unit, None);
     let said = &output.scene.method;
     assert!(
-        said.contains("without scale: of 40 labels no half agrees"),
+        said.starts_with("sfm: ") && said.contains(" lens, without scale: of 40 labels no half agrees"),
         "{said}"
     );
     assert!(errors_of(&output.scene, &truth).position[1] < 0.002);

@@ -333,6 +333,9 @@ fn a_hostile_transforms_file_is_refused_by_its_field() {
         );
         let complaint = input.complaint(&json!({"method": "import"}));
         assert!(complaint.starts_with(part), "{name}: {complaint}");
+        let is_refused = part.starts_with('`');
+        let hint = "correct the file or write it again: none of its cameras was used";
+        assert!(!is_refused || complaint.contains(hint), "{name}: {complaint}");
     }
 }
 

@@ -17,6 +17,7 @@ mod lock;
 mod offline;
 mod pds;
 mod questions;
+mod sentences;
 mod trees;
 
 use std::collections::{BTreeMap, BTreeSet};

@@ -115,3 +115,18 @@ fn what_is_cut_short_or_damaged_is_an_error_and_never_a_panic() {
     let jpeg = [header(8, 8, 2, 95, 0), b"\xff\xd8\xff\xd9".to_vec()].concat();
     assert!(matches!(read(&jpeg).err(), Some(DatError::Jpeg(_))));
 }
+
+#[test]
+fn a_picture_of_another_size_than_its_header_is_refused_with_both() {
+    let picture = marf_scene::Image {
+        width: 2,
+        height: 1,
+        pixels: vec![[1, 2, 3]; 2],
+    };
+    let body = marf_scene::encode_png(&picture).unwrap();
+    let error = read(&[header(16, 8, 2, 95, 0), body].concat()).err().unwrap();
+    assert_eq!(
+        error.to_string(),
+        "the JPEG of the compressed product is damaged: 2 x 1 pixels, the header describes 16 x 8"
+    );
+}

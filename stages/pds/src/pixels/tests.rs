@@ -210,3 +210,30 @@ fn special_constants_are_black_or_white() {
     assert_eq!(red, [0, 0, 255, 255, 0]);
     assert_eq!(made.notes.len(), 1, "saturated is not clipped: {:?}", made.notes);
 }
+
+/// By hand: by 0.25 W / (m2 sr nm) of sunlight, I/F 0.125 / 0.25 is white.
+#[test]
+fn notes_on_tones_have_the_numbers_of_their_scale() {
+    let notes =
+        |array: &Array, bytes: &[u8]| render(array, None, None, bytes, MAX_DECODED_BYTES).unwrap().notes;
+    let codes = array([1, 1, 2], SampleKind::Unsigned, 1);
+    assert_eq!(notes(&codes, &[0, 255]), ["8-bit codes as stored"]);
+    let mut radiance = array([1, 1, 4], SampleKind::Float, 4);
+    radiance.quantity = Quantity::Radiance;
+    let stored: Vec<u8> = [0.1_f32, 0.125, 0.126, 9.0]
+        .iter()
+        .flat_map(|value| value.to_be_bytes())
+        .collect();
+    assert_eq!(
+        notes(&radiance, &stored),
+        [
+            "radiance to sRGB, white at 0.125 W/m2/sr/nm",
+            "2 samples above white are clipped"
+        ]
+    );
+    (radiance.quantity, radiance.sunlight) = (Quantity::Reflectance, vec![0.25]);
+    assert_eq!(
+        notes(&radiance, &stored),
+        ["I/F to sRGB, white at 0.500", "1 samples above white are clipped"]
+    );
+}

@@ -32,7 +32,10 @@ fn a_photo_that_a_disc_hides_is_removed_and_no_other() {
             let expected: Vec<usize> = hidden.filter(|photo| placed.contains(photo)).collect();
             assert_eq!(removed, expected, "{found:?}");
             let is_open = |photo: &usize| *photo > 0 || scene.hidden.iter().all(|(hidden, _)| *hidden != 0);
-            assert!((0..12).filter(is_open).all(|photo| placed.contains(&photo)), "{placed:?}");
+            assert!(
+                (0..12).filter(is_open).all(|photo| placed.contains(&photo)),
+                "{placed:?}"
+            );
             assert!(
                 found.iter().all(|one| one.share > 0.4 && one.shown == 0),
                 "{found:?}"

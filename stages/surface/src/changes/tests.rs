@@ -174,6 +174,67 @@ fn another_colour_is_a_change_and_a_shadow_is_undecided() {
     assert!((shadow.undecided_m2 - 1.0).abs() < 0.15, "{shadow:?}");
 }
 
+/// Of ground that did not change, nine tenths of the changes are inside of the interval that the picture says.
+#[test]
+fn pictures_of_height_hold_what_their_texts_say() {
+    let (before, after) = (
+        maps(1, &|_, _, _| {}),
+        maps(99, &|x, y, cell| {
+            cell[0] += if is_inside(x, y) { 0.15 } else { 0.0 };
+        }),
+    );
+    let comparison = Comparison::new(&before, &after, &params()).unwrap();
+    let report = told(&comparison);
+    let pictures = drawing::pictures(&comparison, &report).unwrap();
+    let has = |png: &[u8], text: &str| png.windows(text.len()).any(|window| window == text.as_bytes());
+    let with = |text: &str| {
+        let mut found = pictures.iter().map(|(_, png)| png.as_slice());
+        found
+            .find(|png| has(png, text))
+            .unwrap_or_else(|| panic!("no picture says {text}"))
+    };
+    let heights = with("metres, later less earlier = lowest + (value - 1) * interval; 0: not known");
+    let decoder = png::Decoder::new(std::io::Cursor::new(heights))
+        .read_info()
+        .unwrap();
+    let number = |key: &str| -> f64 {
+        let mut texts = decoder.info().uncompressed_latin1_text.iter();
+        texts
+            .find(|chunk| chunk.keyword == key)
+            .unwrap()
+            .text
+            .parse()
+            .unwrap()
+    };
+    let (lowest, step) = (number("marf:height-lowest"), number("marf:height-interval"));
+    let values = image::load_from_memory(heights).unwrap().into_luma16().into_raw();
+    let change = |index: usize| lowest + (f64::from(values[index]) - 1.0) * step;
+    let intervals =
+        with("half width of the interval that holds 90 % of the changes of height where nothing changed");
+    let intervals = marf_scene::picture::png16::read_quantity(intervals, "height-interval")
+        .unwrap()
+        .2;
+    let width = comparison.extent.columns as usize;
+    let (mut risen, mut still, mut inside) = (Vec::new(), 0, 0);
+    for index in (0..values.len()).filter(|index| values[*index] > 0) {
+        let (column, row) = ((index % width) as f64, (index / width) as f64);
+        let left = comparison.extent.left as f64 - 3.0;
+        let top = comparison.extent.top as f64 - 7.0;
+        let (x, y) = ((column + left) * CELL_M, (f64::from(SIDE) - row + top) * CELL_M);
+        if (1.2..1.8).contains(&x) && (2.2..2.8).contains(&y) {
+            risen.push(change(index));
+        } else if !(0.8..2.2).contains(&x) || !(1.8..3.2).contains(&y) {
+            still += 1;
+            inside += usize::from(change(index).abs() <= f64::from(intervals[index]));
+        }
+    }
+    let mean = risen.iter().sum::<f64>() / risen.len() as f64;
+    assert!((mean - 0.15).abs() < 0.01, "{mean} m of {} cells", risen.len());
+    let share = inside as f64 / still as f64;
+    // Without noise, nothing changes where nothing was planted.
+    assert!(share >= 0.85, "{inside} of {still}");
+}
+
 /// Many cells are beyond the limits where little of the change is left, and none of them is reported.
 #[test]
 fn a_blurred_edge_of_a_colour_lies_where_half_of_the_change_is_left() {

@@ -51,7 +51,13 @@ fn north_is_at_the_top_and_the_highest_surface_is_seen() {
     // 4 m to the east, 6 m to the north. The border at 4 m and 6 m belongs to one pixel more.
     assert_eq!((report.columns, report.rows), (5, 7));
     assert_eq!((report.lowest_m, report.interval_m), (-2.0, 0.001));
-    let heights = values(&map.height_png().unwrap());
+    let png = map.height_png().unwrap();
+    let says = |text: &str| png.windows(text.len()).any(|window| window == text.as_bytes());
+    // North is the first axis of the site, east the second, and down the third.
+    assert!(says(
+        "0.0, 1.0, 0.0], top [1.0, 0.0, 0.0], up [0.0, 0.0, -1.0]; metres from the origin of the world of the scene"
+    ));
+    let heights = values(&png);
     let row = |row: usize| &heights[row * 5..row * 5 + 5];
     assert_eq!(row(0), [0; 5], "beyond the border");
     assert_eq!(row(1), [1, 1, 1, 1, 0], "the floor in the north");
@@ -115,8 +121,14 @@ fn what_a_scene_cannot_give_is_refused_with_the_reason() {
     };
     assert!(why(&house(), &ExportFrame::new(&Scene::default()), 1.0).contains("no scale"));
     assert!(why(&Mesh::default(), &frame(), 1.0).contains("empty"));
-    assert!(why(&house(), &frame(), 1e-5).contains("map_cell"));
-    assert!(why(&house(), &frame(), 100.0).contains("centre"));
+    // 4 m by 6 m, and a pixel more at the border.
+    let many = why(&house(), &frame(), 1e-5);
+    assert!(
+        many.ends_with(" pixels of 0.00001 m are too many: widen `map_cell`"),
+        "{many}"
+    );
+    assert!(many.contains("400000 x 600001"), "{many}");
+    assert!(why(&house(), &frame(), 100.0).ends_with("no surface covers the centre of a pixel of 100 m"));
 }
 
 #[test]

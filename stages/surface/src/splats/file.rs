@@ -1,7 +1,7 @@
 //! Splats as viewers read them.
 
 use marf_scene::ply::{HeaderWriter, push_float};
-use nalgebra::Vector4;
+use nalgebra::{Vector3, Vector4};
 
 use super::{Splat, THIN};
 use crate::frame::ExportFrame;
@@ -39,6 +39,52 @@ pub fn ply(splats: &[Splat], frame: &ExportFrame, comments: &[String]) -> Vec<u8
     bytes
 }
 
+/// Reads splats from the bytes of [`ply`], in the unit of the file. The third axis is taken as their normal.
+///
+/// # Errors
+/// One sentence: another layout, a file that is cut off, or a number that is not finite.
+pub fn read(bytes: &[u8]) -> Result<Vec<Splat>, String> {
+    const END: &[u8] = b"end_header\n";
+    let end = bytes.windows(END.len()).position(|window| window == END);
+    let (header, body) = bytes.split_at(end.ok_or("the splats have no header")? + END.len());
+    let header = String::from_utf8_lossy(header);
+    let properties = header
+        .lines()
+        .filter_map(|line| line.strip_prefix("property float "));
+    if !properties.eq(PROPERTIES) {
+        return Err("the splats have other properties than marf writes".to_owned());
+    }
+    let size = 4 * PROPERTIES.len();
+    if !body.len().is_multiple_of(size) {
+        return Err(format!(
+            "the last splat is cut off after {} bytes",
+            body.len() % size
+        ));
+    }
+    body.chunks_exact(size)
+        .enumerate()
+        .map(|(index, bytes)| read_one(index, bytes))
+        .collect()
+}
+
+fn read_one(index: usize, bytes: &[u8]) -> Result<Splat, String> {
+    let mut values = [0.0_f64; PROPERTIES.len()];
+    for (value, bytes) in values.iter_mut().zip(bytes.as_chunks::<4>().0) {
+        *value = f64::from(f32::from_le_bytes(*bytes));
+    }
+    if !values.iter().all(|value| value.is_finite()) {
+        return Err(format!("splat {index} has a number that is not finite"));
+    }
+    let [x, y, z, nx, ny, nz, red, green, blue, logit, wide, ..] = values;
+    Ok(Splat {
+        position: Vector3::new(x, y, z),
+        normal: Vector3::new(nx, ny, nz),
+        sigma: libm::exp(wide),
+        color: [red, green, blue].map(|channel| (0.5 + SH_0 * channel).clamp(0.0, 1.0) as f32),
+        opacity: (1.0 / (1.0 + libm::exp(-logit))) as f32,
+    })
+}
+
 fn numbers(splat: &Splat, scale: f64) -> [f64; 17] {
     let [x, y, z]: [f64; 3] = (splat.position * scale).into();
     let [nx, ny, nz]: [f64; 3] = splat.normal.into();
@@ -63,7 +109,7 @@ fn turned_to(nx: f64, ny: f64, nz: f64) -> [f64; 4] {
 #[cfg(test)]
 mod tests {
     use marf_scene::Scene;
-    use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+    use nalgebra::{Quaternion, UnitQuaternion};
     use ply_rs_bw::parser::Parser;
     use ply_rs_bw::ply::{DefaultElement, Property};
 
@@ -117,6 +163,35 @@ mod tests {
         ] {
             assert!((value(name) - wanted).abs() < 1e-6, "{name}: {}", value(name));
         }
+    }
+
+    #[test]
+    fn what_is_written_is_read_again_and_what_is_cut_off_is_refused() {
+        let written = splat(Vector3::new(0.6, 0.0, -0.8));
+        let bytes = ply(&[written, written], &ExportFrame::new(&Scene::default()), &[]);
+        let found = read(&bytes).unwrap();
+        assert_eq!(found.len(), 2);
+        assert!((found[1].position - written.position).norm() < 1e-6, "{found:?}");
+        assert!((found[1].normal - written.normal).norm() < 1e-6, "{found:?}");
+        assert!((found[1].sigma - written.sigma).abs() < 1e-6, "{found:?}");
+        assert!((found[1].opacity - written.opacity).abs() < 1e-6, "{found:?}");
+        for (found, written) in found[1].color.iter().zip(written.color) {
+            assert!((found - written).abs() < 1e-6);
+        }
+        assert!(
+            read(&bytes[..bytes.len() - 3])
+                .unwrap_err()
+                .contains("cut off after 65 bytes")
+        );
+        assert!(
+            read(b"ply\nend_header\n")
+                .unwrap_err()
+                .contains("other properties")
+        );
+        let mut broken = bytes.clone();
+        let first = bytes.len() - 4 * PROPERTIES.len();
+        broken[first..first + 4].copy_from_slice(&f32::NAN.to_le_bytes());
+        assert!(read(&broken).unwrap_err().contains("splat 1"));
     }
 
     #[test]

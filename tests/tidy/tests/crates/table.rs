@@ -223,6 +223,7 @@ pub const CRATES: [Crate; 36] = [
             "marf-scene",
             "marf-field",
             "marf-field-gpu",
+            "marf-surface",
             "marf-report",
         ],
     ),

@@ -134,6 +134,13 @@ fn a_binary_file_cut_anywhere_is_refused() {
                 error.starts_with(&format!("`{name}`")),
                 "{name} cut at {cut}: {error}"
             );
+            let is_last = cut + 1 == whole[index].len();
+            assert!(
+                !is_last
+                    || error.ends_with("the file ends 1 bytes early")
+                    || error.ends_with("bytes are left"),
+                "{name}: {error}"
+            );
         }
         let mut files = whole.clone();
         files[index].push(0);
@@ -267,4 +274,20 @@ fn every_lens_is_read_with_its_parameters_in_colmaps_order() {
         lens("1 SIMPLE_RADIAL_FISHEYE 100 80 60 50 40 .1"),
         Distortion::Fisheye([0.1, 0.0, 0.0, 0.0])
     );
+}
+
+#[test]
+fn a_point_that_is_nowhere_is_named_in_either_form() {
+    let mut files = binary();
+    // The z of the first point, behind the count, the number, x and y.
+    files[2][32..40].copy_from_slice(&f64::NAN.to_le_bytes());
+    let error = read_colmap_binary(&model(&files)).unwrap_err().to_string();
+    assert!(error.ends_with("a point at [0.0, 0.0, NaN]"), "{error}");
+    let points = POINTS.replacen("8 0 0 4", "8 0 inf 4", 1);
+    let model = Model {
+        points: Some(points.as_bytes()),
+        ..text()
+    };
+    let error = read_colmap_text(&model).unwrap_err().to_string();
+    assert!(error.ends_with("a point at [0.0, inf, 4.0]"), "{error}");
 }

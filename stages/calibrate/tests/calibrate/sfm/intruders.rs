@@ -63,6 +63,20 @@ fn a_photo_that_a_disc_hides_is_left_out_with_its_reason_and_no_other() {
         panic!("{left_out:#?}")
     };
     assert_eq!(photo.file, "020.png");
+    let numbers = photo
+        .reason
+        .split([' ', ',', '.'])
+        .filter_map(|word| word.parse().ok());
+    let numbers: Vec<f64> = numbers.collect();
+    let [percent, expected, shown, ..] = numbers[..] else {
+        panic!("{}", photo.reason)
+    };
+    // The disc hides 0.6 of the photo, and cells at its rim are hidden or not.
+    assert!(
+        (45.0..=75.0).contains(&percent) && shown < 0.2 * expected,
+        "{}",
+        photo.reason
+    );
     assert!(
         photo
             .reason

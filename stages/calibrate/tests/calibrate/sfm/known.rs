@@ -49,7 +49,10 @@ fn cameras_without_points_get_those_that_the_photos_to_train_on_show() {
     let (found, input) = handed_on(&json!({"method": "sfm"}));
     let output = input.run(&json!({"method": "import"})).unwrap();
     assert!(
-        output.metrics.method.ends_with("points found in the photos"),
+        output.metrics.method.ends_with(&format!(
+            ", {} points found in the photos",
+            output.scene.points.len()
+        )),
         "{}",
         output.metrics.method
     );

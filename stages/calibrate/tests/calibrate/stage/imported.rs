@@ -75,6 +75,12 @@ fn the_points_that_transforms_name_are_read_and_no_others() {
         complaint.starts_with("`transforms.json` /ply_file_path: `points.ply` is not among the files"),
         "{complaint}"
     );
+    assert!(
+        complaint.contains(
+            "put the points there, or take `ply_file_path` out of transforms.json to go without them"
+        ),
+        "{complaint}"
+    );
     let complaint = run(&named, Some(&ply[..ply.len() - 6])).complaint(&import);
     assert!(complaint.starts_with("`points.ply`: 2 vertices"), "{complaint}");
 }

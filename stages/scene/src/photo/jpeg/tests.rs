@@ -63,7 +63,24 @@ fn fill_bytes_and_zeros_before_the_end_marker_change_nothing() {
 #[test]
 fn other_bytes_before_the_end_marker_are_damage() {
     let error = Photo::decode(&before_end(&[0x5a; 100])).unwrap_err().to_string();
-    assert!(error.contains("left over"), "{error}");
+    assert!(
+        error.contains("100 bytes are left over behind the last unit of a scan: it is damaged"),
+        "{error}"
+    );
+}
+
+/// A photo of 70 x 50 pixels has 9 x 7 units of 8 pixels, or 5 x 4 of 16.
+#[test]
+fn a_scan_that_ends_early_has_the_units_that_are_there() {
+    let whole = whole();
+    let cut = [&whole[..whole.len() * 3 / 4], &[0xff, 0xd9]].concat();
+    let said = Photo::decode(&cut).unwrap_err().to_string();
+    let numbers = said.split(' ').filter_map(|word| word.parse().ok());
+    let [has, needed] = numbers.collect::<Vec<u32>>()[..] else {
+        panic!("{said}")
+    };
+    assert!(said.contains(" units: it is cut short or damaged"), "{said}");
+    assert!(0 < has && has < needed && [63, 20].contains(&needed), "{said}");
 }
 
 /// A preview in a segment has a separate end marker.
