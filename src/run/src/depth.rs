@@ -1,19 +1,24 @@
 //! Makes depths, points and maps of a folder's photos, without a field.
 
-use std::path::PathBuf;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 
-use marf_engine::NodeRun;
+use marf_calibrate::import::names_cameras;
+use marf_config::scenes::{node_of, scene_of};
+use marf_engine::{NodeRun, Options, RunRecord};
+use marf_scene::PhotoFacts;
 use marf_schema::calibrate::{self, CalibrateParams};
 use marf_schema::depth::{DepthParams, Metrics};
 use marf_schema::output::{POINTS, SURFACE_MAPS};
-use marf_stage::{Document, Params};
+use marf_stage::{COMPANIONS, Document, Params};
 
 use crate::context::Context;
 use crate::error::Error;
-use crate::execute::{execute, options};
+use crate::execute::{Execution, execute, options};
 use crate::folder::{self, PhotoFolder};
-use crate::outputs;
-use crate::session::{Session, node_named};
+use crate::scenes::{self, Selection};
+use crate::session::{Session, digest, node_named};
+use crate::{outputs, photos};
 
 /// A folder whose depths are wanted.
 #[derive(Debug, Clone)]
@@ -22,19 +27,32 @@ pub struct DepthRequest {
     pub dir: PathBuf,
     /// Folder to write.
     pub out: PathBuf,
-    /// Where cameras come from, as pipeline.toml names it.
+    /// Where cameras come from, as pipeline.toml names it. With `auto`, labels take the place of a structure from motion that places too few.
     pub method: String,
 }
 
 /// The depths of a folder's photos.
 #[derive(Debug, Clone)]
 pub struct DepthResult {
+    /// Why the cameras are those of the labels although the method is `auto`.
+    pub why_labels: Option<String>,
+    /// One for all photos. With `why_labels`, one for each stop of the rover.
+    pub scenes: Vec<SceneDepth>,
+}
+
+/// The depths of photos in one frame.
+#[derive(Debug, Clone)]
+pub struct SceneDepth {
+    /// Name of the stop, if photos are of several.
+    pub name: Option<String>,
     /// How well the cameras fit.
     pub cameras: calibrate::Metrics,
     /// How much of the photos has a depth.
     pub metrics: Metrics,
     /// Seconds of the stage. Those of the run that computed it.
     pub seconds: f64,
+    /// The folder with its files.
+    pub folder: PathBuf,
     /// The files, pictures of photos aside.
     pub written: Vec<PathBuf>,
 }
@@ -46,27 +64,126 @@ pub struct DepthResult {
 /// A folder that cannot be read or written, photos whose cameras are not found.
 pub fn depth(context: &Context, request: &DepthRequest) -> Result<DepthResult, Error> {
     let photos = PhotoFolder::new(&request.dir)?;
-    let text = format!(
-        "{}[node.depth]\ninput = \"calibrate\"\n",
-        photos.calibration("depth", &request.method)
-    );
-    let session = Session::implicit(context, &text, "depth", &request.dir)?;
-    let record = execute(&session, &options(&session))?
-        .done()
-        .map_err(folder::for_folder)?;
-    let node = node_named(&record, DepthParams::STAGE)?;
+    let session = |text: String| {
+        let text = format!("{text}[node.depth]\ninput = \"calibrate\"\n");
+        Session::implicit(context, &text, "depth", &request.dir)
+    };
+    let found = session(photos.calibration("depth", &request.method))?;
+    let why_labels = why_labels(&found)?;
+    let found = match &why_labels {
+        Some(_) => scenes::found(session(photos.stops("depth"))?, &Selection::default())
+            .map_err(folder::for_folder)?,
+        None => found,
+    };
+    Ok(DepthResult {
+        scenes: write(&found, &request.out)?,
+        why_labels,
+    })
+}
+
+/// Returns why the cameras of labels are used: structure from motion places less than half of the photos that have a twin. `None` if it is not
+/// asked for, or if it places enough.
+fn why_labels(session: &Session) -> Result<Option<String>, Error> {
+    if session.tree["node"][CalibrateParams::STAGE]["method"] != "auto" {
+        return Ok(None);
+    }
+    let options = Options {
+        to: vec![CalibrateParams::STAGE.to_owned()],
+        ..options(session)
+    };
+    let Execution { record, failure } = execute(session, &options)?;
+    let no_labels = |failure: Option<Error>| failure.map_or(Ok(None), |error| Err(folder::for_folder(error)));
+    let Some(extract) = record.node("extract").filter(|node| node.state.is_good()) else {
+        return no_labels(failure);
+    };
+    let is_import = match extract.outputs.get(COMPANIONS) {
+        Some(_) => names_cameras(&session.output(extract, COMPANIONS)?),
+        None => false,
+    };
+    let all = photos::lines(&session.store, &record, "extract")?;
+    let twins = twins(all.iter().map(|line| &line.facts));
+    if is_import || twins == 0 || matches!(failure, Some(Error::Interrupted)) {
+        return no_labels(failure);
+    }
+    let total = all.len();
+    let reason = match &failure {
+        Some(error) => error.message().to_owned(),
+        None => {
+            let node = node_named(&record, CalibrateParams::STAGE)?;
+            let placed = session.document::<calibrate::Metrics>(node)?.totals.registered;
+            if 2 * placed >= twins {
+                return Ok(None);
+            }
+            format!("structure from motion placed {placed} of {total} photos")
+        }
+    };
+    Ok(Some(format!(
+        "those of the labels, which place {twins} of {total} photos as twins. {reason}"
+    )))
+}
+
+/// Returns how many photos are of a stop at which both eyes of a mast took photos.
+fn twins<'a>(photos: impl Iterator<Item = &'a PhotoFacts>) -> usize {
+    let mut stops: BTreeMap<&[i64], [usize; 2]> = BTreeMap::new();
+    for facts in photos.filter(|facts| facts.prior.is_some()) {
+        let instrument = facts.instrument.as_deref().unwrap_or_default().to_uppercase();
+        let eye = ["LEFT", "RIGHT"].iter().position(|eye| instrument.contains(eye));
+        let counter = facts.motion_counter();
+        if let Some(eye) = eye {
+            stops.entry(&counter[..counter.len().min(2)]).or_default()[eye] += 1;
+        }
+    }
+    let twins = stops.values().filter(|[left, right]| *left > 0 && *right > 0);
+    twins.flatten().sum()
+}
+
+/// Runs a session and writes the depths of its scenes.
+fn write(session: &Session, out: &Path) -> Result<Vec<SceneDepth>, Error> {
+    let Execution { record, failure } = execute(session, &options(session))?;
+    let done: Vec<&NodeRun> = record
+        .nodes
+        .iter()
+        .filter(|node| node.stage == DepthParams::STAGE && node.outputs.contains_key(Metrics::OUTPUT))
+        .collect();
+    if let Some(error) = failure {
+        if done.is_empty() || matches!(error, Error::Interrupted) {
+            return Err(folder::for_folder(error));
+        }
+        session.context.warn(error.message().to_owned());
+    }
+    let is_one = session.scenes.len() < 2;
+    done.into_iter()
+        .map(|node| {
+            let name = scene_of(&node.name).filter(|_| !is_one);
+            write_scene(session, &record, node, name, out)
+        })
+        .collect()
+}
+
+fn write_scene(
+    session: &Session,
+    record: &RunRecord,
+    node: &NodeRun,
+    name: Option<&str>,
+    out: &Path,
+) -> Result<SceneDepth, Error> {
+    let folder = name.map_or_else(|| out.to_owned(), |name| out.join(name));
     let mut written = Vec::new();
-    for (name, output) in &node.outputs {
-        let path = request.out.join(file_name(name));
-        outputs::one(&session.store, &record, &output.digest, &path)?;
-        if !is_of_photo(name) {
+    for output in node.outputs.keys() {
+        let path = folder.join(file_name(output));
+        outputs::one(&session.store, record, &digest(node, output)?, &path)?;
+        if !is_of_photo(output) {
             written.push(path);
         }
     }
-    Ok(DepthResult {
-        cameras: session.document(node_named(&record, CalibrateParams::STAGE)?)?,
+    let calibrate = CalibrateParams::STAGE;
+    let calibrate = scene_of(&node.name).map_or(calibrate.to_owned(), |scene| node_of(calibrate, scene));
+    Ok(SceneDepth {
+        name: name.map(str::to_owned),
+        cameras: session.document(node_named(record, &calibrate)?)?,
         metrics: session.document(node)?,
-        seconds: seconds(&session, node),
+        seconds: seconds(session, node),
+        folder,
         written,
     })
 }
@@ -87,4 +204,49 @@ fn is_of_photo(name: &str) -> bool {
 fn seconds(session: &Session, node: &NodeRun) -> f64 {
     let made = node.key.and_then(|key| session.store.record(&key).ok().flatten());
     made.map_or(node.seconds, |record| record.metadata.seconds)
+}
+
+#[cfg(test)]
+mod tests {
+    use marf_scene::{Cahvor, CameraPrior};
+
+    use super::*;
+
+    fn photo(instrument: &str, counter: &[i64]) -> PhotoFacts {
+        let model = Cahvor {
+            c: [0.0; 3],
+            a: [1.0, 0.0, 0.0],
+            h: [0.0, 1.0, 0.0],
+            v: [0.0, 0.0, 1.0],
+            o: None,
+            r: None,
+            e: None,
+        };
+        PhotoFacts {
+            instrument: Some(instrument.to_owned()),
+            prior: Some(CameraPrior {
+                model,
+                frame: "SITE".to_owned(),
+                site_from_frame: None,
+                motion_counter: counter.to_vec(),
+            }),
+            ..PhotoFacts::default()
+        }
+    }
+
+    #[test]
+    fn photos_of_a_stop_with_both_eyes_are_twins_and_others_are_not() {
+        let mut photos = vec![
+            photo("NAVCAM_LEFT", &[3, 10, 0]),
+            photo("NAVCAM_RIGHT", &[3, 10, 4]),
+            photo("NAVCAM_LEFT", &[3, 10, 0]),
+            photo("NAVCAM_LEFT", &[3, 12, 0]),
+            photo("NAVCAM_RIGHT", &[4, 12, 0]),
+            photo("WATSON", &[3, 10, 0]),
+        ];
+        assert_eq!(twins(photos.iter()), 3);
+        // Without the camera of its label, the right photo is not one of a pair.
+        photos[1].prior = None;
+        assert_eq!(twins(photos.iter()), 0);
+    }
 }

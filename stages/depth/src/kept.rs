@@ -65,7 +65,13 @@ fn steps(search: Search) -> f64 {
 pub(crate) fn encode(found: &Disparities, rows: &RowOffset, search: Search) -> Vec<u8> {
     let steps = steps(search);
     let mut bytes = Vec::with_capacity(ROW_BYTES + found.class.values.len() * BYTES);
-    for number in [rows.offset_px, rows.slope_x, rows.slope_y, f64::from(rows.matches), rows.rms_px] {
+    for number in [
+        rows.offset_px,
+        rows.slope_x,
+        rows.slope_y,
+        f64::from(rows.matches),
+        rows.rms_px,
+    ] {
         bytes.extend(number.to_le_bytes());
     }
     for (i, class) in found.class.values.iter().enumerate() {

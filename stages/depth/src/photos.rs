@@ -148,7 +148,11 @@ fn shrunk(photo: &Image<Srgb>, usable: &Raster<bool>, factor: usize) -> Picture 
     let (dark, bright) = (bound(OUTLIERS), bound(1.0 - OUTLIERS));
     let gain = (MIDDLE_STEPS / (bright - dark).max(1.0)).clamp(LEAST_GAIN, MOST_GAIN);
     let middle = (dark + bright) / 2.0;
-    let stretched = |sum: &u32| (127.5 + (f64::from(*sum) - middle) * gain).round().clamp(0.0, 255.0) as u8;
+    let stretched = |sum: &u32| {
+        (127.5 + (f64::from(*sum) - middle) * gain)
+            .round()
+            .clamp(0.0, 255.0) as u8
+    };
     Picture {
         grey: Raster {
             width,

@@ -84,7 +84,9 @@ impl Raster<bool> {
         for y in 0..height {
             for near in y.saturating_sub(rows)..(y + rows + 1).min(height) {
                 let (out, across) = (&mut out.values[near * width..][..width], across.row(y));
-                out.iter_mut().zip(across).for_each(|(out, across)| *out &= across);
+                out.iter_mut()
+                    .zip(across)
+                    .for_each(|(out, across)| *out &= across);
             }
         }
         out

@@ -199,6 +199,11 @@ impl Eye {
         extent
     }
 
+    /// Returns the eye with its rows moved.
+    pub(crate) fn with_rows(self, rows: RowOffset) -> Self {
+        Self { rows, ..self }
+    }
+
     /// Returns where in the photo a rectified pixel comes from.
     pub fn source(&self, pixel: Vector2<f64>) -> Option<Vector2<f64>> {
         let Camera {

@@ -67,7 +67,13 @@ fn matches(left: &Picture, right: &Picture, search: Search) -> Vec<PatchMatch> {
     let finer = coarse.par_iter().filter_map(|coarse| {
         let (disparity, row) = (2 * coarse.disparity, 2 * coarse.row.round() as i32);
         let columns = disparity - FINE..=disparity + FINE;
-        best(left, right, [2 * coarse.x, 2 * coarse.y], columns, row - FINE..=row + FINE)
+        best(
+            left,
+            right,
+            [2 * coarse.x, 2 * coarse.y],
+            columns,
+            row - FINE..=row + FINE,
+        )
     });
     finer.collect()
 }
@@ -150,12 +156,20 @@ impl<'a> Patch<'a> {
                 let at = one.start + row * one.grey.width;
                 &one.grey.values[at..at + SIDE]
             });
-            let of_row: u32 = rows[0].iter().zip(rows[1]).map(|(a, b)| u32::from(*a) * u32::from(*b)).sum();
+            let of_row: u32 = rows[0]
+                .iter()
+                .zip(rows[1])
+                .map(|(a, b)| u32::from(*a) * u32::from(*b))
+                .sum();
             products += i64::from(of_row);
         }
         let covariance = (SIDE * SIDE) as i64 * products - self.sum * other.sum;
         let scale = (self.scatter() as f64 * other.scatter() as f64).sqrt();
-        if scale > 0.0 { covariance as f64 / scale } else { 0.0 }
+        if scale > 0.0 {
+            covariance as f64 / scale
+        } else {
+            0.0
+        }
     }
 }
 
@@ -178,7 +192,9 @@ fn best(
         }
     }
     let (most, disparity, row) = all.iter().copied().max_by(|a, b| a.0.total_cmp(&b.0))?;
-    let rival = all.iter().filter(|(_, d, r)| (d - disparity).abs() > 2 || (r - row).abs() > 2);
+    let rival = all
+        .iter()
+        .filter(|(_, d, r)| (d - disparity).abs() > 2 || (r - row).abs() > 2);
     let rival = rival.map(|(likeness, ..)| *likeness).fold(-1.0, f64::max);
     let at_border = row == *rows.start() || row == *rows.end();
     if most < LEAST_LIKENESS || rival > most - LEAST_LEAD || at_border {
@@ -186,7 +202,11 @@ fn best(
     }
     let (above, below) = (likeness(disparity, row - 1), likeness(disparity, row + 1));
     let bend = 2.0 * most - above - below;
-    let fraction = if bend > 0.0 { (below - above) / (2.0 * bend) } else { 0.0 };
+    let fraction = if bend > 0.0 {
+        (below - above) / (2.0 * bend)
+    } else {
+        0.0
+    };
     Some(PatchMatch {
         x,
         y,
@@ -216,7 +236,11 @@ fn fit(matches: &[PatchMatch], [width, height]: [f64; 2]) -> Option<RowOffset> {
         plane = normal.try_inverse()? * sum;
     }
     let reach = REACH_PX[REACH_PX.len() - 1];
-    let near: Vec<f64> = matches.iter().map(|one| off(&plane, one)).filter(|off| off.abs() <= reach).collect();
+    let near: Vec<f64> = matches
+        .iter()
+        .map(|one| off(&plane, one))
+        .filter(|off| off.abs() <= reach)
+        .collect();
     if near.len() < FEWEST || (near.len() as f64) < LEAST_SHARE * matches.len() as f64 {
         return None;
     }
@@ -274,8 +298,14 @@ mod tests {
         for (offset, slope) in [(5.3, 0.0), (-3.6, 0.01), (0.4, -0.02)] {
             let [left, right] = moved(offset, slope);
             let found = row_offset(&left, &right, SEARCH).unwrap();
-            assert!((found.offset_px - offset).abs() < 0.1, "{offset} {slope}: {found:?}");
-            assert!((found.slope_x - slope).abs() < 2e-3 && found.slope_y.abs() < 2e-3, "{found:?}");
+            assert!(
+                (found.offset_px - offset).abs() < 0.1,
+                "{offset} {slope}: {found:?}"
+            );
+            assert!(
+                (found.slope_x - slope).abs() < 2e-3 && found.slope_y.abs() < 2e-3,
+                "{found:?}"
+            );
             assert!(found.matches > 60 && found.rms_px < 0.3, "{found:?}");
         }
     }
@@ -289,7 +319,11 @@ mod tests {
         let flat = picture(|_, _| 90.0);
         assert_eq!(row_offset(&flat, &flat, SEARCH), None);
         let [mut left, right] = moved(4.0, 0.0);
-        left.usable.values.iter_mut().enumerate().for_each(|(i, usable)| *usable = i % 320 < 40);
+        left.usable
+            .values
+            .iter_mut()
+            .enumerate()
+            .for_each(|(i, usable)| *usable = i % 320 < 40);
         assert_eq!(row_offset(&left, &right, SEARCH), None);
     }
 }

@@ -14,12 +14,13 @@ use marf_surface::{ExportFrame, SurfaceError};
 
 use crate::cloud::{self, Cloud};
 use crate::disparities::match_pair;
+use crate::faults::{PairFault, fault, hidden};
 use crate::ground::Ground;
 use crate::kept::{self, MatchedPair, Sample};
 use crate::merge::{PairView, PhotoDepth, merge};
 use crate::pairs::{Pair, Pairs, choose};
 use crate::photos::Photos;
-use crate::rectify::{Eye, PosedCamera};
+use crate::rectify::PosedCamera;
 use crate::rows::row_offset;
 use crate::surfels::surfels;
 use crate::write;
@@ -86,7 +87,7 @@ impl Set for MakeDepth {
             }
             let depth = merge(views[index].camera, &of_photo);
             let reason = if of_photo.is_empty() {
-                reason(&pairs, index)
+                reason(&pairs, &matched, index)
             } else {
                 String::new()
             };
@@ -148,7 +149,10 @@ fn match_all(
                 let width = |sample: &&Sample| {
                     1.0 / (rectified.inverse_depth(f64::from(sample.disparity)) * rectified.focal_px)
                 };
-                let widths = known.iter().step_by(known.len().div_ceil(WIDTHS).max(1)).map(width);
+                let widths = known
+                    .iter()
+                    .step_by(known.len().div_ceil(WIDTHS).max(1))
+                    .map(width);
                 PairOutcome {
                     share: known.len() as f64 / samples.values.len() as f64,
                     rows: (rows.matches > 0).then_some(rows),
@@ -156,8 +160,8 @@ fn match_all(
                     reason: String::new(),
                 }
             }
-            Err(reason) => PairOutcome {
-                reason,
+            Err(fault) => PairOutcome {
+                reason: fault.to_string(),
                 ..PairOutcome::default()
             },
         })
@@ -173,7 +177,8 @@ fn view_of(
     pair: &Pair,
     photo: usize,
 ) -> Result<PairView, StageError> {
-    let MatchedPair { samples, rows } = samples(ctx, scene, photos, pair)?.map_err(StageError::new)?;
+    let MatchedPair { samples, rows } =
+        samples(ctx, scene, photos, pair)?.map_err(|fault| StageError::new(fault.to_string()))?;
     let is_left = pair.photos[0] == photo;
     Ok(PairView {
         samples: if is_left {
@@ -185,10 +190,7 @@ fn view_of(
         eye: if is_left {
             pair.rectified.left
         } else {
-            Eye {
-                rows,
-                ..pair.rectified.right
-            }
+            pair.rectified.right.with_rows(rows)
         },
     })
 }
@@ -199,36 +201,42 @@ fn samples(
     scene: &Scene,
     photos: &mut Photos<'_>,
     pair: &Pair,
-) -> Result<Result<MatchedPair, String>, StageError> {
+) -> Result<Result<MatchedPair, PairFault>, StageError> {
     let key = key(scene, pair);
     let camera = &pair.rectified.left.camera;
     let size = [camera.width as usize, camera.height as usize];
     let read = |bytes: &[u8]| kept::decode(bytes, size, pair.search);
+    let judged = |matched: MatchedPair| match fault(&matched, pair.rectified.focal_px) {
+        Some(fault) => Err(fault),
+        None => Ok(matched),
+    };
     if let Some(matched) = ctx.memos.load(&key).and_then(|bytes| read(&bytes)) {
-        return Ok(Ok(matched));
+        return Ok(judged(matched));
     }
     let [left_photo, right_photo] = [photos.get(pair.photos[0])?, photos.get(pair.photos[1])?];
     let (left, right_by_cameras) = rayon::join(
         || pair.rectified.left.resample(&left_photo.picture),
         || pair.rectified.right.resample(&right_photo.picture),
     );
+    if let Some(fault) = hidden(&left, &right_by_cameras) {
+        return Ok(Err(fault));
+    }
     let rows = row_offset(&left, &right_by_cameras, pair.search);
     let moved = |rows| {
-        let eye = Eye {
-            rows,
-            ..pair.rectified.right
-        };
-        eye.resample(&right_photo.picture)
+        pair.rectified
+            .right
+            .with_rows(rows)
+            .resample(&right_photo.picture)
     };
     let right = rows.map_or(right_by_cameras, moved);
     let found = match match_pair(&left, &right, pair.search) {
         Ok(found) => found,
-        Err(error) => return Ok(Err(error.to_string())),
+        Err(error) => return Ok(Err(error.into())),
     };
     let bytes = kept::encode(&found, &rows.unwrap_or_default(), pair.search);
     ctx.memos.save(&key, &bytes);
     let matched = read(&bytes).ok_or_else(|| StageError::new("disparities that cannot be kept"))?;
-    Ok(Ok(matched))
+    Ok(judged(matched))
 }
 
 /// Returns the digest of everything that the disparities of a pair depend on.
@@ -245,9 +253,14 @@ fn key(scene: &Scene, pair: &Pair) -> Digest {
 }
 
 /// Returns why a photo is in no pair that could be matched.
-fn reason(pairs: &Pairs, photo: usize) -> String {
-    if pairs.chosen.iter().any(|pair| pair.photos.contains(&photo)) {
-        return "its pairs could not be matched".to_owned();
+fn reason(pairs: &Pairs, matched: &[PairOutcome], photo: usize) -> String {
+    let mut own = pairs
+        .chosen
+        .iter()
+        .zip(matched)
+        .filter(|(pair, _)| pair.photos.contains(&photo));
+    if let Some((_, outcome)) = own.next() {
+        return outcome.reason.clone();
     }
     let refused = pairs
         .refused

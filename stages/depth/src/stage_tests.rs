@@ -35,9 +35,13 @@ fn texture(x: f64, y: f64) -> f64 {
 }
 
 fn frame(harness: &Harness, index: usize, place: Vector3<f64>) -> Frame {
+    zoomed(harness, index, place, 160.0)
+}
+
+fn zoomed(harness: &Harness, index: usize, place: Vector3<f64>, focal_px: f64) -> Frame {
     let camera = Camera {
         k1: 0.02,
-        ..Camera::pinhole(160, 120, 160.0)
+        ..Camera::pinhole(160, 120, focal_px)
     };
     let pose = Pose::looking_at(place, Vector3::new(0.0, 0.0, 10.0), Vector3::y());
     let image = Image::from_fn(160, 120, |column, row| {
@@ -286,5 +290,103 @@ fn distances_along_the_ray_are_those_to_the_plane() {
         errors.len() > 160 * 120 / 2 && median < 0.005,
         "{} of {median}",
         errors.len()
+    );
+}
+
+/// Changes the second of two twins, and returns the metrics.
+fn twins(change: impl Fn(&Harness, &mut Scene)) -> Metrics {
+    let harness = Harness::default();
+    let mut scene = Scene {
+        points: Vec::new(),
+        // The eyes are 0.24 m apart.
+        metres_per_unit: Some(0.2),
+        ..scene(&harness, &[[0.0; 3], [1.2, 0.0, 0.0]])
+    };
+    change(&harness, &mut scene);
+    run(&harness, &scene).read(&harness.ctx()).unwrap()
+}
+
+/// Turns a camera about its columns, as a mast that nods between the eyes.
+fn nod(scene: &mut Scene, degrees: f64) {
+    let turn = *nalgebra::Rotation3::from_euler_angles(degrees.to_radians(), 0.0, 0.0).matrix();
+    let pose = &mut scene.frames[1].cam_from_world;
+    (pose.rotation, pose.translation) = (turn * pose.rotation, turn * pose.translation);
+}
+
+#[test]
+fn twins_of_labels_have_depth_and_rows_that_are_off_are_fitted() {
+    let exact = twins(|_, _| {});
+    assert!(exact.share > 0.7, "{exact:?}");
+    assert_eq!(exact.pairs[0].rows, None);
+    // 0.4 degrees at 160 px are 1.1 px.
+    let fitted = twins(|_, scene| nod(scene, 0.4));
+    let rows = fitted.pairs[0].rows.unwrap();
+    assert!((rows.offset_px.abs() - 1.1).abs() < 0.3, "{rows:?}");
+    assert!(fitted.share > 0.7, "{fitted:?}");
+    let zoom =
+        twins(|harness, scene| scene.frames[1] = zoomed(harness, 1, Vector3::new(1.2, 0.0, 0.0), 320.0));
+    assert_eq!(zoom.pairs[0].reason, "");
+    assert!(zoom.photos[1].share > 0.5, "{zoom:?}");
+}
+
+#[test]
+fn a_pair_that_gives_no_depth_has_one_sentence_and_so_have_its_photos() {
+    let put = |harness: &Harness, scene: &mut Scene, value: &dyn Fn(u32, u32) -> u8| {
+        let image = Image::from_fn(160, 120, |x, y| [value(x, y); 3]);
+        scene.frames[1].image = harness.put(&encode_png(&image).unwrap());
+    };
+    let burnt_out = twins(|harness, scene| put(harness, scene, &|_, _| 255));
+    let hidden = twins(|harness, scene| {
+        let mask = Image::from_fn(160, 120, |_, _| [0; 3]);
+        scene.frames[1].mask = Some(harness.put(&encode_png(&mask).unwrap()));
+    });
+    let other = twins(|harness, scene| {
+        put(harness, scene, &|x, y| {
+            (200.0 * texture(f64::from(x) / 9.0 + 77.0, f64::from(y) / 9.0)) as u8
+        });
+    });
+    let exchanged = twins(|_, scene| {
+        let [left, right] = [0, 1].map(|index| scene.frames[index].image);
+        (scene.frames[0].image, scene.frames[1].image) = (right, left);
+    });
+    let moved = twins(|_, scene| nod(scene, 1.2));
+    for (metrics, reason) in [
+        (
+            burnt_out,
+            "0.0 % of the rectified right photo can be used: the rest is masked, black, burnt out",
+        ),
+        (hidden, "0.0 % of the rectified right photo can be used"),
+        (
+            other,
+            "of the pixels match: the photos show too little texture, or not the same",
+        ),
+        (exchanged, "Exchange the pictures"),
+        (
+            moved,
+            "and the limit is 0.5: the mast moved between the photos, or a camera is wrong",
+        ),
+    ] {
+        assert!(
+            metrics.pairs[0].reason.contains(reason),
+            "{reason}: {:?}",
+            metrics.pairs
+        );
+        for photo in &metrics.photos {
+            assert_eq!(
+                (photo.share, &photo.reason),
+                (0.0, &metrics.pairs[0].reason),
+                "{reason}"
+            );
+        }
+    }
+}
+
+#[test]
+fn a_twin_of_four_times_the_zoom_is_refused_with_the_limit() {
+    let metrics =
+        twins(|harness, scene| scene.frames[1] = zoomed(harness, 1, Vector3::new(1.2, 0.0, 0.0), 640.0));
+    assert_eq!(
+        metrics.photos[1].reason,
+        "the photos show the same at sizes that differ by more than a factor of 3.5"
     );
 }
