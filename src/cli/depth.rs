@@ -22,7 +22,7 @@ pub struct DepthArgs {
     /// class/ and depth-preview/
     #[arg(long, value_name = "DIR", default_value = "depth")]
     pub out: PathBuf,
-    /// Source of the cameras. With `auto`, labels take the place of a structure from motion that places less than half of the stereo pairs
+    /// Source of the cameras. With `auto`, labels take the place of a structure from motion that places less than half of the stereo pairs or finds no scale
     #[arg(long, value_parser = METHODS.map(|(name, about)| PossibleValue::new(name).help(about)), default_value = "auto")]
     pub method: String,
     #[command(flatten)]
@@ -219,13 +219,13 @@ mod tests {
             ..scene.clone()
         };
         let result = DepthResult {
-            why_labels: Some("those of the labels, because".to_owned()),
+            why_labels: Some("structure from motion placed 2 of 9 photos".to_owned()),
             scenes: vec![stop("site3-1"), stop("site9-2")],
         };
         assert_eq!(
             super::lines(&result),
             [
-                "cameras      those of the labels, because",
+                "cameras      structure from motion placed 2 of 9 photos",
                 "site3-1      0 photos, 0 pairs, 50.0 % of the pixels with a depth, 9 points, a map of 40 x 30 pixels of 0.05 m, in out/site3-1",
                 "site9-2      0 photos, 0 pairs, 50.0 % of the pixels with a depth, 9 points, a map of 40 x 30 pixels of 0.05 m, in out/site9-2",
             ]

@@ -35,7 +35,7 @@ fn stereo_pairs_of_two_sites_are_metric_without_a_key_each_in_its_own_frame() {
     let said = marf(dir.path(), &["depth", "photos", "--out", "out"]).exits(0);
     assert!(
         said.stdout
-            .contains("those of the labels, which place 4 of 4 photos as twins"),
+            .contains("so the 4 photos of stereo pairs have the cameras of their labels"),
         "{}",
         said.stdout
     );

@@ -81,8 +81,8 @@ pub fn depth(context: &Context, request: &DepthRequest) -> Result<DepthResult, E
     })
 }
 
-/// Returns why the cameras of labels are used: structure from motion places less than half of the photos that have a twin. `None` if it is not
-/// asked for, or if it places enough.
+/// Returns why the cameras of labels are used: structure from motion places less than half of the photos that have a twin, or finds no scale.
+/// `None` if it is not asked for, or if it does better.
 fn why_labels(session: &Session) -> Result<Option<String>, Error> {
     if session.tree["node"][CalibrateParams::STAGE]["method"] != "auto" {
         return Ok(None);
@@ -105,20 +105,21 @@ fn why_labels(session: &Session) -> Result<Option<String>, Error> {
     if is_import || twins == 0 || matches!(failure, Some(Error::Interrupted)) {
         return no_labels(failure);
     }
-    let total = all.len();
     let reason = match &failure {
         Some(error) => error.message().to_owned(),
         None => {
             let node = node_named(&record, CalibrateParams::STAGE)?;
-            let placed = session.document::<calibrate::Metrics>(node)?.totals.registered;
-            if 2 * placed >= twins {
-                return Ok(None);
+            let found: calibrate::Metrics = session.document(node)?;
+            let (placed, total) = (found.totals.registered, all.len());
+            match found.tie {
+                Some(_) if 2 * placed >= twins => return Ok(None),
+                Some(_) => format!("structure from motion placed {placed} of {total} photos"),
+                None => format!("structure from motion placed {placed} of {total} photos without a scale"),
             }
-            format!("structure from motion placed {placed} of {total} photos")
         }
     };
     Ok(Some(format!(
-        "those of the labels, which place {twins} of {total} photos as twins. {reason}"
+        "{reason}, so the {twins} photos of stereo pairs have the cameras of their labels"
     )))
 }
 

@@ -51,3 +51,70 @@ pub(crate) fn fault(matched: &MatchedPair, focal_px: f64) -> Option<PairFault> {
     let degrees = libm::atan(matched.rows.offset_px.abs() / focal_px).to_degrees();
     (degrees > MOST_ROWS_DEG).then_some(PairFault::Rows { degrees })
 }
+
+#[cfg(test)]
+mod tests {
+    use marf_schema::depth::RowOffset;
+
+    use super::*;
+    use crate::kept::Sample;
+    use crate::raster::Raster;
+
+    /// 100 pixels, of which some have a disparity, with rows that are off.
+    fn matched(known: usize, offset_px: f64) -> MatchedPair {
+        let sample = |disparity: f32| Sample {
+            disparity,
+            slope_x: 0.0,
+            slope_y: 0.0,
+            sigma: 0.2,
+            edge: false,
+        };
+        let mut samples = Raster::filled(10, 10, sample(f32::NAN));
+        samples.values[..known].fill(sample(3.0));
+        let rows = RowOffset {
+            offset_px,
+            ..RowOffset::default()
+        };
+        MatchedPair { samples, rows }
+    }
+
+    #[test]
+    fn few_matches_and_rows_far_apart_are_faults_and_their_limits_are_not() {
+        assert_eq!(fault(&matched(2, 0.0), 100.0), None);
+        let few = fault(&matched(1, 9.0), 100.0).unwrap();
+        assert_eq!(
+            few.to_string(),
+            "1.0 % of the pixels match: the photos show too little texture, or not the same"
+        );
+        // atan(0.8 / 100) is 0.458 degrees, and atan(0.9 / 100) 0.516.
+        assert_eq!(fault(&matched(50, -0.8), 100.0), None);
+        let rows = fault(&matched(50, -0.9), 100.0).unwrap();
+        assert_eq!(
+            rows.to_string(),
+            "the rows are 0.52 degrees apart, and the limit is 0.5: the mast moved between the photos, or a camera is wrong"
+        );
+    }
+
+    #[test]
+    fn a_photo_of_which_nothing_takes_part_is_named() {
+        let whole = Picture::new(Raster::filled(10, 10, 7));
+        let mut masked = whole.clone();
+        masked.usable.values.fill(false);
+        masked.usable.values[0] = true;
+        assert_eq!(hidden(&whole, &whole), None);
+        assert_eq!(
+            hidden(&whole, &masked),
+            Some(PairFault::Hidden {
+                eye: "right",
+                share: 0.01
+            })
+        );
+        assert_eq!(
+            hidden(&masked, &whole),
+            Some(PairFault::Hidden {
+                eye: "left",
+                share: 0.01
+            })
+        );
+    }
+}
