@@ -39,15 +39,16 @@ fn stereo_pairs_of_two_sites_are_metric_without_a_key_each_in_its_own_frame() {
         "{}",
         said.stdout
     );
-    for stop in ["site9-364", "site34-2098"] {
+    for (stop, least) in [("site9-364", 0.05), ("site34-2098", 0.6)] {
         let metrics = document(&dir.path().join("out").join(stop).join("depth.json"));
         assert_eq!(metrics["unit"], "metres", "{stop}");
         assert_eq!(metrics["pairs"].as_array().unwrap().len(), 1, "{stop}");
         // 0.424 m between the eyes of Navcam.
         let baseline = metrics["pairs"][0]["baseline"].as_f64().unwrap();
         assert!((baseline - 0.424).abs() < 0.002, "{stop}: {baseline}");
+        // Most of the first pair is sky.
         let share = metrics["share"].as_f64().unwrap();
-        assert!(share > 0.3, "{stop}: {share}");
+        assert!(share > least, "{stop}: {share}");
         assert!(
             said.stdout.contains(&format!("{stop:<12} 2 photos, 1 pairs, ")),
             "{}",
