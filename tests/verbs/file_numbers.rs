@@ -42,10 +42,14 @@ fn exports_of_a_surface_print_the_numbers_of_their_files() {
     ));
     let known = mesh.float("/surface/uncertainty/known_share");
     assert!(known > 0.0 && known <= 1.0, "{known}");
+    let where_known = if known < 1.0 {
+        format!("the {:.1} % of the vertices where it is known", 100.0 * known)
+    } else {
+        "the vertices".to_owned()
+    };
     mesh.says(&format!(
-        "no bootstrap: the views of the field differ by at most {} m at half of the {:.1} % of the vertices where it is known, by at most {} m at 95 %",
+        "no bootstrap: the views of the field differ by at most {} m at half of {where_known}, by at most {} m at 95 %",
         number(mesh.float("/surface/uncertainty/median")),
-        100.0 * known,
         number(mesh.float("/surface/uncertainty/scale_end"))
     ));
 

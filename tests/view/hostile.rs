@@ -145,5 +145,5 @@ fn a_token_of_fewer_letters_than_the_help_says_is_refused() {
     assert!(said.contains("token"), "{said}");
     let viewer = Viewer::start(small_run(), &["--token", "0123456789abcdef"]);
     assert!(viewer.address.contains("0123456789abcdef"), "{}", viewer.address);
-    viewer.get("/").is(403);
+    viewer.get("/").is(401);
 }

@@ -87,8 +87,8 @@ fn pictures_a_second_of_100_000_splats_are_measured() {
     );
     let turned = "(async () => { const camera = { width: 640, height: 480, fx_px: 480, fy_px: 480, cx_px: 320, cy_px: 240, k1: 0, k2: 0, p1: 0, p2: 0 }; \
         const view = (angle) => ({ camera, pose: [[Math.cos(angle), 0, Math.sin(angle), 0], [0, 1, 0, 0], [-Math.sin(angle), 0, Math.cos(angle), 0]] }); \
-        await drawn(view(0)); const began = performance.now(); for (let at = 0; at < 30; at += 1) await drawn(view(at / 300)); \
-        return 30000 / (performance.now() - began); })()";
+        await drawn(view(0)); const began = performance.now(); for (let at = 0; at < 5; at += 1) await drawn(view(at / 300)); \
+        return 5000 / (performance.now() - began); })()";
     let rate = page.value(turned).as_f64().unwrap();
     println!("100,000 splats at 640 x 480: {rate:.1} pictures a second");
     assert!(rate > 0.0, "{rate}");

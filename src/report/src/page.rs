@@ -108,8 +108,7 @@ impl<'a> Page<'a> {
     /// Returns true if a training was a draft that no node reads, and a later one on the same cameras has a result.
     pub(super) fn is_replaced(&self, draft: &RunNode) -> bool {
         let reads = |node: &&RunNode| node.upstream().any(|name| name == draft.run.name);
-        self.later_trainings(draft)
-            .any(|node| has_document::<train::Metrics>(node))
+        self.later_trainings(draft).any(has_document::<train::Metrics>)
             && !self.report.nodes.iter().any(reads)
     }
 

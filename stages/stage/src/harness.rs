@@ -47,6 +47,21 @@ pub struct Harness {
     pub scratch: PathBuf,
 }
 
+/// A store with the same contents, of its own from then on.
+impl Clone for Harness {
+    fn clone(&self) -> Self {
+        Self {
+            blobs: Mutex::new(self.blobs.lock().clone()),
+            reads: Mutex::new(self.reads.lock().clone()),
+            commits: Mutex::new(*self.commits.lock()),
+            checkpoints: Mutex::new(self.checkpoints.lock().clone()),
+            memos: Mutex::new(self.memos.lock().clone()),
+            cancel: self.cancel.clone(),
+            scratch: self.scratch.clone(),
+        }
+    }
+}
+
 impl Harness {
     /// Returns the context of a stage under test.
     pub fn ctx(&self) -> Ctx<'_> {

@@ -232,10 +232,8 @@ impl fmt::Display for Cause {
             Self::NoPose { links } => write!(f, "{}: {links} pairs hold", self.kind()),
             Self::Hidden(hidden) => write!(
                 f,
-                "something that no other photo shows hides {:.0} % of it: of {} points that its neighbours show there, it shows {}",
-                100.0 * hidden.share,
-                hidden.expected,
-                hidden.shown
+                "something that no other photo shows hides {} of the {} % of it that can be compared: of {} points that its neighbours show there, it shows {}",
+                hidden.hidden_cells, hidden.compared_cells, hidden.expected, hidden.shown
             ),
         }
     }

@@ -17,7 +17,7 @@ use marf_stage::{
 };
 
 /// Photos, companions and a store.
-#[derive(Default)]
+#[derive(Clone, Default)]
 pub struct Input {
     pub harness: Harness,
     rows: Vec<(u32, Row)>,

@@ -75,20 +75,34 @@ fn labelled(files: &[DemoFile], file: &str) -> Taken {
     (name.id, bytes(file).clone(), facts)
 }
 
-fn demo() -> (Input, Vec<(String, Pose)>) {
-    let (taken, truth) = drawn();
+/// The photos, with nothing computed of them.
+fn photographed() -> Input {
     let mut input = Input::default();
-    for (id, bytes, facts) in taken {
+    for (id, bytes, facts) in &drawn().0 {
         input.photo(id, bytes, facts.clone());
     }
-    (input, truth.clone())
+    input
+}
+
+/// The photos and what structure from motion makes of them, computed once.
+fn solved() -> &'static (Input, Output) {
+    static SOLVED: OnceLock<(Input, Output)> = OnceLock::new();
+    SOLVED.get_or_init(|| {
+        let input = photographed();
+        let output = input.run(&json!({"method": "sfm"})).unwrap();
+        (input, output)
+    })
+}
+
+/// The photos, with the features and the matches that were computed once, and their true poses.
+fn demo() -> (Input, Vec<(String, Pose)>) {
+    (solved().0.clone(), drawn().1.clone())
 }
 
 #[test]
 fn the_demo_is_brought_back_to_its_true_cameras_in_metres() {
-    let (input, truth) = demo();
-    let output = input.run(&json!({"method": "sfm"})).unwrap();
-    let errors = errors_of(&output.scene, &truth);
+    let (output, truth) = (&solved().1, &drawn().1);
+    let errors = errors_of(&output.scene, truth);
     println!(
         "{errors:?} {} {:?}",
         output.scene.method, output.scene.frames[0].camera
@@ -113,14 +127,14 @@ fn the_demo_is_brought_back_to_its_true_cameras_in_metres() {
 #[test]
 fn the_world_lies_in_the_site_of_its_labels_and_stays_there_when_it_is_extended() {
     let (mut input, truth) = demo();
-    let whole = input.run(&json!({"method": "sfm"})).unwrap();
+    let whole = &solved().1;
     let later = input.split_off(8);
     let few = input.run(&json!({"method": "sfm"})).unwrap();
     input.add(later);
     let params = json!({"method": "sfm", "extend": true});
     let extended = input.run_after(&params, Some(few.scene_digest)).unwrap();
     assert_eq!(extended.scene.site, few.scene.site);
-    for (output, photos) in [(&whole, truth.len()), (&extended, truth.len()), (&few, 8)] {
+    for (output, photos) in [(whole, truth.len()), (&extended, truth.len()), (&few, 8)] {
         let site = output.scene.site.unwrap();
         let tie = output.metrics.tie.unwrap();
         assert_eq!((site.site, tie.site, tie.photos), (1, 1, photos));
@@ -141,10 +155,8 @@ fn the_world_lies_in_the_site_of_its_labels_and_stays_there_when_it_is_extended(
 /// (`sfm/photo_features.rs`, `sfm/compare.rs`), then put the new pair here. It must not fail on another machine.
 #[test]
 fn the_version_is_raised_when_structure_from_motion_answers_otherwise() {
-    let (input, _) = demo();
-    let output = input.run(&json!({"method": "sfm"})).unwrap();
-    let found = (Calibrate::VERSION, output.scene_digest.short());
-    assert_eq!(found, (12, "e4cb727bc97b".to_owned()));
+    let found = (Calibrate::VERSION, solved().1.scene_digest.short());
+    assert_eq!(found, (13, "e4cb727bc97b".to_owned()));
 }
 
 #[test]
@@ -170,10 +182,10 @@ fn a_label_that_is_wrong_is_outvoted_and_named() {
     let [.., "photos:", metres, "m", "and", degrees, "degrees", "off"] = words[..] else {
         panic!("{note}")
     };
-    // Turned by 5 degrees about itself: it stays where it is.
+    // Turned by 5 degrees about the rover's origin, from which the mast stands about a metre away.
     let (metres, degrees): (f64, f64) = (metres.parse().unwrap(), degrees.parse().unwrap());
     assert!(
-        note.starts_with("label outvoted by the photos: ") && metres < 0.1 && (degrees - 5.0).abs() < 0.5,
+        note.starts_with("label outvoted by the photos: ") && metres < 0.15 && (degrees - 5.0).abs() < 0.5,
         "{note}"
     );
     let method = &output.scene.method;
@@ -202,14 +214,14 @@ fn labels_that_contradict_the_photos_give_no_scale_and_that_is_said() {
 #[test]
 fn what_is_kept_of_photos_and_pairs_is_enough_to_solve_them_again() {
     let (input, _) = demo();
-    let first = input.run(&json!({"method": "sfm"})).unwrap();
+    let first = &solved().1;
     input.forget_photos();
     let again = input.run(&json!({"method": "sfm", "hold_every": 5})).unwrap();
     let poses = |output: &Output| -> Vec<Pose> {
         let frames = output.scene.frames.iter();
         frames.map(|frame| frame.cam_from_world).collect()
     };
-    assert_eq!(poses(&first), poses(&again));
+    assert_eq!(poses(first), poses(&again));
     // Other features are not kept.
     let complaint = input.complaint(&json!({"method": "sfm", "max_features": 500}));
     assert!(complaint.contains("no blob"), "{complaint}");
@@ -248,7 +260,7 @@ fn new_photos_join_the_earlier_scene_and_its_world_stays() {
 
 /// The first photos of the demo, reduced for the scene.
 fn few() -> Input {
-    let mut input = demo().0;
+    let mut input = photographed();
     input.split_off(8);
     input
 }
@@ -358,8 +370,10 @@ fn from_opengl(rows: &[Vec<f64>]) -> Pose {
     world_from_cam.inverse()
 }
 
-fn calibrate_mock_up(threads: usize) -> Option<(Output, Vec<(String, Pose)>)> {
-    let (input, truth) = mock_up()?;
+/// The output on the first photos of the mock-up, and its true poses.
+fn calibrate_mock_up(photos: usize, threads: usize) -> Option<(Output, Vec<(String, Pose)>)> {
+    let (mut input, truth) = mock_up()?;
+    input.split_off(photos);
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(threads)
         .build()
@@ -371,8 +385,8 @@ fn calibrate_mock_up(threads: usize) -> Option<(Output, Vec<(String, Pose)>)> {
 }
 
 #[test]
-fn the_mock_up_agrees_with_colmap_and_with_itself_for_any_threads() {
-    let Some((output, truth)) = calibrate_mock_up(2) else {
+fn the_mock_up_agrees_with_colmap() {
+    let Some((output, truth)) = calibrate_mock_up(98, 2) else {
         return;
     };
     let errors = errors_of(&output.scene, &truth);
@@ -399,8 +413,13 @@ fn the_mock_up_agrees_with_colmap_and_with_itself_for_any_threads() {
         .iter()
         .filter(|one| one.reason.contains("component 2"));
     assert_eq!(apart.count(), 6, "{:?}", output.scene.unplaced);
-    let Some((again, _)) = calibrate_mock_up(5) else {
+}
+
+#[test]
+fn the_mock_up_has_the_same_cameras_for_any_threads() {
+    let [Some((two, _)), Some((five, _))] = [2, 5].map(|threads| calibrate_mock_up(24, threads)) else {
         return;
     };
-    assert_eq!(output.scene_digest, again.scene_digest);
+    assert!(two.scene.frames.len() > 16, "{}", two.scene.method);
+    assert_eq!(two.scene_digest, five.scene_digest);
 }

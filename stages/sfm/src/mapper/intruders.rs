@@ -38,9 +38,11 @@ const MOST_PHOTOS: f64 = 0.25;
 pub struct HiddenPhoto {
     /// Its index.
     pub photo: usize,
-    /// Share of the compared area that is hidden, in [0, 1].
-    pub share: f64,
-    /// Points that its neighbours show in that area, and those of them that it shows.
+    /// Cells that are compared, each a hundredth of the photo.
+    pub compared_cells: usize,
+    /// Those of them that something hides.
+    pub hidden_cells: usize,
+    /// Points that its neighbours show in hidden cells, and those of them that it shows.
     pub expected: usize,
     /// See there.
     pub shown: usize,
@@ -141,11 +143,13 @@ impl ComparedPhoto {
         let hidden: Vec<Cell> = cells().filter(|cell| cell.is_hidden(COMPARED)).collect();
         let found = HiddenPhoto {
             photo: self.photo,
-            share: hidden.len() as f64 / compared.max(1) as f64,
+            compared_cells: compared,
+            hidden_cells: hidden.len(),
             expected: hidden.iter().map(|cell| cell.expected).sum(),
             shown: hidden.iter().map(|cell| cell.shown).sum(),
         };
-        (found.share >= HIDDEN_SHARE && found.expected >= HIDDEN_POINTS).then_some(found)
+        let is_large = found.hidden_cells as f64 >= HIDDEN_SHARE * compared as f64;
+        (is_large && found.expected >= HIDDEN_POINTS).then_some(found)
     }
 }
 
