@@ -1,16 +1,18 @@
 //! Makes depths, points and maps of a folder's photos, without a field.
 
 use std::collections::BTreeMap;
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 use marf_calibrate::import::names_cameras;
 use marf_config::scenes::{node_of, scene_of};
 use marf_engine::{NodeRun, Options, RunRecord};
-use marf_scene::PhotoFacts;
+use marf_scene::{Cahvor, PhotoFacts};
 use marf_schema::calibrate::{self, CalibrateParams};
 use marf_schema::depth::{DepthParams, Metrics};
 use marf_schema::output::{POINTS, SURFACE_MAPS};
 use marf_stage::{COMPANIONS, Document, Params};
+use nalgebra::Vector3;
 
 use crate::context::Context;
 use crate::error::Error;
@@ -123,19 +125,30 @@ fn why_labels(session: &Session) -> Result<Option<String>, Error> {
     )))
 }
 
-/// Returns how many photos are of a stop at which both eyes of a mast took photos.
+/// Eyes of one mast are so far apart, metres, and side by side: least cosine between baseline and rows.
+const RIG_M: RangeInclusive<f64> = 0.1..=1.0;
+const SIDE_BY_SIDE: f64 = 0.9;
+
+/// Returns how many photos have one of the other eye, taken at the same stop.
 fn twins<'a>(photos: impl Iterator<Item = &'a PhotoFacts>) -> usize {
-    let mut stops: BTreeMap<&[i64], [usize; 2]> = BTreeMap::new();
-    for facts in photos.filter(|facts| facts.prior.is_some()) {
-        let instrument = facts.instrument.as_deref().unwrap_or_default().to_uppercase();
-        let eye = ["LEFT", "RIGHT"].iter().position(|eye| instrument.contains(eye));
-        let counter = facts.motion_counter();
-        if let Some(eye) = eye {
-            stops.entry(&counter[..counter.len().min(2)]).or_default()[eye] += 1;
-        }
+    let mut stops: BTreeMap<&[i64], Vec<&Cahvor>> = BTreeMap::new();
+    for prior in photos.filter_map(|facts| facts.prior.as_ref()) {
+        let counter = &prior.motion_counter;
+        let stop = &counter[..counter.len().min(2)];
+        stops.entry(stop).or_default().push(&prior.model);
     }
-    let twins = stops.values().filter(|[left, right]| *left > 0 && *right > 0);
-    twins.flatten().sum()
+    let has_twin = |stop: &Vec<&Cahvor>, own: &Cahvor| stop.iter().any(|other| are_eyes(own, other));
+    stops
+        .values()
+        .map(|stop| stop.iter().filter(|own| has_twin(stop, own)).count())
+        .sum()
+}
+
+fn are_eyes(one: &Cahvor, other: &Cahvor) -> bool {
+    let [axis, across, from, to] = [one.a, one.h, one.c, other.c].map(Vector3::from);
+    let row = (across - axis * across.dot(&axis)).normalize();
+    let between = to - from;
+    RIG_M.contains(&between.norm()) && row.dot(&between).abs() >= SIDE_BY_SIDE * between.norm()
 }
 
 /// Runs a session and writes the depths of its scenes.
@@ -209,22 +222,22 @@ fn seconds(session: &Session, node: &NodeRun) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use marf_scene::{Cahvor, CameraPrior};
+    use marf_scene::CameraPrior;
 
     use super::*;
 
-    fn photo(instrument: &str, counter: &[i64]) -> PhotoFacts {
+    /// Looks along x, with rows along y.
+    fn photo(counter: &[i64], place: [f64; 3]) -> PhotoFacts {
         let model = Cahvor {
-            c: [0.0; 3],
+            c: place,
             a: [1.0, 0.0, 0.0],
-            h: [0.0, 1.0, 0.0],
-            v: [0.0, 0.0, 1.0],
+            h: [300.0, 1000.0, 0.0],
+            v: [200.0, 0.0, 1000.0],
             o: None,
             r: None,
             e: None,
         };
         PhotoFacts {
-            instrument: Some(instrument.to_owned()),
             prior: Some(CameraPrior {
                 model,
                 frame: "SITE".to_owned(),
@@ -236,17 +249,19 @@ mod tests {
     }
 
     #[test]
-    fn photos_of_a_stop_with_both_eyes_are_twins_and_others_are_not() {
+    fn photos_of_both_eyes_at_one_stop_are_twins_and_others_are_not() {
         let mut photos = vec![
-            photo("NAVCAM_LEFT", &[3, 10, 0]),
-            photo("NAVCAM_RIGHT", &[3, 10, 4]),
-            photo("NAVCAM_LEFT", &[3, 10, 0]),
-            photo("NAVCAM_LEFT", &[3, 12, 0]),
-            photo("NAVCAM_RIGHT", &[4, 12, 0]),
-            photo("WATSON", &[3, 10, 0]),
+            photo(&[3, 10, 0], [0.0; 3]),
+            photo(&[3, 10, 4], [0.0, 0.42, 0.0]),
+            // The mast turned, and moved the left eye along its axis.
+            photo(&[3, 10, 0], [0.1, 0.0, 0.0]),
+            photo(&[3, 12, 0], [0.0; 3]),
+            photo(&[4, 12, 0], [0.0, 0.42, 0.0]),
+            photo(&[3, 10, 0], [0.0, -5.0, 0.0]),
         ];
+        // 0.1 m along the axis and 0.42 m across it are side by side.
         assert_eq!(twins(photos.iter()), 3);
-        // Without the camera of its label, the right photo is not one of a pair.
+        // A photo whose label has no camera is no twin.
         photos[1].prior = None;
         assert_eq!(twins(photos.iter()), 0);
     }

@@ -11,9 +11,9 @@ const MOST_POINTS: usize = 4096;
 /// Fewest points by which a scene or a pair can be judged.
 pub(crate) const FEWEST: usize = 8;
 /// Without sparse points, a pair is judged by so many places of each photo, per side, along their rays at these multiples of a distance: that at
-/// which the photos make 5 degrees, or the typical one if it is less.
+/// which the photos make 5 degrees, or the typical one if it is less. The nearest is where a Mastcam-Z sees the targets on its deck.
 const PLACES: u32 = 5;
-const DISTANCES: [f64; 6] = [0.5, 1.0, 2.0, 4.0, 8.0, 1e3];
+const DISTANCES: [f64; 7] = [0.375, 0.5, 1.0, 2.0, 4.0, 8.0, 1e3];
 const BASELINES: f64 = 12.0;
 /// Photos nearer to each other are of one place, as a share of the typical distance.
 const ONE_PLACE: f64 = 1e-4;
@@ -77,12 +77,21 @@ impl Surface {
             Self::Rays { typical } => typical.min(BASELINES * apart),
             Self::Twins { widest } => BASELINES * apart.min(*widest),
         };
-        let points: Vec<Vector3<f64>> = eyes
-            .into_iter()
-            .flat_map(|eye| along_rays(eye, distance))
-            .collect();
-        let seen = eyes.map(|eye| sightings(eye, &points));
-        Overlap::new(&points, [&seen[0], &seen[1]])
+        let all = DISTANCES.map(|far| {
+            let places = eyes.into_iter().flat_map(|eye| along_rays(eye, far * distance));
+            let points: Vec<Vector3<f64>> = places.collect();
+            let seen = eyes.map(|eye| sightings(eye, &points));
+            Overlap::new(&points, [&seen[0], &seen[1]])
+        });
+        let shares = all.iter().map(|one| one.share);
+        Overlap {
+            share: match self {
+                // Parts of photos overlap at the distance of what they are for, and nowhere else.
+                Self::Twins { .. } => shares.fold(0.0, f64::max),
+                Self::Rays { .. } | Self::Points { .. } => shares.sum::<f64>() / DISTANCES.len() as f64,
+            },
+            points: all.into_iter().flat_map(|one| one.points).collect(),
+        }
     }
 }
 
@@ -108,7 +117,7 @@ fn along_rays(eye: &PosedCamera, distance: f64) -> Vec<Vector3<f64>> {
             at(place / PLACES, camera.height),
         );
         if let Some(ray) = camera.unproject(&pixel) {
-            points.extend(DISTANCES.map(|far| world_from_cam.point(&(ray.normalize() * far * distance))));
+            points.push(world_from_cam.point(&(ray.normalize() * distance)));
         }
     }
     points
