@@ -28,7 +28,7 @@ const FEWEST: usize = 24;
 const LEAST_SHARE: f64 = 0.5;
 /// Matches within this of the fit decide it, in pixels: of the first round, and of the others.
 const REACH_PX: [f64; 4] = [4.0, 2.0, 1.0, 1.0];
-/// A smaller offset does no harm.
+/// A fit that moves the matches by less, in their root mean square, does no good: it would follow their noise.
 const HARMLESS_PX: f64 = 0.25;
 
 /// Finds how far the rows of the right picture are from those of the left one. `None` if it is harmless or if too few matches agree.
@@ -38,9 +38,7 @@ const HARMLESS_PX: f64 = 0.25;
 pub(crate) fn row_offset(left: &Picture, right: &Picture, search: Search) -> Option<RowOffset> {
     let (width, height) = (left.grey.width as f64, left.grey.height as f64);
     let matches = matches(left, right, search);
-    let fit = fit(&matches, [width, height])?;
-    let corner = fit.slope_x.abs() * width / 2.0 + fit.slope_y.abs() * height / 2.0;
-    (fit.offset_px.abs() + corner > HARMLESS_PX).then_some(fit)
+    fit(&matches, [width, height])
 }
 
 /// A patch of the left picture, and where the right one shows it.
@@ -236,21 +234,26 @@ fn fit(matches: &[PatchMatch], [width, height]: [f64; 2]) -> Option<RowOffset> {
         plane = normal.try_inverse()? * sum;
     }
     let reach = REACH_PX[REACH_PX.len() - 1];
-    let near: Vec<f64> = matches
+    let near: Vec<&PatchMatch> = matches
         .iter()
-        .map(|one| off(&plane, one))
-        .filter(|off| off.abs() <= reach)
+        .filter(|one| off(&plane, one).abs() <= reach)
         .collect();
     if near.len() < FEWEST || (near.len() as f64) < LEAST_SHARE * matches.len() as f64 {
         return None;
     }
-    let squares: f64 = near.iter().map(|off| off * off).sum();
+    let rms = |of: &dyn Fn(&PatchMatch) -> f64| {
+        let squares: f64 = near.iter().map(|one| of(one).powi(2)).sum();
+        (squares / near.len() as f64).sqrt()
+    };
+    if rms(&|one| plane.dot(&at(one))) <= HARMLESS_PX {
+        return None;
+    }
     Some(RowOffset {
         offset_px: plane.x,
         slope_x: plane.y,
         slope_y: plane.z,
         matches: near.len() as u32,
-        rms_px: (squares / near.len() as f64).sqrt(),
+        rms_px: rms(&|one| off(&plane, one)),
     })
 }
 
