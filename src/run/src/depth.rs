@@ -145,7 +145,7 @@ fn twins<'a>(photos: impl Iterator<Item = &'a PhotoFacts>) -> usize {
 }
 
 fn are_eyes(one: &Cahvor, other: &Cahvor) -> bool {
-    let [axis, across, from, to] = [one.a, one.h, one.c, other.c].map(Vector3::from);
+    let [axis, across, from, to] = [one.a, one.h, one.c, other.c].map(Vector3::<f64>::from);
     let row = (across - axis * across.dot(&axis)).normalize();
     let between = to - from;
     RIG_M.contains(&between.norm()) && row.dot(&between).abs() >= SIDE_BY_SIDE * between.norm()

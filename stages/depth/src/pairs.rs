@@ -325,7 +325,7 @@ mod tests {
         let pairs = choose(&bare, &views, 3).chosen;
         assert_eq!(pairs.len(), 1);
         assert_eq!(pairs[0].photos, [0, 1]);
-        // Nearest 6 baselines, 200 / 6 px, with a half more.
+        // Nearest 4.5 baselines, 200 / 4.5 px on the axis, with a half more.
         let Search { first, count } = pairs[0].search;
         assert!(
             first <= 0 && (50..100).contains(&(first + count as i32)),
