@@ -112,17 +112,27 @@ fn why_labels(session: &Session) -> Result<Option<String>, Error> {
         None => {
             let node = node_named(&record, CalibrateParams::STAGE)?;
             let found: calibrate::Metrics = session.document(node)?;
-            let (placed, total) = (found.totals.registered, all.len());
-            match found.tie {
-                Some(_) if 2 * placed >= twins => return Ok(None),
-                Some(_) => format!("structure from motion placed {placed} of {total} photos"),
-                None => format!("structure from motion placed {placed} of {total} photos without a scale"),
+            match too_few(&found, twins) {
+                Some(reason) => reason,
+                None => return Ok(None),
             }
         }
     };
     Ok(Some(format!(
         "{reason}, so the {twins} photos of stereo pairs have the cameras of their labels"
     )))
+}
+
+/// Returns what structure from motion lacks, if it places less than half of the twins or has no scale.
+fn too_few(found: &calibrate::Metrics, twins: usize) -> Option<String> {
+    let calibrate::Totals {
+        registered, photos, ..
+    } = found.totals;
+    let placed = format!("structure from motion placed {registered} of {photos} photos");
+    if found.tie.is_none() {
+        return Some(format!("{placed} without a scale"));
+    }
+    (2 * registered < twins).then_some(placed)
 }
 
 /// Eyes of one mast are so far apart, metres, and side by side: least cosine between baseline and rows.
@@ -264,5 +274,21 @@ mod tests {
         // A photo whose label has no camera is no twin.
         photos[1].prior = None;
         assert_eq!(twins(photos.iter()), 0);
+    }
+
+    #[test]
+    fn structure_from_motion_is_enough_with_a_scale_and_half_of_the_twins() {
+        let found = |registered: u64, tie: serde_json::Value| -> calibrate::Metrics {
+            let totals = serde_json::json!({"photos": 9, "registered": registered, "held_out": 0, "unplaced": 0, "missing": 0,
+                                            "points": 7, "error_px": null, "error_working_px": null});
+            let metrics = serde_json::json!({"method": "sfm", "totals": totals, "photos": [], "missing": [], "up": null, "tie": tie});
+            serde_json::from_value(metrics).unwrap()
+        };
+        let tie = serde_json::json!({"site": 3, "photos": 4, "median_m": 0.1, "largest_m": 0.2});
+        assert_eq!(too_few(&found(4, tie.clone()), 8), None);
+        let few = too_few(&found(3, tie), 8).unwrap();
+        assert_eq!(few, "structure from motion placed 3 of 9 photos");
+        let bare = too_few(&found(9, serde_json::Value::Null), 8).unwrap();
+        assert_eq!(bare, "structure from motion placed 9 of 9 photos without a scale");
     }
 }
