@@ -36,6 +36,7 @@ mod rectify;
 mod refine;
 mod rows;
 mod search;
+mod spline;
 mod stage;
 #[cfg(test)]
 mod stage_tests;
