@@ -1,10 +1,12 @@
-use std::path::{Path, PathBuf};
+use std::collections::BTreeMap;
+use std::path::PathBuf;
 
 use clap::Args;
 use clap::builder::PossibleValue;
 use marf_progress::format::{duration, number};
-use marf_run::depth::{DepthRequest, DepthResult};
+use marf_run::depth::{DepthRequest, DepthResult, SceneDepth};
 use marf_run::{Context, Error};
+use marf_schema::depth::Metrics;
 
 use super::calibrate::METHODS;
 use super::options::FolderArgs;
@@ -20,7 +22,7 @@ pub struct DepthArgs {
     /// class/ and depth-preview/
     #[arg(long, value_name = "DIR", default_value = "depth")]
     pub out: PathBuf,
-    /// Source of the cameras
+    /// Source of the cameras. With `auto`, labels take the place of a structure from motion that places less than half of the stereo pairs or finds no scale
     #[arg(long, value_parser = METHODS.map(|(name, about)| PossibleValue::new(name).help(about)), default_value = "auto")]
     pub method: String,
     #[command(flatten)]
@@ -36,21 +38,73 @@ pub fn depth(args: DepthArgs, context: Context) -> Result<(), Error> {
     };
     let result = marf_run::depth::depth(&args.folder.context(context), &request)?;
     if args.folder.json {
-        return print_json(&result.metrics);
+        return print_result(&result);
     }
-    print_lines(table(&result, &request.out));
+    print_lines(lines(&result));
     Ok(())
 }
 
-fn table(result: &DepthResult, out: &Path) -> Vec<String> {
-    let DepthResult {
+/// Prints the metrics, by name of their stop if there are several.
+fn print_result(result: &DepthResult) -> Result<(), Error> {
+    if let [scene] = result.scenes.as_slice() {
+        return print_json(&scene.metrics);
+    }
+    let named = result
+        .scenes
+        .iter()
+        .filter_map(|scene| Some((scene.name.as_deref()?, &scene.metrics)));
+    print_json(&named.collect::<BTreeMap<_, _>>())
+}
+
+fn lines(result: &DepthResult) -> Vec<String> {
+    let cameras = result
+        .why_labels
+        .iter()
+        .map(|why| format!("{:<12} {why}", "cameras"));
+    if let [scene] = result.scenes.as_slice() {
+        return cameras.chain(table(scene)).collect();
+    }
+    cameras.chain(result.scenes.iter().map(summary)).collect()
+}
+
+/// Returns a stop in one line.
+fn summary(scene: &SceneDepth) -> String {
+    let SceneDepth { metrics, folder, .. } = scene;
+    let map = match &metrics.map {
+        Some(map) => format!(
+            "a map of {} x {} pixels of {} m",
+            map.columns,
+            map.rows,
+            number(map.pixel_m)
+        ),
+        None => "no map".to_owned(),
+    };
+    format!(
+        "{:<12} {} photos, {} pairs, {:.1} % of the pixels with a depth, {} points, {map}, in {}",
+        scene.name.as_deref().unwrap_or_default(),
+        metrics.photos.len(),
+        matched(metrics),
+        100.0 * metrics.share,
+        metrics.points,
+        folder.display()
+    )
+}
+
+fn matched(metrics: &Metrics) -> usize {
+    metrics.pairs.iter().filter(|pair| pair.reason.is_empty()).count()
+}
+
+fn table(scene: &SceneDepth) -> Vec<String> {
+    let SceneDepth {
         cameras,
         metrics,
         seconds,
+        folder,
         written,
-    } = result;
+        ..
+    } = scene;
     let percent = |share: f64| format!("{:.1} %", 100.0 * share);
-    let matched = metrics.pairs.iter().filter(|pair| pair.reason.is_empty()).count();
+    let matched = matched(metrics);
     let refused: u64 = metrics.refused.values().sum();
     let with_depth = metrics.photos.iter().filter(|photo| photo.share > 0.0).count();
     let mut rows = vec![
@@ -113,7 +167,7 @@ fn table(result: &DepthResult, out: &Path) -> Vec<String> {
         format!(
             "{} pictures of photos below {}",
             5 * metrics.photos.len(),
-            out.display()
+            folder.display()
         ),
     ));
     rows.extend(written.iter().map(|path| ("", path.display().to_string())));
@@ -136,13 +190,19 @@ mod tests {
                          "axes": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], "origin": "x", "covered_share": 0.625});
         let metrics = json!({"unit": "metres", "photos": [], "pairs": [], "refused": {"few": 2}, "share": 0.5, "confirmed_share": 0.25,
                              "median_sigma_share": 0.0125, "points": 9, "cell": 0.1, "map": map, "missing": {}});
-        let result = DepthResult {
+        let scene = SceneDepth {
+            name: None,
             cameras: serde_json::from_value(cameras).unwrap(),
             metrics: serde_json::from_value(metrics).unwrap(),
             seconds: 2.0,
+            folder: PathBuf::from("out"),
             written: Vec::new(),
         };
-        let lines = table(&result, Path::new("out"));
+        let result = DepthResult {
+            why_labels: None,
+            scenes: vec![scene.clone()],
+        };
+        let lines = super::lines(&result);
         for line in [
             "cameras      import, 3 of 4 photos placed",
             "pairs        0 matched, 2 refused",
@@ -152,5 +212,23 @@ mod tests {
         ] {
             assert!(lines.iter().any(|found| found == line), "{line}: {lines:#?}");
         }
+        // Several stops have a line each.
+        let stop = |name: &str| SceneDepth {
+            name: Some(name.to_owned()),
+            folder: PathBuf::from("out").join(name),
+            ..scene.clone()
+        };
+        let result = DepthResult {
+            why_labels: Some("structure from motion placed 2 of 9 photos".to_owned()),
+            scenes: vec![stop("site3-1"), stop("site9-2")],
+        };
+        assert_eq!(
+            super::lines(&result),
+            [
+                "cameras      structure from motion placed 2 of 9 photos",
+                "site3-1      0 photos, 0 pairs, 50.0 % of the pixels with a depth, 9 points, a map of 40 x 30 pixels of 0.05 m, in out/site3-1",
+                "site9-2      0 photos, 0 pairs, 50.0 % of the pixels with a depth, 9 points, a map of 40 x 30 pixels of 0.05 m, in out/site9-2",
+            ]
+        );
     }
 }

@@ -11,6 +11,7 @@
 #[path = "../common/mod.rs"]
 mod common;
 mod compare;
+mod depth;
 mod errors;
 mod export;
 mod file_numbers;

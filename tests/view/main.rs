@@ -39,7 +39,11 @@ fn small_run() -> &'static Path {
         marf(dir.path(), &args).exits(0);
         // Once, so that not every page makes them.
         let splats = dir.path().join("splats.ply");
-        marf(dir.path(), &["export", "splats", "--out", &splats.to_string_lossy()]).exits(0);
+        marf(
+            dir.path(),
+            &["export", "splats", "--out", &splats.to_string_lossy()],
+        )
+        .exits(0);
         dir
     });
     RUN.path()

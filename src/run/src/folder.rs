@@ -78,6 +78,16 @@ impl PhotoFolder {
         )
     }
 
+    /// Returns a pipeline that takes the cameras of the photos from their labels, for each stop of the rover by itself: from one to the next
+    /// labels know its position to decimetres only.
+    pub fn stops(&self, name: &str) -> String {
+        format!(
+            "{}[node.scenes]\ninput = \"extract\"\nby = \"label\"\nmin_photos = 2\nmax_span_m = 0.001\n\
+             [node.calibrate]\ninput = \"scenes\"\nmethod = \"labels\"\nhold_every = 0\nmin_registered = 1\n",
+            photos(name, &self.photos)
+        )
+    }
+
     /// Returns a pipeline that finds the cameras of the photos and writes them for other programs. `photos_at` is the path of the photos'
     /// folder in transforms.json.
     pub fn cameras(&self, name: &str, method: &str, photos_at: &str, undistort: bool) -> String {

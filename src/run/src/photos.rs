@@ -183,7 +183,8 @@ fn without_photos(run: &RunRecord, node: &str) -> Error {
     ))
 }
 
-fn lines(store: &Store, record: &RunRecord, node: &str) -> Result<Vec<PhotoLine>, Error> {
+/// Returns the photos of a node.
+pub(crate) fn lines(store: &Store, record: &RunRecord, node: &str) -> Result<Vec<PhotoLine>, Error> {
     let photos = record.node(node).and_then(|node| node.outputs.get(PHOTOS));
     let photos = photos.ok_or_else(|| without_photos(record, node))?;
     let rows = sets::rows(&photos.digest, |digest| Ok::<_, Error>(store.get(digest)?))?;

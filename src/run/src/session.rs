@@ -38,6 +38,8 @@ pub struct Session {
     pub by_scene: Option<ByScene>,
     /// Names of the scenes that nodes run for.
     pub scenes: Vec<String>,
+    /// The pipeline of a verb, which is in no file.
+    built_in: Option<String>,
     /// The listings of its archives.
     listings: Listings,
     /// The store that results are shared through.
@@ -78,16 +80,20 @@ impl Session {
     /// # Errors
     /// As [`Session::open`].
     pub fn implicit(context: &Context, text: &str, verb: &str, folder: &Path) -> Result<Self, Error> {
-        let pipeline =
-            config::check(text, &context.sets, &context.config, Path::new("")).map_err(|error| {
-                let message = error.render(Path::new("(built-in pipeline)"), text);
-                Error::Usage(Diagnostic::with_hint(message, error.hint))
-            })?;
+        let pipeline = built_in(context, text)?;
         let store = open_store(&context.store_dir(Path::new("")), &context.cancel)?;
         let name = pipeline.name.clone().unwrap_or_else(|| "built-in".to_owned());
         let source = RunSource::from_folder(&store, verb, folder);
         let text = text.to_owned();
-        Self::new(context, PipelineDocument { pipeline, text }, name, source, store)
+        let document = PipelineDocument {
+            pipeline,
+            text: text.clone(),
+        };
+        let session = Self::new(context, document, name, source, store)?;
+        Ok(Self {
+            built_in: Some(text),
+            ..session
+        })
     }
 
     /// Takes a pipeline and its store. `source` is what its runs are runs of.
@@ -134,6 +140,7 @@ impl Session {
             shared: pipeline.shared,
             by_scene,
             scenes: Vec::new(),
+            built_in: None,
             listings,
             context: context.clone(),
         })
@@ -149,9 +156,15 @@ impl Session {
         };
         let names: Vec<String> = scenes.scenes.iter().map(|scene| scene.name.clone()).collect();
         let context = &self.context;
-        let loaded = config::load(&context.file, &context.sets, &context.config)?;
-        let tree = by_scene.expanded(&loaded.pipeline, &names);
-        let pipeline = config::check_tree(&tree, &context.config, context.folder())
+        let (pipeline, folder) = match &self.built_in {
+            Some(text) => (built_in(context, text)?, Path::new("")),
+            None => {
+                let loaded = config::load(&context.file, &context.sets, &context.config)?;
+                (loaded.pipeline, context.folder())
+            }
+        };
+        let tree = by_scene.expanded(&pipeline, &names);
+        let pipeline = config::check_tree(&tree, &context.config, folder)
             .map_err(|error| Error::usage(format!("the pipeline by scene: {}", error.message)))?;
         let text = self.written;
         let document = PipelineDocument { pipeline, text };
@@ -246,6 +259,14 @@ impl Session {
         let from = self.last()?.and_then(|run| run.root);
         Ok(RunSource::Derived { from, purpose })
     }
+}
+
+/// Returns the pipeline that a verb has built.
+fn built_in(context: &Context, text: &str) -> Result<config::Pipeline, Error> {
+    config::check(text, &context.sets, &context.config, Path::new("")).map_err(|error| {
+        let message = error.render(Path::new("(built-in pipeline)"), text);
+        Error::Usage(Diagnostic::with_hint(message, error.hint))
+    })
 }
 
 /// Returns the graph of the nodes of a pipeline.

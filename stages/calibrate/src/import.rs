@@ -177,6 +177,11 @@ fn find_points(
     Ok(tracks)
 }
 
+/// Returns whether one of the files next to photos, as `extract` lists them, may hold their cameras.
+pub fn names_cameras(companions: &[u8]) -> bool {
+    serde_json::from_slice(companions).is_ok_and(|files| !candidates(&files).is_empty())
+}
+
 /// Returns whether a file next to the photos may hold their cameras.
 pub(crate) fn has_cameras(ctx: &Ctx<'_>, inputs: &Inputs) -> Result<bool, StageError> {
     match inputs.optional(COMPANIONS) {

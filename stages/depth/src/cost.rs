@@ -30,20 +30,23 @@ pub(crate) struct Volume {
     pub first: Raster<i32>,
     /// `[height x width x candidates]`, 0 to [`COST_MAX`].
     pub costs: Vec<u8>,
+    /// Where the whole window of a census code takes part, left and right. Elsewhere its bits are those of the border of a mask.
+    pub usable: [Raster<bool>; 2],
 }
 
 impl Volume {
     /// Compares each pixel of `left` with those of `right` at its candidates: x in left is x - disparity in right.
     pub fn new(set: InstructionSet, pair: [&Picture; 2], first: Raster<i32>, candidates: usize) -> Self {
         let [left, right] = pair.map(|picture| census(set, &picture.grey));
+        let usable = pair.map(|picture| picture.usable.eroded(CENSUS_COLUMNS, CENSUS_ROWS));
         let (width, height) = (left.width, left.height);
         let mut costs = vec![0; width * height * candidates];
         costs
             .par_chunks_mut((width * candidates).max(1))
             .enumerate()
             .for_each(|(y, costs)| {
-                let other = Mirrored::new(right.row(y), pair[1].usable.row(y), candidates);
-                let usable = pair[0].usable.row(y);
+                let other = Mirrored::new(right.row(y), usable[1].row(y), candidates);
+                let usable = usable[0].row(y);
                 kernel::run(
                     set,
                     CostRow {
@@ -61,6 +64,7 @@ impl Volume {
             candidates,
             first,
             costs,
+            usable,
         }
     }
 }

@@ -1,5 +1,7 @@
 //! The disparities of a pair as bytes that are kept, and as samples in both rectified pictures.
 
+use marf_schema::depth::RowOffset;
+
 use crate::disparities::{Class, Disparities};
 use crate::raster::Raster;
 use crate::search::Search;
@@ -16,6 +18,8 @@ const EDGE: u8 = 128;
 const SLOPE_STEPS: f32 = 63.0;
 /// Bytes of a pixel.
 const BYTES: usize = 5;
+/// Bytes of the rows.
+const ROW_BYTES: usize = 40;
 
 /// A pixel of a rectified picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -43,15 +47,33 @@ impl Sample {
     }
 }
 
+/// A pair that was matched.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct MatchedPair {
+    pub samples: Raster<Sample>,
+    /// How far the rows of the right picture were moved.
+    pub rows: RowOffset,
+}
+
 /// Returns steps a pixel with which all disparities of a search fit 16 bits. The fit moves them by at most two pixels.
 fn steps(search: Search) -> f64 {
     (MOST / (search.count as f64 + 4.0)).floor().min(FINEST)
 }
 
-/// Returns the disparities as bytes: 16 bits of disparity, 8 of standard deviation and edge, 8 of each slope.
-pub(crate) fn encode(found: &Disparities, search: Search) -> Vec<u8> {
+/// Returns the disparities as bytes: five numbers of the rows, then a pixel 16 bits of disparity, 8 of standard deviation and edge, 8 of each
+/// slope.
+pub(crate) fn encode(found: &Disparities, rows: &RowOffset, search: Search) -> Vec<u8> {
     let steps = steps(search);
-    let mut bytes = Vec::with_capacity(found.class.values.len() * BYTES);
+    let mut bytes = Vec::with_capacity(ROW_BYTES + found.class.values.len() * BYTES);
+    for number in [
+        rows.offset_px,
+        rows.slope_x,
+        rows.slope_y,
+        f64::from(rows.matches),
+        rows.rms_px,
+    ] {
+        bytes.extend(number.to_le_bytes());
+    }
     for (i, class) in found.class.values.iter().enumerate() {
         if *class == Class::None {
             bytes.extend([0; BYTES]);
@@ -76,8 +98,11 @@ pub(crate) fn encode(found: &Disparities, search: Search) -> Vec<u8> {
 }
 
 /// Reads what [`encode`] wrote, or returns nothing for other bytes.
-pub(crate) fn decode(bytes: &[u8], size: [usize; 2], search: Search) -> Option<Raster<Sample>> {
+pub(crate) fn decode(bytes: &[u8], size: [usize; 2], search: Search) -> Option<MatchedPair> {
     let [width, height] = size;
+    let (rows, bytes) = bytes.split_at_checked(ROW_BYTES)?;
+    let (numbers, _) = rows.as_chunks::<8>();
+    let number = |index: usize| f64::from_le_bytes(numbers[index]);
     let (pixels, rest) = bytes.as_chunks::<BYTES>();
     if !rest.is_empty() || pixels.len() != width * height {
         return None;
@@ -98,11 +123,19 @@ pub(crate) fn decode(bytes: &[u8], size: [usize; 2], search: Search) -> Option<R
             edge: sigma & EDGE != 0,
         }
     };
-    Some(Raster {
+    let samples = Raster {
         width,
         height,
         values: pixels.iter().map(sample).collect(),
-    })
+    };
+    let rows = RowOffset {
+        offset_px: number(0),
+        slope_x: number(1),
+        slope_y: number(2),
+        matches: number(3) as u32,
+        rms_px: number(4),
+    };
+    Some(MatchedPair { samples, rows })
 }
 
 /// Neighbours whose disparities differ by at most this many pixels are one surface.
@@ -197,8 +230,17 @@ mod tests {
             ),
         ] {
             let disparities = [-9.4, 0.0, f32::NAN, 55.7];
-            let bytes = encode(&found(&disparities), search);
+            let rows = RowOffset {
+                offset_px: -3.25,
+                slope_x: 0.01,
+                slope_y: -0.02,
+                matches: 120,
+                rms_px: 0.3,
+            };
+            let bytes = encode(&found(&disparities), &rows, search);
             let back = decode(&bytes, [4, 1], search).unwrap();
+            assert_eq!(back.rows, rows);
+            let back = back.samples;
             for (sample, disparity) in back.values.iter().zip(disparities) {
                 assert_eq!(sample.is_some(), !disparity.is_nan());
                 let error = (sample.disparity - disparity).abs();
@@ -219,11 +261,16 @@ mod tests {
         let search = Search { first: 0, count: 32 };
         // Two pixels of a slope, a gap, then a nearer surface.
         let left = decode(
-            &encode(&found(&[f32::NAN, f32::NAN, 1.0, 0.5, 0.5, 4.0, 4.0]), search),
+            &encode(
+                &found(&[f32::NAN, f32::NAN, 1.0, 0.5, 0.5, 4.0, 4.0]),
+                &RowOffset::default(),
+                search,
+            ),
             [7, 1],
             search,
         )
-        .unwrap();
+        .unwrap()
+        .samples;
         let right = seen_from_right(&left);
         let disparities: Vec<f32> = right.values.iter().map(|sample| sample.disparity).collect();
         // x = 2, 3, 4 are at 1, 2.5, 3.5, and x = 5, 6 at 1 and 2.

@@ -11,9 +11,9 @@ use crate::search::Search;
 use crate::tuning::{
     EDGE_BRIGHTNESS, EDGE_PENALTY, FINE_CANDIDATES, FULL_CELLS, ISLAND, JUMP_PENALTY, STEP_PENALTY,
 };
-use crate::winner::{NONE, winners};
+use crate::winner::winners;
 
-/// Returns disparities of the left picture, or [`NONE`] where nothing is sure.
+/// Returns disparities of the left picture, or [`NONE`](crate::winner::NONE) where nothing is sure.
 pub(crate) fn coarse_to_fine(set: InstructionSet, pair: [&Picture; 2], search: Search) -> Raster<f32> {
     let (width, height) = (pair[0].grey.width, pair[0].grey.height);
     if is_coarsest(width, height, search) {
@@ -64,11 +64,6 @@ fn match_level(set: InstructionSet, pair: [&Picture; 2], candidates: Candidates)
     let volume = Volume::new(set, pair, first, count);
     let costs = path_costs(set, &volume, &pair[0].grey, &penalties);
     let mut disparity = winners(set, &volume, &costs, last);
-    for (value, usable) in disparity.values.iter_mut().zip(&pair[0].usable.values) {
-        if !usable {
-            *value = NONE;
-        }
-    }
     remove_islands(&mut disparity, ISLAND);
     disparity
 }

@@ -86,7 +86,8 @@ fn plane_at(pair: &PairView, ray: &Vector3<f64>) -> Option<Plane> {
     let camera = &pair.eye.camera;
     let turned = photo_from_rectified.tr_mul(ray);
     let at = camera.project(&turned)?;
-    let (x, y) = (at.x.floor(), at.y.floor());
+    let above = pair.eye.rows_above(at);
+    let (x, y) = (at.x.floor(), (at.y - above).floor());
     let inside = x >= 0.0 && y >= 0.0 && x < f64::from(camera.width) && y < f64::from(camera.height);
     if !inside {
         return None;
@@ -96,8 +97,8 @@ fn plane_at(pair: &PairView, ray: &Vector3<f64>) -> Option<Plane> {
         return None;
     }
     let (slope_x, slope_y) = (f64::from(sample.slope_x), f64::from(sample.slope_y));
-    // The middle of the sample, on the plane z = 1.
-    let middle = Vector2::new(x + 0.5 - camera.cx_px, y + 0.5 - camera.cy_px) / camera.fx_px;
+    // The middle of the sample, on the plane z = 1 of the cameras.
+    let middle = Vector2::new(x + 0.5 - camera.cx_px, y + 0.5 + above - camera.cy_px) / camera.fx_px;
     let (a, b) = (
         slope_x / pair.rectified.baseline,
         slope_y / pair.rectified.baseline,

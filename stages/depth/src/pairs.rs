@@ -1,23 +1,17 @@
 //! Which photos are matched with which: chosen from cameras and sparse points.
 
 use marf_numeric::{quantile, upper_median};
-use marf_scene::{PosedPhoto, Scene, typical_distance};
-use nalgebra::{Vector2, Vector3};
+use marf_scene::Scene;
 use rayon::prelude::*;
 use thiserror::Error;
 
 use crate::disparities::MAX_DISPARITIES;
+use crate::overlap::{FEWEST, Overlap, Surface, are_twins};
 use crate::rectify::{PosedCamera, Rectified, RectifyError};
 use crate::search::Search;
 
-/// Most points by which pairs are judged, and of a pair.
-const MOST_POINTS: usize = 4096;
-const MOST_OF_PAIR: usize = 256;
-/// Fewest points by which a scene or a pair can be judged.
-const FEWEST: usize = 8;
-/// Without sparse points, rays of so many places of a photo are followed, per side, to these typical distances.
-const PLACES: u32 = 5;
-const DISTANCES: [f64; 5] = [0.5, 1.0, 2.0, 4.0, 8.0];
+/// Most points of a pair.
+const MOST_OF_PAIR: usize = 512;
 
 /// Least share of the points of either photo that both show.
 const LEAST_OVERLAP: f64 = 0.3;
@@ -74,6 +68,8 @@ pub(crate) enum Refusal {
     NoCommonRow,
     #[error("the points that both photos show are behind a rectified camera")]
     NoRange,
+    #[error("the photos are not of the two eyes of one mast, and labels alone place others too coarsely")]
+    NotTwins,
     #[error("both photos have better neighbours")]
     Better,
 }
@@ -92,18 +88,20 @@ pub(crate) struct RefusedPair {
 /// Chooses pairs of photos: for each at most `neighbours`, the best first.
 ///
 /// A pair is judged by the points in view of both cameras, whatever may hide them: their share, the angle between the rays to
-/// them, best 8 degrees, and the ratio of scales. The range of disparities is that of the points, widened.
+/// them, best 8 degrees, and the ratio of scales. The range of disparities is that of the points, widened. Of cameras that labels alone place,
+/// twins are matched and nothing else, because errors of other poses are as large as the baselines.
 pub(crate) fn choose(scene: &Scene, views: &[PosedCamera], neighbours: usize) -> Pairs {
-    let points = points(scene, views);
-    let seen: Vec<Vec<Sighting>> = views.par_iter().map(|view| sightings(view, &points)).collect();
+    let surface = Surface::new(scene, views);
+    let neighbours = match surface {
+        Surface::Twins { .. } => 1,
+        Surface::Points { .. } | Surface::Rays { .. } => neighbours,
+    };
     let rows = (0..views.len()).into_par_iter().map(|i| {
         let others = i + 1..views.len();
         let judged = others.filter_map(|j| {
-            let shared = shared(&seen[i], &seen[j]);
-            let fewer = seen[i].len().min(seen[j].len());
-            let overlap = shared.len() as f64 / fewer.max(1) as f64;
-            let is_candidate = shared.len() >= FEWEST && overlap >= LEAST_OVERLAP;
-            is_candidate.then(|| (j, judge([i, j], views, &points, &shared, overlap)))
+            let overlap = surface.overlap([i, j], views);
+            let is_candidate = overlap.points.len() >= FEWEST && overlap.share >= LEAST_OVERLAP;
+            is_candidate.then(|| (j, judge([i, j], views, &overlap, &surface)))
         });
         judged.collect::<Vec<_>>()
     });
@@ -144,115 +142,29 @@ pub(crate) fn choose(scene: &Scene, views: &[PosedCamera], neighbours: usize) ->
     Pairs { chosen, refused }
 }
 
-/// A point in the view of a photo.
-#[derive(Clone, Copy)]
-struct Sighting {
-    point: u32,
-    /// Pixels that a length of one has there.
-    scale: f64,
-}
-
-/// Returns points of the surface: the sparse ones, evenly strided, or without them places along the rays of the photos.
-fn points(scene: &Scene, views: &[PosedCamera]) -> Vec<Vector3<f64>> {
-    if scene.points.len() >= FEWEST {
-        let stride = scene.points.len().div_ceil(MOST_POINTS);
-        let points = scene.points.iter().step_by(stride);
-        return points.map(|point| Vector3::from(point.position)).collect();
-    }
-    let photos: Vec<PosedPhoto<'_>> = scene
-        .frames
-        .iter()
-        .map(|frame| PosedPhoto {
-            id: &frame.id,
-            camera: &frame.camera,
-            cam_from_world: &frame.cam_from_world,
-        })
-        .collect();
-    let typical = typical_distance(&photos, &[]);
-    let rays = PLACES as usize * PLACES as usize * DISTANCES.len();
-    let stride = (views.len() * rays).div_ceil(4 * MOST_POINTS).max(1);
-    let mut points = Vec::new();
-    for PosedCamera {
-        camera,
-        cam_from_world,
-    } in views.iter().step_by(stride)
-    {
-        let world_from_cam = cam_from_world.inverse();
-        for place in 0..PLACES * PLACES {
-            let at = |index: u32, side: u32| (f64::from(index) + 0.5) / f64::from(PLACES) * f64::from(side);
-            let pixel = Vector2::new(
-                at(place % PLACES, camera.width),
-                at(place / PLACES, camera.height),
-            );
-            if let Some(ray) = camera.unproject(&pixel) {
-                points.extend(DISTANCES.map(|far| world_from_cam.point(&(ray.normalize() * far * typical))));
-            }
-        }
-    }
-    points
-}
-
-fn sightings(view: &PosedCamera, points: &[Vector3<f64>]) -> Vec<Sighting> {
-    let PosedCamera {
-        camera,
-        cam_from_world,
-    } = view;
-    let (width, height) = (f64::from(camera.width), f64::from(camera.height));
-    let sighting = |(index, point): (usize, &Vector3<f64>)| {
-        let seen = cam_from_world.point(point);
-        let pixel = camera.project(&seen)?;
-        let inside = pixel.x >= 0.0 && pixel.y >= 0.0 && pixel.x < width && pixel.y < height;
-        inside.then(|| Sighting {
-            point: index as u32,
-            scale: camera.fx_px / seen.z,
-        })
-    };
-    points.iter().enumerate().filter_map(sighting).collect()
-}
-
-/// A point in the views of two photos.
-struct CommonPoint {
-    point: u32,
-    /// How much larger the first photo shows it.
-    scale: f64,
-}
-
-/// Returns the points of both, which are sorted by point.
-fn shared(a: &[Sighting], b: &[Sighting]) -> Vec<CommonPoint> {
-    let (mut both, mut j) = (Vec::new(), 0);
-    for one in a {
-        while j < b.len() && b[j].point < one.point {
-            j += 1;
-        }
-        if j < b.len() && b[j].point == one.point {
-            both.push(CommonPoint {
-                point: one.point,
-                scale: one.scale / b[j].scale,
-            });
-        }
-    }
-    both
-}
-
 /// Judges two photos that overlap.
 fn judge(
     photos: [usize; 2],
     views: &[PosedCamera],
-    points: &[Vector3<f64>],
-    shared: &[CommonPoint],
-    overlap: f64,
+    overlap: &Overlap,
+    surface: &Surface,
 ) -> Result<Pair, Refusal> {
     let [a, b] = photos;
-    let stride = shared.len().div_ceil(MOST_OF_PAIR);
-    let shared: Vec<&CommonPoint> = shared.iter().step_by(stride).collect();
+    let stride = overlap.points.len().div_ceil(MOST_OF_PAIR);
+    let shared: Vec<_> = overlap.points.iter().step_by(stride).collect();
     let centres = photos.map(|photo| views[photo].cam_from_world.centre());
-    let angle = |shared: &&CommonPoint| {
-        let rays = centres.map(|centre| (centre - points[shared.point as usize]).normalize());
+    let angles = shared.iter().map(|shared| {
+        let rays = centres.map(|centre| (centre - shared.place).normalize());
         libm::acos(rays[0].dot(&rays[1]).clamp(-1.0, 1.0)).to_degrees()
-    };
-    let angle_deg = upper_median(shared.iter().map(angle)).unwrap_or(0.0);
+    });
+    let angle_deg = upper_median(angles).unwrap_or(0.0);
     if angle_deg < LEAST_DEG {
         return Err(Refusal::Rotation);
+    }
+    if let Surface::Twins { widest } = surface
+        && !are_twins([&views[a], &views[b]], *widest)
+    {
+        return Err(Refusal::NotTwins);
     }
     if angle_deg > MOST_DEG {
         return Err(Refusal::TooWide);
@@ -272,10 +184,9 @@ fn judge(
         RectifyError::Rotation | RectifyError::Swapped => Refusal::Rotation,
     })?;
     let disparities = shared.iter().filter_map(|shared| {
-        let point = &points[shared.point as usize];
         let eyes = [(rectified.left, photos[0]), (rectified.right, photos[1])];
         let [left, right] = eyes.map(|(eye, photo)| {
-            let seen = views[photo].cam_from_world.point(point);
+            let seen = views[photo].cam_from_world.point(&shared.place);
             eye.camera.project(&(eye.photo_from_rectified.transpose() * seen))
         });
         Some(left?.x - right?.x)
@@ -286,8 +197,8 @@ fn judge(
         rectified,
         search,
         angle_deg,
-        overlap,
-        score: overlap * alike * (angle_deg / BEST_DEG).min(BEST_DEG / angle_deg),
+        overlap: overlap.share,
+        score: overlap.share * alike * (angle_deg / BEST_DEG).min(BEST_DEG / angle_deg),
     })
 }
 
@@ -317,6 +228,7 @@ fn search(rectified: &Rectified, disparities: Vec<f64>) -> Option<Search> {
 mod tests {
     use marf_cache::Digest;
     use marf_scene::{Camera, Frame, Point, Pose};
+    use nalgebra::Vector3;
 
     use super::*;
 
@@ -400,6 +312,55 @@ mod tests {
         // Photos of different things are not even refused.
         let pairs = chosen(&[[0.0; 3], [40.0, 0.0, 0.0]], 3);
         assert!(pairs.chosen.is_empty() && pairs.refused.is_empty());
+    }
+
+    #[test]
+    fn twins_far_from_other_photos_are_a_pair_without_sparse_points() {
+        let (scene, views) = scene(&[[0.0; 3], [0.4, 0.0, 0.0], [900.0, 0.0, 0.0], [-700.0, 0.0, 500.0]]);
+        let bare = Scene {
+            points: Vec::new(),
+            metres_per_unit: Some(1.0),
+            ..scene
+        };
+        let pairs = choose(&bare, &views, 3).chosen;
+        assert_eq!(pairs.len(), 1);
+        assert_eq!(pairs[0].photos, [0, 1]);
+        // Nearest 4.5 baselines, 200 / 4.5 px on the axis, with a half more.
+        let Search { first, count } = pairs[0].search;
+        assert!(
+            first <= 0 && (50..100).contains(&(first + count as i32)),
+            "{first} {count}"
+        );
+    }
+
+    #[test]
+    fn cameras_of_labels_are_matched_with_their_twin_alone() {
+        let places = [
+            [0.0; 3],
+            [0.24, 0.0, 0.0],
+            [0.0, 0.3, 0.0],
+            [2.0, 0.0, 0.0],
+            [2.24, 0.0, 0.0],
+        ];
+        let (scene, views) = scene(&places);
+        let bare = Scene {
+            points: Vec::new(),
+            metres_per_unit: Some(1.0),
+            ..scene
+        };
+        let pairs = choose(&bare, &views, 3);
+        let chosen: Vec<_> = pairs.chosen.iter().map(|pair| pair.photos).collect();
+        // The third photo is above the first. Two metres are from stop to stop.
+        assert_eq!(chosen, [[0, 1], [3, 4]]);
+        let refused = |photos| {
+            pairs
+                .refused
+                .iter()
+                .find(|one| one.photos == photos)
+                .map(|one| one.why)
+        };
+        assert_eq!(refused([0, 2]), Some(Refusal::NotTwins));
+        assert_eq!(refused([0, 3]), Some(Refusal::NotTwins));
     }
 
     #[test]

@@ -354,6 +354,7 @@ mod tests {
                         candidates: BLOCK,
                         first,
                         costs,
+                        usable: [(); 2].map(|()| Raster::filled(width, height, true)),
                     },
                     Raster {
                         width,

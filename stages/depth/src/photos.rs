@@ -4,14 +4,24 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 
 use marf_cache::Digest;
+use marf_numeric::quantile;
 use marf_scene::{Frame, Image, Photo, Srgb};
 use marf_stage::{Ctx, StageError};
 
+use crate::margins;
 use crate::raster::{Picture, Raster};
 use crate::rectify::PosedCamera;
 
 /// Bytes of photos that stay in memory.
 const KEPT_BYTES: usize = 128 << 20;
+/// Sums of weights of the channels for a step of 8-bit brightness.
+const STEP: f64 = 16_384.0;
+/// Brightness between these shares of the pixels, on each side, is stretched to so many steps.
+const OUTLIERS: f64 = 0.01;
+const MIDDLE_STEPS: f64 = 224.0;
+/// Bounds of the stretch. Beyond the upper one, it would only show noise.
+const LEAST_GAIN: f64 = 1.0 / STEP;
+const MOST_GAIN: f64 = 4.0 / STEP;
 
 /// A photo, shrunk.
 pub(crate) struct ShrunkPhoto {
@@ -91,25 +101,16 @@ impl<'a> Photos<'a> {
 
     fn read(&self, index: usize) -> Result<ShrunkPhoto, StageError> {
         let (frame, factor) = (&self.frames[index], self.factors[index]);
-        let image = self.decoded(frame, &frame.image, "photo")?.box_reduced(factor);
-        let (width, height) = (image.width as usize, image.height as usize);
-        let grey = |[r, g, b]: &[u8; 3]| {
-            ((u32::from(*r) * 4899 + u32::from(*g) * 9617 + u32::from(*b) * 1868 + 8192) >> 14) as u8
-        };
-        let mut picture = Picture::new(Raster {
-            width,
-            height,
-            values: image.pixels.iter().map(grey).collect(),
-        });
+        let photo = self.decoded(frame, &frame.image, "photo")?;
+        let mut usable = margins::usable(&photo);
         if let Some(mask) = &frame.mask {
-            // A pixel takes part if its whole block does.
             let mask = self.decoded(frame, mask, "mask")?;
-            for (pixel, usable) in picture.usable.values.iter_mut().enumerate() {
-                let (x, y) = ((pixel % width) as u32 * factor, (pixel / width) as u32 * factor);
-                let mut block = (y..y + factor).flat_map(|y| (x..x + factor).map(move |x| (x, y)));
-                *usable = block.all(|(x, y)| mask.at(x, y) == [255; 3]);
+            for (usable, mask) in usable.values.iter_mut().zip(&mask.pixels) {
+                *usable &= *mask == [255; 3];
             }
         }
+        let image = photo.box_reduced(factor);
+        let picture = shrunk(&photo, &usable, factor as usize);
         Ok(ShrunkPhoto { image, picture })
     }
 
@@ -124,5 +125,40 @@ impl<'a> Photos<'a> {
             "{width} x {height} pixels, its camera has {} x {}",
             frame.camera.width, frame.camera.height
         )))
+    }
+}
+
+/// Returns means of the brightness of blocks. A block takes part if all its pixels do.
+///
+/// Brightness is stretched, so that means are not rounded to the steps of a photo of little contrast.
+fn shrunk(photo: &Image<Srgb>, usable: &Raster<bool>, factor: usize) -> Picture {
+    let grey = |[r, g, b]: [u8; 3]| u32::from(r) * 4899 + u32::from(g) * 9617 + u32::from(b) * 1868;
+    let (width, height) = (usable.width / factor, usable.height / factor);
+    let mut sums = Raster::filled(width, height, 0u32);
+    let mut whole = Raster::filled(width, height, true);
+    for y in 0..height * factor {
+        for x in 0..width * factor {
+            let (at, block) = (y * usable.width + x, (y / factor) * width + x / factor);
+            sums.values[block] += grey(photo.pixels[at]) / (factor * factor) as u32;
+            whole.values[block] &= usable.values[at];
+        }
+    }
+    let known = || sums.values.iter().zip(&whole.values).filter(|(_, whole)| **whole);
+    let bound = |share: f64| quantile(known().map(|(sum, _)| f64::from(*sum)), share).unwrap_or(0.0);
+    let (dark, bright) = (bound(OUTLIERS), bound(1.0 - OUTLIERS));
+    let gain = (MIDDLE_STEPS / (bright - dark).max(1.0)).clamp(LEAST_GAIN, MOST_GAIN);
+    let middle = (dark + bright) / 2.0;
+    let stretched = |sum: &u32| {
+        (127.5 + (f64::from(*sum) - middle) * gain)
+            .round()
+            .clamp(0.0, 255.0) as u8
+    };
+    Picture {
+        grey: Raster {
+            width,
+            height,
+            values: sums.values.iter().map(stretched).collect(),
+        },
+        usable: whole,
     }
 }

@@ -69,6 +69,30 @@ impl<T: Copy> Raster<T> {
     }
 }
 
+impl Raster<bool> {
+    /// Returns where all pixels at most so many columns and rows away are `true`. What is outside does not count.
+    pub(crate) fn eroded(&self, columns: usize, rows: usize) -> Self {
+        let (width, height) = (self.width, self.height);
+        let mut across = self.clone();
+        let mut out = self.clone();
+        for y in 0..height {
+            for x in (0..width).filter(|x| !self.at(*x, y)) {
+                let near = x.saturating_sub(columns)..(x + columns + 1).min(width);
+                across.values[y * width..][near].fill(false);
+            }
+        }
+        for y in 0..height {
+            for near in y.saturating_sub(rows)..(y + rows + 1).min(height) {
+                let (out, across) = (&mut out.values[near * width..][..width], across.row(y));
+                out.iter_mut()
+                    .zip(across)
+                    .for_each(|(out, across)| *out &= across);
+            }
+        }
+        out
+    }
+}
+
 /// A rectified picture.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Picture {

@@ -1,11 +1,13 @@
 //! Rectification of two photos, also of different focal lengths and with lens distortion, in one resampling.
 
 use marf_scene::{Camera, Pose};
+use marf_schema::depth::RowOffset;
 use nalgebra::{Matrix3, Vector2, Vector3};
 use rayon::prelude::*;
 use thiserror::Error;
 
 use crate::raster::{Picture, Raster};
+use crate::spline::sampled;
 
 /// A camera and its pose. Lengths are in units of the world.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -24,6 +26,8 @@ pub struct Eye {
     pub camera: Camera,
     /// The rotation from the axes of the rectified camera to those of the photo.
     pub photo_from_rectified: Matrix3<f64>,
+    /// How far its rows were moved because the cameras do not say where they are.
+    pub rows: RowOffset,
 }
 
 /// A rectified pair: the same focal length, axes and rows, and a baseline along the rows.
@@ -116,6 +120,7 @@ impl Rectified {
             photo: photo.camera,
             camera: Camera::pinhole(1, 1, focal_px),
             photo_from_rectified: photo.cam_from_world.rotation * rectified_from_world.transpose(),
+            rows: RowOffset::default(),
         });
         let [Some(of_left), Some(of_right)] = eyes.map(|eye| eye.extent()) else {
             return Err(RectifyError::NoCommonRow);
@@ -195,13 +200,31 @@ impl Eye {
         extent
     }
 
+    /// Returns the eye with its rows moved.
+    pub(crate) fn with_rows(self, rows: RowOffset) -> Self {
+        Self { rows, ..self }
+    }
+
     /// Returns where in the photo a rectified pixel comes from.
     pub fn source(&self, pixel: Vector2<f64>) -> Option<Vector2<f64>> {
         let Camera {
             cx_px, cy_px, fx_px, ..
         } = self.camera;
-        let ray = Vector3::new((pixel.x - cx_px) / fx_px, (pixel.y - cy_px) / fx_px, 1.0);
+        let row = pixel.y + self.row_offset(pixel);
+        let ray = Vector3::new((pixel.x - cx_px) / fx_px, (row - cy_px) / fx_px, 1.0);
         self.photo.project(&(self.photo_from_rectified * ray))
+    }
+
+    /// Returns how many rows below a rectified pixel the cameras put what it shows.
+    fn row_offset(&self, pixel: Vector2<f64>) -> f64 {
+        let middle = Vector2::new(f64::from(self.camera.width), f64::from(self.camera.height)) / 2.0;
+        let from_middle = pixel - middle;
+        self.rows.offset_px + self.rows.slope_x * from_middle.x + self.rows.slope_y * from_middle.y
+    }
+
+    /// Returns how many rows above where the cameras put a pixel it is: the inverse of [`Self::row_offset`].
+    pub(crate) fn rows_above(&self, pixel: Vector2<f64>) -> f64 {
+        self.row_offset(pixel) / (1.0 + self.rows.slope_y)
     }
 
     /// Resamples the photo once, by Catmull-Rom splines. Pixels that need one outside or masked do not take part.
@@ -245,42 +268,6 @@ impl Eye {
             });
         out
     }
-}
-
-/// Returns the brightness at a place in a photo, or nothing where one of the 4 x 4 pixels around is missing.
-fn sampled(photo: &Picture, at: Vector2<f64>) -> Option<u8> {
-    let [x, y] = [at.x - 0.5, at.y - 0.5];
-    let (column, row) = (x.floor(), y.floor());
-    let inside = column >= 1.0
-        && row >= 1.0
-        && column + 2.0 < photo.grey.width as f64
-        && row + 2.0 < photo.grey.height as f64;
-    if !inside {
-        return None;
-    }
-    let (weights_x, weights_y) = (catmull_rom(x - column), catmull_rom(y - row));
-    let mut sum = 0.0;
-    for (v, weight_y) in weights_y.iter().enumerate() {
-        for (u, weight_x) in weights_x.iter().enumerate() {
-            let (px, py) = (column as usize + u - 1, row as usize + v - 1);
-            if !photo.usable.at(px, py) {
-                return None;
-            }
-            sum += weight_y * weight_x * f64::from(photo.grey.at(px, py));
-        }
-    }
-    Some(sum.round().clamp(0.0, 255.0) as u8)
-}
-
-/// Returns the weights of four samples at -1, 0, 1 and 2 for a place in [0, 1).
-fn catmull_rom(t: f64) -> [f64; 4] {
-    let (t2, t3) = (t * t, t * t * t);
-    [
-        0.5 * (2.0 * t2 - t - t3),
-        0.5 * (3.0 * t3 - 5.0 * t2 + 2.0),
-        0.5 * (4.0 * t2 + t - 3.0 * t3),
-        0.5 * (t3 - t2),
-    ]
 }
 
 #[cfg(test)]
@@ -339,6 +326,25 @@ mod tests {
     }
 
     #[test]
+    fn moved_rows_come_from_where_the_offset_says_and_go_back() {
+        let eye = Eye {
+            rows: RowOffset {
+                offset_px: 3.0,
+                slope_x: 0.1,
+                slope_y: 0.05,
+                ..RowOffset::default()
+            },
+            ..pair(straight(100.0, [0.0; 3]), straight(100.0, [0.5, 0.0, 0.0])).right
+        };
+        // 20 px right of the middle and 10 px below it: 3 + 2 + 0.5.
+        let (at, row) = (Vector2::new(60.0, 40.0), 45.5);
+        let found = eye.source(at).unwrap();
+        assert!((found - Vector2::new(60.0, row)).norm() < ROUNDING, "{found}");
+        let above = eye.rows_above(Vector2::new(60.0, row));
+        assert!((row - above - 40.0).abs() < ROUNDING, "{above}");
+    }
+
+    #[test]
     fn a_vertical_baseline_turns_the_picture_and_keeps_all_of_it() {
         let pair = pair(straight(100.0, [0.0; 3]), straight(100.0, [0.0, 0.5, 0.0]));
         assert_eq!((pair.left.camera.width, pair.left.camera.height), (60, 80));
@@ -377,12 +383,6 @@ mod tests {
         let out = eye.resample(&photo);
         assert_eq!((out.grey.at(33, 20), out.usable.at(33, 20)), (ramp(33), true));
         assert!(!out.usable.at(0, 20) && !out.usable.at(79, 20) && out.usable.at(2, 2));
-    }
-
-    #[test]
-    fn the_weights_of_a_place_add_up_to_one_and_hit_the_samples() {
-        assert_eq!(catmull_rom(0.0), [0.0, 1.0, 0.0, 0.0]);
-        assert_eq!(catmull_rom(0.5), [-0.0625, 0.5625, 0.5625, -0.0625]);
     }
 
     proptest! {

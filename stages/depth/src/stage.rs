@@ -3,9 +3,9 @@
 use std::collections::BTreeMap;
 
 use marf_cache::Digest;
-use marf_numeric::upper_median;
+use marf_numeric::{quantile, upper_median};
 use marf_scene::{Scene, picture_names};
-use marf_schema::depth::{DepthParams, Metrics, PairMetrics, PhotoMetrics};
+use marf_schema::depth::{DepthParams, Metrics, PairMetrics, PhotoMetrics, RowOffset};
 use marf_schema::output::{
     DEPTH, DEPTH_CLASS, DEPTH_PREVIEW, INVERSE_DEPTH, POINTS, SCENE, SIGMA, SURFACE_MAPS,
 };
@@ -14,21 +14,24 @@ use marf_surface::{ExportFrame, SurfaceError};
 
 use crate::cloud::{self, Cloud};
 use crate::disparities::match_pair;
+use crate::faults::{PairFault, fault, hidden};
 use crate::ground::Ground;
-use crate::kept;
+use crate::kept::{self, MatchedPair, Sample};
 use crate::merge::{PairView, PhotoDepth, merge};
 use crate::pairs::{Pair, Pairs, choose};
 use crate::photos::Photos;
-use crate::raster::Raster;
 use crate::rectify::PosedCamera;
+use crate::rows::row_offset;
 use crate::surfels::surfels;
 use crate::write;
 
 /// Of kept pairs. Raised when the disparities of a pair may differ.
-const PAIR_VERSION: u32 = 1;
-/// Cells of the cloud are this many pixels wide on the nearer quarter of what the photos show.
+const PAIR_VERSION: u32 = 2;
+/// Cells of the cloud are this many pixels wide where the nearer quarter of the found surfaces ends.
 const CELL_PX: f64 = 2.0;
 const NEARER: f64 = 0.25;
+/// Most surfaces of a pair whose pixels are measured.
+const WIDTHS: usize = 1024;
 /// Surfaces whose pixels are wider than this many cells are in the depths of the photos alone.
 const COARSEST: f64 = 4.0;
 
@@ -43,7 +46,7 @@ stage! {
     Set,
     Threads::All,
     about: "makes depths, points, a height map and an orthophoto from pairs of photos, without a field",
-    version: 1,
+    version: 2,
     ports: [Port::required("input", SCENE)],
     outputs: [
         Metrics::OUTPUT,
@@ -66,7 +69,10 @@ impl Set for MakeDepth {
         let pairs = choose(&scene, &views, self.params.neighbours as usize);
         let names = picture_names(&scene);
         let matched = match_all(ctx, &scene, &mut photos, &pairs)?;
-        let mut made = Products::new(&scene, &views, &self.params);
+        let widths = matched.iter().flat_map(|one| one.widths.iter().copied());
+        // Without any, there is no point either.
+        let width = quantile(widths, NEARER).unwrap_or(1.0);
+        let mut made = Products::new(&scene, CELL_PX * width, &self.params);
         let mut outputs = Outputs::new();
         let total = scene.frames.len();
         for (index, name) in names.iter().enumerate() {
@@ -81,7 +87,7 @@ impl Set for MakeDepth {
             }
             let depth = merge(views[index].camera, &of_photo);
             let reason = if of_photo.is_empty() {
-                reason(&pairs, index)
+                reason(&pairs, &matched, index)
             } else {
                 String::new()
             };
@@ -105,6 +111,7 @@ impl Set for MakeDepth {
                 baseline: pair.rectified.baseline * made.frame.scale(),
                 disparities: pair.search.count as u32,
                 share: matched.share,
+                rows: matched.rows,
                 reason: matched.reason.clone(),
             });
         let pairs_metrics: Vec<PairMetrics> = pairs_metrics.collect();
@@ -114,8 +121,12 @@ impl Set for MakeDepth {
 }
 
 /// How the matching of a pair went.
+#[derive(Default)]
 struct PairOutcome {
     share: f64,
+    rows: Option<RowOffset>,
+    /// Widths of pixels on some of the surfaces that it found, units of the world.
+    widths: Vec<f64>,
     /// Why there are no disparities. Empty if there are.
     reason: String,
 }
@@ -132,14 +143,27 @@ fn match_all(
         ctx.check()?;
         ctx.progress.at(done as u64, total, "pairs of photos");
         Ok(match samples(ctx, scene, photos, pair)? {
-            Ok(samples) => {
-                let known = samples.values.iter().filter(|sample| sample.is_some()).count();
+            Ok(MatchedPair { samples, rows }) => {
+                let known: Vec<&Sample> = samples.values.iter().filter(|sample| sample.is_some()).collect();
+                let rectified = &pair.rectified;
+                let width = |sample: &&Sample| {
+                    1.0 / (rectified.inverse_depth(f64::from(sample.disparity)) * rectified.focal_px)
+                };
+                let widths = known
+                    .iter()
+                    .step_by(known.len().div_ceil(WIDTHS).max(1))
+                    .map(width);
                 PairOutcome {
-                    share: known as f64 / samples.values.len() as f64,
+                    share: known.len() as f64 / samples.values.len() as f64,
+                    rows: (rows.matches > 0).then_some(rows),
+                    widths: widths.filter(|width| *width > 0.0).collect(),
                     reason: String::new(),
                 }
             }
-            Err(reason) => PairOutcome { share: 0.0, reason },
+            Err(fault) => PairOutcome {
+                reason: fault.to_string(),
+                ..PairOutcome::default()
+            },
         })
     };
     pairs.chosen.iter().enumerate().map(one).collect()
@@ -153,7 +177,8 @@ fn view_of(
     pair: &Pair,
     photo: usize,
 ) -> Result<PairView, StageError> {
-    let samples = samples(ctx, scene, photos, pair)?.map_err(StageError::new)?;
+    let MatchedPair { samples, rows } =
+        samples(ctx, scene, photos, pair)?.map_err(|fault| StageError::new(fault.to_string()))?;
     let is_left = pair.photos[0] == photo;
     Ok(PairView {
         samples: if is_left {
@@ -165,7 +190,7 @@ fn view_of(
         eye: if is_left {
             pair.rectified.left
         } else {
-            pair.rectified.right
+            pair.rectified.right.with_rows(rows)
         },
     })
 }
@@ -176,27 +201,42 @@ fn samples(
     scene: &Scene,
     photos: &mut Photos<'_>,
     pair: &Pair,
-) -> Result<Result<Raster<kept::Sample>, String>, StageError> {
+) -> Result<Result<MatchedPair, PairFault>, StageError> {
     let key = key(scene, pair);
     let camera = &pair.rectified.left.camera;
     let size = [camera.width as usize, camera.height as usize];
     let read = |bytes: &[u8]| kept::decode(bytes, size, pair.search);
-    if let Some(samples) = ctx.memos.load(&key).and_then(|bytes| read(&bytes)) {
-        return Ok(Ok(samples));
+    let judged = |matched: MatchedPair| match fault(&matched, pair.rectified.focal_px) {
+        Some(fault) => Err(fault),
+        None => Ok(matched),
+    };
+    if let Some(matched) = ctx.memos.load(&key).and_then(|bytes| read(&bytes)) {
+        return Ok(judged(matched));
     }
-    let [left, right] = [photos.get(pair.photos[0])?, photos.get(pair.photos[1])?];
-    let (left, right) = rayon::join(
-        || pair.rectified.left.resample(&left.picture),
-        || pair.rectified.right.resample(&right.picture),
+    let [left_photo, right_photo] = [photos.get(pair.photos[0])?, photos.get(pair.photos[1])?];
+    let (left, right_by_cameras) = rayon::join(
+        || pair.rectified.left.resample(&left_photo.picture),
+        || pair.rectified.right.resample(&right_photo.picture),
     );
+    if let Some(fault) = hidden(&left, &right_by_cameras) {
+        return Ok(Err(fault));
+    }
+    let rows = row_offset(&left, &right_by_cameras, pair.search);
+    let moved = |rows| {
+        pair.rectified
+            .right
+            .with_rows(rows)
+            .resample(&right_photo.picture)
+    };
+    let right = rows.map_or(right_by_cameras, moved);
     let found = match match_pair(&left, &right, pair.search) {
         Ok(found) => found,
-        Err(error) => return Ok(Err(error.to_string())),
+        Err(error) => return Ok(Err(error.into())),
     };
-    let bytes = kept::encode(&found, pair.search);
+    let bytes = kept::encode(&found, &rows.unwrap_or_default(), pair.search);
     ctx.memos.save(&key, &bytes);
-    let samples = read(&bytes).ok_or_else(|| StageError::new("disparities that cannot be kept"))?;
-    Ok(Ok(samples))
+    let matched = read(&bytes).ok_or_else(|| StageError::new("disparities that cannot be kept"))?;
+    Ok(judged(matched))
 }
 
 /// Returns the digest of everything that the disparities of a pair depend on.
@@ -213,9 +253,14 @@ fn key(scene: &Scene, pair: &Pair) -> Digest {
 }
 
 /// Returns why a photo is in no pair that could be matched.
-fn reason(pairs: &Pairs, photo: usize) -> String {
-    if pairs.chosen.iter().any(|pair| pair.photos.contains(&photo)) {
-        return "its pairs could not be matched".to_owned();
+fn reason(pairs: &Pairs, matched: &[PairOutcome], photo: usize) -> String {
+    let mut own = pairs
+        .chosen
+        .iter()
+        .zip(matched)
+        .filter(|(pair, _)| pair.photos.contains(&photo));
+    if let Some((_, outcome)) = own.next() {
+        return outcome.reason.clone();
     }
     let refused = pairs
         .refused
@@ -238,9 +283,9 @@ struct Products {
 }
 
 impl Products {
-    fn new(scene: &Scene, views: &[PosedCamera], params: &DepthParams) -> Self {
+    /// `cell`: the width of a cell of the cloud, units of the world.
+    fn new(scene: &Scene, cell: f64, params: &DepthParams) -> Self {
         let frame = ExportFrame::new(scene);
-        let cell = CELL_PX * write::pixel_width(scene, views, NEARER);
         let ground = Ground::new(&frame, params.map_cell, cell);
         let pixel = ground
             .as_ref()

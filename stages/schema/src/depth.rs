@@ -133,9 +133,29 @@ pub struct PairMetrics {
     pub disparities: u32,
     /// Share of the pixels of the left picture that have a disparity.
     pub share: f64,
+    /// How far the rows of the right picture were moved. `None` if the cameras put them within a quarter of a pixel, or if too few matches say
+    /// where they belong.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rows: Option<RowOffset>,
     /// Why it has no disparities. Empty if it has.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub reason: String,
+}
+
+/// Where the rows of the right picture of a rectified pair are: what belongs to (x, y) is, by the cameras, in the row
+/// y + offset + slope_x (x - width / 2) + slope_y (y - height / 2).
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+pub struct RowOffset {
+    /// Pixels.
+    pub offset_px: f64,
+    /// Pixels of offset a pixel to the right.
+    pub slope_x: f64,
+    /// Pixels of offset a pixel down.
+    pub slope_y: f64,
+    /// Matches by which it is fitted.
+    pub matches: u32,
+    /// Root mean square of what is left, pixels.
+    pub rms_px: f64,
 }
 
 impl Document for Metrics {
