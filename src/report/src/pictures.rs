@@ -76,7 +76,7 @@ fn views(page: &Page<'_>, node: &RunNode) -> Markup {
         @let errors = Errors::new(page, node, &names[..names.len().min(MOST_VIEWS)]);
         @for (name, error) in &errors.maps {
             @let error = errors.picture(page, name, error);
-            (judged(page, node, &View { name: *name, scores: view(name), error }, plan.as_ref()))
+            (judged(page, node, &View { name, scores: view(name), error }, plan.as_ref()))
         }
         @if names.len() > MOST_VIEWS { p.quiet { (count(names.len() - MOST_VIEWS, "better view")) " not shown." } }
     }

@@ -260,7 +260,7 @@ mod tests {
 
     #[test]
     fn photos_of_both_eyes_at_one_stop_are_twins_and_others_are_not() {
-        let mut photos = vec![
+        let mut photos = [
             photo(&[3, 10, 0], [0.0; 3]),
             photo(&[3, 10, 4], [0.0, 0.42, 0.0]),
             // The mast turned, and moved the left eye along its axis.
