@@ -102,10 +102,10 @@ pub enum MatchError {
 /// The most disparities of a search, and the largest disparity.
 pub const MAX_DISPARITIES: usize = 8192;
 
-/// Below this share of matches, the exchanged pair is tried.
-const FEW_MATCHES: f64 = 0.1;
+/// Below this share of matches, the exchanged pair is tried. Chance gives a swapped pair up to a quarter.
+const FEW_MATCHES: f64 = 0.35;
 
-/// From this share of matches on, the exchanged pair is the right one.
+/// From this share of matches on, and with twice as many as the given pair, the exchanged pair is the right one.
 const MANY_MATCHES: f64 = 0.4;
 
 /// The exchanged pair is tried on pictures of at most this many pixels.
@@ -139,7 +139,7 @@ pub(crate) fn match_pair_on(
     let given = known_share(&matched);
     if given < FEW_MATCHES {
         let exchanged = exchanged_share(set, pair, search);
-        if exchanged >= MANY_MATCHES {
+        if exchanged >= MANY_MATCHES.max(2.0 * given) {
             return Err(MatchError::Swapped { given, exchanged });
         }
     }
