@@ -142,7 +142,7 @@ fn what_no_kept_run_needs_is_collected_and_the_rest_is_whole() {
     marf(dir.path(), &["run"]).exits(0);
     let gc = ["cache", "gc", "--keep-last", "1", "--grace", "0s"];
     let told = marf(dir.path(), &[&gc[..], &["--dry-run"]].concat()).exits(0);
-    assert!(told.stdout.starts_with("would remove 1 runs"), "{}", told.stdout);
+    assert!(told.stdout.starts_with("would remove 1 run, "), "{}", told.stdout);
     marf(dir.path(), &["cache", "pin", "paper", "1"]).exits(0);
     let told = marf(dir.path(), &[&gc[..], &["--dry-run"]].concat()).exits(0);
     assert!(
