@@ -311,7 +311,7 @@ fn the_answers_belong_to_the_versions() {
         [
             ("train", 21, "cd6caa2562a8"),
             ("evaluate", 6, "7b90545a05fa"),
-            ("render", 8, "30b222f6b290")
+            ("render", 8, "aeaf49f3cc34")
         ]
     );
 }
