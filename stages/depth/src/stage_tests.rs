@@ -107,7 +107,7 @@ fn depths_of_a_plane_are_found_confirmed_and_as_sure_as_they_say() {
     let metrics: Metrics = outputs.read(&harness.ctx()).unwrap();
     assert_eq!(metrics.pairs.len(), 3, "{:?}", metrics.refused);
     assert!(
-        metrics.share > 0.75 && metrics.confirmed_share > 0.5,
+        metrics.share > 0.8 && metrics.confirmed_share > 0.7,
         "{metrics:?}"
     );
     assert!(
