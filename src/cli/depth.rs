@@ -3,7 +3,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use clap::builder::PossibleValue;
-use marf_progress::format::{duration, number};
+use marf_progress::format::{count, duration, number};
 use marf_run::depth::{DepthRequest, DepthResult, SceneDepth};
 use marf_run::{Context, Error};
 use marf_schema::depth::Metrics;
@@ -80,12 +80,12 @@ fn summary(scene: &SceneDepth) -> String {
         None => "no map".to_owned(),
     };
     format!(
-        "{:<12} {} photos, {} pairs, {:.1} % of the pixels with a depth, {} points, {map}, in {}",
+        "{:<12} {}, {}, {:.1} % of the pixels with a depth, {}, {map}, in {}",
         scene.name.as_deref().unwrap_or_default(),
-        metrics.photos.len(),
-        matched(metrics),
+        count(metrics.photos.len(), "photo"),
+        count(matched(metrics), "pair"),
         100.0 * metrics.share,
-        metrics.points,
+        count(metrics.points as usize, "point"),
         folder.display()
     )
 }

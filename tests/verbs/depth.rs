@@ -50,7 +50,7 @@ fn stereo_pairs_of_two_sites_are_metric_without_a_key_each_in_its_own_frame() {
         let share = metrics["share"].as_f64().unwrap();
         assert!(share > least, "{stop}: {share}");
         assert!(
-            said.stdout.contains(&format!("{stop:<12} 2 photos, 1 pairs, ")),
+            said.stdout.contains(&format!("{stop:<12} 2 photos, 1 pair, ")),
             "{}",
             said.stdout
         );
