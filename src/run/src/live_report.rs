@@ -14,7 +14,7 @@ use crate::{files, report, scenes};
 
 /// Shortest time between two writes.
 const EVERY: Duration = Duration::from_secs(2);
-/// One part of the time of a run, of so many, may go to its report.
+/// The report may take this part of the time of a run: one in 20.
 const PARTS: u32 = 20;
 /// Time of the first write, which nobody has measured yet: a run of less than 20 s has a report only at its end.
 const FIRST: Duration = Duration::from_secs(1);

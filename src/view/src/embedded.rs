@@ -84,7 +84,7 @@ fn view_of(label: &str, scene: &Scene, splats: Vec<Splat>) -> Result<EmbeddedVie
     Ok(EmbeddedView { main, nonce })
 }
 
-/// Returns at most so many splats, evenly among all, each as large as those that it stands for.
+/// Returns `most` splats or fewer, spread evenly over all of them. Each is enlarged to the area of those that it replaces.
 fn thinned(mut splats: Vec<Splat>, most: usize) -> Vec<Splat> {
     let all = splats.len();
     if all <= most {

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use crate::kernel::{self, Kernel};
 use crate::raster::{Picture, Raster};
 
-/// Candidates are computed in blocks of so many.
+/// Candidates in a block that is computed at once.
 pub(crate) const BLOCK: usize = 32;
 
 /// Half the height and half the width of the window of a census code: 7 rows of 9 pixels, 62 comparisons.

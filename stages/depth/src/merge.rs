@@ -10,10 +10,10 @@ use crate::pairs::MOST_PAIRS;
 use crate::raster::Raster;
 use crate::rectify::{Eye, Rectified};
 
-/// Two inverse depths agree within this share, or within so many standard deviations of their difference.
+/// Two inverse depths agree within this share, or within this number of standard deviations of their difference.
 const SAME_SHARE: f32 = 0.01;
 const SAME_SIGMAS: f32 = 2.5;
-/// Below so many standard deviations an inverse depth is not told from infinity.
+/// An inverse depth of fewer standard deviations can be that of infinity.
 const FAR_SIGMAS: f32 = 3.0;
 
 /// What one pair says about a photo.

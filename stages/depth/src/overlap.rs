@@ -10,9 +10,10 @@ use crate::rectify::PosedCamera;
 const MOST_POINTS: usize = 4096;
 /// Fewest points by which a scene or a pair can be judged.
 pub(crate) const FEWEST: usize = 8;
-/// Without sparse points, a pair is judged by so many places of each photo, per side, along their rays at these multiples of a distance: that at
-/// which the photos make 5 degrees, or the typical one if it is less. The nearest is where a Mastcam-Z sees the targets on its deck.
+/// Places a side of each photo by which a pair without sparse points is judged.
 const PLACES: u32 = 5;
+/// Multiples of a distance at which these places are taken along their rays. The distance is that at which the photos make 5 degrees, or the
+/// typical one if it is less. The nearest is where a Mastcam-Z sees the targets on its deck.
 const DISTANCES: [f64; 7] = [0.375, 0.5, 1.0, 2.0, 4.0, 8.0, 1e3];
 const BASELINES: f64 = 12.0;
 /// Photos nearer to each other are of one place, as a share of the typical distance.

@@ -31,7 +31,7 @@ const FARTHER: f64 = 0.6;
 const OUTLIERS: f64 = 0.01;
 /// Disparities added on each side, pixels.
 const MARGIN_PX: f64 = 4.0;
-/// If infinity is at most so many disparities away, it is looked at too.
+/// Infinity is looked at too if it is at most this number of disparities away.
 const TO_INFINITY_PX: f64 = 24.0;
 /// Ranges begin and end at multiples of this, so that few of them change with a few points more.
 const STEP: i32 = 16;

@@ -16,7 +16,7 @@ use crate::rectify::PosedCamera;
 const KEPT_BYTES: usize = 128 << 20;
 /// Sums of weights of the channels for a step of 8-bit brightness.
 const STEP: f64 = 16_384.0;
-/// Brightness between these shares of the pixels, on each side, is stretched to so many steps.
+/// Brightness between these shares of the pixels, on each side, is stretched to this number of steps.
 const OUTLIERS: f64 = 0.01;
 const MIDDLE_STEPS: f64 = 224.0;
 /// Bounds of the stretch. Beyond the upper one, it would only show noise.
