@@ -18,8 +18,8 @@ struct Observed {
     pixel: u32,
     // Number of the step at the point as a share of all steps.
     place: f32,
-    // 1 where the point is within the steps.
-    pulls: u32,
+    // Share of the weight of a pull. 0 beyond the steps.
+    share: f32,
 }
 
 @group(0) @binding(0) var<uniform> step: Step;
@@ -65,7 +65,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
     if step.observations > 0u && ray % step.share == 0u {
         let seen = observations[rng_below(&rng, vec2(step.observations, 0u)).x];
         pixel = seen.pixel;
-        if seen.pulls == 1u { pull = vec2(seen.place, step.pull); }
+        pull = vec2(seen.place, step.pull * seen.share);
     } else {
         for (var draw = 0u; draw < DRAWS; draw++) {
             pixel = rng_below(&rng, vec2(step.pixels, 0u)).x;

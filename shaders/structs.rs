@@ -104,7 +104,7 @@ pub struct ViewCamera {
     pub pad: [u32; 3],
 }
 
-/// A pixel that sees a sparse point, an element of `observations`.
+/// A pixel that sees a sparse point or has a distance, an element of `observations`.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
 pub struct Observed {
@@ -112,8 +112,8 @@ pub struct Observed {
     pub pixel: u32,
     /// Number of the step at the point as a share of all steps.
     pub place: f32,
-    /// 1 where the point is within the steps.
-    pub pulls: u32,
+    /// Share of the weight of a pull. 0 beyond the steps.
+    pub share: f32,
 }
 
 /// What a ray is compared with, an element of `targets`.

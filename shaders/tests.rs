@@ -92,7 +92,7 @@ fn rust_layouts() -> Vec<Layout> {
         Step { seed, number, pixels, observations, share, rays, views, pull, rate, pad }
         ViewCamera { lens, distortion, row_x, row_y, row_z, first, run, width, height, alpha, pad }
         Target { rgb, view, behind, share }
-        Observed { pixel, place, pulls }
+        Observed { pixel, place, share }
         PixelRange { camera, first, count, jitter, pad }
         Walk { rays, ray_slots, capacity, limit, steps, padded, side, resumes, slot, again }
         Exposed { views, offsets, ray_slots, share, limits, decays, epsilon, row }

@@ -60,6 +60,7 @@ pub fn photos(session: &Session, scene: &Scene, scale: u32, most: usize) -> Resu
             camera: test.frame.camera,
             cam_from_world: test.frame.cam_from_world,
             image: test.photo.into(),
+            distances: Vec::new(),
         });
     }
     if photos.tests.is_empty() {

@@ -26,6 +26,7 @@ mod kept;
 mod kernel;
 mod levels;
 mod margins;
+mod matching;
 mod merge;
 mod overlap;
 mod pairs;
@@ -41,6 +42,7 @@ mod stage;
 #[cfg(test)]
 mod stage_tests;
 mod surfels;
+mod targets;
 #[cfg(test)]
 mod tests;
 mod tuning;
@@ -52,3 +54,4 @@ pub use raster::{Picture, Raster};
 pub use rectify::{Eye, LEAST_ANGLE_DEG, PosedCamera, Rectified, RectifyError};
 pub use search::Search;
 pub use stage::MakeDepth;
+pub use targets::{PixelDistance, distances};

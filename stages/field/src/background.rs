@@ -76,6 +76,7 @@ mod tests {
             camera: Camera::pinhole(16, 12, 12.0),
             cam_from_world: Pose::looking_at(Vector3::zeros(), toward, -Vector3::z()),
             image: Image::from_fn(16, 12, |_, _| rgb).into(),
+            distances: Vec::new(),
         }
     }
 

@@ -27,6 +27,17 @@ pub enum Occupied {
     NearPoints,
 }
 
+/// What shows where surfaces are, while matter is pulled to them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum DepthSource {
+    /// Sparse points.
+    #[default]
+    Points,
+    /// Sparse points, and distances of pixels from pairs of the photos trained on.
+    Pairs,
+}
+
 /// Whether every photo gets its own exposure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
@@ -144,6 +155,9 @@ pub struct Config {
     /// Steps after which sparse points no longer pull, 1 or more. Absent: from `steps` and the number of
     /// photos, at most 1,000.
     pub depth_steps: Option<u32>,
+    /// What pulls.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub depth_source: DepthSource,
     /// Exposure of single photos. Default: `per_photo_and_offset` if photos differ in the tones of matched points by more than noise, else
     /// `off`.
     pub gain: Gain,
@@ -195,6 +209,7 @@ impl Default for Config {
             emptiness: 3e-5,
             depth_weight: 1e-2,
             depth_steps: None,
+            depth_source: DepthSource::Points,
             gain: Gain::Off,
             background: Background::Direction,
             view_dependence: ViewDependence::On,

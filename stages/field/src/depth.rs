@@ -1,4 +1,4 @@
-//! Sparse points pull the matter of a ray to where a camera sees them.
+//! Sparse points, and distances of pixels, pull the matter of a ray to where a camera sees them.
 
 use marf_scene::Camera;
 use nalgebra::{Vector2, Vector3};
@@ -17,6 +17,8 @@ const SQUARES: f64 = 30.0;
 const HIDDEN: f64 = 0.1;
 /// Matter within this many steps of the point counts as being there.
 pub const REACH: f32 = 2.5;
+/// Standard deviations that are to be within the reach.
+const SIGMAS: f32 = 2.0;
 /// Added to the weight near the point: bounds the pull on rays that have next to nothing there.
 pub const FLOOR: f32 = 0.05;
 
@@ -27,6 +29,31 @@ pub struct Observation {
     pub pixel: u64,
     /// Distance of the point along its ray, half sides.
     pub t: f32,
+    /// One standard deviation of it. 0 for a sparse point.
+    pub sigma: f32,
+}
+
+impl Observation {
+    /// Returns where it pulls to, and its share of the weight of a pull. `None` beyond the steps.
+    ///
+    /// Less sure distances pull less: those of which two standard deviations are longer than the reach of a pull.
+    pub fn place_and_share(&self, steps: &Steps) -> Option<PlaceShare> {
+        let step = step_at(steps, self.t)?;
+        let reach = REACH * steps.length[step];
+        Some(PlaceShare {
+            place: place(steps, self.t)?,
+            share: (reach / (SIGMAS * self.sigma)).min(1.0),
+        })
+    }
+}
+
+/// Where an observation pulls to.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PlaceShare {
+    /// Number of a step as a share of all steps.
+    pub place: f32,
+    /// Share of the weight of a pull, in [0, 1].
+    pub share: f32,
 }
 
 /// What pulls the matter of a ray.
@@ -67,9 +94,20 @@ pub fn observations(
             Some(Observation {
                 pixel: first + view.image.kept(column, row)?,
                 t: Some((distance / frame.half_side) as f32).filter(|t| place(steps, *t).is_some())?,
+                sigma: 0.0,
             })
         });
-        observations.collect::<Vec<_>>()
+        let sparse = observations.collect::<Vec<_>>();
+        let dense = view.distances.iter().filter_map(|one| {
+            let [column, row] = one.pixel.map(u64::from);
+            let half_sides = |length: f32| (f64::from(length) / frame.half_side) as f32;
+            Some(Observation {
+                pixel: first + view.image.kept(column, row)?,
+                t: Some(half_sides(one.distance)).filter(|t| place(steps, *t).is_some())?,
+                sigma: half_sides(one.sigma),
+            })
+        });
+        sparse.into_iter().chain(dense).collect::<Vec<_>>()
     });
     found.collect::<Vec<_>>().concat()
 }
@@ -107,11 +145,16 @@ fn unhidden(camera: &Camera, seen: Vec<(Vector2<f64>, f64)>) -> Vec<(Vector2<f64
     seen
 }
 
+/// Returns the number of the last step that begins at distance `t`, half sides, or before.
+fn step_at(steps: &Steps, t: f32) -> Option<usize> {
+    steps.begin[..steps.count]
+        .partition_point(|begin| *begin <= t)
+        .checked_sub(1)
+}
+
 /// Returns the number of the step at distance `t`, half sides, with its fraction, as a share of all steps.
 pub fn place(steps: &Steps, t: f32) -> Option<f32> {
-    let step = steps.begin[..steps.count]
-        .partition_point(|begin| *begin <= t)
-        .checked_sub(1)?;
+    let step = step_at(steps, t)?;
     let fraction = (t - steps.begin[step]) / steps.length[step];
     (fraction <= 1.0).then(|| (step as f32 + fraction) / steps.count as f32)
 }
@@ -154,6 +197,7 @@ mod tests {
                 ..Pose::identity()
             },
             image: Image::from_fn(60, 40, |_, _| [9; 3]).into(),
+            distances: Vec::new(),
         }
     }
 

@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use crate::cpu::math::exp;
-use crate::depth::{Observation, Pull, SHARE, place};
+use crate::depth::{Pull, SHARE};
 use crate::exposure::{Exposure, ROW};
 use crate::frame::RayStart;
 use crate::rng::{Purpose, Rng};
@@ -91,16 +91,19 @@ impl Training {
         }
     }
 
-    /// Draws the pixel of a ray: of every eighth, while sparse points pull, one that sees a point.
+    /// Draws the pixel of a ray: of every eighth, while points and distances pull, one that sees a point or has a distance.
     pub fn aim(&self, ray: u64, rng: &mut Rng) -> (u64, Option<Pull>) {
         let weight = self.pull_at(self.state.steps, self.ray_count());
         let weight = weight.filter(|_| ray.is_multiple_of(SHARE));
         let Some(weight) = weight else {
             return (self.open_pixel(rng), None);
         };
-        let Observation { pixel, t } = self.observations[rng.below(self.observations.len() as u64) as usize];
-        let pull = place(&self.march, t).map(|place| Pull { place, weight });
-        (pixel, pull)
+        let seen = self.observations[rng.below(self.observations.len() as u64) as usize];
+        let pull = seen.place_and_share(&self.march).map(|at| Pull {
+            place: at.place,
+            weight: weight * at.share,
+        });
+        (seen.pixel, pull)
     }
 
     /// Draws a pixel of all photos, again where a mask hides it, at most [`DRAWS`] times.

@@ -230,6 +230,7 @@ fn cameras_a_hundred_thousand_half_sides_away_train_and_see_the_box() {
             camera: Camera::pinhole(16, 16, 6e5),
             cam_from_world: Pose::looking_at(eye, Vector3::zeros(), -Vector3::z()),
             image: Image::from_fn(16, 16, |x, y| [(x * 15) as u8, (y * 15) as u8, 90]).into(),
+            distances: Vec::new(),
         }
     };
     let views: Vec<View> = (0..4).map(view).collect();

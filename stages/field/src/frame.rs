@@ -220,6 +220,7 @@ mod tests {
             camera: Camera::pinhole(32, 24, 40.0),
             cam_from_world: Pose::looking_at(eye, target, -Vector3::z()),
             image: Image::from_fn(32, 24, |_, _| [9; 3]).into(),
+            distances: Vec::new(),
         }
     }
 

@@ -72,7 +72,7 @@ pub mod weights;
 
 pub use backend::Step;
 pub use bands::render_in_bands;
-pub use config::{Background, Config, Gain, Occupied, ViewDependence};
+pub use config::{Background, Config, DepthSource, Gain, Occupied, ViewDependence};
 pub use cpu_backend::{Counts, Cpu, StepProfile, WatchedTraining};
 pub use derived::Derived;
 pub use device::{Device, DeviceError};
@@ -90,4 +90,4 @@ pub use quality::Quality;
 pub use schedule::{STEPS_A_HALVING, Schedule, ScheduleError};
 pub use size::{Choice, Sizes};
 pub use trainer::Trainer;
-pub use views::View;
+pub use views::{PixelDistance, View};

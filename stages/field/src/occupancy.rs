@@ -303,6 +303,7 @@ mod tests {
                 ..Pose::identity()
             },
             image: Image::from_fn(20, 20, |_, _| [9; 3]).into(),
+            distances: Vec::new(),
         }]
     }
 

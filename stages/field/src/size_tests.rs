@@ -18,6 +18,7 @@ pub fn above(side: u32) -> Vec<View> {
         camera: Camera::pinhole(side, side, f64::from(side)),
         cam_from_world: Pose::looking_at(Vector3::new(x, y, 10.0), Vector3::new(x, y, 0.0), Vector3::y()),
         image: Image::from_fn(1, 1, |_, _| [0; 3]).into(),
+        distances: Vec::new(),
     };
     eyes.map(view).into()
 }

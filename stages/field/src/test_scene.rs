@@ -43,6 +43,7 @@ pub fn ball_view(angle: f64, height: f64, width: u32) -> View {
         camera,
         cam_from_world,
         image: image.into(),
+        distances: Vec::new(),
     }
 }
 

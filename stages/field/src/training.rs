@@ -263,6 +263,10 @@ fn fingerprint(views: &[View], frame: &Frame, observations: &[Observation]) -> u
     sum.add(numbers.map(|number| number.to_bits()));
     for observation in observations {
         sum.add([observation.pixel, observation.t.to_bits().into()]);
+        // Sparse points have none, and keep the digests of states from before there were others.
+        if observation.sigma > 0.0 {
+            sum.add([observation.sigma.to_bits().into()]);
+        }
     }
     sum.0
 }

@@ -392,6 +392,7 @@ fn twenty_steps_on_exact_views_give_the_known_bytes() {
             [(x * 20) as u8, (y * 25) as u8, (shade * 60) as u8]
         })
         .into(),
+        distances: Vec::new(),
     };
     let views = vec![
         view([0.5, 0.0, 2.0], 0),

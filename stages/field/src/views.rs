@@ -14,6 +14,19 @@ pub struct View {
     pub cam_from_world: Pose,
     /// Its pixels.
     pub image: Pixels,
+    /// Distances of some of its pixels, which pull the matter of their rays as sparse points do.
+    pub distances: Vec<PixelDistance>,
+}
+
+/// How far away what a pixel shows is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PixelDistance {
+    /// Column and row of the pixel.
+    pub pixel: [u32; 2],
+    /// Distance from the camera, units of the world.
+    pub distance: f32,
+    /// One standard deviation of it.
+    pub sigma: f32,
 }
 
 impl View {

@@ -1,9 +1,11 @@
 //! Views that a field is trained on, and the trainer itself.
 
-use marf_field::{Config, Derived, Field, Pixels, Trainer, View, exposure::StartExposure};
-use marf_scene::{Scene, Tones};
+use std::collections::BTreeMap;
+
+use marf_field::{Config, Derived, Field, PixelDistance, Pixels, Trainer, View, exposure::StartExposure};
+use marf_scene::{Camera, Frame, Scene, Tones};
 use marf_schema::train::TrainParams;
-use marf_stage::StageError;
+use marf_stage::{Ctx, StageError};
 
 use crate::{
     TrainError,
@@ -22,6 +24,7 @@ pub(crate) fn training_views(
     photos: &PhotoReader<'_>,
     training: &[NamedFrame<'_>],
     times: &[usize],
+    distances: &Distances,
     plan: MemoryPlan,
     seed: u64,
 ) -> Result<Vec<View>, StageError> {
@@ -41,12 +44,45 @@ pub(crate) fn training_views(
             } else {
                 format!("{id}{COPY}{}", copy + 1)
             },
+            distances: distances.of(id, &camera),
             camera,
             cam_from_world: named.frame.cam_from_world,
             image,
         }));
     }
     Ok(views)
+}
+
+/// Distances of pixels of training photos, from pairs of them.
+#[derive(Default)]
+pub(crate) struct Distances(BTreeMap<String, Vec<marf_depth::PixelDistance>>);
+
+impl Distances {
+    /// Returns those that pairs of these photos show. No other photo takes part, so that none judges what it has taught.
+    ///
+    /// # Errors
+    /// A photo that cannot be read, or the wish to stop.
+    pub fn between(ctx: &Ctx<'_>, scene: &Scene, photos: Vec<Frame>) -> Result<Self, StageError> {
+        let scene = Scene {
+            frames: photos,
+            ..scene.clone()
+        };
+        let distances = marf_depth::distances(ctx, &scene)?;
+        let ids = scene.frames.into_iter().map(|frame| frame.id);
+        Ok(Self(ids.zip(distances).collect()))
+    }
+
+    /// Returns those of a photo, taken by this camera.
+    fn of(&self, id: &str, camera: &Camera) -> Vec<PixelDistance> {
+        let known = self.0.get(id).into_iter().flatten();
+        let pixel = |share: f32, pixels: u32| ((share * pixels as f32) as u32).min(pixels - 1);
+        let here = known.map(|one| PixelDistance {
+            pixel: [pixel(one.at[0], camera.width), pixel(one.at[1], camera.height)],
+            distance: one.distance,
+            sigma: one.sigma,
+        });
+        here.collect()
+    }
 }
 
 /// What a trainer begins with.

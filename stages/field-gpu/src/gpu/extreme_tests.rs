@@ -283,6 +283,7 @@ fn far_cameras_and_near_at_far_train_on_a_device() {
             camera: Camera::pinhole(12, 12, 6e5),
             cam_from_world: Pose::looking_at(eye, Vector3::zeros(), -Vector3::z()),
             image: Image::from_fn(12, 12, |x, y| [(x * 20) as u8, (y * 20) as u8, 90]).into(),
+            distances: Vec::new(),
         }
     };
     let trainers = both(&gpu, (0..2).map(far).collect(), &points(), &small());

@@ -9,7 +9,7 @@ use super::kernel::{Bound, Kernel};
 use marf_field::GpuError;
 use marf_field::View;
 use marf_field::cpu::march::Steps;
-use marf_field::depth::{Observation, SHARE, place};
+use marf_field::depth::{Observation, SHARE};
 use marf_field::draw::DRAWS;
 use marf_field::frame::Frame;
 use marf_field::pixels::HIDDEN;
@@ -155,11 +155,11 @@ pub fn camera(camera: &Camera, world_from_cam: &Pose, frame: &Frame) -> ViewCame
 /// Returns observations as kernels see them. They must be made again whenever the steps are.
 pub fn observed(observations: &[Observation], steps: &Steps) -> Vec<Observed> {
     let one = |observation: &Observation| {
-        let place = place(steps, observation.t);
+        let at = observation.place_and_share(steps);
         Observed {
             pixel: observation.pixel as u32,
-            place: place.unwrap_or(0.0),
-            pulls: u32::from(place.is_some()),
+            place: at.map_or(0.0, |at| at.place),
+            share: at.map_or(0.0, |at| at.share),
         }
     };
     observations.iter().map(one).collect()

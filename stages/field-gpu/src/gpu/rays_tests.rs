@@ -122,6 +122,7 @@ fn view(camera: Camera, angle: f64, run: u32, is_opaque: bool) -> View {
         camera,
         cam_from_world: Pose::looking_at(eye, Vector3::new(30.0, 0.0, 0.0), -Vector3::z()),
         image: Pixels::thinned(image, Some(&hidden), run, 3, run.into()).with_alpha(&alpha),
+        distances: Vec::new(),
     }
 }
 

@@ -29,6 +29,7 @@ fn view(index: u32) -> View {
         camera,
         cam_from_world,
         image: image.into(),
+        distances: Vec::new(),
     }
 }
 

@@ -178,6 +178,7 @@ mod tests {
             camera: Camera::pinhole(width, height, FOCAL_PX),
             cam_from_world: Pose::identity(),
             image: image.into(),
+            distances: Vec::new(),
         }
     }
 

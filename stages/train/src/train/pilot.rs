@@ -93,7 +93,16 @@ impl PilotResult {
         let PhotoSet {
             split, times, scene, ..
         } = &plan.photos;
-        let views = || training_views(photos, &split.training, times, plan.memory, params.seed);
+        let views = || {
+            training_views(
+                photos,
+                &split.training,
+                times,
+                &plan.distances,
+                plan.memory,
+                params.seed,
+            )
+        };
         let trainer = |config: &Config| {
             new_trainer(views()?, scene, config, plan.begin(), params).map_err(StageError::from)
         };

@@ -3,7 +3,7 @@
 use std::time::Instant;
 
 use marf_cache::Digest;
-use marf_field::Trainer;
+use marf_field::{DepthSource, Trainer};
 use marf_scene::{Camera, Scene};
 use marf_schema::train::{Holdout, TrainParams};
 use marf_stage::{Ctx, Define, Inputs, StageError};
@@ -21,7 +21,7 @@ use crate::{
     photos::PhotoReader,
     scoring::{JudgedPhotos, mean_psnr},
     split::{NamedFrame, spread},
-    views::Begin,
+    views::{Begin, Distances},
 };
 
 /// Longest side of the photos that judging is measured on, pixels.
@@ -30,6 +30,8 @@ const MEASURED_SIDE_PX: u32 = 96;
 /// Plan of a training before its first step.
 pub(super) struct Plan<'a> {
     pub photos: PhotoSet<'a>,
+    /// Of pixels of the training photos. Empty where none are to pull.
+    pub distances: Distances,
     pub settings: Settings,
     pub memory: MemoryPlan,
     pub judging: JudgingPlan,
@@ -64,6 +66,13 @@ impl<'a> Plan<'a> {
         let mut settings = Settings::resolve(ctx, params, inputs, scene)?;
         let photos = PhotoSet::new(scene, &settings, params.resample)?;
         let start = Start::decide(ctx, params, inputs, &photos, &mut settings)?;
+        let distances = match settings.config.depth_source {
+            DepthSource::Points => Distances::default(),
+            DepthSource::Pairs => {
+                let frames = photos.trained_on().into_iter().cloned().collect();
+                ctx.timed("depth", || Distances::between(ctx, scene, frames))?
+            }
+        };
         let judging = JudgingPlan {
             scale: params.judged_scale.unwrap_or(settings.scale),
             photos: JudgedPhotos {
@@ -75,6 +84,7 @@ impl<'a> Plan<'a> {
             memory: settings.plan_memory(&photos.split, &photos.times, judging.scale)?,
             identity: identity(stage, inputs, &settings.length()),
             photos,
+            distances,
             settings,
             judging,
             start,

@@ -89,6 +89,7 @@ fn member(harness: &Harness, scene: &Scene, seed: u64, steps: u64, background: &
         camera: frame.camera,
         cam_from_world: frame.cam_from_world,
         image: decode(frame).into(),
+        distances: Vec::new(),
     };
     let keys = json!({"levels": 4, "log2_table": 11, "finest_resolution": 64, "density_width": 16, "color_width": 16,
         "batch_samples": 2048, "occupancy_resolution": 32, "background": background});

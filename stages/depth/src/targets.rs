@@ -1,0 +1,68 @@
+//! Distances of pixels, for a field to learn from.
+
+use marf_scene::Scene;
+use marf_stage::{Ctx, StageError};
+use nalgebra::Vector2;
+
+use crate::disparities::Class;
+use crate::matching::Matching;
+use crate::merge::PhotoDepth;
+
+/// Longest side of the pictures that are matched, pixels, and most pairs of a photo.
+const SIDE_PX: u32 = 480;
+const NEIGHBOURS: u32 = 3;
+/// Most distances of a photo: from every second, third, ... column and row.
+const MOST: usize = 1 << 15;
+
+/// How far away what a pixel shows is.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PixelDistance {
+    /// Place in the photo as shares of its width and height.
+    pub at: [f32; 2],
+    /// Distance from the camera, units of the world.
+    pub distance: f32,
+    /// One standard deviation of it.
+    pub sigma: f32,
+}
+
+/// Returns distances of pixels of each photo of a scene, in their order, from pairs of these photos alone.
+///
+/// A photo has at most 32,768, spread over it. There is none next to edges. Without a pair that shows depth the list is empty.
+///
+/// # Errors
+/// A photo that cannot be read, or the wish to stop.
+pub fn distances(ctx: &Ctx<'_>, scene: &Scene) -> Result<Vec<Vec<PixelDistance>>, StageError> {
+    let mut matching = Matching::new(ctx, scene, SIDE_PX, NEIGHBOURS)?;
+    let photos = 0..scene.frames.len();
+    photos
+        .map(|photo| Ok(spread(&matching.depth_of(photo)?)))
+        .collect()
+}
+
+/// Returns distances of pixels on a lattice.
+fn spread(depth: &PhotoDepth) -> Vec<PixelDistance> {
+    let (width, height) = (depth.camera.width as usize, depth.camera.height as usize);
+    let stride = (1..).find(|stride| width.div_ceil(*stride) * height.div_ceil(*stride) <= MOST);
+    let stride = stride.unwrap_or(1);
+    let rows = (stride / 2..height).step_by(stride);
+    let pixels = rows.flat_map(|row| {
+        (stride / 2..width)
+            .step_by(stride)
+            .map(move |column| [column, row])
+    });
+    let found = pixels.filter_map(|[column, row]| {
+        let index = row * width + column;
+        if !matches!(depth.class[index], Class::Pair | Class::Confirmed) {
+            return None;
+        }
+        let at = Vector2::new(column as f64 + 0.5, row as f64 + 0.5);
+        let inverse = f64::from(depth.inverse[index]);
+        let distance = depth.camera.unproject(&at)?.norm() / inverse;
+        Some(PixelDistance {
+            at: [at.x / width as f64, at.y / height as f64].map(|share| share as f32),
+            distance: distance as f32,
+            sigma: (distance * f64::from(depth.sigma[index]) / inverse) as f32,
+        })
+    });
+    found.collect()
+}
