@@ -62,7 +62,7 @@ fn rows(facts: &Facts) -> [(&'static str, f64, &'static str, &str); 10] {
             &sizes.distortion.reason,
         ),
         (
-            "steps for which points pull",
+            "steps for which points and distances pull",
             f64::from(sizes.depth_steps.value),
             "",
             &sizes.depth_steps.reason,

@@ -146,6 +146,40 @@ fn depths_of_a_plane_are_found_confirmed_and_as_sure_as_they_say() {
 }
 
 #[test]
+fn distances_of_pixels_are_those_of_the_plane_and_as_sure_as_they_say() {
+    let harness = Harness::default();
+    let scene = scene(&harness, &PLACES);
+    let found = crate::distances(&harness.ctx(), &scene).unwrap();
+    assert_eq!(found.len(), 3);
+    for (frame, distances) in scene.frames.iter().zip(&found) {
+        // 160 x 120 are fewer than 32,768.
+        assert!(distances.len() > 12_000, "{}", distances.len());
+        let mut sure = 0;
+        let errors = distances.iter().map(|one| {
+            let at = Vector2::new(160.0 * f64::from(one.at[0]), 120.0 * f64::from(one.at[1]));
+            let truth =
+                (on_plane(&frame.camera, &frame.cam_from_world, &at) - frame.cam_from_world.centre()).norm();
+            let error = (f64::from(one.distance) - truth).abs();
+            sure += usize::from(error <= 3.0 * f64::from(one.sigma));
+            error / truth
+        });
+        let mut errors: Vec<f64> = errors.collect();
+        errors.sort_by(f64::total_cmp);
+        assert!(errors[errors.len() / 2] < 0.005, "{}", errors[errors.len() / 2]);
+        assert!(
+            sure as f64 > 0.97 * errors.len() as f64,
+            "{sure} of {}",
+            errors.len()
+        );
+    }
+    let alone = Scene {
+        frames: scene.frames[..1].to_vec(),
+        ..scene
+    };
+    assert_eq!(crate::distances(&harness.ctx(), &alone).unwrap(), [vec![]]);
+}
+
+#[test]
 fn results_are_equal_for_any_threads_and_from_kept_pairs() {
     let on = |threads: usize, harness: &Harness| {
         let scene = scene(harness, &PLACES);

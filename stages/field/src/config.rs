@@ -148,14 +148,14 @@ pub struct Config {
     /// samples on every ray.
     // After 2,000 steps 0.00003 gained 0.15 dB on the mock-up and 0.07 on the fox, 0.0001 gained 0.31 and lost 0.24: `benches/field.md`.
     pub emptiness: f64,
-    /// Weight of the loss that pulls surfaces to sparse points, in [0, 1]. 0: off. It falls to 0 over
+    /// Weight of the loss that pulls surfaces to what `depth_source` says, in [0, 1]. 0: off. It falls to 0 over
     /// `depth_steps`. It helps most if there are few photos.
     // `benches/field.md`. The squared error of the expected step instead fogs the ray.
     pub depth_weight: f64,
-    /// Steps after which sparse points no longer pull, 1 or more. Absent: from `steps` and the number of
+    /// Steps after which nothing pulls any longer, 1 or more. Absent: from `steps` and the number of
     /// photos, at most 1,000.
     pub depth_steps: Option<u32>,
-    /// What pulls.
+    /// What pulls. Default: `pairs` with fewer than 24 photos to train on, else `points`.
     #[serde(skip_serializing_if = "is_zero")]
     pub depth_source: DepthSource,
     /// Exposure of single photos. Default: `per_photo_and_offset` if photos differ in the tones of matched points by more than noise, else

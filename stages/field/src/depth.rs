@@ -185,6 +185,7 @@ impl Pull {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::PixelDistance;
     use crate::views::pixel_offsets;
     use marf_scene::{Image, Pose};
 
@@ -257,6 +258,46 @@ mod tests {
             assert_eq!(seen(&views, &[point]), [], "{point:?}");
         }
         assert_eq!(seen(&views, &[]), []);
+    }
+
+    #[test]
+    fn a_distance_pulls_the_ray_of_its_pixel_as_strongly_as_it_is_sure() {
+        let mut views = [view([0.0; 3]), view([0.0; 3])];
+        let distance = |pixel, distance, sigma| PixelDistance {
+            pixel,
+            distance,
+            sigma,
+        };
+        // Units of the world are two half sides. The last lies behind all steps.
+        views[1].distances = vec![
+            distance([3, 2], 6.0, 0.1),
+            distance([4, 2], 6.0, 5.0),
+            distance([5, 2], 1e9, 0.1),
+        ];
+        let frame = Frame {
+            origin: [0.0; 3],
+            half_side: 2.0,
+            ..Frame::derive(&views, &[])
+        };
+        let steps = Steps::new(0.5, 100.0, 0.5, 0.0);
+        let found = observations(&views, &pixel_offsets(&views), &[], &frame, &steps);
+        let pixels: Vec<u64> = found.iter().map(|one| one.pixel).collect();
+        assert_eq!(pixels, [2400 + 123, 2400 + 124]);
+        let at: Vec<_> = found
+            .iter()
+            .map(|one| one.place_and_share(&steps).unwrap())
+            .collect();
+        assert_eq!(at[0].place, place(&steps, 3.0).unwrap());
+        // A pull reaches 2.5 steps of 0.5. Two standard deviations are 0.1 and 5 half sides.
+        assert_eq!((at[0].share, at[1].share), (1.0, 0.25));
+        let sparse = Observation {
+            pixel: 0,
+            t: 3.0,
+            sigma: 0.0,
+        };
+        assert_eq!(sparse.place_and_share(&steps).unwrap().share, 1.0);
+        let behind = Observation { t: 1e9, ..sparse };
+        assert_eq!(behind.place_and_share(&steps), None);
     }
 
     const TAU: [f32; 6] = [0.1, 0.4, 0.05, 1.5, 0.3, 0.2];

@@ -88,6 +88,6 @@ pub use picture::Render;
 pub use pixels::Pixels;
 pub use quality::Quality;
 pub use schedule::{STEPS_A_HALVING, Schedule, ScheduleError};
-pub use size::{Choice, Sizes};
+pub use size::{Choice, FEW_PHOTOS, Sizes};
 pub use trainer::Trainer;
 pub use views::{PixelDistance, View};

@@ -8,7 +8,7 @@ use crate::cpu::simd::LANES;
 use crate::frame::Frame;
 use crate::size::{Sizes, derive};
 use crate::test_scene::{ball, ball_view, psnr, small, trained};
-use crate::{Config, View, ViewDependence};
+use crate::{Config, DepthSource, PixelDistance, View, ViewDependence};
 
 /// Cameras in a row, 10 above the plane z = 0, looking down. Photos have `side` pixels a side.
 pub fn above(side: u32) -> Vec<View> {
@@ -242,6 +242,27 @@ fn points_pull_for_half_of_the_steps_and_longer_where_photos_are_few() {
     assert_eq!(said.depth_steps.value, 3);
     let none = sizes(&above(8), &[]).depth_steps;
     assert_eq!((none.value, &*none.reason), (1_000, "there are no sparse points"));
+    let pairs = Config {
+        depth_source: DepthSource::Pairs,
+        ..Config::default()
+    };
+    let mut views = above(8);
+    let without = sizes_of(&views, &plane(22), &pairs).depth_steps.reason;
+    assert!(
+        without.contains("sparse points (no pair of them shows distances) for"),
+        "{without}"
+    );
+    let distance = PixelDistance {
+        pixel: [0, 0],
+        distance: 1.0,
+        sigma: 0.1,
+    };
+    views[3].distances = vec![distance; 1200];
+    let with = sizes_of(&views, &[], &pairs).depth_steps.reason;
+    assert!(
+        with.contains("sparse points and 1,200 distances from pairs of them for"),
+        "{with}"
+    );
     let mut before = serde_json::to_value(&said).unwrap();
     before.as_object_mut().unwrap().remove("depth_steps").unwrap();
     let mut read: Sizes = serde_json::from_value(before).unwrap();

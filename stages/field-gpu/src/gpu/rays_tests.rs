@@ -13,7 +13,7 @@ use marf_field::frame::{Frame, RayStart};
 use marf_field::rng::{Purpose, Rng};
 use marf_field::test_scene::small;
 use marf_field::training::Training;
-use marf_field::{Config, GpuError, Pixels, View};
+use marf_field::{Config, GpuError, PixelDistance, Pixels, View};
 
 /// Of a direction, where the distortion moves a pixel by no more than an ideal camera: f32 rounds its terms.
 const DIRECTION: f64 = 2e-6;
@@ -117,12 +117,18 @@ fn view(camera: Camera, angle: f64, run: u32, is_opaque: bool) -> View {
     let alpha: Vec<u8> = (0..if is_opaque { 0 } else { all })
         .map(|place| (3 * place) as u8)
         .collect();
+    // Of less and less sure ones, some pull with less than the whole weight.
+    let distances = (0..camera.height).map(|row| PixelDistance {
+        pixel: [camera.width - 1 - row % 3, row],
+        distance: 3.0,
+        sigma: 0.05 * row as f32,
+    });
     View {
         id: format!("view {angle}"),
         camera,
         cam_from_world: Pose::looking_at(eye, Vector3::new(30.0, 0.0, 0.0), -Vector3::z()),
         image: Pixels::thinned(image, Some(&hidden), run, 3, run.into()).with_alpha(&alpha),
-        distances: Vec::new(),
+        distances: distances.collect(),
     }
 }
 

@@ -4,6 +4,8 @@ mod choice;
 mod detail;
 mod grid;
 mod pulls;
+
+pub use pulls::FEW_PHOTOS;
 mod rays;
 
 use serde::{Deserialize, Serialize};
@@ -46,7 +48,7 @@ pub struct Sizes {
     /// square of the share that is done.
     #[serde(default = "distortion_before")]
     pub distortion: Choice<[f64; 2]>,
-    /// Steps after which sparse points no longer pull.
+    /// Steps after which sparse points and distances of pixels no longer pull.
     #[serde(default = "depth_steps_before")]
     pub depth_steps: Choice<u32>,
     /// Pull of the tables to zero at the start, see [`Config::table_decay`].
@@ -71,7 +73,7 @@ pub fn derive(views: &[View], points: &[[f64; 3]], config: &Config, frame: &Fram
         log2_table: log2_table(config, surface_cells.value, detail.value),
         halvings: halvings(config, views),
         distortion: distortion(config, views.len(), depths.is_ok()),
-        depth_steps: depth_steps(config, views.len(), points.len()),
+        depth_steps: depth_steps(config, views, points.len()),
         table_decay: table_decay(config, views.len(), points.len()),
         finest,
         surface_cells,

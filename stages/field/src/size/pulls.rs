@@ -1,10 +1,10 @@
 //! Losses and decays in addition to the photos, and their weights.
 
 use super::choice::{Choice, grouped};
-use crate::Config;
+use crate::{Config, DepthSource, View};
 
 /// Fewer photos than this are few: matter is to gather on surfaces before one of them alone explains it.
-const FEW_PHOTOS: usize = 24;
+pub const FEW_PHOTOS: usize = 24;
 /// Weights of the distortion loss at the start and at the end, of few photos and of many. `benches/field.md`.
 const DISTORTION_OF_FEW: [f64; 2] = [0.03; 2];
 const DISTORTION_OF_MANY: [f64; 2] = [0.0, 0.1];
@@ -47,22 +47,32 @@ pub(super) fn depth_steps_before() -> Choice<u32> {
     Choice::new(LONGEST_PULL, "the same for all scenes")
 }
 
-/// Returns the steps after which sparse points no longer pull.
+/// Returns the steps after which sparse points and distances of pixels no longer pull.
 ///
 /// They show early where matter is. Until the end they would blur what many photos show. Few photos need them
 /// longer: `benches/field.md`.
-pub(super) fn depth_steps(config: &Config, photos: usize, points: usize) -> Choice<u32> {
+pub(super) fn depth_steps(config: &Config, views: &[View], points: usize) -> Choice<u32> {
     if let Some(steps) = config.depth_steps {
         return Choice::said(steps, "depth_steps");
     }
+    let photos = views.len();
+    let distances: usize = views.iter().map(|view| view.distances.len()).sum();
+    let what = match (config.depth_source, distances) {
+        (DepthSource::Points, _) => "sparse points".to_owned(),
+        (DepthSource::Pairs, 0) => "sparse points (no pair of them shows distances)".to_owned(),
+        (DepthSource::Pairs, count) => {
+            format!(
+                "sparse points and {} distances from pairs of them",
+                grouped(count as u64)
+            )
+        }
+    };
     let most = grouped(LONGEST_PULL.into());
     let (steps, reason) = match config.steps {
-        _ if points == 0 => (LONGEST_PULL, "there are no sparse points".to_owned()),
+        _ if points == 0 && distances == 0 => (LONGEST_PULL, "there are no sparse points".to_owned()),
         _ if photos < FEW_PHOTOS => (
             LONGEST_PULL,
-            format!(
-                "{photos} photos to train on, fewer than {FEW_PHOTOS}, need sparse points for {most} steps"
-            ),
+            format!("{photos} photos to train on, fewer than {FEW_PHOTOS}, need {what} for {most} steps"),
         ),
         None => (
             LONGEST_PULL,

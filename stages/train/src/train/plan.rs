@@ -65,6 +65,7 @@ impl<'a> Plan<'a> {
     ) -> Result<Self, StageError> {
         let mut settings = Settings::resolve(ctx, params, inputs, scene)?;
         let photos = PhotoSet::new(scene, &settings, params.resample)?;
+        settings.choose_depth_source(photos.split.training.len());
         let start = Start::decide(ctx, params, inputs, &photos, &mut settings)?;
         let distances = match settings.config.depth_source {
             DepthSource::Points => Distances::default(),

@@ -1,7 +1,8 @@
 //! What decides a training before it begins: its own parameters, or the setup of another training.
 
 use marf_field::{
-    Config, Derived, EXPECTED_STEPS_PER_S, Facts, Field, Gain, OpenSizes, Overrides, Quality, Schedule,
+    Config, DepthSource, Derived, EXPECTED_STEPS_PER_S, FEW_PHOTOS, Facts, Field, Gain, OpenSizes, Overrides,
+    Quality, Schedule,
 };
 use marf_scene::Scene;
 use marf_schema::train::{Budget, Fit, Fold, Holdout, Memory, Setup, TrainParams, WarmStart};
@@ -85,6 +86,15 @@ impl Settings {
             until: None,
             watched: params.target_psnr.is_some(),
         })
+    }
+
+    /// Lets pairs of few photos show where surfaces are: with more, the photos themselves do (`benches/field.md`).
+    pub fn choose_depth_source(&mut self, photos: usize) {
+        let is_open =
+            self.fit == Fit::Scene && !self.is_decided() && !self.keys.0.contains_key("depth_source");
+        if is_open && photos < FEW_PHOTOS {
+            self.config.depth_source = DepthSource::Pairs;
+        }
     }
 
     /// Plans for `steps` of `batch_samples` each, before the first step, since sizes follow from them.

@@ -9,6 +9,7 @@ mod bootstrap;
 #[path = "../common/mod.rs"]
 mod common;
 mod decodes;
+mod distances;
 mod exposure;
 mod folds;
 mod length;
