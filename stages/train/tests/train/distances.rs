@@ -1,15 +1,31 @@
 //! Distances of pixels that pull: when pairs give them, and from which photos.
 
 use marf_field::DepthSource;
-use marf_scene::{Image, Point, Scene, encode_png};
+use marf_scene::{Image, Point, Pose, Scene, encode_png};
 use marf_schema::train::Setup;
 use marf_stage::{Outputs, TypedOutputs, harness::Harness};
 use marf_train::Train;
+use nalgebra::{Vector2, Vector3};
 use serde_json::{Value, json};
 
 use crate::common::{inputs, put_scene, run, scene_of, small, stage};
 
-/// The checkered floor with points on it, in photos large enough to be matched.
+/// Returns a number in [0, 1) of a place on a grid.
+fn noise(x: i64, y: i64) -> f64 {
+    let mixed =
+        (x.wrapping_mul(0x9e37_79b9) ^ y.wrapping_mul(0x85eb_ca6b)).wrapping_mul(0x27d4_eb2f_1656_67c5);
+    f64::from(((mixed ^ (mixed >> 29)) & 0xff) as u8) / 256.0
+}
+
+/// Brightness of the floor: smooth noise.
+fn brightness(x: f64, y: f64) -> u8 {
+    let (x, y) = (6.0 * x, 6.0 * y);
+    let (i, j, u, v) = (x.floor() as i64, y.floor() as i64, x - x.floor(), y - y.floor());
+    let row = |j: i64| noise(i, j) * (1.0 - u) + noise(i + 1, j) * u;
+    (30.0 + 200.0 * (row(j) * (1.0 - v) + row(j + 1) * v)) as u8
+}
+
+/// A floor z = 0 with points on it, photographed from above on a line. z points down.
 fn floor(harness: &Harness, photos: u32) -> Scene {
     let points = (0..400).map(|index| Point {
         position: [
@@ -20,10 +36,24 @@ fn floor(harness: &Harness, photos: u32) -> Scene {
         color: None,
         views: 3,
     });
-    Scene {
+    let mut scene = Scene {
         points: points.collect(),
         ..scene_of(harness, photos, 96, 72)
+    };
+    for (index, frame) in scene.frames.iter_mut().enumerate() {
+        let x = 0.15 * (index as f64 - f64::from(photos) / 2.0);
+        let eye = Vector3::new(x, 0.1, -3.0);
+        frame.cam_from_world = Pose::looking_at(eye, Vector3::new(x, 0.0, 0.0), Vector3::y());
+        let world_from_cam = frame.cam_from_world.inverse();
+        let image = Image::from_fn(96, 72, |column, row| {
+            let pixel = Vector2::new(f64::from(column) + 0.5, f64::from(row) + 0.5);
+            let ray = world_from_cam.direction(&frame.camera.unproject(&pixel).unwrap());
+            let hit = eye - ray * (eye.z / ray.z);
+            [brightness(hit.x, hit.y); 3]
+        });
+        frame.image = harness.put(&encode_png(&image).unwrap());
     }
+    scene
 }
 
 fn trained(harness: &Harness, scene: &Scene, keys: &Value) -> (Outputs, Setup) {
