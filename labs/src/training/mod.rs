@@ -15,7 +15,7 @@ use std::time::Instant;
 use clap::{Args, ValueEnum};
 use marf_cache::Digest;
 use marf_engine::{Cancel, Options};
-use marf_field::{Config, Device, OpenSizes, Overrides, Pilot, Trainer, steps_in};
+use marf_field::{Config, DepthSource, Device, OpenSizes, Overrides, Pilot, Trainer, steps_in};
 use marf_run::execute::{execute, options};
 use marf_run::folder::PhotoFolder;
 use marf_run::session::{Session, node_named};
@@ -106,6 +106,9 @@ pub fn train(args: &TrainArgs, cancel: &Cancel) -> Result {
         .field
         .over(&Config::default())
         .map_err(|error| Error::usage(format!("train.field.{}: {}", error.key, error.message)))?;
+    if config.depth_source == DepthSource::Pairs {
+        return Err("this loop matches no pairs of photos: `marf fit` does".into());
+    }
     let scene = import(&session)?;
     let most = if args.explain { EXPLAINED } else { 0 };
     let photos = photos(&session, &scene, keys.scale.unwrap_or(1), most)?;
