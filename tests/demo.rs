@@ -9,8 +9,9 @@ mod common;
 
 use std::collections::BTreeMap;
 use std::path::Path;
+use std::sync::LazyLock;
 
-use common::{Ran, SMALL_DEMO, marf};
+use common::{Ran, SMALL_DEMO, copy, marf};
 
 fn run(folder: &Path, more: &[&str]) -> Ran {
     let mut args = vec!["run", "--json"];
@@ -23,6 +24,18 @@ fn demo() -> tempfile::TempDir {
     let dir = tempfile::tempdir().unwrap();
     marf(dir.path(), &["init"]).exits(0);
     dir
+}
+
+/// A copy of a folder in which the demo has run once, by two threads, and what that run printed.
+fn ran() -> (tempfile::TempDir, &'static Ran) {
+    static RUN: LazyLock<(tempfile::TempDir, Ran)> = LazyLock::new(|| {
+        let dir = demo();
+        let first = run(dir.path(), &["--threads", "2"]);
+        (dir, first)
+    });
+    let dir = tempfile::tempdir().unwrap();
+    copy(RUN.0.path(), dir.path());
+    (dir, &RUN.1)
 }
 
 /// Digests of all outputs of the last run, by node and name.
@@ -135,8 +148,7 @@ fn numbers_that_stand_twice_agree(page: &str) {
 
 #[test]
 fn only_what_changed_runs_again() {
-    let dir = demo();
-    let first = run(dir.path(), &[]);
+    let (dir, first) = ran();
     assert_eq!(first.nodes("failed"), Vec::<String>::new());
     let events = first.events();
     let at = |event: &str, node: &str| {
@@ -152,7 +164,7 @@ fn only_what_changed_runs_again() {
         at("finished", "draft") < at("will_run", "tune/"),
         "the draft comes before the trials"
     );
-    let kept = count(&first, "blur", "photos");
+    let kept = count(first, "blur", "photos");
     assert!((30..=44).contains(&kept), "{kept} photos kept of two sols");
     let report = std::fs::read_to_string(dir.path().join("out/report.html")).unwrap();
     assert!(
@@ -213,7 +225,7 @@ fn only_what_changed_runs_again() {
         1,
         "only the new sol is fetched"
     );
-    let new = count(&sol, "extract", "photos") - count(&first, "extract", "photos");
+    let new = count(&sol, "extract", "photos") - count(first, "extract", "photos");
     assert_eq!(
         count(&sol, "extract", "measured"),
         new,
@@ -228,9 +240,8 @@ fn only_what_changed_runs_again() {
 
 #[test]
 fn one_and_two_threads_give_the_same_digests() {
-    let (one, two) = (demo(), demo());
-    run(one.path(), &["--threads", "1", "--set", "archive.demo.sols=1"]);
-    run(two.path(), &["--threads", "2", "--set", "archive.demo.sols=1"]);
+    let (one, (two, _)) = (demo(), ran());
+    run(one.path(), &["--threads", "1"]);
     let (one, two) = (digests(one.path()), digests(two.path()));
     assert!(one.len() > 40, "{} outputs", one.len());
     assert_eq!(one, two);
@@ -240,8 +251,7 @@ fn one_and_two_threads_give_the_same_digests() {
 /// the verbs run on the results of a run alone, and write what others read.
 #[test]
 fn exports_run_on_the_results_of_a_run() {
-    let dir = demo();
-    run(dir.path(), &["--to", "train"]);
+    let (dir, _) = ran();
     let said = marf(
         dir.path(),
         &[

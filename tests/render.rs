@@ -10,24 +10,38 @@ mod common;
 use std::path::Path;
 use std::sync::LazyLock;
 
-use common::{Ran, SMALL_DEMO, marf};
+use common::{Ran, SMALL_DEMO, copy, marf};
 use marf_scene::picture::png16::read_quantity;
 use serde_json::{Value, json};
 
-/// A folder in which the small demo has run up to a node, with two retrainings.
-fn small_run(to: &str) -> tempfile::TempDir {
-    let dir = tempfile::tempdir().unwrap();
-    marf(dir.path(), &["init"]).exits(0);
-    let mut args = vec!["run", "--to", to];
+/// Runs the small demo up to a node, with two retrainings.
+fn run_to(folder: &Path, node: &str) {
+    let mut args = vec!["run", "--to", node];
     for set in SMALL_DEMO.iter().chain(&["bootstrap.b=2", "train.steps=80"]) {
         args.extend(["--set", set]);
     }
-    marf(dir.path(), &args).exits(0);
-    dir
+    marf(folder, &args).exits(0);
 }
 
+/// A folder with one run, up to the training.
+fn trained() -> &'static Path {
+    static RUN: LazyLock<tempfile::TempDir> = LazyLock::new(|| {
+        let dir = tempfile::tempdir().unwrap();
+        marf(dir.path(), &["init"]).exits(0);
+        run_to(dir.path(), "train");
+        dir
+    });
+    RUN.path()
+}
+
+/// A folder with a second run, up to the bootstrap.
 fn bootstrapped() -> &'static Path {
-    static RUN: LazyLock<tempfile::TempDir> = LazyLock::new(|| small_run("bootstrap"));
+    static RUN: LazyLock<tempfile::TempDir> = LazyLock::new(|| {
+        let dir = tempfile::tempdir().unwrap();
+        copy(trained(), dir.path());
+        run_to(dir.path(), "bootstrap");
+        dir
+    });
     RUN.path()
 }
 
@@ -188,7 +202,7 @@ fn what_cannot_be_rendered_is_one_error_with_the_way_out() {
     refused(&["--quantizer", "60"], "12 to 51");
     refused(&["--codec", "vp8"], "`h264` or `av1`");
     refused(&["--field", "strange.safetensors"], "gave this field");
-    refused(&["blur"], "`blur` of run 1 gives no trained field");
+    refused(&["blur"], "`blur` of run 2 gives no trained field");
     refused(
         &["--path", "nowhere.json"],
         "take one of train, heldout, flythrough, orbit, or a file of bookmarks",
@@ -202,8 +216,7 @@ fn what_cannot_be_rendered_is_one_error_with_the_way_out() {
 
 #[test]
 fn uncertainty_without_a_bootstrap_names_what_to_add() {
-    let dir = small_run("train");
-    let ran = render(dir.path(), &["--output", "uncertainty", "--out", "x"]).exits(2);
+    let ran = render(trained(), &["--output", "uncertainty", "--out", "x"]).exits(2);
     assert!(
         ran.stderr.contains(
             "run 1 has no bootstrap of `train`, and the uncertainty is how far its retrainings differ"

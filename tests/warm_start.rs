@@ -10,14 +10,14 @@ mod common;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use common::{Ran, marf};
+use common::{Ran, marf, ran};
 use serde_json::Value;
 
 const PIPELINE: &str = r#"name = "grow"
 [archive.demo]
 kind = "demo"
 sols = "1"
-width = 320
+width = 160
 [node.extract]
 archive = "demo"
 [node.calibrate]
@@ -26,13 +26,14 @@ extend = true
 [node.train]
 input = "calibrate"
 steps = 24
-scale = 4
+scale = 2
 device = "cpu"
 warm_start = true
 "#;
 
+/// A folder in which [`PIPELINE`] has run. The next run is of another pipeline.
 fn written(pipeline: &str) -> tempfile::TempDir {
-    let dir = tempfile::tempdir().unwrap();
+    let dir = ran("grow", PIPELINE);
     std::fs::write(dir.path().join("pipeline.toml"), pipeline).unwrap();
     dir
 }
@@ -85,7 +86,6 @@ fn grown(pipeline: &str) -> (tempfile::TempDir, String) {
 #[test]
 fn a_new_sol_goes_on_from_the_last_field_and_the_record_says_so() {
     let dir = written(PIPELINE);
-    run(dir.path(), &[]);
     let (first, before) = (weights(dir.path()), held_out(dir.path()));
     let cold = serde_json::json!({"cold": "this node has not finished before"});
     assert_eq!(document(dir.path(), "metrics.json")["warm_start"], cold);
@@ -134,7 +134,6 @@ fn one_with_a_budget_is_replayed_from_the_field_that_it_started_from() {
 #[test]
 fn a_cold_start_is_warned_of_and_what_cannot_be_is_refused_before_anything_runs() {
     let dir = written(PIPELINE);
-    run(dir.path(), &[]);
     let sets = [&WIDER[..], &["--set", "train.field.density_width=16"]].concat();
     let ran = run(dir.path(), &sets);
     let said = document(dir.path(), "metrics.json")["warm_start"]["cold"].clone();
@@ -160,7 +159,7 @@ fn a_cold_start_is_warned_of_and_what_cannot_be_is_refused_before_anything_runs(
     let resample = format!("{PIPELINE}resample = 3\n");
     refused(resample, ["train.warm_start", "`resample` is given too"]);
     let of = "training = \"other\"\n[node.other]\nuses = \"train\"\ninput = \"calibrate\"\n";
-    let of = PIPELINE.replace("steps = 24\nscale = 4\n", "") + of;
+    let of = PIPELINE.replace("steps = 24\nscale = 2\n", "") + of;
     refused(of, ["train.warm_start", "`training` sets it too"]);
     let from = "from = \"half\"\n[node.half]\nuses = \"partial\"\ninput = \"calibrate\"\nuntil = 16\n";
     let from = format!("{PIPELINE}{from}");

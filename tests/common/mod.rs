@@ -17,12 +17,12 @@ use std::sync::{Mutex, PoisonError};
 pub use photos::photos;
 pub use ran::Ran;
 
-/// The default pipeline at a quarter of its pixels and a handful of steps.
+/// The default pipeline at a sixteenth of its pixels and a handful of steps.
 pub const SMALL_DEMO: [&str; 17] = [
-    "archive.demo.width=320",
-    "size.min_bytes=3000",
-    "shape.min_width=160",
-    "shape.min_height=120",
+    "archive.demo.width=160",
+    "size.min_bytes=750",
+    "shape.min_width=80",
+    "shape.min_height=60",
     "draft.scale=4",
     "draft.judged_scale=4",
     "draft.steps=6",
@@ -38,12 +38,12 @@ pub const SMALL_DEMO: [&str; 17] = [
     "render.width=80",
 ];
 
-/// One sol of the built-in Mars, small, and a field of few steps that has a surface.
+/// One sol of the built-in Mars, small, and a field that has a surface. With fewer steps it is fog, which takes longer to render.
 pub const SURFACE: &str = r#"name = "surface"
 [archive.demo]
 kind = "demo"
 sols = "1"
-width = 320
+width = 160
 
 [node.extract]
 archive = "demo"
@@ -55,7 +55,8 @@ method = "labels"
 [node.train]
 input = "calibrate"
 steps = 200
-scale = 2
+scale = 1
+field.batch_samples = 16384
 "#;
 
 /// Runs `marf ARGS` in a folder, without a terminal and at a line width of 100.

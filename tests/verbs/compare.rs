@@ -12,14 +12,14 @@ const TWO_TIMES: &str = r#"name = "two-times"
 [archive.demo]
 kind = "demo"
 sols = "1,8"
-width = 320
+width = 160
 change = 8
 [node.extract]
 archive = "demo"
 [node.shape]
 input = "extract"
-min_width = 320
-min_height = 240
+min_width = 160
+min_height = 120
 [node.calibrate]
 input = "shape"
 method = "sfm"
@@ -27,7 +27,7 @@ method = "sfm"
 
 fn compare(dir: &Path, more: &[&str]) -> Ran {
     let words = [
-        "compare", "--device", "cpu", "--steps", "60", "-b", "2", "--cell", "0.05",
+        "compare", "--device", "cpu", "--steps", "120", "-b", "2", "--cell", "0.05",
     ];
     marf(dir, &[&words, more].concat())
 }

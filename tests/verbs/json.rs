@@ -11,15 +11,15 @@ const PIPELINE: &str = r#"name = "json"
 [archive.demo]
 kind = "demo"
 sols = "1"
-width = 320
+width = 160
 
 [node.extract]
 archive = "demo"
 
 [node.shape]
 input = "extract"
-min_width = 320
-min_height = 240
+min_width = 160
+min_height = 120
 
 [node.calibrate]
 input = "shape"
@@ -28,7 +28,8 @@ method = "labels"
 [node.train]
 input = "calibrate"
 steps = 200
-scale = 2
+scale = 1
+field.batch_samples = 16384
 device = "cpu"
 
 [trade]

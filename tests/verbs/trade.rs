@@ -12,7 +12,7 @@ const PIPELINE: &str = r#"name = "small"
 [archive.demo]
 kind = "demo"
 sols = "1"
-width = 320
+width = 160
 [node.extract]
 archive = "demo"
 [node.calibrate]
@@ -21,11 +21,11 @@ method = "labels"
 [node.train]
 input = "calibrate"
 steps = 2
-scale = 8
+scale = 4
 device = "cpu"
 [trade]
 "train.steps" = [4]
-"train.scale" = [10, 9999]
+"train.scale" = [5, 9999]
 "#;
 
 fn written(pipeline: &str) -> tempfile::TempDir {
@@ -51,7 +51,7 @@ fn a_trade_has_points_effects_and_a_front_and_is_kept() {
         sets[..4],
         [
             "[]",
-            "[\"train.scale=10\"]",
+            "[\"train.scale=5\"]",
             "[\"train.scale=9999\"]",
             "[\"train.steps=4\"]"
         ]
@@ -75,7 +75,7 @@ fn a_trade_has_points_effects_and_a_front_and_is_kept() {
     assert_eq!(effects.len(), 2, "{trade}");
     let judged = points.iter().flat_map(|point| point["runs"].as_array().unwrap());
     assert!(
-        judged.into_iter().all(|run| run["judged_scale"] == 8),
+        judged.into_iter().all(|run| run["judged_scale"] == 4),
         "photos of one size judge all: {trade}"
     );
     assert!(
@@ -134,7 +134,7 @@ fn what_cannot_be_traded_is_refused_with_the_way_out() {
             "`train.warm_start` would start each training from the one before, and none could be compared",
         ),
         (
-            PIPELINE.replace("[10, 9999]", "10"),
+            PIPELINE.replace("[5, 9999]", "10"),
             vec![],
             "`trade.train.scale` is not a key of a node with a list",
         ),
