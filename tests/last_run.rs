@@ -26,7 +26,7 @@ const PIPELINE: &str = r#"name = "whole"
 [archive.demo]
 kind = "demo"
 sols = "1"
-width = 160
+width = 80
 
 [node.extract]
 archive = "demo"
@@ -37,8 +37,9 @@ method = "labels"
 
 [node.train]
 input = "calibrate"
-steps = 150
-scale = 2
+steps = 250
+scale = 1
+field.batch_samples = 8192
 
 [node.bootstrap]
 input = "calibrate"
@@ -47,7 +48,7 @@ b = 2
 "#;
 
 const MESH: &str =
-    "export mesh --color uncertainty --cell 0.1 --most-spread 5 --least-photos 1 --out mesh.ply";
+    "export mesh --color uncertainty --cell 0.05 --most-spread 5 --least-photos 1 --out mesh.ply";
 
 /// A verb that is called, and what it does to the answers of others.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -141,8 +142,10 @@ impl Desk {
         let dir = tempfile::tempdir().unwrap();
         common::copy(WHOLE.path(), dir.path());
         let first = runs(dir.path()).remove(0);
+        let mesh = std::fs::read(dir.path().join("mesh.ply")).unwrap();
+        assert!(mesh.len() > 10_000, "an empty mesh is the same of any run");
         Self {
-            mesh: std::fs::read(dir.path().join("mesh.ply")).unwrap(),
+            mesh,
             dir,
             newest: first.clone(),
             reported: first.clone(),

@@ -26,7 +26,7 @@ extend = true
 [node.train]
 input = "calibrate"
 steps = 24
-scale = 2
+scale = 4
 device = "cpu"
 warm_start = true
 "#;
@@ -159,7 +159,7 @@ fn a_cold_start_is_warned_of_and_what_cannot_be_is_refused_before_anything_runs(
     let resample = format!("{PIPELINE}resample = 3\n");
     refused(resample, ["train.warm_start", "`resample` is given too"]);
     let of = "training = \"other\"\n[node.other]\nuses = \"train\"\ninput = \"calibrate\"\n";
-    let of = PIPELINE.replace("steps = 24\nscale = 2\n", "") + of;
+    let of = PIPELINE.replace("steps = 24\nscale = 4\n", "") + of;
     refused(of, ["train.warm_start", "`training` sets it too"]);
     let from = "from = \"half\"\n[node.half]\nuses = \"partial\"\ninput = \"calibrate\"\nuntil = 16\n";
     let from = format!("{PIPELINE}{from}");

@@ -228,7 +228,8 @@ fn cameras_crates_and_renders_print_the_numbers_of_their_files() {
         dir,
         "render --path orbit --frames 1 --scale 1 --out whole --device cpu",
     );
-    assert_eq!(2 * half.whole("/width"), whole.whole("/width"));
+    // An odd width has no half.
+    assert!(whole.whole("/width").abs_diff(2 * half.whole("/width")) <= 1);
     let photos = document(dir, "out/train/scene.json");
     let mut photos = photos["frames"].as_array().unwrap().iter();
     assert!(photos.any(|frame| frame["camera"]["width"] == whole.json["width"]));

@@ -61,9 +61,7 @@ fn with_pipeline(text: &str) -> tempfile::TempDir {
 
 /// Returns a folder in which [`SMALL`] has run.
 fn after_a_run() -> tempfile::TempDir {
-    let dir = with_pipeline(SMALL);
-    marf(dir.path(), &["run"]).exits(0);
-    dir
+    common::ran("small", SMALL)
 }
 
 /// Runs commands one after the other and returns them with what each printed and its exit code.

@@ -13,7 +13,7 @@ const MISSION: &str = r#"name = "mission"
 [archive.demo]
 kind = "demo"
 sols = "1,101"
-width = 160
+width = 80
 [node.extract]
 archive = "demo"
 [node.scenes]
@@ -26,7 +26,7 @@ input = "calibrate"
 [node.train]
 input = "calibrate"
 steps = 2
-scale = 4
+scale = 2
 device = "cpu"
 "#;
 

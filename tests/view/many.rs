@@ -13,7 +13,7 @@ const MOST_BYTES: usize = 1_000_000;
 const MANY: &str = "name = \"many\"\n[archive.demo]\nkind = \"demo\"\nsols = \"1..=60\"\nwidth = 24\n\
     [node.extract]\narchive = \"demo\"\n[node.size]\ninput = \"extract\"\nmin_bytes = 100\n\
     [node.calibrate]\ninput = \"size\"\nmethod = \"labels\"\nhold_every = 100\n\
-    [node.train]\ninput = \"calibrate\"\nsteps = 2\n";
+    [node.train]\ninput = \"calibrate\"\nsteps = 2\nphotos = 100\n";
 
 fn many_run() -> &'static std::path::Path {
     static RUN: LazyLock<tempfile::TempDir> = LazyLock::new(|| {

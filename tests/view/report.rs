@@ -101,7 +101,7 @@ fn a_report_with_a_3_d_view_is_one_file_that_loads_nothing() {
     page.value("document.getElementById('view').scrollIntoView()");
     let picture = "document.getElementById('view-canvas').toDataURL()";
     let colors = "(() => { const canvas = document.getElementById('view-canvas'); const small = document.createElement('canvas'); \
-        const shown = small.getContext('2d'); shown.drawImage(canvas, 0, 0); \
+        const shown = small.getContext('2d'); shown.drawImage(canvas, 0, 0, small.width, small.height); \
         return new Set(shown.getImageData(0, 0, small.width, small.height).data).size; })()";
     let (before, colors) = (page.value(picture), page.value(colors));
     assert!(

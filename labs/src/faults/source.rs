@@ -25,12 +25,12 @@ method = "import"
 [node.train]
 input = "calibrate"
 steps = 20
-scale = 4
+scale = 8
 field = { batch_samples = 2_048, occupancy_resolution = 32, log2_table = 10 }
 [node.bootstrap]
 input = "calibrate"
 steps = 10
-scale = 4
+scale = 8
 field = { batch_samples = 2_048, occupancy_resolution = 32, log2_table = 10 }
 b = 2
 "#;

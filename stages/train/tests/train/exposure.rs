@@ -48,11 +48,11 @@ const UNEQUAL: ToneDifference = ToneDifference {
     noise: 0.05,
 };
 
-fn trained(harness: &Harness, scene: Digest, more: &Value) -> Outputs {
+fn trained(harness: &Harness, scene: Digest, steps: u64, more: &Value) -> Outputs {
     let mut field = small();
     let both = field.as_object_mut().unwrap();
     both.extend(more.as_object().unwrap().clone());
-    let train: Train = stage(json!({"steps": 600, "field": field}));
+    let train: Train = stage(json!({"steps": steps, "field": field}));
     run(&train, &harness.ctx(), &inputs(&[("scene", scene)])).unwrap()
 }
 
@@ -61,7 +61,7 @@ fn photos_that_differ_get_exposures_of_their_own_without_a_key() {
     let harness = Harness::default();
     let scene = put_scene(&harness, &exposed(&harness, UNEQUAL));
     let [with, without] = [json!({}), json!({"gain": "off"})].map(|keys| {
-        let outputs = trained(&harness, scene, &keys);
+        let outputs = trained(&harness, scene, 600, &keys);
         json(&harness, &outputs, "metrics")
     });
     assert_eq!(with["config"]["gain"], json!(Gain::PerPhotoAndOffset));
@@ -108,7 +108,7 @@ fn photos_that_do_not_differ_are_trained_as_without_exposures() {
     };
     let [equal, silent, unequal] = [exposed(&harness, equal), silent, exposed(&harness, UNEQUAL)]
         .map(|scene| put_scene(&harness, &scene));
-    let weights = |scene: Digest, keys: Value| trained(&harness, scene, &keys)["weights"];
+    let weights = |scene: Digest, keys: Value| trained(&harness, scene, 48, &keys)["weights"];
     let off = weights(unequal, json!({"gain": "off"}));
     assert_eq!(weights(equal, json!({})), off);
     assert_eq!(weights(silent, json!({})), off);

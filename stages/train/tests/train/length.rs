@@ -15,11 +15,11 @@ fn a_training_by_the_clock_is_repeated_by_its_schedule() {
     let mut of_one_box = small();
     of_one_box["refit_steps"] = json!(0);
     for more in [
-        json!({"budget": "1s", "field": small()}),
-        json!({"budget": "1s"}),
-        json!({"within": "2s", "seed": 3}),
-        json!({"budget": "1s", "target_psnr": 12.0}),
-        json!({"budget": "1s", "target_psnr": 70.0}),
+        json!({"budget": "500ms", "field": small()}),
+        json!({"budget": "500ms"}),
+        json!({"within": "1s", "seed": 3}),
+        json!({"budget": "500ms", "target_psnr": 12.0}),
+        json!({"budget": "500ms", "target_psnr": 70.0}),
     ] {
         let mut table = json!({"field": of_one_box});
         table
@@ -65,7 +65,7 @@ fn a_training_by_the_clock_on_a_gpu_is_repeated_with_the_batch_of_its_pace() {
     let scene = inputs(&[("scene", put_scene(&harness, &scene(&harness, 16)))]);
     let mut field = small();
     field.as_object_mut().unwrap().remove("batch_samples");
-    let table = json!({"budget": "2s", "device": device, "field": field});
+    let table = json!({"budget": "1s", "judged_photos": 1, "device": device, "field": field});
     let params: TrainParams = serde_json::from_value(table.clone()).unwrap();
     let made = run(&stage::<Train>(table), &harness.ctx(), &scene).unwrap();
     let setup = serde_json::from_value(json(&harness, &made, "setup")).unwrap();
@@ -97,7 +97,8 @@ fn a_target_is_reached_where_all_photos_held_back_have_it() {
     let harness = Harness::default();
     let scene = inputs(&[("scene", put_scene(&harness, &scene(&harness, 160)))]);
     let trained = |psnr: f64| {
-        let train: Train = stage(json!({"steps": 40, "field": small(), "target_psnr": psnr}));
+        let train: Train =
+            stage(json!({"steps": 40, "field": small(), "target_psnr": psnr, "judged_photos": 1}));
         let outputs = run(&train, &harness.ctx(), &scene).unwrap();
         json(&harness, &outputs, "metrics")["target"].clone()
     };
