@@ -19,7 +19,9 @@ fn the_rover_has_92_cameras_for_98_photos() {
     let Some(input) = import("rover", "transforms.json", "images") else {
         return;
     };
-    let output = input.run(&json!({"method": "import", "hold": "every"})).unwrap();
+    let output = input
+        .run(&json!({"method": "import", "hold": "every", "find_points": false}))
+        .unwrap();
     let totals = &output.metrics.totals;
     assert_eq!(
         (totals.photos, totals.registered, totals.unplaced, totals.missing),
@@ -53,7 +55,9 @@ fn the_small_rover_keeps_its_own_test_photos() {
     let Some(input) = import("rover4", "transforms.json", "images") else {
         return;
     };
-    let output = input.run(&json!({"method": "import"})).unwrap();
+    let output = input
+        .run(&json!({"method": "import", "find_points": false}))
+        .unwrap();
     let held_out: Vec<&str> = output
         .scene
         .frames
@@ -72,10 +76,16 @@ fn cameras_of_the_large_rover_fit_the_small_photos() {
     let Some(mut input) = import("rover4", "transforms.json", "images") else {
         return;
     };
-    let small = input.run(&json!({"method": "import"})).unwrap().scene;
+    let small = input
+        .run(&json!({"method": "import", "find_points": false}))
+        .unwrap()
+        .scene;
     let large = shared("rover").unwrap().join("rover/transforms.json");
     input.companion("transforms.json", &std::fs::read(large).unwrap());
-    let scaled = input.run(&json!({"method": "import"})).unwrap().scene;
+    let scaled = input
+        .run(&json!({"method": "import", "find_points": false}))
+        .unwrap()
+        .scene;
     assert_eq!(scaled.frames.len(), 92);
     for (scaled, small) in scaled.frames.iter().zip(&small.frames) {
         assert_eq!(scaled.id, small.id);
@@ -99,7 +109,7 @@ fn the_fox_lists_67_photos_and_50_are_there() {
         return;
     };
     let output = input
-        .run(&json!({"method": "import", "longest_side_px": 480}))
+        .run(&json!({"method": "import", "longest_side_px": 480, "find_points": false}))
         .unwrap();
     let totals = &output.metrics.totals;
     assert_eq!((totals.registered, totals.unplaced, totals.missing), (50, 0, 17));
@@ -121,7 +131,7 @@ fn the_lego_set_names_photos_without_extension() {
         return;
     };
     let output = input
-        .run(&json!({"method": "import", "hold": "every", "hold_every": 10}))
+        .run(&json!({"method": "import", "hold": "every", "hold_every": 10, "find_points": false}))
         .unwrap();
     let totals = &output.metrics.totals;
     assert_eq!(

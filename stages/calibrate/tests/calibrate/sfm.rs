@@ -23,11 +23,20 @@ type Taken = (String, Vec<u8>, PhotoFacts);
 /// Photos with their labels, and their true cameras.
 type Known = (Vec<Taken>, Vec<(String, Pose)>);
 
+/// Options of a demo with small photos.
+fn small() -> DemoOptions {
+    DemoOptions {
+        width_px: 480,
+        height_px: 360,
+        ..DemoOptions::default()
+    }
+}
+
 /// The good photos of the demo's first two sols, drawn once.
 fn drawn() -> &'static Known {
     static DRAWN: OnceLock<Known> = OnceLock::new();
     DRAWN.get_or_init(|| {
-        let options = DemoOptions::default();
+        let options = small();
         let demo = Demo::new(options.clone()).unwrap();
         let (mut taken, mut truth) = (Vec::new(), Vec::new());
         for sol in [1, 2] {
@@ -110,11 +119,11 @@ fn the_demo_is_brought_back_to_its_true_cameras_in_metres() {
     println!("{:?}", output.metrics.totals);
     assert_eq!(errors.photos, truth.len());
     assert!(
-        errors.rest_deg[0] <= 0.05 && errors.angle_deg[0] <= 0.05,
+        errors.rest_deg[0] <= 0.05 && errors.angle_deg[0] <= 0.1,
         "{errors:?}"
     );
-    // The sun moves on from stop to stop, and shadow edges with it: the last stop leans by 0.08 degrees.
-    assert!(errors.angle_deg[1] <= 0.1, "{errors:?}");
+    // The sun moves on from stop to stop, and shadow edges with it: the last stop leans by 0.12 degrees.
+    assert!(errors.angle_deg[1] <= 0.15, "{errors:?}");
     assert!(errors.position[1] <= 0.001, "{errors:?}");
     assert!((errors.scale - 1.0).abs() <= 0.005, "{errors:?}");
     assert_eq!(
@@ -156,7 +165,7 @@ fn the_world_lies_in_the_site_of_its_labels_and_stays_there_when_it_is_extended(
 #[test]
 fn the_version_is_raised_when_structure_from_motion_answers_otherwise() {
     let found = (Calibrate::VERSION, solved().1.scene_digest.short());
-    assert_eq!(found, (13, "e4cb727bc97b".to_owned()));
+    assert_eq!(found, (13, "8175c101aaeb".to_owned()));
 }
 
 #[test]
@@ -293,7 +302,7 @@ fn a_calibration_goes_on_to_the_same_bytes_wherever_it_was_stopped() {
 
 /// Views of one photo by a camera that only turns: a panorama.
 fn panorama(photo: &Image<Srgb>) -> Vec<Vec<u8>> {
-    let (source, target) = (Camera::pinhole(640, 480, 656.0), Camera::pinhole(320, 240, 500.0));
+    let (source, target) = (Camera::pinhole(480, 360, 492.0), Camera::pinhole(320, 240, 500.0));
     let view = |index: i32| {
         let angle = 0.04 * f64::from(index - 4);
         let ahead = Vector3::new(angle.sin(), 0.3 * angle, angle.cos());
@@ -311,7 +320,7 @@ fn panorama(photo: &Image<Srgb>) -> Vec<Vec<u8>> {
 }
 
 fn bilinear(photo: &Image<Srgb>, x: f64, y: f64) -> [u8; 3] {
-    let (x, y) = (x.clamp(0.0, 638.0), y.clamp(0.0, 478.0));
+    let (x, y) = (x.clamp(0.0, 478.0), y.clamp(0.0, 358.0));
     let (left, top) = (x as u32, y as u32);
     let (right, down) = (x - f64::from(left), y - f64::from(top));
     [0, 1, 2].map(|channel| {

@@ -10,7 +10,7 @@ use marf_field::{Config, Field, FieldError, Gain, Pace, Step, Trainer};
 
 fn config() -> Config {
     Config {
-        batch_samples: 2048,
+        batch_samples: 1024,
         occupancy_resolution: 32,
         ..small()
     }
@@ -68,14 +68,23 @@ fn a_ball_is_learnt_as_well_as_on_the_cpu_and_twice_with_the_same_bytes() {
     let Some(gpu) = gpu(name) else {
         return;
     };
-    let views = ball(12, 24);
-    let mut there = on_gpu(&gpu, views.clone(), &[], &config(), 1);
-    let mut again = on_gpu(&gpu, views.clone(), &[], &config(), 1);
-    let mut here = Trainer::new(views.clone(), &[], &config(), 1).unwrap();
-    for trainer in [&mut there, &mut again, &mut here] {
-        advance(trainer, 200);
+    let (views, config) = (
+        ball(12, 24),
+        Config {
+            batch_samples: 2048,
+            ..config()
+        },
+    );
+    let mut there = on_gpu(&gpu, views.clone(), &[], &config, 1);
+    let mut again = on_gpu(&gpu, views.clone(), &[], &config, 1);
+    let mut here = Trainer::new(views.clone(), &[], &config, 1).unwrap();
+    for trainer in [&mut there, &mut again] {
+        advance(trainer, 64);
     }
     assert!(there.save().unwrap() == again.save().unwrap(), "two runs differ");
+    for trainer in [&mut there, &mut here] {
+        advance(trainer, 200);
+    }
     let fields = [there.field().unwrap(), here.field().unwrap()];
     let mean = |field: &Field| views.iter().map(|view| psnr(field, view)).sum::<f64>() / views.len() as f64;
     let [on_gpu, on_cpu] = fields.each_ref().map(mean);
@@ -106,7 +115,7 @@ fn a_device_without_wide_atomics_learns_the_same_bytes() {
     plain.features.remove(wgpu::Features::SHADER_INT64);
     let [wide, plain] = [wide, Arc::new(plain)].map(|gpu| {
         let mut trainer = on_gpu(&gpu, ball(4, 16), &[], &config(), 7);
-        advance(&mut trainer, 40);
+        advance(&mut trainer, 20);
         trainer.sync().unwrap();
         trainer.training.state
     });
@@ -266,7 +275,7 @@ fn a_training_that_is_settled_after_every_call_learns_the_same_bytes_and_tells_a
         cone: 0.25,
         min_step: 0.5,
         halvings: Some(3),
-        batch_samples: 512,
+        batch_samples: 256,
         ray_samples: 4,
         ..config()
     };

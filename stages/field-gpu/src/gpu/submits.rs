@@ -112,9 +112,9 @@ mod tests {
         let trained = |gpu: &Arc<Gpu>, step_s: f64| {
             let mut training = Training::new(ball(4, 16), &[], &small(), 7).unwrap();
             let mut session = GpuSession::new(gpu, &mut training).unwrap();
-            while training.state.steps < 40 {
+            while training.state.steps < 20 {
                 session.submits.note(step_s);
-                let most = 40 - training.state.steps;
+                let most = 20 - training.state.steps;
                 session.advance(&mut training, most).unwrap();
             }
             session.settle(&mut training).unwrap();

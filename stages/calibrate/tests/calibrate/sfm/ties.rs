@@ -3,7 +3,7 @@
 use std::sync::OnceLock;
 
 use marf_calibrate::TieScenes;
-use marf_demo::{Demo, DemoOptions};
+use marf_demo::Demo;
 use marf_scene::{Pose, Scene};
 use marf_schema::output::SCENE;
 use marf_schema::ties::{By, SceneTie, Ties};
@@ -11,7 +11,7 @@ use marf_stage::{Document, Inputs, StageDef, Work, define};
 use nalgebra::{Matrix3, Vector3};
 use serde_json::json;
 
-use super::{demo, labelled};
+use super::{demo, labelled, small};
 use crate::common::Input;
 
 /// Two sols of one place, calibrated apart, and a place of another site.
@@ -34,7 +34,7 @@ fn places() -> &'static Places {
         input.split_off(0);
         input.add(later);
         let second = calibrated(&input);
-        let demo = Demo::new(DemoOptions::default()).unwrap();
+        let demo = Demo::new(small()).unwrap();
         let files = demo.files(101, &|_, _| (), &|| false).unwrap();
         input.split_off(0);
         for photo in demo.ground_truth(101).unwrap().photos {
@@ -106,10 +106,15 @@ fn without_labels(scene: &Scene) -> Scene {
     free
 }
 
+/// Error of the labels of a scene: photos of 480 pixels do not show that of the demo, 0.014 m.
+const PLANTED_M: f64 = 0.5;
+
 #[test]
 fn two_scenes_of_a_site_are_told_how_far_labels_are_from_what_they_show() {
     let places = places();
-    let (first, second) = (&places.first, &places.second);
+    let (first, mut second) = (&places.first, places.second.clone());
+    second.site.as_mut().unwrap().origin_m[0] += PLANTED_M;
+    let second = &second;
     let told = places.ties(&[("a", first), ("b", second)]);
     let [tie] = told.ties.as_slice() else {
         panic!("{told:?}")
@@ -125,8 +130,9 @@ fn two_scenes_of_a_site_are_told_how_far_labels_are_from_what_they_show() {
         tie.median_m
     );
     let gap = tie.labels.unwrap();
-    let shift = Vector3::from(gap.shift_m) - (places.label_error(second) - places.label_error(first));
-    assert!(shift.norm() < 0.01, "{shift}");
+    let expected = places.label_error(second) - places.label_error(first);
+    let off_m = (Vector3::from(gap.shift_m) - expected).norm();
+    assert!(off_m < 0.1 * PLANTED_M, "{off_m} m of {} m", expected.norm());
     assert!(gap.angle_deg < 0.2 && (gap.scale - 1.0).abs() < 0.01, "{gap:?}");
     assert!(*median_px < 2.0 && tie.median_m.unwrap() < 0.05, "{tie:?}");
     let frames: Vec<(&str, By)> = told
