@@ -37,6 +37,8 @@ pub struct Label {
     pub(crate) size: Option<(u32, u32)>,
     /// Where the pixels lie, if the label describes an array.
     pub array: Option<Array>,
+    /// What the array's values are, where they are not light.
+    pub(crate) derived: Derived,
     /// The file of the array as a whole.
     pub file: FileFacts,
     /// The label says that the pixels of a colour mosaic are interpolated.
@@ -47,6 +49,17 @@ pub struct Label {
     pub phase: Option<BayerPhase>,
     /// What could not be used, and why.
     pub notes: Vec<String>,
+}
+
+/// What the values of a product of geometry are.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(crate) struct Derived {
+    /// Type, as the label names it (`XYZ_MAP`).
+    pub kind: Option<String>,
+    /// Frame of coordinates and of `origin`, with the counters it is valid for.
+    pub place: Option<RoverPlace>,
+    /// Point that ranges are measured from, metres.
+    pub origin: Option<[f64; 3]>,
 }
 
 /// First line and sample of the photo on the detector, 0-based: the phase of its RGGB mosaic.
@@ -233,7 +246,7 @@ pub enum FramePose {
 }
 
 impl FramePose {
-    fn resolve(self, notes: &mut Vec<String>) -> Option<Pose> {
+    pub(crate) fn resolve(self, notes: &mut Vec<String>) -> Option<Pose> {
         match self {
             Self::IsSite => Some(Pose::identity()),
             Self::Unknown => {

@@ -23,6 +23,7 @@ mod odl;
 mod pds3;
 pub mod pds4;
 mod pixels;
+pub mod ranges;
 pub mod raw;
 mod sensor;
 mod sun;

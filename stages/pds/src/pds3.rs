@@ -54,6 +54,7 @@ pub fn label(odl: &Group) -> Label {
     let method = state.and_then(|state| text(state, "BAYER_METHOD"));
     label.interpolated = method.as_deref().is_some_and(|method| method != "RAW_BAYER");
     label.mosaic = mosaic(odl);
+    label.derived = camera::derived(odl);
     camera::add(odl, &mut label);
     label
 }
@@ -190,8 +191,9 @@ fn whole_file(odl: &Group) -> FileFacts {
 }
 
 fn constants(image: &Group, names: &[&str], sample: Sample) -> Vec<f64> {
-    let constant = |name: &&str| values::constant(image.text(name)?, sample);
-    names.iter().filter_map(constant).collect()
+    let given = names.iter().filter_map(|name| image.get(name));
+    let constant = |value: &Value| values::constant(value.text()?, sample);
+    given.flat_map(Value::items).filter_map(constant).collect()
 }
 
 /// Returns the look-up table whose codes the pixels are. With `HARDWARE_INVERTED` and the like they are counts again.

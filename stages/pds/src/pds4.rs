@@ -8,15 +8,17 @@ mod mosaic;
 mod node;
 mod scaling;
 
+use marf_scene::RoverPlace;
 use roxmltree::{Document, Node, ParsingOptions};
 
 use crate::camera::{CameraError, RawEntrance, RawModel};
-use crate::label::{FramePose, Label, MAX_LABEL_BYTES, ordered_counter, same_place};
+use crate::label::{Derived, FramePose, Label, MAX_LABEL_BYTES, ordered_counter, same_place};
 use crate::values;
 pub use guard::TooMuchWork;
 use node::{IMG, PDS, at, child, children, number_at, text_at};
 
 const GEOM: &str = "http://pds.nasa.gov/pds4/geom/v1";
+const SURFACE: &str = "http://pds.nasa.gov/pds4/img_surface/v1";
 const MSN: &str = "http://pds.nasa.gov/pds4/msn/v1";
 const MARS2020: &str = "http://pds.nasa.gov/pds4/mission/mars2020/v1";
 /// Real labels have up to 4,000 nodes.
@@ -91,6 +93,7 @@ fn label(root: Node<'_, '_>) -> Label {
     }
     label.size = label.array.as_ref().map(|array| (array.shape[2], array.shape[1]));
     label.mosaic = imaging.and_then(|node| mosaic::phase(node, &mut label.notes));
+    label.derived = discipline.and_then(derived).unwrap_or_default();
     match discipline.and_then(geometry) {
         Some(lander) => add_camera(lander, &mut label),
         None => label.notes.push("label has no camera".to_owned()),
@@ -188,6 +191,37 @@ fn geometry<'a, 'd>(discipline: Node<'a, 'd>) -> Option<Node<'a, 'd>> {
 /// Returns the first geometry of a lander.
 fn lander<'a, 'd>(discipline: Node<'a, 'd>) -> Option<Node<'a, 'd>> {
     child(child(discipline, GEOM, "Geometry")?, GEOM, "Geometry_Lander")
+}
+
+/// Returns what the values are, and in which frame.
+fn derived(discipline: Node<'_, '_>) -> Option<Derived> {
+    let node = at(
+        discipline,
+        &[
+            (SURFACE, "Surface_Imaging"),
+            (SURFACE, "Derived_Product_Parameters"),
+        ],
+    )?;
+    let definitions: Vec<_> = lander(discipline)
+        .map(|lander| children(lander, GEOM, "Coordinate_Space_Definition").collect())
+        .unwrap_or_default();
+    let reference =
+        child(node, GEOM, "Coordinate_Space_Reference").and_then(|node| space(node, &definitions));
+    let place = reference.map(|space| RoverPlace {
+        site_from_frame: frame_pose(&space, &definitions).resolve(&mut Vec::new()),
+        motion_counter: ordered_counter(&space.index),
+        frame: space.frame,
+    });
+    let part = |name| number_at(node, &[(SURFACE, "Vector_Range_Origin"), (SURFACE, name)]);
+    Some(Derived {
+        kind: text_at(node, &[(SURFACE, "derived_image_type_name")]),
+        place,
+        origin: ["x_position", "y_position", "z_position"]
+            .into_iter()
+            .map(part)
+            .collect::<Option<Vec<f64>>>()
+            .and_then(|parts| parts.try_into().ok()),
+    })
 }
 
 /// Adds where the rover stood, which does not need the camera.

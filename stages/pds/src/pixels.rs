@@ -64,7 +64,10 @@ pub fn render(
     bytes: &[u8],
     limit_bytes: u64,
 ) -> Result<RenderedArray, PixelError> {
-    let layout = Layout::new(array, bytes.len() as u64)?;
+    if !matches!(array.shape[0], 1 | 3) {
+        return Err(PixelError::Shape(array.shape));
+    }
+    let stored = Stored::new(array, bytes)?;
     let pixel_bytes = if mosaic.is_some() {
         MOSAIC_BYTES
     } else {
@@ -72,12 +75,7 @@ pub fn render(
     };
     TooLarge::check(array.shape[2], array.shape[1], pixel_bytes, limit_bytes)?;
     let (scale, mut notes) = Scale::new(array, table)?;
-    let (bands, lines, samples) = layout.shape;
-    let stored = Stored {
-        sample: array.sample,
-        layout: &layout,
-        bytes,
-    };
+    let (bands, lines, samples) = stored.layout.shape;
     let mut light = Light {
         scale: &scale,
         clipped: 0,
@@ -152,7 +150,7 @@ struct Layout {
 impl Layout {
     fn new(array: &Array, has: u64) -> Result<Self, PixelError> {
         let [bands, lines, samples] = array.shape;
-        if lines == 0 || samples == 0 || !matches!(bands, 1 | 3) {
+        if bands == 0 || lines == 0 || samples == 0 {
             return Err(PixelError::Shape(array.shape));
         }
         let size = u64::from(array.sample.bytes);
@@ -189,14 +187,23 @@ impl Layout {
 }
 
 /// The stored values of an array.
-struct Stored<'a> {
+pub struct Stored<'a> {
     sample: Sample,
-    layout: &'a Layout,
+    layout: Layout,
     bytes: &'a [u8],
 }
 
-impl Stored<'_> {
-    fn value(&self, band: usize, line: usize, sample: usize) -> f64 {
+impl<'a> Stored<'a> {
+    /// Checks that the file holds the whole array.
+    pub fn new(array: &Array, bytes: &'a [u8]) -> Result<Self, PixelError> {
+        Ok(Self {
+            sample: array.sample,
+            layout: Layout::new(array, bytes.len() as u64)?,
+            bytes,
+        })
+    }
+
+    pub fn value(&self, band: usize, line: usize, sample: usize) -> f64 {
         read(self.sample, self.bytes, self.layout.at(band, line, sample))
     }
 }

@@ -5,6 +5,7 @@ use marf_scene::{Image, MAX_DECODED_BYTES, Photo, Srgb, encode_png};
 use crate::demosaic;
 use crate::label::{Array, BayerPhase, Label, MAX_LABEL_BYTES, Quantity};
 use crate::names::ProductName;
+use crate::odl::Group;
 use crate::pixels;
 use crate::{companding, dat, describe, odl, pds3, vicar};
 
@@ -13,7 +14,16 @@ use crate::{companding, dat, describe, odl, pds3, vicar};
 /// # Errors
 /// Why there is none, or why it is not of a photo.
 pub fn head(bytes: &[u8]) -> Result<Label, String> {
-    let group = match vicar::parse(bytes) {
+    let group = attached(bytes)?;
+    match pds3::no_photo(&group) {
+        Some(reason) => Err(reason),
+        None => Ok(pds3::label(&group)),
+    }
+}
+
+/// Returns the groups of the label at the head of a file.
+pub(crate) fn attached(bytes: &[u8]) -> Result<Group, String> {
+    Ok(match vicar::parse(bytes) {
         Some(group) => group,
         None => {
             let start = &bytes[..bytes.len().min(MAX_LABEL_BYTES)];
@@ -33,11 +43,7 @@ pub fn head(bytes: &[u8]) -> Result<Label, String> {
             }
             odl::parse(start).map_err(|error| error.to_string())?
         }
-    };
-    match pds3::no_photo(&group) {
-        Some(reason) => Err(reason),
-        None => Ok(pds3::label(&group)),
-    }
+    })
 }
 
 /// The reason why there is no image.

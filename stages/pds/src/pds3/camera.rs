@@ -1,8 +1,10 @@
 //! The camera of a label, and where the rover stood.
 
+use marf_scene::RoverPlace;
+
 use super::keys::{identification, text};
 use crate::camera::{CameraError, RawEntrance, RawModel};
-use crate::label::{FramePose, Label, ordered_counter, same_place};
+use crate::label::{Derived, FramePose, Label, ordered_counter, same_place};
 use crate::odl::{Group, Value};
 use crate::values;
 
@@ -24,6 +26,29 @@ pub(super) fn add(odl: &Group, label: &mut Label) {
             .notes
             .push("label has no usable camera: its frame is not named".to_owned()),
         (Some(Ok(raw)), Some(_)) => label.set_camera(&raw),
+    }
+}
+
+/// Returns what the values are. Without an index of its own, their frame is the one at the photo's counters.
+pub(super) fn derived(odl: &Group) -> Derived {
+    let Some(group) = odl.find(&["DERIVED_IMAGE_PARMS"]) else {
+        return Derived::default();
+    };
+    let place = text(group, "REFERENCE_COORD_SYSTEM_NAME").map(|frame| {
+        let own = counters(group.get("REFERENCE_COORD_SYSTEM_INDEX"), None);
+        let counter = if own.is_empty() { motion_counter(odl) } else { own };
+        let mut notes = Vec::new(); // those of the camera's frame say the same
+        let pose = frame_pose(odl, Some(group), &frame, &mut notes);
+        RoverPlace {
+            frame,
+            site_from_frame: pose.resolve(&mut notes),
+            motion_counter: ordered_counter(&counter),
+        }
+    });
+    Derived {
+        kind: text(group, "DERIVED_IMAGE_TYPE"),
+        place,
+        origin: group.get("RANGE_ORIGIN_VECTOR").and_then(Value::numbers::<3>),
     }
 }
 
