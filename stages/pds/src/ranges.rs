@@ -43,7 +43,7 @@ pub enum RangeError {
     #[error("a product of type {0} has no ranges, XYZ, RNG and DSP have")]
     Kind(String),
     /// Bands that are not those of its type.
-    #[error("{has} bands, its type has {needs}")]
+    #[error("its number of bands is {has}, its type has {needs}")]
     Bands {
         /// Bands of the array.
         has: u32,

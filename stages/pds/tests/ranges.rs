@@ -310,7 +310,10 @@ fn a_product_that_gives_no_ranges_says_why() {
         ),
         "its ranges are measured from a point 0.500 m from its camera"
     );
-    assert_eq!(of("XYZ_MAP", AT_SITE, 1), "1 bands, its type has 3");
+    assert_eq!(
+        of("XYZ_MAP", AT_SITE, 1),
+        "its number of bands is 1, its type has 3"
+    );
     assert_eq!(
         of("REACHABILITY_MAP", AT_SITE, 1),
         "a product of type REACHABILITY_MAP has no ranges, XYZ, RNG and DSP have"
