@@ -267,7 +267,7 @@ fn camera_from(place: &RoverPlace, camera: &CameraPrior) -> Result<Pose, RangeEr
     if is_same && !own.is_empty() && !other.is_empty() {
         return Ok(Pose::identity());
     }
-    let same_site = own.first().is_some() && own.first() == other.first();
+    let same_site = !own.is_empty() && own.first() == other.first();
     match (place.site_from_frame, camera.site_from_frame) {
         (Some(values), Some(camera)) if same_site => Ok(camera.inverse() * values),
         _ => Err(RangeError::Frame {
