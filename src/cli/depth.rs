@@ -5,8 +5,9 @@ use clap::Args;
 use clap::builder::PossibleValue;
 use marf_progress::format::{count, duration, number};
 use marf_run::depth::{DepthRequest, DepthResult, SceneDepth};
+use marf_run::depth_score::DepthScore;
 use marf_run::{Context, Error};
-use marf_schema::depth::Metrics;
+use marf_schema::depth::{Agreement, Metrics};
 
 use super::calibrate::METHODS;
 use super::options::FolderArgs;
@@ -25,6 +26,9 @@ pub struct DepthArgs {
     /// Source of the cameras. With `auto`, labels take the place of a structure from motion that places less than half of the stereo pairs or finds no scale
     #[arg(long, value_parser = METHODS.map(|(name, about)| PossibleValue::new(name).help(about)), default_value = "auto")]
     pub method: String,
+    /// Compare the depths with the XYZ, RNG and DSP products in this folder, which JPL's programs made of the same photos. `--json` then prints the comparison
+    #[arg(long, value_name = "PRODUCTS")]
+    pub against: Option<PathBuf>,
     #[command(flatten)]
     folder: FolderArgs,
 }
@@ -35,17 +39,22 @@ pub fn depth(args: DepthArgs, context: Context) -> Result<(), Error> {
         dir: args.dir,
         out: args.out,
         method: args.method,
+        against: args.against,
     };
     let result = marf_run::depth::depth(&args.folder.context(context), &request)?;
     if args.folder.json {
         return print_result(&result);
     }
     print_lines(lines(&result));
+    print_lines(result.score.iter().flat_map(score_lines).collect::<Vec<_>>());
     Ok(())
 }
 
-/// Prints the metrics, by name of their stop if there are several.
+/// Prints the comparison if there is one, else the metrics, by name of their stop if there are several.
 fn print_result(result: &DepthResult) -> Result<(), Error> {
+    if let Some(score) = &result.score {
+        return print_json(score);
+    }
     if let [scene] = result.scenes.as_slice() {
         return print_json(&scene.metrics);
     }
@@ -65,6 +74,57 @@ fn lines(result: &DepthResult) -> Vec<String> {
         return cameras.chain(table(scene)).collect();
     }
     cameras.chain(result.scenes.iter().map(summary)).collect()
+}
+
+fn score_lines(score: &DepthScore) -> Vec<String> {
+    let line = |what: &str, value: String| format!("{what:<12} {value}");
+    let compared = score
+        .products
+        .iter()
+        .filter(|product| product.agreement.is_some());
+    let mut lines = vec![line(
+        "against",
+        format!(
+            "{} of {} compared",
+            compared.count(),
+            count(score.products.len(), "product")
+        ),
+    )];
+    lines.extend(score.products.iter().map(|product| {
+        let found = product
+            .agreement
+            .as_ref()
+            .map_or_else(|| product.reason.clone(), agreement);
+        line("", format!("{}: {found}", product.file))
+    }));
+    lines.push(line("in all", agreement(&score.all)));
+    lines.extend(score.octaves.iter().map(|octave| {
+        let range = format!("{} to {} m", number(octave.from_m), number(octave.to_m));
+        line(&range, agreement(&octave.agreement))
+    }));
+    if !score.photos_without.is_empty() {
+        lines.push(line("no product", score.photos_without.join(", ")));
+    }
+    lines
+}
+
+/// Returns how far depths are from ranges in one line.
+fn agreement(found: &Agreement) -> String {
+    let percent = |share: f64| format!("{:.1} %", 100.0 * share);
+    let pixels = count(found.product_pixels as usize, "pixel");
+    let Some(difference) = &found.difference else {
+        return format!("none of {pixels} has a depth");
+    };
+    format!(
+        "{} of {pixels} have a depth, {:+.2} % in the median, off by {} m ({:.2} %) in the median and by at most {:.2} % in 90 %, {} within 1 %, {} within 3 sigma",
+        percent(found.share),
+        100.0 * difference.median_share,
+        number(difference.median_abs_m),
+        100.0 * difference.median_abs_share,
+        100.0 * difference.p90_abs_share,
+        percent(difference.within_1_percent),
+        percent(difference.within_3_sigma),
+    )
 }
 
 /// Returns a stop in one line.
@@ -201,6 +261,7 @@ mod tests {
         let result = DepthResult {
             why_labels: None,
             scenes: vec![scene.clone()],
+            score: None,
         };
         let lines = super::lines(&result);
         for line in [
@@ -221,6 +282,7 @@ mod tests {
         let result = DepthResult {
             why_labels: Some("structure from motion placed 2 of 9 photos".to_owned()),
             scenes: vec![stop("site3-1"), stop("site9-2")],
+            score: None,
         };
         assert_eq!(
             super::lines(&result),

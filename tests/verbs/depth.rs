@@ -2,6 +2,8 @@
 
 use std::path::Path;
 
+use marf_scene::Cahvor;
+use nalgebra::Vector2;
 use serde_json::Value;
 
 use crate::common::{marf, shared};
@@ -55,4 +57,108 @@ fn stereo_pairs_of_two_sites_are_metric_without_a_key_each_in_its_own_frame() {
             said.stdout
         );
     }
+}
+
+/// Linear camera of the left photo of the second pair in pixels of 20 x 20, by its record: rover frame, metres.
+const LINEAR: Cahvor = Cahvor {
+    c: [0.996036, 0.389969, -1.89384],
+    a: [0.79263, 0.221977, 0.567873],
+    h: [31.63995, 85.668, 36.5567],
+    v: [-2.0361, -0.240678, 88.4375],
+    o: None,
+    r: None,
+    e: None,
+};
+const COLUMNS: u32 = 128;
+const LINES: u32 = 96;
+
+/// A product of ranges with its attached label: those of level ground at the height of the wheels.
+fn level_ground() -> Vec<u8> {
+    let vector = |[x, y, z]: [f64; 3]| format!("({x},{y},{z})");
+    let Cahvor { c, a, h, v, .. } = LINEAR;
+    let [centre, axis, across, down] = [c, a, h, v].map(vector);
+    let frame = "REFERENCE_COORD_SYSTEM_NAME = ROVER_NAV_FRAME\nREFERENCE_COORD_SYSTEM_INDEX = (34,2098)";
+    let label = format!(
+        "PDS_VERSION_ID = PDS3\nRECORD_BYTES = 4096\n^IMAGE = 2\nROVER_MOTION_COUNTER = (34,2098)\n\
+         GROUP = DERIVED_IMAGE_PARMS\nDERIVED_IMAGE_TYPE = RANGE_MAP\n{frame}\nEND_GROUP = DERIVED_IMAGE_PARMS\n\
+         GROUP = GEOMETRIC_CAMERA_MODEL\nMODEL_TYPE = CAHV\nMODEL_COMPONENT_1 = {centre}\nMODEL_COMPONENT_2 = {axis}\n\
+         MODEL_COMPONENT_3 = {across}\nMODEL_COMPONENT_4 = {down}\n{frame}\nEND_GROUP = GEOMETRIC_CAMERA_MODEL\n\
+         OBJECT = IMAGE\nLINES = {LINES}\nLINE_SAMPLES = {COLUMNS}\nBANDS = 1\nSAMPLE_BITS = 32\nSAMPLE_TYPE = IEEE_REAL\n\
+         END_OBJECT = IMAGE\nEND\n"
+    );
+    let mut bytes = label.into_bytes();
+    bytes.resize(4096, b' ');
+    for index in 0..LINES * COLUMNS {
+        let pixel = Vector2::new(f64::from(index % COLUMNS), f64::from(index / COLUMNS));
+        let down = LINEAR.unproject(&pixel).unwrap().direction.z;
+        let range = if down > 0.2 { -LINEAR.c[2] / down } else { 0.0 };
+        bytes.extend((range as f32).to_be_bytes());
+    }
+    bytes
+}
+
+#[test]
+fn depths_are_scored_against_products_of_the_same_photos() {
+    let Some(data) = shared("m2020_navcam_feed") else {
+        return;
+    };
+    let dir = tempfile::tempdir().unwrap();
+    let folder = dir.path().join("photos");
+    let products = dir.path().join("products");
+    for folder in [&folder, &products] {
+        std::fs::create_dir(folder).unwrap();
+    }
+    for name in &PAIRS[2..] {
+        for ending in ["jpg", "json"] {
+            let file = format!("{name}.{ending}");
+            std::fs::copy(data.join(&file), folder.join(&file)).unwrap();
+        }
+    }
+    let arguments = [
+        "depth",
+        "photos",
+        "--against",
+        "products",
+        "--method",
+        "labels",
+        "--out",
+        "out",
+    ];
+    let none = marf(dir.path(), &arguments).exits(1);
+    assert!(
+        none.stderr.contains("no depth could be compared with products"),
+        "{}",
+        none.stderr
+    );
+    assert!(
+        none.stderr.contains("no product of type XYZ, RNG or DSP"),
+        "{}",
+        none.stderr
+    );
+    let ranges = "NLM_0718_0730679543_043RNGLN0342098NCAM03717_00_0LLJ02.IMG";
+    let strange = "NLM_0719_0730700000_043XYZLN0342098NCAM03717_00_0LLJ02.IMG";
+    let broken = "NRM_0718_0730679543_043XYZLN0342098NCAM03717_00_0LLJ02.IMG";
+    std::fs::write(products.join(ranges), level_ground()).unwrap();
+    std::fs::write(products.join(strange), level_ground()).unwrap();
+    std::fs::write(products.join(broken), "no label").unwrap();
+    let said = marf(dir.path(), &arguments).exits(0).stdout;
+    for part in [
+        "against      1 of 3 products compared",
+        &format!("{strange}: no photo of its camera and time has a depth"),
+        &format!("{broken}: its label describes no array"),
+        "no product   NRF_0718",
+    ] {
+        assert!(said.contains(part), "{part}: {said}");
+    }
+    let json = marf(dir.path(), &[&arguments[..], &["--json"]].concat())
+        .exits(0)
+        .stdout;
+    let score: Value = serde_json::from_str(&json).unwrap();
+    let number = |key: &str| score[key].as_f64().unwrap();
+    assert!(number("share") > 0.5, "{json}");
+    // The ground there is level to some centimetres: where the rover stands is the height of its wheels.
+    assert!(number("median_share").abs() < 0.03, "{json}");
+    assert!(number("median_abs_share") < 0.05, "{json}");
+    assert_eq!(score["products"].as_array().unwrap().len(), 3);
+    assert!(!score["octaves"].as_array().unwrap().is_empty());
 }

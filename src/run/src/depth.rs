@@ -15,6 +15,7 @@ use marf_stage::{COMPANIONS, Document, Params};
 use nalgebra::Vector3;
 
 use crate::context::Context;
+use crate::depth_score::{self, DepthScore};
 use crate::error::Error;
 use crate::execute::{Execution, execute, options};
 use crate::folder::{self, PhotoFolder};
@@ -31,6 +32,8 @@ pub struct DepthRequest {
     pub out: PathBuf,
     /// Where cameras come from, as pipeline.toml names it. With `auto`, labels take the place of a structure from motion that places too few.
     pub method: String,
+    /// Folder with XYZ, RNG or DSP products of the photos, to score the depths against.
+    pub against: Option<PathBuf>,
 }
 
 /// The depths of a folder's photos.
@@ -40,6 +43,8 @@ pub struct DepthResult {
     pub why_labels: Option<String>,
     /// One for all photos. With `why_labels`, one for each stop of the rover.
     pub scenes: Vec<SceneDepth>,
+    /// How far they are from what other programs measured.
+    pub score: Option<DepthScore>,
 }
 
 /// The depths of photos in one frame.
@@ -77,8 +82,13 @@ pub fn depth(context: &Context, request: &DepthRequest) -> Result<DepthResult, E
             .map_err(folder::for_folder)?,
         None => found,
     };
+    let record = run(&found)?;
     Ok(DepthResult {
-        scenes: write(&found, &request.out)?,
+        scenes: write(&found, &record, &request.out)?,
+        score: match &request.against {
+            Some(folder) => Some(depth_score::score(&found, &record, folder)?),
+            None => None,
+        },
         why_labels,
     })
 }
@@ -161,25 +171,34 @@ fn are_eyes(one: &Cahvor, other: &Cahvor) -> bool {
     RIG_M.contains(&between.norm()) && row.dot(&between).abs() >= SIDE_BY_SIDE * between.norm()
 }
 
-/// Runs a session and writes the depths of its scenes.
-fn write(session: &Session, out: &Path) -> Result<Vec<SceneDepth>, Error> {
+/// Runs a session. A scene that fails is a warning if another has depths.
+fn run(session: &Session) -> Result<RunRecord, Error> {
     let Execution { record, failure } = execute(session, &options(session))?;
-    let done: Vec<&NodeRun> = record
-        .nodes
-        .iter()
-        .filter(|node| node.stage == DepthParams::STAGE && node.outputs.contains_key(Metrics::OUTPUT))
-        .collect();
     if let Some(error) = failure {
-        if done.is_empty() || matches!(error, Error::Interrupted) {
+        if done(&record).next().is_none() || matches!(error, Error::Interrupted) {
             return Err(folder::for_folder(error));
         }
         session.context.warn(error.message().to_owned());
     }
+    Ok(record)
+}
+
+/// Returns the nodes with depths.
+fn done(record: &RunRecord) -> impl Iterator<Item = &NodeRun> {
+    let of_stage = record
+        .nodes
+        .iter()
+        .filter(|node| node.stage == DepthParams::STAGE);
+    of_stage.filter(|node| node.outputs.contains_key(Metrics::OUTPUT))
+}
+
+/// Writes the depths of all scenes.
+fn write(session: &Session, record: &RunRecord, out: &Path) -> Result<Vec<SceneDepth>, Error> {
     let is_one = session.scenes.len() < 2;
-    done.into_iter()
+    done(record)
         .map(|node| {
             let name = scene_of(&node.name).filter(|_| !is_one);
-            write_scene(session, &record, node, name, out)
+            write_scene(session, record, node, name, out)
         })
         .collect()
 }

@@ -13,6 +13,7 @@ pub mod compare;
 mod context;
 mod copies;
 pub mod depth;
+pub mod depth_score;
 mod derived;
 pub mod diff;
 mod documents;

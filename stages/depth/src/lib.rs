@@ -11,7 +11,7 @@
 //!
 //! The stage chooses pairs (`pairs`), rectifies them (`rectify`), keeps their disparities from run to run (`kept`), and merges in
 //! each photo what its pairs say (`merge`). From the merged depths it makes a cloud (`cloud`) and a map from above (`ground`).
-//! One photo at a time is in memory with its pairs.
+//! One photo at a time is in memory with its pairs. What other programs measured is compared with the depths in `score`.
 //!
 //! Invariant: the same pair gives the same bytes on every machine, instruction set and number of threads. Costs are
 //! integers. Each float belongs to one pixel, and its sums have a fixed order.
@@ -36,6 +36,7 @@ mod raster;
 mod rectify;
 mod refine;
 mod rows;
+pub mod score;
 mod search;
 mod spline;
 mod stage;

@@ -257,7 +257,7 @@ fn points_pull_for_half_of_the_steps_and_longer_where_photos_are_few() {
         distance: 1.0,
         sigma: 0.1,
     };
-    views[3].distances = vec![distance; 1200];
+    views[2].distances = vec![distance; 1200];
     let with = sizes_of(&views, &[], &pairs).depth_steps.reason;
     assert!(
         with.contains("sparse points and 1,200 distances from pairs of them for"),

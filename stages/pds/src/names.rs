@@ -99,6 +99,35 @@ impl ProductName {
         }
     }
 
+    /// Returns the camera with its eye and the clock. A photo shares them with everything that is computed from it, whatever its
+    /// geometry, colour, tile and version.
+    pub fn camera_and_clock(&self) -> String {
+        let id = self.id.to_ascii_uppercase();
+        match self.scheme {
+            Scheme::M2020 => format!("{}{}", &id[..2], &id[3..23]),
+            Scheme::MslScience => id[..24].to_owned(),
+            Scheme::MslEngineering => id[..13].to_owned(),
+            Scheme::Mer => format!("{}{}", &id[..11], &id[23..24]),
+        }
+    }
+
+    /// Returns [`ProductName::camera_and_clock`] of a photo that the other eye takes at the same time, if names say so.
+    pub fn twin_camera_and_clock(&self) -> Option<String> {
+        let mut twin = self.camera_and_clock();
+        let eye = match self.scheme {
+            Scheme::M2020 | Scheme::MslEngineering => 1,
+            Scheme::Mer => 11,
+            Scheme::MslScience => return None,
+        };
+        let other = match &twin[eye..=eye] {
+            "L" => "R",
+            "R" => "L",
+            _ => return None,
+        };
+        twin.replace_range(eye..=eye, other);
+        Some(twin)
+    }
+
     /// Returns the rank of the product among the versions of its exposure, the best first: radiance or I/F of 16 bits, then
     /// other calibrated products, then counts and codes.
     pub fn processing_rank(&self) -> u8 {
@@ -382,6 +411,53 @@ mod tests {
         assert_ne!(
             key("1N491020834RADCNY9P0706L0M1"),
             key("1N491020834RADCNY9P0706R0M1")
+        );
+    }
+
+    #[test]
+    fn what_is_computed_from_a_photo_shares_its_camera_and_clock() {
+        for (photo, product, partner) in [
+            (
+                "NLF_0718_0730679543_043ECM_N0342098NCAM03717_01_195J",
+                "NLM_0718_0730679543_043XYZLN0342098NCAM03717_00_0LLJ02",
+                "NRM_0718_0730679543_043RASLN0342098NCAM03717_00_0LLJ01",
+            ),
+            (
+                "NLB_586004185EDR_F0721234NCAM00295M1",
+                "NLB_586004185XYZLF0721234NCAM00295M2",
+                "NRB_586004185DSPLF0721234NCAM00295M1",
+            ),
+            (
+                "2N292280938EFFB100P0703L0M1",
+                "2n292280938xylb100p0703l0m1",
+                "2N292280938DILB100P0703R0M1",
+            ),
+        ] {
+            let [photo, product, partner] = [photo, product, partner].map(read);
+            assert_eq!(
+                photo.camera_and_clock(),
+                product.camera_and_clock(),
+                "{}",
+                photo.id
+            );
+            assert_ne!(
+                photo.camera_and_clock(),
+                partner.camera_and_clock(),
+                "{}",
+                photo.id
+            );
+            assert_eq!(
+                product.twin_camera_and_clock(),
+                Some(partner.camera_and_clock()),
+                "{}",
+                photo.id
+            );
+        }
+        let arm = read("SI1_0709_0729888971_069RAD_N0332864ZCAM07114_0340LMA01");
+        assert_eq!(arm.twin_camera_and_clock(), None);
+        assert_eq!(
+            read("2264ML0121141200805116C00_DRCL").twin_camera_and_clock(),
+            None
         );
     }
 

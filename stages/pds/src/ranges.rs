@@ -3,7 +3,7 @@
 //! All become ranges from the centre C of the photo's camera. JPL's programs write zeros where there is no value, whatever the
 //! label says (VICAR: marsxyz, marsrange, marscor3).
 
-use marf_scene::{CameraPrior, MAX_DECODED_BYTES, Pose, RoverPlace, TooLarge};
+use marf_scene::{Cahvor, CameraPrior, MAX_DECODED_BYTES, Pose, RoverPlace, TooLarge};
 use nalgebra::{Vector2, Vector3};
 
 use crate::label::{Array, Label};
@@ -31,6 +31,18 @@ pub enum Geometry {
     Ranges,
     /// Line and sample of the same point in the other photo of the pair, from 1.
     Disparities,
+}
+
+impl Geometry {
+    /// Returns what products of a type hold, by its name in a label or in the names of products. `None` for types without ranges.
+    pub fn from_type(kind: &str) -> Option<Self> {
+        match kind {
+            "XYZ_MAP" | "XYZ" | "XYM" | "XYR" | "XYL" => Some(Self::Points),
+            "RANGE_MAP" | "RNG" | "RNM" | "RNR" | "RNL" => Some(Self::Ranges),
+            "DISPARITY_MAP" | "DSP" | "DSR" | "DIS" | "DIL" => Some(Self::Disparities),
+            _ => None,
+        }
+    }
 }
 
 /// A product that gives no ranges.
@@ -141,12 +153,7 @@ pub fn read(name: Option<&ProductName>, bytes: &[u8], beside: Option<&Label>) ->
 fn geometry(label: &Label, name: Option<&ProductName>) -> Result<Geometry, RangeError> {
     let of_name = name.map(|name| name.product_type.as_str());
     let kind = label.derived.kind.as_deref().or(of_name).unwrap_or("unknown");
-    match kind {
-        "XYZ_MAP" | "XYZ" | "XYM" | "XYR" | "XYL" => Ok(Geometry::Points),
-        "RANGE_MAP" | "RNG" | "RNM" | "RNR" | "RNL" => Ok(Geometry::Ranges),
-        "DISPARITY_MAP" | "DSP" | "DSR" => Ok(Geometry::Disparities),
-        other => Err(RangeError::Kind(other.to_owned())),
-    }
+    Geometry::from_type(kind).ok_or_else(|| RangeError::Kind(kind.to_owned()))
 }
 
 /// Returns the values of all pixels, scaled as the label says.
@@ -220,25 +227,25 @@ impl Product {
             }
             Geometry::Disparities => {
                 let partner = partner.ok_or(RangeError::NoPartner)?;
-                let place = RoverPlace {
-                    frame: partner.frame.clone(),
-                    site_from_frame: partner.site_from_frame,
-                    motion_counter: partner.motion_counter.clone(),
-                };
-                let other = CameraPrior {
-                    model: partner.model.transformed(&camera_from(&place, &self.camera)?),
-                    ..partner.clone()
-                };
+                let other = model_in(partner, &self.camera)?;
                 let columns = self.width as usize;
                 let found = |(index, value): (usize, &Option<[f64; 3]>)| {
                     let [line, sample, _] = (*value)?;
                     let here = Vector2::new((index % columns) as f64, (index / columns) as f64);
                     let there = Vector2::new(sample - 1.0, line - 1.0);
-                    range(meeting(&self.camera, &here, &other, &there)?)
+                    range(meeting(&self.camera.model, &here, &other, &there)?)
                 };
                 Ok(self.values.iter().enumerate().map(found).collect())
             }
         }
+    }
+
+    /// Returns the camera of the product in the frame of a photo's camera.
+    ///
+    /// # Errors
+    /// [`RangeError::Frame`] if the labels do not relate the two frames.
+    pub fn camera_in(&self, photo: &CameraPrior) -> Result<Cahvor, RangeError> {
+        model_in(&self.camera, photo)
     }
 
     /// Checks that ranges are measured from the camera's centre. A label without a point means the centre.
@@ -279,17 +286,27 @@ fn camera_from(place: &RoverPlace, camera: &CameraPrior) -> Result<Pose, RangeEr
     }
 }
 
+/// Returns the model of a camera in the frame of another.
+fn model_in(camera: &CameraPrior, other: &CameraPrior) -> Result<Cahvor, RangeError> {
+    let place = RoverPlace {
+        frame: camera.frame.clone(),
+        site_from_frame: camera.site_from_frame,
+        motion_counter: camera.motion_counter.clone(),
+    };
+    Ok(camera.model.transformed(&camera_from(&place, other)?))
+}
+
 /// Returns the midpoint of the shortest line between the rays of two pixels, in front of both cameras. `None` where the rays are
 /// parallel, or farther apart than the limits.
 ///
 /// With w = o2 - o1 and unit directions d1, d2: t1 = (w d1 - (w d2)(d1 d2)) / (1 - (d1 d2)²), t2 = t1 (d1 d2) - w d2.
 fn meeting(
-    camera: &CameraPrior,
+    camera: &Cahvor,
     here: &Vector2<f64>,
-    other: &CameraPrior,
+    other: &Cahvor,
     there: &Vector2<f64>,
 ) -> Option<Vector3<f64>> {
-    let (one, two) = (camera.model.unproject(here)?, other.model.unproject(there)?);
+    let (one, two) = (camera.unproject(here)?, other.unproject(there)?);
     let between = two.origin - one.origin;
     let cosine = one.direction.dot(&two.direction);
     let sine2 = one.direction.cross(&two.direction).norm_squared();

@@ -158,6 +158,49 @@ pub struct RowOffset {
     pub rms_px: f64,
 }
 
+/// How far depths are from ranges that another program measured.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Agreement {
+    /// Pixels of the products that have a range.
+    pub product_pixels: u64,
+    /// Those of them where a photo has a depth.
+    pub pixels: u64,
+    /// Their share.
+    pub share: f64,
+    /// Absent without such a pixel.
+    #[serde(flatten)]
+    pub difference: Option<RangeDifference>,
+}
+
+/// Depth minus range, over the pixels that have both.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct RangeDifference {
+    /// Median, as a share of the range. Above 0, depths are farther.
+    pub median_share: f64,
+    /// Median of the absolute difference, metres.
+    pub median_abs_m: f64,
+    /// Median of the absolute difference, as a share of the range.
+    pub median_abs_share: f64,
+    /// 90th percentile of the absolute difference, as a share of the range.
+    pub p90_abs_share: f64,
+    /// Share of the pixels that differ by at most 1 % of the range.
+    pub within_1_percent: f64,
+    /// Share of the pixels that differ by at most 3 standard deviations of their depth.
+    pub within_3_sigma: f64,
+}
+
+/// How far depths are from ranges of one octave.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct OctaveAgreement {
+    /// Least range, metres.
+    pub from_m: f64,
+    /// Where the next octave begins, metres.
+    pub to_m: f64,
+    /// Its pixels.
+    #[serde(flatten)]
+    pub agreement: Agreement,
+}
+
 impl Document for Metrics {
     const STAGE: &'static str = DepthParams::STAGE;
     const OUTPUT: &'static str = "metrics";

@@ -24,7 +24,6 @@ pub(crate) fn training_views(
     photos: &PhotoReader<'_>,
     training: &[NamedFrame<'_>],
     times: &[usize],
-    distances: &Distances,
     plan: MemoryPlan,
     seed: u64,
 ) -> Result<Vec<View>, StageError> {
@@ -44,10 +43,10 @@ pub(crate) fn training_views(
             } else {
                 format!("{id}{COPY}{}", copy + 1)
             },
-            distances: distances.of(id, &camera),
             camera,
             cam_from_world: named.frame.cam_from_world,
             image,
+            distances: Vec::new(),
         }));
     }
     Ok(views)
@@ -72,17 +71,26 @@ impl Distances {
         Ok(Self(ids.zip(distances).collect()))
     }
 
-    /// Returns those of a photo, taken by this camera.
-    fn of(&self, id: &str, camera: &Camera) -> Vec<PixelDistance> {
-        let known = self.0.get(id).into_iter().flatten();
-        let pixel = |share: f32, pixels: u32| ((share * pixels as f32) as u32).min(pixels - 1);
-        let here = known.map(|one| PixelDistance {
-            pixel: [pixel(one.at[0], camera.width), pixel(one.at[1], camera.height)],
-            distance: one.distance,
-            sigma: one.sigma,
-        });
-        here.collect()
+    /// Gives each view those of its photo.
+    pub fn give_to(&self, mut views: Vec<View>) -> Vec<View> {
+        for view in &mut views {
+            let of_copy = || self.0.get(view.id.rsplit_once(COPY)?.0);
+            let known = self.0.get(&view.id).or_else(of_copy);
+            view.distances = known.map_or_else(Vec::new, |known| placed(known, &view.camera));
+        }
+        views
     }
+}
+
+/// Returns distances at the pixels of a camera.
+fn placed(known: &[marf_depth::PixelDistance], camera: &Camera) -> Vec<PixelDistance> {
+    let pixel = |share: f32, pixels: u32| ((share * pixels as f32) as u32).min(pixels - 1);
+    let here = known.iter().map(|one| PixelDistance {
+        pixel: [pixel(one.at[0], camera.width), pixel(one.at[1], camera.height)],
+        distance: one.distance,
+        sigma: one.sigma,
+    });
+    here.collect()
 }
 
 /// What a trainer begins with.

@@ -94,14 +94,8 @@ impl PilotResult {
             split, times, scene, ..
         } = &plan.photos;
         let views = || {
-            training_views(
-                photos,
-                &split.training,
-                times,
-                &plan.distances,
-                plan.memory,
-                params.seed,
-            )
+            training_views(photos, &split.training, times, plan.memory, params.seed)
+                .map(|views| plan.distances.give_to(views))
         };
         let trainer = |config: &Config| {
             new_trainer(views()?, scene, config, plan.begin(), params).map_err(StageError::from)

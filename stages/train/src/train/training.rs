@@ -29,14 +29,8 @@ impl<'a> Training<'a> {
     pub fn new(params: &TrainParams, plan: &Plan<'a>, photos: &PhotoReader<'_>) -> Result<Self, StageError> {
         let (split, times) = (&plan.photos.split, &plan.photos.times);
         let curve_photos = curve_photos(photos, &split.held_out, plan.memory.at_once)?;
-        let views = training_views(
-            photos,
-            &split.training,
-            times,
-            &plan.distances,
-            plan.memory,
-            params.seed,
-        )?;
+        let views = training_views(photos, &split.training, times, plan.memory, params.seed)?;
+        let views = plan.distances.give_to(views);
         Ok(Self {
             trainer: new_trainer(
                 views,

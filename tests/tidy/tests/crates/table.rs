@@ -100,20 +100,6 @@ pub const CRATES: [Crate; 36] = [
         )
     },
     row(
-        "stages/train",
-        "marf-train",
-        &[
-            "marf-cache",
-            "marf-numeric",
-            "marf-stage",
-            "marf-scene",
-            "marf-video",
-            "marf-field",
-            "marf-field-gpu",
-            "marf-schema",
-        ],
-    ),
-    row(
         "stages/surface",
         "marf-surface",
         &[
@@ -136,6 +122,21 @@ pub const CRATES: [Crate; 36] = [
             "marf-scene",
             "marf-schema",
             "marf-surface",
+        ],
+    ),
+    row(
+        "stages/train",
+        "marf-train",
+        &[
+            "marf-cache",
+            "marf-numeric",
+            "marf-stage",
+            "marf-scene",
+            "marf-depth",
+            "marf-video",
+            "marf-field",
+            "marf-field-gpu",
+            "marf-schema",
         ],
     ),
     row(
@@ -240,6 +241,8 @@ pub const CRATES: [Crate; 36] = [
             "marf-field-gpu",
             "marf-calibrate",
             "marf-schema",
+            "marf-depth",
+            "marf-pds",
             "marf-stages",
             "marf-engine",
             "marf-cluster",
