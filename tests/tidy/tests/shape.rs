@@ -36,7 +36,7 @@ const fn limit(bar: Bar, now: usize, goal: usize) -> Limit {
 }
 
 static LIMITS: [Limit; 12] = [
-    limit(Bar::Code, 117_450, 97_000),
+    limit(Bar::Code, 118_900, 97_000),
     limit(Bar::CodeOfMarf, 3_940, 5_000),
     limit(Bar::CodeOfACrate, 7_940, 8_000),
     limit(Bar::Rule(Rule::LongFunctions), 0, 0),
