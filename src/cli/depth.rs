@@ -273,6 +273,13 @@ mod tests {
         ] {
             assert!(lines.iter().any(|found| found == line), "{line}: {lines:#?}");
         }
+        let nothing = Agreement {
+            product_pixels: 1200,
+            pixels: 0,
+            share: 0.0,
+            difference: None,
+        };
+        assert_eq!(agreement(&nothing), "none of 1,200 pixels has a depth");
         // Several stops have a line each.
         let stop = |name: &str| SceneDepth {
             name: Some(name.to_owned()),
