@@ -345,3 +345,54 @@ fn without_a_type_in_the_label_the_name_decides() {
         "by name",
     );
 }
+
+fn name(stem: &str) -> ProductName {
+    ProductName::read(stem).unwrap()
+}
+
+#[test]
+fn what_is_computed_from_a_photo_shares_its_camera_and_clock() {
+    for (photo, product, partner) in [
+        (
+            "NLF_0718_0730679543_043ECM_N0342098NCAM03717_01_195J",
+            "NLM_0718_0730679543_043XYZLN0342098NCAM03717_00_0LLJ02",
+            "NRM_0718_0730679543_043RASLN0342098NCAM03717_00_0LLJ01",
+        ),
+        (
+            "NLB_586004185EDR_F0721234NCAM00295M1",
+            "NLB_586004185XYZLF0721234NCAM00295M2",
+            "NRB_586004185DSPLF0721234NCAM00295M1",
+        ),
+        (
+            "2N292280938EFFB100P0703L0M1",
+            "2n292280938xylb100p0703l0m1",
+            "2N292280938DILB100P0703R0M1",
+        ),
+    ] {
+        let [photo, product, partner] = [photo, product, partner].map(name);
+        assert_eq!(
+            photo.camera_and_clock(),
+            product.camera_and_clock(),
+            "{}",
+            photo.id
+        );
+        assert_ne!(
+            photo.camera_and_clock(),
+            partner.camera_and_clock(),
+            "{}",
+            photo.id
+        );
+        assert_eq!(
+            product.twin_camera_and_clock(),
+            Some(partner.camera_and_clock()),
+            "{}",
+            photo.id
+        );
+    }
+    let arm = name("SI1_0709_0729888971_069RAD_N0332864ZCAM07114_0340LMA01");
+    assert_eq!(arm.twin_camera_and_clock(), None);
+    assert_eq!(
+        name("2264ML0121141200805116C00_DRCL").twin_camera_and_clock(),
+        None
+    );
+}
