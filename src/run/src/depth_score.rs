@@ -223,6 +223,10 @@ fn compare(
         .find_map(|line| line.facts.prior.as_ref());
     let beside = label_beside(session, path)?;
     let compared = ranges::read(Some(&name), &bytes, beside.as_ref()).and_then(|product| {
+        if product.geometry == ranges::Geometry::Disparities {
+            let mut own = shown.iter().filter_map(|photo| photo.line.facts.prior.as_ref());
+            own.try_for_each(|prior| product.check_grid(prior))?;
+        }
         let ranges = product.ranges(partner)?;
         Ok((product, ranges))
     });

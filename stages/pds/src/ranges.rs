@@ -21,6 +21,9 @@ const MISS_M: f64 = 0.05;
 /// Smallest squared sine of the angle between two rays that meet: at 1e-6 rad, the range is a thousand times a baseline and far
 /// more.
 const LEAST_SINE2: f64 = 1e-12;
+/// Pixels of two cameras are the same if points at this range are at most so far apart: labels round to a thousandth of a pixel.
+const GRID_RANGE_M: f64 = 10.0;
+const GRID_TOLERANCE_PX: f64 = 0.05;
 
 /// What the values of a product are.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -94,6 +97,11 @@ pub enum RangeError {
     /// Disparities alone.
     #[error("disparities become ranges by the label of the pair's other photo, which is missing")]
     NoPartner,
+    /// Disparities of resampled photos.
+    #[error(
+        "its pixels are not those of its photo's label, so the label of the other photo does not tell where its disparities point"
+    )]
+    OtherGrid,
 }
 
 /// A product of geometry.
@@ -246,6 +254,30 @@ impl Product {
     /// [`RangeError::Frame`] if the labels do not relate the two frames.
     pub fn camera_in(&self, photo: &CameraPrior) -> Result<Cahvor, RangeError> {
         model_in(&self.camera, photo)
+    }
+
+    /// Checks that the pixels of the product are those of a photo, as its label has them. Only then do disparities point to pixels of the
+    /// label of the pair's other photo: both photos of a linearised pair have other cameras than their labels.
+    ///
+    /// # Errors
+    /// [`RangeError::OtherGrid`], or as [`Product::camera_in`].
+    pub fn check_grid(&self, photo: &CameraPrior) -> Result<(), RangeError> {
+        let photo = model_in(photo, &self.camera)?;
+        let [right, bottom] = [self.width, self.height].map(|size| f64::from(size) - 1.0);
+        let is_same = |pixel: Vector2<f64>| {
+            let ray = self.camera.model.unproject(&pixel)?;
+            let there = photo.project(&(ray.origin + ray.direction * GRID_RANGE_M))?;
+            Some((there - pixel).norm() <= GRID_TOLERANCE_PX)
+        };
+        let corners = [[0.0, 0.0], [right, 0.0], [0.0, bottom], [right, bottom]];
+        let are_same = corners
+            .into_iter()
+            .all(|corner| is_same(corner.into()) == Some(true));
+        if are_same {
+            Ok(())
+        } else {
+            Err(RangeError::OtherGrid)
+        }
     }
 
     /// Checks that ranges are measured from the camera's centre. A label without a point means the centre.

@@ -268,6 +268,12 @@ fn disparities_become_ranges_by_both_cameras() {
         product.ranges(None).unwrap_err().to_string(),
         "disparities become ranges by the label of the pair's other photo, which is missing"
     );
+    // The label of its own photo has these pixels, and that of a photo from another place has others.
+    product.check_grid(&left.prior.unwrap()).unwrap();
+    assert_eq!(
+        product.check_grid(&partner).unwrap_err().to_string(),
+        "its pixels are not those of its photo's label, so the label of the other photo does not tell where its disparities point"
+    );
 }
 
 #[test]
