@@ -116,7 +116,7 @@ fn agreement(found: &Agreement) -> String {
         return format!("none of {pixels} has a depth");
     };
     format!(
-        "{} of {pixels} have a depth, {:+.2} % in the median, off by {} m ({:.2} %) in the median and by at most {:.2} % in 90 %, {} within 1 %, {} within 3 sigma",
+        "{} of {pixels} have a depth. Median difference {:+.2} %, median error {} m ({:.2} %). Of these pixels 90 % are within {:.2} %, {} within 1 % and {} within 3 sigma",
         percent(found.share),
         100.0 * difference.median_share,
         number(difference.median_abs_m),

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use marf_scene::Cahvor;
-use nalgebra::Vector2;
+use nalgebra::{Vector2, Vector3};
 use serde_json::Value;
 
 use crate::common::{marf, shared};
@@ -72,29 +72,56 @@ const LINEAR: Cahvor = Cahvor {
 const COLUMNS: u32 = 64;
 const LINES: u32 = 48;
 
-/// A product of ranges with its attached label: those of level ground at the height of the wheels.
-fn level_ground() -> Vec<u8> {
+/// A label of a product of level ground at the height of the wheels. `record`: of the label that is attached, or nothing.
+fn label(kind: &str, bands: u32, record: &str) -> String {
     let vector = |[x, y, z]: [f64; 3]| format!("({x},{y},{z})");
     let Cahvor { c, a, h, v, .. } = LINEAR;
     let [centre, axis, across, down] = [c, a, h, v].map(vector);
     let frame = "REFERENCE_COORD_SYSTEM_NAME = ROVER_NAV_FRAME\nREFERENCE_COORD_SYSTEM_INDEX = (34,2098)";
-    let label = format!(
-        "PDS_VERSION_ID = PDS3\nRECORD_BYTES = 4096\n^IMAGE = 2\nROVER_MOTION_COUNTER = (34,2098)\n\
-         GROUP = DERIVED_IMAGE_PARMS\nDERIVED_IMAGE_TYPE = RANGE_MAP\n{frame}\nEND_GROUP = DERIVED_IMAGE_PARMS\n\
+    format!(
+        "PDS_VERSION_ID = PDS3\n{record}\nROVER_MOTION_COUNTER = (34,2098)\n\
+         GROUP = DERIVED_IMAGE_PARMS\nDERIVED_IMAGE_TYPE = {kind}\n{frame}\nEND_GROUP = DERIVED_IMAGE_PARMS\n\
          GROUP = GEOMETRIC_CAMERA_MODEL\nMODEL_TYPE = CAHV\nMODEL_COMPONENT_1 = {centre}\nMODEL_COMPONENT_2 = {axis}\n\
          MODEL_COMPONENT_3 = {across}\nMODEL_COMPONENT_4 = {down}\n{frame}\nEND_GROUP = GEOMETRIC_CAMERA_MODEL\n\
-         OBJECT = IMAGE\nLINES = {LINES}\nLINE_SAMPLES = {COLUMNS}\nBANDS = 1\nSAMPLE_BITS = 32\nSAMPLE_TYPE = IEEE_REAL\n\
+         OBJECT = IMAGE\nLINES = {LINES}\nLINE_SAMPLES = {COLUMNS}\nBANDS = {bands}\nSAMPLE_BITS = 32\nSAMPLE_TYPE = IEEE_REAL\n\
          END_OBJECT = IMAGE\nEND\n"
-    );
-    let mut bytes = label.into_bytes();
-    bytes.resize(4096, b' ');
-    for index in 0..LINES * COLUMNS {
+    )
+}
+
+/// Ranges of the ground with their rays, `factor` times as far as it is.
+fn ground(factor: f64) -> impl Iterator<Item = (f64, Vector3<f64>)> {
+    (0..LINES * COLUMNS).map(move |index| {
         let pixel = Vector2::new(f64::from(index % COLUMNS), f64::from(index / COLUMNS));
-        let down = LINEAR.unproject(&pixel).unwrap().direction.z;
-        let range = if down > 0.2 { -LINEAR.c[2] / down } else { 0.0 };
-        bytes.extend((range as f32).to_be_bytes());
-    }
+        let ray = LINEAR.unproject(&pixel).unwrap().direction;
+        let range = if ray.z > 0.2 { -LINEAR.c[2] / ray.z } else { 0.0 };
+        (factor * range, ray)
+    })
+}
+
+fn big_endian(values: impl Iterator<Item = f64>) -> Vec<u8> {
+    values.flat_map(|value| (value as f32).to_be_bytes()).collect()
+}
+
+/// Ranges, with an attached label.
+fn range_product() -> Vec<u8> {
+    let mut bytes = label("RANGE_MAP", 1, "RECORD_BYTES = 4096\n^IMAGE = 2").into_bytes();
+    bytes.resize(4096, b' ');
+    bytes.extend(big_endian(ground(1.0).map(|(range, _)| range)));
     bytes
+}
+
+/// Coordinates 2 % too far, band by band, without a label.
+fn far_coordinates() -> Vec<u8> {
+    let of_axis = |axis: usize| {
+        big_endian(ground(1.02).map(move |(range, ray)| {
+            if range > 0.0 {
+                LINEAR.c[axis] + range * ray[axis]
+            } else {
+                0.0
+            }
+        }))
+    };
+    [0, 1, 2].map(of_axis).concat()
 }
 
 #[test]
@@ -138,16 +165,21 @@ fn depths_are_scored_against_products_of_the_same_photos() {
     let ranges = "NLM_0718_0730679543_043RNGLN0342098NCAM03717_00_0LLJ02.IMG";
     let strange = "NLM_0719_0730700000_043XYZLN0342098NCAM03717_00_0LLJ02.IMG";
     let broken = "NRM_0718_0730679543_043XYZLN0342098NCAM03717_00_0LLJ02.IMG";
-    std::fs::write(products.join(ranges), level_ground()).unwrap();
-    std::fs::write(products.join(strange), level_ground()).unwrap();
+    let far = "NLM_0718_0730679543_043XYZLN0342098NCAM03717_00_0LLJ02.IMG";
+    std::fs::write(products.join(ranges), range_product()).unwrap();
+    std::fs::write(products.join(strange), range_product()).unwrap();
+    std::fs::write(products.join(far), far_coordinates()).unwrap();
+    let beside = label("XYZ_MAP", 3, "^IMAGE = \"A.IMG\"");
+    std::fs::write(products.join(far).with_extension("LBL"), beside).unwrap();
+    std::fs::write(products.join(ranges).with_extension("png"), "a picture to browse").unwrap();
     std::fs::write(products.join(broken), "no label").unwrap();
     let said = marf(dir.path(), &arguments).exits(0).stdout;
     for part in [
-        "against      1 of 3 products compared",
-        &format!("{strange}: no photo of its camera and time has a depth"),
+        "against      2 of 4 products compared",
+        &format!("{strange}: no photo of its camera and time has a camera"),
         &format!("{broken}: no label at the head of the file"),
         "no product   NRF_0718",
-        "pixels have a depth, ",
+        "pixels have a depth. Median difference ",
         " within 3 sigma",
     ] {
         assert!(said.contains(part), "{part}: {said}");
@@ -157,13 +189,19 @@ fn depths_are_scored_against_products_of_the_same_photos() {
         .stdout;
     let score: Value = serde_json::from_str(&json).unwrap();
     assert!(score["share"].as_f64().unwrap() > 0.5, "{json}");
-    assert_eq!(score["products"].as_array().unwrap().len(), 3);
+    let near = |product: usize| score["products"][product]["median_share"].as_f64().unwrap();
+    // Depths are nearer by 1 - 1 / 1.02 than coordinates that are 2 % too far.
+    let planted = (1.0 + near(1)) / (1.0 + near(0));
+    assert!((planted - 1.0 / 1.02).abs() < 0.002, "{planted}: {json}");
+    assert_eq!(score["octaves"][0]["from_m"].as_f64(), Some(2.0), "{json}");
+    std::fs::remove_file(products.join(far)).unwrap();
+    let json = marf(dir.path(), &[&arguments[..], &["--json"]].concat())
+        .exits(0)
+        .stdout;
+    let score: Value = serde_json::from_str(&json).unwrap();
     // Near the rover, the ground is level. Farther away it falls.
     let near = &score["octaves"][0];
-    assert_eq!(
-        (near["from_m"].as_f64(), near["to_m"].as_f64()),
-        (Some(2.0), Some(4.0))
-    );
+    assert_eq!(near["to_m"].as_f64(), Some(4.0));
     assert!(near["median_share"].as_f64().unwrap().abs() < 0.01, "{json}");
     assert!(near["median_abs_share"].as_f64().unwrap() < 0.02, "{json}");
 }

@@ -15,7 +15,7 @@ use marf_stage::{COMPANIONS, Document, Params};
 use nalgebra::Vector3;
 
 use crate::context::Context;
-use crate::depth_score::{self, DepthScore};
+use crate::depth_score::{self, DepthScore, Products};
 use crate::error::Error;
 use crate::execute::{Execution, execute, options};
 use crate::folder::{self, PhotoFolder};
@@ -71,6 +71,7 @@ pub struct SceneDepth {
 /// A folder that cannot be read or written, photos whose cameras are not found.
 pub fn depth(context: &Context, request: &DepthRequest) -> Result<DepthResult, Error> {
     let photos = PhotoFolder::new(&request.dir)?;
+    let products = request.against.as_deref().map(Products::new).transpose()?;
     let session = |text: String| {
         let text = format!("{text}[node.depth]\ninput = \"calibrate\"\n");
         Session::implicit(context, &text, "depth", &request.dir)
@@ -85,8 +86,8 @@ pub fn depth(context: &Context, request: &DepthRequest) -> Result<DepthResult, E
     let record = run(&found)?;
     Ok(DepthResult {
         scenes: write(&found, &record, &request.out)?,
-        score: match &request.against {
-            Some(folder) => Some(depth_score::score(&found, &record, folder)?),
+        score: match &products {
+            Some(products) => Some(depth_score::score(&found, &record, products)?),
             None => None,
         },
         why_labels,

@@ -4,10 +4,10 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use marf_config::scenes::{node_of, scene_of};
-use marf_depth::score::{Comparison, LabelledDepths, View};
+use marf_depth::score::{Comparison, LabelledDepths, ScoreError, View};
 use marf_engine::{NodeRun, RunRecord};
-use marf_pds::{Label, ProductName, ranges};
-use marf_scene::{PhotoFacts, Scene};
+use marf_pds::{Label, ProductName, pds4, ranges};
+use marf_scene::{Frame, Scene};
 use marf_schema::calibrate::CalibrateParams;
 use marf_schema::depth::{Agreement, DepthParams, Metrics, OctaveAgreement};
 use marf_schema::output::{INVERSE_DEPTH, SCENE, SIGMA};
@@ -47,39 +47,53 @@ pub struct ProductScore {
     pub reason: String,
 }
 
-/// A photo with depths.
-struct PhotoWithDepths<'a> {
+/// A photo of the run. Its depths are read when a product of it is.
+struct ComparedPhoto<'a> {
     line: &'a PhotoLine,
-    depths: LabelledDepths,
+    frame: Frame,
+    node: &'a NodeRun,
+    /// Base name of its pictures.
+    name: String,
+    /// Why it has no depth. Empty if it has.
+    reason: String,
     is_used: bool,
 }
 
-/// Photos with depths, by camera and clock of their names.
-type Photos<'a> = BTreeMap<String, Vec<PhotoWithDepths<'a>>>;
+/// Photos by camera and clock of their names.
+type Photos<'a> = BTreeMap<String, Vec<ComparedPhoto<'a>>>;
 
-/// Compares the depths of a run with the products of a folder.
+/// Compares the depths of a run with products.
 ///
 /// # Errors
-/// A folder that cannot be read, depths without metres, no product that shows what a photo shows.
-pub(crate) fn score(session: &Session, record: &RunRecord, folder: &Path) -> Result<DepthScore, Error> {
-    let files = products(folder)?;
+/// Depths without metres, no product that shows what a photo shows.
+pub(crate) fn score(session: &Session, record: &RunRecord, folder: &Products) -> Result<DepthScore, Error> {
     let lines = photos::lines(&session.store, record, "extract")?;
     let mut photos = Photos::new();
+    let mut unnamed = Vec::new();
     for node in record
         .nodes
         .iter()
         .filter(|node| node.stage == DepthParams::STAGE)
     {
         if node.outputs.contains_key(Metrics::OUTPUT) {
-            read_photos(session, record, node, &lines, &mut photos)?;
+            for photo in read_photos(session, record, node, &lines)? {
+                match name_of_photo(photo.line) {
+                    Some(name) => photos.entry(name.camera_and_clock()).or_default().push(photo),
+                    None => unnamed.push(photo.line.facts.file.clone()),
+                }
+            }
         }
     }
     let mut all = Comparison::default();
     let mut products = Vec::new();
-    for path in files {
+    for path in &folder.files {
         session.check()?;
-        let file = path.strip_prefix(folder).unwrap_or(&path).display().to_string();
-        let (agreement, reason) = match compare(session, &path, &lines, &mut photos)? {
+        let file = path
+            .strip_prefix(&folder.path)
+            .unwrap_or(path)
+            .display()
+            .to_string();
+        let (agreement, reason) = match compare(session, path, &lines, &mut photos)? {
             Ok(found) => {
                 let agreement = found.agreement();
                 all.merge(found);
@@ -93,20 +107,18 @@ pub(crate) fn score(session: &Session, record: &RunRecord, folder: &Path) -> Res
             reason,
         });
     }
-    let Some(first) = products.first() else {
-        return Err(none(
-            folder,
-            "it has no product of type XYZ, RNG or DSP".to_owned(),
-        ));
-    };
-    if products.iter().all(|product| product.agreement.is_none()) {
-        return Err(none(folder, format!("{}: {}", first.file, first.reason)));
+    if let Some(first) = products
+        .first()
+        .filter(|_| products.iter().all(|one| one.agreement.is_none()))
+    {
+        return Err(none(&folder.path, format!("{}: {}", first.file, first.reason)));
     }
     let unused = photos.values().flatten().filter(|photo| !photo.is_used);
+    let unused = unused.map(|photo| photo.line.facts.file.clone());
     Ok(DepthScore {
         all: all.agreement(),
         octaves: all.by_octave(),
-        photos_without: unused.map(|photo| photo.line.facts.file.clone()).collect(),
+        photos_without: unused.chain(unnamed).collect(),
         products,
     })
 }
@@ -121,30 +133,50 @@ fn none(folder: &Path, cause: String) -> Error {
     })
 }
 
-/// Returns the files of a folder that are products of geometry by their names, in order.
-fn products(folder: &Path) -> Result<Vec<PathBuf>, Error> {
-    let mut found = Vec::new();
-    for entry in WalkDir::new(folder).sort_by_file_name() {
-        let entry = entry.map_err(|error| {
-            Error::Failed(Diagnostic {
-                message: format!("cannot read {}", folder.display()),
-                cause: Some(error.to_string()),
-                hint: None,
-            })
-        })?;
-        let path = entry.path();
-        let is_label = path.extension().is_some_and(|ending| {
-            ["lbl", "xml"]
-                .iter()
-                .any(|label| ending.eq_ignore_ascii_case(label))
-        });
-        let is_geometry =
-            name_of(path).is_some_and(|name| ranges::Geometry::from_type(&name.product_type).is_some());
-        if entry.file_type().is_file() && is_geometry && !is_label {
-            found.push(path.to_owned());
+/// Endings of files next to products that are none: labels and pictures to browse.
+const NO_PRODUCTS: [&str; 8] = ["lbl", "xml", "json", "txt", "png", "jpg", "jpeg", "gif"];
+
+/// Products of geometry in a folder.
+#[derive(Debug, Clone)]
+pub struct Products {
+    path: PathBuf,
+    /// In the order of their names.
+    files: Vec<PathBuf>,
+}
+
+impl Products {
+    /// Finds the files that are products of geometry by their names.
+    ///
+    /// # Errors
+    /// A folder that cannot be read, or without such a file.
+    pub fn new(path: &Path) -> Result<Self, Error> {
+        let mut files = Vec::new();
+        for entry in WalkDir::new(path).sort_by_file_name() {
+            let entry = entry.map_err(|error| {
+                Error::Failed(Diagnostic {
+                    message: format!("cannot read {}", path.display()),
+                    cause: Some(error.to_string()),
+                    hint: None,
+                })
+            })?;
+            let file = entry.path();
+            let is_other = file
+                .extension()
+                .is_some_and(|ending| NO_PRODUCTS.iter().any(|other| ending.eq_ignore_ascii_case(other)));
+            let is_geometry =
+                name_of(file).is_some_and(|name| ranges::Geometry::from_type(&name.product_type).is_some());
+            if file.is_file() && is_geometry && !is_other {
+                files.push(file.to_owned());
+            }
         }
+        if files.is_empty() {
+            return Err(none(path, "it has no product of type XYZ, RNG or DSP".to_owned()));
+        }
+        Ok(Self {
+            path: path.to_owned(),
+            files,
+        })
     }
-    Ok(found)
 }
 
 fn name_of(path: &Path) -> Option<ProductName> {
@@ -155,14 +187,13 @@ fn name_of_photo(line: &PhotoLine) -> Option<ProductName> {
     name_of(Path::new(&line.facts.file))
 }
 
-/// Adds the photos of a scene that have depths.
+/// Returns the photos of a scene.
 fn read_photos<'a>(
     session: &Session,
-    record: &RunRecord,
-    node: &NodeRun,
+    record: &'a RunRecord,
+    node: &'a NodeRun,
     lines: &'a [PhotoLine],
-    photos: &mut Photos<'a>,
-) -> Result<(), Error> {
+) -> Result<Vec<ComparedPhoto<'a>>, Error> {
     let metrics: Metrics = session.document(node)?;
     if metrics.unit != "metres" {
         return Err(Error::Failed(
@@ -174,27 +205,17 @@ fn read_photos<'a>(
     let calibrate = scene_of(&node.name).map_or(calibrate.to_owned(), |scene| node_of(calibrate, scene));
     let scene = Scene::decode(&session.output(node_named(record, &calibrate)?, SCENE)?)
         .map_err(|error| Error::failed(format!("scene of `{calibrate}`: {error}")))?;
-    for photo in metrics.photos.iter().filter(|photo| photo.share > 0.0) {
-        let line = lines.iter().find(|line| line.product == photo.id);
-        let (Some(line), Some(frame)) = (line, scene.frame(&photo.id)) else {
-            continue;
-        };
-        let Some(name) = name_of_photo(line) else { continue };
-        let picture = |folder: &str| session.output(node, &format!("{folder}{}.png", photo.name));
-        let (inverse, sigma) = (picture(INVERSE_DEPTH)?, picture(SIGMA)?);
-        match LabelledDepths::read(frame, &line.facts, line.image, [&inverse, &sigma]) {
-            Ok(depths) => photos
-                .entry(name.camera_and_clock())
-                .or_default()
-                .push(PhotoWithDepths {
-                    line,
-                    depths,
-                    is_used: false,
-                }),
-            Err(error) => session.context.warn(format!("{}: {error}", line.facts.file)),
-        }
-    }
-    Ok(())
+    let photos = metrics.photos.into_iter().filter_map(|photo| {
+        Some(ComparedPhoto {
+            line: lines.iter().find(|line| line.product == photo.id)?,
+            frame: scene.frame(&photo.id)?.clone(),
+            node,
+            name: photo.name,
+            reason: photo.reason,
+            is_used: false,
+        })
+    });
+    Ok(photos.collect())
 }
 
 /// Compares one product, or says why it cannot be.
@@ -204,56 +225,85 @@ fn compare(
     lines: &[PhotoLine],
     photos: &mut Photos<'_>,
 ) -> Result<Result<Comparison, String>, Error> {
-    let Some(name) = name_of(path) else {
-        return Ok(Err("its name follows no scheme".to_owned()));
-    };
-    let Some(shown) = photos.get_mut(&name.camera_and_clock()) else {
-        return Ok(Err("no photo of its camera and time has a depth".to_owned()));
+    let name = name_of(path);
+    let shown = name
+        .as_ref()
+        .and_then(|name| photos.get_mut(&name.camera_and_clock()));
+    let (Some(name), Some(shown)) = (&name, shown) else {
+        return Ok(Err("no photo of its camera and time has a camera".to_owned()));
     };
     let bytes = match read(session, path)? {
         Ok(bytes) => bytes,
         Err(reason) => return Ok(Err(reason)),
     };
-    let twin = name.twin_camera_and_clock();
-    let is_partner =
-        |line: &&PhotoLine| name_of_photo(line).map(|name| name.camera_and_clock()) == twin && twin.is_some();
-    let partner = lines
-        .iter()
-        .filter(is_partner)
-        .find_map(|line| line.facts.prior.as_ref());
     let beside = label_beside(session, path)?;
-    let compared = ranges::read(Some(&name), &bytes, beside.as_ref()).and_then(|product| {
-        if product.geometry == ranges::Geometry::Disparities {
-            let mut own = shown.iter().filter_map(|photo| photo.line.facts.prior.as_ref());
-            own.try_for_each(|prior| product.check_grid(prior))?;
-        }
-        let ranges = product.ranges(partner)?;
-        Ok((product, ranges))
-    });
-    let (product, ranges) = match compared {
-        Ok(read) => read,
+    let product = match ranges::read(Some(name), &bytes, beside.as_ref()) {
+        Ok(product) => product,
         Err(error) => return Ok(Err(error.to_string())),
     };
-    let mut views = Vec::new();
+    let ranges = match ranges_of(&product, name, lines, shown) {
+        Ok(ranges) => ranges,
+        Err(error) => return Ok(Err(error.to_string())),
+    };
+    let (mut views, mut reason) = (Vec::new(), String::new());
     for photo in shown {
-        match view(&product, &photo.line.facts, &photo.depths) {
+        match view(session, &product, photo)? {
             Ok(view) => {
                 photo.is_used = true;
                 views.push(view);
             }
-            Err(reason) => return Ok(Err(reason)),
+            Err(why) => reason = why,
         }
+    }
+    if views.is_empty() {
+        return Ok(Err(reason));
     }
     Ok(Ok(Comparison::new(&ranges, product.width, &views)))
 }
 
-fn view(product: &ranges::Product, facts: &PhotoFacts, depths: &LabelledDepths) -> Result<View, String> {
-    let prior = facts
-        .prior
-        .as_ref()
-        .ok_or("the label of its photo has no usable camera")?;
-    let camera = product.camera_in(prior).map_err(|error| error.to_string())?;
-    View::new(camera, depths.clone()).map_err(|error| error.to_string())
+/// Returns the ranges of a product. Those of disparities need the label of the other eye's photo.
+fn ranges_of(
+    product: &ranges::Product,
+    name: &ProductName,
+    lines: &[PhotoLine],
+    shown: &[ComparedPhoto<'_>],
+) -> Result<Vec<Option<f64>>, ranges::RangeError> {
+    if product.geometry != ranges::Geometry::Disparities {
+        return product.ranges(None);
+    }
+    let mut own = shown.iter().filter_map(|photo| photo.line.facts.prior.as_ref());
+    own.try_for_each(|prior| product.check_grid(prior))?;
+    let twin = name.twin_camera_and_clock();
+    let partner = lines.iter().find_map(|line| {
+        let is_twin = twin.is_some() && name_of_photo(line).map(|name| name.camera_and_clock()) == twin;
+        line.facts.prior.as_ref().filter(|_| is_twin)
+    });
+    product.ranges(partner)
+}
+
+/// Reads the depths of a photo as a product sees them, or says why that cannot be.
+fn view(
+    session: &Session,
+    product: &ranges::Product,
+    photo: &ComparedPhoto<'_>,
+) -> Result<Result<View, String>, Error> {
+    if !photo.reason.is_empty() {
+        return Ok(Err(format!("its photo has no depth: {}", photo.reason)));
+    }
+    let facts = &photo.line.facts;
+    let picture = |folder: &str| session.output(photo.node, &format!("{folder}{}.png", photo.name));
+    let (inverse, sigma) = (picture(INVERSE_DEPTH)?, picture(SIGMA)?);
+    let depths = LabelledDepths::read(&photo.frame, facts, photo.line.image, [&inverse, &sigma]);
+    let (depths, prior) = match (depths, &facts.prior) {
+        (Ok(depths), Some(prior)) => (depths, prior),
+        (Err(error), _) => return Ok(Err(error.to_string())),
+        (Ok(_), None) => return Ok(Err(ScoreError::NoCamera.to_string())),
+    };
+    let camera = match product.camera_in(prior) {
+        Ok(camera) => camera,
+        Err(error) => return Ok(Err(error.to_string())),
+    };
+    Ok(View::new(camera, depths).map_err(|error| error.to_string()))
 }
 
 /// Reads a file, or says why it cannot be read.
@@ -270,14 +320,18 @@ fn read(session: &Session, path: &Path) -> Result<Result<Vec<u8>, String>, Error
     }
 }
 
-/// Returns the detached label of a product, if it has one that can be read.
+/// Returns the detached label of a product, PDS3 or PDS4, if it has one that can be read.
 fn label_beside(session: &Session, path: &Path) -> Result<Option<Label>, Error> {
-    for ending in ["LBL", "lbl"] {
+    for ending in ["LBL", "lbl", "xml", "XML"] {
         let label = path.with_extension(ending);
         if label.is_file()
             && let Ok(bytes) = read(session, &label)?
         {
-            return Ok(ranges::label(&bytes).ok());
+            let read =
+                ranges::label(&bytes).or_else(|_| pds4::read(&bytes).map_err(|error| error.to_string()));
+            if let Ok(label) = read {
+                return Ok(Some(label));
+            }
         }
     }
     Ok(None)

@@ -15,7 +15,7 @@ use crate::rectify::PosedCamera;
 use crate::rows::row_offset;
 
 /// Of kept pairs. Raised when the disparities of a pair may differ.
-const PAIR_VERSION: u32 = 2;
+const PAIR_VERSION: u32 = 3;
 /// Most surfaces of a pair whose pixels are measured.
 const WIDTHS: usize = 1024;
 

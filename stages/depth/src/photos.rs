@@ -101,10 +101,16 @@ impl<'a> Photos<'a> {
 
     fn read(&self, index: usize) -> Result<ShrunkPhoto, StageError> {
         let (frame, factor) = (&self.frames[index], self.factors[index]);
-        let photo = self.decoded(frame, &frame.image, "photo")?;
+        let Photo {
+            image: photo, alpha, ..
+        } = self.decoded(frame, &frame.image, "photo")?;
         let mut usable = margins::usable(&photo);
+        // What shows the space behind the scene has no depth.
+        for (usable, alpha) in usable.values.iter_mut().zip(alpha) {
+            *usable &= alpha == 255;
+        }
         if let Some(mask) = &frame.mask {
-            let mask = self.decoded(frame, mask, "mask")?;
+            let mask = self.decoded(frame, mask, "mask")?.image;
             for (usable, mask) in usable.values.iter_mut().zip(&mask.pixels) {
                 *usable &= *mask == [255; 3];
             }
@@ -114,12 +120,12 @@ impl<'a> Photos<'a> {
         Ok(ShrunkPhoto { image, picture })
     }
 
-    fn decoded(&self, frame: &Frame, digest: &Digest, what: &str) -> Result<Image<Srgb>, StageError> {
+    fn decoded(&self, frame: &Frame, digest: &Digest, what: &str) -> Result<Photo, StageError> {
         let failed = |cause: String| StageError::new(format!("the {what} of `{}`: {cause}", frame.id));
         let photo = Photo::decode(&self.ctx.get(digest)?).map_err(|error| failed(error.to_string()))?;
         let (width, height) = (photo.image.width, photo.image.height);
         if (width, height) == (frame.camera.width, frame.camera.height) {
-            return Ok(photo.image);
+            return Ok(photo);
         }
         Err(failed(format!(
             "{width} x {height} pixels, its camera has {} x {}",

@@ -180,6 +180,33 @@ fn distances_of_pixels_are_those_of_the_plane_and_as_sure_as_they_say() {
 }
 
 #[test]
+fn what_is_transparent_has_no_distance() {
+    let harness = Harness::default();
+    let mut scene = scene(&harness, &PLACES);
+    for frame in &mut scene.frames {
+        let shown = marf_scene::Photo::decode(&harness.get(&frame.image).unwrap())
+            .unwrap()
+            .image;
+        let cut = image::RgbaImage::from_fn(160, 120, |column, row| {
+            let [r, g, b] = shown.at(column, row);
+            image::Rgba([r, g, b, if column < 80 { 0 } else { 255 }])
+        });
+        let mut png = std::io::Cursor::new(Vec::new());
+        cut.write_to(&mut png, image::ImageFormat::Png).unwrap();
+        frame.image = harness.put(png.get_ref());
+    }
+    for distances in crate::distances(&harness.ctx(), &scene).unwrap() {
+        let (clear, opaque): (Vec<_>, Vec<_>) = distances.iter().partition(|one| one.at[0] < 0.5);
+        assert!(
+            clear.is_empty() && opaque.len() > 2_000,
+            "{} and {}",
+            clear.len(),
+            opaque.len()
+        );
+    }
+}
+
+#[test]
 fn results_are_equal_for_any_threads_and_from_kept_pairs() {
     let on = |threads: usize, harness: &Harness| {
         let scene = scene(harness, &PLACES);

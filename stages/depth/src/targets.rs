@@ -16,7 +16,7 @@ const MOST: usize = 1 << 15;
 
 /// How far away what a pixel shows is.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct PixelDistance {
+pub struct DistanceSample {
     /// Place in the photo as shares of its width and height.
     pub at: [f32; 2],
     /// Distance from the camera, units of the world.
@@ -31,7 +31,7 @@ pub struct PixelDistance {
 ///
 /// # Errors
 /// A photo that cannot be read, or the wish to stop.
-pub fn distances(ctx: &Ctx<'_>, scene: &Scene) -> Result<Vec<Vec<PixelDistance>>, StageError> {
+pub fn distances(ctx: &Ctx<'_>, scene: &Scene) -> Result<Vec<Vec<DistanceSample>>, StageError> {
     let mut matching = Matching::new(ctx, scene, SIDE_PX, NEIGHBOURS)?;
     let photos = 0..scene.frames.len();
     photos
@@ -40,7 +40,7 @@ pub fn distances(ctx: &Ctx<'_>, scene: &Scene) -> Result<Vec<Vec<PixelDistance>>
 }
 
 /// Returns distances of pixels on a lattice.
-fn spread(depth: &PhotoDepth) -> Vec<PixelDistance> {
+fn spread(depth: &PhotoDepth) -> Vec<DistanceSample> {
     let (width, height) = (depth.camera.width as usize, depth.camera.height as usize);
     let stride = (1..).find(|stride| width.div_ceil(*stride) * height.div_ceil(*stride) <= MOST);
     let stride = stride.unwrap_or(1);
@@ -58,7 +58,7 @@ fn spread(depth: &PhotoDepth) -> Vec<PixelDistance> {
         let at = Vector2::new(column as f64 + 0.5, row as f64 + 0.5);
         let inverse = f64::from(depth.inverse[index]);
         let distance = depth.camera.unproject(&at)?.norm() / inverse;
-        Some(PixelDistance {
+        Some(DistanceSample {
             at: [at.x / width as f64, at.y / height as f64].map(|share| share as f32),
             distance: distance as f32,
             sigma: (distance * f64::from(depth.sigma[index]) / inverse) as f32,

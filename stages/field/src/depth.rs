@@ -36,7 +36,7 @@ pub struct Observation {
 impl Observation {
     /// Returns where it pulls to, and its share of the weight of a pull. `None` beyond the steps.
     ///
-    /// Less sure distances pull less: those of which two standard deviations are longer than the reach of a pull.
+    /// A distance pulls less if two of its standard deviations are longer than the reach of a pull.
     pub fn place_and_share(&self, steps: &Steps) -> Option<PlaceShare> {
         let step = step_at(steps, self.t)?;
         let reach = REACH * steps.length[step];

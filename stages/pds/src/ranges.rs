@@ -98,9 +98,7 @@ pub enum RangeError {
     #[error("disparities become ranges by the label of the pair's other photo, which is missing")]
     NoPartner,
     /// Disparities of resampled photos.
-    #[error(
-        "its pixels are not those of its photo's label, so the label of the other photo does not tell where its disparities point"
-    )]
+    #[error("its photos were resampled, so that their labels do not tell where its disparities point")]
     OtherGrid,
 }
 

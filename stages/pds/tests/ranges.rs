@@ -272,7 +272,7 @@ fn disparities_become_ranges_by_both_cameras() {
     product.check_grid(&left.prior.unwrap()).unwrap();
     assert_eq!(
         product.check_grid(&partner).unwrap_err().to_string(),
-        "its pixels are not those of its photo's label, so the label of the other photo does not tell where its disparities point"
+        "its photos were resampled, so that their labels do not tell where its disparities point"
     );
 }
 

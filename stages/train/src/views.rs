@@ -54,7 +54,7 @@ pub(crate) fn training_views(
 
 /// Distances of pixels of training photos, from pairs of them.
 #[derive(Default)]
-pub(crate) struct Distances(BTreeMap<String, Vec<marf_depth::PixelDistance>>);
+pub(crate) struct Distances(BTreeMap<String, Vec<marf_depth::DistanceSample>>);
 
 impl Distances {
     /// Returns those that pairs of these photos show. No other photo takes part, so that none judges what it has taught.
@@ -83,7 +83,7 @@ impl Distances {
 }
 
 /// Returns distances at the pixels of a camera.
-fn placed(known: &[marf_depth::PixelDistance], camera: &Camera) -> Vec<PixelDistance> {
+fn placed(known: &[marf_depth::DistanceSample], camera: &Camera) -> Vec<PixelDistance> {
     let pixel = |share: f32, pixels: u32| ((share * pixels as f32) as u32).min(pixels - 1);
     let here = known.iter().map(|one| PixelDistance {
         pixel: [pixel(one.at[0], camera.width), pixel(one.at[1], camera.height)],

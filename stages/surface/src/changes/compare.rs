@@ -143,7 +143,8 @@ impl Comparison {
             .collect::<Vec<_>>();
         let area_where = |is: &dyn Fn(Change) -> bool| {
             let all = patches.iter().filter(|patch| is(patch.change));
-            all.map(|patch| patch.area_m2).sum()
+            // The sum of no number is -0.
+            all.map(|patch| patch.area_m2).fold(0.0, |sum, area| sum + area)
         };
         ChangesReport {
             before: Time {

@@ -58,7 +58,7 @@ stage! {
     Expand,
     Threads::All,
     about: "trains a place at two times apart and maps what changed on the ground",
-    version: 2,
+    version: 3,
     ports: [Port::required("input", SCENE), Port::required("photos", PHOTOS)],
     outputs: [ChangesReport::OUTPUT, CHANGE_MAPS],
     device: device,

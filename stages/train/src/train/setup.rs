@@ -115,11 +115,12 @@ impl Settings {
         OpenSizes::BatchAndTable
     }
 
-    /// Takes over the hyper-parameters of a field that the training starts from.
+    /// Takes over the hyper-parameters of a field that the training starts from, but not what pulls: the number of photos decides that.
     pub fn follow(&mut self, field: &Field) {
         self.follows = true;
         self.config = Config {
             steps: self.config.steps,
+            depth_source: self.config.depth_source,
             ..field.config().clone()
         };
     }

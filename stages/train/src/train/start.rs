@@ -152,14 +152,15 @@ fn moved(was: &Pose, is: &Pose, depth: f64) -> f64 {
     way.max((is.rotation - was.rotation).norm() / std::f64::consts::SQRT_2)
 }
 
-/// Checks that the field was trained with these settings.
+/// Checks that the field was trained with these settings. Its length, and what pulled, may differ.
 fn check_config(field: &Field, settings: &Settings) -> Result<(), String> {
     let [was, is] = [field.config(), &settings.config].map(table);
     let keys: BTreeSet<&String> = was.keys().chain(is.keys()).collect();
     let text = |value: Option<&serde_json::Value>| value.map_or("left out".to_owned(), ToString::to_string);
+    let may_differ = |key: &str| ["steps", "depth_source"].contains(&key);
     match keys
         .into_iter()
-        .find(|key| was.get(*key) != is.get(*key) && *key != "steps")
+        .find(|key| was.get(*key) != is.get(*key) && !may_differ(key))
     {
         Some(key) => Err(format!(
             "`field.{key}` is {} and was {}",

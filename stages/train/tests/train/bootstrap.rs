@@ -80,7 +80,6 @@ fn scene(harness: &Harness, seen: Seen) -> Scene {
     }
 }
 
-/// What `train` leaves behind, from the field alone.
 fn member(harness: &Harness, scene: &Scene, seed: u64, steps: u64, background: &str) -> Outputs {
     let decode = |frame: &Frame| Photo::decode(&harness.get(&frame.image).unwrap()).unwrap().image;
     let (held_out, training): (Vec<_>, Vec<_>) = scene.frames.iter().partition(|frame| frame.held_out);

@@ -92,7 +92,9 @@ fn pairs_of_few_photos_give_distances_and_a_key_decides_otherwise() {
 fn photos_that_judge_take_no_part_in_pairs() {
     let harness = Harness::default();
     let mut scene = floor(&harness, 16);
-    let (before, _) = trained(&harness, &scene, &json!({}));
+    let (before, setup) = trained(&harness, &scene, &json!({}));
+    let reason = setup.derived.sizes.depth_steps.reason;
+    assert!(reason.contains("distances from pairs of them"), "{reason}");
     let black = encode_png(&Image::from_fn(96, 72, |_, _| [0; 3])).unwrap();
     for frame in scene.frames.iter_mut().filter(|frame| frame.held_out) {
         frame.image = harness.put(&black);

@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use crate::common::{inputs, json, put_scene, run, scene, small, stage};
 use marf_cache::Digest;
-use marf_field::Field;
+use marf_field::{DepthSource, Field};
 use marf_scene::Scene;
 use marf_stage::{Cancel, Ctx, Expand, Outputs, Progress, Stage, StageError, harness::Harness};
 use marf_train::{Bootstrap, Folds, Train};
@@ -120,6 +120,13 @@ fn a_scene_that_has_grown_goes_on_from_its_field() {
     assert_eq!(now.facts().steps, 64, "its own steps, not those of before");
     let photos = |field: &Field| field.learnt().unwrap().photos.len();
     assert_eq!((photos(&before), photos(&now)), (12, 15));
+
+    // What pulls follows from the number of photos, which grows.
+    let mut points = table();
+    points["field"]["depth_source"] = json!("points");
+    let warm = grown.train(&grown.scene, points, grown.weights());
+    assert_eq!(grown.metrics(&warm)["warm_start"], told);
+    assert_eq!(grown.field(&warm).config().depth_source, DepthSource::Points);
 
     // After few steps it still shows what it knew, which a training from nothing does not.
     let learnt = grown.train(&grown.first, with("steps", json!(400)), None)["weights"];
