@@ -94,7 +94,11 @@ pub fn copy(from: &Path, to: &Path) {
         let target = to.join(path.file_name().unwrap());
         match path.is_dir() {
             true => copy(&path, &target),
-            false => drop(std::fs::copy(&path, &target).unwrap()),
+            false => match std::fs::copy(&path, &target) {
+                // A program that uses the folder has removed a temporary file since it was listed.
+                Err(error) if error.kind() == std::io::ErrorKind::NotFound => (),
+                copied => drop(copied.unwrap()),
+            },
         }
     }
 }

@@ -5,7 +5,7 @@ use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 use marf_calibrate::import::names_cameras;
-use marf_config::scenes::{node_of, scene_of};
+use marf_config::scenes::scene_of;
 use marf_engine::{NodeRun, Options, RunRecord};
 use marf_scene::{Cahvor, PhotoFacts};
 use marf_schema::calibrate::{self, CalibrateParams};
@@ -15,7 +15,7 @@ use marf_stage::{COMPANIONS, Document, Params};
 use nalgebra::Vector3;
 
 use crate::context::Context;
-use crate::depth_score::{self, DepthScore, Products};
+use crate::depth_score::{self, DepthScore, Products, calibrate_of};
 use crate::error::Error;
 use crate::execute::{Execution, execute, options};
 use crate::folder::{self, PhotoFolder};
@@ -84,12 +84,10 @@ pub fn depth(context: &Context, request: &DepthRequest) -> Result<DepthResult, E
         None => found,
     };
     let record = run(&found)?;
+    let score = products.map(|products| depth_score::score(&found, &record, &products));
     Ok(DepthResult {
         scenes: write(&found, &record, &request.out)?,
-        score: match &products {
-            Some(products) => Some(depth_score::score(&found, &record, products)?),
-            None => None,
-        },
+        score: score.transpose()?,
         why_labels,
     })
 }
@@ -220,11 +218,9 @@ fn write_scene(
             written.push(path);
         }
     }
-    let calibrate = CalibrateParams::STAGE;
-    let calibrate = scene_of(&node.name).map_or(calibrate.to_owned(), |scene| node_of(calibrate, scene));
     Ok(SceneDepth {
         name: name.map(str::to_owned),
-        cameras: session.document(node_named(record, &calibrate)?)?,
+        cameras: session.document(calibrate_of(record, node)?)?,
         metrics: session.document(node)?,
         seconds: seconds(session, node),
         folder,

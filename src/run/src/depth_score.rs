@@ -70,17 +70,13 @@ pub(crate) fn score(session: &Session, record: &RunRecord, folder: &Products) ->
     let lines = photos::lines(&session.store, record, "extract")?;
     let mut photos = Photos::new();
     let mut unnamed = Vec::new();
-    for node in record
-        .nodes
-        .iter()
-        .filter(|node| node.stage == DepthParams::STAGE)
-    {
-        if node.outputs.contains_key(Metrics::OUTPUT) {
-            for photo in read_photos(session, record, node, &lines)? {
-                match name_of_photo(photo.line) {
-                    Some(name) => photos.entry(name.camera_and_clock()).or_default().push(photo),
-                    None => unnamed.push(photo.line.facts.file.clone()),
-                }
+    let has_depths =
+        |node: &&NodeRun| node.stage == DepthParams::STAGE && node.outputs.contains_key(Metrics::OUTPUT);
+    for node in record.nodes.iter().filter(has_depths) {
+        for photo in read_photos(session, record, node, &lines)? {
+            match name_of_photo(photo.line) {
+                Some(name) => photos.entry(name.camera_and_clock()).or_default().push(photo),
+                None => unnamed.push(photo.line.facts.file.clone()),
             }
         }
     }
@@ -93,13 +89,14 @@ pub(crate) fn score(session: &Session, record: &RunRecord, folder: &Products) ->
             .unwrap_or(path)
             .display()
             .to_string();
-        let (agreement, reason) = match compare(session, path, &lines, &mut photos)? {
+        let (agreement, reason) = match compare(session, path, &lines, &mut photos) {
             Ok(found) => {
                 let agreement = found.agreement();
                 all.merge(found);
                 (Some(agreement), String::new())
             }
-            Err(reason) => (None, reason),
+            Err(Refused::Product(reason)) => (None, reason),
+            Err(Refused::Stop(error)) => return Err(error),
         };
         products.push(ProductScore {
             file,
@@ -152,13 +149,8 @@ impl Products {
     pub fn new(path: &Path) -> Result<Self, Error> {
         let mut files = Vec::new();
         for entry in WalkDir::new(path).sort_by_file_name() {
-            let entry = entry.map_err(|error| {
-                Error::Failed(Diagnostic {
-                    message: format!("cannot read {}", path.display()),
-                    cause: Some(error.to_string()),
-                    hint: None,
-                })
-            })?;
+            let entry =
+                entry.map_err(|error| Error::failed(format!("cannot read {}: {error}", path.display())))?;
             let file = entry.path();
             let is_other = file
                 .extension()
@@ -187,6 +179,13 @@ fn name_of_photo(line: &PhotoLine) -> Option<ProductName> {
     name_of(Path::new(&line.facts.file))
 }
 
+/// Returns the node that calibrated the photos of a node `depth`.
+pub(crate) fn calibrate_of<'r>(record: &'r RunRecord, depth: &NodeRun) -> Result<&'r NodeRun, Error> {
+    let stage = CalibrateParams::STAGE;
+    let name = scene_of(&depth.name).map_or(stage.to_owned(), |scene| node_of(stage, scene));
+    node_named(record, &name)
+}
+
 /// Returns the photos of a scene.
 fn read_photos<'a>(
     session: &Session,
@@ -201,10 +200,9 @@ fn read_photos<'a>(
                 .hint("labels or feed records next to the photos give the scale"),
         ));
     }
-    let calibrate = CalibrateParams::STAGE;
-    let calibrate = scene_of(&node.name).map_or(calibrate.to_owned(), |scene| node_of(calibrate, scene));
-    let scene = Scene::decode(&session.output(node_named(record, &calibrate)?, SCENE)?)
-        .map_err(|error| Error::failed(format!("scene of `{calibrate}`: {error}")))?;
+    let calibrate = calibrate_of(record, node)?;
+    let scene = Scene::decode(&session.output(calibrate, SCENE)?)
+        .map_err(|error| Error::failed(format!("scene of `{}`: {error}", calibrate.name)))?;
     let photos = metrics.photos.into_iter().filter_map(|photo| {
         Some(ComparedPhoto {
             line: lines.iter().find(|line| line.product == photo.id)?,
@@ -218,47 +216,53 @@ fn read_photos<'a>(
     Ok(photos.collect())
 }
 
-/// Compares one product, or says why it cannot be.
+/// Why a product cannot be compared.
+enum Refused {
+    /// The run cannot go on.
+    Stop(Error),
+    /// The product is left out.
+    Product(String),
+}
+
+impl From<Error> for Refused {
+    fn from(error: Error) -> Self {
+        Self::Stop(error)
+    }
+}
+
+fn left_out(reason: impl ToString) -> Refused {
+    Refused::Product(reason.to_string())
+}
+
+/// Compares one product.
 fn compare(
     session: &Session,
     path: &Path,
     lines: &[PhotoLine],
     photos: &mut Photos<'_>,
-) -> Result<Result<Comparison, String>, Error> {
-    let name = name_of(path);
-    let shown = name
-        .as_ref()
-        .and_then(|name| photos.get_mut(&name.camera_and_clock()));
-    let (Some(name), Some(shown)) = (&name, shown) else {
-        return Ok(Err("no photo of its camera and time has a camera".to_owned()));
-    };
-    let bytes = match read(session, path)? {
-        Ok(bytes) => bytes,
-        Err(reason) => return Ok(Err(reason)),
-    };
-    let beside = label_beside(session, path)?;
-    let product = match ranges::read(Some(name), &bytes, beside.as_ref()) {
-        Ok(product) => product,
-        Err(error) => return Ok(Err(error.to_string())),
-    };
-    let ranges = match ranges_of(&product, name, lines, shown) {
-        Ok(ranges) => ranges,
-        Err(error) => return Ok(Err(error.to_string())),
-    };
+) -> Result<Comparison, Refused> {
+    let unknown = || left_out("no photo of its camera and time has a camera");
+    let name = name_of(path).ok_or_else(unknown)?;
+    let shown = photos.get_mut(&name.camera_and_clock()).ok_or_else(unknown)?;
+    let bytes = read(session, path)?;
+    let product =
+        ranges::read(Some(&name), &bytes, label_beside(session, path)?.as_ref()).map_err(left_out)?;
+    let ranges = ranges_of(&product, &name, lines, shown).map_err(left_out)?;
     let (mut views, mut reason) = (Vec::new(), String::new());
     for photo in shown {
-        match view(session, &product, photo)? {
+        match view(session, &product, photo) {
             Ok(view) => {
                 photo.is_used = true;
                 views.push(view);
             }
-            Err(why) => reason = why,
+            Err(Refused::Product(why)) => reason = why,
+            Err(stop) => return Err(stop),
         }
     }
     if views.is_empty() {
-        return Ok(Err(reason));
+        return Err(left_out(reason));
     }
-    Ok(Ok(Comparison::new(&ranges, product.width, &views)))
+    Ok(Comparison::new(&ranges, product.width, &views))
 }
 
 /// Returns the ranges of a product. Those of disparities need the label of the other eye's photo.
@@ -274,65 +278,49 @@ fn ranges_of(
     let mut own = shown.iter().filter_map(|photo| photo.line.facts.prior.as_ref());
     own.try_for_each(|prior| product.check_grid(prior))?;
     let twin = name.twin_camera_and_clock();
-    let partner = lines.iter().find_map(|line| {
-        let is_twin = twin.is_some() && name_of_photo(line).map(|name| name.camera_and_clock()) == twin;
-        line.facts.prior.as_ref().filter(|_| is_twin)
-    });
-    product.ranges(partner)
+    let is_twin =
+        |line: &&PhotoLine| twin.is_some() && name_of_photo(line).map(|name| name.camera_and_clock()) == twin;
+    let mut twins = lines.iter().filter(is_twin);
+    product.ranges(twins.find_map(|line| line.facts.prior.as_ref()))
 }
 
-/// Reads the depths of a photo as a product sees them, or says why that cannot be.
-fn view(
-    session: &Session,
-    product: &ranges::Product,
-    photo: &ComparedPhoto<'_>,
-) -> Result<Result<View, String>, Error> {
+/// Reads the depths of a photo as a product sees them.
+fn view(session: &Session, product: &ranges::Product, photo: &ComparedPhoto<'_>) -> Result<View, Refused> {
     if !photo.reason.is_empty() {
-        return Ok(Err(format!("its photo has no depth: {}", photo.reason)));
+        return Err(left_out(format!("its photo has no depth: {}", photo.reason)));
     }
     let facts = &photo.line.facts;
     let picture = |folder: &str| session.output(photo.node, &format!("{folder}{}.png", photo.name));
     let (inverse, sigma) = (picture(INVERSE_DEPTH)?, picture(SIGMA)?);
-    let depths = LabelledDepths::read(&photo.frame, facts, photo.line.image, [&inverse, &sigma]);
-    let (depths, prior) = match (depths, &facts.prior) {
-        (Ok(depths), Some(prior)) => (depths, prior),
-        (Err(error), _) => return Ok(Err(error.to_string())),
-        (Ok(_), None) => return Ok(Err(ScoreError::NoCamera.to_string())),
-    };
-    let camera = match product.camera_in(prior) {
-        Ok(camera) => camera,
-        Err(error) => return Ok(Err(error.to_string())),
-    };
-    Ok(View::new(camera, depths).map_err(|error| error.to_string()))
+    let depths =
+        LabelledDepths::read(&photo.frame, facts, photo.line.image, [&inverse, &sigma]).map_err(left_out)?;
+    let prior = facts
+        .prior
+        .as_ref()
+        .ok_or_else(|| left_out(ScoreError::NoCamera))?;
+    let camera = product.camera_in(prior).map_err(left_out)?;
+    View::new(camera, depths).map_err(left_out)
 }
 
-/// Reads a file, or says why it cannot be read.
-fn read(session: &Session, path: &Path) -> Result<Result<Vec<u8>, String>, Error> {
-    let mut reason = String::new();
-    let bytes = files::read_named(path, &session.context.cancel, |error| {
-        reason = error.to_string();
-        Error::failed(reason.clone())
+/// Reads a file.
+fn read(session: &Session, path: &Path) -> Result<Vec<u8>, Refused> {
+    let read = files::read_named(path, &session.context.cancel, |error| {
+        Error::failed(error.to_string())
     });
-    match bytes {
-        Err(Error::Interrupted) => Err(Error::Interrupted),
-        Err(_) => Ok(Err(reason)),
-        Ok(bytes) => Ok(Ok(bytes)),
-    }
+    read.map_err(|error| match error {
+        Error::Interrupted => Refused::Stop(error),
+        error => left_out(error.message()),
+    })
 }
 
-/// Returns the detached label of a product, PDS3 or PDS4, if it has one that can be read.
-fn label_beside(session: &Session, path: &Path) -> Result<Option<Label>, Error> {
-    for ending in ["LBL", "lbl", "xml", "XML"] {
-        let label = path.with_extension(ending);
-        if label.is_file()
-            && let Ok(bytes) = read(session, &label)?
-        {
-            let read =
-                ranges::label(&bytes).or_else(|_| pds4::read(&bytes).map_err(|error| error.to_string()));
-            if let Ok(label) = read {
-                return Ok(Some(label));
-            }
-        }
-    }
-    Ok(None)
+/// Returns the detached label of a product, PDS3 or PDS4, if it has one.
+fn label_beside(session: &Session, path: &Path) -> Result<Option<Label>, Refused> {
+    let labels = ["LBL", "lbl", "xml", "XML"].map(|ending| path.with_extension(ending));
+    let Some(label) = labels.iter().find(|label| label.is_file()) else {
+        return Ok(None);
+    };
+    let bytes = read(session, label)?;
+    let read = ranges::label(&bytes).or_else(|pds3| pds4::read(&bytes).map_err(|_| pds3));
+    read.map(Some)
+        .map_err(|why| left_out(format!("{}: {why}", label.display())))
 }
