@@ -273,6 +273,12 @@ impl RunRecord {
         })
     }
 
+    /// Returns the objects that the run names: outputs of its nodes, and documents.
+    pub fn objects(&self) -> impl Iterator<Item = Digest> {
+        let outputs = self.nodes.iter().flat_map(|node| node.outputs.values());
+        outputs.chain(self.documents.values()).map(|output| output.digest)
+    }
+
     /// Stores the record under the next free number. If nothing ran, a read-only store only causes a warning, and the run has no number.
     ///
     /// # Errors

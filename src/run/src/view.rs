@@ -10,8 +10,9 @@ use marf_model::select::{self, Subject};
 use marf_progress::event_folder;
 use marf_report::{LinkedPage, LiveParts};
 use marf_schema::bootstrap::Metrics;
-use marf_schema::output::{SCENE, WEIGHTS};
-use marf_stage::Document;
+use marf_schema::depth::DepthParams;
+use marf_schema::output::{POINTS, SCENE, WEIGHTS};
+use marf_stage::{Document, Params};
 use marf_view::{DepthInterval, FieldSource, Source, SplatProgress};
 use parking_lot::Mutex;
 
@@ -84,6 +85,7 @@ impl StoreSource {
                     scene: node.outputs.get(SCENE)?.digest,
                     members: members(run, node),
                     depth_interval: self.depth_interval(run, node),
+                    cloud: cloud(run, node),
                 })
             })
             .collect()
@@ -137,9 +139,9 @@ impl Source for StoreSource {
 
     fn objects(&self, run: u64) -> Result<BTreeSet<Digest>, String> {
         let run = self.shown(run)?;
-        let mut objects = objects(&run);
+        let mut objects: BTreeSet<Digest> = run.objects().collect();
         if trained(&run).next().is_none() {
-            objects.extend(self.trained_before(&run).iter().flat_map(self::objects));
+            objects.extend(self.trained_before(&run).iter().flat_map(RunRecord::objects));
         }
         Ok(objects)
     }
@@ -205,15 +207,6 @@ impl Listener for SplatListener {
     }
 }
 
-/// Returns the objects that a run names: outputs of its nodes, and documents.
-fn objects(run: &RunRecord) -> BTreeSet<Digest> {
-    let outputs = run.nodes.iter().flat_map(|node| node.outputs.values());
-    outputs
-        .chain(run.documents.values())
-        .map(|output| output.digest)
-        .collect()
-}
-
 /// Returns the nodes of a run that have trained a field.
 fn trained(run: &RunRecord) -> impl DoubleEndedIterator<Item = &NodeRun> {
     let whole = run.nodes.iter().filter(|node| node.parent.is_none());
@@ -222,6 +215,15 @@ fn trained(run: &RunRecord) -> impl DoubleEndedIterator<Item = &NodeRun> {
             .iter()
             .all(|output| node.outputs.contains_key(*output))
     })
+}
+
+/// Returns the points that pairs of photos of a training's scene gave.
+fn cloud(run: &RunRecord, trained: &NodeRun) -> Option<Digest> {
+    let is_of = |node: &&NodeRun| {
+        node.stage == DepthParams::STAGE && node.inputs.get(SCENE) == trained.inputs.get(SCENE)
+    };
+    let node = run.nodes.iter().find(is_of)?;
+    Some(node.outputs.get(POINTS)?.digest)
 }
 
 /// Returns the fields that the bootstraps of a training have trained.

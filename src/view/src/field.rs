@@ -3,10 +3,12 @@
 use std::sync::Arc;
 
 use marf_cache::Digest;
+use marf_depth::PointCloud;
 use marf_field::{Device, Field as Trained, FieldError, Render};
 use marf_scene::path::{focus_point, orbit, typical_camera};
 use marf_scene::picture::{ColorScale, DEPTH_DECADES, Palette, round_upper_limit};
 use marf_scene::{Camera, Frame, Pose, Scene};
+use marf_surface::ExportFrame;
 use nalgebra::Vector3;
 use serde::Serialize;
 
@@ -27,6 +29,7 @@ pub struct Field {
     trained: Trained,
     members: Vec<Trained>,
     depth_interval: Option<DepthInterval>,
+    cloud: Option<PointCloud>,
     scales: Scales,
     start: Pose,
 }
@@ -115,6 +118,11 @@ impl Field {
             field.map_err(|error| format!("the field of `{}`: {error}", of.label))
         };
         let scene = Scene::decode(&object(&of.scene)?).map_err(|error| error.to_string())?;
+        let scale = ExportFrame::new(&scene).scale();
+        let cloud = |digest: &Digest| {
+            let cloud = PointCloud::decode(&object(digest)?, scale);
+            cloud.ok_or_else(|| format!("the points of `{}` by pairs of photos cannot be read", of.label))
+        };
         let start = orbit(&scene, 1, SCALE_PX)
             .first()
             .map(|place| place.cam_from_world);
@@ -123,6 +131,7 @@ impl Field {
             trained: trained(&of.weights)?,
             members: of.members.iter().map(trained).collect::<Result<_, _>>()?,
             depth_interval: of.depth_interval,
+            cloud: of.cloud.as_ref().map(cloud).transpose()?,
             scene_digest: of.scene,
             scales: Scales::to(1.0, 1.0),
             start: start.ok_or_else(|| format!("the scene of `{}` has no photo", of.label))?,
@@ -155,6 +164,11 @@ impl Field {
     /// Returns the factors for an interval from the spread of the retrainings' depths.
     pub fn depth_interval(&self) -> Option<DepthInterval> {
         self.depth_interval
+    }
+
+    /// Returns the points that pairs of photos gave.
+    pub fn cloud(&self) -> Option<&PointCloud> {
+        self.cloud.as_ref()
     }
 
     /// Returns the photo of a digest.

@@ -1,5 +1,6 @@
 //! Points that are picked in a picture, and their distance with its interval.
 
+use marf_depth::{Ray, Sight};
 use marf_field::{Field as Trained, FieldError, Render};
 use marf_scene::{Camera, Pose};
 use nalgebra::{Vector2, Vector3};
@@ -14,10 +15,16 @@ const AROUND: u32 = 2;
 /// 90 % of the positions in a pixel are at most so far from its middle along a line, pixels.
 const WITHIN_PX: f64 = 0.45;
 
+/// A field and pairs that differ by more standard deviations show different surfaces.
+const CONTRADICTED: f64 = 2.0;
+/// Half of a 90 % interval of a normal distribution, standard deviations.
+const NINETY: f64 = 1.644_853_626_951_472;
+
 /// A point that was picked in a picture.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Picked {
-    /// Where the ray of the pixel ends, in the world: at the mean of the retrainings' depths, or the field's where there are none.
+    /// Where the ray of the pixel ends, in the world: at the mean of the retrainings' depths, or the field's where there are none,
+    /// and of the depth by pairs of photos, weighted by what each is sure of.
     pub point: Option<[f64; 3]>,
     /// Unit vector of the ray, in the world.
     #[serde(skip)]
@@ -31,6 +38,9 @@ pub struct Picked {
     /// 90 % of the errors across the ray are at most so long: where in the pixel the point is, world units.
     #[serde(skip)]
     across: f64,
+    /// Pairs of photos saw a surface there.
+    #[serde(skip)]
+    by_pairs: bool,
 }
 
 /// The distance of two points that were picked.
@@ -45,6 +55,8 @@ pub struct Distance {
     pub spread: Option<f64>,
     /// Those retrainings.
     pub members: usize,
+    /// Points at which pairs of photos saw a surface, too.
+    pub by_pairs: usize,
 }
 
 /// Returns the point of the surface that a pixel of a view shows.
@@ -75,7 +87,22 @@ pub fn pick(field: &Field, view: &View, [column, row]: [u32; 2]) -> Result<Picke
     };
     let ray = ray_of(camera, cam_from_world, [column, row])
         .ok_or_else(|| FrameError::Failed("the lens has no ray there".to_owned()))?;
-    let depth = mean_depth(if own.is_empty() { &renders } else { &own }, MIDDLE);
+    let shown = mean_depth(if own.is_empty() { &renders } else { &own }, MIDDLE);
+    let half = |(depth, interval): (f64, DepthInterval)| {
+        Some(half_width(interval, local_spread(&renders)? / depth) * depth)
+    };
+    let by_field = shown.zip(field.depth_interval()).and_then(half);
+    let by_pairs = field.cloud().and_then(|cloud| {
+        let ray = Ray {
+            origin: cam_from_world.centre(),
+            direction: ray,
+            pixel: 1.0 / camera.fx_px.min(camera.fy_px),
+        };
+        cloud.along(&ray, shown)
+    });
+    let (depth, along) = combined(shown, by_field, by_pairs);
+    // The interval of the field alone is fitted on points anywhere in their pixels.
+    let step = by_pairs.map_or(0.0, |_| steps(if own.is_empty() { &renders } else { &own }));
     let end = |depth: f64| cam_from_world.centre() + ray * depth;
     let is_met = |render: &&Render| render.opacity[MIDDLE] > MIN_OPACITY;
     let of_member = |render: &Render| {
@@ -83,15 +110,13 @@ pub fn pick(field: &Field, view: &View, [column, row]: [u32; 2]) -> Result<Picke
             .filter(is_met)
             .map(|render| end(f64::from(render.depth[MIDDLE])))
     };
-    let half = |(depth, interval): (f64, DepthInterval)| {
-        Some(half_width(interval, local_spread(&renders)? / depth) * depth)
-    };
     Ok(Picked {
         point: depth.map(|depth| end(depth).into()),
         ray,
         members: renders.iter().map(of_member).collect(),
-        along: depth.zip(field.depth_interval()).and_then(half),
+        along: along.map(|along| along.hypot(step)),
         across: WITHIN_PX * depth.unwrap_or(0.0) / camera.fx_px.min(camera.fy_px),
+        by_pairs: by_pairs.is_some(),
     })
 }
 
@@ -115,6 +140,21 @@ fn mean_depth(renders: &[Render], pixel: usize) -> Option<f64> {
     (opacity > f64::from(MIN_OPACITY)).then(|| mean(|render, pixel| render.depth[pixel]))
 }
 
+/// Returns by how much the depth changes from pixel to pixel around the middle one at most: where in the pixel the point is decides how
+/// far it is, and at an edge cameras decide on which side of it.
+fn steps(renders: &[Render]) -> f64 {
+    let Some(middle) = mean_depth(renders, MIDDLE) else {
+        return 0.0;
+    };
+    let (around, row) = (AROUND as i32, 2 * AROUND as usize + 1);
+    let from_middle = |at: usize| (at as i32 - around).unsigned_abs();
+    let step = |pixel: usize| {
+        let apart = from_middle(pixel % row).max(from_middle(pixel / row)).max(1);
+        Some((mean_depth(renders, pixel)? - middle).abs() / f64::from(apart))
+    };
+    (0..row * row).filter_map(step).fold(0.0, f64::max)
+}
+
 /// Returns the root of the mean variance of the depth over the pixels that have one, world units. `None` with
 /// fewer than two renders.
 fn local_spread(renders: &[Render]) -> Option<f64> {
@@ -130,6 +170,33 @@ fn local_spread(renders: &[Render]) -> Option<f64> {
     (!variances.is_empty()).then(|| (variances.iter().sum::<f64>() / variances.len() as f64).sqrt())
 }
 
+/// Returns a depth with half of its 90 % interval, from what the field shows, with half of its interval, and what pairs of photos saw.
+///
+/// Each counts by the inverse of its variance. Where they differ by more than both are unsure of, the interval is wider by that ratio
+/// (R. T. Birge, Phys. Rev. 40, 1932). Where they differ by more than twice that, they show two surfaces, and the interval contains both.
+/// A field without an interval does not count beside pairs.
+fn combined(shown: Option<f64>, half: Option<f64>, by_pairs: Option<Sight>) -> (Option<f64>, Option<f64>) {
+    let Some(pairs) = by_pairs else {
+        return (shown, half);
+    };
+    let (Some(shown), Some(half)) = (shown, half) else {
+        return (Some(pairs.distance), Some(NINETY * pairs.sigma));
+    };
+    let field = half / NINETY;
+    let both = field.hypot(pairs.sigma);
+    if both == 0.0 {
+        return (Some(pairs.distance), Some((shown - pairs.distance).abs()));
+    }
+    let share = (field / both).powi(2);
+    let apart = (shown - pairs.distance).abs() / both;
+    let within = if apart > CONTRADICTED {
+        apart * both
+    } else {
+        NINETY * field * pairs.sigma / both * apart.max(1.0)
+    };
+    (Some(shown + share * (pairs.distance - shown)), Some(within))
+}
+
 /// Returns half of the 90 % interval of a depth, as a share of it, for a spread that is a share of it.
 fn half_width(interval: DepthInterval, spread: f64) -> f64 {
     interval.factor * spread.hypot(interval.floor)
@@ -137,19 +204,27 @@ fn half_width(interval: DepthInterval, spread: f64) -> f64 {
 
 /// Returns the distance of two picked points. `None` if one has no surface.
 ///
-/// Errors along both rays and across them are taken as independent, and only what changes the distance counts: along the line between
-/// the points. An error of the scene's scale is not in it.
+/// Errors along both rays and across them are taken as independent, and only what changes the distance counts. An error of the scene's scale is not in it.
 pub fn distance(a: &Picked, b: &Picked) -> Option<Distance> {
     let (from, to) = (Vector3::from(a.point?), Vector3::from(b.point?));
     let length = (to - from).norm();
     // Two picks of one point have no line between them: the whole error counts.
     let line = (to - from).try_normalize(0.0);
-    let errors = |picked: &Picked| {
+    let errors = |picked: &Picked, here: Vector3<f64>, there: Vector3<f64>| {
         let cos = line.map_or(1.0, |line| line.dot(&picked.ray).abs().min(1.0));
-        let sin = (1.0 - cos * cos).sqrt();
-        Some((picked.along? * cos).hypot(picked.across * sin))
+        let along = picked.along?;
+        // Not cos times the error: a large one turns the line.
+        let changed =
+            [along, -along].map(|error| ((here + picked.ray * error - there).norm() - length).abs());
+        Some(
+            changed[0]
+                .max(changed[1])
+                .hypot(picked.across * (1.0 - cos * cos).sqrt()),
+        )
     };
-    let half = errors(a).zip(errors(b)).map(|(a, b)| a.hypot(b));
+    let half = errors(a, from, to)
+        .zip(errors(b, to, from))
+        .map(|(a, b)| a.hypot(b));
     let pairs = a.members.iter().zip(&b.members);
     let lengths: Vec<f64> = pairs.filter_map(|(a, b)| Some(((*b)? - (*a)?).norm())).collect();
     Some(Distance {
@@ -157,6 +232,7 @@ pub fn distance(a: &Picked, b: &Picked) -> Option<Distance> {
         interval: half.map(|half| [(length - half).max(0.0), length + half]),
         spread: sample_deviation(&lengths),
         members: lengths.len(),
+        by_pairs: usize::from(a.by_pairs) + usize::from(b.by_pairs),
     })
 }
 
@@ -179,11 +255,12 @@ mod tests {
             members: Vec::new(),
             along,
             across: 0.0,
+            by_pairs: false,
         }
     }
 
     #[test]
-    fn only_errors_along_the_line_between_the_points_count() {
+    fn errors_along_the_line_count_whole_and_others_by_how_they_turn_it() {
         let near = picked([0.0, 0.0, 2.0], Some(0.3));
         let behind = distance(&near, &picked([0.0, 0.0, 5.0], Some(0.4))).unwrap();
         assert_eq!(behind.length, 3.0);
@@ -193,13 +270,44 @@ mod tests {
             "{behind:?}"
         );
         let beside = distance(&near, &picked([3.0, 0.0, 2.0], Some(0.4))).unwrap();
-        assert_eq!(beside.interval, Some([3.0, 3.0]));
+        // √(9 + 0.3²) and √(9 + 0.4²) are 0.014963 and 0.026549 longer.
+        let around = |found: Distance, half: f64| {
+            let [low, high] = found.interval.unwrap();
+            assert!(
+                (low - 3.0 + half).abs() < 1e-6 && (high - 3.0 - half).abs() < 1e-6,
+                "{found:?}"
+            );
+        };
+        around(beside, 0.030_475);
         let pixel = Picked {
             across: 0.01,
             ..near.clone()
         };
         let beside = distance(&pixel, &picked([3.0, 0.0, 2.0], Some(0.4))).unwrap();
-        assert_eq!(beside.interval, Some([2.99, 3.01]));
+        around(beside, 0.030_475_f64.hypot(0.01));
+    }
+
+    #[test]
+    fn field_and_pairs_count_by_what_they_are_sure_of_and_differ_visibly() {
+        let pairs = |distance| Some(Sight { distance, sigma: 0.1 });
+        let close = |found: (Option<f64>, Option<f64>), depth: f64, sigma: f64| {
+            let (at, half) = (found.0.unwrap(), found.1.unwrap());
+            let is_close = (at - depth).abs() < 1e-9 && (half - NINETY * sigma).abs() < 1e-9;
+            assert!(is_close, "{found:?}");
+        };
+        // Standard deviations 0.2 and 0.1: weights 1 and 4, together 0.1 * 0.2 / sqrt(0.05).
+        let both = 0.02 / 0.05_f64.sqrt();
+        close(combined(Some(5.0), Some(0.2 * NINETY), pairs(5.1)), 5.08, both);
+        // They differ by 1.5 and by 10 times what both are unsure of.
+        let apart = |times: f64| 5.0 + times * 0.05_f64.sqrt();
+        let found = combined(Some(5.0), Some(0.2 * NINETY), pairs(apart(1.5)));
+        close(found, apart(1.2), 1.5 * both);
+        let found = combined(Some(5.0), Some(0.2 * NINETY), pairs(apart(10.0)));
+        close(found, apart(8.0), (apart(10.0) - 5.0) / NINETY);
+        close(combined(Some(5.0), None, pairs(5.1)), 5.1, 0.1);
+        close(combined(None, None, pairs(5.1)), 5.1, 0.1);
+        assert_eq!(combined(Some(5.0), Some(0.3), None), (Some(5.0), Some(0.3)));
+        assert_eq!(combined(None, None, None), (None, None));
     }
 
     #[test]

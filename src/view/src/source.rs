@@ -65,6 +65,8 @@ pub struct FieldSource {
     pub members: Vec<Digest>,
     /// Factors for an interval from the spread of their depths. `None` if held-out photos do not give them.
     pub depth_interval: Option<DepthInterval>,
+    /// The points that pairs of photos of its scene gave. `None` if the run made none.
+    pub cloud: Option<Digest>,
 }
 
 /// 90 % of the errors of a depth are at most factor √(spread² + floor²), all as shares of the depth: fitted by the bootstrap on photos

@@ -7,6 +7,7 @@ use marf_surface::ExportFrame;
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
+use crate::sight::PointCloud;
 use crate::surfels::Surfel;
 
 /// Most points. With more, cells get twice as wide.
@@ -49,12 +50,16 @@ pub(crate) struct Cloud {
 }
 
 /// A point of the cloud, in units of the world.
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct CloudPoint {
-    position: Vector3<f64>,
-    normal: Vector3<f64>,
-    color: [u8; 3],
-    photos: u16,
-    sigma: f64,
+    pub position: Vector3<f64>,
+    /// Unit normal, towards the cameras.
+    pub normal: Vector3<f64>,
+    pub color: [u8; 3],
+    /// Photos that show it.
+    pub photos: u16,
+    /// One standard deviation along the ray.
+    pub sigma: f64,
 }
 
 impl Cloud {
@@ -149,7 +154,7 @@ pub(crate) fn ply(points: &[CloudPoint], frame: &ExportFrame, cell: f64) -> Vec<
     let scale = frame.scale();
     let comments = [
         "points of pairs of photos by semi-global matching, without a field".to_owned(),
-        format!("distance between points: {}", cell * scale),
+        format!("{SPACING}{}", cell * scale),
         "photos: those that show the point; sigma: one standard deviation along the ray".to_owned(),
     ];
     let header = HeaderWriter::new(&marf_surface::ply::with_frame(frame, &comments))
@@ -169,6 +174,42 @@ pub(crate) fn ply(points: &[CloudPoint], frame: &ExportFrame, cell: f64) -> Vec<
         push_float(&mut bytes, point.sigma * scale);
     }
     bytes
+}
+
+/// Line of the header that gives the distance between points.
+const SPACING: &str = "distance between points: ";
+/// Bytes of a point.
+const POINT_BYTES: usize = 7 * 4 + 3 + 2;
+
+impl PointCloud {
+    /// Reads what [`ply`] wrote, of a scene with `scale` metres a unit of the world. `None` if it is anything else.
+    pub fn decode(bytes: &[u8], scale: f64) -> Option<Self> {
+        const END: &[u8] = b"end_header\n";
+        let body = bytes.windows(END.len()).position(|line| line == END)? + END.len();
+        let (header, body) = bytes.split_at(body);
+        let header = std::str::from_utf8(header).ok()?;
+        let spacing = header
+            .lines()
+            .find_map(|line| line.strip_prefix("comment ")?.strip_prefix(SPACING))?;
+        let (records, []) = body.as_chunks::<POINT_BYTES>() else {
+            return None;
+        };
+        let points = records.iter().map(|record| {
+            let float = |at: usize| f64::from(f32::from_le_bytes([0, 1, 2, 3].map(|byte| record[at + byte])));
+            let vector = |at: usize| Vector3::new(float(at), float(at + 4), float(at + 8));
+            CloudPoint {
+                position: vector(0) / scale,
+                normal: vector(12),
+                color: [record[24], record[25], record[26]],
+                photos: u16::from_le_bytes([record[27], record[28]]),
+                sigma: float(29) / scale,
+            }
+        });
+        Some(Self {
+            cell: spacing.parse::<f64>().ok()? / scale,
+            points: points.collect(),
+        })
+    }
 }
 
 #[cfg(test)]
@@ -206,6 +247,23 @@ mod tests {
             points[0].sigma
         );
         assert_eq!(points[0].color, [100, 0, 0]);
+    }
+
+    #[test]
+    fn a_written_cloud_is_read_in_units_of_the_world() {
+        let mut cloud = Cloud::new(0.5);
+        cloud.add(&[surfel(0.25, 0.125), surfel(3.25, 0.125)]);
+        let points = cloud.points();
+        let frame = ExportFrame {
+            metres_per_unit: Some(4.0),
+            up: None,
+            site: None,
+        };
+        let bytes = ply(&points, &frame, 0.5);
+        let read = PointCloud::decode(&bytes, frame.scale()).unwrap();
+        assert_eq!((read.cell, &read.points), (0.5, &points));
+        assert!(PointCloud::decode(&bytes[..bytes.len() - 1], 4.0).is_none());
+        assert!(PointCloud::decode(b"ply\nend_header\n", 4.0).is_none());
     }
 
     #[test]

@@ -38,6 +38,7 @@ mod refine;
 mod rows;
 pub mod score;
 mod search;
+mod sight;
 mod spline;
 mod stage;
 #[cfg(test)]
@@ -54,5 +55,6 @@ pub use disparities::{Class, Disparities, MAX_DISPARITIES, MatchError, match_pai
 pub use raster::{Picture, Raster};
 pub use rectify::{Eye, LEAST_ANGLE_DEG, PosedCamera, Rectified, RectifyError};
 pub use search::Search;
+pub use sight::{PointCloud, Ray, Sight};
 pub use stage::MakeDepth;
 pub use targets::{DistanceSample, distances};

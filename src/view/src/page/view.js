@@ -287,13 +287,14 @@ class View {
   }
   tell(text) { byId("view-distance").textContent = text; }
   /** Returns the distance of the two marks in words, with its interval or how far the retrainings differ in it. */
-  distance({ length, interval, spread, members }) {
+  distance({ length, interval, spread, members, by_pairs }) {
     const unit = this.scene.metres_per_unit ? " m" : "";
     const number = (value) => Number((value * this.scale).toPrecision(3));
     const text = this.scene.metres_per_unit ? `${number(length)} m` : `${number(length)} units of the scene: no scale`;
     const differ = spread === null ? "" : `; the ${members} retrainings differ by ${number(spread)}${unit} (standard deviation)`;
     const within = interval ? `; 90 % interval ${number(interval[0])} to ${number(interval[1])}${unit}` : differ;
-    return `Distance: ${text}${within}.`;
+    const pairs = by_pairs ? `; pairs of photos measured ${by_pairs} of the 2 points` : "";
+    return `Distance: ${text}${within}${pairs}.`;
   }
 
   // ---- input

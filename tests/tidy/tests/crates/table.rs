@@ -225,6 +225,7 @@ pub const CRATES: [Crate; 36] = [
             "marf-field",
             "marf-field-gpu",
             "marf-surface",
+            "marf-depth",
             "marf-report",
         ],
     ),
