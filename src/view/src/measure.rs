@@ -1,6 +1,6 @@
 //! Points that are picked in a picture, and their distance with its interval.
 
-use marf_depth::{Ray, Sight};
+use marf_depth::{CloudDistance, Ray};
 use marf_field::{Field as Trained, FieldError, Render};
 use marf_scene::{Camera, Pose};
 use nalgebra::{Vector2, Vector3};
@@ -175,7 +175,11 @@ fn local_spread(renders: &[Render]) -> Option<f64> {
 /// Each counts by the inverse of its variance. Where they differ by more than both are unsure of, the interval is wider by that ratio
 /// (R. T. Birge, Phys. Rev. 40, 1932). Where they differ by more than twice that, they show two surfaces, and the interval contains both.
 /// A field without an interval does not count beside pairs.
-fn combined(shown: Option<f64>, half: Option<f64>, by_pairs: Option<Sight>) -> (Option<f64>, Option<f64>) {
+fn combined(
+    shown: Option<f64>,
+    half: Option<f64>,
+    by_pairs: Option<CloudDistance>,
+) -> (Option<f64>, Option<f64>) {
     let Some(pairs) = by_pairs else {
         return (shown, half);
     };
@@ -289,7 +293,7 @@ mod tests {
 
     #[test]
     fn field_and_pairs_count_by_what_they_are_sure_of_and_differ_visibly() {
-        let pairs = |distance| Some(Sight { distance, sigma: 0.1 });
+        let pairs = |distance| Some(CloudDistance { distance, sigma: 0.1 });
         let close = |found: (Option<f64>, Option<f64>), depth: f64, sigma: f64| {
             let (at, half) = (found.0.unwrap(), found.1.unwrap());
             let is_close = (at - depth).abs() < 1e-9 && (half - NINETY * sigma).abs() < 1e-9;

@@ -7,7 +7,6 @@ use marf_surface::ExportFrame;
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
-use crate::sight::PointCloud;
 use crate::surfels::Surfel;
 
 /// Most points. With more, cells get twice as wide.
@@ -177,44 +176,14 @@ pub(crate) fn ply(points: &[CloudPoint], frame: &ExportFrame, cell: f64) -> Vec<
 }
 
 /// Line of the header that gives the distance between points.
-const SPACING: &str = "distance between points: ";
+pub(crate) const SPACING: &str = "distance between points: ";
 /// Bytes of a point.
-const POINT_BYTES: usize = 7 * 4 + 3 + 2;
-
-impl PointCloud {
-    /// Reads what [`ply`] wrote, of a scene with `scale` metres a unit of the world. `None` if it is anything else.
-    pub fn decode(bytes: &[u8], scale: f64) -> Option<Self> {
-        const END: &[u8] = b"end_header\n";
-        let body = bytes.windows(END.len()).position(|line| line == END)? + END.len();
-        let (header, body) = bytes.split_at(body);
-        let header = std::str::from_utf8(header).ok()?;
-        let spacing = header
-            .lines()
-            .find_map(|line| line.strip_prefix("comment ")?.strip_prefix(SPACING))?;
-        let (records, []) = body.as_chunks::<POINT_BYTES>() else {
-            return None;
-        };
-        let points = records.iter().map(|record| {
-            let float = |at: usize| f64::from(f32::from_le_bytes([0, 1, 2, 3].map(|byte| record[at + byte])));
-            let vector = |at: usize| Vector3::new(float(at), float(at + 4), float(at + 8));
-            CloudPoint {
-                position: vector(0) / scale,
-                normal: vector(12),
-                color: [record[24], record[25], record[26]],
-                photos: u16::from_le_bytes([record[27], record[28]]),
-                sigma: float(29) / scale,
-            }
-        });
-        Some(Self {
-            cell: spacing.parse::<f64>().ok()? / scale,
-            points: points.collect(),
-        })
-    }
-}
+pub(crate) const POINT_BYTES: usize = 7 * 4 + 3 + 2;
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cloud_distance::PointCloud;
 
     fn surfel(x: f64, sigma: f64) -> Surfel {
         Surfel {

@@ -18,6 +18,7 @@
 
 mod clean;
 mod cloud;
+mod cloud_distance;
 mod cost;
 mod disparities;
 mod faults;
@@ -38,7 +39,6 @@ mod refine;
 mod rows;
 pub mod score;
 mod search;
-mod sight;
 mod spline;
 mod stage;
 #[cfg(test)]
@@ -51,10 +51,10 @@ mod tuning;
 mod winner;
 mod write;
 
+pub use cloud_distance::{CloudDistance, PointCloud, Ray};
 pub use disparities::{Class, Disparities, MAX_DISPARITIES, MatchError, match_pair};
 pub use raster::{Picture, Raster};
 pub use rectify::{Eye, LEAST_ANGLE_DEG, PosedCamera, Rectified, RectifyError};
 pub use search::Search;
-pub use sight::{PointCloud, Ray, Sight};
 pub use stage::MakeDepth;
 pub use targets::{DistanceSample, distances};

@@ -4,7 +4,7 @@ use marf_numeric::upper_median;
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
-use crate::cloud::CloudPoint;
+use crate::cloud::{CloudPoint, POINT_BYTES, SPACING};
 
 /// A point counts if the ray passes it within this many cells, or within this many pixels of the picture.
 const NEAR_CELLS: f64 = 1.5;
@@ -35,7 +35,7 @@ pub struct Ray {
 
 /// A surface that a ray meets.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Sight {
+pub struct CloudDistance {
     /// Distance along the ray, units of the world.
     pub distance: f64,
     /// One standard deviation.
@@ -43,11 +43,40 @@ pub struct Sight {
 }
 
 impl PointCloud {
+    /// Reads the PLY file of a cloud, of a scene with `scale` metres a unit of the world. `None` if it is anything else.
+    pub fn decode(bytes: &[u8], scale: f64) -> Option<Self> {
+        const END: &[u8] = b"end_header\n";
+        let body = bytes.windows(END.len()).position(|line| line == END)? + END.len();
+        let (header, body) = bytes.split_at(body);
+        let header = std::str::from_utf8(header).ok()?;
+        let spacing = header
+            .lines()
+            .find_map(|line| line.strip_prefix("comment ")?.strip_prefix(SPACING))?;
+        let (records, []) = body.as_chunks::<POINT_BYTES>() else {
+            return None;
+        };
+        let points = records.iter().map(|record| {
+            let float = |at: usize| f64::from(f32::from_le_bytes([0, 1, 2, 3].map(|byte| record[at + byte])));
+            let vector = |at: usize| Vector3::new(float(at), float(at + 4), float(at + 8));
+            CloudPoint {
+                position: vector(0) / scale,
+                normal: vector(12),
+                color: [record[24], record[25], record[26]],
+                photos: u16::from_le_bytes([record[27], record[28]]),
+                sigma: float(29) / scale,
+            }
+        });
+        Some(Self {
+            cell: spacing.parse::<f64>().ok()? / scale,
+            points: points.collect(),
+        })
+    }
+
     /// Returns where a ray meets a surface of the cloud: the one that is nearest to the distance `expected`, or the first.
     ///
     /// Points near the ray are continued along their planes. Those without a gap between their distances are a surface, which is at
     /// their median. Their errors are those of the same pairs, so the standard deviation is the median of theirs, and no smaller.
-    pub fn along(&self, ray: &Ray, expected: Option<f64>) -> Option<Sight> {
+    pub fn along(&self, ray: &Ray, expected: Option<f64>) -> Option<CloudDistance> {
         let met = |point: &CloudPoint| {
             let to = point.position - ray.origin;
             let along = to.dot(&ray.direction);
@@ -58,14 +87,14 @@ impl PointCloud {
                 return None;
             }
             let distance = point.normal.dot(&to) / cosine;
-            (distance > 0.0).then_some(Sight {
+            (distance > 0.0).then_some(CloudDistance {
                 distance,
                 sigma: point.sigma,
             })
         };
-        let mut found: Vec<Sight> = self.points.par_iter().filter_map(met).collect();
+        let mut found: Vec<CloudDistance> = self.points.par_iter().filter_map(met).collect();
         found.sort_by(|a, b| a.distance.total_cmp(&b.distance));
-        let is_together = |a: &Sight, b: &Sight| {
+        let is_together = |a: &CloudDistance, b: &CloudDistance| {
             let gap = (NEAR_CELLS * self.cell).max(NEAR_PX * ray.pixel * a.distance);
             b.distance - a.distance <= 2.0 * gap.max(a.sigma)
         };
@@ -73,13 +102,14 @@ impl PointCloud {
             .chunk_by(is_together)
             .filter(|all| all.len() >= LEAST_POINTS);
         let surfaces = surfaces.map(|all| {
-            let median = |value: fn(&Sight) -> f64| upper_median(all.iter().map(value)).unwrap_or_default();
-            Sight {
+            let median =
+                |value: fn(&CloudDistance) -> f64| upper_median(all.iter().map(value)).unwrap_or_default();
+            CloudDistance {
                 distance: median(|one| one.distance),
                 sigma: median(|one| one.sigma),
             }
         });
-        let off = |surface: &Sight| {
+        let off = |surface: &CloudDistance| {
             expected.map_or(surface.distance, |expected| (surface.distance - expected).abs())
         };
         surfaces.min_by(|a, b| off(a).total_cmp(&off(b)))
