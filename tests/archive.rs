@@ -195,7 +195,6 @@ fn an_archive_that_cannot_be_is_a_usage_error() {
         ("archive.jezero.instrument=helicam", "perseverance has no helicam"),
         ("archive.jezero.sols=5..=1", "empty range"),
         ("archive.jezero.network.connections=9", "not within 1 to 4"),
-        ("archive.jezero.discover=index", "no index tables"),
         (
             "archive.jezero.nonsense=1",
             "unknown key `nonsense` in `archive.jezero`",

@@ -8,21 +8,19 @@
     reason = "a broken promise must stop the fuzzer, and the program never calls this"
 )]
 
-use crate::{dat, feed, index_table, inventory, listing, odl, pds4, raw, vicar};
+use crate::{dat, feed, listing, odl, pds4, raw, vicar};
 
 /// A reader of untrusted bytes.
 pub type Target = fn(&[u8]) -> usize;
 
 /// All targets with the names of their corpora.
-pub const TARGETS: [(&str, Target); 8] = [
+pub const TARGETS: [(&str, Target); 6] = [
     ("dat", dat),
     ("listing", listing),
     ("odl", odl),
     ("pds4", pds4),
     ("vicar", vicar),
     ("feed", feed),
-    ("inventory", inventory),
-    ("index", index),
 ];
 
 /// Decompresses a product of Mastcam, MAHLI or MARDI.
@@ -72,49 +70,4 @@ pub fn vicar(bytes: &[u8]) -> usize {
 /// Reads a record of a raw-image feed.
 pub fn feed(bytes: &[u8]) -> usize {
     feed::read(bytes).map_or(0, |label| 1 + label.notes.len())
-}
-
-/// Reads the inventory of a PDS4 collection.
-pub fn inventory(bytes: &[u8]) -> usize {
-    let Ok(members) = inventory::read(bytes) else {
-        return 0;
-    };
-    let stems = |member: &inventory::Member| {
-        let stems = inventory::file_stems(member);
-        assert!(
-            stems.iter().all(|stem| listing::is_plain(stem.as_bytes())),
-            "plain"
-        );
-        assert_eq!(
-            stems.is_empty(),
-            inventory::stem(member).is_none(),
-            "no name, no file"
-        );
-        stems.len() + usize::from(member.primary)
-    };
-    members.iter().map(stems).sum()
-}
-
-/// Reads an index label, and the table that follows after its `END` line.
-pub fn index(bytes: &[u8]) -> usize {
-    let end = bytes
-        .windows(5)
-        .position(|window| window == b"\nEND\n")
-        .map_or(bytes.len(), |at| at + 5);
-    let (label, table) = bytes.split_at(end);
-    let Ok(index) = index_table::Index::from_label(label) else {
-        return 0;
-    };
-    let places = index.rows(table).map_while(Result::ok).map(|row| row.location());
-    let named = places.filter(|place| {
-        let plain = |name: &String| listing::is_plain(name.as_bytes());
-        assert!(place.file.iter().all(plain), "plain");
-        let outside = |path: &String| path.split('/').any(|part| part == "..");
-        assert!(!place.path.iter().any(outside), "inside");
-        [&place.volume, &place.product, &place.instrument]
-            .iter()
-            .any(|known| known.is_some())
-            || place.sol.is_some()
-    });
-    named.count() + usize::from(index.file.is_some())
 }

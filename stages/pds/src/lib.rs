@@ -1,5 +1,5 @@
 //! Readers of NASA's archives of rover photos: labels (ODL, PDS3, PDS4, VICAR, records of the raw-image feeds),
-//! arrays of pixels, product names, index tables, inventories of collections, and folder pages.
+//! arrays of pixels, product names, and folder pages.
 //!
 //! Every reader takes bytes and returns typed values: no file, network, clock or random number is used. The bytes are
 //! not trusted: each reader bounds the memory it takes, and returns an error for unreadable bytes.
@@ -14,8 +14,6 @@ pub mod feed;
 mod fit;
 #[doc(hidden)]
 pub mod fuzzing;
-pub mod index_table;
-pub mod inventory;
 mod label;
 pub mod listing;
 mod names;

@@ -1,7 +1,7 @@
 //! Sentences about what is not read have the numbers of the input.
 #![allow(clippy::unwrap_used, reason = "helpers of tests are not seen as tests")]
 
-use marf_pds::{ProductName, feed, inventory, listing};
+use marf_pds::{ProductName, feed, listing};
 
 #[test]
 fn an_error_has_the_numbers_of_the_bytes() {
@@ -16,20 +16,6 @@ fn an_error_has_the_numbers_of_the_bytes() {
         "2097153 bytes of JSON, at most 2097152 are read"
     );
     assert!(feed(&vec![b' '; 2_097_152]).starts_with("no JSON"));
-    let inventory = |bytes: &[u8]| inventory::read(bytes);
-    assert_eq!(
-        inventory(&vec![b'\n'; 134_217_729]).unwrap_err().to_string(),
-        "an inventory of 134217729 bytes, at most 134217728 are read"
-    );
-    let many = |members: usize| "S,urn:nasa:pds:a:b:c\n".repeat(members);
-    assert_eq!(
-        inventory(many(2_000_000).as_bytes()).map(|found| found.len()),
-        Ok(2_000_000)
-    );
-    assert_eq!(
-        inventory(many(2_000_001).as_bytes()).unwrap_err().to_string(),
-        "an inventory of more than 2000000 members"
-    );
     let cut = "<h1>Index of /x</h1><pre><a href='?C=N;O=D'>Name</a> <a href='a/'>a/</a>";
     assert_eq!(
         listing::read(cut.as_bytes()).unwrap_err().to_string(),

@@ -148,7 +148,7 @@ const ARCHIVES: [&str; 4] = [
     "kind = 'folder'\npath = 'photos'\nsols = 3\nrecursive = false\nkeep = 'reference'\nmax_file_mb = 100",
     "kind = 'demo'\nsols = '1..=2'\nseed = 7\nwidth = 320\nchange = 2",
     "kind = 'pds'\nmission = 'perseverance'\ninstrument = 'mastcam-z'\nsols = 'latest'\nlevel = 'edr'\npixels = 'img'\n\
-     products = ['EBY']\ndiscover = 'inventory'\nbase = ['https://a.example']\n\
+     products = ['EBY']\nbase = ['https://a.example']\n\
      network = { connections = 2, delay_ms = 250, tries = 5, retry_ms = 9, stall_s = 3, relist_sols = 30, contact = 'me' }",
     "kind = 'feed'\nmission = 'curiosity'\ninstrument = 'navcam'\nsols = '1,4,7..=9'\nbase = ['https://a.example']\n\
      picture_hosts = ['https://b.example']\nnetwork = { tries = 1 }",

@@ -1,6 +1,6 @@
 //! What servers listed last, kept in the scratch folder: losing it costs requests and never a result.
 //!
-//! A page is a folder page, the products of a sol in a table, or the records of a sol in a feed. An index holds the
+//! A page is a folder page, or the records of a sol in a feed. An index holds the
 //! digest of its content and the data for requesting it again. The content is a file of its own, read only when a sol
 //! is visited.
 
@@ -63,13 +63,6 @@ impl Pages {
     pub fn state(&self, path: &str) -> Option<&PageState> {
         let state = self.index.get(path)?;
         (state.content.is_none() || self.file(path).exists()).then_some(state)
-    }
-
-    /// Returns the paths of the known pages that begin with a text, with their states.
-    pub fn below<'a>(&'a self, start: &'a str) -> impl Iterator<Item = (&'a str, &'a PageState)> {
-        let from = self.index.range(start.to_owned()..);
-        from.take_while(move |(path, _)| path.starts_with(start))
-            .map(|(path, state)| (path.as_str(), state))
     }
 
     /// Returns the content of a page that is there.
@@ -150,7 +143,7 @@ mod tests {
         pages.put::<Vec<u32>>("sol/3", state("x"), None);
         pages.save();
         let mut pages = Pages::open(dir.path(), "a");
-        assert_eq!(pages.below("sol/").count(), 3);
+        assert_eq!(pages.index.len(), 3);
         assert_eq!(pages.content::<Vec<u32>>("sol/1"), Some(vec![1, 2]));
         assert_eq!(pages.state("sol/3").unwrap().content, None);
         std::fs::remove_file(pages.file("sol/1")).unwrap();
@@ -163,6 +156,6 @@ mod tests {
         );
         pages.forget(&["sol/2".to_owned()]);
         assert_eq!(pages.state("sol/2"), None);
-        assert_eq!(Pages::open(dir.path(), "b").below("").count(), 0);
+        assert!(Pages::open(dir.path(), "b").index.is_empty());
     }
 }

@@ -1,4 +1,4 @@
-//! A PDS4 bundle that grows in three states: what its collection's inventory lists is what a run has.
+//! A PDS4 bundle that grows in three states: what its pages list is what a run has.
 
 use md5::{Digest as _, Md5};
 
@@ -38,15 +38,6 @@ impl Version {
             "{COLLECTION}/sol/{:05}/ids/edr/ncam/{}.{end}",
             self.sol,
             self.name()
-        )
-    }
-
-    /// Its line in the inventory.
-    fn member(self) -> String {
-        let lid = self.product().to_ascii_lowercase();
-        format!(
-            "P,urn:nasa:pds:mars2020_navcam_ops_raw:data:{lid}::{}.0\r\n",
-            self.version
         )
     }
 
@@ -100,20 +91,17 @@ impl Version {
     }
 }
 
-/// Makes these products what the collection has, with an inventory that lists these.
-pub(super) fn release(server: &Server, files: &[Version], listed: &[Version]) {
+/// Adds these products to the collection. It has no inventory: a page with one and an old date is not asked for again.
+pub(super) fn release(server: &Server, files: &[Version]) {
     for version in files {
         server.file(&version.path("IMG"), version.pixels());
         server.file(&version.path("xml"), version.label());
     }
-    let inventory: String = listed.iter().map(|version| version.member()).collect();
-    server.file(&format!("{COLLECTION}/collection_data_inventory.csv"), inventory);
 }
 
 pub(super) fn archive(place: &Place, server: &Server) -> Archive {
     let archive = with(place.archive(server, "1..=9"), "/instrument", json!("navcam"));
-    let archive = with(archive, "/pixels", json!("img"));
-    with(archive, "/discover", json!("inventory"))
+    with(archive, "/pixels", json!("img"))
 }
 
 fn files(server: &Server) -> BTreeSet<String> {
@@ -130,20 +118,20 @@ fn names(versions: &[Version]) -> Vec<String> {
 }
 
 #[test]
-fn a_bundle_that_grows_supersedes_and_withdraws_is_followed_by_its_inventory() {
+fn a_bundle_that_grows_supersedes_and_withdraws_is_followed() {
     let server = Server::start().unwrap();
     let [a, b, c, d] = [(1, 1), (1, 2), (2, 3), (3, 4)].map(|(sol, number)| Version::new(sol, number, 1));
     let b2 = Version { version: 2, ..b };
     let place = Place::new();
     let archive = archive(&place, &server);
 
-    release(&server, &[a, b, c], &[a, b, c]);
+    release(&server, &[a, b, c]);
     let first = place.bring(&archive).unwrap();
     assert_eq!(first.rows.keys().cloned().collect::<Vec<_>>(), names(&[a, b, c]));
     assert_eq!(first.facts[&a.name()]["width"], SIDE);
 
-    // A product is replaced and one is added. The inventory lists both versions.
-    release(&server, &[b2, d], &[a, b, b2, c, d]);
+    // A product is replaced and one is added. The pages list both versions.
+    release(&server, &[b2, d]);
     server.clear();
     let second = place.bring(&archive).unwrap();
     assert_eq!(
@@ -159,7 +147,6 @@ fn a_bundle_that_grows_supersedes_and_withdraws_is_followed_by_its_inventory() {
     );
 
     // The only product of a sol is withdrawn, and the superseded version is listed no more.
-    release(&server, &[], &[a, b2, d]);
     [c, b].iter().for_each(|version| {
         ["IMG", "xml"]
             .iter()
@@ -176,7 +163,7 @@ fn a_bundle_that_grows_supersedes_and_withdraws_is_followed_by_its_inventory() {
     let again = place.bring(&archive).unwrap();
     assert_eq!((&again.listing, &again.rows), (&third.listing, &third.rows));
     assert_eq!(again.verdicts, third.verdicts);
-    assert_eq!(server.requests().len(), 1, "the inventory, which is unchanged");
+    assert_eq!(files(&server), BTreeSet::new(), "nothing is fetched again");
     let offline = place.bring(&access(&archive, Access::Offline)).unwrap();
     assert_eq!(
         (&offline.listing, &offline.verdicts),
@@ -184,7 +171,7 @@ fn a_bundle_that_grows_supersedes_and_withdraws_is_followed_by_its_inventory() {
     );
 
     // What is withdrawn may come back.
-    release(&server, &[c], &[a, b2, c, d]);
+    release(&server, &[c]);
     assert_eq!(place.bring(&archive).unwrap().rows, second.rows);
 }
 
@@ -193,17 +180,15 @@ fn a_bundle_that_grows_supersedes_and_withdraws_is_followed_by_its_inventory() {
 fn a_sol_of_which_nothing_is_listed_any_more_is_reported() {
     let server = Server::start().unwrap();
     let [a, b] = [Version::new(1, 1, 1), Version::new(2, 2, 1)];
-    release(&server, &[a, b], &[a, b]);
+    release(&server, &[a, b]);
     let place = Place::new();
-    let archive = with(archive(&place, &server), "/discover", json!("listing"));
+    let archive = archive(&place, &server);
     place.bring(&archive).unwrap();
     for folder in [false, true] {
         ["IMG", "xml"].iter().for_each(|end| server.remove(&b.path(end)));
         if folder {
             server.folder(&format!("{COLLECTION}/sol/00002/ids/edr/ncam/"));
         }
-        // A page with an inventory and an old date would not be asked for again.
-        server.remove(&format!("{COLLECTION}/collection_data_inventory.csv"));
         let brought = place.bring(&archive).unwrap();
         assert_eq!(brought.rows.keys().cloned().collect::<Vec<_>>(), names(&[a]));
         assert_eq!(

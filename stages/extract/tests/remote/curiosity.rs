@@ -38,7 +38,7 @@ fn the_flat_feed_of_curiosity_is_read() {
 }
 
 #[test]
-fn volumes_of_curiosity_are_crawled_and_their_indices_read() {
+fn volumes_of_curiosity_are_crawled() {
     let server = Server::start().unwrap();
     let names = [
         "0412ML0121141200805116C00_DRCL",
@@ -64,58 +64,6 @@ fn volumes_of_curiosity_are_crawled_and_their_indices_read() {
         brought.reason(names[1])
     );
     assert_eq!(brought.reason(names[2]), "thumbnail");
-
-    // The same by the volumes' indices, which name other products' labels too.
-    let column = |name: &str, start: usize, bytes: usize| {
-        format!(
-            "OBJECT = COLUMN\r\nNAME = {name}\r\nSTART_BYTE = {start}\r\nBYTES = {bytes}\r\nDATA_TYPE = CHARACTER\r\nEND_OBJECT = COLUMN\r\n"
-        )
-    };
-    let rows: Vec<String> = names
-        .map(|name| {
-            format!(
-                "{:<26}{:<36}{:>5}\r\n",
-                "DATA/RDR/SURFACE/0412/",
-                format!("{name}.LBL"),
-                412
-            )
-        })
-        .to_vec();
-    let label = format!(
-        "PDS_VERSION_ID = PDS3\r\n^INDEX_TABLE = \"RDRINDEX.TAB\"\r\nOBJECT = INDEX_TABLE\r\nINTERCHANGE_FORMAT = ASCII\r\n\
-         ROW_BYTES = {}\r\nROWS = 3\r\nCOLUMNS = 3\r\n{}{}{}END_OBJECT = INDEX_TABLE\r\nEND\r\n",
-        rows[0].len(),
-        column("PATH_NAME", 1, 26),
-        column("FILE_NAME", 27, 36),
-        column("PLANET_DAY_NUMBER", 63, 5),
-    );
-    for volume in ["MSLMST_0005", "MSLMST_0006"] {
-        let table = if volume.ends_with('5') {
-            rows.concat()
-        } else {
-            rows[0].replace("  412", "  500")
-        };
-        let label = if volume.ends_with('5') {
-            label.clone()
-        } else {
-            label.replace("ROWS = 3", "ROWS = 1")
-        };
-        server.file(&format!("/img/data/msl/{volume}/INDEX/RDRINDEX.LBL"), label);
-        server.file(&format!("/img/data/msl/{volume}/INDEX/RDRINDEX.TAB"), table);
-    }
-    server.clear();
-    let other = Place::new();
-    let by_index = other
-        .bring(&with(of("mastcam"), "/discover", json!("index")))
-        .unwrap();
-    assert_eq!(brought.rows, by_index.rows);
-    let pages: Vec<String> = server
-        .requests()
-        .iter()
-        .map(|one| one.path().to_owned())
-        .filter(|path| path.ends_with('/'))
-        .collect();
-    assert_eq!(pages, ["/img/data/msl/"]);
 }
 
 #[test]

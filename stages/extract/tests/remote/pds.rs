@@ -328,46 +328,6 @@ fn a_firewall_in_place_of_a_listing_is_an_error_with_the_way_out() {
 }
 
 #[test]
-fn an_inventory_stands_in_for_folder_pages() {
-    let server = Server::start().unwrap();
-    let names = mount(&server, 1..=2);
-    let lids: String = names
-        .iter()
-        .map(|name| {
-            format!(
-                "P,urn:nasa:pds:mars2020_mastcamz_ops_raw:data:{}::1.0\r\n",
-                name[..52].to_ascii_lowercase()
-            )
-        })
-        .collect();
-    server.file(
-        "/img/data/mars2020/mars2020_mastcamz_ops_raw/data/collection_data_inventory.csv",
-        lids,
-    );
-    let listed = Place::new();
-    let expected = listed.bring(&listed.archive(&server, "2")).unwrap();
-    server.clear();
-    let place = Place::new();
-    let archive = with(place.archive(&server, "2"), "/discover", json!("inventory"));
-    let brought = place.bring(&archive).unwrap();
-    assert_eq!(expected.rows, brought.rows);
-    assert!(
-        server
-            .requests()
-            .iter()
-            .all(|request| !request.path().ends_with('/')),
-        "no page was asked for"
-    );
-    server.clear();
-    place.bring(&archive).unwrap();
-    let asked = server.requests();
-    assert!(
-        asked.len() == 1 && asked[0].header("if-none-match").is_some(),
-        "{asked:?}"
-    );
-}
-
-#[test]
 fn a_lock_of_another_camera_is_no_answer() {
     let server = Server::start().unwrap();
     mount(&server, 1..=1);

@@ -9,7 +9,6 @@ use marf_stage::{Sols, StageError};
 use super::layout::Tree;
 use super::listing::{collection, is_inventory};
 use super::products::{FoundFile, Products};
-use super::tables::{BySol, INDEX, INVENTORY, MAX_TABLE_BYTES, by_members, by_rows};
 use crate::archive::{extension, stem};
 use crate::check::{Absence, Checkup, Question, Reading};
 use crate::remote::catalog::ListedSol;
@@ -45,77 +44,6 @@ pub(super) fn by_listing(
         }
         if !checkup.is_empty() {
             break;
-        }
-    }
-    Ok(None)
-}
-
-/// Asks for the inventory.
-pub(super) fn by_inventory(
-    products: &Products,
-    checkup: &mut Checkup<'_>,
-    sols: &Sols,
-) -> Result<Option<ListedSol>, StageError> {
-    let folder = products.layout.collection.as_deref().unwrap_or_default();
-    let path = format!("{folder}/{INVENTORY}");
-    let question = file(products, "inventory", &path)?;
-    let found = checkup.ask(question, |bytes| {
-        let found = by_members(products, bytes).map_err(|error| error.to_string())?;
-        table(&path, found)
-    })?;
-    one_sol_of(products, found, sols)
-}
-
-/// Asks for label and table of the index of the newest volume.
-pub(super) fn by_index(
-    products: &Products,
-    checkup: &mut Checkup<'_>,
-    sols: &Sols,
-) -> Result<Option<ListedSol>, StageError> {
-    let Some(tree) = products.layout.layouts.iter().flatten().next() else {
-        return Ok(None);
-    };
-    let volume = volumes(products, checkup, tree, Absence::Differs)?.pop();
-    let Some(volume) = volume else {
-        return Ok(None);
-    };
-    let [label, rows] = INDEX.map(|name| format!("{volume}/INDEX/{name}"));
-    let label = checkup.ask(file(products, "label of the index", &label)?, |bytes| {
-        let index = marf_pds::index_table::Index::from_label(bytes).map_err(|error| error.to_string())?;
-        Ok(Reading::new(
-            index,
-            format!("`{label}`: the columns of sol, path and name"),
-        ))
-    })?;
-    let Some(index) = label else {
-        return Ok(None);
-    };
-    let found = checkup.ask(file(products, "index", &rows)?, |bytes| {
-        let found = by_rows(&index, &volume, bytes).map_err(|error| error.to_string())?;
-        table(&rows, found)
-    })?;
-    one_sol_of(products, found, sols)
-}
-
-/// Returns what a table names.
-fn table(path: &str, found: BySol) -> Result<Reading<BySol>, String> {
-    let (Some(first), Some(last)) = (found.keys().next(), found.keys().next_back()) else {
-        return Err(format!("`{path}` names no product whose name has a sol"));
-    };
-    let words = format!("`{path}`: {} sols from {first} to {last}", found.len());
-    Ok(Reading::new(found, words))
-}
-
-fn one_sol_of(
-    products: &Products,
-    found: Option<BySol>,
-    sols: &Sols,
-) -> Result<Option<ListedSol>, StageError> {
-    let found = found.unwrap_or_default();
-    for sol in tried(sols, &found.keys().copied().collect()) {
-        let files = products.taken(sol, found[&sol].clone())?;
-        if !files.files.is_empty() {
-            return Ok(Some(ListedSol { sol, files }));
         }
     }
     Ok(None)
@@ -296,14 +224,5 @@ fn page(products: &Products, what: &str, path: &str, absence: Absence) -> Result
         urls: urls(&products.bases, &format!("{path}/"))?,
         cap_bytes: MAX_PAGE_BYTES,
         absence,
-    })
-}
-
-fn file(products: &Products, what: &str, path: &str) -> Result<Question, StageError> {
-    Ok(Question {
-        what: what.to_owned(),
-        urls: urls(&products.bases, path)?,
-        cap_bytes: MAX_TABLE_BYTES,
-        absence: Absence::Differs,
     })
 }

@@ -29,8 +29,6 @@ pub(crate) struct Tree {
 pub(crate) struct CameraLayout {
     /// Possible layouts. The first that exists is used. Each is a set of trees whose files belong together.
     pub layouts: Vec<Vec<Tree>>,
-    /// Folder of the collection whose inventory names the products, if it has one.
-    pub collection: Option<String>,
     /// Codes of the instrument in names.
     pub codes: &'static [&'static str],
     /// Product types, the preferred first.
@@ -136,7 +134,6 @@ fn mars2020(
     };
     Ok(CameraLayout {
         layouts: vec![trees],
-        collection: Some(format!("mars2020/{bundle}/data")),
         codes,
         types: types.iter().map(|kind| (*kind).to_owned()).collect(),
     })
@@ -160,7 +157,6 @@ fn mastcam(archive: &PdsParams) -> Result<CameraLayout, ParamError> {
     };
     Ok(CameraLayout {
         layouts: vec![vec![tree]],
-        collection: None,
         codes: &["ML", "MR"],
         types: ["DRCL", "DRCX", "DRXX", "DRLX", "DXXX"]
             .map(str::to_owned)
@@ -186,7 +182,6 @@ fn curiosity_navcam(archive: &PdsParams) -> Result<CameraLayout, ParamError> {
             vec![tree("msl/msl_navcam_raw/DATA", None, "")],
             vec![tree("msl", Some("MSLNAV_?XXX"), "DATA")],
         ],
-        collection: None,
         codes: &["NLA", "NLB", "NRA", "NRB"],
         types: vec!["EDR".to_owned()],
     })

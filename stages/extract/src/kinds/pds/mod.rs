@@ -4,7 +4,6 @@
 //! params.rs     the keys of the table
 //! layout.rs     where the archive keeps the products of each camera
 //! listing.rs    products found by folder pages
-//! tables.rs     products found by inventories and index tables
 //! products.rs   choice among the found products
 //! check.rs      one page of each kind
 //! ```
@@ -14,12 +13,11 @@ mod layout;
 mod listing;
 mod params;
 mod products;
-mod tables;
 
 use marf_stage::{ParamError, Sols, StageError};
 
 use self::layout::CameraLayout;
-use self::params::{Discover, PdsParams};
+use self::params::PdsParams;
 use self::products::Products;
 use crate::archive::ArchiveFiles;
 use crate::archive::access::{Remote, RemoteContext};
@@ -41,7 +39,6 @@ const MIRRORS: [&str; 2] = [
 /// One camera of the archive.
 pub(crate) struct Pds {
     products: Products,
-    discover: Discover,
     /// Sols younger than the newest by less may be listed again.
     relist_sols: u32,
 }
@@ -54,7 +51,6 @@ impl ArchiveKind for Pds {
 
     fn open(params: PdsParams, context: RemoteContext) -> Result<Box<dyn ArchiveFiles>, ParamError> {
         let layout = CameraLayout::new(&params)?;
-        check_discover(params.discover, &layout)?;
         let (mission, instrument, level, pixels) =
             (params.mission, params.instrument, params.level, params.pixels);
         let asked = format!("pds {mission:?} {instrument:?} {level:?} {pixels:?}").to_lowercase();
@@ -70,7 +66,6 @@ impl ArchiveKind for Pds {
                 layout,
                 bases: bases.clone(),
             },
-            discover: params.discover,
             relist_sols: params.network.relist_sols,
         };
         Ok(Box::new(RemoteArchive::new(context, request, Box::new(source))?))
@@ -83,7 +78,7 @@ impl CatalogSource for Pds {
     }
 
     fn name(&self) -> String {
-        format!("{:?} {}", self.discover, self.products.bases.join(" "))
+        self.products.bases.join(" ")
     }
 
     fn catalog(&self, question: Question<'_>, pages: &mut Pages) -> Result<Catalog, StageError> {
@@ -93,21 +88,13 @@ impl CatalogSource for Pds {
             bases: &self.products.bases,
             pages,
         };
-        match self.discover {
-            Discover::Listing => listing::by_listing(&self.products, &mut crawl, question, self.relist_sols),
-            Discover::Inventory => tables::by_inventory(&self.products, &mut crawl, question),
-            Discover::Index => tables::by_index(&self.products, &mut crawl, question, self.relist_sols),
-        }
+        listing::by_listing(&self.products, &mut crawl, question, self.relist_sols)
     }
 
     fn files(&self, pages: &Pages, sol: u32, listing: &[String]) -> Result<Option<SolFiles>, StageError> {
         let mut found = Vec::new();
         for path in listing {
-            let files = match self.discover {
-                Discover::Listing => listing::files_of(&self.products, pages, path),
-                Discover::Inventory | Discover::Index => tables::files_of(pages, path),
-            };
-            let Some(files) = files else {
+            let Some(files) = listing::files_of(&self.products, pages, path) else {
                 return Ok(None);
             };
             found.extend(files);
@@ -116,27 +103,7 @@ impl CatalogSource for Pds {
     }
 
     fn check(&self, sols: &Sols, checkup: &mut Checkup<'_>) -> Result<Option<ListedSol>, StageError> {
-        match self.discover {
-            Discover::Listing => check::by_listing(&self.products, checkup, sols),
-            Discover::Inventory => check::by_inventory(&self.products, checkup, sols),
-            Discover::Index => check::by_index(&self.products, checkup, sols),
-        }
-    }
-}
-
-/// Checks that the products of a camera can be found as asked for.
-fn check_discover(discover: Discover, layout: &CameraLayout) -> Result<(), ParamError> {
-    let mut trees = layout.layouts.iter().flatten();
-    match discover {
-        Discover::Inventory if layout.collection.is_none() => Err(ParamError::new(
-            "discover",
-            "this camera's archive has no inventory: use \"listing\" or \"index\"",
-        )),
-        Discover::Index if !trees.all(|tree| tree.volumes.is_some()) => Err(ParamError::new(
-            "discover",
-            "this camera's archive has no index tables: use \"listing\" or \"inventory\"",
-        )),
-        _ => Ok(()),
+        check::by_listing(&self.products, checkup, sols)
     }
 }
 

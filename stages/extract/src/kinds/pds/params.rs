@@ -27,9 +27,6 @@ pub(crate) struct PdsParams {
     /// usual types of the camera.
     #[serde(default)]
     pub products: Vec<String>,
-    /// How products are found.
-    #[serde(default)]
-    pub discover: Discover,
     /// Addresses of the archive, tried in this order: folders that contain `mars2020/` and `msl/`.
     #[serde(default)]
     pub base: Vec<String>,
@@ -60,17 +57,4 @@ pub(crate) enum PixelSource {
     Browse,
     /// The `.IMG` as archived, 16 bits and more.
     Img,
-}
-
-/// How products are found.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, JsonSchema)]
-#[serde(rename_all = "lowercase")]
-pub(crate) enum Discover {
-    /// Folder pages, sol by sol.
-    #[default]
-    Listing,
-    /// The inventory of the collection, one file for all sols (Mars 2020 only).
-    Inventory,
-    /// The index tables of the volumes (Curiosity's Mastcam only).
-    Index,
 }
