@@ -58,203 +58,89 @@ const TABLE_HEADS: &[&str] = &[
      alias Quanta = vec4<i32>;\nalias Sizes = vec4<u32>;\nconst PACKED: bool = true;\nconst MOST_QUANTA: i32 = 99;\nconst ROWS: u32 = 4u;\n",
 ];
 
-/// All kernels.
-pub const SHADERS: &[Shader] = &[
-    HASH_ENCODE,
-    RAYS,
-    VIEW_RAYS,
-    MARCH,
-    SCAN,
-    ALIVE,
-    EXPOSURE_SUMS,
-    EXPOSURE_LEARN,
-    SCATTER,
-    SCATTER_PACKED,
-    PEAK,
-    RESCALE,
-    ADAM_TABLE,
-    PROBE,
-    OCCUPANCY,
-    DENSITY_SUM,
-    THRESHOLDS,
-    BITS,
-    DENSITY,
-    SHADE,
-    BACK,
-    SUM,
-    ADAM_NET,
-    OPACITY,
-    KEPT,
-    COMPARE,
-    SPREAD,
-    TOTALS,
-    PAINT,
-    FINISH,
-    COPY,
-    MULTIPLY_ADD,
-];
+/// Declares the kernels, each with the file of its name: the texts it shares with others, and the heads it is tested with.
+macro_rules! shaders {
+    ($($(#[$about:meta])* $constant:ident: $name:literal, [$($shared:ident),*], $heads:expr;)*) => {
+        $($(#[$about])*
+        pub const $constant: Shader = Shader {
+            name: $name,
+            shared: &[$($shared),*],
+            text: include_str!(concat!($name, ".wgsl")),
+            heads: $heads,
+        };)*
 
-/// Multiresolution hash-grid lookup, forward pass.
-pub const HASH_ENCODE: Shader = Shader {
-    name: "hash_encode",
-    shared: &[FLAT, PART, GRID],
-    text: include_str!("hash_encode.wgsl"),
-    heads: TABLE_HEADS,
-};
+        /// All kernels.
+        pub const SHADERS: &[Shader] = &[$($constant),*];
+    };
+}
 
-/// Gradients of features to gradients of entries, in fixed point.
-pub const SCATTER: Shader = Shader {
-    name: "scatter",
-    shared: &[FLAT, PART, GRID, LEVEL_MARKS, SCATTERED],
-    text: include_str!("scatter.wgsl"),
-    heads: TABLE_HEADS,
-};
-
-/// As [`SCATTER`], two features in one 64-bit word.
-pub const SCATTER_PACKED: Shader = Shader {
-    name: "scatter_packed",
-    shared: &[FLAT, PART, GRID, LEVEL_MARKS, SCATTERED],
-    text: include_str!("scatter_packed.wgsl"),
-    heads: TABLE_HEADS,
-};
-
-/// Largest quantum of every level.
-pub const PEAK: Shader = Shader {
-    name: "peak",
-    shared: &[FLAT, PART, LEVEL_MARKS, QUANTA],
-    text: include_str!("peak.wgsl"),
-    heads: TABLE_HEADS,
-};
-
-/// Which levels overflowed, and the scales of the next step.
-pub const RESCALE: Shader = Shader {
-    name: "rescale",
-    shared: &[LEVEL_SCALE, FAULTS],
-    text: include_str!("rescale.wgsl"),
-    heads: &[""],
-};
-
-/// One step of Adam over tables, and their running average.
-pub const ADAM_TABLE: Shader = Shader {
-    name: "adam_table",
-    shared: &[FLAT, PART, LEVEL_SCALE, QUANTA, FAULTS],
-    text: include_str!("adam_table.wgsl"),
-    heads: TABLE_HEADS,
-};
-
-/// Cells of the occupancy grid to look at.
-pub const PROBE: Shader = Shader {
-    name: "probe",
-    shared: &[FLAT, RNG],
-    text: include_str!("probe.wgsl"),
-    heads: &[""],
-};
-
-/// Densities found at the probes.
-pub const OCCUPANCY: Shader = Shader {
-    name: "occupancy",
-    shared: &[FLAT, FILLING, MATH, FAULTS],
-    text: include_str!("occupancy.wgsl"),
-    heads: &["const RUNAWAY: u32 = 9u;\n"],
-};
-
-/// Partial sums of densities.
-pub const DENSITY_SUM: Shader = Shader {
-    name: "density_sum",
-    shared: &[FILLING],
-    text: include_str!("density_sum.wgsl"),
-    heads: &["const EACH: u32 = 4u;\n"],
-};
-
-/// Densities from which on a cell is occupied.
-pub const THRESHOLDS: Shader = Shader {
-    name: "thresholds",
-    shared: &[FILLING],
-    text: include_str!("thresholds.wgsl"),
-    heads: &[""],
-};
-
-/// Occupied cells from densities.
-pub const BITS: Shader = Shader {
-    name: "bits",
-    shared: &[FLAT, FILLING, FAULTS],
-    text: include_str!("bits.wgsl"),
-    heads: &[""],
-};
-
-/// Draws the rays of a training step.
-pub const RAYS: Shader = Shader {
-    name: "rays",
-    shared: &[FLAT, RNG, CAMERA, STEP, TARGET],
-    text: include_str!("rays.wgsl"),
-    heads: &[
-        "const PURPOSE: u32 = 3u;\nconst NEWTON_STEPS: u32 = 20u;\nconst HIDDEN: u32 = 255u;\nconst DRAWS: u32 = 8u;\n",
-    ],
-};
-
-/// Sets out the rays of some pixels of one photo.
-pub const VIEW_RAYS: Shader = Shader {
-    name: "view_rays",
-    shared: &[FLAT, CAMERA],
-    text: include_str!("view_rays.wgsl"),
-    heads: &["const NEWTON_STEPS: u32 = 20u;\n"],
-};
-
-/// Walks along rays through occupied cells. Entries `count` and `write`.
-pub const MARCH: Shader = Shader {
-    name: "march",
-    shared: &[FLAT, WALK],
-    text: include_str!("march.wgsl"),
-    heads: &["const LANES: u32 = 32u;\n"],
-};
-
-/// Where the samples of every ray begin.
-pub const SCAN: Shader = Shader {
-    name: "scan",
-    shared: &[WALK],
-    text: include_str!("scan.wgsl"),
-    heads: &[""],
-};
-
-/// Finds which rays of a picture continue.
-pub const ALIVE: Shader = Shader {
-    name: "alive",
-    shared: &[FLAT, WALK],
-    text: include_str!("alive.wgsl"),
-    heads: &["const OPAQUE: f32 = 0.1;\n"],
-};
-
-/// Adds up the slopes of exposures, photo by photo.
-pub const EXPOSURE_SUMS: Shader = Shader {
-    name: "exposure_sums",
-    shared: &[EXPOSED, TARGET],
-    text: include_str!("exposure_sums.wgsl"),
-    heads: &["const RUNAWAY: u32 = 0x4e800000u;\n"],
-};
-
-/// Moves the exposures of all photos.
-pub const EXPOSURE_LEARN: Shader = Shader {
-    name: "exposure_learn",
-    shared: &[STEP, EXPOSED, FAULTS],
-    text: include_str!("exposure_learn.wgsl"),
-    heads: &[""],
-};
-
-/// The ceiling of memory.
-pub const COPY: Shader = Shader {
-    name: "copy",
-    shared: &[FLAT],
-    text: include_str!("copy.wgsl"),
-    heads: &[""],
-};
-
-/// The ceiling of arithmetic.
-pub const MULTIPLY_ADD: Shader = Shader {
-    name: "multiply_add",
-    shared: &[FLAT],
-    text: include_str!("multiply_add.wgsl"),
-    heads: &[""],
-};
+shaders! {
+    /// Multiresolution hash-grid lookup, forward pass.
+    HASH_ENCODE: "hash_encode", [FLAT, PART, GRID], TABLE_HEADS;
+    /// Draws the rays of a training step.
+    RAYS: "rays", [FLAT, RNG, CAMERA, STEP, TARGET],
+        &["const PURPOSE: u32 = 3u;\nconst NEWTON_STEPS: u32 = 20u;\nconst HIDDEN: u32 = 255u;\nconst DRAWS: u32 = 8u;\n"];
+    /// Sets out the rays of some pixels of one photo.
+    VIEW_RAYS: "view_rays", [FLAT, CAMERA], &["const NEWTON_STEPS: u32 = 20u;\n"];
+    /// Walks along rays through occupied cells. Entries `count` and `write`.
+    MARCH: "march", [FLAT, WALK], &["const LANES: u32 = 32u;\n"];
+    /// Where the samples of every ray begin.
+    SCAN: "scan", [WALK], &[""];
+    /// Finds which rays of a picture continue.
+    ALIVE: "alive", [FLAT, WALK], &["const OPAQUE: f32 = 0.1;\n"];
+    /// Adds up the slopes of exposures, photo by photo.
+    EXPOSURE_SUMS: "exposure_sums", [EXPOSED, TARGET], &["const RUNAWAY: u32 = 0x4e800000u;\n"];
+    /// Moves the exposures of all photos.
+    EXPOSURE_LEARN: "exposure_learn", [STEP, EXPOSED, FAULTS], &[""];
+    /// Gradients of features to gradients of entries, in fixed point.
+    SCATTER: "scatter", [FLAT, PART, GRID, LEVEL_MARKS, SCATTERED], TABLE_HEADS;
+    /// As [`SCATTER`], two features in one 64-bit word.
+    SCATTER_PACKED: "scatter_packed", [FLAT, PART, GRID, LEVEL_MARKS, SCATTERED], TABLE_HEADS;
+    /// Largest quantum of every level.
+    PEAK: "peak", [FLAT, PART, LEVEL_MARKS, QUANTA], TABLE_HEADS;
+    /// Which levels overflowed, and the scales of the next step.
+    RESCALE: "rescale", [LEVEL_SCALE, FAULTS], &[""];
+    /// One step of Adam over tables, and their running average.
+    ADAM_TABLE: "adam_table", [FLAT, PART, LEVEL_SCALE, QUANTA, FAULTS], TABLE_HEADS;
+    /// Cells of the occupancy grid to look at.
+    PROBE: "probe", [FLAT, RNG], &[""];
+    /// Densities found at the probes.
+    OCCUPANCY: "occupancy", [FLAT, FILLING, MATH, FAULTS], &["const RUNAWAY: u32 = 9u;\n"];
+    /// Partial sums of densities.
+    DENSITY_SUM: "density_sum", [FILLING], &["const EACH: u32 = 4u;\n"];
+    /// Densities from which on a cell is occupied.
+    THRESHOLDS: "thresholds", [FILLING], &[""];
+    /// Occupied cells from densities.
+    BITS: "bits", [FLAT, FILLING, FAULTS], &[""];
+    /// The density network over visited samples.
+    DENSITY: "density", [TILE], TILES;
+    /// The colour network over kept samples, and their colours.
+    SHADE: "shade", [MATH, COLOUR_OF, HARMONICS_OF, TILE, SEEN], TILES;
+    /// Both networks back over kept samples.
+    BACK: "back", [MATH, HARMONICS_OF, TILE, SEEN], TILES;
+    /// Adds the parts of a gradient.
+    SUM: "sum", [MATH], HEADS;
+    /// Adam in rows of 16 numbers.
+    ADAM_NET: "adam_net", [FLAT, PACE, FAULTS], &[""];
+    /// Raw densities to opacities and transmittances along rays.
+    OPACITY: "opacity", [FLAT, EXTENT, MATH], HEADS;
+    /// Which of the visited samples the kept ones are.
+    KEPT: "kept", [FLAT, EXTENT], &["const LANES: u32 = 32u;\n"];
+    /// Compares the colour of a ray with its pixel.
+    COMPARE: "compare", [FLAT, MATH, COLOUR_OF, HARMONICS_OF, BEHIND, TARGET], HEADS;
+    /// Slope of a ray's colour to those of its samples.
+    SPREAD: "spread", [FLAT, MATH, COLOUR_OF], HEADS;
+    /// Counts and loss of a step for the host.
+    TOTALS: "totals", [EXTENT, PACE], &[""];
+    /// Takes the samples of a round into the rays of a picture. Entries `begin` and `main`.
+    PAINT: "paint", [FLAT], HEADS;
+    /// Rays of a picture to its pixels.
+    FINISH: "finish", [FLAT, MATH, COLOUR_OF, HARMONICS_OF, BEHIND], HEADS;
+    /// The ceiling of memory.
+    COPY: "copy", [FLAT], &[""];
+    /// The ceiling of arithmetic.
+    MULTIPLY_ADD: "multiply_add", [FLAT], &[""];
+}
 
 #[cfg(test)]
 mod guards;
