@@ -10,7 +10,6 @@ mod output;
 mod process;
 mod stereo;
 mod synthetic;
-mod table1;
 mod training;
 
 use std::process::ExitCode;
@@ -38,8 +37,6 @@ struct Labs {
 enum Program {
     /// Train on a folder's photos for a number of seconds and score the test views: one JSON line a budget
     Train(training::TrainArgs),
-    /// Print Table 1 of the MaRF paper for a folder's photos, next to the paper's
-    Table1(table1::Table1Args),
     /// Make a synthetic archive and run folder, filters and store on it: cold, without a change, with new sols. Prints
     /// one JSON line a phase
     Engine(engine::EngineArgs),
@@ -78,7 +75,6 @@ fn main() -> ExitCode {
 fn run(program: Program, cancel: &Cancel) -> Result {
     match program {
         Program::Train(args) => training::train(&args, cancel),
-        Program::Table1(args) => table1::table1(&args, cancel),
         Program::Engine(args) => engine::engine(&args, cancel),
         Program::Items(args) => items::items(&args, cancel),
         #[cfg(unix)]

@@ -55,44 +55,6 @@ fn a_bench_prints_one_line_a_budget_and_writes_the_test_views() {
 }
 
 #[test]
-fn a_bench_explains_where_the_error_is_on_both_kinds_of_photos() {
-    let dir = photos();
-    let verb = ["train", "photos", "--steps", "30", "--explain", "--out", "out"];
-    let ran = labs(dir.path(), &with_small(&verb)).exits(0);
-    let line = &ran.events()[0];
-    for kind in ["trained", "held_out"] {
-        let found = &line["explained"][kind];
-        let number = |value: &serde_json::Value| value.as_f64().unwrap_or_else(|| panic!("{kind}: {found}"));
-        assert!(
-            number(&found["psnr_affine"]) >= number(&found["psnr"]) - 1e-9,
-            "{found}"
-        );
-        // All bands together are the error, up to the fit of the sides to 16 px and the mean of decibels.
-        let bands = found["bands"].as_array().unwrap();
-        let error: f64 = bands
-            .iter()
-            .map(|band| 10_f64.powf(-0.1 * number(&band["psnr"])))
-            .sum();
-        assert!(
-            (-10.0 * error.log10() - number(&found["psnr"])).abs() < 3.0,
-            "{found}"
-        );
-        assert_eq!(found["depths"].as_array().unwrap().len(), 3);
-    }
-    assert!(
-        line["explained"]["trained"]["distances"]
-            .as_array()
-            .unwrap()
-            .is_empty()
-    );
-    assert!(
-        ran.stderr.contains("after an affine fit a channel"),
-        "{}",
-        ran.stderr
-    );
-}
-
-#[test]
 fn a_bench_refuses_keys_that_it_would_not_listen_to() {
     let dir = photos();
     for (set, expected) in [

@@ -2,7 +2,6 @@
 
 mod cameras;
 mod change;
-mod correlation;
 mod depth;
 mod descent;
 mod hardware;
@@ -105,13 +104,6 @@ pub enum MarsProgram {
         /// Folder of the outputs of `depth`
         dir: PathBuf,
     },
-    /// Compare the maps of two bootstraps of one scene that share no member: a JSON line a kind of map
-    MapCorrelation {
-        /// Folder of maps of the first bootstrap
-        first: PathBuf,
-        /// Folder of maps of the second
-        second: PathBuf,
-    },
 }
 
 /// Runs a program.
@@ -139,6 +131,5 @@ pub fn run(program: MarsProgram) -> Result {
         MarsProgram::TruePictures { dir } => pictures::pictures(&dir),
         MarsProgram::TrueSurface { scene, ply } => surface::surface(&scene, &ply),
         MarsProgram::TrueStereo { scene, dir } => stereo::stereo(&scene, &dir),
-        MarsProgram::MapCorrelation { first, second } => correlation::correlation(&first, &second),
     }
 }

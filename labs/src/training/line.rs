@@ -6,7 +6,6 @@ use marf_cache::Digest;
 use marf_field::EXPECTED_STEPS_PER_S;
 use serde::{Serialize, Serializer};
 
-use super::explain::Found;
 use crate::output::decimal;
 
 /// How long a training goes on.
@@ -79,16 +78,6 @@ pub struct Line {
     pub render_s: f64,
     /// Rays a second of this.
     pub render_rays_per_s: f64,
-    /// Where the error is, if that was asked for.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub explained: Option<Explained>,
-}
-
-/// Where the error is on photos of both kinds.
-#[derive(Debug, Serialize)]
-pub struct Explained {
-    pub trained: Found,
-    pub held_out: Found,
 }
 
 /// The budgets as the paper's Table 1 has them.
@@ -135,7 +124,6 @@ mod tests {
             ssim: None,
             render_s: 0.4,
             render_rays_per_s: 4e5,
-            explained: None,
         };
         let table = table(&[line]);
         let row: Vec<&str> = table.lines().nth(1).unwrap().split_whitespace().collect();

@@ -5,7 +5,6 @@
 //! inputs, so it is not kept in the store.
 
 mod effort;
-mod explain;
 mod line;
 mod photos;
 
@@ -31,14 +30,11 @@ use crate::options::TrainingOptions;
 use crate::output::{AnyError, Result, eprint_line, go_on, print_json};
 use crate::process::peak_mb;
 use effort::Effort;
-use line::{Budget, Explained, Line, table};
+use line::{Budget, Line, table};
 use photos::{Photos, photos};
 
 /// The end of a training by the clock is planned again, from its rate so far, after each such part of it.
 const PLANNED_EVERY: f64 = 1.0 / 16.0;
-
-/// Most photos trained on that are explained, spread over all.
-const EXPLAINED: usize = 24;
 
 /// Arguments of `train`. `--set train.field.KEY=VALUE` and `--set train.seed=N` count too.
 #[derive(Debug, Clone, Args)]
@@ -62,9 +58,6 @@ pub struct TrainArgs {
     /// What counts as time
     #[arg(long, value_enum, default_value_t = Clock::Wall)]
     clock: Clock,
-    /// Show where the error is: training photos next to held-out photos, after an affine fit, by scale, by distance
-    #[arg(long)]
-    explain: bool,
     #[command(flatten)]
     options: TrainingOptions,
 }
@@ -110,8 +103,7 @@ pub fn train(args: &TrainArgs, cancel: &Cancel) -> Result {
         return Err("this loop matches no pairs of photos: `marf fit` does".into());
     }
     let scene = import(&session)?;
-    let most = if args.explain { EXPLAINED } else { 0 };
-    let photos = photos(&session, &scene, keys.scale.unwrap_or(1), most)?;
+    let photos = photos(&session, &scene, keys.scale.unwrap_or(1))?;
     let threads = args.options.threads.map_or(0, std::num::NonZero::get);
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build()?;
     let bench = Bench {
@@ -191,7 +183,6 @@ impl Bench<'_> {
             let (mut trainer, effort) = self.trained(&config, *budget, paced_s)?;
             let mut line = self.evaluate(&mut trainer, &effort, *budget)?;
             line.paced_s = paced_s;
-            line.explained = self.explain(&mut trainer)?;
             print_json(&line)?;
             lines.push(line);
         }
@@ -308,23 +299,7 @@ impl Bench<'_> {
             ssim: mean(&ssim),
             render_s: rendering.wall_s / self.photos.tests.len() as f64,
             render_rays_per_s: rendering.rays as f64 / rendering.wall_s,
-            explained: None,
         })
-    }
-
-    /// Finds out where the error is, if that was asked for.
-    fn explain(&self, trainer: &mut Trainer) -> Result<Option<Explained>> {
-        if !self.args.explain {
-            return Ok(None);
-        }
-        let field = trainer.field()?;
-        let cameras: Vec<_> = self.photos.views.iter().map(|view| view.cam_from_world).collect();
-        let explained = Explained {
-            trained: explain::explain(&field, &self.photos.explained, &[])?,
-            held_out: explain::explain(&field, &self.photos.tests, &cameras)?,
-        };
-        eprint_line(&explain::table(&explained.trained, &explained.held_out));
-        Ok(Some(explained))
     }
 }
 

@@ -7,7 +7,6 @@ use marf_scene::{Frame, Image, Photo, Scene, Srgb, picture_names};
 use crate::output::Result;
 
 /// A view to score: name of its picture, its frame, its photo.
-#[derive(Clone)]
 pub struct TestView {
     pub name: String,
     pub frame: Frame,
@@ -20,22 +19,17 @@ pub struct Photos {
     pub views: Vec<View>,
     /// Held out.
     pub tests: Vec<TestView>,
-    /// Some of those trained on.
-    pub explained: Vec<TestView>,
 }
 
-/// Decodes all photos, training and held-out. At most `most` of the training photos are explained.
+/// Decodes all photos, training and held-out.
 ///
 /// # Errors
 /// Returns an error if a photo cannot be decoded, or if no photo is held out.
-pub fn photos(session: &Session, scene: &Scene, scale: u32, most: usize) -> Result<Photos> {
+pub fn photos(session: &Session, scene: &Scene, scale: u32) -> Result<Photos> {
     let mut photos = Photos {
         views: Vec::new(),
         tests: Vec::new(),
-        explained: Vec::new(),
     };
-    let training = scene.frames.iter().filter(|frame| !frame.held_out).count();
-    let every = training.checked_div(most).map(|_| training.div_ceil(most));
     for (frame, name) in scene.frames.iter().zip(picture_names(scene)) {
         let photo = Photo::decode(&session.store.get(&frame.image)?)
             .map_err(|error| format!("photo `{}`: {error}", frame.id))?;
@@ -51,9 +45,6 @@ pub fn photos(session: &Session, scene: &Scene, scale: u32, most: usize) -> Resu
         if test.frame.held_out {
             photos.tests.push(test);
             continue;
-        }
-        if every.is_some_and(|every| photos.views.len().is_multiple_of(every)) {
-            photos.explained.push(test.clone());
         }
         photos.views.push(View {
             id: test.frame.id,
