@@ -20,9 +20,6 @@ pub struct RunArgs {
     /// Folder for pictures, models and the report
     #[arg(long, value_name = "DIR", default_value = "out")]
     pub out: PathBuf,
-    /// Write a trace of the run for Perfetto or chrome://tracing
-    #[arg(long, value_name = "FILE")]
-    pub trace: Option<PathBuf>,
     /// Compute trainings as jobs of a batch system: `slurm`, or another that the site file describes
     #[arg(long = "on", value_enum, value_name = "SYSTEM", hide_possible_values = true)]
     pub batch_system: Option<BatchSystem>,
@@ -51,9 +48,8 @@ pub fn run(args: RunArgs, context: Context) -> Result<(), Error> {
     if args.json {
         context.feedback = Arc::new(Terminal::with_json_lines());
     }
-    let (out, trace) = (&args.out, args.trace.as_deref());
     let site = args.batch_system.map(|_| args.site.as_path());
-    let run = marf_run::run::run(&context, &args.selection.into(), out, trace, site)?;
+    let run = marf_run::run::run(&context, &args.selection.into(), &args.out, site)?;
     if !args.json {
         print_lines(table(&run));
         print_lines(summary(&run)?);

@@ -9,12 +9,10 @@ use crate::{
 pub trait StateListener: Listener {
     /// Receives the run as it is, after each end of a node and at least once a second. `record` makes its record, which is not stored and
     /// takes time in proportion to the nodes. It is `None` if the store cannot be read. The scheduler waits for the return.
-    fn on_state(&self, record: &dyn Fn() -> Option<RunRecord>);
-}
-
-impl StateListener for SilentListener {
     fn on_state(&self, _record: &dyn Fn() -> Option<RunRecord>) {}
 }
+
+impl StateListener for SilentListener {}
 
 /// Passes on events, and no states.
 pub(crate) struct EventsOnly<'a>(pub(crate) &'a dyn Listener);
@@ -25,6 +23,4 @@ impl Listener for EventsOnly<'_> {
     }
 }
 
-impl StateListener for EventsOnly<'_> {
-    fn on_state(&self, _record: &dyn Fn() -> Option<RunRecord>) {}
-}
+impl StateListener for EventsOnly<'_> {}

@@ -1,10 +1,9 @@
-//! The events of a run as data: JSON lines, the file that `marf view` follows, a trace, an estimate of the remaining time. Numbers as text.
+//! The events of a run as data: JSON lines, the file that `marf view` follows, an estimate of the remaining time. Numbers as text.
 
 mod estimate;
 mod event_file;
 mod json;
 mod text;
-mod trace;
 
 pub use marf_stage::format;
 
@@ -12,4 +11,3 @@ pub use estimate::{Estimate, NodeTimes, RunProgress};
 pub use event_file::{EventFile, RunStart, event_folder};
 pub use json::{Line, event_schema};
 pub use text::sentence;
-pub use trace::Trace;

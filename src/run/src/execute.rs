@@ -1,7 +1,6 @@
 //! Runs the graph of a session, with what belongs to every run: progress, documents, the shared store, warnings.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::Path;
 use std::sync::Arc;
 use std::time::SystemTime;
 
@@ -9,7 +8,7 @@ use marf_cache::Digest;
 use marf_engine::{
     Event, Listener, Options, Outcome, RunRecord, SharedResults, SilentListener, StateListener,
 };
-use marf_progress::{Estimate, EventFile, NodeTimes, RunStart, Trace, event_folder};
+use marf_progress::{Estimate, EventFile, NodeTimes, RunStart, event_folder};
 use marf_report::emptied;
 use parking_lot::Mutex;
 
@@ -18,7 +17,7 @@ use crate::documents::{self, Documents};
 use crate::error::{Diagnostic, Error};
 use crate::session::{NodeInfo, Session};
 use crate::shared::Shared;
-use crate::{files, manual_lists, program, verdicts};
+use crate::{manual_lists, program, verdicts};
 
 /// Returns the options of a run of a session.
 pub fn options(session: &Session) -> Options {
@@ -62,8 +61,6 @@ impl Execution {
 
 /// What a verb needs from a run in addition to its results.
 pub struct Extras<'a> {
-    /// Where to write a trace of the run.
-    pub trace: Option<&'a Path>,
     /// Makes documents of the run in addition to its pipeline. A run that was stopped has none.
     pub documents: &'a dyn Fn(&RunRecord) -> Result<Documents, Error>,
     /// Also receives what happens in the run.
@@ -76,7 +73,6 @@ pub struct Extras<'a> {
 /// An unknown node in the selection, or a store that cannot be read or written.
 pub fn execute(session: &Session, options: &Options) -> Result<Execution, Error> {
     let extras = Extras {
-        trace: None,
         documents: &|_| Ok(Documents::new()),
         listener: &SilentListener,
     };
@@ -91,7 +87,6 @@ pub fn execute_with(session: &Session, options: &Options, extras: &Extras<'_>) -
     let context = &session.context;
     let listener = RunListener {
         feedback: context.feedback.follow(&options.id),
-        trace: extras.trace.is_some().then(Trace::default),
         event_file: event_file(session, options),
         estimate: Estimate::new(&nodes_to_run(session, options), expected(session)),
         failure: Mutex::default(),
@@ -121,9 +116,6 @@ pub fn execute_with(session: &Session, options: &Options, extras: &Extras<'_>) -
     }
     if let Some(shared) = shared {
         shared.finish(session, &record)?;
-    }
-    if let (Some(file), Some(trace)) = (extras.trace, &listener.trace) {
-        files::write(file, trace.json().to_string().as_bytes())?;
     }
     warn_of_lists_and_filters(session, &record);
     match verdicts::kept_as(session, &record) {
@@ -272,7 +264,6 @@ fn devices(session: &Session) -> String {
 /// Passes events on and keeps the first failure: later ones often follow from it.
 struct RunListener<'a> {
     feedback: Box<dyn RunFeedback>,
-    trace: Option<Trace>,
     /// The file that `marf view` reads while the run continues.
     event_file: Option<EventFile>,
     estimate: Estimate,
@@ -290,9 +281,6 @@ impl Listener for RunListener<'_> {
     fn on_event(&self, event: &Event) {
         self.feedback.on_event(event);
         self.other.on_event(event);
-        if let Some(trace) = &self.trace {
-            trace.on_event(event);
-        }
         if let Some(file) = &self.event_file {
             file.on_event(event);
         }

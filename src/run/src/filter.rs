@@ -49,7 +49,6 @@ pub fn filter(
     let chain = chain();
     let session = Session::implicit(context, &pipeline(&chain, dir, keep, reject), "filter", dir)?;
     let extras = Extras {
-        trace: None,
         documents: &|record| documents(&session, record, &chain),
         listener: &SilentListener,
     };

@@ -145,7 +145,6 @@ pub fn fit(context: &Context, request: &FitRequest) -> Result<BTreeMap<String, F
         let session = Session::implicit(context, &pipeline(&photos, request, seconds), "fit", &request.dir)?;
         let live = LiveReport::new(&session, &request.out);
         let extras = Extras {
-            trace: None,
             documents: &|record| documents(&session, record, &name, &fitted),
             listener: &live,
         };

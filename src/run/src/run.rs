@@ -42,7 +42,7 @@ impl PipelineRun {
 const MAX_REPAIRS: usize = 8;
 
 /// Runs what changed, and writes pictures, models and the report into `out`. Objects that turn out to be damaged are computed again by
-/// another run. `trace` is the file for a trace. `site` is the site file of a batch system that computes trainings. Without it, everything
+/// another run. `site` is the site file of a batch system that computes trainings. Without it, everything
 /// is computed here.
 ///
 /// # Errors
@@ -51,7 +51,6 @@ pub fn run(
     context: &Context,
     selection: &Selection,
     out: &Path,
-    trace: Option<&Path>,
     site: Option<&Path>,
 ) -> Result<PipelineRun, Error> {
     let session = scenes::found(Session::open(context)?, selection)?;
@@ -64,7 +63,11 @@ pub fn run(
     };
     for _ in 0..MAX_REPAIRS {
         let live = LiveReport::new(&session, out);
-        let execution = documented(&session, &options, trace, &live)?;
+        let extras = Extras {
+            documents: &|record| report::documents(&session, record),
+            listener: &live,
+        };
+        let execution = execute_with(&session, &options, &extras)?;
         if execution.record.outcome == Outcome::Cancelled {
             live.write_stopped(&execution.record);
             return Ok(PipelineRun { session, execution });
@@ -80,19 +83,4 @@ pub fn run(
     Err(Error::failed(format!(
         "outputs were damaged {MAX_REPAIRS} times while they were written"
     )))
-}
-
-/// Runs a session's graph, and keeps the report with the run.
-fn documented(
-    session: &Session,
-    options: &Options,
-    trace: Option<&Path>,
-    live: &LiveReport<'_>,
-) -> Result<Execution, Error> {
-    let extras = Extras {
-        trace,
-        documents: &|record| report::documents(session, record),
-        listener: live,
-    };
-    execute_with(session, options, &extras)
 }

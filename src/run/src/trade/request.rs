@@ -120,7 +120,6 @@ fn one_at_a_time(knobs: &[Knob]) -> Vec<Point> {
 fn write(session: &Session, base: &Base, trade: &Trade, out: &Path) -> Result<(), Error> {
     let json = serde_json::to_vec_pretty(trade).map_err(|error| Error::failed(error.to_string()))?;
     let extras = Extras {
-        trace: None,
         documents: &|_| {
             Ok(documents::Documents::from([documents::put(
                 session,
