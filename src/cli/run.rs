@@ -54,7 +54,7 @@ pub fn run(args: RunArgs, context: Context) -> Result<(), Error> {
         print_lines(table(&run));
         print_lines(summary(&run)?);
         if run.execution.record.outcome != Outcome::Cancelled {
-            eprint_line(&format!("report: {}", out.join(document::REPORT).display()));
+            eprint_line(&format!("report: {}", args.out.join(document::REPORT).display()));
         }
     }
     run.execution.done().map(|_| ())

@@ -1,19 +1,12 @@
-//! How near duplicates are found among many photos: the index on hashes against a BK-tree and against comparing all, and
-//! the fold of `duplicate` over sols of 1,000 photos.
+//! How near duplicates are found among many photos: the fold of `duplicate` over sols of 1,000 photos.
 //!
-//! usage: cargo bench -p marf-filter --bench fold [-- index | fold [PHOTOS...]]. Default: all, 10,000 to 1,000,000
-//! photos. The hashes are synthetic: 70 % drawn, 30 % in clusters of up to 500 within 6 bits of a centre, spread over
-//! all sols. The planes of a cluster differ by noise, so that its photos are duplicates of the first one. Nothing is
+//! usage: cargo bench -p marf-filter --bench fold [-- PHOTOS...]. Default: 10,000 and 100,000 photos.
+//! The hashes are synthetic: 70 % drawn, 30 % in clusters of up to 500 within 6 bits of a centre, spread over all sols. The planes of a cluster differ by noise, so that its photos are duplicates of the first one. Nothing is
 //! written to disk: descriptors and planes are generated on request.
 #![allow(
     clippy::print_stdout,
     clippy::unwrap_used,
     reason = "a bench that a person runs"
-)]
-#![allow(
-    dead_code,
-    unused_imports,
-    reason = "the index is taken as it is, and not all of it is measured"
 )]
 
 use std::collections::BTreeMap;
@@ -22,41 +15,20 @@ use std::path::Path;
 use std::sync::{Arc, Mutex};
 use std::{fs, time::Instant};
 
-use index::{HashIndex, Search};
 use marf_cache::{Digest, manifest::Row};
 use marf_filter::STAGES;
 use marf_stage::{BlobError, Blobs, Ctx, FoldState, Measured, Work, harness::Harness};
 
-#[path = "../src/index/mod.rs"]
-mod index;
-
 /// Photos of a sol.
 const SOL: usize = 1000;
-/// Largest distance of candidates, bits: the default of `duplicate`.
-const RADIUS: u32 = 14;
 
 fn main() {
-    let words: Vec<String> = std::env::args()
-        .skip(1)
-        .filter(|word| !word.starts_with("--"))
-        .collect();
-    let numbers: Vec<usize> = words.iter().filter_map(|word| word.parse().ok()).collect();
-    let counts = if numbers.is_empty() {
-        vec![10_000, 100_000, 1_000_000]
-    } else {
-        numbers
-    };
-    let wants = |what: &str| {
-        words
-            .iter()
-            .all(|word| word.parse::<usize>().is_ok() || word == what)
-    };
-    if wants("index") {
-        counts.iter().for_each(|count| compare_indexes(*count));
+    let words = std::env::args().skip(1);
+    let mut counts: Vec<usize> = words.filter_map(|word| word.parse().ok()).collect();
+    if counts.is_empty() {
+        counts = vec![10_000, 100_000];
     }
-    if wants("fold") {
-        counts.iter().for_each(|count| fold(*count));
-    }
+    counts.into_iter().for_each(fold);
 }
 
 /// Returns a number that follows from another as at random (splitmix64).
@@ -124,97 +96,6 @@ fn resident_mb() -> f64 {
     let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"));
     let kilobytes = line.and_then(|line| line.split_whitespace().next()?.parse::<f64>().ok());
     kilobytes.unwrap_or(0.0) / 1024.0
-}
-
-/// A BK-tree: below a hash, by distance from it, the hashes at that distance.
-#[derive(Default)]
-struct BkTree(Vec<(u64, BTreeMap<u32, u32>)>);
-
-impl BkTree {
-    fn insert(&mut self, hash: u64) {
-        let added = self.0.len() as u32;
-        let mut at = 0;
-        while let Some((own, below)) = self.0.get_mut(at) {
-            match below.entry((*own ^ hash).count_ones()) {
-                std::collections::btree_map::Entry::Occupied(next) => at = *next.get() as usize,
-                std::collections::btree_map::Entry::Vacant(free) => {
-                    free.insert(added);
-                    break;
-                }
-            }
-        }
-        self.0.push((hash, BTreeMap::new()));
-    }
-
-    fn find_within(&self, hash: u64, found: &mut Vec<u32>) {
-        let mut open = vec![0_u32];
-        while let Some(at) = open.pop() {
-            let (own, below) = &self.0[at as usize];
-            let distance = (own ^ hash).count_ones();
-            if distance <= RADIUS {
-                found.push(at);
-            }
-            open.extend(
-                below
-                    .range(distance.saturating_sub(RADIUS)..=distance + RADIUS)
-                    .map(|(_, next)| *next),
-            );
-        }
-    }
-}
-
-fn compare_indexes(photos: usize) {
-    let hashes: Vec<u64> = (0..photos).map(|photo| hash_of(photo, photos)).collect();
-    let before = resident_mb();
-    let clock = Clock::now();
-    let mut index = HashIndex::new(Search::Within(RADIUS));
-    (0..)
-        .zip(&hashes)
-        .for_each(|(position, hash)| index.insert(*hash, position));
-    let inserting = clock.seconds();
-    let bytes = (resident_mb() - before) * 1024.0 * 1024.0 / photos as f64;
-    let mut tree = BkTree::default();
-    hashes.iter().for_each(|hash| tree.insert(*hash));
-    let queries = 200;
-    let asked = |find: &dyn Fn(u64, &mut Vec<u32>)| {
-        let clock = Clock::now();
-        let mut total = 0;
-        for query in 0..queries {
-            let mut found = Vec::new();
-            find(hash_of(query * (photos / queries), photos), &mut found);
-            found.sort_unstable();
-            found.dedup();
-            total += found.len();
-        }
-        (clock.seconds() * 1e6 / queries as f64, total)
-    };
-    let by_index = asked(&|hash, found| index.find_within(hash, found));
-    let many: Vec<(u32, u64)> = (0..SOL as u32)
-        .map(|query| (query, hash_of(query as usize * (photos / SOL), photos)))
-        .collect();
-    let clock = Clock::now();
-    index.find_within_many(&many, |number, position| black_box(number ^ position) != u32::MAX);
-    let together = clock.seconds() * 1e6 / SOL as f64;
-    let by_tree = asked(&|hash, found| tree.find_within(hash, found));
-    let by_all = asked(&|hash, found| {
-        let near = (0..)
-            .zip(&hashes)
-            .filter(|(_, other)| (hash ^ **other).count_ones() <= RADIUS);
-        found.extend(near.map(|(position, _)| position));
-    });
-    assert!(
-        by_index.1 == by_all.1 && by_tree.1 == by_all.1,
-        "{by_index:?} {by_tree:?} {by_all:?}"
-    );
-    println!(
-        "{photos} hashes, within {RADIUS} bits, us a query: index {:.1}, of 1,000 at once {together:.1}, BK-tree {:.1}, all {:.1}; {} found; index: {:.2} us an \
-         insertion, {bytes:.0} bytes a hash",
-        by_index.0,
-        by_tree.0,
-        by_all.0,
-        by_all.1,
-        inserting * 1e6 / photos as f64,
-    );
 }
 
 /// A store that generates the planes of a photo from their digest and keeps written blobs.

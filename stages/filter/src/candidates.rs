@@ -1,14 +1,20 @@
 //! Which photos may show the view of another: by hash, by name and by shape.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
 
 use crate::descriptor::PixelSize;
-use crate::index::{HashIndex, Search};
 use crate::relation::RelationKeys;
 use crate::similarity::aspect_class;
 
-/// Most candidates of many photos that are held at once, 4 bytes each.
-const MOST_CANDIDATES: usize = 4 << 20;
+/// What hashes are searched for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Search {
+    /// All at most this many bits away.
+    Within(u32),
+    /// The nearest first.
+    Nearest,
+}
 
 /// What a photo is found by.
 #[derive(Debug, Clone, PartialEq)]
@@ -21,14 +27,14 @@ pub(crate) struct PhotoKeys {
     pub(crate) relation: RelationKeys,
 }
 
-/// Search keys of photos, each at the position of its insertion.
-///
-/// Of 1,000,000 photos with one hash each the tables take 57 bytes a photo, and 16 more where names are known.
+/// Search keys of photos, each at the position of its insertion. A hash is compared with all others: of 250,000 photos, more than
+/// any camera on Mars has, that is a small part of the time that decoding a photo takes.
 pub(crate) struct Candidates {
     search: Search,
-    hashes: HashIndex,
+    /// All hashes, each with the position of its photo.
+    hashes: Vec<(u64, u32)>,
     /// Positions by the key of an exposure, and by that of a camera on a sol with a filter.
-    related: SortedRuns,
+    related: BTreeMap<u32, Vec<u32>>,
     /// Filters that each camera used on each sol.
     filters: BTreeMap<u32, BTreeSet<u32>>,
     aspects: Vec<u8>,
@@ -39,8 +45,8 @@ impl Candidates {
     pub(crate) fn new(search: Search) -> Self {
         Self {
             search,
-            hashes: HashIndex::new(search),
-            related: SortedRuns::default(),
+            hashes: Vec::new(),
+            related: BTreeMap::new(),
             filters: BTreeMap::new(),
             aspects: Vec::new(),
         }
@@ -56,20 +62,18 @@ impl Candidates {
         let position = self.len();
         self.aspects.push(aspect_class(keys.size));
         if self.search == Search::Nearest {
-            keys.hashes
-                .iter()
-                .take(1)
-                .for_each(|hash| self.hashes.insert(*hash, position));
+            self.hashes
+                .extend(keys.hashes.first().map(|hash| (*hash, position)));
             return;
         }
-        keys.hashes
-            .iter()
-            .for_each(|hash| self.hashes.insert(*hash, position));
+        self.hashes
+            .extend(keys.hashes.iter().map(|hash| (*hash, position)));
         if let Some(exposure) = keys.relation.exposure {
-            self.related.insert(exposure, position);
+            self.related.entry(exposure).or_default().push(position);
         }
         if let Some((camera, filter)) = keys.relation.camera {
-            self.related.insert(with_filter(camera, filter), position);
+            let key = with_filter(camera, filter);
+            self.related.entry(key).or_default().push(position);
             self.filters.entry(camera).or_default().insert(filter);
         }
     }
@@ -78,43 +82,23 @@ impl Candidates {
     /// another shape are left out.
     pub(crate) fn find(&self, keys: &PhotoKeys) -> Vec<u32> {
         let mut found = Vec::new();
-        keys.hashes
-            .iter()
-            .for_each(|hash| self.hashes.find_within(*hash, &mut found));
-        self.with_related(keys, found)
-    }
-
-    /// Returns the results of [`Candidates::find`] for many photos. `None` if there are more than [`MOST_CANDIDATES`]
-    /// for all of them together. These are better found one by one.
-    pub(crate) fn find_many(&self, photos: &[&PhotoKeys]) -> Option<Vec<Vec<u32>>> {
-        let hashes = (0..)
-            .zip(photos)
-            .flat_map(|(number, keys)| keys.hashes.iter().map(move |hash| (number, *hash)));
-        let hashes: Vec<(u32, u64)> = hashes.collect();
-        let (mut found, mut left) = (vec![Vec::new(); photos.len()], MOST_CANDIDATES);
-        self.hashes.find_within_many(&hashes, |number, position| {
-            left -= 1;
-            if let Some(found) = found.get_mut(number as usize) {
-                found.push(position);
+        if let Search::Within(radius) = self.search {
+            for hash in &keys.hashes {
+                let near = self
+                    .hashes
+                    .iter()
+                    .filter(|(other, _)| (hash ^ other).count_ones() <= radius);
+                found.extend(near.map(|(_, position)| *position));
             }
-            left > 0
-        });
-        let all = photos
-            .iter()
-            .zip(found)
-            .map(|(keys, found)| self.with_related(keys, found));
-        (left > 0).then(|| all.collect())
-    }
-
-    /// Adds the photos that may be related, and sorts. Photos of another shape are left out.
-    fn with_related(&self, keys: &PhotoKeys, mut found: Vec<u32>) -> Vec<u32> {
+        }
         if let Some(exposure) = keys.relation.exposure {
-            self.related.find(exposure, &mut found);
+            found.extend(self.related.get(&exposure).into_iter().flatten());
         }
         if let Some((camera, filter)) = keys.relation.camera {
             let filters = self.filters.get(&camera).into_iter().flatten();
             for other in filters.filter(|other| **other != filter) {
-                self.related.find(with_filter(camera, *other), &mut found);
+                let key = with_filter(camera, *other);
+                found.extend(self.related.get(&key).into_iter().flatten());
             }
         }
         let class = aspect_class(keys.size);
@@ -138,9 +122,19 @@ impl Candidates {
             return Ok(());
         };
         let class = aspect_class(keys.size);
-        self.hashes.find_nearest(*hash, |distance, position| {
-            Ok(self.has_aspect(position, class) && accept(distance, position)?)
-        })
+        let near = self
+            .hashes
+            .iter()
+            .filter(|(_, position)| self.has_aspect(*position, class));
+        let mut nearest: BinaryHeap<Reverse<(u32, u32)>> = near
+            .map(|(other, position)| Reverse(((hash ^ other).count_ones(), *position)))
+            .collect();
+        while let Some(Reverse((distance, position))) = nearest.pop() {
+            if accept(distance, position)? {
+                break;
+            }
+        }
+        Ok(())
     }
 
     /// Whether the photo at a position may have an aspect ratio of this class.
@@ -155,34 +149,8 @@ fn with_filter(camera: u32, filter: u32) -> u32 {
     camera ^ filter.rotate_left(7)
 }
 
-/// Positions by key, in sorted runs, each at most half as long as the one before it: 8 bytes a position.
-#[derive(Default)]
-struct SortedRuns(Vec<Vec<(u32, u32)>>);
-
-impl SortedRuns {
-    fn insert(&mut self, key: u32, position: u32) {
-        let mut run = vec![(key, position)];
-        while let Some(mut longer) = self.0.pop_if(|longer| longer.len() <= run.len()) {
-            longer.append(&mut run);
-            longer.sort();
-            run = longer;
-        }
-        self.0.push(run);
-    }
-
-    fn find(&self, key: u32, found: &mut Vec<u32>) {
-        for run in &self.0 {
-            let from = run.partition_point(|(other, _)| *other < key);
-            let equal = run[from..].iter().take_while(|(other, _)| *other == key);
-            found.extend(equal.map(|(_, position)| *position));
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
-    use proptest::prelude::*;
-
     use super::*;
 
     fn keys(hash: u64, exposure: Option<u32>, camera: Option<(u32, u32)>) -> PhotoKeys {
@@ -215,27 +183,21 @@ mod tests {
         assert_eq!(photos.find(&keys(0xff << 40, None, Some((5, 1)))), [2]);
         assert_eq!(photos.find(&keys(0xff << 40, None, Some((5, 3)))), [1, 2]);
         assert!(photos.find(&keys(0xff << 40, Some(3), Some((6, 2)))).is_empty());
-        let asked = [keys(1, Some(1), None), keys(0xff << 40, None, Some((5, 3)))];
-        assert_eq!(
-            photos.find_many(&asked.each_ref()).unwrap(),
-            [vec![0, 1, 3], vec![1, 2]]
-        );
+        assert_eq!(photos.find(&keys(1, Some(1), None)), [0, 1, 3]);
     }
 
-    proptest! {
-        #[test]
-        fn runs_give_back_every_position_of_a_key(keys in proptest::collection::vec(0_u32..9, 0..200)) {
-            let mut runs = SortedRuns::default();
-            for (position, key) in (0..).zip(&keys) {
-                runs.insert(*key, position);
-            }
-            for key in 0..10 {
-                let mut found = Vec::new();
-                runs.find(key, &mut found);
-                found.sort_unstable();
-                let expected: Vec<u32> = (0..).zip(&keys).filter(|(_, other)| **other == key).map(|(at, _)| at).collect();
-                prop_assert_eq!(found, expected);
-            }
+    #[test]
+    fn the_nearest_comes_first_and_of_equals_the_first() {
+        let mut photos = Candidates::new(Search::Nearest);
+        for hash in [0b111, 0b1, 0b10, !0] {
+            photos.insert(&keys(hash, None, None));
         }
+        let mut seen = Vec::new();
+        let ended: Result<(), std::convert::Infallible> =
+            photos.find_nearest(&keys(0, None, None), |bits, position| {
+                seen.push((bits, position));
+                Ok(seen.len() == 3)
+            });
+        assert_eq!((ended, seen), (Ok(()), vec![(1, 1), (1, 2), (3, 0)]));
     }
 }

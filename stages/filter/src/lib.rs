@@ -21,7 +21,6 @@ mod grayscale;
 mod guard;
 mod hash;
 mod histogram;
-mod index;
 mod kept;
 mod luma;
 mod octave;

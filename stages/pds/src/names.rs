@@ -4,7 +4,6 @@
 mod mars2020;
 
 pub use mars2020::Mars2020Name;
-pub(crate) use mars2020::version_suffix;
 
 use crate::values;
 use mars2020::{UNVERSIONED, VERSIONED};

@@ -8,9 +8,8 @@ use marf_stage::{Ctx, Define, FoldState, Measured, StageError, Verdict};
 use super::nearest::Nearest;
 use super::photo::ComparedPhoto;
 use super::rule::{Duplicate, DuplicateRule};
-use crate::candidates::{Candidates, PhotoKeys};
+use crate::candidates::{Candidates, Search};
 use crate::decision::Decision;
-use crate::index::Search;
 use crate::kept::{Added, GroupPhotos, Reader};
 use crate::similarity::same_aspect;
 
@@ -53,14 +52,12 @@ impl FoldState for KeptPhotos<'_> {
             candidates: Candidates::new(duplicate.search()),
             photos: Vec::new(),
         };
-        let mut earlier = Vec::new();
-        for (number, (at, photo)) in best_first.iter().copied().enumerate() {
+        for (at, photo) in best_first {
             ctx.check()?;
-            if number % BATCH == 0 {
-                earlier = self.find_earlier(&best_first[number..(number + BATCH).min(best_first.len())]);
-            }
-            let candidates = earlier.get_mut(number % BATCH).map(std::mem::take);
-            let decision = self.decide(ctx, photo, candidates, &own)?;
+            let decision = match duplicate.params.rule {
+                DuplicateRule::Confirmed => self.decide_confirmed(ctx, photo, &own)?,
+                DuplicateRule::Phash => self.decide_phash(ctx, photo, &own)?,
+            };
             let decision = duplicate
                 .params
                 .by_hand
@@ -92,9 +89,6 @@ impl FoldState for KeptPhotos<'_> {
     }
 }
 
-/// Photos whose candidates of earlier sols are looked for together.
-const BATCH: usize = 1024;
-
 /// The photos kept of the sol that is decided on, in the order in which they were kept.
 struct OwnSol<'a> {
     candidates: Candidates,
@@ -112,44 +106,17 @@ impl<'a> KeptPhotos<'a> {
         }
     }
 
-    /// Returns the candidates of earlier sols of each of some photos. Empty if they must be found one by one.
-    fn find_earlier(&self, photos: &[(usize, &ComparedPhoto<'_>)]) -> Vec<Vec<u32>> {
-        if self.duplicate.params.rule == DuplicateRule::Phash {
-            return Vec::new();
-        }
-        let keys: Vec<&PhotoKeys> = photos.iter().map(|(_, photo)| &photo.keys).collect();
-        self.candidates.find_many(&keys).unwrap_or_default()
-    }
-
-    /// Decides on a photo by comparing it with kept ones that may show its view. The reason names the most similar
-    /// one, the first on ties. `earlier` are its candidates of earlier sols, if known.
-    fn decide(
-        &mut self,
-        ctx: &Ctx<'_>,
-        photo: &ComparedPhoto<'_>,
-        earlier: Option<Vec<u32>>,
-        own: &OwnSol<'_>,
-    ) -> Result<Decision, StageError> {
-        match self.duplicate.params.rule {
-            DuplicateRule::Confirmed => {
-                let earlier = earlier.unwrap_or_else(|| self.candidates.find(&photo.keys));
-                self.decide_confirmed(ctx, photo, &earlier, own)
-            }
-            DuplicateRule::Phash => self.decide_phash(ctx, photo, own),
-        }
-    }
-
-    /// Decides by the rule [`DuplicateRule::Confirmed`].
+    /// Decides by the rule [`DuplicateRule::Confirmed`]: compares a photo with kept ones that may show its view. The reason names the
+    /// most similar one, the first on ties.
     fn decide_confirmed(
         &mut self,
         ctx: &Ctx<'_>,
         photo: &ComparedPhoto<'_>,
-        earlier: &[u32],
         own: &OwnSol<'_>,
     ) -> Result<Decision, StageError> {
         let mut nearest = Nearest::new(self.duplicate, photo);
-        for position in earlier {
-            let (group, at) = self.earlier(ctx, *position)?;
+        for position in self.candidates.find(&photo.keys) {
+            let (group, at) = self.earlier(ctx, position)?;
             nearest.compare(ctx, &mut self.reader, &group.photo(at)?, None)?;
         }
         for position in own.candidates.find(&photo.keys) {

@@ -4,8 +4,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::by_hand::ByHand;
+use crate::candidates::Search;
 use crate::decision::Decision;
-use crate::index::Search;
 use crate::relation::Relation;
 
 /// Rejects photos that show the same view as a better one, at any size, light and colour filter.

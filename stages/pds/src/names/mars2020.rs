@@ -83,32 +83,10 @@ impl<'a> Mars2020Name<'a> {
     }
 }
 
-/// Returns a version as names write it: 01 to 99, then A0 to A9, AA to AZ, B0 … ZZ. `None` for 0 and beyond ZZ.
-pub(crate) fn version_suffix(version: u32) -> Option<String> {
-    let digit = |value: u32| char::from_digit(value, 36).map(|digit| digit.to_ascii_uppercase());
-    match version {
-        1..=99 => Some(format!("{version:02}")),
-        100.. => {
-            let above = version - 100;
-            let first = digit(10 + above / 36).filter(|_| above < 26 * 36)?;
-            Some([first, digit(above % 36)?].iter().collect())
-        }
-        0 => None,
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    #[test]
-    fn versions_are_two_characters() {
-        let found = [0, 1, 99, 100, 109, 110, 135, 136, 1035, 1036, u32::MAX].map(version_suffix);
-        let want = ["", "01", "99", "A0", "A9", "AA", "AZ", "B0", "ZZ", "", ""];
-        assert_eq!(found.map(Option::unwrap_or_default), want);
-    }
-
-    /// A copy that a browser saved keeps the name's start: `… (1).png` is still a product of its exposure.
     #[test]
     fn a_text_may_go_on_after_the_name() {
         let name = "zl0_0709_0729888971_069RAD_N0332864ZCAM07114_0340LMA01";
