@@ -1,7 +1,9 @@
 //! What a file is, by its name and first bytes.
 
+use serde::{Deserialize, Serialize};
+
 /// What a file is, by name and first bytes.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) enum Kind {
     /// JPEG, PNG, WebP, GIF, TIFF or PNM, or a file that says it is a picture.
     Photo,

@@ -13,6 +13,7 @@ use marf_cache::file::{Links, read_within};
 use marf_cache::{Digest, Sha256};
 use marf_pds::{Label, ProductName, feed, pds4, raw};
 use marf_stage::{Cancel, Ctx, Files, Keep, Listing, Origin, OriginKind, StageError};
+use serde::{Deserialize, Serialize};
 
 pub(crate) use file_kind::{Kind, extension, folder, is_system_name, kind, stem};
 
@@ -286,7 +287,7 @@ impl ArchiveFile {
 const OTHER_BYTES: &str = "its bytes differ from those that were listed";
 
 /// Facts about a file from its name and its bytes.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Known {
     /// Its kind.
     pub kind: Kind,

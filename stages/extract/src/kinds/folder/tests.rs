@@ -7,8 +7,9 @@ use marf_stage::harness::Harness;
 use marf_stage::{Ctx, Keep};
 
 use super::survey::{Reading, Source, Survey};
-use super::table::{self, Entry, EntryKind, Reader};
+use super::table::Table;
 use super::walk::walk;
+use crate::archive::{Kind, Known};
 use crate::stat::now_ns;
 
 const DEPTH: usize = 32;
@@ -55,15 +56,14 @@ fn digests(survey: &Survey, root: &Path) -> Vec<(String, Digest)> {
 
 /// Writes a table that says of every file that its bytes are those of `lie`.
 fn lie(ctx: &Ctx<'_>, root: &Path, began_ns: i64) {
-    let found = walk(ctx, root, DEPTH).unwrap();
-    let entry = Entry {
-        kind: EntryKind::Photo,
+    let files = walk(ctx, root, DEPTH).unwrap();
+    let known = Known {
+        kind: Kind::Photo,
         digest: Digest::from_content(b"lie"),
         sol: Some(7),
     };
-    let entries = vec![entry; found.names.len()];
-    let path = table::path(ctx.scratch, root, DEPTH).unwrap();
-    table::write(&path, &found.names, &found.files, &entries, began_ns);
+    let path = Table::path(ctx.scratch, root, DEPTH).unwrap();
+    Table::new(&files, &vec![known; files.len()], began_ns).write(&path);
 }
 
 #[test]
@@ -105,10 +105,10 @@ fn a_file_that_had_not_rested_is_read_again() {
     let (root, harness) = (archive(dir.path()), harness(dir.path()));
     // The files are fresh, so the survey keeps none of them. Entries of the table can only come from another survey.
     drop(Survey::begun_at(now_ns(), &harness.ctx(), &source(&root, Reading::Changed)).unwrap());
-    let path = table::path(&harness.scratch, &root, DEPTH).unwrap();
-    assert_eq!(Reader::open(&path).count(), 0);
+    let path = Table::path(&harness.scratch, &root, DEPTH).unwrap();
+    assert_eq!(Table::open(&path).0.len(), 0);
     let rested = rested(&harness.ctx(), &root, Reading::Changed);
-    assert_eq!(Reader::open(&path).count(), digests(&rested, &root).len());
+    assert_eq!(Table::open(&path).0.len(), digests(&rested, &root).len());
 }
 
 #[test]
@@ -158,8 +158,8 @@ fn a_file_of_a_time_to_come_is_read_each_time() {
         .set_modified(later)
         .unwrap();
     let all = digests(&rested(&harness.ctx(), &root, Reading::Changed), &root).len();
-    let path = table::path(&harness.scratch, &root, DEPTH).unwrap();
-    assert_eq!(Reader::open(&path).count(), all - 1);
+    let path = Table::path(&harness.scratch, &root, DEPTH).unwrap();
+    assert_eq!(Table::open(&path).0.len(), all - 1);
 }
 
 #[test]
@@ -167,14 +167,14 @@ fn files_that_vanish_or_come_change_the_table() {
     let dir = tempfile::tempdir().unwrap();
     let (root, harness) = (archive(dir.path()), harness(dir.path()));
     drop(rested(&harness.ctx(), &root, Reading::Changed));
-    let path = table::path(&harness.scratch, &root, DEPTH).unwrap();
+    let path = Table::path(&harness.scratch, &root, DEPTH).unwrap();
     fs::remove_file(root.join("b/a.png")).unwrap();
     drop(rested(&harness.ctx(), &root, Reading::Changed));
-    assert_eq!(Reader::open(&path).count(), 4);
+    assert_eq!(Table::open(&path).0.len(), 4);
     fs::write(root.join("b/b.png"), "new").unwrap();
     let found = digests(&rested(&harness.ctx(), &root, Reading::Changed), &root);
     assert!(found.contains(&("b/b.png".to_owned(), Digest::from_content(b"new"))));
-    assert_eq!(Reader::open(&path).count(), 5);
+    assert_eq!(Table::open(&path).0.len(), 5);
     let before = fs::metadata(&path).unwrap().modified().unwrap();
     drop(rested(&harness.ctx(), &root, Reading::Changed));
     assert_eq!(
@@ -189,13 +189,13 @@ fn a_table_that_is_damaged_or_cannot_be_written_costs_only_time() {
     let dir = tempfile::tempdir().unwrap();
     let (root, harness) = (archive(dir.path()), harness(dir.path()));
     let truth = digests(&rested(&harness.ctx(), &root, Reading::Changed), &root);
-    let path = table::path(&harness.scratch, &root, DEPTH).unwrap();
+    let path = Table::path(&harness.scratch, &root, DEPTH).unwrap();
     let whole = fs::read(&path).unwrap();
     for index in 0..whole.len() {
         let mut flipped = whole.clone();
         flipped[index] ^= 0x40;
         fs::write(&path, flipped).unwrap();
-        assert_eq!(Reader::open(&path).count(), 0, "byte {index}");
+        assert_eq!(Table::open(&path).0.len(), 0, "byte {index}");
     }
     assert_eq!(
         truth,
@@ -250,7 +250,7 @@ fn what_cannot_be_read_has_its_reason() {
         .values()
         .flatten()
         .filter_map(|index| match survey.file(&source(&root, Reading::All), *index) {
-            file if matches!(file.kind, crate::archive::Kind::Unreadable(_)) => {
+            file if matches!(file.kind, Kind::Unreadable(_)) => {
                 Some(format!("{} {:?}", file.name, file.kind))
             }
             _ => None,

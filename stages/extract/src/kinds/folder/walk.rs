@@ -1,6 +1,5 @@
 //! Every file of a folder, by name.
 
-use std::collections::BTreeMap;
 use std::path::{MAIN_SEPARATOR, Path};
 
 use marf_stage::{Ctx, StageError};
@@ -17,110 +16,49 @@ const STORE: &str = ".marf";
 /// Number of files after which the wish to stop is looked at.
 const CHECK_EVERY: usize = 1_024;
 
-/// The files of a folder, sorted by name. All names share one text, since a folder may hold millions.
-#[derive(Debug, Default)]
-pub(super) struct Names {
-    text: String,
-    spans: Vec<Span>,
+/// A file of a folder.
+#[derive(Debug)]
+pub(super) struct WalkedFile {
+    /// Name below the folder, with `/`.
+    pub name: String,
+    /// Its state, or why it is not read.
+    pub state: Result<FileState, String>,
 }
 
-#[derive(Debug, Clone, Copy)]
-struct Span {
-    start: u64,
-    bytes: u32,
-}
-
-/// A folder that was walked.
-#[derive(Debug, Default)]
-pub(super) struct Walk {
-    /// Names below the folder, with `/`, sorted.
-    pub names: Names,
-    /// Of each file its state, or why it is not read.
-    pub files: Vec<Result<FileState, String>>,
-}
-
-impl Names {
-    /// Returns the number of files.
-    pub fn len(&self) -> usize {
-        self.spans.len()
-    }
-
-    /// Returns the name of a file, empty beyond the last.
-    pub fn get(&self, index: usize) -> &str {
-        self.spans.get(index).map_or("", |span| self.at(span))
-    }
-
-    /// Whether there is a file of this name. The names must be sorted.
-    pub fn contains(&self, name: &str) -> bool {
-        self.spans
-            .binary_search_by(|span| self.at(span).cmp(name))
-            .is_ok()
-    }
-
-    fn at(&self, span: &Span) -> &str {
-        let start = span.start as usize;
-        self.text
-            .get(start..start + span.bytes as usize)
-            .unwrap_or_default()
-    }
-
-    fn push(&mut self, name: &str) {
-        self.spans.push(Span {
-            start: self.text.len() as u64,
-            bytes: name.len() as u32,
-        });
-        self.text.push_str(name);
-    }
-}
-
-/// Walks a folder. Hidden files and folders, and folders that are too deep, are named and not entered, unless systems are known to leave
+/// Returns the files of a folder, sorted by name. Hidden files and folders, and folders that are too deep, are named and not entered, unless systems are known to leave
 /// them next to photos. Links are followed but not in circles.
 ///
 /// # Errors
 /// The wish to stop.
-pub(super) fn walk(ctx: &Ctx<'_>, root: &Path, depth: usize) -> Result<Walk, StageError> {
+pub(super) fn walk(ctx: &Ctx<'_>, root: &Path, depth: usize) -> Result<Vec<WalkedFile>, StageError> {
     let walked = WalkDir::new(root).follow_links(true).max_depth(depth);
     let mut entries = walked.into_iter();
-    let mut names = Names::default();
-    // Few have one.
-    let mut problems: BTreeMap<usize, String> = BTreeMap::new();
+    let mut found: Vec<(String, Option<String>)> = Vec::new();
     while let Some(entry) = entries.next() {
-        if names.len().is_multiple_of(CHECK_EVERY) {
+        if found.len().is_multiple_of(CHECK_EVERY) {
             ctx.check()?;
         }
         let closed = entry.as_ref().ok().and_then(|entry| closed(entry, depth));
         if closed.is_some() && entry.as_ref().is_ok_and(|entry| entry.file_type().is_dir()) {
             entries.skip_current_dir();
         }
-        let found = match (closed, entry) {
+        found.extend(match (closed, entry) {
             (Some(Closed::Unnamed), _) => None,
             (Some(Closed::Named(reason)), Ok(entry)) => Some((relative(root, entry.path()).0, Some(reason))),
             (_, entry) => entry_of(root, entry),
-        };
-        if let Some((name, problem)) = found {
-            problems.extend(problem.map(|problem| (names.len(), problem)));
-            names.push(&name);
-        }
+        });
     }
-    let mut order: Vec<usize> = (0..names.len()).collect();
-    let key = |index: usize| (names.get(index), problems.get(&index));
-    order.sort_unstable_by(|a, b| key(*a).cmp(&key(*b)));
-    order.dedup_by(|a, b| names.get(*a) == names.get(*b)); // only names that are no UTF-8 can collide
-    let state = |index: &usize| -> Result<Result<FileState, String>, StageError> {
-        if index.is_multiple_of(CHECK_EVERY) {
-            ctx.check()?;
-        }
-        Ok(match problems.get(index) {
-            Some(problem) => Err(problem.clone()),
-            None => state_of(&root.join(names.get(*index))),
-        })
+    found.sort_unstable();
+    found.dedup_by(|a, b| a.0 == b.0); // only names that are no UTF-8 can collide
+    let file = |(name, problem): (String, Option<String>)| {
+        ctx.check()?;
+        let state = problem.map_or_else(|| state_of(&root.join(&name)), Err);
+        Ok(WalkedFile { name, state })
     };
-    let files = match ctx.threads {
-        0 | 1 => order.iter().map(state).collect::<Result<_, _>>()?,
-        _ => order.par_iter().map(state).collect::<Result<_, _>>()?,
-    };
-    names.spans = order.iter().map(|index| names.spans[*index]).collect();
-    Ok(Walk { names, files })
+    match ctx.threads {
+        0 | 1 => found.into_iter().map(file).collect(),
+        _ => found.into_par_iter().map(file).collect(),
+    }
 }
 
 /// A file that is not read, or a folder that is not entered.
