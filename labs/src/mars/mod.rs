@@ -1,7 +1,6 @@
 //! The built-in Mars: photos of it for tests and benchmarks, and its truth next to the results of runs.
 
 mod cameras;
-mod change;
 mod depth;
 mod descent;
 mod hardware;
@@ -56,15 +55,6 @@ pub enum MarsProgram {
     TrueCameras {
         #[arg(required = true)]
         sols: Vec<u32>,
-    },
-    /// Print what changes on the ground, as a comparison of two times should find it, and how much of it photos show
-    TrueChange {
-        /// Sols before the change, as `1,2`
-        #[arg(num_args = 1, required = true, value_delimiter = ',')]
-        before: Vec<u32>,
-        /// Sols from the change on, as `8,9`
-        #[arg(num_args = 1, required = true, value_delimiter = ',')]
-        after: Vec<u32>,
     },
     /// Compare the depths of a bootstrap and their 90 % intervals with the truth: a JSON line a photo and one of the means
     TrueDepth {
@@ -121,7 +111,6 @@ pub fn run(program: MarsProgram) -> Result {
         } => plain::plain(&dir, wave_px, photos, side_px),
         MarsProgram::Hardware { dir, sols } => hardware::hardware(&dir, sols),
         MarsProgram::TrueCameras { sols } => cameras::cameras(&sols),
-        MarsProgram::TrueChange { before, after } => change::change(&before, &after),
         MarsProgram::TrueDepth { scene, maps } => depth::depth(&scene, &maps),
         MarsProgram::TruePairs {
             scene,
