@@ -15,7 +15,6 @@ use crate::occupancy::Probe;
 use crate::planes::{GridLevel, ToPlanes, planes_mut};
 use crate::sh;
 use crate::shade::{Shade, Span};
-use crate::watch::{Part, Watch, timed};
 use crate::weights::Weights;
 
 /// Rays that are trained together. Its memory is kept from step to step.
@@ -63,8 +62,8 @@ pub fn train(
 ) {
     chunks.resize_with(targets.len().div_ceil(rays), Chunk::default);
     let pairs = chunks.par_iter_mut().zip(targets.par_chunks(rays));
-    pairs.for_each(|(chunk, targets)| timed(shared.watch, Part::March, || chunk.march(shared, targets)));
-    encode(shared.level, shared.weights, chunks, shared.watch);
+    pairs.for_each(|(chunk, targets)| chunk.march(shared, targets));
+    encode(shared.level, shared.weights, chunks);
     let pairs = chunks.par_iter_mut().zip(targets.par_chunks(rays));
     pairs.with_max_len(1).for_each(|(chunk, targets)| {
         let mut scratch = spares.lock().pop().unwrap_or_default();
@@ -77,7 +76,7 @@ pub fn train(
 const TASKS: usize = 8;
 
 /// Looks up the features of all chunks, level by level: a task is a level for some chunks.
-fn encode(level: InstructionSet, weights: &Weights, chunks: &mut [Chunk], watch: Option<&Watch>) {
+fn encode(level: InstructionSet, weights: &Weights, chunks: &mut [Chunk]) {
     let levels = weights.shapes.len().max(1);
     let tasks = (TASKS * rayon::current_num_threads()).div_ceil(levels);
     let group = chunks.len().div_ceil(tasks).max(1);
@@ -91,13 +90,11 @@ fn encode(level: InstructionSet, weights: &Weights, chunks: &mut [Chunk], watch:
     let tables = weights.shapes.par_iter().zip(&weights.tables);
     tables.zip(rows).for_each(|((shape, table), rows)| {
         rows.into_par_iter().chunks(group).for_each(|rows| {
-            timed(watch, Part::Lookup, || {
-                warm(table);
-                for (points, stripe) in rows {
-                    let grid = GridLevel::new(weights.features, *shape, table);
-                    grid.lookup(level, points, stripe);
-                }
-            });
+            warm(table);
+            for (points, stripe) in rows {
+                let grid = GridLevel::new(weights.features, *shape, table);
+                grid.lookup(level, points, stripe);
+            }
         });
     });
 }
@@ -115,7 +112,7 @@ pub fn densities(
         chunks.resize_with(probes.len().div_ceil(CHUNK_PROBES), Chunk::default);
         let pairs = chunks.par_iter_mut().zip(probes.par_chunks(CHUNK_PROBES));
         pairs.for_each(|(chunk, probes)| chunk.place(weights, probes));
-        encode(level, weights, chunks, None);
+        encode(level, weights, chunks);
         let pairs = chunks.par_iter().zip(found.par_chunks_mut(CHUNK_PROBES));
         pairs.for_each(|(chunk, found)| {
             let mut scratch = spares.lock().pop().unwrap_or_default();
@@ -197,32 +194,24 @@ impl Scratch {
         targets: &[Target],
         chunk: &mut Chunk,
     ) -> Result<(), &'static str> {
-        let (weights, watch) = (shared.weights, shared.watch);
-        timed(watch, Part::Density, || {
-            self.shade.infer(shared.level, weights, &chunk.features);
-        });
+        let weights = shared.weights;
+        self.shade.infer(shared.level, weights, &chunk.features);
         if shared.level.run(Runaways(&self.shade.raw)) {
             return Err("raw density");
         }
-        timed(watch, Part::Opacity, || self.opacities(shared, targets, chunk));
-        timed(watch, Part::Colour, || {
-            self.shade
-                .colours(shared.level, weights, &chunk.spans, &chunk.harmonics);
-        });
+        self.opacities(shared, targets, chunk);
+        self.shade
+            .colours(shared.level, weights, &chunk.spans, &chunk.harmonics);
         let logits = self.shade.color.last().map_or(&[][..], Vec::as_slice);
         if shared.level.run(Runaways(flat(logits))) {
             return Err("colour logits");
         }
-        timed(watch, Part::Losses, || self.losses(shared, targets, chunk));
+        self.losses(shared, targets, chunk);
         if !chunk.found.loss.is_finite() {
             return Err("loss");
         }
-        timed(watch, Part::ColourBackward, || {
-            self.colour_backward(shared, &mut chunk.found);
-        });
-        timed(watch, Part::DensityBackward, || {
-            self.density_backward(shared, chunk)
-        })?;
+        self.colour_backward(shared, &mut chunk.found);
+        self.density_backward(shared, chunk)?;
         chunk.found.runaway_gradient(shared.level).map_or(Ok(()), Err)
     }
 

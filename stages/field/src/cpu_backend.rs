@@ -2,10 +2,10 @@
 
 use std::ops::Range;
 use std::sync::Arc;
-use std::time::Instant;
 
 use marf_scene::{Camera, Pose};
 
+use crate::FieldError;
 use crate::backend::{Backend, Renderer, Session, Step};
 use crate::batch::{self, Chunk, Spares, StepContext};
 use crate::cpu::clearance::Clearance;
@@ -19,8 +19,6 @@ use crate::render::{Accuracy, Viewpoint};
 use crate::schedule::UPDATE_EVERY;
 use crate::state::State;
 use crate::training::Training;
-use crate::watch::{PARTS, Part, Watch, timed};
-use crate::{Config, Facts, FieldError, View};
 
 /// Trains and renders on the CPU.
 #[derive(Clone, Copy, Debug)]
@@ -94,8 +92,6 @@ struct CpuSession {
     /// Memory of the last cells that were looked at.
     probed: Vec<Chunk>,
     spares: Spares,
-    /// Where the time goes, if someone asks.
-    watch: Option<Watch>,
 }
 
 impl Session for CpuSession {
@@ -130,7 +126,6 @@ impl CpuSession {
             chunks: Vec::new(),
             probed: Vec::new(),
             spares: Spares::default(),
-            watch: None,
         }
     }
 
@@ -139,8 +134,7 @@ impl CpuSession {
     /// # Errors
     /// [`FieldError::NotFinite`]. The training then still holds the state before the step.
     fn step(&mut self, training: &mut Training) -> Result<Step, FieldError> {
-        let watch = self.watch.as_ref();
-        let targets = timed(watch, Part::Draw, || training.targets());
+        let targets = training.targets();
         let shared = StepContext {
             level: self.level,
             config: &training.config,
@@ -151,12 +145,11 @@ impl CpuSession {
             rays: targets.len(),
             ray_samples: training.ray_samples(),
             distortion: training.distortion_at(training.state.steps),
-            watch,
         };
         let rays = training.chunk_rays();
         batch::train(&shared, &targets, rays, &mut self.chunks, &self.spares);
         check(training, &self.chunks)?;
-        learn(self.level, training, &mut self.gradients, &self.chunks, watch);
+        learn(self.level, training, &mut self.gradients, &self.chunks);
         let rays = targets.len() as u64;
         let found = || self.chunks.iter().map(|chunk| &chunk.found);
         let loss: f64 = found().map(|found| found.loss).sum();
@@ -165,11 +158,7 @@ impl CpuSession {
         training.state.steps += 1;
         training.state.learn_cost(rays, visited, samples);
         if training.state.steps.is_multiple_of(UPDATE_EVERY) {
-            let watch = self.watch.take();
-            timed(watch.as_ref(), Part::Occupancy, || {
-                update_occupancy(self, training)
-            });
-            self.watch = watch;
+            update_occupancy(self, training);
             training.halve_steps();
         }
         Ok(Step {
@@ -178,81 +167,6 @@ impl CpuSession {
             rays,
             samples,
         })
-    }
-}
-
-/// A training on the CPU whose steps are timed part by part: for `cargo bench` alone.
-pub struct WatchedTraining {
-    training: Training,
-    session: CpuSession,
-}
-
-/// What was done in the steps that were timed.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Counts {
-    /// Rays.
-    pub rays: u64,
-    /// Samples that rays visited.
-    pub visited: u64,
-    /// Samples that were trained.
-    pub samples: u64,
-}
-
-/// Steps that were timed.
-#[derive(Clone, Debug)]
-pub struct StepProfile {
-    /// What was done.
-    pub counts: Counts,
-    /// Seconds of every part, summed over threads, those of serial parts once. In the order of [`PARTS`].
-    pub parts_s: [f64; PARTS.len()],
-    /// Seconds of the steps.
-    pub wall_s: f64,
-}
-
-impl WatchedTraining {
-    /// Returns a training at step 0 on an instruction set.
-    ///
-    /// # Errors
-    /// As [`crate::Trainer::new`].
-    pub fn new(
-        views: Vec<View>,
-        config: &Config,
-        seed: u64,
-        level: InstructionSet,
-    ) -> Result<Self, FieldError> {
-        let mut training = Training::new(views, &[], config, seed)?;
-        let mut session = CpuSession::new(level, &mut training);
-        session.watch = Some(Watch::default());
-        Ok(Self { training, session })
-    }
-
-    /// Takes one step and measures the time of its parts.
-    ///
-    /// # Errors
-    /// As [`crate::Trainer::advance`].
-    pub fn step(&mut self) -> Result<StepProfile, FieldError> {
-        let begin = Instant::now();
-        let step = self.session.step(&mut self.training)?;
-        let wall_s = begin.elapsed().as_secs_f64();
-        let found = || self.session.chunks.iter().map(|chunk| &chunk.found);
-        Ok(StepProfile {
-            counts: Counts {
-                rays: step.rays,
-                visited: found().map(|found| found.visited).sum(),
-                samples: step.samples,
-            },
-            parts_s: self
-                .session
-                .watch
-                .as_ref()
-                .map_or_else(Default::default, Watch::take),
-            wall_s,
-        })
-    }
-
-    /// Returns the facts of the field: its levels, the share of cells that are occupied.
-    pub fn facts(&self) -> Facts {
-        self.training.facts()
     }
 }
 

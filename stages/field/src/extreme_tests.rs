@@ -120,7 +120,6 @@ fn batch_of(target: Target) -> Option<&'static str> {
         rays: 1,
         ray_samples: 32,
         distortion: 1e-3,
-        watch: None,
     };
     let mut chunks = Vec::new();
     batch::train(&shared, &[target], 4, &mut chunks, &Spares::default());

@@ -11,21 +11,12 @@ use crate::exposure::{LIMITS, RATE, ROW, centre};
 use crate::schedule::{BACKGROUND_RATE, DECAY, EPSILON};
 use crate::state::State;
 use crate::training::Training;
-use crate::watch::{Part, Watch, timed};
 use crate::weights::NET_ROW;
 
 /// Applies the gradients of all chunks to the weights. `gradients`: memory for those of the tables, all zero.
-pub fn learn(
-    level: InstructionSet,
-    training: &mut Training,
-    gradients: &mut [Vec<f32>],
-    chunks: &[Chunk],
-    watch: Option<&Watch>,
-) {
-    learn_tables(level, training, gradients, chunks, watch);
-    timed(watch, Part::Networks, || {
-        learn_networks(level, training, chunks);
-    });
+pub fn learn(level: InstructionSet, training: &mut Training, gradients: &mut [Vec<f32>], chunks: &[Chunk]) {
+    learn_tables(level, training, gradients, chunks);
+    learn_networks(level, training, chunks);
     if training.config.gain != Gain::Off {
         let rate = training.rate_at(training.state.steps);
         learn_exposures(level, training, chunks, rate);
@@ -49,7 +40,6 @@ fn learn_tables(
     training: &mut Training,
     gradients: &mut [Vec<f32>],
     chunks: &[Chunk],
-    watch: Option<&Watch>,
 ) {
     let steps = training.state.steps;
     let keep = training.kept_at(steps);
@@ -74,17 +64,15 @@ fn learn_tables(
         .enumerate()
         .with_max_len(1);
     tasks.for_each(|(index, (((shape, (table, average)), gradient), moments))| {
-        timed(watch, Part::Scatter, || {
-            warm(gradient);
-            for chunk in chunks {
-                scatter(level, *shape, gradient, chunk, index);
-            }
-        });
-        timed(watch, Part::Adam, || match features {
+        warm(gradient);
+        for chunk in chunks {
+            scatter(level, *shape, gradient, chunk, index);
+        }
+        match features {
             2 => adam::<2>(level, table, gradient, moments, rates),
             _ => adam::<4>(level, table, gradient, moments, rates),
-        });
-        timed(watch, Part::Average, || blend(average, table, keep));
+        }
+        blend(average, table, keep);
     });
 }
 

@@ -67,13 +67,12 @@ mod training_properties;
 mod training_tests;
 mod views;
 mod warm_start;
-pub mod watch;
 pub mod weights;
 
 pub use backend::Step;
 pub use bands::render_in_bands;
 pub use config::{Background, Config, DepthSource, Gain, Occupied, ViewDependence};
-pub use cpu_backend::{Counts, Cpu, StepProfile, WatchedTraining};
+pub use cpu_backend::Cpu;
 pub use derived::Derived;
 pub use device::{Device, DeviceError};
 pub use error::FieldError;

@@ -8,7 +8,6 @@ use crate::cpu::space::Bits;
 use crate::draw::Target;
 use crate::exposure::Exposure;
 use crate::shade::{Shade, Span};
-use crate::watch::Watch;
 use crate::weights::Weights;
 use crate::{Background, Config, sh};
 
@@ -33,8 +32,6 @@ pub struct StepContext<'a> {
     pub ray_samples: u32,
     /// Weight of the distortion loss.
     pub distortion: f32,
-    /// Where the time goes, if someone asks.
-    pub watch: Option<&'a Watch>,
 }
 
 /// Results of a chunk in addition to the gradients of its features.

@@ -13,7 +13,7 @@
 mod collect;
 mod measured;
 mod model;
-#[path = "../../../field/benches/step/scene.rs"]
+#[path = "../../../field/benches/render/scene.rs"]
 mod scene;
 mod table;
 

@@ -127,7 +127,6 @@ fn on_the_cpu(training: &Training, targets: &[Target]) -> Chunk {
         rays: targets.len(),
         ray_samples: training.config.ray_samples,
         distortion: training.distortion_at(training.state.steps),
-        watch: None,
     };
     let mut chunks = Vec::new();
     train(&shared, targets, targets.len(), &mut chunks, &Spares::default());

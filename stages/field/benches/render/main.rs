@@ -8,7 +8,6 @@
     reason = "criterion's macros write public functions, and a bench that cannot continue should stop"
 )]
 
-#[path = "../step/scene.rs"]
 mod scene;
 
 use std::hint::black_box;
