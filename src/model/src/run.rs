@@ -177,18 +177,6 @@ impl<'s> Run<'s> {
         documents.map(|document| document.digest).collect()
     }
 
-    /// Reads a document of the run ([`marf_engine::document`]), or returns `None` if the run has no document
-    /// of this name.
-    ///
-    /// # Errors
-    /// Returns an error if the store has lost the document.
-    pub fn document_bytes(&self, name: &str) -> Result<Option<Arc<[u8]>>, RunError> {
-        let document = self.record.documents.get(name);
-        Ok(document
-            .map(|document| self.store.get(&document.digest))
-            .transpose()?)
-    }
-
     /// Reads an output of a node.
     ///
     /// # Errors
