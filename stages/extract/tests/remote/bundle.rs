@@ -109,7 +109,7 @@ fn files(server: &Server) -> BTreeSet<String> {
     requests
         .iter()
         .map(|one| one.path().to_owned())
-        .filter(|path| path.contains("/ids/"))
+        .filter(|path| path.contains("/ids/") && !path.ends_with('/'))
         .collect()
 }
 
