@@ -31,7 +31,7 @@ stage! {
     Set,
     Threads::All,
     about: "photos to a calibrated scene: from what they show, from labels, or from imported cameras",
-    version: 13,
+    version: 14,
     ports: [
         Port::required("input", PHOTOS),
         Port::optional("cameras", COMPANIONS),

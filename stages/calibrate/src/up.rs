@@ -2,13 +2,17 @@
 //!
 //! A camera that is not rolled has its x axis level, so up is the direction that is orthogonal to the x axes of all cameras. That direction
 //! is known as well as the headings differ. Where they do not, the plane of the points decides: it is the ground if its normal is near the
-//! cameras' own up, or if the cameras move along their view or along the height of their pictures, as in a descent or a flight. A plane in
-//! front of cameras that move sideways is a wall.
+//! cameras' own up, if the cameras move along their view or along the height of their pictures, as in a descent or a flight, or if pictures
+//! are upside down to each other. A plane in front of cameras that move sideways with one heading is a wall or the ground: nothing tells.
+//! A camera that swings below a parachute has axes like one that turns its heading before a wall. Its pitch varies, too.
 
-use marf_numeric::Rng;
+mod plane;
+
 use marf_scene::{Point, Pose};
 use marf_schema::calibrate::{Up, UpSource};
-use nalgebra::{Matrix3, SymmetricEigen, Vector3};
+use nalgebra::Vector3;
+
+use plane::{Plane, scatter, sorted};
 
 /// Up in the world, a unit vector, and how it was found.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -23,6 +27,10 @@ const MOST_SIGMA_DEG: f64 = 8.0;
 const LEAST_SIGMA_DEG: f64 = 1.0;
 /// Mean square of the x axes across their main direction from which headings differ: 6 degrees.
 const LEAST_HEADINGS: f64 = 0.01;
+/// The same from which no swing of a lander or a helicopter explains it: 18 degrees.
+const MOST_SWINGS: f64 = 0.1;
+/// Share of the mean square of the x axes from which pitch varies like heading, as of what swings and not of what turns.
+const BOTH_WAYS: f64 = 0.15;
 /// Roll at which a camera has half its weight, as the sine: 6 degrees.
 const ROLL: f64 = 0.1;
 /// Rounds of weights and directions.
@@ -31,14 +39,8 @@ const ROUNDS: usize = 10;
 const LOOKS_DOWN: f64 = 0.7;
 /// Cosine from which a normal is near the cameras' own up: 40 degrees.
 const NEAR_UP: f64 = 0.766;
-/// Points of a plane lie this near to it, in distances from the cameras.
-const PLANE_NEAR: f64 = 0.03;
-/// Share of points on a plane from which it counts.
-const PLANE_SHARE: f64 = 0.35;
-/// Planes through three points that are tried.
-const PLANE_TRIALS: usize = 400;
-/// Points that planes are tried on.
-const PLANE_POINTS: usize = 2_000;
+/// Length of the mean of the cameras' own up below which pictures are turned or upside down to each other.
+const ONE_WAY_UP: f64 = 0.5;
 
 /// Finds up, or `None` where nothing shows it within [`MOST_SIGMA_DEG`].
 pub(crate) fn find_up(poses: &[&Pose], points: &[Point]) -> Option<FoundUp> {
@@ -46,7 +48,7 @@ pub(crate) fn find_up(poses: &[&Pose], points: &[Point]) -> Option<FoundUp> {
     if cameras.centres.is_empty() {
         return None;
     }
-    let plane = Plane::fit(&cameras, points);
+    let plane = Plane::fit(&cameras.centres, points);
     let found = cameras
         .by_axes(plane.as_ref())
         .or_else(|| by_plane(&cameras, &plane?))?;
@@ -140,8 +142,42 @@ impl Cameras {
         if let Some(ground) = on_ground {
             return found(ground.normal, UpSource::Ground, ground.sigma_deg);
         }
+        let may_swing = eigen.value[1] < MOST_SWINGS && self.pitches(&direction) > BOTH_WAYS * eigen.value[1];
+        let is_across = |plane: &Plane| plane.normal.dot(&direction) < NEAR_UP && self.fly_over(plane);
+        if may_swing && plane.is_some_and(is_across) {
+            return None;
+        }
         let roll = (eigen.value[2].max(0.0) / (count * eigen.value[1])).sqrt();
         found(direction, UpSource::CameraAxes, roll.to_degrees())
+    }
+
+    /// Returns whether the cameras look along the normal of a plane and fly over it, as no one moves before a wall.
+    fn fly_over(&self, plane: &Plane) -> bool {
+        if -mean_dot(&self.ahead, &plane.normal) < LOOKS_DOWN {
+            return false;
+        }
+        let right = self.main_right();
+        self.own_up().norm() < ONE_WAY_UP
+            || self
+                .motion(plane.distance)
+                .is_some_and(|motion| motion.dot(&right).abs() < LOOKS_DOWN)
+    }
+
+    /// Returns the variance of the sine by which the cameras look up.
+    fn pitches(&self, up: &Vector3<f64>) -> f64 {
+        let mean = mean_dot(&self.ahead, up);
+        let squares = self.ahead.iter().map(|ahead| (ahead.dot(up) - mean).powi(2));
+        squares.sum::<f64>() / self.ahead.len() as f64
+    }
+
+    /// Returns the mean of the cameras' own up.
+    fn own_up(&self) -> Vector3<f64> {
+        self.own_up.iter().sum::<Vector3<f64>>() / self.own_up.len() as f64
+    }
+
+    /// Returns the main direction of the x axes.
+    fn main_right(&self) -> Vector3<f64> {
+        sorted(scatter(&self.right, &vec![1.0; self.right.len()])).direction[0]
     }
 
     /// Returns the main direction in which the cameras moved. `None` where they are at one place in distances from the plane.
@@ -156,125 +192,13 @@ impl Cameras {
 
 /// Returns up where all cameras have one heading and a plane is in front of them.
 fn by_plane(cameras: &Cameras, plane: &Plane) -> Option<FoundUp> {
-    let right = sorted(scatter(&cameras.right, &vec![1.0; cameras.right.len()])).direction[0];
-    let level = |normal: &Vector3<f64>| normal - right * normal.dot(&right);
-    let own_up = cameras.own_up.iter().sum::<Vector3<f64>>();
-    let own_up = own_up.try_normalize(0.1 * cameras.own_up.len() as f64)?;
-    if plane.normal.dot(&own_up) > NEAR_UP {
-        return found(level(&plane.normal), UpSource::Ground, plane.sigma_deg);
+    if plane.normal.dot(&cameras.own_up()) > NEAR_UP {
+        let right = cameras.main_right();
+        let level = plane.normal - right * plane.normal.dot(&right);
+        return found(level, UpSource::Ground, plane.sigma_deg);
     }
-    if -mean_dot(&cameras.ahead, &plane.normal) < LOOKS_DOWN {
-        return None;
-    }
-    let motion = cameras.motion(plane.distance)?;
-    if motion.dot(&right).abs() < LOOKS_DOWN {
-        return found(plane.normal, UpSource::Ground, plane.sigma_deg);
-    }
-    let along_wall = own_up - plane.normal * own_up.dot(&plane.normal);
-    found(level(&along_wall), UpSource::CameraAxes, plane.sigma_deg)
-}
-
-/// The plane that most points are on.
-struct Plane {
-    /// Towards the cameras.
-    normal: Vector3<f64>,
-    /// Standard deviation of the normal: the relief of the points over their width.
-    sigma_deg: f64,
-    /// Median distance of the points from the middle of the cameras.
-    distance: f64,
-}
-
-impl Plane {
-    fn fit(cameras: &Cameras, points: &[Point]) -> Option<Self> {
-        let step = points.len().div_ceil(PLANE_POINTS).max(1);
-        let points: Vec<Vector3<f64>> = points
-            .iter()
-            .step_by(step)
-            .map(|point| Vector3::from(point.position))
-            .filter(|point| point.iter().all(|one| one.is_finite()))
-            .collect();
-        let middle = cameras.centres.iter().sum::<Vector3<f64>>() / cameras.centres.len() as f64;
-        let distance = marf_numeric::upper_median(points.iter().map(|point| (point - middle).norm()))?;
-        let near = PLANE_NEAR * distance;
-        let first = best_of_trials(&points, near)?;
-        let on: Vec<Vector3<f64>> = points
-            .iter()
-            .filter(|point| off(&first, point) < near)
-            .copied()
-            .collect();
-        let count = on.len() as f64;
-        if count < 10.0 || count < PLANE_SHARE * points.len() as f64 {
-            return None;
-        }
-        let mean = on.iter().sum::<Vector3<f64>>() / count;
-        let moves: Vec<Vector3<f64>> = on.iter().map(|point| point - mean).collect();
-        let eigen = sorted(scatter(&moves, &vec![1.0; moves.len()]));
-        let normal = eigen.direction[2];
-        let above = |centre: &&Vector3<f64>| (*centre - mean).dot(&normal) > 0.0;
-        let share = cameras.centres.iter().filter(above).count() as f64 / cameras.centres.len() as f64;
-        let sign = match share {
-            share if share > 0.9 => 1.0,
-            share if share < 0.1 => -1.0,
-            _ => return None,
-        };
-        let relief = (eigen.value[2].max(0.0) / eigen.value[1].max(f64::MIN_POSITIVE)).sqrt();
-        Some(Self {
-            normal: normal * sign,
-            sigma_deg: relief.to_degrees(),
-            distance,
-        })
-    }
-}
-
-/// A plane by a point and its unit normal.
-type Trial = [Vector3<f64>; 2];
-
-fn off(trial: &Trial, point: &Vector3<f64>) -> f64 {
-    (point - trial[0]).dot(&trial[1]).abs()
-}
-
-/// Returns the plane through three points that has most points near it.
-fn best_of_trials(points: &[Vector3<f64>], near: f64) -> Option<Trial> {
-    let mut rng = Rng::new(0);
-    let mut best: Option<(usize, Trial)> = None;
-    for _ in 0..PLANE_TRIALS {
-        let [a, b, c] = [(); 3].map(|()| points[rng.below(points.len() as u64) as usize]);
-        let Some(normal) = (b - a).cross(&(c - a)).try_normalize(1e-12) else {
-            continue;
-        };
-        let trial = [a, normal];
-        let count = points.iter().filter(|point| off(&trial, point) < near).count();
-        if best.as_ref().is_none_or(|(most, _)| count > *most) {
-            best = Some((count, trial));
-        }
-    }
-    best.map(|(_, trial)| trial)
-}
-
-/// Eigenvalues and eigenvectors, largest first.
-struct Sorted {
-    value: [f64; 3],
-    direction: [Vector3<f64>; 3],
-}
-
-fn sorted(matrix: Matrix3<f64>) -> Sorted {
-    let eigen = SymmetricEigen::new(matrix);
-    let mut order = [0, 1, 2];
-    order.sort_by(|a, b| eigen.eigenvalues[*b].total_cmp(&eigen.eigenvalues[*a]));
-    Sorted {
-        value: order.map(|index| eigen.eigenvalues[index]),
-        direction: order.map(|index| eigen.eigenvectors.column(index).into_owned()),
-    }
-}
-
-/// Returns the weighted mean of v vᵀ.
-fn scatter(vectors: &[Vector3<f64>], weights: &[f64]) -> Matrix3<f64> {
-    let sum: Matrix3<f64> = vectors
-        .iter()
-        .zip(weights)
-        .map(|(one, weight)| one * one.transpose() * *weight)
-        .sum();
-    sum / weights.iter().sum::<f64>().max(f64::MIN_POSITIVE)
+    let ground = cameras.fly_over(plane).then_some(plane.normal)?;
+    found(ground, UpSource::Ground, plane.sigma_deg)
 }
 
 fn mean_dot(vectors: &[Vector3<f64>], direction: &Vector3<f64>) -> f64 {
@@ -283,6 +207,9 @@ fn mean_dot(vectors: &[Vector3<f64>], direction: &Vector3<f64>) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use marf_numeric::Rng;
+    use nalgebra::Matrix3;
+
     use super::*;
 
     /// A camera at `eye` that looks along `ahead` with `up` in its picture.
@@ -407,16 +334,84 @@ mod tests {
                 point
             })
             .collect();
-        let along: Vec<Pose> = (0..6)
-            .map(|step| {
-                camera(
-                    [f64::from(step) - 3.0, -6.0, 0.0],
-                    [0.0, 1.0, 0.1],
-                    [0.0, 0.0, 1.0],
-                )
-            })
-            .collect();
-        is_up(&along, &wall, UpSource::CameraAxes);
+        let along = |turn: f64| -> Vec<Pose> {
+            let place = |step: i32| {
+                let x = f64::from(step) - 3.0;
+                camera([x, -6.0, 0.0], [-turn * x, 1.0, 0.1], [0.0, 0.0, 1.0])
+            };
+            (0..7).map(place).collect()
+        };
+        is_up(&along(0.15), &wall, UpSource::CameraAxes);
+        assert_eq!(
+            found(&along(0.0), &wall),
+            None,
+            "it may be the ground below a flight"
+        );
+        let towards = |step: i32| {
+            let turn = 0.2 * (1.3 * f64::from(step)).sin();
+            camera(
+                [0.0, f64::from(step) - 12.0, 0.0],
+                [turn, 1.0, 0.03],
+                [0.0, 0.0, 1.0],
+            )
+        };
+        is_up(
+            &(0..8).map(towards).collect::<Vec<_>>(),
+            &wall,
+            UpSource::CameraAxes,
+        );
+    }
+
+    /// Below a parachute, and as a survey of a field is flown.
+    #[test]
+    fn swings_and_turned_pictures_show_the_ground() {
+        let swinging = |step: i32| {
+            let (sin, cos) = (1.3 * f64::from(step)).sin_cos();
+            let ahead = [0.15 * cos, 0.3 * sin, -1.0];
+            camera([0.1, 0.0, 12.0 - f64::from(step)], ahead, [1.0, 0.0, 0.0])
+        };
+        is_up(
+            &(0..8).map(swinging).collect::<Vec<_>>(),
+            &ground(),
+            UpSource::Ground,
+        );
+        let survey = |step: i32| {
+            let (way, x) = (f64::from(1 - 2 * (step % 2)), f64::from(step / 2) - 2.0);
+            camera([x, way, 6.0], [0.02, 0.01 * way, -1.0], [way, 0.0, 0.0])
+        };
+        is_up(
+            &(0..8).map(survey).collect::<Vec<_>>(),
+            &ground(),
+            UpSource::Ground,
+        );
+    }
+
+    /// Most points are on stones 3 to 8 m ahead, which are the higher the farther they are. Few are on the ground behind them.
+    #[test]
+    fn stones_do_not_tilt_the_ground_ahead() {
+        let mut rng = Rng::new(3);
+        let point = |index: usize| {
+            let [x, y, z] = [(); 3].map(|()| rng.unit_f64());
+            let near = 2.0 + 6.0 * y;
+            let position = if index.is_multiple_of(11) {
+                [20.0 * x - 10.0, 9.0 + 16.0 * y, 0.1 * z]
+            } else {
+                [
+                    4.0 * x - 2.0,
+                    near,
+                    0.12 * (near - 3.0).max(0.0) * (0.6 + 0.4 * z),
+                ]
+            };
+            Point {
+                position,
+                color: None,
+                views: 3,
+            }
+        };
+        let points: Vec<Point> = (0..1320).map(point).collect();
+        let walk =
+            [-2.0, -1.5, -1.0, -0.5].map(|y| camera([0.0, y, 1.5], [0.0, 1.0, -0.25], [0.0, 0.0, 1.0]));
+        is_up(&walk, &points, UpSource::Ground);
     }
 
     #[test]
@@ -434,6 +429,6 @@ mod tests {
         nowhere
             .iter_mut()
             .for_each(|point| point.position[0] = f64::INFINITY);
-        assert!(Plane::fit(&Cameras::new(&[]), &nowhere).is_none());
+        assert!(Plane::fit(&[], &nowhere).is_none());
     }
 }

@@ -84,7 +84,9 @@ pub(super) fn assemble(
         cause: worst
             .as_ref()
             .map(|(count, cause)| format!("{count} photos: {}{}", cause.kind(), cause.place())),
-        hint: worst.map_or_else(String::new, |(_, cause)| cause.hint().to_owned()),
+        hint: worst
+            .map_or("add photos, or lower `min_registered`", |(_, cause)| cause.hint())
+            .to_owned(),
     })
 }
 
