@@ -2,8 +2,8 @@
 //!
 //! A camera that is not rolled has its x axis level, so up is the direction that is orthogonal to the x axes of all cameras. That direction
 //! is known as well as the headings differ. Where they do not, the plane of the points decides: it is the ground if its normal is near the
-//! cameras' own up, if the cameras move along their view or along the height of their pictures, as in a descent or a flight, or if pictures
-//! are upside down to each other. A plane in front of cameras that move sideways with one heading is a wall or the ground: nothing tells.
+//! cameras' own up, if the cameras do not move along the width of their pictures, as in a descent or a flight, or if pictures are upside
+//! down to each other. A plane in front of cameras that move sideways with one heading is a wall or the ground: nothing tells.
 //! A camera that swings below a parachute has axes like one that turns its heading before a wall. Its pitch varies, too.
 
 mod plane;
@@ -39,6 +39,8 @@ const ROUNDS: usize = 10;
 const LOOKS_DOWN: f64 = 0.7;
 /// Cosine from which a normal is near the cameras' own up: 40 degrees.
 const NEAR_UP: f64 = 0.766;
+/// Cosine from which a motion is along the width of the pictures: 32 degrees. Before a wall no one climbs more.
+const SIDEWAYS: f64 = 0.85;
 /// Length of the mean of the cameras' own up below which pictures are turned or upside down to each other.
 const ONE_WAY_UP: f64 = 0.5;
 
@@ -160,7 +162,7 @@ impl Cameras {
         self.own_up().norm() < ONE_WAY_UP
             || self
                 .motion(plane.distance)
-                .is_some_and(|motion| motion.dot(&right).abs() < LOOKS_DOWN)
+                .is_some_and(|motion| motion.dot(&right).abs() < SIDEWAYS)
     }
 
     /// Returns the variance of the sine by which the cameras look up.
@@ -302,6 +304,11 @@ mod tests {
             .map(|step| camera([0.0, f64::from(step) - 4.0, 6.0], down, [0.0, 1.0, 0.0]))
             .collect();
         is_up(&flight, &ground(), UpSource::Ground);
+        let diagonal: Vec<Pose> = (0..8)
+            .map(|step| f64::from(step) - 4.0)
+            .map(|step| camera([step, step, 6.0], down, [0.0, 1.0, 0.0]))
+            .collect();
+        is_up(&diagonal, &ground(), UpSource::Ground);
         let turning = |step: i32| {
             let (sin, cos) = f64::from(step).sin_cos();
             camera(
