@@ -25,8 +25,9 @@ const MIN_SHARE: f64 = 0.005;
 /// damaged JPEG may give colour to one of many gray photos.
 const MAX_COLORED: f64 = 0.05;
 /// Difference of the means of the four positions of 2 x 2 pixels, in percent, from which on a gray photo is a colour mosaic.
-/// Photos of monochrome cameras have at most 0.4, mosaics of Mars 50 and more.
-const MOSAIC_PERCENT: u8 = 5;
+/// Photos of monochrome cameras have at most 0.4, gray copies of carelessly interpolated colour photos up to 6, and mosaics of Mars 50
+/// and more.
+const MOSAIC_PERCENT: u8 = 15;
 /// Name of cameras of which no name is known.
 const UNNAMED: &str = "an unnamed camera";
 
@@ -116,7 +117,7 @@ impl Filter for Grayscale {
     const ABOUT: &'static str = "rejects gray photos of colour cameras";
     const RELAX: &'static str = "`keep = \"all\"`";
     const MEASURE_VERSION: u32 = 5;
-    const DECISION_VERSION: u32 = 1;
+    const DECISION_VERSION: u32 = 2;
     type Params = GrayscaleParams;
     type Measure<'a> = ChannelSpread;
     type Context = ColoredPhotos;

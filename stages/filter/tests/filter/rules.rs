@@ -187,6 +187,21 @@ fn grayscale_never_keeps_a_colour_mosaic_as_gray() {
     }
 }
 
+/// An eighth of the mosaic is left in gray copies of colour photos that were interpolated carelessly.
+#[test]
+fn grayscale_keeps_gray_photos_with_a_trace_of_a_mosaic() {
+    let place = ground(0);
+    let gray = Image::from_fn(320, 240, |x, y| {
+        let [red, green, blue] = place.at(x, y).map(u16::from);
+        let light = [red, green, green, blue][(2 * (y % 2) + x % 2) as usize];
+        [((7 * green + light) / 8) as u8; 3]
+    });
+    let mut photos = Photos::default();
+    photos.add("trace", &png(&gray));
+    let verdict = &photos.judge("grayscale", defaults())["trace"];
+    assert!(verdict.keeps(), "{verdict:?}");
+}
+
 /// By hand: of 200 pixels one has spread 9, which is 0.5 %: not below the default.
 #[test]
 fn grayscale_counts_the_share_of_pixels_with_spread() {
