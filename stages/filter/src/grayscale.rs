@@ -130,7 +130,7 @@ impl Filter for Grayscale {
     #[cfg(test)]
     const GUARD: Guard = Guard {
         measures: "5 442fafc7cf42",
-        decisions: "6 d15bad30e447",
+        decisions: "7 d15bad30e447",
     };
 
     fn by_hand(params: &GrayscaleParams) -> &ByHand {
