@@ -36,7 +36,7 @@ const fn limit(bar: Bar, now: usize, goal: usize) -> Limit {
 }
 
 static LIMITS: [Limit; 12] = [
-    limit(Bar::Code, 116_381, 97_000),
+    limit(Bar::Code, 116_421, 97_000),
     limit(Bar::CodeOfMarf, 3_991, 5_000),
     limit(Bar::CodeOfACrate, 8_000, 8_000),
     limit(Bar::Rule(Rule::LongFunctions), 0, 0),
