@@ -10,6 +10,7 @@ mod browser;
 #[path = "../common/mod.rs"]
 mod common;
 mod devtools;
+mod distances;
 mod films;
 mod hostile;
 mod http;

@@ -219,10 +219,9 @@ fn trained(run: &RunRecord) -> impl DoubleEndedIterator<Item = &NodeRun> {
 
 /// Returns the points that pairs of photos of a training's scene gave.
 fn cloud(run: &RunRecord, trained: &NodeRun) -> Option<Digest> {
-    let is_of = |node: &&NodeRun| {
-        node.stage == DepthParams::STAGE && node.inputs.get(SCENE) == trained.inputs.get(SCENE)
-    };
-    let node = run.nodes.iter().find(is_of)?;
+    let scene = trained.inputs.get(SCENE)?;
+    let mut depths = run.nodes.iter().filter(|node| node.stage == DepthParams::STAGE);
+    let node = depths.find(|node| node.inputs.get(SCENE) == Some(scene))?;
     Some(node.outputs.get(POINTS)?.digest)
 }
 

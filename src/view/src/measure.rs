@@ -88,10 +88,9 @@ pub fn pick(field: &Field, view: &View, [column, row]: [u32; 2]) -> Result<Picke
     let ray = ray_of(camera, cam_from_world, [column, row])
         .ok_or_else(|| FrameError::Failed("the lens has no ray there".to_owned()))?;
     let shown = mean_depth(if own.is_empty() { &renders } else { &own }, MIDDLE);
-    let half = |(depth, interval): (f64, DepthInterval)| {
-        Some(half_width(interval, local_spread(&renders)? / depth) * depth)
-    };
-    let by_field = shown.zip(field.depth_interval()).and_then(half);
+    let half =
+        |depth: f64| Some(half_width(field.depth_interval()?, local_spread(&renders)? / depth) * depth);
+    let by_field = shown.and_then(half);
     let by_pairs = field.cloud().and_then(|cloud| {
         let ray = Ray {
             origin: cam_from_world.centre(),

@@ -123,18 +123,17 @@ mod tests {
     /// A wall of points at distance `z` that faces the camera, tilted by a slope in x.
     fn wall(z: f64, slope: f64) -> Vec<CloudPoint> {
         let normal = Vector3::new(slope, 0.0, -1.0).normalize();
-        let places = (-10..=10).flat_map(|column| (-10..=10).map(move |row| (column, row)));
-        let point = |(column, row): (i32, i32)| {
-            let x = 0.1 * f64::from(column);
+        let point = |place: i32| {
+            let [x, y] = [place % 21 - 10, place / 21 - 10].map(|cells| 0.1 * f64::from(cells));
             CloudPoint {
-                position: Vector3::new(x, 0.1 * f64::from(row), z + slope * x),
+                position: Vector3::new(x, y, z + slope * x),
                 normal,
                 color: [0; 3],
                 photos: 2,
                 sigma: 0.02,
             }
         };
-        places.map(point).collect()
+        (0..21 * 21).map(point).collect()
     }
 
     fn straight(x: f64) -> Ray {

@@ -27,8 +27,8 @@ pub(crate) struct PhotoKeys {
     pub(crate) relation: RelationKeys,
 }
 
-/// Search keys of photos, each at the position of its insertion. A hash is compared with all others: of 250,000 photos, more than
-/// any camera on Mars has, that is a small part of the time that decoding a photo takes.
+/// Search keys of photos, each at the position of its insertion. A hash is compared with all others, which takes 2 to 4 ns
+/// each.
 pub(crate) struct Candidates {
     search: Search,
     /// All hashes, each with the position of its photo.
