@@ -101,12 +101,19 @@ fn of_scene(scene: &Scene) -> Markup {
                 figure { (drawing(scene, &axes.above(), "Cameras from above", MOST_POINTS)) figcaption { "from above" } }
                 figure { (drawing(scene, &axes.aside(), "Cameras from the side", MOST_POINTS)) figcaption { "from the side" } }
             }
-            p.legend {
-                (key("train", "trained on")) (key("held-out", "held out")) (key("point", "sparse point"))
-                @if scene.frames.iter().any(|frame| frame.error_px.is_some()) { (error_legend()) }
-            }
+            p { (legend(scene)) }
         }
         (unplaced::table(&scene.unplaced))
+    }
+}
+
+/// What the colours of cameras and points mean.
+pub(super) fn legend(scene: &Scene) -> Markup {
+    html! {
+        span.legend {
+            (key("train", "trained on")) (key("held-out", "held out")) (key("point", "sparse point"))
+            @if scene.frames.iter().any(|frame| frame.error_px.is_some()) { (error_legend()) }
+        }
     }
 }
 

@@ -39,7 +39,7 @@ fn a_draft_is_shown_as_one_until_its_training_is_done() {
         "Load it again",
         "10 nodes: 3 ran, 1 reused, 6 waiting, 3.0 s",
         "This is a draft, as `train` has no result yet.",
-        "<dt>error of new views, draft</dt><dd>15 gray levels",
+        "<dt>error of new views, draft</dt><dd>15 of 255",
         "draft of the field from there",
         "<h3>draft: 1 view</h3>",
     ] {

@@ -212,6 +212,8 @@ fn intervals(floor: f64) -> bootstrap::Calibration {
         inside: (1..20).map(|share| f64::from(share) * 0.049).collect(),
         coverage90: 18.0 * 0.049,
         coverage90_range: [0.86, 0.93],
+        median_error: 2.5 * floor,
+        median_half90: 8.0 * floor,
         places: 5,
         views: 10,
         errors: 12_345,

@@ -1,18 +1,20 @@
 //! First screen: what the run made in a sentence and five figures, a picture of it next to its cameras, and what to know.
 
+use std::collections::BTreeSet;
+
 use marf_numeric::quantile;
 use marf_scene::Scene;
 use marf_schema::scores::Scores;
-use marf_schema::{bootstrap, calibrate, output, train};
+use marf_schema::{bootstrap, calibrate, depth, output, train};
 use marf_stage::Document;
 use maud::{Markup, html};
 
 use super::camera_view::Axes;
 use super::cameras;
-use super::format::{count, decibels, number};
+use super::format::{count, decibels};
 use super::page::Page;
 use super::pictures;
-use super::quality::{Figure, figures};
+use super::quality::{Figure, figures, rounded};
 use super::vector::{Vec3, dot};
 
 /// Most things to know that are listed.
@@ -37,8 +39,12 @@ struct Facts {
     awaited: Option<String>,
     /// Whether a node maps the uncertainty, or will.
     has_uncertainty: bool,
-    /// Share of the held-out photos that shows what no photo trained on saw, by the maps of the last bootstrap.
-    invented_share: Option<f64>,
+    /// PSNR on photos trained on, if some were judged, dB.
+    psnr_trained: Option<f64>,
+    /// The last bootstrap, if it compared its maps with held-out photos.
+    maps: Option<bootstrap::Metrics>,
+    /// Median standard deviation of depths by pairs of photos, as a share of the depth.
+    pairs_share: Option<f64>,
 }
 
 /// A thing to know, and the section that shows it.
@@ -60,7 +66,10 @@ pub(super) fn body(page: &Page<'_>) -> Markup {
         div.first {
             (pictures::best(page))
             @if let Some(scene) = facts.scene.as_ref().filter(|scene| !scene.frames.is_empty()) {
-                figure { (cameras::overview(scene)) figcaption { "cameras from above" } }
+                figure {
+                    (cameras::overview(scene))
+                    figcaption { "cameras from above " (cameras::legend(scene)) }
+                }
             }
         }
         @if !notes.is_empty() {
@@ -68,6 +77,13 @@ pub(super) fn body(page: &Page<'_>) -> Markup {
                 @for note in notes.iter().take(MOST_NOTES) {
                     li { (note.text) " " a href={ "#" (note.section) } { "Details" } }
                 }
+            }
+        }
+        @if facts.scores.is_some() && facts.awaited.is_none() {
+            p.quiet {
+                "Next: " code { "marf view" } " looks around and measures distances. " code { "marf export mesh --out scene.glb" }
+                " is for headsets and engines, " code { "splats" } " for viewers of Gaussian splats, " code { "height" } " and "
+                code { "orthophoto" } " for maps."
             }
         }
     }
@@ -91,7 +107,11 @@ impl Facts {
         let scene = page.with_output(output::SCENE).last();
         let bootstrap = page.with_document::<bootstrap::Metrics>().last();
         let maps = bootstrap.and_then(|node| page.document::<bootstrap::Metrics>(node).ok());
+        let depth = page.with_document::<depth::Metrics>().last();
+        let depth = depth.and_then(|node| page.document::<depth::Metrics>(node).ok());
+        let trained = metrics.as_ref().and_then(|metrics| metrics.on_training.as_ref());
         Self {
+            psnr_trained: trained.map(|trained| trained.psnr),
             found: sum(read),
             kept: sum(kept),
             totals: calibration.and_then(|node| Some(page.document::<calibrate::Metrics>(node).ok()?.totals)),
@@ -107,9 +127,8 @@ impl Facts {
                 .nodes
                 .iter()
                 .any(|node| node.run.stage == <bootstrap::Metrics as Document>::STAGE),
-            invented_share: maps
-                .filter(|metrics| metrics.heldout.is_some())
-                .map(|metrics| metrics.unseen_share),
+            maps: maps.filter(|metrics| metrics.heldout.is_some()),
+            pairs_share: depth.and_then(|metrics| metrics.median_sigma_share),
         }
     }
 
@@ -124,7 +143,7 @@ impl Facts {
         if let Some(photos) = self.photos() {
             let photos = count(photos, "photo");
             let size = self.scene.as_ref().and_then(extent);
-            let size = size.map_or_else(String::new, |size| format!(" of {size}"));
+            let size = size.map_or_else(String::new, |size| format!(" of {size} of ground"));
             sentences.extend(match (&self.totals, self.kept) {
                 (Some(totals), _) if self.scores.is_some() => {
                     Some(format!("{} of {photos} became a field{size}.", totals.registered))
@@ -138,23 +157,66 @@ impl Facts {
             sentences.push(format!("This is a draft, as `{awaited}` has no result yet."));
         }
         if let Some(scores) = &self.scores {
+            let trained = self.psnr_trained.map_or_else(String::new, |psnr| {
+                format!(", from photos trained on by {}", levels(psnr))
+            });
             sentences.push(format!(
-                "New views differ from held-out photos by {} ({} dB).",
-                gray_levels(scores.psnr),
+                "New views differ from held-out photos by {} of 255 gray levels (root mean square, {} dB){trained}.",
+                levels(scores.psnr),
                 decibels(scores.psnr)
             ));
+            sentences.extend(self.depth_words());
             sentences.extend(self.unseen_words(scores));
         }
         sentences.join(" ")
     }
 
+    /// Says how far depths are off: those of the field at sparse points of held-out photos, and those of pairs of photos.
+    fn depth_words(&self) -> Option<String> {
+        let has_scale = self.scene.as_ref()?.metres_per_unit.is_some();
+        let share = |share: f64| {
+            let metres = has_scale.then(|| format!(", {} cm at 5 m", rounded(500.0 * share)));
+            format!("{} %{}", rounded(100.0 * share), metres.unwrap_or_default())
+        };
+        let held_out = self.maps.as_ref().and_then(|maps| maps.heldout.as_ref());
+        let field = held_out
+            .and_then(|held_out| held_out.depth_calibration.as_ref())
+            .map(|depth| {
+                format!(
+                    "Half of its depths there are off by less than {}",
+                    share(depth.median_error)
+                )
+            });
+        let pairs = self.pairs_share.map(share);
+        Some(match (field, pairs) {
+            (Some(field), Some(pairs)) => format!("{field}; pairs of photos measure to {pairs}."),
+            (Some(field), None) => format!("{field}."),
+            (None, Some(pairs)) => format!("Pairs of photos measure depths to {pairs}."),
+            (None, None) => return None,
+        })
+    }
+
+    fn invented_share(&self) -> Option<f64> {
+        Some(self.maps.as_ref()?.unseen_share)
+    }
+
+    /// Names the held-out photo that shows most of what no photo trained on saw. None of a single one.
+    fn least_seen(&self) -> Option<String> {
+        let views = &self.maps.as_ref()?.views;
+        let most = views
+            .iter()
+            .max_by(|a, b| a.unseen_share.total_cmp(&b.unseen_share))?;
+        (views.len() > 1).then(|| format!(", most in {} ({})", most.name, percent(most.unseen_share)))
+    }
+
     /// Says what the held-out photos show that no photo trained on saw. None for less than half a percent.
     fn unseen_words(&self, scores: &Scores) -> Option<String> {
-        let share = self.invented_share.or_else(|| unseen_share(scores))?;
-        let rest = if self.invented_share.is_some() {
-            "of what they show: there the field is invented"
+        let share = self.invented_share().or_else(|| unseen_share(scores))?;
+        let rest = if self.invented_share().is_some() {
+            let most = self.least_seen().unwrap_or_default();
+            format!("of what they show: there the field is invented{most}")
         } else {
-            "of what they show from a similar direction: there the field guesses"
+            "of what they show from a similar direction: there the field guesses".to_owned()
         };
         (share >= 0.005).then(|| format!("No photo trained on saw {} {rest}.", percent(share)))
     }
@@ -174,11 +236,14 @@ impl Facts {
             self.totals
                 .as_ref()
                 .map(|totals| ("photos placed", of(totals.registered, Some(totals.photos)))),
-            scores.map(|scores| (error, gray_levels(scores.psnr))),
+            scores.map(|scores| (error, format!("{} of 255 gray levels", levels(scores.psnr)))),
             scores
-                .and_then(|scores| self.invented_share.or_else(|| unseen_share(scores)))
+                .and_then(|scores| self.invented_share().or_else(|| unseen_share(scores)))
                 .map(|share| ("unseen share", percent(share))),
-            self.scene.as_ref().and_then(extent).map(|size| ("extent", size)),
+            self.scene
+                .as_ref()
+                .and_then(extent)
+                .map(|size| ("ground with most points", size)),
         ];
         all.into_iter().flatten().collect()
     }
@@ -191,16 +256,12 @@ impl Facts {
                 notes.push(Note { text, section });
             }
         };
-        for (node, sum) in page.judged() {
-            let Ok(sum) = sum else { continue };
-            let rejected = sum.seen - sum.kept;
-            let text = format!(
-                "{} rejected {rejected} of {}.",
-                node.run.name,
-                count(sum.seen, "photo")
-            );
-            add(2 * rejected > sum.seen, text, "rejected");
-        }
+        let rejected = rejected_words(page);
+        let is_most = self
+            .found
+            .zip(self.kept)
+            .is_some_and(|(found, kept)| 2 * kept < found);
+        add(is_most, rejected.clone(), "rejected");
         if let Some(totals) = &self.totals {
             let text = format!(
                 "{} of {} have no camera.",
@@ -217,8 +278,15 @@ impl Facts {
                 count(judged, "held-out photo")
             );
             add(extrapolated > 0, text, "heldout");
-            let text = format!("The error is that of {} only.", count(judged, "held-out photo"));
+            let text = format!(
+                "The error is that of {}{} only.",
+                count(judged, "held-out photo"),
+                self.places_words()
+            );
             add(judged < FEW_HELD_OUT, text, "heldout");
+            if let Some(text) = reach_words(scores) {
+                add(true, text, "heldout");
+            }
         }
         if let Some(scene) = &self.scene {
             let text = "Up is not known: maps and orbits may be tilted.".to_owned();
@@ -232,27 +300,65 @@ impl Facts {
             text,
             "uncertainty",
         );
+        add(!is_most && !rejected.is_empty(), rejected, "rejected");
         notes
     }
+
+    /// Says at how many places the held-out photos were taken. Empty where that is not known.
+    fn places_words(&self) -> String {
+        let views = self.maps.iter().flat_map(|maps| &maps.views);
+        let places: BTreeSet<u64> = views.filter_map(|view| view.place).collect();
+        let words = (!places.is_empty()).then(|| format!(" at {}", count(places.len(), "place")));
+        words.unwrap_or_default()
+    }
+}
+
+/// Says how many photos each filter rejected. Empty if none did.
+fn rejected_words(page: &Page<'_>) -> String {
+    let judged = page.judged().filter_map(|(node, sum)| Some((node, sum.ok()?)));
+    let rejected: Vec<(&str, usize)> = judged
+        .map(|(node, sum)| (node.run.name.as_str(), sum.seen - sum.kept))
+        .filter(|(_, rejected)| *rejected > 0)
+        .collect();
+    let all: usize = rejected.iter().map(|(_, rejected)| rejected).sum();
+    let each: Vec<String> = rejected
+        .iter()
+        .map(|(name, rejected)| format!("{rejected} by {name}"))
+        .collect();
+    match all {
+        0 => String::new(),
+        1 => format!("1 photo was rejected by {}.", rejected[0].0),
+        _ => format!("{all} photos were rejected: {}.", each.join(", ")),
+    }
+}
+
+/// Says how far from photos trained on the judged views are at most, which is where a viewer may stand.
+fn reach_words(scores: &Scores) -> Option<String> {
+    let nearest = || scores.views.iter().filter_map(|view| view.nearest.as_ref());
+    let most = |values: Vec<f64>| values.into_iter().reduce(f64::max);
+    let angle_deg = most(nearest().map(|nearest| nearest.angle_deg).collect())?;
+    let metres = nearest()
+        .map(|nearest| nearest.distance_m)
+        .collect::<Option<Vec<f64>>>();
+    let distance = match metres.and_then(most) {
+        Some(metres) => format!("{} m", rounded(metres)),
+        None => format!(
+            "{} units",
+            rounded(most(nearest().map(|nearest| nearest.distance).collect())?)
+        ),
+    };
+    Some(format!(
+        "Views were judged up to {distance} and {angle_deg:.0}° from a photo trained on. Farther away nothing is known."
+    ))
 }
 
 fn percent(share: f64) -> String {
     format!("{:.0} %", 100.0 * share)
 }
 
-/// Returns a length with two significant digits, as nobody measures by an extent.
-fn rounded(length: f64) -> String {
-    let step = 10_f64.powf(length.abs().log10().floor() - 1.0);
-    if step > 0.0 && step.is_finite() {
-        number((length / step).round() * step)
-    } else {
-        number(0.0)
-    }
-}
-
 /// Returns the root mean square error that belongs to a PSNR, for channels of 0 to 255: 255 / 10^(PSNR / 20).
-fn gray_levels(psnr: f64) -> String {
-    format!("{:.0} gray levels", 255.0 / 10_f64.powf(psnr / 20.0))
+fn levels(psnr: f64) -> String {
+    format!("{:.0}", 255.0 / 10_f64.powf(psnr / 20.0))
 }
 
 /// Returns the mean share of held-out photos that no photo trained on shows from within 30 degrees.
@@ -301,12 +407,13 @@ mod tests {
         // 255 / 10^(24.567 / 20) = 15.08.
         for text in [
             "4 of 7 photos became a field",
-            "New views differ from held-out photos by 15 gray levels (24.57 dB).",
-            "No photo trained on saw 1 % of what they show: there the field is invented.",
+            "New views differ from held-out photos by 15 of 255 gray levels (root mean square, 24.57 dB), from photos trained on by 13.",
+            "Half of its depths there are off by less than 1 %",
+            "No photo trained on saw 1 % of what they show: there the field is invented",
             "<dt>photos kept</dt><dd>4 of 7</dd>",
             "<dt>photos placed</dt><dd>4 of 5</dd>",
             "1 of 5 photos have no camera.",
-            "The error is that of 1 held-out photo only.",
+            "The error is that of 1 held-out photo at 1 place only.",
             "<video",
         ] {
             assert!(said.contains(text), "{text}: {said}");
@@ -343,10 +450,6 @@ mod tests {
         };
         let found = extent(&scene(Some([0.0, 0.0, 1.0]))).unwrap();
         assert_eq!(found, "18 x 0 m");
-        assert_eq!(
-            [10.45, 8.039, 0.01234, 1234.0].map(rounded),
-            ["10", "8", "0.012", "1,200"]
-        );
         assert_eq!(extent(&scene(None)), None);
         assert_eq!(extent(&Scene::default()), None);
     }

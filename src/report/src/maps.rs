@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use marf_cache::Digest;
 use marf_model::RunNode;
-use marf_schema::bootstrap::{Calibration, HeldOut, Metrics, ViewReport};
+use marf_schema::bootstrap::{Calibration, HeldOut, Metrics, Mode, ViewReport};
 use marf_schema::output;
 use maud::{Markup, html};
 
@@ -13,7 +13,7 @@ use super::embed::Form;
 use super::format::{count, decibels, number};
 use super::json;
 use super::page::Page;
-use super::quality::{figures, of_bootstrap};
+use super::quality::{figures, of_bootstrap, rounded};
 
 /// Most viewpoints of one node.
 const MOST_VIEWS: usize = 8;
@@ -97,8 +97,20 @@ fn reliability(metrics: &Metrics) -> Markup {
     };
     html! {
         (figures(&of_bootstrap(metrics)))
+        p {
+            "The members are fields trained as the delivered one, with other seeds"
+            @if metrics.mode == Mode::Photos { " and other draws of the photos" }
+            ". Where they differ, the field is not sure. The total deviation adds their errors at photos trained on, and all of the \
+             range where no photo saw anything."
+        }
         table.facts {
-            @for (name, value) in spread(metrics) { tr { th scope="row" { (name) } td.number { (number(value)) } } }
+            @for (name, value) in spread(metrics) { tr { th scope="row" { (name) } td.number { (value) } } }
+        }
+        @if metrics.heldout.as_ref().is_some_and(|held_out| held_out.coverage.sd1 < held_out.coverage_nominal.sd1) {
+            p.quiet {
+                "Members are more alike than any of them is like the photo, so their deviation alone says too little. The 90 % intervals \
+                 are widened by what held-out photos show."
+            }
         }
         @if let Some(held_out) = &metrics.heldout { (intervals(held_out)) (curves(held_out)) }
         (members(metrics))
@@ -113,7 +125,7 @@ fn members(metrics: &Metrics) -> Markup {
     html! {
         @if !metrics.rounds.is_empty() {
             p {
-                "AUSE by members, on small photos: "
+                "Error of the order by number of members (AUSE), on small photos: "
                 @for (index, round) in metrics.rounds.iter().enumerate() {
                     @if index > 0 { ", " }
                     (round.b) " " (number(round.ause_mae))
@@ -133,11 +145,17 @@ fn members(metrics: &Metrics) -> Markup {
 /// Says what the 90 % intervals are and how far they hold at places they were not fitted on.
 fn intervals(held_out: &HeldOut) -> Markup {
     let percent = |share: f64| format!("{} %", number(share * 100.0));
-    let told = |calibration: &Calibration, unit: &str, floor: String| {
+    let told = |calibration: &Calibration, unit: &str, in_unit: &dyn Fn(f64) -> String| {
+        let [half, error, floor] = [
+            calibration.median_half90,
+            calibration.median_error,
+            calibration.floor,
+        ]
+        .map(in_unit);
         html! {
             p {
-                "90 % interval of " (unit) ": " (number(calibration.factor90)) " times the spread, which is at least " (floor)
-                ". At a place that it was not fitted on it covers " (percent(calibration.coverage90)) " of the errors, the mean of "
+                "90 % interval of " (unit) ": ± " (half) " at the median pixel (" (number(calibration.factor90))
+                " times the spread, which is at least " (floor) "). Half of the errors are at most " (error) ". At a place that it was not fitted on it covers " (percent(calibration.coverage90)) " of the errors, the mean of "
                 (count(calibration.places as usize, "place")) " (" (percent(calibration.coverage90_range[0])) " to "
                 (percent(calibration.coverage90_range[1])) ") with " (count(calibration.errors as usize, "compared pixel"))
                 ". Shares inside differ from the stated shares by " (percent(calibration.ece)) " in the mean. " (percent(calibration.unseen_share))
@@ -148,11 +166,11 @@ fn intervals(held_out: &HeldOut) -> Markup {
     };
     html! {
         @match &held_out.calibration {
-            Some(gray) => (told(gray, "gray levels", format!("{} of 255", number(gray.floor * 255.0)))),
+            Some(gray) => (told(gray, "gray", &|value| format!("{} of 255 levels", rounded(255.0 * value)))),
             None => p { "No interval: it takes photos of two places that are held out." },
         }
         @match &held_out.depth_calibration {
-            Some(depth) => (told(depth, "the depth", format!("{} % of it", number(depth.floor * 100.0)))),
+            Some(depth) => (told(depth, "the depth", &|share| format!("{} % of it", rounded(100.0 * share)))),
             None => p { "No interval of the depth: it takes 100 sparse points in photos of two places that are held out." },
         }
     }
@@ -175,7 +193,7 @@ fn curves(held_out: &HeldOut) -> Markup {
     let sparsification = Chart {
         title: "Mean error without the most uncertain pixels",
         x_label: "most uncertain pixels taken away, %",
-        y_label: "mean error, gray levels",
+        y_label: "mean absolute error, gray levels",
         scale: Scale::Linear,
         lines: vec![
             ("by standard deviation", line(&curves.by_std)),
@@ -205,30 +223,53 @@ fn curves(held_out: &HeldOut) -> Markup {
             (sparsification.drawn())
             @if held_out.calibration.is_some() { (reliability.drawn()) }
         }
+        p.quiet {
+            "These are mean absolute errors of gray. The error on the first screen is a root mean square, in which large errors count more."
+        }
     }
 }
 
+/// Returns a number with at most one decimal.
+fn tenths(value: f64) -> String {
+    number((10.0 * value).round() / 10.0)
+}
+
 /// Name and value of each measure of the spread.
-fn spread(metrics: &Metrics) -> Vec<(&'static str, f64)> {
+fn spread(metrics: &Metrics) -> Vec<(&'static str, String)> {
+    let levels = |value: f64| format!("{} gray levels", tenths(255.0 * value));
+    let percent = |share: f64| format!("{} %", tenths(100.0 * share));
     let mut found = vec![
-        ("mean standard deviation", metrics.std),
-        ("mean total deviation", metrics.total_sd),
-        ("share of pixels that no photo saw", metrics.unseen_share),
-        ("share of sky that photos saw", metrics.sky_share),
+        ("mean standard deviation", levels(metrics.std)),
+        ("mean total deviation", levels(metrics.total_sd)),
+        ("pixels that no photo saw", percent(metrics.unseen_share)),
+        ("pixels of sky that photos saw", percent(metrics.sky_share)),
     ];
     let Some(held_out) = &metrics.heldout else {
         return found;
     };
     let (mean, coverage) = (&held_out.mean, &held_out.coverage);
+    let in_db = |psnr: f64| format!("{} dB", decibels(psnr));
     found.extend([
-        ("PSNR of the mean, dB", mean.psnr),
-        ("PSNR of one member, dB, mean", held_out.psnr_members_mean),
-        ("AUSE by standard deviation (0 is best)", mean.ause_mae),
-        ("AUSE by total deviation", mean.ause_mae_total),
-        ("AUSE of a random order", mean.ause_mae_random),
-        ("rank correlation of deviation and error", mean.spearman),
-        ("errors within 1 deviation (68 % if normal)", coverage.sd1),
-        ("errors within 2 deviations (95 % if normal)", coverage.sd2),
+        ("PSNR of the members' mean", in_db(mean.psnr)),
+        ("PSNR of one member, mean", in_db(held_out.psnr_members_mean)),
+        (
+            "error of the order by standard deviation (AUSE, 0 is best)",
+            number(mean.ause_mae),
+        ),
+        (
+            "error of the order by total deviation",
+            number(mean.ause_mae_total),
+        ),
+        ("error of a random order", number(mean.ause_mae_random)),
+        ("rank correlation of deviation and error", number(mean.spearman)),
+        (
+            "errors within 1 deviation (68 % if normal)",
+            percent(coverage.sd1),
+        ),
+        (
+            "errors within 2 deviations (95 % if normal)",
+            percent(coverage.sd2),
+        ),
     ]);
     found
 }
@@ -244,7 +285,7 @@ fn row(
             h4 {
                 span.file { (name) }
                 @if let Some(view) = metrics {
-                    span.quiet { "mean standard deviation " (number(view.std)) }
+                    span.quiet { "mean standard deviation " (tenths(255.0 * view.std)) " gray levels" }
                 }
             }
             div.row.maps {

@@ -8,7 +8,7 @@ use super::format::{count, duration};
 use super::page::Page;
 use super::report::{FAILED, Report, SKIPPED, STATES, WAITING, stage, state, state_of_all};
 
-/// Says in one sentence what ran: `12 nodes: 3 ran, 9 reused, 61 s of work in 40 s`. The second time is that of the whole run.
+/// Says in one sentence what ran: `Pipeline of 12 nodes: 3 ran, 9 reused, 61 s of work in 40 s`. The second time is that of the whole run.
 pub(super) fn sentence(report: &Report<'_>) -> String {
     let mut parts = counts(report.nodes.iter().map(|node| state(node)));
     parts.extend(worked_s(report).map(|worked| {
@@ -19,7 +19,11 @@ pub(super) fn sentence(report: &Report<'_>) -> String {
         let whole = whole.map_or_else(String::new, |whole| format!(" in {whole}"));
         format!("{} of work{whole}", duration(worked))
     }));
-    let nodes = format!("{}: {}", count(report.nodes.len(), "node"), parts.join(", "));
+    let nodes = format!(
+        "Pipeline of {}: {}",
+        count(report.nodes.len(), "node"),
+        parts.join(", ")
+    );
     let scenes = counts(
         report
             .scenes

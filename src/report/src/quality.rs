@@ -83,7 +83,7 @@ pub(super) fn of_evaluation(metrics: &evaluate::Metrics) -> Vec<Figure> {
 
 /// Returns the figures of a bootstrap.
 pub(super) fn of_bootstrap(metrics: &bootstrap::Metrics) -> Vec<Figure> {
-    vec![("members", number(f64::from(metrics.b)))]
+    vec![("retrainings (members)", number(f64::from(metrics.b)))]
 }
 
 /// Returns the figures of a calibration.
@@ -107,7 +107,7 @@ pub(super) fn of_calibration(metrics: &calibrate::Metrics) -> Vec<Figure> {
 
 /// Returns the figures of one photo.
 pub(super) fn of_photo(scores: &PhotoScores) -> Vec<Figure> {
-    let paper = "PSNR, peak of the picture";
+    let paper = "PSNR as in the paper";
     let figures = of_scores(scores.psnr, scores.psnr_paper, scores.ssim, paper);
     let nearest = scores.nearest.iter().flat_map(|nearest| {
         let place = ("nearest photo trained on", place_of(nearest));
@@ -159,8 +159,18 @@ pub(super) fn by_distance(scores: &Scores) -> Markup {
     }
 }
 
+/// Returns a number with two significant digits, as nobody measures by a summary.
+pub(super) fn rounded(value: f64) -> String {
+    let step = 10_f64.powf(value.abs().log10().floor() - 1.0);
+    if step > 0.0 && step.is_finite() {
+        number((value / step).round() * step)
+    } else {
+        number(0.0)
+    }
+}
+
 fn means(scores: &Scores) -> Vec<Figure> {
-    let paper = "PSNR, peak of the picture";
+    let paper = "PSNR as in the paper";
     let mut figures = of_scores(scores.psnr, scores.psnr_paper, scores.ssim, paper);
     let in_db = |value: f64| format!("{} dB", decibels(value));
     let affine = scores.psnr_affine.map(in_db);
@@ -192,5 +202,11 @@ mod tests {
         let found = of_scores(27.318, None, Some(0.9), "paper");
         let expected = [("PSNR", "27.32 dB".to_owned()), ("SSIM", "0.900".to_owned())];
         assert_eq!(found, expected);
+    }
+
+    #[test]
+    fn a_summary_has_two_significant_digits() {
+        let values = [10.45, 8.039, 0.01234, 1234.0, 0.0, f64::INFINITY];
+        assert_eq!(values.map(rounded), ["10", "8", "0.012", "1,200", "0", "0"]);
     }
 }

@@ -20,18 +20,20 @@ fn sentences_of_a_run_have_the_numbers_of_its_documents() {
         ", reprojection error 0.4 px",
         "0.012 m, 0.04 m at most (site 3)",
         "duplicate: closest calls, 6 verdicts of 6 within half of their threshold",
-        "90 % interval of gray levels: 2.6 times the spread, which is at least 2 of 255. At a place that it was not fitted on it \
+        "90 % interval of gray: ± 16 of 255 levels at the median pixel (2.6 times the spread, which is at least 2 of 255 levels). \
+         Half of the errors are at most 5 of 255 levels. At a place that it was not fitted on it \
          covers 88.2 % of the errors, the mean of 5 places (86 % to 93 %) with 12,345 compared pixels. Shares inside differ from \
          the stated shares by 2 % in the mean. 1.2 % of the pixels have none: no photo saw what they show.",
-        "90 % interval of the depth: 2.6 times the spread, which is at least 0.4 % of it.",
+        "90 % interval of the depth: ± 3.2 % of it at the median pixel (2.6 times the spread, which is at least 0.4 % of it).",
         "3 settings, 1 seeds each where one knob is turned, measured on a processor, 2 cores.",
     ] {
         assert!(html.contains(text), "{text}");
     }
     // The value of a figure follows its name.
     for (name, value) in [
-        ("errors within 1 deviation (68 % if normal)", "0.55"),
-        ("errors within 2 deviations (95 % if normal)", "0.81"),
+        ("mean standard deviation", "5.4 gray levels"),
+        ("errors within 1 deviation (68 % if normal)", "55 %"),
+        ("errors within 2 deviations (95 % if normal)", "81 %"),
     ] {
         let after = html.split_once(name).unwrap().1;
         let shown = after
@@ -134,7 +136,7 @@ fn what_a_filter_did_has_its_numbers() {
     ];
     has(
         &store.report(&nodes),
-        &["3 in, all kept", "blur rejected 3 of 3 photos."],
+        &["3 in, all kept", "3 photos were rejected: 3 by blur."],
     );
 }
 
@@ -249,8 +251,8 @@ fn charts_of_uncertainty_have_the_values_of_their_document() {
         &store.report(&nodes),
         &[
             "Mean error without the most uncertain pixels",
-            "<title>by standard deviation most uncertain pixels taken away, % 50, mean error, gray levels 3.06</title>",
-            "<title>by total deviation most uncertain pixels taken away, % 50, mean error, gray levels 3.31",
+            "<title>by standard deviation most uncertain pixels taken away, % 50, mean absolute error, gray levels 3.06</title>",
+            "<title>by total deviation most uncertain pixels taken away, % 50, mean absolute error, gray levels 3.31",
         ],
     );
     let mut store = fixture::Store::default();

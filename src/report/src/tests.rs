@@ -80,7 +80,7 @@ fn known_figures_have_their_unit() {
         "class=\"held-out error0\"",
         "24.57 dB",
         "Trial 01 is chosen.",
-        "AUSE of a random order",
+        "error of a random order",
         "1 file that gave no photo",
         "kept in its place",
     ] {

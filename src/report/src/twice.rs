@@ -16,7 +16,7 @@ fn an_interval_covers_in_its_text_what_it_covers_in_its_chart_and_in_its_table()
     let (store, nodes) = full();
     let html = store.report(&nodes);
     for (unit, line, key) in [
-        ("gray levels", "gray levels", "calibration"),
+        ("gray", "gray levels", "calibration"),
         ("the depth", "depth", "depth_calibration"),
     ] {
         let text = html.split_once(&format!("90 % interval of {unit}: ")).unwrap().1;

@@ -210,6 +210,10 @@ pub struct Calibration {
     pub coverage90: f64,
     /// Least and largest of a place.
     pub coverage90_range: [f64; 2],
+    /// Half of the errors at all places are at most this.
+    pub median_error: f64,
+    /// Half of the width of the 90 % interval, at the pixel with the median spread.
+    pub median_half90: f64,
     /// Places.
     pub places: u64,
     /// Photos.

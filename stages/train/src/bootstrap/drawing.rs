@@ -70,8 +70,13 @@ impl<'a> DrawnMap<'a> {
 }
 
 impl Scales {
-    /// Returns scales for the largest reach of all views.
-    pub fn new(reach: &Reach, held_out: Option<&HeldOut>, metres_per_unit: Option<f64>) -> Self {
+    /// Returns scales for the largest reach of all views of fields that were trained on so many photos.
+    pub fn new(
+        reach: &Reach,
+        held_out: Option<&HeldOut>,
+        metres_per_unit: Option<f64>,
+        photos: usize,
+    ) -> Self {
         let scale =
             |title: &str, unit: &str, high: f64| ColorScale::linear(title, unit, high, Palette::Inferno);
         let gray = |title: &str, high: f64| scale(title, GRAY, rounded((high * LEVELS).max(LEAST_LEVELS)));
@@ -102,7 +107,7 @@ impl Scales {
             photos: ColorScale::linear(
                 "photos that saw it",
                 "photos",
-                rounded(reach.photos.max(1.0)),
+                rounded(reach.photos.max(1.0)).min(photos.max(1) as f64),
                 Palette::Viridis,
             ),
             depth_std: length("depth, std deviation", reach.depth_std),
@@ -245,13 +250,13 @@ mod tests {
     #[test]
     fn scales_end_at_round_gray_levels_and_metres_above_what_most_seen_pixels_have() {
         let reach = Reach::new(&maps_of(&example()), &[0.01, 0.02, 0.03, 0.9]);
-        let scales = Scales::new(&reach, None, Some(0.5));
+        let scales = Scales::new(&reach, None, Some(0.5), 4);
         let ends = [
             (&scales.total, 20.0),
             (&scales.std, 20.0),
             (&scales.error, 10.0),
             (&scales.residual, 1.0),
-            (&scales.photos, 5.0),
+            (&scales.photos, 4.0),
             (&scales.unseen, 1.0),
         ];
         for (scale, end) in ends {
@@ -265,7 +270,7 @@ mod tests {
     #[test]
     fn a_total_deviation_has_colours_and_what_is_above_has_the_top_one() {
         let maps = maps_of(&example());
-        let scales = Scales::new(&Reach::new(&maps, &[]), None, None);
+        let scales = Scales::new(&Reach::new(&maps, &[]), None, None, 4);
         let drawn = DrawnMap::gray("total", maps.total.clone(), &scales.total);
         let colors = [0.180_312, 0.544_680, 0.552_087, 1.0].map(|share| Palette::Inferno.color(share));
         let found: Vec<[u8; 3]> = drawn

@@ -1,5 +1,6 @@
 //! Intervals that hold: the spread of the members widened until errors on held-out photos are within it as often as stated.
 
+use marf_numeric::lower_median;
 use marf_schema::bootstrap::Calibration;
 
 /// z with P(|Z| <= z) = 0.05, 0.10, .. 0.95 for a standard normal Z, as a table because erf differs between libraries.
@@ -129,12 +130,20 @@ pub(crate) fn calibrate(views: &[Errors], floors: &[f64]) -> Option<Calibration>
         coverage90: inside[NINETY - 1],
         coverage90_range: range(|check| check.inside[NINETY - 1]),
         inside,
+        median_error: median(views, |(_, error)| f64::from(error)),
+        median_half90: fit.factors[NINETY - 1] * median(views, |(spread, _)| widened(spread, fit.floor)),
         errors: errors as u64,
         places: places.len() as u64,
         views: views.len() as u64,
         unseen_share: views.iter().map(|view| view.unseen_share).sum::<f64>() / views.len() as f64,
         note,
     })
+}
+
+/// Returns the lower median of a value over all pixels of all views.
+fn median(views: &[Errors], value: impl Fn((f32, f32)) -> f64) -> f64 {
+    let pairs = views.iter().flat_map(|view| view.pairs.iter().copied());
+    lower_median(pairs.map(value)).unwrap_or(0.0)
 }
 
 /// Returns the floor for which errors are most nearly normal, with its factors, or `None` without errors.
@@ -285,6 +294,10 @@ mod tests {
             "{found:?}"
         );
         assert!((found.coverage90 - 0.9).abs() < 0.03, "{found:?}");
+        // Half of a normal distribution is within 0.6745 standard deviations of 0.1.
+        assert!((found.median_error - 0.06745).abs() < 1e-3, "{found:?}");
+        let half = 0.05 * found.factor90;
+        assert!((found.median_half90 - half).abs() < 1e-6, "{found:?}");
         assert_eq!(found.errors, 3 * 1000);
         assert_eq!((found.places, found.views, found.unseen_share), (3, 3, 0.25));
         assert!(found.note.contains("only 3 places"), "{found:?}");

@@ -48,7 +48,8 @@ pub(super) fn reduce(
     let reach = studies
         .iter()
         .fold(Reach::default(), |reach, study| reach.max(&study.reach));
-    let scales = Scales::new(&reach, report.heldout.as_ref(), scene.metres_per_unit);
+    let metres_per_unit = scene.metres_per_unit;
+    let scales = Scales::new(&reach, report.heldout.as_ref(), metres_per_unit, used.len());
     let mut outputs = Outputs::new();
     mapper.put_views(&views, &scales, &mut outputs)?;
     outputs.put(ctx, &report)?;
