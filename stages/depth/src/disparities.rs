@@ -21,6 +21,8 @@ pub enum Class {
     Confirmed = 2,
     /// The two pictures agree, but a jump to another surface is at most two pixels away.
     Edge = 3,
+    /// Pairs of a photo give different depths: it has none. What moved between the photos does that, and so do wrong matches.
+    Differs = 4,
 }
 
 /// Disparities of the left picture. All rasters have its size.

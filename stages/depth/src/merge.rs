@@ -47,8 +47,6 @@ pub(crate) struct PhotoDepth {
     /// The plane at each pixel in the axes of the photo: n · x = 1.
     pub normal: Vec<[f32; 3]>,
     pub class: Vec<Class>,
-    /// Pixels whose pairs differ.
-    pub differing: usize,
 }
 
 /// Merges what the pairs of a photo say about each of its pixels.
@@ -76,7 +74,6 @@ pub(crate) fn merge(camera: Camera, pairs: &[PairView]) -> PhotoDepth {
         sigma: merged.iter().map(|one| one.sigma).collect(),
         normal: merged.iter().map(|one| one.normal.into()).collect(),
         class: merged.iter().map(|one| one.class).collect(),
-        differing: merged.iter().filter(|one| one.differing).count(),
     }
 }
 
@@ -123,7 +120,6 @@ struct PixelDepth {
     sigma: f32,
     normal: Vector3<f32>,
     class: Class,
-    differing: bool,
 }
 
 impl PixelDepth {
@@ -132,7 +128,6 @@ impl PixelDepth {
         sigma: 0.0,
         normal: Vector3::new(0.0, 0.0, 0.0),
         class: Class::None,
-        differing: false,
     };
 }
 
@@ -160,7 +155,7 @@ fn decide(planes: &[Option<Plane>; MOST_PAIRS]) -> PixelDepth {
     };
     if count == 1 && known().count() > 1 {
         return PixelDepth {
-            differing: true,
+            class: Class::Differs,
             ..PixelDepth::NONE
         };
     }
@@ -185,7 +180,6 @@ fn decide(planes: &[Option<Plane>; MOST_PAIRS]) -> PixelDepth {
         sigma: 1.0 / weight.sqrt(),
         normal: normal / weight,
         class,
-        differing: false,
     }
 }
 
@@ -216,7 +210,7 @@ mod tests {
         assert!((agreed.inverse - 0.1024).abs() < 1e-6, "{}", agreed.inverse);
         assert!((agreed.sigma - 0.000_894).abs() < 1e-6, "{}", agreed.sigma);
         let differing = decided(&[plane(0.1, 0.001), plane(0.2, 0.001)]);
-        assert!(differing.differing && differing.class == Class::None && differing.inverse == 0.0);
+        assert!(differing.class == Class::Differs && differing.inverse == 0.0);
         let two_of_three = decided(&[plane(0.2, 0.0001), plane(0.1, 0.001), plane(0.1, 0.001)]);
         assert_eq!(two_of_three.class, Class::Confirmed);
         assert!(

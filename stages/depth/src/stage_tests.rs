@@ -293,15 +293,16 @@ fn pictures_say_what_their_values_are() {
     let class = png(&outputs, "class");
     assert!(has_text(
         &class,
-        "0 none, 1 one pair, 2 confirmed by two, 3 next to an edge"
+        "0 none, 1 one pair, 2 confirmed by two, 3 next to an edge, 4 none: pairs differ"
     ));
-    let mut counts = [0_u32; 4];
+    let mut counts = [0_u32; 5];
     for value in classes(&class) {
         counts[usize::from(value)] += 1;
     }
     let of_all = |count: u32| f64::from(count) / f64::from(160 * 120);
     assert_eq!(of_all(counts[2]), metrics.photos[0].confirmed_share);
     assert_eq!(of_all(counts[1] + counts[2] + counts[3]), metrics.photos[0].share);
+    assert_eq!(of_all(counts[4]), metrics.photos[0].differing_share);
     assert!(has_text(&png(&outputs, "inverse-depth"), "1/metre"));
     // Without a scale the unit is that of the scene: 2 m before.
     let largest = |outputs: &Outputs| {
