@@ -73,22 +73,25 @@ impl Chart<'_> {
         let legend_height = LEGEND_ROW * named as f64;
         let (above, height) = (px(-legend_height), px(HEIGHT + legend_height));
         html! {
-            svg.chart viewBox={ "0 " (above) " " (px(WIDTH)) " " (height) } width=(px(WIDTH)) height=(height)
-                role="img" aria-label=(self.title) {
-                @for tick in &y_ticks { (y_tick(*tick, y_of(*tick))) }
-                @for tick in &x_ticks { (x_tick(*tick, x_of(*tick))) }
-                text.label x=(px((LEFT + WIDTH - RIGHT) / 2.0)) y=(px(HEIGHT - 6.0)) text-anchor="middle" { (self.x_label) }
-                text.label transform={ "translate(13 " (px((TOP + HEIGHT - BOTTOM) / 2.0)) ") rotate(-90)" }
-                    text-anchor="middle" { (self.y_label) }
-                @for (row, (index, (name, points))) in lines.iter().enumerate() {
-                    g class={ "line" (index) } {
-                        polyline points=(polyline(points.iter().map(|(x, y)| (x_of(*x), y_of(*y))))) {}
-                        @for (x, y) in points {
-                            circle cx=(px(x_of(*x))) cy=(px(y_of(*y))) r="3" {
-                                title { (name) " " (self.x_label) " " (number(*x)) ", " (self.y_label) " " (number(*y)) }
+            figure {
+                figcaption { (self.title) }
+                svg.chart viewBox={ "0 " (above) " " (px(WIDTH)) " " (height) } width=(px(WIDTH)) height=(height)
+                    role="img" aria-label=(self.title) {
+                    @for tick in &y_ticks { (y_tick(*tick, y_of(*tick))) }
+                    @for tick in &x_ticks { (x_tick(*tick, x_of(*tick))) }
+                    text.label x=(px((LEFT + WIDTH - RIGHT) / 2.0)) y=(px(HEIGHT - 6.0)) text-anchor="middle" { (self.x_label) }
+                    text.label transform={ "translate(13 " (px((TOP + HEIGHT - BOTTOM) / 2.0)) ") rotate(-90)" }
+                        text-anchor="middle" { (self.y_label) }
+                    @for (row, (index, (name, points))) in lines.iter().enumerate() {
+                        g class={ "line" (index) } {
+                            polyline points=(polyline(points.iter().map(|(x, y)| (x_of(*x), y_of(*y))))) {}
+                            @for (x, y) in points {
+                                circle cx=(px(x_of(*x))) cy=(px(y_of(*y))) r="3" {
+                                    title { (name) " " (self.x_label) " " (number(*x)) ", " (self.y_label) " " (number(*y)) }
+                                }
                             }
+                            @if !name.is_empty() { (legend(row, name)) }
                         }
-                        @if !name.is_empty() { (legend(row, name)) }
                     }
                 }
             }

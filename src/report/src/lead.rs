@@ -23,6 +23,8 @@ const MOST_NOTES: usize = 5;
 const STRAY: f64 = 0.05;
 /// Fewer held-out photos than this say little about other views.
 const FEW_HELD_OUT: usize = 5;
+/// A smaller share of what photos show is not worth a word.
+const LEAST_UNSEEN: f64 = 0.005;
 
 /// What the first screen says. What the run did not make is absent.
 #[derive(Default)]
@@ -165,7 +167,6 @@ impl Facts {
                 levels(scores.psnr),
                 decibels(scores.psnr)
             ));
-            sentences.extend(self.depth_words());
             sentences.extend(self.unseen_words(scores));
         }
         sentences.join(" ")
@@ -175,7 +176,7 @@ impl Facts {
     fn depth_words(&self) -> Option<String> {
         let has_scale = self.scene.as_ref()?.metres_per_unit.is_some();
         let share = |share: f64| {
-            let metres = has_scale.then(|| format!(", {} cm at 5 m", rounded(500.0 * share)));
+            let metres = has_scale.then(|| format!(" ({} cm at 5 m)", rounded(500.0 * share)));
             format!("{} %{}", rounded(100.0 * share), metres.unwrap_or_default())
         };
         let held_out = self.maps.as_ref().and_then(|maps| maps.heldout.as_ref());
@@ -188,12 +189,10 @@ impl Facts {
                 )
             });
         let pairs = self.pairs_share.map(share);
-        Some(match (field, pairs) {
-            (Some(field), Some(pairs)) => format!("{field}; pairs of photos measure to {pairs}."),
-            (Some(field), None) => format!("{field}."),
-            (None, Some(pairs)) => format!("Pairs of photos measure depths to {pairs}."),
-            (None, None) => return None,
-        })
+        let pairs =
+            pairs.map(|pairs| format!("One standard deviation of depths from pairs of photos is {pairs}."));
+        let sentences: Vec<String> = field.into_iter().chain(pairs).collect();
+        (!sentences.is_empty()).then(|| sentences.join(" "))
     }
 
     fn invented_share(&self) -> Option<f64> {
@@ -206,19 +205,25 @@ impl Facts {
         let most = views
             .iter()
             .max_by(|a, b| a.unseen_share.total_cmp(&b.unseen_share))?;
-        (views.len() > 1).then(|| format!(", most in {} ({})", most.name, percent(most.unseen_share)))
+        let is_some = views.len() > 1 && most.unseen_share >= LEAST_UNSEEN;
+        is_some.then(|| {
+            format!(
+                "Invented areas are bright in the maps of what no photo saw. {} has most of them ({}).",
+                most.name,
+                percent(most.unseen_share)
+            )
+        })
     }
 
     /// Says what the held-out photos show that no photo trained on saw. None for less than half a percent.
     fn unseen_words(&self, scores: &Scores) -> Option<String> {
         let share = self.invented_share().or_else(|| unseen_share(scores))?;
         let rest = if self.invented_share().is_some() {
-            let most = self.least_seen().unwrap_or_default();
-            format!("of what they show: there the field is invented{most}")
+            "of what they show: there the field is invented"
         } else {
-            "of what they show from a similar direction: there the field guesses".to_owned()
+            "of what they show from a similar direction: there the field guesses"
         };
-        (share >= 0.005).then(|| format!("No photo trained on saw {} {rest}.", percent(share)))
+        (share >= LEAST_UNSEEN).then(|| format!("No photo trained on saw {} {rest}.", percent(share)))
     }
 
     fn figures(&self) -> Vec<Figure> {
@@ -250,58 +255,64 @@ impl Facts {
 
     /// Returns what to know, the weightiest first.
     fn notes(&self, page: &Page<'_>) -> Vec<Note> {
-        let mut notes = Vec::new();
-        let mut add = |applies: bool, text: String, section: &'static str| {
-            if applies {
-                notes.push(Note { text, section });
-            }
-        };
         let rejected = rejected_words(page);
-        let is_most = self
+        let are_most = self
             .found
             .zip(self.kept)
             .is_some_and(|(found, kept)| 2 * kept < found);
-        add(is_most, rejected.clone(), "rejected");
-        if let Some(totals) = &self.totals {
-            let text = format!(
-                "{} of {} have no camera.",
-                totals.unplaced,
-                count(totals.photos, "photo")
-            );
-            add(totals.unplaced > 0, text, "cameras");
-        }
-        if let Some(scores) = &self.scores {
-            let judged = scores.views.len();
-            let extrapolated = scores.apart.as_ref().map_or(0, |apart| apart.extrapolated);
-            let text = format!(
-                "{extrapolated} of {} look where no photo trained on does.",
-                count(judged, "held-out photo")
-            );
-            add(extrapolated > 0, text, "heldout");
-            let text = format!(
-                "The error is that of {}{} only.",
-                count(judged, "held-out photo"),
-                self.places_words()
-            );
-            add(judged < FEW_HELD_OUT, text, "heldout");
-            if let Some(text) = reach_words(scores) {
-                add(true, text, "heldout");
-            }
-        }
-        if let Some(scene) = &self.scene {
-            let text = "Up is not known: maps and orbits may be tilted.".to_owned();
-            add(scene.up.is_none(), text, "cameras");
-            let text = "The scene has no scale: lengths are in units of its own.".to_owned();
-            add(scene.metres_per_unit.is_none(), text, "cameras");
-        }
-        let text = "Uncertainty was not measured: a `bootstrap` node maps it.".to_owned();
-        add(
-            self.scores.is_some() && !self.has_uncertainty,
-            text,
-            "uncertainty",
+        let unplaced = self.totals.as_ref().filter(|totals| totals.unplaced > 0);
+        let unplaced = unplaced.map(|totals| {
+            let photos = count(totals.photos, "photo");
+            format!("{} of {photos} have no camera.", totals.unplaced)
+        });
+        let scores = self.scores.as_ref();
+        let scene = self.scene.as_ref();
+        let is_tilted = scene.is_some_and(|scene| scene.up.is_none());
+        let has_no_scale = scene.is_some_and(|scene| scene.metres_per_unit.is_none());
+        let is_not_mapped = scores.is_some() && !self.has_uncertainty;
+        let said = |applies: bool, text: &str| applies.then(|| text.to_owned());
+        let all = [
+            ("rejected", rejected.clone().filter(|_| are_most)),
+            ("cameras", unplaced),
+            ("heldout", scores.and_then(extrapolation_words)),
+            ("heldout", scores.and_then(|scores| self.few_words(scores))),
+            ("heldout", scores.and_then(reach_words)),
+            (
+                "cameras",
+                said(is_tilted, "Up is not known: maps and orbits may be tilted."),
+            ),
+            (
+                "cameras",
+                said(
+                    has_no_scale,
+                    "The scene has no scale: lengths are in units of its own.",
+                ),
+            ),
+            (
+                "uncertainty",
+                said(
+                    is_not_mapped,
+                    "Uncertainty was not measured: a `bootstrap` node maps it.",
+                ),
+            ),
+            ("uncertainty", self.depth_words()),
+            ("uncertainty", self.least_seen()),
+            ("rejected", rejected.filter(|_| !are_most)),
+        ];
+        let notes = all.into_iter();
+        let notes = notes.filter_map(|(section, text)| Some(Note { text: text?, section }));
+        notes.collect()
+    }
+
+    /// Says of how few photos the error is. `None` of enough.
+    fn few_words(&self, scores: &Scores) -> Option<String> {
+        let judged = scores.views.len();
+        let text = format!(
+            "The error is that of {}{} only.",
+            count(judged, "held-out photo"),
+            self.places_words()
         );
-        add(!is_most && !rejected.is_empty(), rejected, "rejected");
-        notes
+        (judged < FEW_HELD_OUT).then_some(text)
     }
 
     /// Says at how many places the held-out photos were taken. Empty where that is not known.
@@ -313,8 +324,15 @@ impl Facts {
     }
 }
 
-/// Says how many photos each filter rejected. Empty if none did.
-fn rejected_words(page: &Page<'_>) -> String {
+/// Says how many held-out photos look where no other does. `None` if none do.
+fn extrapolation_words(scores: &Scores) -> Option<String> {
+    let extrapolated = scores.apart.as_ref()?.extrapolated;
+    let judged = count(scores.views.len(), "held-out photo");
+    (extrapolated > 0).then(|| format!("{extrapolated} of {judged} look where no photo trained on does."))
+}
+
+/// Says how many photos each filter rejected. `None` if none did.
+fn rejected_words(page: &Page<'_>) -> Option<String> {
     let judged = page.judged().filter_map(|(node, sum)| Some((node, sum.ok()?)));
     let rejected: Vec<(&str, usize)> = judged
         .map(|(node, sum)| (node.run.name.as_str(), sum.seen - sum.kept))
@@ -326,9 +344,9 @@ fn rejected_words(page: &Page<'_>) -> String {
         .map(|(name, rejected)| format!("{rejected} by {name}"))
         .collect();
     match all {
-        0 => String::new(),
-        1 => format!("1 photo was rejected by {}.", rejected[0].0),
-        _ => format!("{all} photos were rejected: {}.", each.join(", ")),
+        0 => None,
+        1 => Some(format!("1 photo was rejected by {}.", rejected[0].0)),
+        _ => Some(format!("{all} photos were rejected: {}.", each.join(", "))),
     }
 }
 
@@ -408,7 +426,7 @@ mod tests {
         for text in [
             "4 of 7 photos became a field",
             "New views differ from held-out photos by 15 of 255 gray levels (root mean square, 24.57 dB), from photos trained on by 13.",
-            "Half of its depths there are off by less than 1 %",
+            "Half of the field's depths are off by less than 1 % (5 cm at 5 m).",
             "No photo trained on saw 1 % of what they show: there the field is invented",
             "<dt>photos kept</dt><dd>4 of 7</dd>",
             "<dt>photos placed</dt><dd>4 of 5</dd>",
