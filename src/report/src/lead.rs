@@ -184,7 +184,7 @@ impl Facts {
             .and_then(|held_out| held_out.depth_calibration.as_ref())
             .map(|depth| {
                 format!(
-                    "Half of its depths there are off by less than {}",
+                    "Half of the field's depths are off by less than {}.",
                     share(depth.median_error)
                 )
             });
