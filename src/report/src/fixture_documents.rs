@@ -48,6 +48,7 @@ pub(super) fn calibration(method: &str, registered: usize, error_px: f64) -> cal
             median_m: 0.012,
             largest_m: 0.04,
         }),
+        stereo_pairs: Vec::new(),
     }
 }
 

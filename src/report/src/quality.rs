@@ -3,7 +3,7 @@
 use marf_scene::Nearest;
 use marf_schema::scores::{PhotoScores, Scores};
 use marf_schema::train::WarmStart;
-use marf_schema::{bootstrap, calibrate, evaluate, folds, train};
+use marf_schema::{bootstrap, calibrate, evaluate, folds, rigs, train};
 use maud::{Markup, html};
 
 use super::format::{decibels, length, number, similarity};
@@ -102,7 +102,14 @@ pub(super) fn of_calibration(metrics: &calibrate::Metrics) -> Vec<Figure> {
         ("cameras from their labels", median)
     });
     let up = metrics.up.map(|up| ("up", up.words()));
-    [placed].into_iter().chain(error).chain(tie).chain(up).collect()
+    let rigs = rigs::words(&metrics.stereo_pairs).map(|words| ("stereo pairs", words));
+    [placed]
+        .into_iter()
+        .chain(error)
+        .chain(tie)
+        .chain(rigs)
+        .chain(up)
+        .collect()
 }
 
 /// Returns the figures of one photo.

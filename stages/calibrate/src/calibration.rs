@@ -4,6 +4,7 @@ use marf_cache::Digest;
 use marf_scene::{Camera, Point, Pose, SiteFrame};
 use marf_schema::calibrate::Missing;
 use marf_sfm::mapper::PoseUncertainty;
+use marf_sfm::rigs::StereoPair;
 
 use crate::export::TrackPoint;
 use crate::up::{FoundUp, find_up};
@@ -45,6 +46,7 @@ pub(crate) enum HeldOut {
 }
 
 /// The result of a method.
+#[derive(Default)]
 pub(crate) struct Calibration {
     pub placed: Vec<PlacedPhoto>,
     /// Index in the input set, and the reason.
@@ -58,6 +60,8 @@ pub(crate) struct Calibration {
     pub metres_per_unit: Option<f64>,
     /// The world's frame in the site of its labels.
     pub site: Option<SiteFrame>,
+    /// Stereo pairs of photos, named by their index in the input set, if labels give them.
+    pub stereo_pairs: Vec<StereoPair>,
     pub method: String,
     /// Statistics of each photo of the input set, placed or not. Empty if the method has none.
     pub statistics: Vec<PhotoStatistics>,

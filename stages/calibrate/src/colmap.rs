@@ -80,18 +80,12 @@ pub(crate) fn run(
     let reason = format!("not in the largest of colmap's models, of {}", models.len());
     Ok(Calibration {
         unplaced: absent.map(|item| (item, reason.clone())).collect(),
-        missing: Vec::new(),
-        tracks: Vec::new(),
-        components: None,
-        statistics: Vec::new(),
-        cause: None,
         up: up_of(&placed, &cameras.points),
         placed,
         points: cameras.points,
-        site: None,
-        metres_per_unit: None,
         method: format!("{}: OPENCV cameras, {matcher}, largest model", program.version),
         hint: "take photos that overlap by half, or try `method = \"sfm\"`".to_owned(),
+        ..Calibration::default()
     })
 }
 

@@ -88,13 +88,9 @@ pub(crate) fn run(
         missing: matched.missing,
         points,
         tracks,
-        site: None,
-        metres_per_unit: None,
         method,
-        components: None,
-        statistics: Vec::new(),
-        cause: None,
         hint: format!("check that {name} has the names of the photos next to it"),
+        ..Calibration::default()
     })
 }
 

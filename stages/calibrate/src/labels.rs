@@ -88,22 +88,17 @@ pub(crate) fn run(
     Ok(Calibration {
         placed,
         unplaced,
-        missing: Vec::new(),
-        points: Vec::new(),
-        tracks: Vec::new(),
         up: Some(FoundUp::labels()),
         metres_per_unit: Some(1.0),
         site: site.map(|site| SiteFrame {
             site,
             origin_m: origin.into(),
         }),
-        components: None,
-        statistics: Vec::new(),
-        cause: None,
         method: "labels: resampled once to an ideal pinhole, cubic in 8-bit sRGB".to_owned(),
         hint: "take an archive whose labels hold camera models, choose another `site`, widen `sols`, or use \
                `method = \"import\"`"
             .to_owned(),
+        ..Calibration::default()
     })
 }
 

@@ -6,6 +6,8 @@ use marf_cache::Digest;
 use marf_scene::{Frame, PosedPhoto, Scene, Unplaced, hold_out_more_places};
 use marf_schema::calibrate::{CalibrateParams, Hold, Method, Metrics, PhotoMetrics, Totals};
 use marf_schema::output::{POINTS, SCENE, SPARSE, SPARSE_IMAGES, SPARSE_POINTS, TRANSFORMS};
+use marf_schema::rigs;
+use marf_sfm::rigs::{RigVerdict, StereoPair};
 use marf_stage::{COMPANIONS, Ctx, Document, Inputs, Outputs, PHOTOS, Port, Set, StageError, Threads, stage};
 
 use crate::calibration::{Calibration, HeldOut, PlacedPhoto};
@@ -31,7 +33,7 @@ stage! {
     Set,
     Threads::All,
     about: "photos to a calibrated scene: from what they show, from labels, or from imported cameras",
-    version: 14,
+    version: 15,
     ports: [
         Port::required("input", PHOTOS),
         Port::optional("cameras", COMPANIONS),
@@ -262,6 +264,25 @@ fn metrics(found: &Calibration, items: &[InputPhoto]) -> Metrics {
         missing: found.missing.clone(),
         tie: labels::tie(found, items),
         up: found.up.map(|found| found.up),
+        stereo_pairs: found
+            .stereo_pairs
+            .iter()
+            .map(|pair| stereo_pair(pair, items))
+            .collect(),
+    }
+}
+
+/// Returns the metrics of a stereo pair.
+fn stereo_pair(pair: &StereoPair, items: &[InputPhoto]) -> rigs::StereoPair {
+    rigs::StereoPair {
+        photos: pair.photos.map(|photo| items[photo].id.clone()),
+        angle_deg: pair.angle_rad.to_degrees(),
+        distance_m: pair.distance_m,
+        verdict: match pair.verdict {
+            RigVerdict::Rigid => rigs::Verdict::Rigid,
+            RigVerdict::Differs => rigs::Verdict::Differs,
+            RigVerdict::Unclear => rigs::Verdict::Unclear,
+        },
     }
 }
 

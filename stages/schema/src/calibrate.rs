@@ -1,5 +1,6 @@
 //! `calibrate`: photos and priors to a calibrated scene.
 
+use crate::rigs::StereoPair;
 use marf_stage::{Document, ParamError, Params};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -235,6 +236,9 @@ pub struct Metrics {
     /// How up was found. Absent where it is not known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub up: Option<Up>,
+    /// Stereo pairs by the labels, sorted by their photos. `sfm` only.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub stereo_pairs: Vec<StereoPair>,
 }
 
 /// How the up direction of a scene was found.

@@ -25,6 +25,7 @@ mod memory;
 pub mod output;
 pub mod partial;
 pub mod render;
+pub mod rigs;
 pub mod scenes;
 pub mod scores;
 pub mod surface;

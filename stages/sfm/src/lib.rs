@@ -1,7 +1,7 @@
 //! Structure from motion: verified pairs of photos to camera poses, lenses and sparse points.
 //!
 //! Steps, each a pure function of its arguments: the [`view_graph`] of all pairs, incremental mapping ([`mapper`]) with
-//! bundle adjustment ([`bundle`]), alignment with known poses ([`align`], [`metric`]), and exposures ([`tones`]). Pairs are compared in
+//! bundle adjustment ([`bundle`]), alignment with known poses ([`align`], [`metric`], [`rigs`]), and exposures ([`tones`]). Pairs are compared in
 //! `marf-sfm-features`.
 //! Invariant: the same bits for any number of threads, any instruction set and any machine.
 
@@ -10,6 +10,7 @@ pub mod bundle;
 mod bytes;
 pub mod mapper;
 pub mod metric;
+pub mod rigs;
 mod supervisor;
 pub mod tones;
 pub mod view_graph;

@@ -39,7 +39,9 @@ pub(super) fn assemble(
     let mut points = Vec::new();
     for &index in &chosen {
         let model = moved(&reconstruction.models[index], &world);
-        let rejected = reconstruction.metric[index].as_deref().unwrap_or_default();
+        let rejected = reconstruction.metric[index]
+            .as_ref()
+            .map_or(&[][..], |one| &one.rejected);
         placed.extend(frames(ctx, reconstruction, &model, rejected, params)?);
         points.extend(tracks(
             reconstruction.features,
@@ -56,7 +58,6 @@ pub(super) fn assemble(
             .into_iter()
             .map(|(photo, cause)| (photo, cause.to_string()))
             .collect(),
-        missing: Vec::new(),
         up: match earlier {
             Some(earlier) => earlier.scene.up.map(FoundUp::extended),
             None if metric => Some(FoundUp::labels()),
@@ -76,6 +77,12 @@ pub(super) fn assemble(
             }),
         },
         placed,
+        stereo_pairs: reconstruction
+            .metric
+            .iter()
+            .flatten()
+            .flat_map(|one| one.stereo_pairs.clone())
+            .collect(),
         method: method(reconstruction, metric, earlier),
         components: Some(component_count(reconstruction)),
         statistics: (0..reconstruction.features.len())
@@ -87,6 +94,7 @@ pub(super) fn assemble(
         hint: worst
             .map_or("add photos, or lower `min_registered`", |(_, cause)| cause.hint())
             .to_owned(),
+        ..Calibration::default()
     })
 }
 
@@ -349,7 +357,12 @@ fn method(reconstruction: &Reconstruction<'_>, metric: bool, earlier: Option<&Ea
     let Some(model) = reconstruction.models.first() else {
         return "sfm".to_owned();
     };
-    let rejected: usize = reconstruction.metric.iter().flatten().map(Vec::len).sum();
+    let rejected: usize = reconstruction
+        .metric
+        .iter()
+        .flatten()
+        .map(|one| one.rejected.len())
+        .sum();
     let scale = match (earlier, metric) {
         (Some(_), _) => "added to the earlier scene".to_owned(),
         (None, true) => format!("in metres by the labels, {rejected} of them outvoted"),

@@ -1,7 +1,7 @@
 //! Everything known when the mapping is done.
 
 use marf_sfm::mapper::{Intruders, MapperInput, Model};
-use marf_sfm::metric::RejectedLabel;
+use marf_sfm::metric::LabelAgreement;
 use marf_sfm::view_graph::ComparedPair;
 
 use super::photo_features::PhotoFeatures;
@@ -16,8 +16,8 @@ pub(super) struct Reconstruction<'a> {
     pub models: &'a [Model],
     /// For each model: what hides the scene in its photos.
     pub intruders: &'a [Intruders],
-    /// For each model that is in the frame of its labels: the labels that were rejected.
-    pub metric: &'a [Option<Vec<RejectedLabel>>],
+    /// For each model that is in the frame of its labels: what the photos say of them.
+    pub metric: &'a [Option<LabelAgreement>],
     /// The site of the labels, if they name one.
     pub site: Option<i64>,
 }

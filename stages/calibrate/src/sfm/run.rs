@@ -6,7 +6,8 @@ use marf_sfm::mapper::{
     Intruders, LensChoice, MapOptions, MapperInput, Model, PrincipalPointChoice, Tracks, extend, map,
     remove_intruders,
 };
-use marf_sfm::metric::{LabelPose, RejectedLabel, align_to_labels};
+use marf_sfm::metric::{LabelAgreement, align_to_labels};
+use marf_sfm::rigs::LabelPose;
 use marf_sfm::view_graph::{SharedCamera, refine_focal_lengths};
 use marf_stage::{Ctx, Inputs, StageError};
 
@@ -100,7 +101,7 @@ fn align_all(
     input: &MapperInput<'_>,
     models: &mut [Model],
     labels: &[Option<LabelPose>],
-) -> Result<Vec<Option<Vec<RejectedLabel>>>, StageError> {
+) -> Result<Vec<Option<LabelAgreement>>, StageError> {
     let aligned = models
         .iter_mut()
         .map(|model| align_to_labels(input, model, labels));

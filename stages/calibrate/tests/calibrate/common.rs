@@ -81,15 +81,29 @@ impl Input {
 
     /// Turns the label's camera of a photo about the site's vertical, and returns the photo's id.
     pub fn turn_label(&mut self, index: usize, degrees: f64) -> String {
-        let row = &mut self.rows[index].1;
-        let mut facts = PhotoFacts::from_json(&row.facts).unwrap();
         let (sin, cos) = degrees.to_radians().sin_cos();
         let turn = nalgebra::Matrix3::new(cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0);
-        let pose = facts.prior.as_mut().unwrap().site_from_frame.as_mut().unwrap();
-        // About the rover's own place, so that the camera turns and moves.
-        pose.rotation = turn * pose.rotation;
+        self.relabel(index, |prior| {
+            let pose = prior.site_from_frame.as_mut().unwrap();
+            // About the rover's own place, so that the camera turns and moves.
+            pose.rotation = turn * pose.rotation;
+        });
+        self.rows[index].1.id.clone()
+    }
+
+    /// Changes the label's camera of a photo and returns the one it had.
+    pub fn relabel(&mut self, index: usize, change: impl FnOnce(&mut CameraPrior)) -> CameraPrior {
+        let row = &mut self.rows[index].1;
+        let mut facts = PhotoFacts::from_json(&row.facts).unwrap();
+        let before = facts.prior.clone().unwrap();
+        change(facts.prior.as_mut().unwrap());
         row.facts = facts.to_json();
-        row.id.clone()
+        before
+    }
+
+    /// Returns the index of a photo.
+    pub fn index_of(&self, id: &str) -> usize {
+        self.rows.iter().position(|(_, row)| row.id == id).unwrap()
     }
 
     /// Gives every photo a label with the place of the rover, and no more than a pinhole of its camera.

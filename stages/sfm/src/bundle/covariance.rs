@@ -73,6 +73,32 @@ pub fn pose_covariances(
     finite.then_some(covariances)
 }
 
+/// Returns the covariance of each pose from its own observations alone, with points, cameras and other poses held.
+///
+/// Units as in [`pose_covariances`]. `None` for a pose that its observations do not determine.
+pub fn own_pose_covariances(problem: &Problem, sigma_px: f64) -> Vec<Option<Matrix6<f64>>> {
+    let normalization = Normalization::new(problem);
+    let objective = Objective::new(problem, &normalization, Loss::Squared, Loss::Squared);
+    let mut equations = NormalEquations::new(&objective);
+    equations.linearise_determined(&objective, &State::new(problem, &normalization));
+    let slots = objective.index.slot_of_pose.iter();
+    let covariance = |&slot: &u32| {
+        let active = *objective.index.active_of_slot.get(slot as usize)?;
+        let h = &equations.poses[active as usize].h;
+        let inverse = Matrix6::from_fn(|row, column| h[row][column])
+            .cholesky()?
+            .inverse();
+        Some(in_world_units(&inverse, sigma_px, normalization.scale))
+    };
+    slots.map(covariance).collect()
+}
+
+/// Returns a normalised inverse of the normal equations as a covariance in radian and units of the world.
+fn in_world_units(inverse: &Matrix6<f64>, sigma_px: f64, scale: f64) -> Matrix6<f64> {
+    let unit = |term: usize| if term < 3 { sigma_px } else { sigma_px * scale };
+    Matrix6::from_fn(|row, column| inverse[(row, column)] * (unit(row) * unit(column)))
+}
+
 /// Whether every pose that is not fixed has unknowns.
 fn all_free_poses_observed(objective: &Objective) -> bool {
     let freedom = objective

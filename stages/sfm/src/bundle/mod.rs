@@ -27,7 +27,7 @@ mod step_control;
 mod validate;
 
 pub use adjust::adjust;
-pub use covariance::pose_covariances;
+pub use covariance::{own_pose_covariances, pose_covariances};
 pub use loss::Loss;
 pub use options::{BundleOptions, BundleReport, Solver, information_criterion};
 pub use problem::{CameraFreedom, LensModel, Observation, PoseFreedom, Prior, Problem};

@@ -6,7 +6,7 @@ use super::input::{MapError, MapperInput};
 use super::model::Model;
 use crate::bundle::{
     self, BundleOptions, BundleReport, CameraFreedom, LensModel, Loss, PoseFreedom, Prior, Problem, Solver,
-    adjust, pose_covariances,
+    adjust, own_pose_covariances, pose_covariances,
 };
 use crate::view_graph::SharedCamera;
 
@@ -114,8 +114,7 @@ pub struct PoseUncertainty {
 
 /// Returns the uncertainty of each registered photo, in order. `None` if it is not determined.
 ///
-/// The covariance of the reduced system times the variance of one coordinate: the mean reprojection error is sigma
-/// sqrt(pi / 2).
+/// The covariance of the reduced system times the variance of one coordinate.
 ///
 /// # Errors
 /// [`MapError::Stopped`].
@@ -127,13 +126,7 @@ pub fn pose_uncertainties(
     built.problem.camera_freedom = freedoms(input, model);
     built.problem.priors = focal_priors(input, model);
     fix_gauge(model, &mut built);
-    let active = (0..model.active.len()).filter(|&observation| model.active[observation]);
-    let errors: Vec<f64> = active
-        .filter_map(|observation| model.error_px(input, &input.tracks.observations[observation]))
-        .collect();
-    let mean_px = errors.iter().sum::<f64>() / errors.len().max(1) as f64;
-    let sigma_px = mean_px / std::f64::consts::FRAC_PI_2.sqrt();
-    let covariances = pose_covariances(&built.problem, sigma_px, input.supervisor);
+    let covariances = pose_covariances(&built.problem, sigma_px(input, model), input.supervisor);
     if input.supervisor.stop() {
         return Err(MapError::Stopped);
     }
@@ -150,6 +143,24 @@ pub fn pose_uncertainties(
         }
     };
     Ok(covariances.map(|covariances| covariances.iter().map(of).collect()))
+}
+
+/// Returns the covariance of each registered photo from its own observations alone, in order: points and other photos
+/// are held. `None` for a photo that they do not determine.
+pub(crate) fn own_covariances(input: &MapperInput<'_>, model: &Model) -> Vec<Option<Matrix6<f64>>> {
+    let built = build(input, model, &input.tracks.all());
+    own_pose_covariances(&built.problem, sigma_px(input, model))
+}
+
+/// Returns the standard deviation of one coordinate of an observation: the mean reprojection error is sigma
+/// sqrt(pi / 2).
+fn sigma_px(input: &MapperInput<'_>, model: &Model) -> f64 {
+    let active = (0..model.active.len()).filter(|&observation| model.active[observation]);
+    let errors: Vec<f64> = active
+        .filter_map(|observation| model.error_px(input, &input.tracks.observations[observation]))
+        .collect();
+    let mean_px = errors.iter().sum::<f64>() / errors.len().max(1) as f64;
+    mean_px / std::f64::consts::FRAC_PI_2.sqrt()
 }
 
 /// Removes photos with too few observations.

@@ -20,7 +20,7 @@ mod tracks;
 mod triangulate;
 
 pub use extend::extend;
-pub(crate) use global_adjustment::{FINE, refine};
+pub(crate) use global_adjustment::{FINE, own_covariances, refine};
 pub use global_adjustment::{PoseUncertainty, pose_uncertainties};
 pub use input::{MapError, MapperInput};
 pub use intruders::{FixedPart, HiddenPhoto, Intruders, remove_intruders};

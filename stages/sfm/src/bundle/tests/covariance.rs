@@ -53,6 +53,25 @@ fn covariances_agree_with_many_noisy_solves() {
 }
 
 #[test]
+fn a_pose_is_known_better_if_all_else_is_held() {
+    let mut problem = scene();
+    let all = pose_covariances(&problem, 1.0, &|| false).unwrap();
+    problem.pose_freedom.fill(PoseFreedom::Free);
+    let own = own_pose_covariances(&problem, 1.0);
+    let twice = own_pose_covariances(&problem, 2.0);
+    for pose in 2..6 {
+        let (own, twice) = (own[pose].unwrap(), twice[pose].unwrap());
+        assert!((twice - own * 4.0).norm() < 1e-9 * twice.norm(), "{pose}");
+        for term in 0..6 {
+            let (held, free) = (own[(term, term)], all[pose][(term, term)]);
+            assert!(0.0 < held && held < free, "{pose}, {term}: {held}, {free}");
+        }
+    }
+    problem.observations.retain(|observation| observation.pose != 3);
+    assert_eq!(own_pose_covariances(&problem, 1.0)[3], None);
+}
+
+#[test]
 fn a_free_gauge_has_no_covariance_and_a_prior_gives_it_one() {
     let mut problem = scene();
     problem.pose_freedom.fill(PoseFreedom::Free);
