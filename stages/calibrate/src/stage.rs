@@ -257,6 +257,7 @@ fn metrics(found: &Calibration, items: &[InputPhoto]) -> Metrics {
         error_working_px: mean(working.collect()),
     };
     photos.sort_by(|a, b| a.id.cmp(&b.id));
+    let stereo_pairs = found.stereo_pairs.iter().map(|pair| stereo_pair(pair, items));
     Metrics {
         method: found.method.clone(),
         totals,
@@ -264,11 +265,7 @@ fn metrics(found: &Calibration, items: &[InputPhoto]) -> Metrics {
         missing: found.missing.clone(),
         tie: labels::tie(found, items),
         up: found.up.map(|found| found.up),
-        stereo_pairs: found
-            .stereo_pairs
-            .iter()
-            .map(|pair| stereo_pair(pair, items))
-            .collect(),
+        stereo_pairs: stereo_pairs.collect(),
     }
 }
 

@@ -7,7 +7,7 @@ use marf_schema::calibrate::CalibrateParams;
 use marf_sfm::align::Similarity;
 use marf_sfm::bundle::LensModel;
 use marf_sfm::mapper::{MapperInput, Model, pose_uncertainties};
-use marf_sfm::metric::RejectedLabel;
+use marf_sfm::metric::{LabelAgreement, RejectedLabel};
 use marf_sfm::view_graph::components;
 use marf_stage::{Ctx, StageError};
 use nalgebra::Vector3;
@@ -39,9 +39,8 @@ pub(super) fn assemble(
     let mut points = Vec::new();
     for &index in &chosen {
         let model = moved(&reconstruction.models[index], &world);
-        let rejected = reconstruction.metric[index]
-            .as_ref()
-            .map_or(&[][..], |one| &one.rejected);
+        let agreement = reconstruction.metric[index].as_ref();
+        let rejected = agreement.map_or(&[][..], |one| &one.rejected);
         placed.extend(frames(ctx, reconstruction, &model, rejected, params)?);
         points.extend(tracks(
             reconstruction.features,
@@ -77,10 +76,7 @@ pub(super) fn assemble(
             }),
         },
         placed,
-        stereo_pairs: reconstruction
-            .metric
-            .iter()
-            .flatten()
+        stereo_pairs: agreements(reconstruction)
             .flat_map(|one| one.stereo_pairs.clone())
             .collect(),
         method: method(reconstruction, metric, earlier),
@@ -96,6 +92,11 @@ pub(super) fn assemble(
             .to_owned(),
         ..Calibration::default()
     })
+}
+
+/// Returns what the photos say of the labels of each model in metres.
+fn agreements<'a>(reconstruction: &Reconstruction<'a>) -> impl Iterator<Item = &'a LabelAgreement> {
+    reconstruction.metric.iter().flatten()
 }
 
 /// Returns the transform to the world of the scene.
@@ -357,12 +358,7 @@ fn method(reconstruction: &Reconstruction<'_>, metric: bool, earlier: Option<&Ea
     let Some(model) = reconstruction.models.first() else {
         return "sfm".to_owned();
     };
-    let rejected: usize = reconstruction
-        .metric
-        .iter()
-        .flatten()
-        .map(|one| one.rejected.len())
-        .sum();
+    let rejected: usize = agreements(reconstruction).map(|one| one.rejected.len()).sum();
     let scale = match (earlier, metric) {
         (Some(_), _) => "added to the earlier scene".to_owned(),
         (None, true) => format!("in metres by the labels, {rejected} of them outvoted"),
