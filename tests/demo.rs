@@ -321,3 +321,114 @@ fn exports_run_on_the_results_of_a_run() {
     let refused = marf(dir.path(), &["export", "points", "nothing", "--out", "x.ply"]).exits(2);
     assert!(refused.stderr.contains("its nodes are"), "{}", refused.stderr);
 }
+
+/// Photos of one sol in a folder, all from which a field needs.
+const FOLDER: &str = r#"name = "folder"
+[archive.photos]
+kind = "folder"
+path = "photos"
+[node.extract]
+archive = "photos"
+[node.calibrate]
+input = "extract"
+method = "sfm"
+[node.train]
+input = "calibrate"
+steps = 400
+scale = 2
+device = "cpu"
+field.batch_samples = 16384
+"#;
+
+/// Least gain on held-out photos. Corners that are a third too dark in one photo and not in the next cost more.
+const LEAST_GAIN_DB: f64 = 0.5;
+
+/// The photos of the demo's first two sols, as a folder with a pipeline.
+fn photos() -> tempfile::TempDir {
+    let (dir, demo) = (tempfile::tempdir().unwrap(), demo());
+    let args = [
+        "run",
+        "--to",
+        "calibrate",
+        "--set",
+        "archive.demo.width=340",
+        "--set",
+        "size.min_bytes=750",
+    ];
+    marf(demo.path(), &args).exits(0);
+    marf(demo.path(), &["export", "cameras", "--out", "exported"]).exits(0);
+    let photos = dir.path().join("photos");
+    std::fs::create_dir_all(&photos).unwrap();
+    for entry in std::fs::read_dir(demo.path().join("exported")).unwrap() {
+        let path = entry.unwrap().path();
+        if path.extension().is_some_and(|ext| ext == "png") {
+            std::fs::rename(&path, photos.join(path.file_name().unwrap())).unwrap();
+        }
+    }
+    std::fs::write(dir.path().join("pipeline.toml"), FOLDER).unwrap();
+    dir
+}
+
+/// Makes the corners of photos 30 % darker than their middle.
+fn darken_corners(photos: &Path) {
+    for entry in std::fs::read_dir(photos).unwrap() {
+        let path = entry.unwrap().path();
+        let mut photo = image::open(&path).unwrap().into_rgb8();
+        let [width, height] = [photo.width(), photo.height()].map(f64::from);
+        let corner = width.hypot(height) / 2.0;
+        for (x, y, pixel) in photo.enumerate_pixels_mut() {
+            let off = (f64::from(x) + 0.5 - width / 2.0).hypot(f64::from(y) + 0.5 - height / 2.0);
+            let v = 1.0 - 0.3 * (off / corner).powi(2);
+            pixel.0 = pixel.0.map(|tone| (f64::from(tone) * v + 0.5) as u8);
+        }
+        photo.save(&path).unwrap();
+    }
+}
+
+/// What a training with a setting has measured, and its weights.
+fn trained(folder: &Path, set: &[&str]) -> (serde_json::Value, Vec<u8>) {
+    marf(folder, &[&["run"], set].concat()).exits(0);
+    let file = |name: &str| std::fs::read(folder.join("out/train").join(name)).unwrap();
+    let metrics = serde_json::from_slice(&file("metrics.json")).unwrap();
+    (metrics, file("weights.safetensors"))
+}
+
+#[test]
+fn dark_corners_are_found_and_taken_away_and_photos_without_keep_their_bytes() {
+    const OFF: [&str; 2] = ["--set", "train.field.vignetting=off"];
+    let dir = photos();
+    let (plain, weights) = trained(dir.path(), &[]);
+    assert_eq!(plain["config"].get("vignetting"), None, "{}", plain["vignetting"]);
+    assert_eq!(trained(dir.path(), &OFF), (plain, weights));
+
+    darken_corners(&dir.path().join("photos"));
+    let (with, _) = trained(dir.path(), &[]);
+    let report = std::fs::read_to_string(dir.path().join("out/report.html")).unwrap();
+    let (without, _) = trained(dir.path(), &OFF);
+    let found = &with["vignetting"];
+    println!(
+        "{} dB with it, {} without: {found}",
+        with["psnr"], without["psnr"]
+    );
+    assert_eq!(with["config"]["vignetting"], "per_camera", "{found}");
+    let darkening = |one: &serde_json::Value| one["darkening"].as_f64().unwrap();
+    assert!(
+        found
+            .as_array()
+            .unwrap()
+            .iter()
+            .all(|one| (darkening(one) - 0.3).abs() < 0.05),
+        "{found}"
+    );
+    let psnr = |metrics: &serde_json::Value| metrics["psnr"].as_f64().unwrap();
+    assert!(
+        psnr(&with) > psnr(&without) + LEAST_GAIN_DB,
+        "{} {}",
+        with["psnr"],
+        without["psnr"]
+    );
+    assert!(
+        report.contains("<dt>vignetting</dt><dd>on: corners of"),
+        "the reason is not in the report"
+    );
+}

@@ -89,6 +89,7 @@ pub(super) fn training(scores: Scores) -> train::Metrics {
             spread: 0.34,
             noise: 0.05,
         }),
+        vignetting: Vec::new(),
         warm_start: None,
         seed: 7,
         holdout: train::Holdout::Test,

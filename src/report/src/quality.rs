@@ -48,6 +48,7 @@ pub(super) fn of_training(metrics: &train::Metrics) -> Vec<Figure> {
         ("began from", from)
     });
     let exposure = metrics.exposure().map(|words| ("exposure", words));
+    let vignetting = metrics.vignetting().map(|words| ("vignetting", words));
     let seen = metrics.on_training.iter();
     let seen = seen.map(|seen| ("PSNR on photos trained on", format!("{} dB", decibels(seen.psnr))));
     means(&metrics.scores)
@@ -55,6 +56,7 @@ pub(super) fn of_training(metrics: &train::Metrics) -> Vec<Figure> {
         .chain(seen)
         .chain(target)
         .chain(exposure)
+        .chain(vignetting)
         .chain(start)
         .chain(counts)
         .chain(some)

@@ -51,6 +51,18 @@ pub enum Gain {
     Off,
 }
 
+/// Whether photos are darker towards their corners than the scene.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Vignetting {
+    /// They show the scene.
+    #[default]
+    Off,
+    /// The darkening that matched points show is taken from the photos trained on, camera by camera. Pictures of the field are without it,
+    /// and get it before they are compared with a photo.
+    PerCamera,
+}
+
 /// Whether the colour of a place depends on the direction it is seen from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
@@ -161,6 +173,10 @@ pub struct Config {
     /// Exposure of single photos. Default: `per_photo_and_offset` if photos differ in the tones of matched points by more than noise, else
     /// `off`.
     pub gain: Gain,
+    /// Darkening towards the corners of photos. Default: `per_camera` if matched points surely show it and photos held back agree better for
+    /// it, else `off`.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub vignetting: Vignetting,
     /// Colour behind the last sample. Each ray of a photo with transparency is trained over a random
     /// colour. If all photos have transparency, pictures show black there.
     pub background: Background,
@@ -211,6 +227,7 @@ impl Default for Config {
             depth_steps: None,
             depth_source: DepthSource::Points,
             gain: Gain::Off,
+            vignetting: Vignetting::Off,
             background: Background::Direction,
             view_dependence: ViewDependence::On,
         }

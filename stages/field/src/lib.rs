@@ -71,7 +71,7 @@ pub mod weights;
 
 pub use backend::Step;
 pub use bands::render_in_bands;
-pub use config::{Background, Config, DepthSource, Gain, Occupied, ViewDependence};
+pub use config::{Background, Config, DepthSource, Gain, Occupied, ViewDependence, Vignetting};
 pub use cpu_backend::Cpu;
 pub use derived::Derived;
 pub use device::{Device, DeviceError};

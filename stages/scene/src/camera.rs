@@ -128,6 +128,20 @@ impl Camera {
         }
     }
 
+    /// Returns the squared distance of a pixel from the principal point, in focal lengths.
+    pub fn radius2(&self, pixel: &Vector2<f64>) -> f64 {
+        let (x, y) = (pixel.x - self.cx_px, pixel.y - self.cy_px);
+        (x / self.fx_px).powi(2) + (y / self.fy_px).powi(2)
+    }
+
+    /// Returns [`Camera::radius2`] of the farthest corner.
+    pub fn corner_radius2(&self) -> f64 {
+        let sides =
+            [0.0, f64::from(self.width)].map(|x| [0.0, f64::from(self.height)].map(|y| Vector2::new(x, y)));
+        let corners = sides.as_flattened().iter();
+        corners.map(|corner| self.radius2(corner)).fold(0.0, f64::max)
+    }
+
     /// Returns whether every number is finite, the size is not zero and the focal lengths are positive.
     pub fn is_valid(&self) -> bool {
         let numbers = [

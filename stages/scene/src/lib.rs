@@ -36,4 +36,4 @@ pub use places::{PosedPhoto, folds, hold_out_more_places, hold_out_places, place
 pub use pose::Pose;
 pub use scene::{Frame, Point, Scene, SceneError, SiteFrame, Unplaced};
 pub use thumbnail::{encode_jpeg, shrunk, thumbnail};
-pub use tones::{PhotoTone, ToneDifference, Tones};
+pub use tones::{Falloff, PhotoTone, ToneDifference, Tones};

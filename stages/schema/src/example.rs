@@ -22,6 +22,7 @@ pub fn train_metrics() -> train::Metrics {
         scale: 1,
         thinned: None,
         tones: None,
+        vignetting: Vec::new(),
         warm_start: None,
         seed: 0,
         holdout: Holdout::Test,

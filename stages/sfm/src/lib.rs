@@ -1,8 +1,8 @@
 //! Structure from motion: verified pairs of photos to camera poses, lenses and sparse points.
 //!
 //! Steps, each a pure function of its arguments: the [`view_graph`] of all pairs, incremental mapping ([`mapper`]) with
-//! bundle adjustment ([`bundle`]), alignment with known poses ([`align`], [`metric`], [`rigs`]), and exposures ([`tones`]). Pairs are compared in
-//! `marf-sfm-features`.
+//! bundle adjustment ([`bundle`]), alignment with known poses ([`align`], [`metric`], [`rigs`]), exposures ([`tones`]) and
+//! [`vignetting`]. Pairs are compared in `marf-sfm-features`.
 //! Invariant: the same bits for any number of threads, any instruction set and any machine.
 
 pub mod align;
@@ -14,6 +14,7 @@ pub mod rigs;
 mod supervisor;
 pub mod tones;
 pub mod view_graph;
+pub mod vignetting;
 
 pub use supervisor::Supervisor;
 

@@ -16,7 +16,7 @@ const HELD_BACK: u64 = 8;
 /// Fewest points that several photos show: an eighth of them measures the differences.
 const LEAST_POINTS: usize = 64;
 /// Fewest common points of two photos from which their exposures are compared.
-const LEAST_COMMON: usize = 8;
+pub(crate) const LEAST_COMMON: usize = 8;
 /// Fewest points held back by which a photo counts in the differences.
 const LEAST_JUDGED: usize = 4;
 /// A photo of a point is paired with as many that follow.
@@ -26,11 +26,11 @@ const UNCLIPPED: std::ops::RangeInclusive<u8> = 3..=250;
 /// Least correlation of the tones in two photos. Below it the slope says nothing.
 const LEAST_CORRELATION: f64 = 0.5;
 /// Rounds of reweighting. The weights of the worst cases in the tests settle in 10.
-const ROUNDS: usize = 12;
+pub(crate) const ROUNDS: usize = 12;
 /// Residuals of this many standard deviations have half the weight (Cauchy's weights, 95 % efficient on normal noise).
 const CAUCHY: f64 = 2.385;
 /// Standard deviation of normal noise over its median absolute deviation.
-const SIGMA_PER_MEDIAN: f64 = 1.4826;
+pub(crate) const SIGMA_PER_MEDIAN: f64 = 1.4826;
 /// Least standard deviation of a tone: that of rounding to 8 bits.
 const ROUNDING: f64 = 0.29 / 255.0;
 
@@ -39,17 +39,19 @@ const ROUNDING: f64 = 0.29 / 255.0;
 pub struct PointTone {
     /// Index of the photo.
     pub photo: usize,
+    /// [`radius2`](marf_scene::Camera::radius2) of its pixel.
+    pub radius2: f64,
     /// sRGB with white = 1.
     pub tone: [f64; 3],
 }
 
 impl PointTone {
-    /// Returns the tone that a photo of `photos` shows in 8 bits. `None` if it is clipped, or of another photo.
-    pub fn unclipped(photo: u32, photos: usize, rgb: [u8; 3]) -> Option<Self> {
-        let photo = Some(photo as usize).filter(|photo| *photo < photos)?;
+    /// Returns the tone that a photo shows in 8 bits. `None` if it is clipped.
+    pub fn unclipped(photo: usize, radius2: f64, rgb: [u8; 3]) -> Option<Self> {
         let is_unclipped = rgb.iter().all(|channel| UNCLIPPED.contains(channel));
         is_unclipped.then(|| Self {
             photo,
+            radius2,
             tone: rgb.map(|channel| f64::from(channel) / 255.0),
         })
     }
@@ -108,13 +110,17 @@ pub fn find_tones(ids: &[&str], points: &[Vec<PointTone>]) -> Option<Tones> {
         .zip(ids)
         .filter_map(tone)
         .collect();
-    Some(Tones { difference, photos })
+    Some(Tones {
+        difference,
+        photos,
+        vignetting: Vec::new(),
+    })
 }
 
 /// Tones of common points by pairs of photos, the lower index first.
-type Pairs = BTreeMap<[usize; 2], Vec<[[f64; 3]; 2]>>;
+pub(crate) type Pairs = BTreeMap<[usize; 2], Vec<[PointTone; 2]>>;
 
-fn pairs<'a>(points: impl Iterator<Item = &'a [PointTone]>) -> Pairs {
+pub(crate) fn pairs<'a>(points: impl Iterator<Item = &'a [PointTone]>) -> Pairs {
     let mut pairs = Pairs::new();
     for tones in points {
         for (index, a) in tones.iter().enumerate() {
@@ -122,7 +128,7 @@ fn pairs<'a>(points: impl Iterator<Item = &'a [PointTone]>) -> Pairs {
                 let (low, high) = if a.photo < b.photo { (a, b) } else { (b, a) };
                 if low.photo != high.photo {
                     let common = pairs.entry([low.photo, high.photo]).or_default();
-                    common.push([low.tone, high.tone]);
+                    common.push([*low, *high]);
                 }
             }
         }
@@ -142,7 +148,10 @@ fn solve(pairs: &Pairs, photos: usize) -> Vec<Option<Exposures>> {
 
 fn solve_channel(pairs: &Pairs, photos: usize, channel: usize) -> Vec<Option<Exposure>> {
     let lines = pairs.iter().filter_map(|(pair, common)| {
-        let tones: Vec<[f64; 2]> = common.iter().map(|both| both.map(|tone| tone[channel])).collect();
+        let tones: Vec<[f64; 2]> = common
+            .iter()
+            .map(|both| both.map(|seen| seen.tone[channel]))
+            .collect();
         Some((*pair, line(&tones)?))
     });
     let lines: Vec<([usize; 2], Line)> = lines.collect();
@@ -258,7 +267,7 @@ fn least_squares(differences: &[Difference], photos: usize) -> Vec<f64> {
 }
 
 /// Returns the weights of residuals, by their median.
-fn trusted(residuals: Vec<f64>) -> Vec<f64> {
+pub(crate) fn trusted(residuals: Vec<f64>) -> Vec<f64> {
     let sigma = SIGMA_PER_MEDIAN * upper_median(residuals.iter().copied()).unwrap_or_default();
     let deviations = residuals
         .into_iter()

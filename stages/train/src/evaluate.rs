@@ -61,7 +61,7 @@ impl Set for Evaluate {
             .into());
         }
         let mut outputs = Outputs::new();
-        let photos = PhotoReader::new(ctx, &scene, scale);
+        let photos = PhotoReader::for_field(ctx, &scene, scale, field.config());
         let of = identity(self, inputs, "");
         let trained = trained_photos(&field, &photos, &scene, &trained_on(&scene, &trained)?)?;
         let scores = Judge::new(ctx, of, &field, &photos).held_out(

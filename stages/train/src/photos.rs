@@ -1,10 +1,13 @@
 //! Photos of a scene, decoded and shrunk once for all trainings of a run.
 
+use std::borrow::Cow;
 use std::collections::BTreeSet;
 
 use marf_cache::{Digest, digest_of};
-use marf_scene::{Camera, Frame, Image, Photo, Scene, Srgb};
+use marf_field::Config;
+use marf_scene::{Camera, Falloff, Frame, Image, Photo, Scene, Srgb};
 use marf_stage::{Ctx, StageError};
+use nalgebra::Vector2;
 use rayon::prelude::*;
 
 use crate::{TrainError, split::NamedFrame};
@@ -23,9 +26,26 @@ pub(crate) struct ScaledPhoto {
     pub alpha: Vec<u8>,
     /// Pixels that its mask hides, `[height * width]`. Empty without a mask.
     pub hidden: Vec<bool>,
+    /// That of its camera, if it is taken into account.
+    pub falloff: Option<Falloff>,
 }
 
 impl ScaledPhoto {
+    /// Returns the photo without the vignetting of its camera. Tones that would be above white are white.
+    pub fn without_falloff(mut self) -> Self {
+        if let Some(falloff) = self.falloff.take() {
+            self.image = times(&self.image, |pixel| 1.0 / falloff.at(self.camera.radius2(pixel)));
+        }
+        self
+    }
+
+    /// Returns a picture of the field as the photo's camera shows it.
+    pub fn with_falloff<'a>(&self, render: &'a Image<Srgb>) -> Cow<'a, Image<Srgb>> {
+        let shown =
+            |falloff: &Falloff| Cow::Owned(times(render, |pixel| falloff.at(self.camera.radius2(pixel))));
+        self.falloff.as_ref().map_or(Cow::Borrowed(render), shown)
+    }
+
     /// Returns only the middle pixels of boxes of an odd side, so that the longest side is at most `side_px`, or the shortest is one box.
     ///
     /// A field is as good on these pixels as on the whole photo. A shrunk photo lacks the details by which fields differ.
@@ -44,9 +64,20 @@ impl ScaledPhoto {
             },
             alpha: middles(&self.alpha, width, side),
             hidden: middles(&self.hidden, width, side),
+            falloff: self.falloff,
             camera,
         }
     }
+}
+
+/// Returns a picture whose tones are multiplied, by the middles of pixels.
+fn times(image: &Image<Srgb>, factor: impl Fn(&Vector2<f64>) -> f64) -> Image<Srgb> {
+    Image::from_fn(image.width, image.height, |column, row| {
+        let factor = factor(&Vector2::new(f64::from(column) + 0.5, f64::from(row) + 0.5));
+        image
+            .at(column, row)
+            .map(|tone| (f64::from(tone) * factor + 0.5) as u8)
+    })
 }
 
 /// Returns the middles of boxes of an odd side of `[height * width]`, row by row. An empty slice gives an empty vector.
@@ -70,6 +101,8 @@ pub(crate) struct PhotoReader<'a> {
     pub scale: u32,
     /// Photos that have a memo.
     kept: BTreeSet<Digest>,
+    /// Of cameras. Empty if it is not taken into account.
+    vignetting: Vec<Falloff>,
 }
 
 impl<'a> PhotoReader<'a> {
@@ -78,6 +111,19 @@ impl<'a> PhotoReader<'a> {
             ctx,
             scale,
             kept: kept(scene, scale, KEPT_BYTES),
+            vignetting: Vec::new(),
+        }
+    }
+
+    /// Returns a reader of photos for a field with this configuration.
+    pub fn for_field(ctx: &'a Ctx<'a>, scene: &Scene, scale: u32, config: &Config) -> Self {
+        let tones = scene
+            .tones
+            .iter()
+            .filter(|_| config.vignetting != marf_field::Vignetting::Off);
+        Self {
+            vignetting: tones.flat_map(|tones| tones.vignetting.clone()).collect(),
+            ..Self::new(ctx, scene, scale)
         }
     }
 
@@ -86,7 +132,11 @@ impl<'a> PhotoReader<'a> {
         if scale == self.scale {
             return self.clone();
         }
-        Self::new(self.ctx, scene, scale)
+        Self {
+            scale,
+            kept: kept(scene, scale, KEPT_BYTES),
+            ..self.clone()
+        }
     }
 
     /// Reads one photo.
@@ -110,6 +160,7 @@ impl<'a> PhotoReader<'a> {
             image,
             alpha,
             hidden: self.hidden(frame)?,
+            falloff: Falloff::real_one(&self.vignetting, &frame.camera).copied(),
         })
     }
 
@@ -442,5 +493,44 @@ mod tests {
             assert_eq!([thin.camera.width, thin.camera.height], size);
             assert_eq!(thin.image.pixels.len() as u32, width * height);
         }
+    }
+
+    /// v is 1 - r² / 4, and r is 1 at the first and the last pixel.
+    #[test]
+    fn a_photo_without_its_falloff_gets_it_back() {
+        let camera = Camera::pinhole(9, 1, 4.0);
+        let falloff = Falloff {
+            camera,
+            factors: [-0.25, 0.0, 0.0],
+            darkening: 0.3,
+            sigma: 0.01,
+            pairs: 1,
+            spread: 0.1,
+            noise: 0.05,
+        };
+        let raw = Image::from_fn(9, 1, |column, _| {
+            [if column == 8 { 250 } else { 60 + 7 * column as u8 }; 3]
+        });
+        let photo = ScaledPhoto {
+            camera,
+            image: raw.clone(),
+            alpha: Vec::new(),
+            hidden: Vec::new(),
+            falloff: Some(falloff),
+        };
+        let plain = photo.clone().without_falloff();
+        // r is 1 at the first pixel, where v is 0.75, and 60 / 0.75 is 80. The last one would be brighter than white.
+        assert_eq!(
+            [0, 4, 8].map(|column| plain.image.at(column, 0)[0]),
+            [80, 60 + 28, 255]
+        );
+        let back = photo.with_falloff(&plain.image);
+        assert_eq!(back.pixels[..8], raw.pixels[..8]);
+        assert_eq!(back.pixels[8], [191; 3]);
+        assert_eq!(
+            *plain.with_falloff(&raw),
+            raw,
+            "once taken away, it is no longer given"
+        );
     }
 }

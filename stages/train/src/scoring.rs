@@ -192,23 +192,20 @@ struct PhotoJudge<'a> {
 }
 
 impl PhotoJudge<'_> {
-    /// Compares one photo with the render of its view, and stores both pictures.
+    /// Compares one photo with the render of its view, and stores both pictures without vignetting.
     fn stored(&self, named: &NamedFrame<'_>) -> Result<PhotoJudgement, StageError> {
-        let photo = &self.photos.read(named.frame)?;
+        let photo = self.photos.read(named.frame)?;
         let pose = &named.frame.cam_from_world;
         let render = render_view(self.ctx, self.of, self.field, &photo.camera, pose)?.to_image();
-        let mut scores = compare(named, &render, photo)?;
+        let mut scores = compare(named, &render, &photo)?;
         if self.field.config().gain != Gain::Off {
-            scores.psnr_affine = metrics::psnr_affine(&render, &photo.image, &photo.hidden).ok();
+            scores.psnr_affine =
+                metrics::psnr_affine(&photo.with_falloff(&render), &photo.image, &photo.hidden).ok();
         }
         let (name, mut pictures) = (&named.name, BTreeMap::new());
         put_png(self.ctx, &mut pictures, format!("{HELDOUT}{name}.png"), &render)?;
-        put_png(
-            self.ctx,
-            &mut pictures,
-            format!("{PHOTO}{name}.png"),
-            &photo.image,
-        )?;
+        let image = &photo.without_falloff().image;
+        put_png(self.ctx, &mut pictures, format!("{PHOTO}{name}.png"), image)?;
         Ok(PhotoJudgement { scores, pictures })
     }
 }
@@ -238,12 +235,13 @@ fn compare_view(
     Ok(compare(named, &picture, photo)?)
 }
 
-/// Returns the scores of a render against its photo, without what its mask hides.
+/// Returns the scores of a render, as the photo's camera shows it, against its photo, without what its mask hides.
 fn compare(
     named: &NamedFrame<'_>,
     render: &Image<Srgb>,
     photo: &ScaledPhoto,
 ) -> Result<PhotoScores, TrainError> {
+    let render = &*photo.with_falloff(render);
     let (photo, hidden) = (&photo.image, photo.hidden.as_slice());
     let psnr = metrics::psnr(render, photo, hidden).map_err(|cause| TrainError::Metric {
         id: named.frame.id.clone(),

@@ -28,6 +28,7 @@ pub(crate) fn training_views(
     seed: u64,
 ) -> Result<Vec<View>, StageError> {
     let thinned = |index: usize, photo: ScaledPhoto| {
+        let photo = photo.without_falloff();
         let hidden = (!photo.hidden.is_empty()).then_some(photo.hidden.as_slice());
         let image = Pixels::thinned(photo.image, hidden, plan.run, seed, index as u64);
         (photo.camera, image.with_alpha(&photo.alpha))

@@ -1,7 +1,10 @@
 //! Sparse points with their observations.
 
-use marf_scene::{Point, Scene, Tones};
-use marf_sfm::tones::{PointTone, find_tones};
+use marf_scene::{Camera, Falloff, Point, Scene, Tones};
+use marf_sfm::{
+    tones::{PointTone, find_tones},
+    vignetting::find_vignetting,
+};
 use nalgebra::{Vector2, Vector3};
 
 /// Sparse points with their observations. Every number is finite.
@@ -49,15 +52,30 @@ impl Tracks {
         }
     }
 
-    /// Returns what the tones of the points say of the exposures of the scene's photos.
+    /// Returns what the tones of the points say of the exposures of the scene's photos, and of the vignetting of their cameras.
     pub(crate) fn tones(&self, scene: &Scene) -> Option<Tones> {
         let ids: Vec<&str> = scene.frames.iter().map(|frame| frame.id.as_str()).collect();
-        let tone = |seen: &Observation| PointTone::unclipped(seen.frame, ids.len(), seen.tone?);
+        let cameras: Vec<Camera> = scene.frames.iter().map(|frame| frame.camera).collect();
+        let tone = |seen: &Observation| {
+            let photo = seen.frame as usize;
+            let radius2 = cameras.get(photo)?.radius2(&seen.pixel.into());
+            PointTone::unclipped(photo, radius2, seen.tone?)
+        };
         let tones = self
             .points
             .iter()
             .map(|point| point.observations.iter().filter_map(tone));
-        find_tones(&ids, &tones.map(Iterator::collect).collect::<Vec<Vec<_>>>())
+        let mut tones: Vec<Vec<PointTone>> = tones.map(Iterator::collect).collect();
+        let vignetting = find_vignetting(&cameras, &tones);
+        for seen in tones.iter_mut().flatten() {
+            if let Some(real) = Falloff::real_one(&vignetting, &cameras[seen.photo]) {
+                seen.tone = seen.tone.map(|tone| tone / real.at(seen.radius2));
+            }
+        }
+        Some(Tones {
+            vignetting,
+            ..find_tones(&ids, &tones)?
+        })
     }
 
     /// Sets the error of each point to the mean distance of its observations from its projections, pixels. 0 without observations.

@@ -2,7 +2,7 @@
 
 use marf_cache::Digest;
 use marf_field::{Config, Derived, Facts, Gain, Schedule};
-use marf_scene::ToneDifference;
+use marf_scene::{Falloff, ToneDifference};
 use marf_stage::{Document, Params};
 use serde::{Deserialize, Serialize};
 
@@ -46,6 +46,9 @@ pub struct Metrics {
     /// few points.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tones: Option<ToneDifference>,
+    /// What matched points say of the vignetting of cameras, which decides whether it is taken into account.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub vignetting: Vec<Falloff>,
     /// What it began from. Only with `warm_start`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub warm_start: Option<WarmStart>,
@@ -107,12 +110,26 @@ impl Metrics {
         } else {
             "one for all photos"
         };
-        let by_key = if is_on == is_needed {
-            ""
-        } else {
-            ", as `field.gain` or `fit` says"
-        };
+        let by_key = by_key("gain", is_on, is_needed);
         Some(format!("{exposures}{by_key}: {}", tones.words()))
+    }
+
+    /// Returns in words whether the vignetting of cameras is taken into account, and why.
+    #[must_use]
+    pub fn vignetting(&self) -> Option<String> {
+        self.tones?;
+        let is_on = self.config.vignetting != marf_field::Vignetting::Off;
+        let is_needed = self.vignetting.iter().any(Falloff::is_real);
+        let by_key = by_key("vignetting", is_on, is_needed);
+        let switch = if is_on { "on" } else { "off" };
+        let words: Vec<String> = self.vignetting.iter().map(Falloff::words).collect();
+        let words = if words.is_empty() {
+            "no camera has 4 photos with enough matched points at different distances from their middle"
+                .to_owned()
+        } else {
+            words.join("; ")
+        };
+        Some(format!("{switch}{by_key}: {words}"))
     }
 
     /// Returns true if it trained on a photo that was not held out.
@@ -120,6 +137,14 @@ impl Metrics {
         let is_it = |drawn: &Vec<String>| drawn.iter().any(|drawn| drawn == id);
         self.drawn.as_ref().is_none_or(is_it)
     }
+}
+
+/// Returns what has decided otherwise than matched points do.
+fn by_key(key: &str, is_on: bool, is_needed: bool) -> String {
+    if is_on == is_needed {
+        return String::new();
+    }
+    format!(", as `field.{key}` or `fit` says")
 }
 
 impl Document for Metrics {

@@ -12,7 +12,7 @@ fn tracks(
 ) -> Vec<Vec<PointTone>> {
     let mut tone = |point: usize, photo: usize| {
         let rgb = shown(point, photo)?.map(|channel| (255.0 * channel + 0.5).clamp(0.0, 255.0) as u8);
-        PointTone::unclipped(photo as u32, photos, rgb)
+        PointTone::unclipped(photo, 0.0, rgb)
     };
     let mut point = |point: usize| (0..photos).filter_map(|photo| tone(point, photo)).collect();
     (0..points).map(&mut point).collect()

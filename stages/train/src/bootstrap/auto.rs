@@ -117,6 +117,7 @@ fn small_views(ctx: &Ctx<'_>, scene: &Scene, first: &Child<'_>) -> Result<Vec<Sm
             image,
             alpha: Vec::new(),
             hidden: photos.hidden(frame)?,
+            falloff: None,
         };
         let small = scaled.thinned_to(SIDE_PX);
         let grays = small.image.pixels.iter().enumerate().map(|(pixel, rgb)| {

@@ -42,7 +42,7 @@ pub(super) fn out_of_bag(
         compared.push(journal.piece(
             |bytes| serde_json::from_slice::<BagScores>(bytes).ok(),
             || {
-                let photo = photos.read(named.frame)?.thinned_to(SIDE_PX);
+                let photo = photos.read(named.frame)?.without_falloff().thinned_to(SIDE_PX);
                 let mean_of = |drew: bool| {
                     let chosen = members
                         .iter()

@@ -29,7 +29,7 @@ pub(super) fn reduce(
     // A photo that no member was trained on is not a witness.
     let used = training.iter().filter(|named| members.has_used(named));
     let used: Vec<NamedFrame<'_>> = used.cloned().collect();
-    let photos = PhotoReader::new(ctx, &scene, first.scale);
+    let photos = PhotoReader::for_field(ctx, &scene, first.scale, &first.config);
     let views = map_views(&photos, params, &scene, &used, members.first())?;
     let fields = members.fields(ctx, &params.device)?;
     let witness = &fields[members.lowest_seed()];

@@ -137,7 +137,7 @@ impl Sample {
         photos: &PhotoReader<'_>,
         named: &NamedFrame<'_>,
     ) -> Result<Vec<f32>, StageError> {
-        let photo = photos.read(named.frame)?.image;
+        let photo = photos.read(named.frame)?.without_falloff().image;
         let render = field.render(&self.camera, &named.frame.cam_from_world);
         let render = render.map_err(field_failed)?;
         let place = |along: u32| along * self.every + self.every / 2;

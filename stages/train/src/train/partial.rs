@@ -46,7 +46,7 @@ impl Set for Partial {
         } = &self.params;
         let scene = read_scene(ctx, inputs)?;
         let plan = &Plan::new(ctx, self, train, inputs, &scene)?;
-        let photos = &PhotoReader::new(ctx, &scene, plan.settings.scale);
+        let photos = &PhotoReader::for_field(ctx, &scene, plan.settings.scale, &plan.settings.config);
         let Training {
             mut trainer,
             curve_photos,

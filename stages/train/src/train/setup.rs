@@ -4,7 +4,7 @@ use marf_field::{
     Config, DepthSource, Derived, EXPECTED_STEPS_PER_S, FEW_PHOTOS, Facts, Field, Gain, OpenSizes, Overrides,
     Quality, Schedule,
 };
-use marf_scene::Scene;
+use marf_scene::{Falloff, Scene, Tones};
 use marf_schema::train::{Budget, Fit, Fold, Holdout, Memory, Setup, TrainParams, WarmStart};
 use marf_stage::{Ctx, Inputs, StageError};
 
@@ -62,12 +62,8 @@ impl Settings {
         let schedule = scheduled(params);
         let keys = field_keys(ctx, inputs, &params.field)?;
         let mut config = field_config(&keys, params.fit, schedule.first())?;
-        let are_unequal = scene
-            .tones
-            .as_ref()
-            .is_some_and(|tones| tones.difference.is_real());
-        if are_unequal && params.fit == Fit::Scene && !keys.0.contains_key("gain") {
-            config.gain = Gain::PerPhotoAndOffset;
+        if let (Some(tones), Fit::Scene) = (&scene.tones, params.fit) {
+            choose_terms(tones, &keys, &mut config);
         }
         Ok(Self {
             scale: params
@@ -221,6 +217,17 @@ pub(super) struct TrainingLength {
     pub steps: u64,
     /// `None` if the end was planned once and not moved.
     pub schedule: Option<Schedule>,
+}
+
+/// Switches on the terms between scene and photos that the tones of matched points call for, where no key decides.
+fn choose_terms(tones: &Tones, keys: &Overrides, config: &mut Config) {
+    let is_open = |key: &str| !keys.0.contains_key(key);
+    if tones.difference.is_real() && is_open("gain") {
+        config.gain = Gain::PerPhotoAndOffset;
+    }
+    if tones.vignetting.iter().any(Falloff::is_real) && is_open("vignetting") {
+        config.vignetting = marf_field::Vignetting::PerCamera;
+    }
 }
 
 /// Returns the schedule that the parameters say.

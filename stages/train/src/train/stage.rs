@@ -77,7 +77,7 @@ impl Set for Train {
         let params = &self.params;
         let scene = read_scene(ctx, inputs)?;
         let mut plan = Plan::new(ctx, self, params, inputs, &scene)?;
-        let photos = PhotoReader::new(ctx, &scene, plan.settings.scale);
+        let photos = PhotoReader::for_field(ctx, &scene, plan.settings.scale, &plan.settings.config);
         plan_by_time(ctx, params, &mut plan, &photos)?;
         let photos = photos.at(&scene, plan.settings.scale);
         let trained = TrainedField::new(ctx, params, &plan, &photos)?;

@@ -159,6 +159,11 @@ impl TrainedField {
                 None => None,
             },
             tones: set.scene.tones.as_ref().map(|tones| tones.difference),
+            vignetting: set
+                .scene
+                .tones
+                .as_ref()
+                .map_or_else(Vec::new, |tones| tones.vignetting.clone()),
             warm_start,
             target,
             steps: length.steps,

@@ -1,8 +1,8 @@
-//! Exposures that matched points say: when photos have their own, what these start from, and how held-out photos are judged.
+//! Exposures and vignetting that matched points say: when they are on, what training starts from, and how held-out photos are judged.
 
 use marf_cache::Digest;
 use marf_field::Gain;
-use marf_scene::{Image, Photo, PhotoTone, Scene, ToneDifference, Tones, encode_png};
+use marf_scene::{Falloff, Image, Photo, PhotoTone, Scene, ToneDifference, Tones, encode_png};
 use marf_stage::{Outputs, harness::Harness};
 use marf_train::Train;
 use serde_json::{Value, json};
@@ -38,7 +38,11 @@ fn exposed(harness: &Harness, difference: ToneDifference) -> Scene {
     if !difference.is_real() {
         photos.clear();
     }
-    scene.tones = Some(Tones { difference, photos });
+    scene.tones = Some(Tones {
+        difference,
+        photos,
+        vignetting: Vec::new(),
+    });
     scene
 }
 
@@ -125,4 +129,88 @@ fn copies_of_a_photo_start_from_its_exposure() {
     let metrics = json(&harness, &outputs, "metrics");
     assert_eq!(metrics["config"]["gain"], json!(Gain::PerPhotoAndOffset));
     assert!(metrics["loss"].as_f64().unwrap() < 0.02, "{}", metrics["loss"]);
+}
+
+/// The tiny scene with corners that are 40 % darker than the middle, and what matched points say of that.
+fn vignetted(harness: &Harness, sigma: f64) -> Scene {
+    let mut scene = scene(harness, PHOTOS);
+    let camera = scene.frames[0].camera;
+    let falloff = Falloff {
+        camera,
+        factors: [-0.4 / camera.corner_radius2(), 0.0, 0.0],
+        darkening: 0.4,
+        sigma,
+        pairs: 1240,
+        spread: 0.09,
+        noise: 0.04,
+    };
+    for frame in &mut scene.frames {
+        let plain = Photo::decode(&harness.get(&frame.image).unwrap()).unwrap().image;
+        let image = Image::from_fn(plain.width, plain.height, |column, row| {
+            let pixel = nalgebra::Vector2::new(f64::from(column) + 0.5, f64::from(row) + 0.5);
+            let v = falloff.at(camera.radius2(&pixel));
+            plain
+                .at(column, row)
+                .map(|tone| (v * f64::from(tone) + 0.5) as u8)
+        });
+        frame.image = harness.put(&encode_png(&image).unwrap());
+    }
+    scene.tones = Some(Tones {
+        difference: ToneDifference {
+            spread: 0.06,
+            ..UNEQUAL
+        },
+        photos: Vec::new(),
+        vignetting: vec![falloff],
+    });
+    scene
+}
+
+#[test]
+fn vignetting_is_taken_from_photos_and_given_to_renders_that_are_judged() {
+    let harness = Harness::default();
+    let sure = vignetted(&harness, 0.01);
+    let scene = put_scene(&harness, &sure);
+    let [with, without] = [json!({}), json!({"vignetting": "off"})].map(|keys| {
+        let outputs = trained(&harness, scene, 600, &keys);
+        (json(&harness, &outputs, "metrics"), outputs)
+    });
+    assert_eq!(with.0["config"]["vignetting"], "per_camera");
+    assert_eq!(without.0["config"].get("vignetting"), None);
+    assert_eq!(with.0["vignetting"], json!(sure.tones.unwrap().vignetting));
+    let [with_db, without_db] = [&with.0, &without.0].map(|metrics| metrics["psnr"].as_f64().unwrap());
+    assert!(with_db > without_db + 0.5, "{with_db} {without_db}");
+    // The picture of a held-out photo is without it, as the render next to it.
+    let brightness = |outputs: &Outputs| {
+        let (_, photo) = outputs
+            .iter()
+            .find(|(name, _)| name.starts_with("photo/"))
+            .unwrap();
+        let image = Photo::decode(&harness.get(photo).unwrap()).unwrap().image;
+        image
+            .pixels
+            .as_flattened()
+            .iter()
+            .map(|tone| u64::from(*tone))
+            .sum::<u64>()
+    };
+    assert!(brightness(&with.1) > brightness(&without.1));
+}
+
+/// The same bytes with the key `off` as with a falloff that is not sure.
+#[test]
+fn an_unsure_falloff_changes_nothing() {
+    let harness = Harness::default();
+    let scene = put_scene(&harness, &vignetted(&harness, 0.2));
+    let auto = trained(&harness, scene, 48, &json!({}));
+    assert_eq!(auto, trained(&harness, scene, 48, &json!({"vignetting": "off"})));
+    assert_ne!(
+        auto["weights"],
+        trained(
+            &harness,
+            put_scene(&harness, &vignetted(&harness, 0.01)),
+            48,
+            &json!({})
+        )["weights"]
+    );
 }
