@@ -1,7 +1,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::FieldError;
+use crate::{FieldError, Gain, Vignetting};
 
 /// Steps along rays are never halved more often.
 pub const MOST_HALVINGS: u32 = 6;
@@ -36,31 +36,6 @@ pub enum DepthSource {
     Points,
     /// Sparse points, and distances of pixels from pairs of the photos trained on.
     Pairs,
-}
-
-/// Whether every photo gets its own exposure.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Gain {
-    /// One log gain for each photo and channel. Its mean over all photos is 0 after every step.
-    PerPhoto,
-    /// A log gain and an offset for each photo and channel. Their means over all photos are 0 after every
-    /// step.
-    PerPhotoAndOffset,
-    /// All photos share one exposure.
-    Off,
-}
-
-/// Whether photos are darker towards their corners than the scene.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Vignetting {
-    /// They show the scene.
-    #[default]
-    Off,
-    /// The darkening that matched points show is taken from the photos trained on, camera by camera. Pictures of the field are without it,
-    /// and get it before they are compared with a photo.
-    PerCamera,
 }
 
 /// Whether the colour of a place depends on the direction it is seen from.

@@ -1,6 +1,8 @@
-//! Exposure of single photos: a photo shows gain * colour + offset, channel by channel.
+//! Exposure of single photos: a photo shows gain * colour + offset, channel by channel. Vignetting is taken from photos before.
 
-use crate::Gain;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
 use crate::cpu::math::exp;
 
 /// Step size of log gains and offsets, as a share of the learning rate.
@@ -10,6 +12,31 @@ pub const RATE: f32 = 0.1;
 pub const LIMITS: [f32; 2] = [2.0, 0.5];
 /// Numbers of a photo in a row: three channels and one that is unused.
 pub const ROW: usize = 4;
+
+/// Whether every photo gets its own exposure.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Gain {
+    /// One log gain for each photo and channel. Its mean over all photos is 0 after every step.
+    PerPhoto,
+    /// A log gain and an offset for each photo and channel. Their means over all photos are 0 after every
+    /// step.
+    PerPhotoAndOffset,
+    /// All photos share one exposure.
+    Off,
+}
+
+/// Whether photos are darker towards their corners than the scene.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Vignetting {
+    /// They show the scene.
+    #[default]
+    Off,
+    /// The darkening that matched points show is taken from the photos trained on, camera by camera. Pictures of the field are without it,
+    /// and get it before they are compared with a photo.
+    PerCamera,
+}
 
 /// How a photo changes a colour, gain * colour + offset. Also the slopes of the loss in log gain and offset.
 #[derive(Clone, Copy, Debug, PartialEq)]

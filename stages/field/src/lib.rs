@@ -71,11 +71,12 @@ pub mod weights;
 
 pub use backend::Step;
 pub use bands::render_in_bands;
-pub use config::{Background, Config, DepthSource, Gain, Occupied, ViewDependence, Vignetting};
+pub use config::{Background, Config, DepthSource, Occupied, ViewDependence};
 pub use cpu_backend::Cpu;
 pub use derived::Derived;
 pub use device::{Device, DeviceError};
 pub use error::FieldError;
+pub use exposure::{Gain, Vignetting};
 pub use facts::{Facts, LevelFacts};
 pub use field::Field;
 pub use footprint::{decoding_bytes, judging_bytes, training_bytes};

@@ -18,6 +18,7 @@ mod memory;
 mod photos;
 mod random;
 mod render;
+mod scaled_photo;
 mod scoring;
 mod settings;
 mod split;
