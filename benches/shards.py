@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""What a driver takes for many shards: `python3 benches/shards.py MARF DIR [SHARDS] [PHOTOS_PER_TASK]`.
+"""What a driver takes for many shards: `python3 benches/shards.py MARF DIR [SHARDS] [PHOTOS_PER_TASK] [DRIVER_PHOTOS]`.
 
 DIR gets a folder with a small photo a sol, a run that reads them, and a shared store. Then a machine that has pulled the run has all
-photos measured by a batch system twice: first by jobs that measure (PHOTOS_PER_TASK photos a task), which fills the shared store; then,
+photos measured by a batch system twice: first by jobs that measure (PHOTOS_PER_TASK photos a job), which fills the shared store; then,
 with the shared store as it was before, by a batch system that computes nothing: it puts the results of the first time there and tells
-that each task is done. So the second run is the driver's work alone, a task a shard. Prints its CPU, memory and time.
+that each job is done. So the second run is the driver's work alone, DRIVER_PHOTOS photos a job. Prints its CPU, memory and time.
 """
 
 import os
@@ -33,7 +33,6 @@ poll_s = 1
 patience_s = 3000
 cores = 2
 photos_per_task = {photos}
-max_array = 1000
 [executor.commands]
 submit = ["python3", "{stub}", "submit", "{{script}}"]
 list = ["true"]
@@ -41,8 +40,8 @@ cancel = ["true"]
 explain = ["true"]
 """
 
-# A submission leaves a process behind, which runs the tasks one after the other, or puts their results in place: so what the jobs take is
-# no part of what the driver takes.
+# A submission leaves a process behind, which runs the job, or puts its results in place: so what the jobs take is no part of what the
+# driver takes.
 STUB = """import json, os, pathlib, subprocess, sys
 verb, script = sys.argv[1], pathlib.Path(sys.argv[2])
 if verb == "submit":
@@ -51,16 +50,15 @@ if verb == "submit":
     sys.stdout.flush()
     os._exit(0)
 here = pathlib.Path(__file__).parent
-stems = script.with_suffix(".tasks").read_text().split()
 if (here / "filled").exists():
-    subprocess.run(["cp", "-rn", f"{here}/filled/.", f"{here}/shared/"], check=True)
-for task, stem in enumerate(stems):
-    if (here / "filled").exists():
-        result = json.dumps({"key": stem.rsplit("/", 1)[1], "program": "stub"})
-        pathlib.Path(stem + ".tmp").write_text(result)
-        os.rename(stem + ".tmp", stem + ".json")
-    else:
-        subprocess.run(["bash", script], env={**os.environ, "SLURM_ARRAY_TASK_ID": str(task)}, check=True)
+    if not (here / "shared/copied").exists():
+        subprocess.run(["cp", "-rn", f"{here}/filled/.", f"{here}/shared/"], check=True)
+        (here / "shared/copied").touch()
+    written = script.with_suffix(".tmp")
+    written.write_text(json.dumps({"key": script.stem, "program": "stub"}))
+    os.rename(written, script.with_suffix(".json"))
+else:
+    subprocess.run(["bash", script], check=True)
 """
 
 
@@ -85,6 +83,7 @@ def main():
     marf, root = pathlib.Path(sys.argv[1]).resolve(), pathlib.Path(sys.argv[2]).resolve()
     shards = int(sys.argv[3]) if len(sys.argv) > 3 else 10_000
     photos = int(sys.argv[4]) if len(sys.argv) > 4 else 1_000
+    of_driver = int(sys.argv[5]) if len(sys.argv) > 5 else 100
     (root / "photos").mkdir(parents=True)
     for number in range(shards):
         (root / "photos" / name(number)).write_bytes(png(number))
@@ -116,7 +115,7 @@ def main():
     shutil.copytree(root / "shared", root / "before")
     folder("measurer", photos)
     run("measurer", "cache", "pull", "--remote", store)
-    folder("driver", 1)
+    folder("driver", of_driver)
     shutil.copytree(root / "measurer" / ".marf", root / "driver" / ".marf", symlinks=True)
     run("measurer", "run", "--on", "slurm")
     os.rename(root / "shared", root / "filled")

@@ -6,10 +6,10 @@
 )]
 #![cfg(unix)]
 
-mod arrays;
 #[path = "../common/mod.rs"]
 mod common;
 mod exec;
+mod parts;
 mod pbs;
 
 use std::collections::BTreeMap;
@@ -45,9 +45,8 @@ b = 3
 device = "cpu"
 "#;
 
-/// Runs a script when asked to, and kills the first jobs of each name, as many as the file `kills` says. Tasks of an array run one after the
-/// other. Those of the first array that the file `kill_tasks` names are killed. With a file `lag` a job has the shared store as of its
-/// submission, and its additions become visible `lag` seconds after its end, records first.
+/// Runs a script when asked to, and kills the first jobs of each name, as many as the file `kills` says. With a file `lag` a job has the
+/// shared store as of its submission, and its additions become visible `lag` seconds after its end, records first.
 const SBATCH: &str = r#"#!/bin/bash
 cd "$(dirname "$0")" || exit 1
 script="${@: -1}"
@@ -55,10 +54,7 @@ script="${@: -1}"
 exec 9> lock; flock 9
 id=$(( $(cat next 2> /dev/null || echo 100) + 1 )); echo $id > next
 name=$(sed -n 's/^#SBATCH --job-name=//p' "$script"); log=$(sed -n 's/^#SBATCH --output=//p' "$script")
-last=$(sed -n 's/^#SBATCH --array=0-\([0-9]*\).*/\1/p' "$script"); tasks=$(seq 0 ${last:-0})
-killed=" "; [ -n "$last" ] && [ -f kill_tasks ] && { killed=" $(cat kill_tasks) "; rm kill_tasks; }
 echo "$id $name $(sed -n 's/^#SBATCH --mem=//p' "$script")" >> history
-[ -n "$last" ] && echo "$id $((last + 1))" >> arrays
 mkdir -p jobs/$id; echo "$name" > jobs/$id/name
 shared=""
 if [ -f lag ]; then
@@ -71,12 +67,8 @@ setsid bash -c '
   sleep 0.2
   if [ '$kill' = yes ]; then echo "'$id' 9" >> ended
   else
-    for task in '"${tasks//$'\n'/ }"'; do
-      [ -n "'"$last"'" ] && echo "_[$task-'"$last"']" > jobs/'$id'/left
-      [[ "'"$killed"'" == *" $task "* ]] && continue
-      SLURM_ARRAY_TASK_ID=$task setsid bash "'"$script"'" >> "'"$log"'" 2>&1 & echo $! > jobs/'$id'/pid
-      wait $!; echo "'$id' $?" >> ended
-    done
+    setsid bash "'"$script"'" >> "'"$log"'" 2>&1 & echo $! > jobs/'$id'/pid
+    wait $!; echo "'$id' $?" >> ended
   fi
   rm -r jobs/'$id'
   shared="'"$shared"'"
@@ -87,7 +79,7 @@ echo $id
 
 const SQUEUE: &str = r#"#!/bin/bash
 cd "$(dirname "$0")/jobs" 2> /dev/null || exit 0
-for id in *; do [ -f $id/name ] && echo "$id$(cat $id/left 2> /dev/null)|$(cat $id/name)|RUNNING|None"; done
+for id in *; do [ -f $id/name ] && echo "$id|$(cat $id/name)|RUNNING|None"; done
 exit 0
 "#;
 

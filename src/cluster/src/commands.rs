@@ -3,7 +3,6 @@
 use std::{
     collections::BTreeMap,
     io,
-    ops::RangeInclusive,
     process::{Command, ExitStatus, Stdio},
     thread::JoinHandle,
     time::{Duration, Instant},
@@ -23,9 +22,6 @@ const MOST_COMPLAINT: usize = 500;
 
 /// Pause between two looks whether it has answered.
 const ANSWER_INTERVAL: Duration = Duration::from_millis(10);
-
-/// Any number of a task.
-const ALL: [RangeInclusive<usize>; 1] = [0..=usize::MAX];
 
 /// Commands of a batch system, each a program with its arguments. The default is Slurm. `{script}` is the script of a job, `{id}` the
 /// id that the batch system gave it.
@@ -101,12 +97,12 @@ impl Commands {
         }
     }
 
-    /// Returns the jobs of the user by name. The tasks of an array have the same name.
-    pub(crate) fn list(&self, cancel: &Cancel) -> Result<BTreeMap<String, Vec<ListedJob>>, String> {
+    /// Returns the jobs of the user by name, the first of each.
+    pub(crate) fn list(&self, cancel: &Cancel) -> Result<BTreeMap<String, ListedJob>, String> {
         let printed = run(&self.list, "", "", cancel)?;
-        let mut jobs: BTreeMap<String, Vec<ListedJob>> = BTreeMap::new();
+        let mut jobs = BTreeMap::new();
         for (name, job) in printed.lines().filter_map(listed) {
-            jobs.entry(name).or_default().push(job);
+            jobs.entry(name).or_insert(job);
         }
         Ok(jobs)
     }
@@ -149,33 +145,6 @@ fn listed(line: &str) -> Option<(String, ListedJob)> {
     Some((name, listed))
 }
 
-/// Splits the id of tasks of an array (`12_[0-3,7%5]`, `12_4`) into the id of the array and the numbers of the tasks. Returns all
-/// numbers if none can be read.
-pub(crate) fn tasks_of(id: &str) -> (&str, Vec<RangeInclusive<usize>>) {
-    let Some((array, tasks)) = id.split_once('_') else {
-        return (id, ALL.to_vec());
-    };
-    let tasks = tasks.trim_start_matches('[').trim_end_matches(']');
-    let tasks = tasks.split_once('%').map_or(tasks, |(tasks, _)| tasks);
-    let range = |range: &str| {
-        let (first, last) = range.split_once('-').unwrap_or((range, range));
-        Some(first.parse().ok()?..=last.parse().ok()?)
-    };
-    let ranges: Option<Vec<_>> = tasks.split(',').map(range).collect();
-    (array, ranges.unwrap_or_else(|| ALL.to_vec()))
-}
-
-/// Returns the number of tasks, or 1 if they are not listed one by one.
-pub(crate) fn count(tasks: &[RangeInclusive<usize>]) -> usize {
-    if tasks == ALL {
-        1
-    } else {
-        let real = tasks.iter().filter(|range| !range.is_empty());
-        let counts = real.map(|range| (range.end() - range.start()).saturating_add(1));
-        counts.fold(0, usize::saturating_add)
-    }
-}
-
 /// Runs a command, and returns what it printed.
 fn run(command: &[String], placeholder: &str, value: &str, cancel: &Cancel) -> Result<String, String> {
     let filled = |word: &String| {
@@ -209,8 +178,6 @@ struct Answer {
 fn answer(words: &[String], cancel: &Cancel) -> io::Result<Answer> {
     let mut child = Command::new(&words[0])
         .args(&words[1..])
-        // Slurm cuts the numbers of the tasks of an array else.
-        .env("SLURM_BITSTR_LEN", "0")
         .stdin(Stdio::null())
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
@@ -282,31 +249,11 @@ mod tests {
         let jobs = commands.list(&Cancel::default()).unwrap();
         assert_eq!(jobs.len(), 2);
         let of = |name: &str| {
-            let job = &jobs[name][0];
+            let job = &jobs[name];
             (job.id.as_str(), job.state.as_str(), job.reason.as_str())
         };
         assert_eq!(of("marf-ab"), ("12", "pending", "Resources"));
         assert_eq!(of("other job"), ("13_4", "running", ""));
-    }
-
-    #[test]
-    fn tasks_of_arrays_are_read_and_what_is_cut_stands_for_all() {
-        for (id, array, tasks, number) in [
-            ("12_4", "12", vec![4..=4], 1),
-            ("12_[0-3,7%5]", "12", vec![0..=3, 7..=7], 5),
-            ("12_[9]", "12", vec![9..=9], 1),
-            ("12_[0-3,...]", "12", ALL.to_vec(), 1),
-            ("12", "12", ALL.to_vec(), 1),
-            (
-                "12_[0-18446744073709551615,9-2,0-7]",
-                "12",
-                vec![0..=usize::MAX, std::ops::RangeInclusive::new(9, 2), 0..=7],
-                usize::MAX,
-            ),
-        ] {
-            assert_eq!(tasks_of(id), (array, tasks.clone()), "{id}");
-            assert_eq!(count(&tasks), number, "{id}");
-        }
     }
 
     #[test]

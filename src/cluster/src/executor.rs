@@ -4,7 +4,7 @@ use marf_cache::Action;
 use marf_engine::{Executor, Machine, Order, PartOrder};
 use marf_stage::StageError;
 
-use crate::{arrays::Arrays, cluster::Cluster, job::JobOrder, job_files::JobFiles, script::TASK};
+use crate::{cluster::Cluster, job::JobOrder, job_files::JobFiles};
 
 impl Executor for Cluster {
     fn machine_of(&self, stage: &str) -> Option<Machine<'_>> {
@@ -32,11 +32,10 @@ impl Executor for Cluster {
     }
 
     fn takes_parts(&self, action: &Action, photos: u64) -> bool {
-        // Another script may be of a batch system without arrays.
-        self.takes(action) && photos >= self.site.photos_per_task && self.script.contains(TASK)
+        self.takes(action) && photos >= self.site.photos_per_task
     }
 
     fn execute_parts(&self, order: &Order<'_>, parts: &[PartOrder]) -> Result<(), StageError> {
-        Arrays::new(self, order).run(parts)
+        self.run_parts(order, parts)
     }
 }

@@ -1,6 +1,6 @@
 //! One job: submitted, followed, submitted again if it is lost, until its file reports its end.
 
-use std::{fs, io, path::PathBuf, time::Instant};
+use std::{fs, io, time::Instant};
 
 use marf_cache::Digest;
 use marf_engine::{Needs, Order};
@@ -12,10 +12,13 @@ use crate::{
     errors::failed,
     job_files::JobFiles,
     job_result::{Fault, JobProgress, JobResult},
-    queue::{ATTEMPTS, Census, JobState, PREFIX},
-    script::{Filling, filled, quoted_path},
+    queue::{Census, JobState, PREFIX},
+    script::{Filling, filled},
     words::{in_short, memory, note},
 };
+
+/// How often a job may be lost.
+const ATTEMPTS: u32 = 3;
 
 /// Digits of the key in the name of a job.
 const NAME_DIGITS: usize = 16;
@@ -24,10 +27,10 @@ const NAME_DIGITS: usize = 16;
 const BUSY: [&str; 3] = ["timed out", "nable to contact", "temporarily"];
 
 /// A job in the queue.
-pub(crate) struct Job {
-    pub(crate) id: String,
+struct Job {
+    id: String,
     /// Earlier answers of the batch system say nothing about it.
-    pub(crate) since: Instant,
+    since: Instant,
 }
 
 /// The work of a job, and its follower.
@@ -74,8 +77,7 @@ impl Cluster {
         let mut memory_mb = self.memory_mb(&order.needs);
         let mut attempts_left = ATTEMPTS;
         loop {
-            let script = || self.write(order, files, memory_mb);
-            let job = self.job(order.node, order.cancel, &job_name(&order.key), &script)?;
+            let job = self.job(order, files, memory_mb)?;
             let said = match self.wait(order, files, &job)? {
                 JobEnd::Result(result) => return self.outcome(order.progress, result),
                 JobEnd::Lost(said) => said,
@@ -101,33 +103,31 @@ impl Cluster {
         }
     }
 
-    /// Returns the job of this name that is in the queue, or else submits one with the script that `write` writes.
-    pub(crate) fn job(
-        &self,
-        node: &str,
-        cancel: &Cancel,
-        name: &str,
-        write: &dyn Fn() -> io::Result<PathBuf>,
-    ) -> Result<Job, StageError> {
+    /// Returns the job of an order that is in the queue, or else submits one.
+    fn job(&self, order: &JobOrder<'_>, files: &JobFiles, memory_mb: u64) -> Result<Job, StageError> {
+        let name = job_name(&order.key);
         let asked = Instant::now();
         let mut busy = String::new();
         while asked.elapsed() < self.patience() {
-            if cancel.is_set() {
+            if order.cancel.is_set() {
                 return Err(StageError::Cancelled);
             }
-            match self.queue.look(&self.site.commands, name, self.began, cancel) {
-                JobState::Listed(listed, _) if !listed.is_empty() => {
+            match self
+                .queue
+                .look(&self.site.commands, &name, self.began, order.cancel)
+            {
+                JobState::Listed(listed, _) => {
                     let since = self.began;
-                    let id = listed[0].id.clone();
+                    let id = listed.id;
                     return Ok(Job { id, since });
                 }
                 JobState::Unknown(fault) => busy = fault,
-                JobState::Absent | JobState::Listed(..) => match self.submit(node, cancel, write)? {
+                JobState::Absent => match self.submit(order, files, memory_mb)? {
                     Ok(job) => return Ok(job),
                     Err(said) => busy = said,
                 },
             }
-            self.rest(cancel);
+            self.rest(order.cancel);
         }
         let seconds = self.patience().as_secs_f64();
         let error =
@@ -138,26 +138,28 @@ impl Cluster {
     /// Submits a job. If the batch system is busy, returns its message.
     fn submit(
         &self,
-        node: &str,
-        cancel: &Cancel,
-        write: &dyn Fn() -> io::Result<PathBuf>,
+        order: &JobOrder<'_>,
+        files: &JobFiles,
+        memory_mb: u64,
     ) -> Result<Result<Job, String>, StageError> {
+        let node = order.node;
         let unwritten = |error: io::Error| failed(node, "the files of its job cannot be written", &error);
-        let script = write().map_err(unwritten)?;
+        self.write(order, files, memory_mb).map_err(unwritten)?;
+        let script = files.script.display().to_string();
         let since = Instant::now();
-        match self.site.commands.submit(&script.display().to_string(), cancel) {
+        match self.site.commands.submit(&script, order.cancel) {
             Ok(id) => Ok(Ok(Job { id, since })),
             Err(said) if BUSY.iter().any(|word| said.contains(word)) => Ok(Err(said)),
             Err(said) => {
                 let error =
                     StageError::new(format!("the batch system takes no job for `{node}`")).cause(said);
-                Err(error.hint(format!("the script is {}", script.display())))
+                Err(error.hint(format!("the script is {script}")))
             }
         }
     }
 
-    /// Writes the action and the script of a job, and removes an invalid result. Returns the path of the script.
-    fn write(&self, order: &JobOrder<'_>, files: &JobFiles, memory_mb: u64) -> io::Result<PathBuf> {
+    /// Writes the action and the script of a job, and removes an invalid result.
+    fn write(&self, order: &JobOrder<'_>, files: &JobFiles, memory_mb: u64) -> io::Result<()> {
         match fs::remove_file(&files.result) {
             Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
             _ => fs::write(&files.action, &order.actions)?,
@@ -166,13 +168,12 @@ impl Cluster {
         let options: Vec<String> = self.site.options.iter().chain(gpu).cloned().collect();
         let filling = Filling {
             name: &job_name(&order.key),
-            task: "",
-            action: quoted_path(&files.action),
+            action: &files.action,
             store: &self.site.store,
             marf: &self.marf,
             log: &files.log,
-            result: quoted_path(&files.result),
-            scratch: quoted_path(&files.scratch),
+            result: &files.result,
+            scratch: &files.scratch,
             cores: match order.needs.cores {
                 Threads::One => 1,
                 Threads::All => self.site.cores,
@@ -181,8 +182,7 @@ impl Cluster {
             minutes: self.site.minutes,
             options: &options,
         };
-        fs::write(&files.script, filled(&self.script, &filling))?;
-        Ok(files.script.clone())
+        fs::write(&files.script, filled(&self.script, &filling))
     }
 
     /// Waits until a job has reported its end, or is lost.
@@ -207,9 +207,7 @@ impl Cluster {
             {
                 JobState::Listed(listed, census) => {
                     absent_since = None;
-                    if let [listed, ..] = listed.as_slice() {
-                        show(order, files, listed, census);
-                    }
+                    show(order, files, &listed, census);
                 }
                 JobState::Unknown(fault) => {
                     absent_since = None;
@@ -233,11 +231,7 @@ impl Cluster {
     }
 
     /// Shows the warnings of a job. Returns its result, or its fault as an error.
-    pub(crate) fn outcome(
-        &self,
-        progress: &dyn Progress,
-        result: JobResult,
-    ) -> Result<JobResult, StageError> {
+    fn outcome(&self, progress: &dyn Progress, result: JobResult) -> Result<JobResult, StageError> {
         result.warnings.iter().for_each(|warning| progress.warn(warning));
         match result.fault {
             None => Ok(result),

@@ -16,8 +16,6 @@
 //!
 //! The name of a job is its key. A run that begins looks for jobs of its keys in the queue, and takes them over.
 
-mod array_plan;
-mod arrays;
 mod backend;
 mod cluster;
 mod commands;
@@ -26,6 +24,7 @@ mod executor;
 mod job;
 mod job_files;
 mod job_result;
+mod parts;
 mod queue;
 mod script;
 mod site;

@@ -8,13 +8,10 @@ use std::{
 use marf_stage::Cancel;
 use parking_lot::Mutex;
 
-use crate::commands::{Commands, ListedJob, count, tasks_of};
+use crate::commands::{Commands, ListedJob};
 
 /// What names of jobs of marf begin with.
 pub(crate) const PREFIX: &str = "marf-";
-
-/// How often a job may be lost.
-pub(crate) const ATTEMPTS: u32 = 3;
 
 /// The queue as it was last.
 #[derive(Debug)]
@@ -28,7 +25,7 @@ struct LastAnswer {
     /// When the batch system was last asked. Absent if never.
     asked: Option<Instant>,
     /// Its jobs by name, from its last answer, and when that came.
-    answer: Option<(Instant, BTreeMap<String, Vec<ListedJob>>)>,
+    answer: Option<(Instant, BTreeMap<String, ListedJob>)>,
     /// Why the last question has no answer.
     fault: Option<String>,
 }
@@ -36,9 +33,8 @@ struct LastAnswer {
 /// The state of a job in the queue.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum JobState {
-    /// It waits or runs, the tasks of an array as several jobs. Also holds the numbers of running and waiting
-    /// jobs of marf.
-    Listed(Vec<ListedJob>, Census),
+    /// It waits or runs. Also holds the numbers of running and waiting jobs of marf.
+    Listed(ListedJob, Census),
     /// It is not in an answer that came after it was asked for.
     Absent,
     /// The batch system does not answer, for this reason.
@@ -53,18 +49,13 @@ pub(crate) struct Census {
 }
 
 impl Census {
-    fn from_jobs(jobs: &BTreeMap<String, Vec<ListedJob>>) -> Self {
-        let mut census = Self::default();
+    fn from_jobs(jobs: &BTreeMap<String, ListedJob>) -> Self {
         let own = jobs.iter().filter(|(name, _)| name.starts_with(PREFIX));
-        for job in own.flat_map(|(_, jobs)| jobs) {
-            let (_, tasks) = tasks_of(&job.id);
-            if job.is_running() {
-                census.running = census.running.saturating_add(count(&tasks));
-            } else {
-                census.waiting = census.waiting.saturating_add(count(&tasks));
-            }
+        let (running, waiting): (Vec<_>, Vec<_>) = own.partition(|(_, job)| job.is_running());
+        Self {
+            running: running.len(),
+            waiting: waiting.len(),
         }
-        census
     }
 }
 
@@ -124,7 +115,7 @@ mod tests {
         let before = Instant::now();
         for _ in 0..50 {
             assert!(
-                matches!(queue.look(&commands, "a", before, &Cancel::default()), JobState::Listed(jobs, _) if jobs[0].id == "1")
+                matches!(queue.look(&commands, "a", before, &Cancel::default()), JobState::Listed(job, _) if job.id == "1")
             );
         }
         assert_eq!(
@@ -144,20 +135,18 @@ mod tests {
             "1|marf-a|RUNNING|None",
             "2|marf-b|PENDING|Priority",
             "3|marf-c|PENDING|Resources",
-            "5_[2-4%%2]|marf-d|PENDING|Resources",
-            "5_1|marf-d|RUNNING|None",
+            "5|marf-d|PENDING|Resources",
+            "6|marf-e|RUNNING|None",
             "4|tea|RUNNING|None",
         ];
         let queue = Queue::new(Duration::ZERO);
         let commands = list(&format!("printf '{}\\n'", lines.join("\\n")));
         let census = Census {
             running: 2,
-            waiting: 5,
+            waiting: 3,
         };
         let state = queue.look(&commands, "marf-b", Instant::now(), &Cancel::default());
-        assert!(
-            matches!(state, JobState::Listed(jobs, found) if jobs[0].reason == "Priority" && found == census)
-        );
+        assert!(matches!(state, JobState::Listed(job, found) if job.reason == "Priority" && found == census));
     }
 
     #[test]

@@ -14,12 +14,8 @@ pub(crate) const SLURM: &str = "\
 #SBATCH --signal=TERM@60
 #SBATCH --requeue
 #SBATCH {options}
-{task}
 exec {marf} exec {action} --store {store} --result {result} --scratch {scratch} --threads {cores}
 ";
-
-/// The placeholder of the lines that choose the task of an array.
-pub(crate) const TASK: &str = "{task}";
 
 /// The placeholder of further options: its line stands once for each of them.
 const OPTIONS: &str = "{options}";
@@ -30,15 +26,12 @@ const NEEDED: [&str; 4] = ["{name}", "{action}", "{store}", "{result}"];
 /// Values of the placeholders of a script.
 pub(crate) struct Filling<'a> {
     pub name: &'a str,
-    /// Lines that choose the task of an array. Empty without an array.
-    pub task: &'a str,
-    /// As a word of the shell, like `result` and `scratch`.
-    pub action: String,
+    pub action: &'a Path,
     pub store: &'a str,
     pub marf: &'a Path,
     pub log: &'a Path,
-    pub result: String,
-    pub scratch: String,
+    pub result: &'a Path,
+    pub scratch: &'a Path,
     pub cores: usize,
     pub memory_mb: u64,
     pub minutes: u64,
@@ -65,13 +58,12 @@ pub(crate) fn check(template: &str, options: &[String]) -> Result<(), String> {
 pub(crate) fn filled(template: &str, filling: &Filling<'_>) -> String {
     let pairs = [
         ("{name}", filling.name.to_owned()),
-        (TASK, filling.task.to_owned()),
-        ("{action}", filling.action.clone()),
+        ("{action}", quoted_path(filling.action)),
         ("{store}", shell_quoted(filling.store)),
         ("{marf}", quoted_path(filling.marf)),
         ("{log}", quoted_path(filling.log)),
-        ("{result}", filling.result.clone()),
-        ("{scratch}", filling.scratch.clone()),
+        ("{result}", quoted_path(filling.result)),
+        ("{scratch}", quoted_path(filling.scratch)),
         ("{cores}", filling.cores.to_string()),
         ("{memory_mb}", filling.memory_mb.to_string()),
         ("{minutes}", filling.minutes.to_string()),
@@ -85,10 +77,7 @@ pub(crate) fn filled(template: &str, filling: &Filling<'_>) -> String {
             vec![with_values(line, &pairs)]
         }
     });
-    lines
-        .filter(|line| !line.is_empty())
-        .map(|line| line + "\n")
-        .collect()
+    lines.map(|line| line + "\n").collect()
 }
 
 /// Replaces the placeholders of a line. A value is not looked at again: a placeholder in it stays.
@@ -107,12 +96,12 @@ fn with_values(line: &str, pairs: &[(&str, String)]) -> String {
 }
 
 /// Returns this path as a word of a shell command.
-pub(crate) fn quoted_path(path: &Path) -> String {
+fn quoted_path(path: &Path) -> String {
     shell_quoted(&path.display().to_string())
 }
 
 /// Returns this text as a word of a shell command.
-pub(crate) fn shell_quoted(text: &str) -> String {
+fn shell_quoted(text: &str) -> String {
     let is_plain = |c: char| c.is_ascii_alphanumeric() || "/._-:=@".contains(c);
     if !text.is_empty() && text.chars().all(is_plain) {
         text.to_owned()
@@ -130,13 +119,12 @@ mod tests {
         let options = ["--partition=long".to_owned(), "--gres=gpu:1".to_owned()];
         let filling = Filling {
             name: "marf-ab",
-            task: "",
-            action: quoted_path(Path::new("/jobs/a.action")),
+            action: Path::new("/jobs/a.action"),
             store: "file:///shared/my store",
             marf: Path::new("/opt/marf"),
             log: Path::new("/jobs/a.log"),
-            result: quoted_path(Path::new("/jobs/it's.json")),
-            scratch: quoted_path(Path::new("/jobs/a")),
+            result: Path::new("/jobs/it's.json"),
+            scratch: Path::new("/jobs/a"),
             cores: 2,
             memory_mb: 900,
             minutes: 30,
@@ -151,27 +139,8 @@ mod tests {
         assert!(script.contains(" --store 'file:///shared/my store' "));
         assert!(script.contains(r" --result '/jobs/it'\''s.json' "));
         assert!(script.ends_with(" --threads 2\n"));
-        let of_array = filled(
-            SLURM,
-            &Filling {
-                task: "task=7",
-                action: "\"$task.action\"".to_owned(),
-                result: String::new(),
-                scratch: String::new(),
-                ..filling
-            },
-        );
-        assert!(of_array.contains("\ntask=7\nexec /opt/marf exec \"$task.action\" "));
-        let bare = filled(
-            SLURM,
-            &Filling {
-                options: &[],
-                action: String::new(),
-                result: String::new(),
-                scratch: String::new(),
-                ..filling
-            },
-        );
+        let options = &[];
+        let bare = filled(SLURM, &Filling { options, ..filling });
         assert!(!bare.contains("\n\n"), "{bare}");
         assert_eq!(shell_quoted(""), "''");
     }
@@ -180,13 +149,12 @@ mod tests {
     fn values_are_words_in_every_line_and_placeholders_in_them_stay() {
         let filling = Filling {
             name: "marf-ab",
-            task: "",
-            action: quoted_path(Path::new("/a b/{store}")),
+            action: Path::new("/a b/{store}"),
             store: "file:///x'; touch y; '{marf}",
             marf: Path::new("/$(touch z)/marf"),
             log: Path::new("/a b/{store}.log"),
-            result: String::new(),
-            scratch: String::new(),
+            result: Path::new("/r"),
+            scratch: Path::new("/s"),
             cores: 2,
             memory_mb: 900,
             minutes: 30,
@@ -196,7 +164,7 @@ mod tests {
         for line in [
             "#SBATCH --output='/a b/{store}.log'",
             "#SBATCH --comment={name}",
-            r"exec '/$(touch z)/marf' exec '/a b/{store}' --store 'file:///x'\''; touch y; '\''{marf}' --result  --scratch  --threads 2",
+            r"exec '/$(touch z)/marf' exec '/a b/{store}' --store 'file:///x'\''; touch y; '\''{marf}' --result /r --scratch /s --threads 2",
         ] {
             assert!(script.lines().any(|found| found == line), "{line}: {script}");
         }

@@ -29,22 +29,13 @@ pub struct Site {
     /// the run.
     #[serde(default = "default_stages")]
     pub stages: BTreeSet<String>,
-    /// Most jobs at once, including those that wait in the queue. For an array, most tasks that run at once.
+    /// Most jobs at once, including those that wait in the queue. The parts of a node may be as many jobs again.
     #[serde(default = "default_max_jobs")]
     pub max_jobs: usize,
-    /// Least number of photos that a task of an array measures. Fewer photos are measured on the machine of
+    /// Least number of photos that a job of a filter measures. Fewer photos are measured on the machine of
     /// the run.
     #[serde(default = "default_photos_per_task")]
     pub photos_per_task: u64,
-    /// Most tasks of one array (`MaxArraySize` of Slurm, less one).
-    #[serde(default = "default_max_array")]
-    pub max_array: usize,
-    /// The environment variable of a job with the number of its task, from 0 on.
-    #[serde(default = "default_array_index")]
-    pub array_index: String,
-    /// Further options of arrays. `{last}` is the number of the last task, `{max_jobs}` the number that may run at once.
-    #[serde(default = "default_array_options")]
-    pub array_options: Vec<String>,
     /// The program on the machines of the jobs [default: this one].
     #[serde(default)]
     pub marf: Option<PathBuf>,
@@ -97,18 +88,6 @@ fn default_stages() -> BTreeSet<String> {
 
 fn default_photos_per_task() -> u64 {
     1_000
-}
-
-fn default_max_array() -> usize {
-    1_000
-}
-
-fn default_array_index() -> String {
-    "SLURM_ARRAY_TASK_ID".to_owned()
-}
-
-fn default_array_options() -> Vec<String> {
-    vec!["--array=0-{last}%{max_jobs}".to_owned()]
 }
 
 fn default_max_jobs() -> usize {
@@ -242,7 +221,6 @@ impl Site {
         positive("max_jobs", self.max_jobs > 0)?;
         positive("cores", self.cores > 0)?;
         positive("photos_per_task", self.photos_per_task > 0)?;
-        positive("max_array", self.max_array > 0)?;
         positive("memory_mb", self.memory_mb > 0)?;
         positive("minutes", self.minutes > 0)?;
         for (key, seconds) in [("poll_s", self.poll_s), ("patience_s", self.patience_s)] {
@@ -275,11 +253,7 @@ impl Site {
         let paths = paths
             .into_iter()
             .filter_map(|(key, path)| Some((key, path?.to_string_lossy())));
-        let lists = [
-            ("options", &self.options),
-            ("gpu_options", &self.gpu_options),
-            ("array_options", &self.array_options),
-        ];
+        let lists = [("options", &self.options), ("gpu_options", &self.gpu_options)];
         let lists = lists.into_iter();
         let options = lists.flat_map(|(key, list)| list.iter().map(move |text| (key, text.into())));
         let mut texts = paths
@@ -287,14 +261,6 @@ impl Site {
             .chain(options);
         if let Some((key, text)) = texts.find(|(_, text)| text.contains(char::is_control)) {
             return Err((key, format!("{text:?}: a control character")));
-        }
-        let is_letter = |char: char| char.is_ascii_alphabetic() || char == '_';
-        let is_name = |text: &str| text.chars().all(|char| is_letter(char) || char.is_ascii_digit());
-        if !self.array_index.starts_with(is_letter) || !is_name(&self.array_index) {
-            return Err((
-                "array_index",
-                format!("{:?}: not the name of a variable", self.array_index),
-            ));
         }
         Ok(())
     }
@@ -343,7 +309,7 @@ mod tests {
         let site = read(LEAST).unwrap();
         assert_eq!((site.max_jobs, site.cores, site.memory_mb), (100, 4, 4_000));
         assert_eq!(site.stages.len(), 2 + 6, "both trainings, six filters");
-        assert_eq!((site.photos_per_task, site.max_array), (1_000, 1_000));
+        assert_eq!(site.photos_per_task, 1_000);
         assert_eq!(site.commands, Commands::default());
         assert!(
             read("[executor]\nstore = \"file:///s\"\n")
@@ -381,16 +347,8 @@ mod tests {
                 "executor.gpu_options: \"\\u{1b}\": a control character",
             ),
             (
-                "array_options = [\"\\r\"]",
-                "executor.array_options: \"\\r\": a control character",
-            ),
-            (
                 "marf = \"/a\\nb\"",
                 "executor.marf: \"/a\\nb\": a control character",
-            ),
-            (
-                "array_index = \"A[$(touch y)]\"",
-                "executor.array_index: \"A[$(touch y)]\": not the name of a variable",
             ),
         ] {
             let error = read(&format!("{LEAST}{line}\n")).unwrap_err();

@@ -1,4 +1,4 @@
-//! Measures of photos as tasks of an array.
+//! Measures of photos as jobs.
 
 use super::{Site, outputs};
 use crate::common::marf;
@@ -16,10 +16,10 @@ input = "extract"
 input = "duplicate"
 "#;
 
-/// A machine that has pulled a run has no measures. It has them made by tasks of an array, some of which are killed. The result is that of a run
+/// A machine that has pulled a run has no measures. It has them made by jobs, each of which is killed once. The result is that of a run
 /// that measures itself, and nothing is measured twice.
 #[test]
-fn measures_of_photos_are_tasks_of_an_array_and_give_the_digests_of_a_local_run() {
+fn measures_of_photos_are_jobs_and_give_the_digests_of_a_local_run() {
     let local = tempfile::tempdir().unwrap();
     std::fs::write(local.path().join("pipeline.toml"), FILTERED).unwrap();
     let site = Site::new(FILTERED);
@@ -31,19 +31,14 @@ fn measures_of_photos_are_tasks_of_an_array_and_give_the_digests_of_a_local_run(
     std::fs::remove_dir_all(site.path().join(".marf")).unwrap();
     marf(site.path(), &["cache", "pull", "--remote", &store]).exits(0);
     let text = std::fs::read_to_string(site.path().join("site.toml")).unwrap();
-    let text = text.replace("cores = 1\n", "cores = 1\nphotos_per_task = 1\nmax_array = 3\n");
+    let text = text.replace("cores = 1\n", "cores = 1\nphotos_per_task = 1\nmax_jobs = 3\n");
     std::fs::write(site.path().join("site.toml"), text).unwrap();
-    site.tell("kill_tasks", "1");
+    site.tell("kills", "1");
     let ran = site.run(&[]).exits(0);
-    // Four shards in arrays of three tasks and of one, and the killed one. One look at a photo measures it for both filters.
-    assert_eq!(
-        site.noted("arrays"),
-        ["101 3", "102 1", "103 1"],
-        "{}",
-        ran.stderr
-    );
+    // Four shards, each killed once. One look at a photo measures it for both filters.
+    assert_eq!(site.noted("history").len(), 8, "{}", ran.stderr);
     assert!(
-        ran.stderr.contains("1 task ended without a result"),
+        ran.stderr.contains(") and is submitted with 1.4 GB"),
         "{}",
         ran.stderr
     );
@@ -56,5 +51,5 @@ fn measures_of_photos_are_tasks_of_an_array_and_give_the_digests_of_a_local_run(
     std::fs::write(site.path().join("pipeline.toml"), stricter).unwrap();
     let again = site.run(&[]).exits(0);
     assert!(again.stdout.contains("1 of 3 nodes ran"), "{}", again.stdout);
-    assert_eq!(site.noted("arrays").len(), 3, "{}", again.stderr);
+    assert_eq!(site.noted("history").len(), 8, "{}", again.stderr);
 }
