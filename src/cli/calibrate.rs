@@ -31,11 +31,10 @@ pub struct CalibrateArgs {
 }
 
 /// Sources of cameras.
-pub(super) const METHODS: [(&str, &str); 5] = [
+pub(super) const METHODS: [(&str, &str); 4] = [
     ("sfm", "Structure from motion"),
     ("labels", "Camera models of the labels"),
     ("import", "transforms.json or a COLMAP model in the folder"),
-    ("colmap", "An installed COLMAP"),
     ("auto", "`import` if the folder contains cameras, else `sfm`"),
 ];
 

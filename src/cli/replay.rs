@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 use marf_progress::format::{count, size};
 use marf_provenance::difference::value_text;
-use marf_provenance::replay::{NotMade, Replayed};
+use marf_provenance::replay::Replayed;
 use marf_run::replay::{ReplayReport, differs, is_equal, is_missing};
 use marf_run::{Answer, Context, Error};
 
@@ -30,8 +30,8 @@ pub struct ReplayArgs {
 }
 
 const AFTER_HELP: &str = "\
-The replay contacts no server. It uses only the root of the run, the files that the run read from archives, and the results of stages \
-that are declared to vary (COLMAP's cameras). A training with a time limit is repeated by its recorded schedule.
+The replay contacts no server. It uses only the root of the run and the files that the run read from archives. A training with a time \
+limit is repeated by its recorded schedule.
 Exit codes: 0 all digests are equal, 3 the file was not written by marf, 5 the store no longer has something that is needed, 7 a digest \
 differs, 9 no digest differs, but something could not be repeated here (it ran on another GPU, or failed), 12 the run has no result to \
 compare with.";
@@ -53,8 +53,7 @@ fn text(report: &ReplayReport) -> Vec<String> {
     for node in &report.nodes {
         let outputs = count(node.equal as usize + node.differs.len(), "result");
         let word = match (&node.not_made, node.differs.len()) {
-            (Some(NotMade::TakenOver(why)), _) => format!("taken from the run: {why}"),
-            (Some(NotMade::NotMade(why)), _) => format!("not repeated: {why}"),
+            (Some(why), _) => format!("not repeated: {why}"),
             (None, 0) => format!("equal, {outputs}"),
             (None, different) => format!("different, {different} of {outputs}"),
         };
@@ -85,23 +84,15 @@ fn sentence(report: &ReplayReport) -> String {
     let all = format!(
         "{} of {}",
         count(equal + different, "result"),
-        count(nodes(is_repeated).count(), "node")
+        count(nodes(|node| !is_missing(node)).count(), "node")
     );
-    let taken = nodes(|node| matches!(node.not_made, Some(NotMade::TakenOver(_)))).count();
-    let taken = match taken {
-        0 => String::new(),
-        taken => format!(
-            " The results of {} vary by design and were taken from the run.",
-            count(taken, "node")
-        ),
-    };
     match (report.answer, nodes(differs).next(), nodes(is_missing).next()) {
         (Answer::Differs, Some(first), _) => format!(
-            "{what} did not give the same bytes when repeated: {different} of {all} differ, first in `{}`.{taken}",
+            "{what} did not give the same bytes when repeated: {different} of {all} differ, first in `{}`.",
             first.node
         ),
         (Answer::NotMade, _, Some(first)) => format!(
-            "{what} could not be repeated in full here: {} of {}, first `{}`. What was repeated gave the same bytes: {all}.{taken}",
+            "{what} could not be repeated in full here: {} of {}, first `{}`. What was repeated gave the same bytes: {all}.",
             nodes(is_missing).count(),
             count(report.nodes.len(), "node"),
             first.node
@@ -110,12 +101,8 @@ fn sentence(report: &ReplayReport) -> String {
             "Nothing was compared: run {} has no result that can be repeated.",
             report.run
         ),
-        _ => format!("{what} gave the same bytes when repeated: all {all} are equal.{taken}"),
+        _ => format!("{what} gave the same bytes when repeated: all {all} are equal."),
     }
-}
-
-fn is_repeated(node: &Replayed) -> bool {
-    node.not_made.is_none()
 }
 
 /// Most values of a document that are named.

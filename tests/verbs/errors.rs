@@ -69,7 +69,7 @@ fn a_word_that_is_nearly_right_has_the_right_one_as_a_hint() {
     assert!(said.contains("hint: did you mean `labels`?"), "{said}");
     let dir = with_pipeline(&pipeline("labels"));
     for (args, word) in [
-        ("plan --set calibrate.method=\"colmp\"", "colmap"),
+        ("plan --set calibrate.method=\"imprt\"", "import"),
         ("plan --set train.quality=\"drfat\"", "draft"),
         ("plan --set train.device=\"gpi\"", "gpu"),
         ("plan --set bootstrap.viewpoints=\"heldot\"", "heldout"),

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use marf_cache::{Digest, Record, Store, digest_list, read_digest_list};
+use marf_cache::{Digest, Record, Store};
 use marf_engine::{LISTING, NodeRun};
 use marf_model::{
     Run, RunError, RunNode,
@@ -87,25 +87,6 @@ pub fn copy_archive(archive: &RecordedArchive, from: &Store, to: &Store) -> Resu
     Ok(to.commit()?)
 }
 
-/// Copies the result of a node into another store, so that it is taken over there: action, record, outputs, needs.
-///
-/// # Errors
-/// A part of it that is lost, a store that cannot be read or written.
-pub fn copy_result(key: &Digest, from: &Store, to: &Store) -> Result<(), RunError> {
-    let record = copy_record(key, from, to)?;
-    for output in record.outputs.values() {
-        to.put(&from.get(&output.digest)?)?;
-    }
-    if let Some(list) = record.needs {
-        let needs = read_digest_list(&from.get(&list)?).unwrap_or_default();
-        for need in &needs {
-            to.put(&from.get(need)?)?;
-        }
-        to.put(&digest_list(&needs))?;
-    }
-    Ok(to.commit()?)
-}
-
 /// Copies the record of a key and its action, and not what it gave: the other store then knows of it and must make it.
 ///
 /// # Errors
@@ -130,19 +111,9 @@ pub struct Replayed {
     pub equal: u64,
     /// Outputs that are not.
     pub differs: Vec<DifferingOutput>,
-    /// Why there is nothing to compare. Absent for a node that was made again.
-    #[serde(flatten)]
-    pub not_made: Option<NotMade>,
-}
-
-/// Why a replay did not make a node again.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum NotMade {
-    /// Its stage says that its results may differ, and why. The recorded result was used.
-    TakenOver(String),
-    /// It cannot be made here, or failed, with the reason.
-    NotMade(String),
+    /// Why it cannot be made here, or failed. Absent for a node that was made again.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub not_made: Option<String>,
 }
 
 /// An output that came out otherwise.
@@ -175,7 +146,7 @@ pub fn compare(
     run: &Run<'_>,
     nodes: &[&RunNode],
     replay: &Run<'_>,
-    not_made: &BTreeMap<String, NotMade>,
+    not_made: &BTreeMap<String, String>,
 ) -> Result<Vec<Replayed>, RunError> {
     let mut compared = Vec::new();
     for node in nodes.iter().filter(|node| node.run.state.is_good()) {
@@ -188,7 +159,7 @@ pub fn compare(
         };
         match replay.record.node(name).filter(|made| made.state.is_good()) {
             _ if replayed.not_made.is_some() => {}
-            None => replayed.not_made = Some(NotMade::NotMade(reason(replay, name))),
+            None => replayed.not_made = Some(reason(replay, name)),
             Some(made) => compare_outputs(run.store(), &node.run, replay.store(), made, &mut replayed)?,
         }
         compared.push(replayed);

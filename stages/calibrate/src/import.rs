@@ -27,7 +27,6 @@ pub use cameras::{Cameras, ImportError, Role, View};
 pub use colmap::{Model, read_colmap_binary, read_colmap_text, read_tracks};
 pub use distortion::{Distortion, Rational};
 pub use lens::{Focal, Lens};
-pub(crate) use ready::{as_it_is, placed};
 pub use transforms::{Transforms, names_in_transforms, read_transforms};
 
 use crate::calibration::{Calibration, HeldOut, PlacedPhoto, up_of};
@@ -39,7 +38,7 @@ use marf_schema::calibrate::CalibrateParams;
 use marf_schema::calibrate::Missing;
 use matching::{MatchedViews, match_views};
 use photo_names::composed;
-use ready::{ReadyPhoto, ready};
+use ready::{ReadyPhoto, placed, ready};
 use transforms::POINTS_KEY;
 
 /// Returns the cameras of the chosen file for the photos, in the world of the file.

@@ -1,7 +1,7 @@
 //! Photos and priors to a calibrated scene: which photo was taken by which camera from where.
 //!
 //! `sfm` finds cameras from the photos themselves, with labels as priors. `labels` takes the camera models of the archive's labels and
-//! resamples each photo once to an ideal pinhole. `import` reads the cameras another program found. `colmap` runs an installed COLMAP.
+//! resamples each photo once to an ideal pinhole. `import` reads the cameras another program found.
 //! `cameras` writes a scene as a folder for other programs.
 //!
 //! Invariant: a photo is in the scene with a camera for the very bytes its frame names, or it is listed as unplaced with the reason. No
@@ -9,7 +9,6 @@
 
 mod calibration;
 mod cameras;
-mod colmap;
 mod export;
 pub mod import;
 mod labels;

@@ -165,7 +165,7 @@ pub(crate) fn field_masks(
     }
     let candidates = match params.method {
         Method::Labels | Method::Sfm | Method::Auto => of_one_site(items, params.site),
-        Method::Import | Method::Colmap => items.iter().map(|_| None).collect(),
+        Method::Import => items.iter().map(|_| None).collect(),
     };
     let mask = |one: &PlacedPhoto| -> Result<Option<(usize, Digest)>, StageError> {
         let item = &items[one.item];

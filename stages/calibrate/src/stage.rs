@@ -15,7 +15,7 @@ use crate::export::{TrackPoint, Tracks, beside, write_colmap, write_ply, write_t
 use crate::mask_files::field_masks;
 use crate::orientation::Orientation;
 use crate::photos::{InputPhoto, as_png, load, reduced, size_px};
-use crate::{colmap, import, labels, sfm};
+use crate::{import, labels, sfm};
 
 /// Returns the camera of each photo, as a scene.
 ///
@@ -23,7 +23,7 @@ use crate::{colmap, import, labels, sfm};
 /// - Out: `scene`, `metrics`, and the scene for other programs: `transforms`, `sparse/0/….bin`, `points.ply`.
 /// - Cost: `sfm` takes about 0.2 CPU s a photo of 2.8 megapixels for 98 of them (`benches/calibrate.md`) and keeps the results of photos
 ///   and pairs. `labels` decodes, resamples and encodes each photo once, at most 0.4 s a megapixel and core for CAHVOR, 0.6 s for CAHVORE.
-///   `import` reads photos only to find points in them or for a smaller `longest_side_px`. `colmap` takes as long as COLMAP.
+///   `import` reads photos only to find points in them or for a smaller `longest_side_px`.
 /// - Bad input: a photo that cannot be placed, or whose camera in a file cannot be used, is listed with the reason. A camera file that
 ///   cannot be read is refused, with the field. Too few placed photos stop the node.
 pub struct Calibrate(CalibrateParams);
@@ -48,11 +48,6 @@ stage! {
         POINTS,
     ],
     {
-        fn varies(&self) -> Option<&'static str> {
-            (self.0.method == Method::Colmap)
-                .then_some("COLMAP gives other numbers on another machine, and from run to run")
-        }
-
         fn earlier(&self) -> Option<&'static str> {
             self.0.extend.then_some(SCENE)
         }
@@ -67,7 +62,6 @@ impl Set for Calibrate {
             Method::Labels => labels::run(ctx, &items, params)?,
             Method::Import => import::run(ctx, inputs, &items, params)?,
             Method::Sfm | Method::Auto => sfm::run(ctx, inputs, &items, params)?,
-            Method::Colmap => colmap::run(ctx, inputs, &items, params)?,
         };
         check_enough(&found, items.len(), params.min_registered)?;
         hold_out(

@@ -10,8 +10,7 @@ use serde::{Deserialize, Serialize};
 #[serde(default, deny_unknown_fields)]
 pub struct CalibrateParams {
     /// Source of the cameras: `sfm` (the photos themselves, labels as priors), `labels` (the archive's labels
-    /// as they are), `import` (transforms.json or a COLMAP model next to the photos) or `colmap` (an
-    /// installed COLMAP is run on the photos).
+    /// as they are) or `import` (transforms.json or a COLMAP model next to the photos).
     pub method: Method,
     /// Which photos are kept from training and measured: `place` (whole places, spread over the scene: stereo
     /// pairs, versions and neighbours together) or `every` (one in `hold_every` by file name, starting with
@@ -58,8 +57,6 @@ pub struct CalibrateParams {
     /// stay held out. `hold_every` decides how many of the new photos are. That scene is then an input of
     /// this node. Without it, or with `false`, the scene is built from scratch.
     pub extend: bool,
-    /// `colmap`: the program to run. Default: the `colmap` on PATH.
-    pub colmap: Option<String>,
 }
 
 /// Source of the cameras.
@@ -72,8 +69,6 @@ pub enum Method {
     Labels,
     /// Cameras of another program.
     Import,
-    /// An installed COLMAP. Its answer may differ in bytes between machines.
-    Colmap,
     /// `import` if there is a file with cameras next to the photos, otherwise `sfm`.
     Auto,
 }
@@ -174,7 +169,6 @@ impl Default for CalibrateParams {
             file: None,
             find_points: true,
             extend: false,
-            colmap: None,
         }
     }
 }

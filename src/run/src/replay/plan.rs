@@ -7,7 +7,7 @@ use marf_cache::{Digest, Store};
 use marf_engine::{Graph, RunRecord, RunSource};
 use marf_field::Device;
 use marf_model::{Run, RunNode};
-use marf_provenance::replay::{NotMade, copy_archive, copy_record, copy_result, recorded};
+use marf_provenance::replay::{copy_archive, copy_record, recorded};
 use marf_schema::train::{Metrics, Setup, TrainParams};
 use marf_stage::{Document, EARLIER, Params};
 use serde_json::Value;
@@ -24,7 +24,7 @@ pub struct Plan {
     /// The nodes to run, with all that they need.
     pub to: Vec<String>,
     /// Nodes that are not made again, with the reason.
-    pub not_made: BTreeMap<String, NotMade>,
+    pub not_made: BTreeMap<String, String>,
 }
 
 /// Prepares a replay of some nodes of a run in an empty store.
@@ -42,7 +42,7 @@ pub fn plan(lineage: &Run<'_>, nodes: &[&RunNode], scratch: &Store) -> Result<Pl
         copy_archive(&archive, lineage.store(), scratch)?;
         options.recorded.insert(source.run.name.clone(), archive);
     }
-    let mut not_made = on_other_devices(nodes);
+    let not_made = on_other_devices(nodes);
     // What is not made looks for no GPU.
     let wanted: BTreeSet<&str> = nodes.iter().map(|node| node.run.name.as_str()).collect();
     for node in &lineage.nodes {
@@ -57,7 +57,6 @@ pub fn plan(lineage: &Run<'_>, nodes: &[&RunNode], scratch: &Store) -> Result<Pl
             repeated.insert(node.run.name.as_str());
         }
     }
-    take_over(lineage, nodes, scratch, &mut not_made)?;
     continue_from(lineage, nodes, &repeated, scratch)?;
     let pipeline = check_tree(&tree, &options, Path::new("")).map_err(|error| {
         Error::failed(format!(
@@ -80,7 +79,7 @@ pub fn plan(lineage: &Run<'_>, nodes: &[&RunNode], scratch: &Store) -> Result<Pl
 }
 
 /// Returns the nodes that ran on a GPU that is not here, and those that need them, with the reason.
-fn on_other_devices(nodes: &[&RunNode]) -> BTreeMap<String, NotMade> {
+fn on_other_devices(nodes: &[&RunNode]) -> BTreeMap<String, String> {
     let mut not_made = BTreeMap::new();
     let mut here: Option<Option<String>> = None;
     for node in nodes {
@@ -111,7 +110,7 @@ fn on_other_devices(nodes: &[&RunNode]) -> BTreeMap<String, NotMade> {
             (None, Some(needs)) => format!("it needs `{needs}`, which is not made here"),
             (None, None) => continue,
         };
-        not_made.insert(node.run.name.clone(), NotMade::NotMade(reason));
+        not_made.insert(node.run.name.clone(), reason);
     }
     not_made
 }
@@ -158,36 +157,6 @@ fn repeating(store: &Store, node: &RunNode) -> Result<Option<Value>, Error> {
         keys.retain(|key, value| before.get(key) != Some(value));
     }
     Ok(Some(keys))
-}
-
-/// Takes over the results of nodes that are declared to vary: what follows from them is then made from the same.
-fn take_over(
-    lineage: &Run<'_>,
-    nodes: &[&RunNode],
-    scratch: &Store,
-    not_made: &mut BTreeMap<String, NotMade>,
-) -> Result<(), Error> {
-    for node in nodes.iter().filter(|node| node.run.state.is_good()) {
-        let (Some(why), Some(key)) = (varies(node), node.run.key) else {
-            continue;
-        };
-        if not_made.contains_key(&node.run.name) {
-            continue;
-        }
-        copy_result(&key, lineage.store(), scratch)?;
-        not_made.insert(node.run.name.clone(), NotMade::TakenOver(why.to_owned()));
-    }
-    Ok(())
-}
-
-/// Returns why the results of a node may differ from run to run, if its stage says so and nothing repeats it.
-fn varies(node: &RunNode) -> Option<&'static str> {
-    let def = marf_stages::stages()
-        .iter()
-        .find(|def| def.name == node.run.stage)?;
-    // A source cannot be bound without its archive, and is none of these.
-    let stage = (def.bind)(node.action.as_ref()?.params.clone()).ok()?;
-    stage.varies().filter(|_| node.run.stage != TrainParams::STAGE)
 }
 
 /// Lets nodes that continued from their own earlier output continue from it again. The store gets records of their earlier results, with

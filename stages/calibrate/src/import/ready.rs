@@ -20,7 +20,7 @@ pub(crate) struct ReadyPhoto {
 }
 
 /// Returns a photo with the camera of its view, which is for pixels of this size. `source` is named in errors.
-pub(crate) fn as_it_is(
+fn as_it_is(
     source: &str,
     view: &View,
     item: &InputPhoto,
@@ -162,7 +162,7 @@ impl Change {
 }
 
 /// Returns a photo of the input set where its view has it, at the size that the field is trained on.
-pub(crate) fn placed(
+pub(super) fn placed(
     ctx: &Ctx<'_>,
     item: usize,
     view: &View,

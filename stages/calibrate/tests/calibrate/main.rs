@@ -4,7 +4,6 @@
 
 mod cameras;
 #[cfg(unix)]
-mod colmap;
 mod common;
 mod feed;
 mod inputs;
