@@ -1,9 +1,8 @@
 #!/usr/bin/env bash
-# What a GPU has to show, in three calls; the machine with the GPU needs neither cargo nor a network.
+# What a GPU has to show, in two calls; the machine with the GPU needs neither cargo nor a network.
 #
 #   benches/gpu.sh pack DIR...                 here: builds, and packs all that the other calls need
 #   PACK/gpu.sh run PACK [first|second]        there: measures, each call in less than 9 minutes (without a word: first)
-#   benches/gpu.sh collect OUT                 here: what was found as Markdown, beside what the model expects
 #
 # DIR: folders as `marf-labs train` takes them, two at least; one with a transforms_train.json and photos beside it (the
 # layout of NeRF's synthetic scenes) gets every tenth photo held out. The first folder is trained twice for one digest.
@@ -11,9 +10,6 @@
 # PACK            folder of the pack, inside the repository and ignored there (target/gpu-pack); 64 MB at most
 # OUT             folder of the outcome, at most 8 files (gpu-out)
 # GPU             gpu: a real one (default); gpu:NAME: an adapter whose name holds NAME
-# SAMPLES         batches of the benchmark (32768,262144,1048576)
-# STEPS           steps of each benchmark (512; of a software adapter 32)
-# VIEW            pixels of the benchmark's picture (640x480; of a software adapter 64x48)
 # TESTS           beginning of the names of the tests that run (gpu::)
 # TWICE           steps of the training that is run twice (2000)
 # SECONDS_LIST    budgets of the trainings by the clock (10,60)
@@ -77,7 +73,6 @@ pack() {
     build=$(mktemp -d)
     mkdir "$build/data"
     strip -o "$build/labs" "$(built build --release -p marf-labs)"
-    strip -o "$build/bench" "$(built bench --no-run -p marf-field-gpu --bench gpu)"
     strip -o "$build/tests" "$(built test --release --config "$here/../tests/checks.toml" --no-run -p marf-field-gpu --lib)"
     pack_loader "$build/lib"
     for scene in "$@"; do pack_scene "$scene" "$build/data/$(basename "$scene")"; done
@@ -117,7 +112,7 @@ prepare() {
     if ! ls /usr/share/vulkan/icd.d/*.json /etc/vulkan/icd.d/*.json >/dev/null 2>&1 && [ -f $driver ]; then
         export VK_DRIVER_FILES=$driver
     fi
-    export MARF_BENCH_GPU=$gpu MARF_TEST_GPU=$gpu
+    export MARF_TEST_GPU=$gpu
 }
 
 # What machine this is.
@@ -128,12 +123,6 @@ machine() {
     nvidia-smi --query-gpu=name,driver_version,memory.total,clocks.max.sm,power.limit --format=csv 2>/dev/null || true
     ldconfig -p | grep -i vulkan || true
     echo "loader: ${LD_LIBRARY_PATH:-of the system}; drivers: ${VK_DRIVER_FILES:-of the system}"
-}
-
-bench() {
-    [ -z "${STEPS:-}" ] || export MARF_BENCH_STEPS=$STEPS
-    [ -z "${VIEW:-}" ] || export MARF_BENCH_VIEW=$VIEW
-    MARF_BENCH_SAMPLES=$1 MARF_BENCH_JSON=$out/bench.jsonl "$work/bench" --bench
 }
 
 # Every module's tests in a process of its own: one that a driver kills takes no other with it.
@@ -170,19 +159,17 @@ run() {
     out=$(realpath "$out")
     prepare "$(realpath "$1")"
     # The parts are run by `timeout`, which runs programs.
-    export -f bench tests train machine
+    export -f tests train machine
     export work out gpu
     rm -f "$out/$call.jsonl"
     { "call_$call"; } 2>&1 | tee "$out/$call.log"
 }
 
-# 15 + 150 + 180 + 2 * 90 s at most.
+# 15 + 180 + 2 * 90 s at most.
 call_first() {
-    local samples scene
-    rm -f "$out/bench.jsonl" "$out/tests.jsonl" "$out/twice.jsonl"
+    local scene
+    rm -f "$out/tests.jsonl" "$out/twice.jsonl"
     part machine 15 bash -c machine
-    samples=${SAMPLES:-32768,262144,1048576}
-    part bench "${BENCH_S:-150}" bash -c "bench $samples"
     part tests "${TESTS_S:-180}" bash -c tests
     scene=$(head -n 1 "$work/scenes")
     for again in 1 2; do
@@ -207,15 +194,8 @@ keys() {
     for key in ${KEYS:-}; do printf -- '--set %s ' "$key"; done
 }
 
-# ---- collect
-
-collect() {
-    [ $# -eq 1 ] && [ -d "$1" ] || fail "name the folder of an outcome"
-    cargo bench --quiet --manifest-path "$here/../Cargo.toml" -p marf-field-gpu --bench gpu -- collect "$(realpath "$1")"
-}
-
 verb=${1:-}
 case $verb in
-    pack | run | collect) shift && "$verb" "$@" ;;
-    *) fail "pack, run or collect: see the head of $0" ;;
+    pack | run) shift && "$verb" "$@" ;;
+    *) fail "pack or run: see the head of $0" ;;
 esac

@@ -136,10 +136,6 @@ shaders! {
     PAINT: "paint", [FLAT], HEADS;
     /// Rays of a picture to its pixels.
     FINISH: "finish", [FLAT, MATH, COLOUR_OF, HARMONICS_OF, BEHIND], HEADS;
-    /// The ceiling of memory.
-    COPY: "copy", [FLAT], &[""];
-    /// The ceiling of arithmetic.
-    MULTIPLY_ADD: "multiply_add", [FLAT], &[""];
 }
 
 #[cfg(test)]

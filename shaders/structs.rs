@@ -338,17 +338,3 @@ pub struct Tally {
     /// Number.
     pub count: u32,
 }
-
-/// Length and numbers of chains of multiply-adds.
-#[repr(C)]
-#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
-pub struct Chains {
-    /// Links of a chain, in fours.
-    pub rounds: u32,
-    /// Every link multiplies by this.
-    pub factor: f32,
-    /// And adds this.
-    pub addend: f32,
-    /// Padding to 16 bytes.
-    pub pad: u32,
-}

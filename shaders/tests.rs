@@ -103,7 +103,6 @@ fn rust_layouts() -> Vec<Layout> {
         Probing { seed, round, purpose, capacity, first, side, every, offset, empty, factor, phase, slot, pad }
         Filling { cells, parts, capacity, at_mean, decay, unknown, shows, shift, slot }
         Tally { sum, count }
-        Chains { rounds, factor, addend, pad }
         Extent { slot, capacity, rays, most }
         CompareRun { slot, capacity, rays, views, offsets, behind, pad }
         SpreadRun { slot, capacity, rays, distortion, cell, emptiness, reach, floor }

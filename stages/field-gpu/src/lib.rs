@@ -7,5 +7,5 @@ mod gpu;
 mod open;
 
 #[cfg(feature = "gpu")]
-pub use gpu::{BatchFill, Ceilings, Cost, Gpu, KernelTime, Load, Shape, StepTimes, TimedTraining, ceilings};
+pub use gpu::Gpu;
 pub use open::{backend_id, device_with_id, open, opened_id};

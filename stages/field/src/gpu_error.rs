@@ -66,12 +66,6 @@ pub enum GpuError {
         /// What the driver said.
         message: String,
     },
-    /// An adapter whose kernels cannot be timed.
-    #[error("`{adapter}` has no timestamp queries: time whole trainings with `marf-labs train`")]
-    NoTimestamps {
-        /// The adapter.
-        adapter: String,
-    },
     /// A device that was lost, or refused a command.
     #[error(
         "`{adapter}` failed: {message}. Run again to continue from the last checkpoint, or use `device = \"cpu\"`"

@@ -60,14 +60,6 @@ impl<'a, T> From<&'a Array<T>> for Part<'a> {
     }
 }
 
-impl Part<'_> {
-    /// Returns its size.
-    pub fn bytes(&self) -> u64 {
-        let rest = self.0.buffer.size() - self.0.offset;
-        self.0.size.map_or(rest, std::num::NonZero::get)
-    }
-}
-
 impl<T> Array<T> {
     /// Returns elements `first..first + len`, whose first byte is a multiple of 256.
     pub fn part(&self, first: usize, len: usize) -> Part<'_> {

@@ -124,9 +124,7 @@ impl Gpu {
 
     fn request(adapter: &wgpu::Adapter, limits: Option<wgpu::Limits>) -> Result<Self, GpuError> {
         let info = adapter.get_info();
-        let wanted = wgpu::Features::TIMESTAMP_QUERY
-            | wgpu::Features::SHADER_INT64
-            | wgpu::Features::SHADER_INT64_ATOMIC_ALL_OPS;
+        let wanted = wgpu::Features::SHADER_INT64 | wgpu::Features::SHADER_INT64_ATOMIC_ALL_OPS;
         let (features, limits) = match limits {
             None => (adapter.features() & wanted, adapter.limits()),
             Some(limits) => (wgpu::Features::empty(), limits),

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use marf_scene::{Camera, Image, Pose};
+use marf_shaders::Shader;
 use nalgebra::Vector3;
 
 use super::Gpu;
@@ -75,7 +76,15 @@ fn a_device_that_is_lost_before_the_first_step_is_an_error_too() {
     let Some(gpu) = own_gpu(test).map(Arc::new) else {
         return;
     };
-    let shader = marf_shaders::COPY;
+    let shader = Shader {
+        name: "copy",
+        shared: &[],
+        text: "@group(0) @binding(0) var<storage, read> source: array<u32>;
+@group(0) @binding(1) var<storage, read_write> copied: array<u32>;
+@compute @workgroup_size(64)
+fn main(@builtin(global_invocation_id) id: vec3<u32>) { copied[id.x] = source[id.x]; }",
+        heads: &[],
+    };
     let kernel = gpu.kernel(&shader, "").unwrap();
     let arrays = [[0_u32; 4]; 2].map(|values| gpu.filled("numbers", &values).unwrap());
     gpu.device.destroy();

@@ -21,11 +21,8 @@ pub struct Kernel {
 /// A kernel with its buffers.
 #[derive(Clone)]
 pub struct Bound {
-    pub(super) name: &'static str,
     pub(super) pipeline: wgpu::ComputePipeline,
     pub(super) group: wgpu::BindGroup,
-    /// Bytes of every binding.
-    pub(super) sizes: std::sync::Arc<[u64]>,
 }
 
 impl Gpu {
@@ -112,10 +109,8 @@ impl Gpu {
             entries: &entries,
         });
         Bound {
-            name: kernel.name,
             pipeline: kernel.pipeline.clone(),
             group,
-            sizes: parts.iter().map(Part::bytes).collect(),
         }
     }
 }

@@ -7,7 +7,6 @@ mod array;
 mod arrays;
 mod backend;
 mod batch;
-mod ceilings;
 #[cfg(test)]
 mod chain_device;
 #[cfg(test)]
@@ -18,7 +17,6 @@ mod chain_tests;
 mod constants_tests;
 #[cfg(test)]
 mod core_tests;
-mod cost;
 mod device;
 mod exposures;
 #[cfg(test)]
@@ -67,11 +65,7 @@ mod submits;
 mod tables;
 #[cfg(test)]
 pub(crate) mod testing;
-mod timing;
 mod totals;
 mod weights;
 
-pub use ceilings::{Ceilings, ceilings};
-pub use cost::{BatchFill, Cost};
 pub use device::Gpu;
-pub use timing::{KernelTime, Load, Shape, StepTimes, TimedTraining};

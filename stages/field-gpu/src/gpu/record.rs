@@ -1,10 +1,9 @@
-//! Dispatches in order: recording, submitting and timing them.
+//! Dispatches in order: recording and submitting them.
 
 use super::Gpu;
 use super::array::Part;
 use super::batch::Batch;
 use super::kernel::{Bound, GROUP, Kernel, fold};
-use marf_field::GpuError;
 
 impl Gpu {
     /// Records dispatches and submits them at once, in one pass.
@@ -15,72 +14,7 @@ impl Gpu {
         ));
         self.queue.submit([encoder.finish()]);
     }
-
-    /// Records dispatches, submits each in a pass of its own between two timestamps, and waits for the times of all.
-    ///
-    /// # Errors
-    /// [`GpuError::NoTimestamps`], a lost device.
-    pub fn submit_timed(&self, record: impl FnOnce(&mut Recorder<'_>)) -> Result<Vec<Timing>, GpuError> {
-        if !self.features.contains(wgpu::Features::TIMESTAMP_QUERY) {
-            return Err(GpuError::NoTimestamps {
-                adapter: self.name().to_owned(),
-            });
-        }
-        let Work(dispatches) = Work::recorded(record);
-        let times = dispatches.chunks(TIMED_AT_ONCE).map(|some| self.timed(some));
-        Ok(times.collect::<Result<Vec<_>, _>>()?.concat())
-    }
-
-    fn timed(&self, dispatches: &[(Bound, Groups)]) -> Result<Vec<Timing>, GpuError> {
-        let count = 2 * dispatches.len() as u32;
-        let queries = self.device.create_query_set(&wgpu::QuerySetDescriptor {
-            label: Some("timestamps"),
-            ty: wgpu::QueryType::Timestamp,
-            count,
-        });
-        let ticks = self.array::<u64>("timestamps", count as usize, wgpu::BufferUsages::QUERY_RESOLVE)?;
-        let mut encoder = self.device.create_command_encoder(&Default::default());
-        for (begin, (bound, groups)) in (0..).step_by(2).zip(dispatches) {
-            let groups = groups.for_rays(usize::MAX);
-            let pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
-                label: Some(bound.name),
-                timestamp_writes: Some(wgpu::ComputePassTimestampWrites {
-                    query_set: &queries,
-                    beginning_of_pass_write_index: Some(begin),
-                    end_of_pass_write_index: Some(begin + 1),
-                }),
-            });
-            Recorder::Pass(pass).groups(bound, groups);
-        }
-        encoder.resolve_query_set(&queries, 0..count, &ticks.buffer, 0);
-        self.queue.submit([encoder.finish()]);
-        let tick_s = f64::from(self.queue.get_timestamp_period()) * 1e-9;
-        let ticks = self.read(&ticks)?;
-        let pairs = dispatches.iter().zip(ticks.as_chunks::<2>().0);
-        let times = pairs.map(|((bound, _), [begin, end])| {
-            let seconds = end.saturating_sub(*begin) as f64 * tick_s;
-            (bound.name, seconds)
-        });
-        Ok(times.collect())
-    }
 }
-
-/// Name of a kernel, and the seconds of one dispatch.
-pub type Timing = (&'static str, f64);
-
-/// Times and counts of steps that are timed.
-#[derive(Default)]
-pub struct Watch {
-    /// Dispatches of steps.
-    pub steps: Vec<Timing>,
-    /// Dispatches of updates of the occupancy.
-    pub updates: Vec<Timing>,
-    /// Samples that rays visited.
-    pub visited: u64,
-}
-
-/// Dispatches between two timestamps each that one set of queries holds.
-const TIMED_AT_ONCE: usize = wgpu::QUERY_SET_MAX_QUERIES as usize / 2;
 
 /// Takes dispatches in order. Each sees the writes of those before it.
 #[expect(clippy::large_enum_variant, reason = "one a submit, on the stack")]
@@ -163,11 +97,6 @@ impl Work {
     pub fn then(mut self, other: Self) -> Self {
         self.0.extend(other.0);
         self
-    }
-
-    /// Returns the kernels with their arrays.
-    pub fn bounds(&self) -> impl Iterator<Item = &Bound> {
-        self.0.iter().map(|(bound, _)| bound)
     }
 
     /// Records all dispatches, for every slot of rays.

@@ -17,7 +17,7 @@ use super::memory::DeviceState;
 use super::nets::Rows;
 use super::occupancy::{self, ProbeArrays, ProbeSchedule, Update};
 use super::rays::{DrawRays, observed};
-use super::record::{Recorder, Timing, Watch, Work};
+use super::record::{Recorder, Work};
 use super::submits::Submits;
 use super::tables::{Averages, Rise, rates};
 use super::totals::{LATE_FROM, add, fault, note_costs};
@@ -129,7 +129,7 @@ impl GpuSession {
         };
         session.write_march(training);
         session.calibrate(training);
-        session.probe(training, 0, None)?;
+        session.probe(training, 0);
         training.state.scales = session.scales()?;
         session.upload(training)?;
         Ok(session)
@@ -166,13 +166,7 @@ impl GpuSession {
 
     /// Takes steps up to the next update of the occupancy, and reports those of the call before. Their costs
     /// decide the rays of the next call: the device works on meanwhile. The first steps are waited for.
-    /// `watch` takes the time of every dispatch.
-    pub(super) fn watched(
-        &mut self,
-        training: &mut Training,
-        most: u64,
-        mut watch: Option<&mut Watch>,
-    ) -> Result<Step, FieldError> {
+    fn take_steps(&mut self, training: &mut Training, most: u64) -> Result<Step, FieldError> {
         self.gpu.poll(wgpu::PollType::Poll)?;
         let first = training.state.steps;
         let update = (first / UPDATE_EVERY + 1) * UPDATE_EVERY;
@@ -186,18 +180,17 @@ impl GpuSession {
                 Some(_) => Averages::Follow,
                 None => Averages::Stay,
             };
-            let times = watch.as_deref_mut().map(|watch| &mut watch.steps);
-            self.submit(times, |recorder| self.record(recorder, rays, averages))?;
+            self.submits
+                .submit(&self.gpu, |recorder| self.record(recorder, rays, averages));
         }
         let totals = self.gpu.copy_back(&self.held.arrays.ring);
         let (halvings, samples_per_ray) = (training.state.halvings, training.state.samples_per_ray);
         training.state.steps = end;
         if end == update {
-            let times = watch.as_deref_mut().map(|watch| &mut watch.updates);
-            self.probe(training, update / UPDATE_EVERY, times)?;
+            self.probe(training, update / UPDATE_EVERY);
         }
         let earlier = self.pending.take();
-        let mut told = self.told(training, earlier, watch.as_deref_mut())?;
+        let mut told = self.told(training, earlier)?;
         self.pending = Some(SubmittedSteps {
             steps: first..end,
             submitted,
@@ -210,7 +203,7 @@ impl GpuSession {
         });
         training.state.catch_up();
         if end <= LATE_FROM {
-            told = told.and(self.settled(training, watch)?);
+            told = told.and(self.settled(training)?);
         }
         if end == update {
             training.halve_steps();
@@ -222,22 +215,13 @@ impl GpuSession {
     }
 
     /// Waits for the steps of the last call and reports them.
-    pub(super) fn settled(
-        &mut self,
-        training: &mut Training,
-        watch: Option<&mut Watch>,
-    ) -> Result<Step, FieldError> {
+    fn settled(&mut self, training: &mut Training) -> Result<Step, FieldError> {
         let last = self.pending.take();
-        self.told(training, last, watch)
+        self.told(training, last)
     }
 
     /// Waits for some steps, reports them, and notes what their rays cost.
-    fn told(
-        &mut self,
-        training: &mut Training,
-        pending: Option<SubmittedSteps>,
-        watch: Option<&mut Watch>,
-    ) -> Result<Step, FieldError> {
+    fn told(&mut self, training: &mut Training, pending: Option<SubmittedSteps>) -> Result<Step, FieldError> {
         let mut sum = Step::default();
         let Some(pending) = pending else {
             return Ok(sum);
@@ -250,9 +234,6 @@ impl GpuSession {
         if let Some(bad) = totals.get(sound) {
             self.stop(training, steps.start, before, &totals[..sound]);
             return Err(fault(training, bad));
-        }
-        if let Some(watch) = watch {
-            watch.visited += totals.iter().map(|total| u64::from(total.visited)).sum::<u64>();
         }
         // Steps along rays that were halved since visit as many more samples.
         let longer = f64::from(1_u32 << (training.state.halvings - before.halvings));
@@ -330,12 +311,7 @@ impl GpuSession {
     }
 
     /// Recomputes the density of some cells and decides which are occupied.
-    fn probe(
-        &self,
-        training: &Training,
-        round: u64,
-        mut times: Option<&mut Vec<Timing>>,
-    ) -> Result<(), GpuError> {
+    fn probe(&self, training: &Training, round: u64) {
         let [occupied, empty] = due_every(round).map(|every| every as u32);
         let due = ProbeSchedule {
             round,
@@ -350,26 +326,14 @@ impl GpuSession {
                 marf_shaders::counts::VISITED as usize,
                 &none,
             );
-            self.submit(times.as_deref_mut(), |recorder| {
+            self.submits.submit(&self.gpu, |recorder| {
                 self.update.probe(recorder, pass);
                 self.probed.record(recorder);
                 self.update.found(recorder);
-            })?;
+            });
         }
-        self.submit(times, |recorder| self.update.finish(recorder))
-    }
-
-    /// Submits a recording. If times are wanted, every dispatch is in a pass of its own.
-    fn submit(
-        &self,
-        times: Option<&mut Vec<Timing>>,
-        record: impl FnOnce(&mut Recorder<'_>),
-    ) -> Result<(), GpuError> {
-        match times {
-            None => self.submits.submit(&self.gpu, record),
-            Some(times) => times.extend(self.gpu.submit_timed(record)?),
-        }
-        Ok(())
+        self.submits
+            .submit(&self.gpu, |recorder| self.update.finish(recorder));
     }
 
     /// Copies what depends on the length of the steps along rays.
@@ -393,11 +357,11 @@ impl GpuSession {
 impl Session for GpuSession {
     /// Takes steps up to the next update of the occupancy.
     fn advance(&mut self, training: &mut Training, most: u64) -> Result<Step, FieldError> {
-        self.watched(training, most, None)
+        self.take_steps(training, most)
     }
 
     fn settle(&mut self, training: &mut Training) -> Result<Step, FieldError> {
-        self.settled(training, None)
+        self.settled(training)
     }
 
     fn upload(&mut self, training: &Training) -> Result<(), FieldError> {

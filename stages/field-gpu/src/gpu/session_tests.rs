@@ -2,10 +2,13 @@
 
 use std::sync::Arc;
 
+use super::record::Work;
+use super::session::GpuSession;
+use super::tables::Averages;
 use super::testing::{advance, gpu, on_gpu, own_gpu, settled, upload, worst};
 use super::totals::LATE_FROM;
-use super::{BatchFill, Cost, Gpu, TimedTraining};
 use marf_field::test_scene::{ball, psnr, small};
+use marf_field::training::Training;
 use marf_field::{Config, Field, FieldError, Gain, Pace, Step, Trainer};
 
 fn config() -> Config {
@@ -122,53 +125,6 @@ fn a_device_without_wide_atomics_learns_the_same_bytes() {
     assert!(wide == plain);
 }
 
-#[test]
-fn steps_that_are_timed_learn_the_same_bytes_and_name_every_kernel() {
-    let name = "steps_that_are_timed_learn_the_same_bytes_and_name_every_kernel";
-    let Some(gpu) = gpu(name) else {
-        return;
-    };
-    let mut timed = TimedTraining::new(&gpu, ball(4, 16), &config(), 7).unwrap();
-    let mut plain = on_gpu(&gpu, ball(4, 16), &[], &config(), 7);
-    let found = timed.time(20).unwrap();
-    advance(&mut plain, 20);
-    plain.sync().unwrap();
-    assert!(*timed.state() == plain.training.state);
-    assert_eq!(found.steps, 20);
-    assert!(found.samples > 0 && found.samples <= found.visited && found.update_s > 0.0);
-    for once in ["rays", "opacity", "peak", "adam_table", "totals"] {
-        let kernel = found.kernels.iter().find(|kernel| kernel.name == once);
-        let calls = kernel.map_or(0.0, |kernel| kernel.calls);
-        assert!((calls - 1.0).abs() < 1e-9, "{once}: {calls} calls a step");
-    }
-}
-
-/// Costs of the kernels of a step of `samples` samples, with every corner added one by one.
-fn costs(gpu: &Arc<Gpu>, config: &Config, samples: f64) -> Vec<Cost> {
-    let training = TimedTraining::new(gpu, ball(4, 16), config, 7).unwrap();
-    let filled = BatchFill {
-        visited: samples,
-        kept: samples,
-        rays: samples / 10.0,
-        moved: 1.0,
-        apart: 1.0,
-    };
-    training.costs(&filled).unwrap()
-}
-
-#[test]
-fn every_kernel_of_a_step_has_a_cost_that_grows_with_its_samples() {
-    let Some(gpu) = gpu("every_kernel_of_a_step_has_a_cost_that_grows_with_its_samples") else {
-        return;
-    };
-    let bytes = |samples| {
-        let costs = costs(&gpu, &config(), samples);
-        costs.iter().map(|cost| cost.bytes).sum::<f64>()
-    };
-    let [none, some, twice] = [0.0, 1e5, 2e5].map(bytes);
-    assert!(none > 0.0 && none < some && some < twice, "{none} {some} {twice}");
-}
-
 /// A card pays for each in microseconds.
 #[test]
 fn a_step_takes_20_dispatches_and_two_more_where_photos_have_exposures_whatever_the_networks() {
@@ -183,34 +139,12 @@ fn a_step_takes_20_dispatches_and_two_more_where_photos_have_exposures_whatever_
                 color_layers,
                 ..config()
             };
-            let costs = costs(&gpu, &config, 1e5);
-            let found: usize = costs.iter().map(|cost| cost.dispatches).sum();
-            assert_eq!(found, dispatches, "{gain:?}, {color_layers}");
+            let mut training = Training::new(ball(4, 16), &[], &config, 7).unwrap();
+            let session = GpuSession::new(&gpu, &mut training).unwrap();
+            let work = Work::recorded(|recorder| session.record(recorder, 1, Averages::Follow));
+            assert_eq!(work.len(), dispatches, "{gain:?}, {color_layers}");
         }
     }
-}
-
-/// Bytes of a batch's columns a sample: the rest of 8,800 after networks were fused.
-#[test]
-fn a_sample_of_a_field_64_wide_moves_at_most_1500_bytes() {
-    let Some(gpu) = gpu("a_sample_of_a_field_64_wide_moves_at_most_1500_bytes") else {
-        return;
-    };
-    let config = Config {
-        levels: Some(16),
-        features: 2,
-        log2_table: Some(12),
-        density_width: 64,
-        color_width: 64,
-        color_layers: 2,
-        ..config()
-    };
-    let bytes = |samples| {
-        let costs = costs(&gpu, &config, samples);
-        costs.iter().map(|cost| cost.bytes).sum::<f64>()
-    };
-    let each = (bytes(2e6) - bytes(1e6)) / 1e6;
-    assert!(each < 1500.0, "{each} bytes a sample");
 }
 
 #[test]

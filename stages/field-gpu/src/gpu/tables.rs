@@ -13,6 +13,6 @@ mod scatter;
 
 pub use adam::{AdamArrays, AdamTable, Averages, rates};
 pub use encode::{Encode, EncodeArrays};
-pub use grid::{Grid, ROWS, Slots};
+pub use grid::{Grid, Slots};
 pub use scales::{Rise, ScaleArrays, Scales, rescaling, start_scales};
-pub use scatter::{EACH, Scatter, ScatterArrays, Sums};
+pub use scatter::{Scatter, ScatterArrays, Sums};
