@@ -32,9 +32,6 @@ pub struct TradeArgs {
     /// Optimiser steps of the base point, instead of the pipeline's
     #[arg(long, value_name = "N")]
     pub steps: Option<u64>,
-    /// transforms.json with the true cameras: report the calibration error of each point
-    #[arg(long, value_name = "FILE")]
-    pub truth: Option<PathBuf>,
     /// Folder for trade.json, trade.csv, front.svg, effects.svg and report.html
     #[arg(long, value_name = "DIR", default_value = "out/trade")]
     pub out: PathBuf,
@@ -59,7 +56,6 @@ pub fn trade(args: TradeArgs, context: Context) -> Result<(), Error> {
         random: args.random,
         points: args.points,
         steps: args.steps,
-        truth: args.truth,
         out: args.out,
     };
     let trade = marf_run::trade::trade(&args.pipeline.context(context), &request)?;

@@ -1,6 +1,5 @@
 //! The built-in Mars: photos of it for tests and benchmarks, and its truth next to the results of runs.
 
-mod cameras;
 mod depth;
 mod descent;
 mod hardware;
@@ -50,11 +49,6 @@ pub enum MarsProgram {
         dir: PathBuf,
         #[arg(default_value_t = 2)]
         sols: u32,
-    },
-    /// Print the true cameras of sols as transforms.json, for `marf trade --truth`
-    TrueCameras {
-        #[arg(required = true)]
-        sols: Vec<u32>,
     },
     /// Compare the depths of a bootstrap and their 90 % intervals with the truth: a JSON line a photo and one of the means
     TrueDepth {
@@ -110,7 +104,6 @@ pub fn run(program: MarsProgram) -> Result {
             side_px,
         } => plain::plain(&dir, wave_px, photos, side_px),
         MarsProgram::Hardware { dir, sols } => hardware::hardware(&dir, sols),
-        MarsProgram::TrueCameras { sols } => cameras::cameras(&sols),
         MarsProgram::TrueDepth { scene, maps } => depth::depth(&scene, &maps),
         MarsProgram::TruePairs {
             scene,

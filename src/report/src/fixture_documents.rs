@@ -237,8 +237,6 @@ pub(super) fn trade() -> trade::Trade {
         train_s: seconds - 3.0,
         placed: 9,
         error_px: None,
-        position_error: None,
-        angle_error_deg: None,
         steps: 400,
         parameters: 100_000,
         bytes: 400_000,

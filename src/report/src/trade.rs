@@ -3,8 +3,6 @@
 use marf_cache::Digest;
 use serde::{Deserialize, Serialize};
 
-use super::format::number;
-
 /// A measured trade of time against quality around a pipeline as it is.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Trade {
@@ -60,12 +58,6 @@ pub struct PointRun {
     pub placed: u64,
     /// Root mean square of the reprojection error, pixels.
     pub error_px: Option<f64>,
-    /// Median distance of the cameras from known ones, in the unit of these, where some are known.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub position_error: Option<f64>,
-    /// Median angle between them, degrees.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub angle_error_deg: Option<f64>,
     /// Optimiser steps.
     pub steps: u64,
     /// Numbers that the field learns.
@@ -122,20 +114,11 @@ impl Point {
 
     /// Describes a point that is judged by other photos than the pipeline as it is. `None` for all others.
     pub fn apart(&self, base: &Self) -> Option<String> {
-        let (run, as_it_is) = (self.runs.first()?, base.runs.first()?);
-        if self.is_comparable(base) {
+        if self.runs.is_empty() || base.runs.is_empty() || self.is_comparable(base) {
             return None;
         }
-        let cameras = run.position_error.zip(as_it_is.position_error);
-        let cameras = cameras.map_or_else(String::new, |(error, before)| {
-            format!(
-                "cameras are off by {} instead of {}, and ",
-                number(error),
-                number(before)
-            )
-        });
         Some(format!(
-            "{}: its calibration holds out other photos, so its PSNR cannot be compared: {cameras}{}.",
+            "{}: its calibration holds out other photos, so its PSNR cannot be compared: {}.",
             self.name(),
             self.time_beside(base)?
         ))
@@ -247,7 +230,6 @@ mod tests {
     fn a_point_judged_by_other_photos_is_told_apart() {
         let mut base = crate::fixture_documents::trade().points[0].clone();
         base.runs[0].judged_by = Some(Digest::from_content(b"a"));
-        base.runs[0].position_error = Some(0.5);
         let mut repeat = base.runs[0];
         repeat.seconds += 1.0;
         base.runs.push(repeat);
@@ -255,13 +237,11 @@ mod tests {
         assert_eq!(point.apart(&base), None);
         point.sets = vec!["calibrate.pairs=\"sequential\"".to_owned()];
         point.runs[0].judged_by = Some(Digest::from_content(b"b"));
-        point.runs[0].position_error = Some(0.25);
         for run in &mut point.runs {
             run.seconds /= 2.0;
         }
         assert!(!point.is_comparable(&base));
-        let said = "calibrate.pairs=\"sequential\": its calibration holds out other photos, so its PSNR cannot be compared: cameras are off by \
-             0.25 instead of 0.5, and ";
+        let said = "calibrate.pairs=\"sequential\": its calibration holds out other photos, so its PSNR cannot be compared: ";
         assert_eq!(
             point.apart(&base).unwrap(),
             format!("{said}it takes 50 % of the time.")

@@ -28,15 +28,11 @@ pub(super) fn body(trade: &Trade) -> Markup {
 }
 
 fn table(trade: &Trade) -> Markup {
-    let mut runs = trade.points.iter().flat_map(|point| &point.runs);
-    let is_known = runs.any(|run| run.position_error.is_some());
-    let error = |value: Option<f64>| value.map_or_else(|| "–".to_owned(), number);
     html! {
         table {
             thead { tr {
                 th { "setting" } th.number { "PSNR, dB" } th.number { "time" } th.number { "fastest" } th.number { "slowest" }
                 th.number { "steps" } th.number { "parameters" } th.number { "weights, MB" } th.number { "memory, MB" }
-                @if is_known { th.number { "cameras off by" } th.number { "and by, degrees" } }
             } }
             @for (index, point) in trade.points.iter().enumerate() {
                 tr.best[trade.front.contains(&index)] {
@@ -52,12 +48,8 @@ fn table(trade: &Trade) -> Markup {
                             td.number { (number(run.parameters as f64)) }
                             td.number { (format!("{:.1}", run.bytes as f64 / 1e6)) }
                             td.number { (number(run.peak_mb as f64)) }
-                            @if is_known {
-                                td.number { (error(run.position_error)) }
-                                td.number { (error(run.angle_error_deg)) }
-                            }
                         }
-                        _ => td colspan=(if is_known { "10" } else { "8" }) { (point.fault.as_deref().unwrap_or("not trained")) }
+                        _ => td colspan="8" { (point.fault.as_deref().unwrap_or("not trained")) }
                     }
                 }
             }

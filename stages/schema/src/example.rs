@@ -3,7 +3,6 @@
 use marf_field::{Choice, Config, Facts, Sizes};
 
 use crate::{
-    bootstrap::{self, Mode},
     scores::{PhotoScores, Scores},
     train::{self, Fit, Holdout},
 };
@@ -60,45 +59,6 @@ pub fn scores() -> Scores {
     }
 }
 
-/// Returns metrics of two members without held-out photos.
-pub fn bootstrap_metrics() -> bootstrap::Metrics {
-    let view = bootstrap::ViewReport {
-        name: "0001".to_owned(),
-        std: 0.02,
-        std_paper: 0.014,
-        unseen_term: 0.01,
-        total_sd: 0.03,
-        depth_std: Some(0.5),
-        unseen_share: 0.1,
-        sky_share: 0.2,
-        place: None,
-        photo: None,
-    };
-    let member = |seed| bootstrap::Member {
-        seed,
-        scale: 1,
-        psnr: 20.0,
-        ssim: None,
-    };
-    bootstrap::Metrics {
-        b: 2,
-        mode: Mode::Seeds,
-        std: view.std,
-        std_paper: view.std_paper,
-        std_rgb: [view.std; 3],
-        unseen_term: view.unseen_term,
-        total_sd: view.total_sd,
-        depth_std: view.depth_std,
-        unseen_share: view.unseen_share,
-        sky_share: view.sky_share,
-        members: vec![member(0), member(1)],
-        rounds: Vec::new(),
-        out_of_bag: None,
-        heldout: None,
-        views: vec![view],
-    }
-}
-
 fn facts(config: &Config) -> Facts {
     Facts {
         origin: [0.0; 3],
@@ -140,7 +100,47 @@ fn chosen<T>(value: T) -> Choice<T> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::bootstrap::{self, Mode};
     use marf_stage::Document;
+
+    /// Returns metrics of two members without held-out photos.
+    fn bootstrap_metrics() -> bootstrap::Metrics {
+        let view = bootstrap::ViewReport {
+            name: "0001".to_owned(),
+            std: 0.02,
+            std_paper: 0.014,
+            unseen_term: 0.01,
+            total_sd: 0.03,
+            depth_std: Some(0.5),
+            unseen_share: 0.1,
+            sky_share: 0.2,
+            place: None,
+            photo: None,
+        };
+        let member = |seed| bootstrap::Member {
+            seed,
+            scale: 1,
+            psnr: 20.0,
+            ssim: None,
+        };
+        bootstrap::Metrics {
+            b: 2,
+            mode: Mode::Seeds,
+            std: view.std,
+            std_paper: view.std_paper,
+            std_rgb: [view.std; 3],
+            unseen_term: view.unseen_term,
+            total_sd: view.total_sd,
+            depth_std: view.depth_std,
+            unseen_share: view.unseen_share,
+            sky_share: view.sky_share,
+            members: vec![member(0), member(1)],
+            rounds: Vec::new(),
+            out_of_bag: None,
+            heldout: None,
+            views: vec![view],
+        }
+    }
 
     #[test]
     fn examples_survive_their_bytes() {

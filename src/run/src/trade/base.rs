@@ -10,7 +10,6 @@ use marf_schema::train::{Metrics, TrainParams};
 use marf_stage::Params;
 use serde_json::Value;
 
-use super::truth::Truth;
 use crate::context::Context;
 use crate::error::{Diagnostic, Error};
 use crate::folder::PhotoFolder;
@@ -29,8 +28,6 @@ pub struct Base {
     pub train: String,
     /// Name of the calibration, if there is one.
     pub calibrate: Option<String>,
-    /// Known cameras. Empty if none are known.
-    pub truth: Truth,
     /// Metrics of the first training.
     pub first: RefCell<Option<Metrics>>,
 }
@@ -40,12 +37,7 @@ impl Base {
     ///
     /// # Errors
     /// A pipeline without a training, or of many scenes.
-    pub fn new(
-        context: &Context,
-        dir: Option<PathBuf>,
-        sets: Vec<String>,
-        truth: Truth,
-    ) -> Result<Self, Error> {
+    pub fn new(context: &Context, dir: Option<PathBuf>, sets: Vec<String>) -> Result<Self, Error> {
         let session = open(context, dir.as_deref(), &sets)?;
         scenes::one(&session)?;
         Ok(Self {
@@ -54,7 +46,6 @@ impl Base {
             context: context.clone(),
             dir,
             sets,
-            truth,
             first: RefCell::default(),
         })
     }

@@ -94,7 +94,7 @@ fn front(points: &[Point]) -> Vec<usize> {
 }
 
 /// Names of the columns of the table.
-const COLUMNS: [&str; 16] = [
+const COLUMNS: [&str; 14] = [
     "setting",
     "seed",
     "psnr_db",
@@ -104,8 +104,6 @@ const COLUMNS: [&str; 16] = [
     "train_s",
     "placed",
     "error_px",
-    "position_error",
-    "angle_error_deg",
     "steps",
     "parameters",
     "weights_bytes",
@@ -133,7 +131,7 @@ pub fn csv(trade: &Trade) -> Result<Vec<u8>, csv::Error> {
     table.into_inner().map_err(|error| error.into_error().into())
 }
 
-fn row(name: &str, run: &PointRun) -> [String; 16] {
+fn row(name: &str, run: &PointRun) -> [String; 14] {
     let known = |value: Option<f64>| value.map_or_else(String::new, |value| value.to_string());
     [
         name.to_owned(),
@@ -145,8 +143,6 @@ fn row(name: &str, run: &PointRun) -> [String; 16] {
         run.train_s.to_string(),
         run.placed.to_string(),
         known(run.error_px),
-        known(run.position_error),
-        known(run.angle_error_deg),
         run.steps.to_string(),
         run.parameters.to_string(),
         run.bytes.to_string(),
@@ -171,8 +167,6 @@ mod tests {
             train_s: *seconds,
             placed: 9,
             error_px: None,
-            position_error: None,
-            angle_error_deg: None,
             steps: 1,
             parameters: 1,
             bytes: 1,
@@ -246,10 +240,10 @@ mod tests {
         let table = String::from_utf8(csv(&trade).unwrap()).unwrap();
         let rows: Vec<&str> = table.lines().collect();
         assert_eq!(rows.len(), 4, "{table}");
-        assert_eq!(rows[1], "as it is,0,20.5,,10,0,10,9,,,,1,1,1,0,");
+        assert_eq!(rows[1], "as it is,0,20.5,,10,0,10,9,,1,1,1,0,");
         assert_eq!(
             rows[3],
-            "\"train.scale=\"\"x,y\"\"\",,,,,,,,,,,,,,,\"no \"\"x\"\"\""
+            "\"train.scale=\"\"x,y\"\"\",,,,,,,,,,,,,\"no \"\"x\"\"\""
         );
         let columns = rows[0].split(',').count();
         assert_eq!(rows[1].split(',').count(), columns);

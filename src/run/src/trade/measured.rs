@@ -3,9 +3,8 @@
 use marf_cache::{Digest, digest_of};
 use marf_engine::{NodeRun, Options, RunRecord};
 use marf_report::trade::{Point, PointRun};
-use marf_scene::Scene;
 use marf_schema::calibrate;
-use marf_schema::output::{SCENE, WEIGHTS};
+use marf_schema::output::WEIGHTS;
 use marf_schema::train::{BEFORE_STOP, Metrics};
 use marf_stage::Document;
 
@@ -70,7 +69,6 @@ fn figures(session: &Session, record: &RunRecord, base: &Base, seed: u64) -> Res
         .map(|node| session.document(node))
         .transpose()?;
     let totals = placed.map(|metrics| metrics.totals);
-    let pose_error = base.truth.error_of(&scene(session, train)?);
     let calibrate_s = calibrated.map_or(0.0, |node| node.seconds);
     let made = made(session, train);
     let before_s = made.parts_s.get(BEFORE_STOP).copied().unwrap_or_default();
@@ -85,8 +83,6 @@ fn figures(session: &Session, record: &RunRecord, base: &Base, seed: u64) -> Res
         train_s: made.parts_s.get("training").copied().unwrap_or(train.seconds),
         placed: totals.as_ref().map_or(0, |totals| totals.registered as u64),
         error_px: totals.and_then(|totals| totals.error_px),
-        position_error: pose_error.map(|error| error.position),
-        angle_error_deg: pose_error.map(|error| error.angle_deg),
         steps: metrics.steps,
         parameters: metrics.field.parameters,
         bytes: train.outputs.get(WEIGHTS).map_or(0, |weights| weights.bytes),
@@ -98,12 +94,6 @@ fn figures(session: &Session, record: &RunRecord, base: &Base, seed: u64) -> Res
 fn judged_by(metrics: &Metrics) -> Digest {
     let ids: Vec<String> = metrics.scores.views.iter().map(|view| view.id.clone()).collect();
     digest_of(&ids)
-}
-
-/// Returns the scene that a training was given.
-fn scene(session: &Session, train: &NodeRun) -> Result<Scene, Error> {
-    let bytes = session.output(train, SCENE)?;
-    Scene::decode(&bytes).map_err(|error| Error::failed(error.to_string()))
 }
 
 /// Returns the metadata of the run that made a node's result.

@@ -5,6 +5,5 @@ mod figures;
 mod knobs;
 mod measured;
 mod request;
-mod truth;
 
 pub use request::{TradeRequest, trade};

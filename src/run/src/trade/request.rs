@@ -12,7 +12,6 @@ use super::base::Base;
 use super::figures::{self, figures};
 use super::knobs::{self, Knob, knobs};
 use super::measured::measure;
-use super::truth::Truth;
 use crate::context::Context;
 use crate::error::Error;
 use crate::execute::{Extras, execute_with, options};
@@ -34,8 +33,6 @@ pub struct TradeRequest {
     pub points: Vec<String>,
     /// Optimiser steps of the training as it is, instead of the pipeline's.
     pub steps: Option<u64>,
-    /// Known cameras of the photos, as transforms.json.
-    pub truth: Option<PathBuf>,
     /// Folder to write.
     pub out: PathBuf,
 }
@@ -46,13 +43,7 @@ pub struct TradeRequest {
 /// A pipeline without a training, or one that cannot be trained as it is.
 pub fn trade(context: &Context, request: &TradeRequest) -> Result<Trade, Error> {
     let steps = request.steps.map(|steps| format!("train.steps={steps}"));
-    let truth = request.truth.as_deref().map(Truth::read).transpose()?;
-    let base = Base::new(
-        context,
-        request.dir.clone(),
-        steps.into_iter().collect(),
-        truth.unwrap_or_default(),
-    )?;
+    let base = Base::new(context, request.dir.clone(), steps.into_iter().collect())?;
     let first = first_point(&base, request)?;
     let session = base.open(&base.sets)?;
     let knobs = knobs(&session, &base, &request.knobs)?;
@@ -91,14 +82,6 @@ fn first_point(base: &Base, request: &TradeRequest) -> Result<Point, Error> {
     if let Some(fault) = &first.fault {
         return Err(Error::failed(format!(
             "the pipeline cannot be trained as it is: {fault}"
-        )));
-    }
-    if let (Some(file), Some(run)) = (&request.truth, first.runs.first())
-        && run.position_error.is_none()
-    {
-        return Err(Error::usage(format!(
-            "--truth {}: fewer than three of its cameras are of photos that were placed, or all of these are on one line",
-            file.display()
         )));
     }
     Ok(first)
