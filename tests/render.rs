@@ -121,14 +121,6 @@ fn an_orbit_is_rendered_once_with_its_layers_and_known_by_its_content() {
         ["video-of-train"],
         "another rate renders nothing"
     );
-    let other_codec = render(dir, &[&all[..], &["--codec", "av1"]].concat()).exits(0);
-    assert_eq!(
-        other_codec.done(),
-        ["video-of-train"],
-        "another codec renders nothing"
-    );
-    let film = file("video.mp4");
-    assert!(film.windows(4).any(|bytes| bytes == b"av01"));
 }
 
 #[test]
@@ -200,7 +192,6 @@ fn what_cannot_be_rendered_is_one_error_with_the_way_out() {
     refused(&["--width", "0"], "at least 1");
     refused(&["--scale", "0"], "Take a factor above 0");
     refused(&["--quantizer", "60"], "12 to 51");
-    refused(&["--codec", "vp8"], "`h264` or `av1`");
     refused(&["--field", "strange.safetensors"], "gave this field");
     refused(&["blur"], "`blur` of run 2 gives no trained field");
     refused(

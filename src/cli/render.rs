@@ -7,7 +7,7 @@ use marf_progress::format::count;
 use marf_run::render::{FILM, RenderRequest, RenderResult, SizeRequest};
 use marf_run::{Context, Error};
 use marf_schema::render::Layer;
-use marf_schema::video::{Codec, VideoParams};
+use marf_schema::video::VideoParams;
 
 use super::options::{ResultArgs, word};
 use super::output::print_json;
@@ -43,9 +43,6 @@ pub struct RenderArgs {
     /// Frames per second of the film
     #[arg(long, value_name = "RATE", default_value_t = VideoParams::default().fps)]
     pub fps: u32,
-    /// Codec of the film: `h264`, or `av1` (free of patent fees, slower)
-    #[arg(long, value_name = "CODEC", default_value = "h264", value_parser = word::<Codec>)]
-    pub codec: Codec,
     /// Quantiser of the film, from 12 (best quality, largest file) to 51
     #[arg(long, value_name = "QP", default_value_t = VideoParams::default().quantizer)]
     pub quantizer: u32,
@@ -89,7 +86,6 @@ pub fn render(args: RenderArgs, context: Context) -> Result<(), Error> {
             scale: args.size.scale,
         },
         fps: args.fps,
-        codec: args.codec,
         quantizer: args.quantizer,
     };
     let result = marf_run::render::render(&args.results.context(context), &request)?;

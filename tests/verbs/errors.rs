@@ -79,7 +79,6 @@ fn a_word_that_is_nearly_right_has_the_right_one_as_a_hint() {
         ("export mesh --out a.ply --color phtos", "photos"),
         ("render --out a --path flythruogh", "flythrough"),
         ("render --out a --output depht", "depth"),
-        ("render --out a --codec h246", "h264"),
         ("compare --sols 1 --sols 2 --out a --quality standrad", "standard"),
         ("calibrate photos --method lables", "labels"),
         ("fit photos --fit fixd", "fixed"),

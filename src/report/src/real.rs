@@ -292,7 +292,6 @@ fn tune(store: &mut Store) -> Vec<RunNode> {
 
 fn film(store: &mut Store, rows: &[Row]) -> Digest {
     let settings = marf_video::Settings {
-        codec: marf_video::Codec::H264,
         frames_per_second: 4,
         quantizer: 26,
     };

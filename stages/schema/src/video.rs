@@ -2,51 +2,26 @@
 
 use marf_cache::Digest;
 use marf_stage::{Document, ParamError, Params};
-use marf_video::{QUANTIZERS, RATES, Settings};
+use marf_video::{QUANTIZERS, RATES, Settings, check_built_in};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::render::RenderParams;
 
-/// How pictures are encoded.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Codec {
-    /// H.264, constrained baseline: every browser and player reads it. Needs the cargo feature `h264`.
-    #[default]
-    H264,
-    /// AV1: its makers license their patents without fees, and browsers and players since about 2020 read it.
-    /// Takes about ten times as long. Needs the cargo feature `av1`.
-    Av1,
-}
-
-impl Codec {
-    /// Returns the encoder's name of it.
-    fn encoder(self) -> marf_video::Codec {
-        match self {
-            Self::H264 => marf_video::Codec::H264,
-            Self::Av1 => marf_video::Codec::Av1,
-        }
-    }
-}
-
 /// Parameters of `video`.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct VideoParams {
-    /// How pictures are encoded.
-    pub codec: Codec,
     /// Pictures a second, 1 to 240.
     pub fps: u32,
     /// Quantiser of every block, 12 (finest, largest file) to 51. 6 more halve the precision, and about the
-    /// bytes. The numbers are those of H.264. AV1 takes its nearest step.
+    /// bytes. The numbers are those of H.264.
     pub quantizer: u32,
 }
 
 impl Default for VideoParams {
     fn default() -> Self {
         Self {
-            codec: Codec::default(),
             fps: 24,
             quantizer: 26,
         }
@@ -61,7 +36,7 @@ impl VideoParams {
     /// Checks that this program can encode so, before anything is rendered.
     ///
     /// # Errors
-    /// Names the key: a codec that this build lacks, a number out of its range.
+    /// A number out of its range, by its key, and a build without the encoder.
     pub fn check(&self) -> Result<(), ParamError> {
         let within = |key: &str, value: u32, range: std::ops::RangeInclusive<u32>| {
             let message = || format!("{value} is not in {} to {}", range.start(), range.end());
@@ -72,18 +47,15 @@ impl VideoParams {
         };
         within("fps", self.fps, RATES)?;
         within("quantizer", self.quantizer, QUANTIZERS)?;
-        self.codec.encoder().check().map_err(|error| {
-            let message = format!(
-                "{error}: build marf with it, take another `codec`, or leave the nodes of `video` out"
-            );
-            ParamError::new("codec", message)
+        check_built_in().map_err(|error| {
+            let message = format!("{error}: build marf with it, or leave the nodes of `video` out");
+            ParamError::new("", message)
         })
     }
 
     /// Returns the settings of the encoder.
     pub fn settings(&self) -> Settings {
         Settings {
-            codec: self.codec.encoder(),
             frames_per_second: self.fps,
             quantizer: self.quantizer,
         }
@@ -116,18 +88,6 @@ mod tests {
             let params: VideoParams = serde_json::from_value(table).unwrap();
             assert_eq!(params.check().unwrap_err().path, key);
         }
-        assert!(serde_json::from_value::<VideoParams>(json!({"codec": "vp8"})).is_err());
-    }
-
-    #[test]
-    fn a_codec_that_is_not_built_in_is_refused_by_key() {
-        for (word, codec) in [("h264", Codec::H264), ("av1", Codec::Av1)] {
-            let params: VideoParams = serde_json::from_value(json!({"codec": word})).unwrap();
-            assert_eq!(params.codec, codec);
-            match codec.encoder().check() {
-                Ok(()) => assert_eq!(params.check(), Ok(()), "{word}"),
-                Err(_) => assert_eq!(params.check().unwrap_err().path, "codec", "{word}"),
-            }
-        }
+        assert!(serde_json::from_value::<VideoParams>(json!({"codec": "h264"})).is_err());
     }
 }

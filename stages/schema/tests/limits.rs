@@ -223,7 +223,7 @@ fn limits_of_pictures_are_those_that_their_sentences_name() {
     assert_eq!(of(PathKind::Keyframes, vec![place(50.0); 2]).check(), Ok(()));
     let many = of(PathKind::Stills, vec![place(50.0); 10_001]);
     assert_eq!(said(&many), "10001 are more than 10000");
-    // The codec may be one that is not built in.
+    // The encoder may not be built in.
     let video = |key: &str, value: u32| {
         let params: VideoParams = serde_json::from_value(json!({key: value})).unwrap();
         params

@@ -8,7 +8,7 @@ use marf_video::Encoder;
 
 use crate::TrainError;
 
-/// Encodes the pictures of a path. They are objects of the store, so another codec or quality renders nothing.
+/// Encodes the pictures of a path. They are objects of the store, so another quality renders nothing.
 #[derive(Debug)]
 pub struct Video {
     params: VideoParams,

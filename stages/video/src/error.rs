@@ -1,14 +1,11 @@
-use crate::codec::{Codec, MAX_LONG_PX, MAX_SHORT_PX};
+use crate::limits::{MAX_LONG_PX, MAX_SHORT_PX};
 
 /// Errors of encoding a video.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum VideoError {
     /// The program was built without the encoder.
-    #[error("this build has no encoder of {codec} (cargo feature `{}`)", codec.feature())]
-    NoEncoder {
-        /// The codec that it lacks.
-        codec: Codec,
-    },
+    #[error("this build has no encoder of H.264 (cargo feature `h264`)")]
+    NoEncoder,
     /// Nothing to encode.
     #[error("a video needs at least one picture")]
     NoPictures,
@@ -63,12 +60,10 @@ pub enum VideoError {
         bytes: u64,
     },
     /// The encoder failed.
-    #[error("picture {picture}: the encoder of {codec} failed: {cause}")]
+    #[error("picture {picture}: the encoder of H.264 failed: {cause}")]
     Encoder {
         /// Number of the picture, from 1.
         picture: usize,
-        /// The encoder.
-        codec: Codec,
         /// Its message.
         cause: String,
     },

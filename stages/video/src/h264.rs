@@ -9,12 +9,7 @@ use openh264::{
     formats::YUVSource,
 };
 
-use crate::{
-    KEY_EVERY, Settings,
-    nal::Units,
-    sample::{Coder, Sample},
-    yuv::Yuv,
-};
+use crate::{Settings, nal::Units, sample::Sample, settings::KEY_EVERY, yuv::Yuv};
 
 /// Chooses the level that the stream claims and nothing else: 3.1 and up, at most 14 Mb/s (table A-1), which every player of
 /// the last fifteen years takes.
@@ -43,10 +38,12 @@ impl H264 {
             pictures: 0,
         })
     }
-}
 
-impl Coder for H264 {
-    fn encode(&mut self, picture: &Yuv) -> Result<Vec<Sample>, String> {
+    /// Encodes the next picture.
+    ///
+    /// # Errors
+    /// An error of OpenH264.
+    pub fn encode(&mut self, picture: &Yuv) -> Result<Sample, String> {
         let at = Timestamp::from_millis(self.pictures * 1000 / u64::from(self.rate));
         self.pictures += 1;
         let stream = self.encoder.encode_at(&Planes(picture), at);
@@ -57,7 +54,7 @@ impl Coder for H264 {
                 .filter_map(|unit| layer.nal_unit(unit))
                 .for_each(|unit| units.add(unit));
         }
-        Ok(vec![units.into_sample()])
+        Ok(units.into_sample())
     }
 }
 

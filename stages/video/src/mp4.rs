@@ -6,13 +6,13 @@
 //!       └─ trak ─┬─ tkhd
 //!                └─ mdia ─┬─ mdhd, hdlr
 //!                         └─ minf ─┬─ vmhd, dinf (dref)
-//!                                  └─ stbl: stsd (avc1: avcC or av01: av1C, with colr, pasp), stts, stss, stsc, stsz, stco
+//!                                  └─ stbl: stsd (avc1: avcC, colr, pasp), stts, stss, stsc, stsz, stco
 //! mdat
 //! ```
 //! `moov` stands before the samples, so that a player starts before it has read all (fast start). All samples are one chunk: its
 //! place is always within the first 4 GiB, so no 64-bit table of places is needed. Times of creation are 0.
 
-use crate::{Codec, VideoError, sample::Sample};
+use crate::{VideoError, sample::Sample};
 
 /// Units of time a picture takes. A second has `rate` times as many.
 const TICKS: u32 = 1000;
@@ -27,6 +27,9 @@ const UNDETERMINED: u16 = 0x55c4;
 /// BT.709 for primaries, transfer and matrix (ITU-T H.273, tables 2 to 4).
 const BT709: u16 = 1;
 
+/// Type of the entry that describes samples of H.264, and a brand of the file.
+const ENTRY: &[u8; 4] = b"avc1";
+
 /// Encoded pictures and what the file says of them.
 #[derive(Debug)]
 pub(crate) struct Track {
@@ -36,8 +39,6 @@ pub(crate) struct Track {
     pub height: u32,
     /// Bytes of every picture.
     pub samples: Vec<u32>,
-    /// Type of the entry that describes the samples.
-    entry: &'static [u8; 4],
     rate: u32,
     /// The box of what a decoder has to know before the first picture.
     config: Vec<u8>,
@@ -48,12 +49,8 @@ pub(crate) struct Track {
 
 impl Track {
     /// Returns a track without pictures.
-    pub fn new(codec: Codec, rate: u32) -> Self {
+    pub fn new(rate: u32) -> Self {
         Self {
-            entry: match codec {
-                Codec::H264 => b"avc1",
-                Codec::Av1 => b"av01",
-            },
             width: 0,
             height: 0,
             samples: Vec::new(),
@@ -106,7 +103,7 @@ pub(crate) fn write(track: &Track) -> Result<Vec<u8>, VideoError> {
     if bytes + 8 > u64::from(u32::MAX) {
         return Err(VideoError::TooLong { bytes });
     }
-    let start = file_type(track);
+    let start = file_type();
     // The place of the samples has one length whatever it is.
     let offset = start.len() + movie(track, 0).len() + 8;
     let movie = movie(track, offset as u32);
@@ -134,8 +131,8 @@ fn halves(numbers: &[u16]) -> Vec<u8> {
     numbers.iter().flat_map(|number| number.to_be_bytes()).collect()
 }
 
-fn file_type(track: &Track) -> Vec<u8> {
-    let brands: [&[u8]; 5] = [b"isom", &words(&[0x200]), b"isomiso2", track.entry, b"mp41"];
+fn file_type() -> Vec<u8> {
+    let brands: [&[u8]; 5] = [b"isom", &words(&[0x200]), b"isomiso2", ENTRY, b"mp41"];
     boxed(b"ftyp", &brands)
 }
 
@@ -203,7 +200,7 @@ fn sample_entry(track: &Track) -> Vec<u8> {
     let color = boxed(b"colr", &[b"nclx", &halves(&[BT709; 3]), &[0]]); // 0: limited range
     let square = boxed(b"pasp", &[&words(&[1, 1])]);
     boxed(
-        track.entry,
+        ENTRY,
         &[
             &halves(&[0, 0, 0, 1]), // reserved, then the place of the data: the first
             &halves(&[0; 8]),
@@ -243,7 +240,7 @@ mod tests {
     /// The offset in `stco` is the place of the first sample.
     #[test]
     fn the_table_of_places_points_behind_the_header_of_the_data() {
-        let mut track = Track::new(Codec::H264, 24);
+        let mut track = Track::new(24);
         track.add(sample(5, true)).unwrap();
         track.add(sample(3, false)).unwrap();
         let file = write(&track).unwrap();
@@ -257,7 +254,7 @@ mod tests {
 
     #[test]
     fn parameters_that_are_missing_or_change_are_refused() {
-        let mut track = Track::new(Codec::H264, 24);
+        let mut track = Track::new(24);
         assert_eq!(track.add(sample(5, false)), Err("it gave no parameters"));
         track.add(sample(5, true)).unwrap();
         track.add(sample(5, true)).unwrap();
@@ -265,18 +262,15 @@ mod tests {
         other.config = Some(boxed(b"avcC", &[&[1, 67]]));
         assert_eq!(track.add(other), Err("its parameters changed"));
         assert_eq!(track.add(sample(0, false)), Err("it gave nothing"));
-        assert_eq!(write(&Track::new(Codec::H264, 24)), Err(VideoError::NoPictures));
+        assert_eq!(write(&Track::new(24)), Err(VideoError::NoPictures));
     }
 
     /// Readers choose by the entry and by the brand.
     #[test]
     fn entry_and_brand_are_those_of_the_codec() {
-        for (codec, name) in [(Codec::H264, b"avc1"), (Codec::Av1, b"av01")] {
-            let mut track = Track::new(codec, 24);
-            track.add(sample(5, true)).unwrap();
-            let file = write(&track).unwrap();
-            let found = file.windows(4).filter(|bytes| bytes == name).count();
-            assert_eq!(found, 2, "{codec}");
-        }
+        let mut track = Track::new(24);
+        track.add(sample(5, true)).unwrap();
+        let file = write(&track).unwrap();
+        assert_eq!(file.windows(4).filter(|bytes| bytes == b"avc1").count(), 2);
     }
 }

@@ -1,39 +1,30 @@
 //! Limits of pictures, and settings of their encoding.
 
-use crate::codec::{Codec, MAX_LONG_PX, MAX_SHORT_PX};
 use crate::error::VideoError;
+use crate::limits::{MAX_LONG_PX, MAX_SHORT_PX};
 
 /// Least and most pictures a second.
 pub const RATES: std::ops::RangeInclusive<u32> = 1..=240;
-/// Quantisers (QP of H.264) of both codecs, finest first. OpenH264 keeps to none finer than 12. AV1 takes its
-/// nearest.
+/// Quantisers (QP of H.264), finest first. OpenH264 keeps to none finer than 12.
 pub const QUANTIZERS: std::ops::RangeInclusive<u32> = 12..=51;
 /// Pictures from one from which decoding can begin to the next: two seconds at 24 a second, so that a player can jump.
-#[cfg(any(feature = "h264", feature = "av1"))]
 pub(crate) const KEY_EVERY: u32 = 48;
 
-impl Codec {
-    /// Checks that this build has it.
-    ///
-    /// # Errors
-    /// [`VideoError::NoEncoder`] without its feature.
-    pub fn check(self) -> Result<(), VideoError> {
-        let is_there = match self {
-            Self::H264 => cfg!(feature = "h264"),
-            Self::Av1 => cfg!(feature = "av1"),
-        };
-        if is_there {
-            return Ok(());
-        }
-        Err(VideoError::NoEncoder { codec: self })
+/// Checks that this build has the encoder.
+///
+/// # Errors
+/// [`VideoError::NoEncoder`] without its feature.
+pub fn check_built_in() -> Result<(), VideoError> {
+    if cfg!(feature = "h264") {
+        Ok(())
+    } else {
+        Err(VideoError::NoEncoder)
     }
 }
 
 /// Settings of the encoding.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Settings {
-    /// Their codec.
-    pub codec: Codec,
     /// Pictures a second, in [`RATES`].
     pub frames_per_second: u32,
     /// Quantiser of every block, in [`QUANTIZERS`]: 6 more halves the precision.

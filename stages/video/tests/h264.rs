@@ -12,7 +12,6 @@ mod common;
 
 use common::*;
 use marf_scene::{Image, Srgb};
-use marf_video::Codec;
 use openh264::{decoder::Decoder, formats::YUVSource};
 
 /// Returns the pictures of a file, in RGB.
@@ -66,8 +65,8 @@ fn rgb(yuv: &impl YUVSource) -> Image<Srgb> {
 fn a_moving_pattern_comes_back_and_is_the_better_the_finer_the_quantiser() {
     let pictures = pictures(208, 120, 60);
     let decoded = |quantizer| {
-        let file = encode(&pictures, settings(Codec::H264, 24, quantizer)).unwrap();
-        let parsed = parse(&file, Codec::H264);
+        let file = encode(&pictures, settings(24, quantizer)).unwrap();
+        let parsed = parse(&file);
         assert_eq!((parsed.width, parsed.height), (208, 120));
         assert_eq!((parsed.timescale, parsed.delta), (24_000, 1000));
         assert_eq!((parsed.samples.len(), parsed.keys.as_slice()), (60, &[1, 49][..]));
@@ -98,10 +97,7 @@ fn one_picture_small_ones_and_odd_ones_come_back_in_even_sizes() {
         (33, 2, 2),
     ] {
         let pictures = pictures(width, height, count);
-        let parsed = parse(
-            &encode(&pictures, settings(Codec::H264, 24, 12)).unwrap(),
-            Codec::H264,
-        );
+        let parsed = parse(&encode(&pictures, settings(24, 12)).unwrap());
         let side = |side: u32| side.next_multiple_of(2).max(16);
         let even = (side(width), side(height));
         assert_eq!((parsed.width, parsed.height), even, "{width} x {height}");
@@ -126,10 +122,7 @@ fn rates_from_1_to_240_are_in_the_file_and_drop_no_picture() {
     let pictures = pictures(64, 48, 12);
     let mut samples = Vec::new();
     for rate in [1, 10, 24, 25, 60, 120, 240] {
-        let parsed = parse(
-            &encode(&pictures, settings(Codec::H264, rate, 28)).unwrap(),
-            Codec::H264,
-        );
+        let parsed = parse(&encode(&pictures, settings(rate, 28)).unwrap());
         assert_eq!((parsed.timescale, parsed.delta), (rate * 1000, 1000));
         assert_eq!(parsed.samples.len(), 12, "at {rate} a second");
         samples.push(parsed.samples);
@@ -142,38 +135,38 @@ fn rates_from_1_to_240_are_in_the_file_and_drop_no_picture() {
 
 #[test]
 fn noise_is_whole() {
-    noise_is_encoded_whole(Codec::H264);
+    noise_is_encoded_whole();
 }
 
 /// If this digest changes, videos change: raise the version of the stage that makes them.
 #[test]
 fn the_same_pictures_give_the_same_bytes_in_any_thread() {
-    assert_eq!(digest_of_any_thread(Codec::H264), "6c692f703d89");
+    assert_eq!(digest_of_any_thread(), "6c692f703d89");
 }
 
 #[test]
 fn what_cannot_be_encoded_is_refused_with_its_number() {
     let refused = |pictures: &[Image<Srgb>], settings| encode(pictures, settings).unwrap_err().to_string();
     assert_eq!(
-        refused(&[], settings(Codec::H264, 24, 24)),
+        refused(&[], settings(24, 24)),
         "a video needs at least one picture"
     );
     let two = [picture(8, 8, 0), picture(8, 6, 1)];
     assert_eq!(
-        refused(&two, settings(Codec::H264, 24, 24)),
+        refused(&two, settings(24, 24)),
         "picture 2 has 8 x 6 pixels, the first one 8 x 8"
     );
     let wide = [picture(3842, 1, 0)];
-    assert!(refused(&wide, settings(Codec::H264, 24, 24)).starts_with("pictures have 3842 x 1 pixels"));
-    assert!(refused(&[picture(0, 3, 0)], settings(Codec::H264, 24, 24)).contains("shows nothing"));
-    assert!(refused(&two, settings(Codec::H264, 0, 24)).starts_with("0 pictures a second"));
-    assert!(refused(&two, settings(Codec::H264, 24, 52)).starts_with("quantiser 52"));
+    assert!(refused(&wide, settings(24, 24)).starts_with("pictures have 3842 x 1 pixels"));
+    assert!(refused(&[picture(0, 3, 0)], settings(24, 24)).contains("shows nothing"));
+    assert!(refused(&two, settings(0, 24)).starts_with("0 pictures a second"));
+    assert!(refused(&two, settings(24, 52)).starts_with("quantiser 52"));
 }
 
 /// A reader that is not ours, where there is one.
 #[test]
 fn ffprobe_reads_size_rate_and_colors() {
-    let file = encode(&pictures(98, 64, 30), settings(Codec::H264, 25, 24)).unwrap();
+    let file = encode(&pictures(98, 64, 30), settings(25, 24)).unwrap();
     ffprobe_finds(
         &file,
         &[

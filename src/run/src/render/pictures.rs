@@ -10,7 +10,7 @@ use marf_schema::output::{
     DEPTH, DEPTH_PREVIEW, FRAMES, SCENE, UNCERTAINTY, UNCERTAINTY_PREVIEW, VIDEO, WEIGHTS,
 };
 use marf_schema::render::{Layer, Poses, RenderParams};
-use marf_schema::video::{Codec, VideoParams};
+use marf_schema::video::VideoParams;
 use marf_stage::{Document, Params};
 use serde::Serialize;
 use serde_json::{Map, Value, json};
@@ -46,8 +46,6 @@ pub struct RenderRequest {
     pub size: SizeRequest,
     /// Pictures a second in the film.
     pub fps: u32,
-    /// How the film is encoded.
-    pub codec: Codec,
     /// Quantiser of the film.
     pub quantizer: u32,
 }
@@ -214,7 +212,6 @@ fn film_table(request: &RenderRequest, pictures: &str) -> Value {
     json!({
         "uses": VideoParams::STAGE,
         "input": pictures,
-        "codec": request.codec,
         "fps": request.fps,
         "quantizer": request.quantizer,
     })

@@ -19,6 +19,6 @@ mod render;
 mod resumed;
 mod search;
 mod tiny_scene;
-#[cfg(all(feature = "h264", feature = "av1"))]
+#[cfg(feature = "h264")]
 mod video;
 mod warm_start;

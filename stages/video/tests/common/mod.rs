@@ -1,4 +1,4 @@
-//! Shared parts of the tests of both codecs: pictures, an own reader of boxes, and independent readers.
+//! Parts of the tests: pictures, an own reader of boxes, and independent readers.
 #![allow(dead_code, reason = "no test uses all of it")]
 
 use std::collections::BTreeMap;
@@ -6,11 +6,10 @@ use std::process::{Command, Output};
 
 use marf_cache::Digest;
 use marf_scene::{Image, Srgb};
-use marf_video::{Codec, Encoder, Settings, VideoError};
+use marf_video::{Encoder, Settings, VideoError};
 
-pub fn settings(codec: Codec, frames_per_second: u32, quantizer: u32) -> Settings {
+pub fn settings(frames_per_second: u32, quantizer: u32) -> Settings {
     Settings {
-        codec,
         frames_per_second,
         quantizer,
     }
@@ -43,7 +42,7 @@ pub fn encode(pictures: &[Image<Srgb>], settings: Settings) -> Result<Vec<u8>, V
 }
 
 /// Boxes that hold boxes, each with the bytes before its first child.
-const PARENTS: [(&str, usize); 9] = [
+const PARENTS: [(&str, usize); 8] = [
     ("moov", 0),
     ("trak", 0),
     ("mdia", 0),
@@ -52,7 +51,6 @@ const PARENTS: [(&str, usize); 9] = [
     ("stbl", 0),
     ("stsd", 8),
     ("avc1", 78),
-    ("av01", 78),
 ];
 
 /// Returns every box by its path, with its content.
@@ -84,7 +82,7 @@ pub struct Parsed {
     pub delta: u32,
     /// Pictures from which decoding can begin, from 1.
     pub keys: Vec<u32>,
-    /// Content of `avcC` or `av1C`.
+    /// Content of `avcC`.
     pub config: Vec<u8>,
     pub samples: Vec<Vec<u8>>,
 }
@@ -97,12 +95,9 @@ pub fn half(bytes: &[u8], at: usize) -> usize {
     usize::from(u16::from_be_bytes(bytes[at..at + 2].try_into().unwrap()))
 }
 
-/// Reads a file of a codec.
-pub fn parse(file: &[u8], codec: Codec) -> Parsed {
-    let (entry, config) = match codec {
-        Codec::H264 => ("avc1", "avcC"),
-        Codec::Av1 => ("av01", "av1C"),
-    };
+/// Reads a file.
+pub fn parse(file: &[u8]) -> Parsed {
+    let (entry, config) = ("avc1", "avcC");
     let mut found = BTreeMap::new();
     boxes(file, "", &mut found);
     let track = |name: &str| found[&format!("/moov/trak/{name}")];
@@ -216,41 +211,18 @@ pub fn ffprobe_finds(file: &[u8], lines: &[&str]) {
     }
 }
 
-/// Returns the pictures of a file as ffmpeg decodes them. `None` without ffmpeg.
-pub fn ffmpeg_decodes(file: &[u8], width: u32, height: u32) -> Option<Vec<Image<Srgb>>> {
-    let raw = [
-        "-pix_fmt",
-        "rgb24",
-        "-sws_flags",
-        "accurate_rnd+full_chroma_int",
-        "-f",
-        "rawvideo",
-        "-",
-    ];
-    let decoded = reads("ffmpeg", file, &["-v", "error", "-i"], &raw)?;
-    let pixel = |bytes: &[u8], column: u32, row: u32| {
-        let at = 3 * (row * width + column) as usize;
-        [bytes[at], bytes[at + 1], bytes[at + 2]]
-    };
-    let pictures = decoded.stdout.chunks((width * height * 3) as usize);
-    let pictures =
-        pictures.map(|bytes| Image::from_fn(width, height, |column, row| pixel(bytes, column, row)));
-    Some(pictures.collect())
-}
-
 /// Noise takes many bits: an encoder that held a rate would drop pictures or spoil them.
-pub fn noise_is_encoded_whole(codec: Codec) {
+pub fn noise_is_encoded_whole() {
     let pictures: Vec<Image<Srgb>> = (0..20).map(|index| noise(96, 64, index)).collect();
-    let parsed = parse(&encode(&pictures, settings(codec, 24, 24)).unwrap(), codec);
+    let parsed = parse(&encode(&pictures, settings(24, 24)).unwrap());
     assert_eq!(parsed.samples.len(), 20);
     let least = parsed.samples.iter().map(Vec::len).min().unwrap();
     assert!(least > 96 * 64 / 4, "{least} bytes for a picture of noise");
 }
 
 /// Returns the digest of a file that is the same in any thread.
-pub fn digest_of_any_thread(codec: Codec) -> String {
-    let file =
-        move || Digest::from_content(&encode(&pictures(100, 60, 50), settings(codec, 24, 24)).unwrap());
+pub fn digest_of_any_thread() -> String {
+    let file = move || Digest::from_content(&encode(&pictures(100, 60, 50), settings(24, 24)).unwrap());
     let threads: Vec<_> = (0..3).map(|_| std::thread::spawn(file)).collect();
     let found: Vec<Digest> = threads.into_iter().map(|thread| thread.join().unwrap()).collect();
     assert!(found.iter().all(|digest| *digest == file()), "{found:?}");

@@ -311,7 +311,7 @@ pub const CRATES: [Crate; 36] = [
 ];
 
 /// Packages that only these crates may use.
-pub const RESTRICTED: [(&str, &[&str]); 20] = [
+pub const RESTRICTED: [(&str, &[&str]); 19] = [
     ("axum", &["marf-view"]),
     ("clap", &["marf", "marf-labs"]),
     ("clap_complete", &["marf"]),
@@ -325,7 +325,6 @@ pub const RESTRICTED: [(&str, &[&str]); 20] = [
     ("object_store", &["marf-remote"]),
     ("openh264", &["marf-video"]),
     ("petgraph", &["marf-engine"]),
-    ("rav1e", &["marf-video"]),
     ("reflink-copy", &["marf-cache"]),
     ("reqwest", &["marf-extract", "marf-remote"]),
     ("ring", &["marf-cache", "marf-keys"]),
