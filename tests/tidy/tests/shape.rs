@@ -36,8 +36,8 @@ const fn limit(bar: Bar, now: usize, goal: usize) -> Limit {
 }
 
 static LIMITS: [Limit; 12] = [
-    limit(Bar::Code, 116_421, 97_000),
-    limit(Bar::CodeOfMarf, 3_991, 5_000),
+    limit(Bar::Code, 114_707, 97_000),
+    limit(Bar::CodeOfMarf, 3_990, 5_000),
     limit(Bar::CodeOfACrate, 8_000, 8_000),
     limit(Bar::Rule(Rule::LongFunctions), 0, 0),
     limit(Bar::Rule(Rule::LongFiles), 0, 0),
