@@ -1,8 +1,5 @@
-//! Tells the program the commit it is built from, if it is built in a repository with git. Lets the linker of Rust make functions of equal
-//! code one.
+//! Tells the program the commit it is built from, if it is built in a repository with git.
 
-use std::env;
-use std::path::Path;
 use std::process::Command;
 
 fn main() {
@@ -17,24 +14,6 @@ fn main() {
         let mark = if changes.is_empty() { "" } else { "+changes" };
         println!("cargo:rustc-env=MARF_COMMIT={commit}{mark}");
     }
-    if links_by_lld() {
-        println!("cargo:rustc-link-arg-bins=-Wl,--icf=all");
-    }
-}
-
-/// Returns whether the linker is the LLD that Rust brings for this target, and nobody has chosen another.
-fn links_by_lld() -> bool {
-    let target = env::var("TARGET").unwrap_or_default();
-    let flags = env::var("CARGO_ENCODED_RUSTFLAGS").unwrap_or_default();
-    let sysroot = env::var_os("RUSTC").and_then(|rustc| {
-        let output = Command::new(rustc).args(["--print", "sysroot"]).output().ok()?;
-        String::from_utf8(output.stdout).ok()
-    });
-    let lld = format!("lib/rustlib/{target}/bin/gcc-ld/ld.lld");
-    target == "x86_64-unknown-linux-gnu"
-        && env::var_os("RUSTC_LINKER").is_none()
-        && !flags.contains("link")
-        && sysroot.is_some_and(|sysroot| Path::new(sysroot.trim_end()).join(lld).exists())
 }
 
 /// Returns what git says, without the line's end; none if it cannot tell.
