@@ -5,6 +5,7 @@ use marf_schema::depth::Metrics;
 use marf_schema::output::{DEPTH_PREVIEW, SURFACE_MAPS};
 use maud::{Markup, html};
 
+use super::agreement;
 use super::embed::Form;
 use super::page::Page;
 
@@ -46,6 +47,7 @@ fn of_node(page: &Page<'_>, node: &RunNode) -> Markup {
             }
             "."
         }
+        @if metrics.unit == "metres" { (agreement::body(page, node)) }
         @if let Some((digest, title)) = shown {
             figure { (page.pictures.stored(page.report, digest, Form::Map, title)) figcaption { (title) } }
         }

@@ -5,6 +5,7 @@
 //! Invariants: no text of the outside (file names, labels, reasons) reaches the page unescaped. A sentence
 //! replaces an output that is absent or unreadable.
 
+mod agreement;
 mod axis;
 mod call;
 mod camera_view;
