@@ -31,7 +31,7 @@ pub(super) fn body(page: &Page<'_>, depth: &RunNode) -> Markup {
     let mut photos = 0;
     for (view, field) in fields(page, depth).take(MOST_PHOTOS) {
         let pairs = page.bytes(depth, &format!("{DEPTH}{view}.png"));
-        let pairs = pairs.ok().and_then(|bytes| read_quantity(&bytes, "depth"));
+        let pairs = pairs.ok().and_then(|bytes| Map::of_picture(&bytes));
         let found = pairs.map_or_else(Vec::new, |pairs| compared(&pairs, &field));
         photos += usize::from(!found.is_empty());
         pixels.extend(found);
@@ -63,13 +63,24 @@ fn fields<'p>(page: &'p Page<'_>, depth: &RunNode) -> impl Iterator<Item = (&'p 
     })
 }
 
-/// Distances along the rays of pixels, metres, negative where there is none.
+/// Distances along the rays of pixels, metres, not above 0 where there is none.
 struct Map {
     width: usize,
     values: Vec<f32>,
 }
 
 impl Map {
+    /// Reads a picture of distances. `None` if the bytes are anything else.
+    fn of_picture(bytes: &[u8]) -> Option<Self> {
+        let (width, _, values) = read_quantity(bytes, "depth")?;
+        let width = width as usize;
+        Some(Self { width, values })
+    }
+
+    fn rows(&self) -> usize {
+        self.values.len() / self.width
+    }
+
     /// Reads an array of two dimensions as `bootstrap` writes it: a header of ASCII, then f32. `None` if the bytes are anything else.
     fn decode(bytes: &[u8]) -> Option<Self> {
         let length = usize::from(u16::from_le_bytes([*bytes.get(8)?, *bytes.get(9)?]));
@@ -88,20 +99,18 @@ impl Map {
 }
 
 /// Returns the pixels of the pairs that have a distance in both maps, whose sizes may differ.
-fn compared((width, height, pairs): &(u32, u32, Vec<f32>), field: &Map) -> Vec<Compared> {
-    let rows = field.values.len() / field.width;
-    let [width, height] = [*width as usize, *height as usize];
-    let pixel = |index: usize| {
-        let (column, row) = (index % width, index / width);
-        let at = (row * rows / height) * field.width + column * field.width / width;
-        Compared {
-            pairs_m: f64::from(pairs[index]),
-            field_m: field.values.get(at).map_or(-1.0, |distance| f64::from(*distance)),
-        }
+fn compared(pairs: &Map, field: &Map) -> Vec<Compared> {
+    let pixel = |(index, pairs_m): (usize, &f32)| {
+        let (column, row) = (index % pairs.width, index / pairs.width);
+        let at = (row * field.rows() / pairs.rows()) * field.width + column * field.width / pairs.width;
+        let field_m = field.values.get(at).copied().unwrap_or(0.0);
+        let both = *pairs_m > 0.0 && field_m > 0.0;
+        both.then_some(Compared {
+            pairs_m: f64::from(*pairs_m),
+            field_m: f64::from(field_m),
+        })
     };
-    let both = (0..pairs.len()).map(pixel);
-    both.filter(|one| one.pairs_m > 0.0 && one.field_m > 0.0)
-        .collect()
+    pairs.values.iter().enumerate().filter_map(pixel).collect()
 }
 
 /// Says how far pixels of the octave from here on are apart in the median. `None` of few.
@@ -121,7 +130,53 @@ fn words(pixels: &[Compared], from_m: f64) -> Option<String> {
 
 #[cfg(test)]
 mod tests {
+    use marf_engine::NodeInput;
+    use marf_scene::picture::png16;
+
     use super::*;
+    use crate::fixture::{Store, giving, node};
+    use crate::media::Media;
+
+    /// An array of one row as `bootstrap` writes it.
+    fn array<const N: usize>(values: [f32; N]) -> Vec<u8> {
+        let header = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': (1, {N},), }}\n");
+        let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+        bytes.extend((header.len() as u16).to_le_bytes());
+        bytes.extend(header.as_bytes());
+        bytes.extend(values.into_iter().flat_map(f32::to_le_bytes));
+        bytes
+    }
+
+    /// A row of 200 pixels, 5 m away by the pairs and 5.03 m by the field.
+    #[test]
+    fn the_report_says_how_far_pairs_and_the_field_agree_in_one_scene() {
+        let said = |is_of_scene: bool| {
+            let mut store = Store::default();
+            let [scene, other] = [b"scene", b"other"].map(|bytes| store.put(bytes));
+            let of_scene = |mut node: RunNode, digest| {
+                let input = NodeInput {
+                    digest,
+                    made_by: None,
+                };
+                node.run.inputs.insert(SCENE.to_owned(), input);
+                node
+            };
+            let picture = png16::depth(200, 1, &[2.5; 200], Some(2.0)).unwrap();
+            let depth = giving(node("depth", &[]), [("depth/v.png", store.put(&picture))]);
+            let maps = [("maps/v-depth.npy", store.put(&array([5.03; 200])))];
+            let maps = of_scene(
+                giving(node("bootstrap", &[]), maps),
+                if is_of_scene { scene } else { other },
+            );
+            let depth = of_scene(depth, scene);
+            store.with_report(&[maps, depth.clone()], |report| {
+                body(&Page::new(report, &Media::Embedded), &depth).into_string()
+            })
+        };
+        let expected = "pixels of 1 held-out photo that have both, pairs of photos and the field agree within 3 cm at 4 to 8 m. These are";
+        assert!(said(true).contains(expected), "{}", said(true));
+        assert_eq!(said(false), "");
+    }
 
     /// 200 pixels at 5 m, whose field is 2 cm nearer or 4 cm farther, and 10 at 20 m, which are too few.
     #[test]
@@ -140,16 +195,16 @@ mod tests {
 
     #[test]
     fn maps_of_other_sizes_are_compared_where_they_show_the_same() {
-        let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
-        let header = "{'descr': '<f4', 'fortran_order': False, 'shape': (1, 2,), }\n";
-        bytes.extend((header.len() as u16).to_le_bytes());
-        bytes.extend(header.as_bytes());
-        bytes.extend([3.0_f32, -1.0].into_iter().flat_map(f32::to_le_bytes));
+        let bytes = array([3.0, -1.0]);
         let field = Map::decode(&bytes).unwrap();
-        let found = compared(&(4, 2, vec![2.0, 0.0, 5.0, 5.0, 2.5, 0.0, 0.0, 0.0]), &field);
+        let pairs = Map {
+            width: 4,
+            values: vec![2.0, 0.0, 5.0, 5.0, 2.5, 0.0, 0.0, 0.0],
+        };
+        let found = compared(&pairs, &field);
         let pairs: Vec<f64> = found.iter().map(|one| one.pairs_m).collect();
         assert_eq!((pairs, found[0].field_m), (vec![2.0, 2.5], 3.0));
-        for cut in 0..10 + header.len() {
+        for cut in 0..bytes.len() - 8 {
             assert!(Map::decode(&bytes[..cut]).is_none(), "{cut}");
         }
     }

@@ -12,6 +12,7 @@ use maud::{Markup, html};
 use super::camera_view::Axes;
 use super::cameras;
 use super::format::{count, decibels};
+use super::notes::{extrapolation_words, reach_words, rejected_words};
 use super::page::Page;
 use super::pictures;
 use super::quality::{Figure, figures, rounded};
@@ -324,56 +325,6 @@ impl Facts {
     }
 }
 
-/// Says how many held-out photos look where no other does. `None` if none do.
-fn extrapolation_words(scores: &Scores) -> Option<String> {
-    let extrapolated = scores.apart.as_ref()?.extrapolated;
-    let judged = count(scores.views.len(), "held-out photo");
-    (extrapolated > 0).then(|| format!("{extrapolated} of {judged} look where no photo trained on does."))
-}
-
-/// Says how many photos each filter rejected. `None` if none did.
-fn rejected_words(page: &Page<'_>) -> Option<String> {
-    let judged = page.judged().filter_map(|(node, sum)| Some((node, sum.ok()?)));
-    let rejected: Vec<(&str, usize)> = judged
-        .map(|(node, sum)| (node.run.name.as_str(), sum.seen - sum.kept))
-        .filter(|(_, rejected)| *rejected > 0)
-        .collect();
-    let all: usize = rejected.iter().map(|(_, rejected)| rejected).sum();
-    let each: Vec<String> = rejected
-        .iter()
-        .map(|(name, rejected)| format!("{rejected} by {name}"))
-        .collect();
-    match all {
-        0 => None,
-        1 => Some(format!("1 photo was rejected by {}.", rejected[0].0)),
-        _ => Some(format!("{all} photos were rejected: {}.", each.join(", "))),
-    }
-}
-
-/// Says how far from photos trained on the judged views are at most, which is where a viewer may stand.
-fn reach_words(scores: &Scores) -> Option<String> {
-    let nearest = || scores.views.iter().filter_map(|view| view.nearest.as_ref());
-    let most = |values: Vec<f64>| values.into_iter().reduce(f64::max);
-    let angle_deg = most(nearest().map(|nearest| nearest.angle_deg).collect())?;
-    let metres = nearest()
-        .map(|nearest| nearest.distance_m)
-        .collect::<Option<Vec<f64>>>();
-    let distance = match metres.and_then(most) {
-        Some(metres) => format!("{} m", rounded(metres)),
-        None => format!(
-            "{} units",
-            rounded(most(nearest().map(|nearest| nearest.distance).collect())?)
-        ),
-    };
-    Some(format!(
-        "Views were judged up to {distance} and {angle_deg:.0}° from a photo trained on. Farther away nothing is known."
-    ))
-}
-
-fn percent(share: f64) -> String {
-    format!("{:.0} %", 100.0 * share)
-}
-
 /// Returns the root mean square error that belongs to a PSNR, for channels of 0 to 255: 255 / 10^(PSNR / 20).
 fn levels(psnr: f64) -> String {
     format!("{:.0}", 255.0 / 10_f64.powf(psnr / 20.0))
@@ -414,6 +365,7 @@ mod tests {
 
     use super::*;
     use crate::fixture::{full, node};
+    use crate::fixture_documents::spread;
 
     #[test]
     fn the_first_screen_says_the_result_with_its_numbers() {
@@ -424,7 +376,12 @@ mod tests {
         });
         // 255 / 10^(24.567 / 20) = 15.08.
         for text in [
-            "4 of 7 photos became a field",
+            "4 of 7 photos became a field of 0 x 0 m of ground.",
+            "<dt>ground with most points</dt><dd>0 x 0 m",
+            "<dd>15 of 255 gray levels",
+            "cameras from above <span class=\"legend\">",
+            "Views were judged up to 3 m and 90° from a photo trained on. Farther away nothing is known.",
+            "Photos rejected: 3 (1 by extract, 2 by duplicate).",
             "New views differ from held-out photos by 15 of 255 gray levels (root mean square, 24.57 dB), from photos trained on by 13.",
             "Half of the field's depths are off by less than 1 % (5 cm at 5 m).",
             "No photo trained on saw 1 % of what they show: there the field is invented",
@@ -436,6 +393,27 @@ mod tests {
         ] {
             assert!(said.contains(text), "{text}: {said}");
         }
+    }
+
+    #[test]
+    fn the_photo_with_most_of_what_no_photo_saw_is_named() {
+        let mut maps = spread(["a", "b"].map(str::to_owned).to_vec());
+        maps.views[1].unseen_share = 0.4;
+        let said = |maps: bootstrap::Metrics| {
+            let maps = Some(maps);
+            let facts = Facts {
+                maps,
+                ..Facts::default()
+            };
+            facts.least_seen()
+        };
+        let found = said(maps.clone()).unwrap();
+        assert!(
+            found.ends_with("no photo saw. b has most of them (40 %)."),
+            "{found}"
+        );
+        maps.views.truncate(1);
+        assert_eq!(said(maps), None);
     }
 
     #[test]

@@ -25,6 +25,7 @@ mod lead;
 mod maps;
 mod media;
 mod nodes;
+mod notes;
 mod page;
 mod photos;
 mod pictures;

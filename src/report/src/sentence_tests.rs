@@ -24,6 +24,10 @@ fn sentences_of_a_run_have_the_numbers_of_its_documents() {
          Half of the errors are at most 5 of 255 levels. At a place that it was not fitted on it \
          covers 88.2 % of the errors, the mean of 5 places (86 % to 93 %) with 12,345 compared pixels. Shares inside differ from \
          the stated shares by 2 % in the mean. 1.2 % of the pixels have none: no photo saw what they show.",
+        "Where they differ, the field is not sure. The total deviation adds their errors at photos trained on",
+        "Members are more alike than any of them is like the photo",
+        "mean standard deviation 5.4 gray levels",
+        "off: no camera has 4 photos with enough matched points",
         "90 % interval of the depth: ± 3.2 % of it at the median pixel (2.6 times the spread, which is at least 0.4 % of it).",
         "3 settings, 1 seeds each where one knob is turned, measured on a processor, 2 cores.",
     ] {
@@ -32,6 +36,10 @@ fn sentences_of_a_run_have_the_numbers_of_its_documents() {
     // The value of a figure follows its name.
     for (name, value) in [
         ("mean standard deviation", "5.4 gray levels"),
+        (
+            "error of the order by standard deviation (AUSE, 0 is best)",
+            "0.29",
+        ),
         ("errors within 1 deviation (68 % if normal)", "55 %"),
         ("errors within 2 deviations (95 % if normal)", "81 %"),
     ] {
@@ -136,7 +144,7 @@ fn what_a_filter_did_has_its_numbers() {
     ];
     has(
         &store.report(&nodes),
-        &["3 in, all kept", "3 photos were rejected: 3 by blur."],
+        &["3 in, all kept", "Photos rejected: 3 (3 by blur)."],
     );
 }
 

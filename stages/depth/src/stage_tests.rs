@@ -1,6 +1,5 @@
 //! The stage on photos of a slanted plane.
 
-use marf_cache::Digest;
 use marf_scene::picture::png16::read_quantity;
 use marf_scene::{Camera, Frame, Image, Point, Pose, Scene, encode_png};
 use marf_schema::depth::{DepthParams, Metrics};
@@ -9,31 +8,7 @@ use marf_stage::{Define, Inputs, Outputs, Set, TypedOutputs, harness::Harness};
 use nalgebra::{Vector2, Vector3};
 
 use crate::MakeDepth;
-
-/// The plane z = 10 + y / 2 in the world, which is that of the first camera: y down, z forward.
-const SLOPE: f64 = 0.5;
-
-fn height(y: f64) -> f64 {
-    10.0 + SLOPE * y
-}
-
-/// Returns a number in [0, 1) of a place on a grid.
-fn noise(x: i64, y: i64) -> f64 {
-    let mixed =
-        (x.wrapping_mul(0x9e37_79b9) ^ y.wrapping_mul(0x85eb_ca6b)).wrapping_mul(0x27d4_eb2f_1656_67c5);
-    f64::from(((mixed ^ (mixed >> 29)) & 0xffff) as u16) / 65_536.0
-}
-
-/// Brightness of the plane: smooth noise of two sizes.
-fn texture(x: f64, y: f64) -> f64 {
-    let smooth = |x: f64, y: f64| {
-        let (i, j) = (x.floor(), y.floor());
-        let (u, v) = (x - i, y - j);
-        let at = |di: i64, dj: i64| noise(i as i64 + di, j as i64 + dj);
-        (at(0, 0) * (1.0 - u) + at(1, 0) * u) * (1.0 - v) + (at(0, 1) * (1.0 - u) + at(1, 1) * u) * v
-    };
-    0.5 * smooth(x * 6.0, y * 6.0) + 0.5 * smooth(x * 2.0 + 100.0, y * 2.0)
-}
+use crate::plane_photos::{height, on_plane, painted};
 
 fn frame(harness: &Harness, index: usize, place: Vector3<f64>) -> Frame {
     let pose = Pose::looking_at(place, Vector3::new(0.0, 0.0, 10.0), Vector3::y());
@@ -58,28 +33,7 @@ fn photo(harness: &Harness, index: usize, pose: Pose, focal_px: f64) -> Frame {
     }
 }
 
-/// Draws the plane. What is `moved` is a patch of 2 x 1.6 units that lies this far from the middle.
-fn painted(harness: &Harness, camera: &Camera, pose: &Pose, moved: Option<[f64; 2]>) -> Digest {
-    let image = Image::from_fn(160, 120, |column, row| {
-        let at = Vector2::new(f64::from(column) + 0.5, f64::from(row) + 0.5);
-        let point = on_plane(camera, pose, &at);
-        let on_patch = moved
-            .map(|[x, y]| [point.x - x, point.y - y])
-            .filter(|[x, y]| x.abs() < 1.0 && y.abs() < 0.8);
-        let shade = on_patch.map_or_else(|| texture(point.x, point.y), |[x, y]| texture(x + 40.0, y));
-        [(40.0 + 180.0 * shade) as u8; 3]
-    });
-    harness.put(&encode_png(&image).unwrap())
-}
-
-/// Returns where the ray of a pixel meets the plane.
-fn on_plane(camera: &Camera, pose: &Pose, at: &Vector2<f64>) -> Vector3<f64> {
-    let from = pose.centre();
-    let ray = pose.inverse().direction(&camera.unproject(at).unwrap());
-    from + ray * ((height(from.y) - from.z) / (ray.z - SLOPE * ray.y))
-}
-
-fn scene(harness: &Harness, places: &[[f64; 3]]) -> Scene {
+pub(crate) fn scene(harness: &Harness, places: &[[f64; 3]]) -> Scene {
     let frames = places.iter().enumerate();
     let points = (0..100).map(|index| {
         let (x, y) = (f64::from(index % 10) - 4.5, f64::from(index / 10) * 0.6 - 2.7);
@@ -100,14 +54,14 @@ fn scene(harness: &Harness, places: &[[f64; 3]]) -> Scene {
     }
 }
 
-fn run(harness: &Harness, scene: &Scene) -> Outputs {
+pub(crate) fn run(harness: &Harness, scene: &Scene) -> Outputs {
     let digest = harness.put(&scene.encode().unwrap());
     let inputs = Inputs([(SCENE.to_owned(), digest)].into());
     let stage = MakeDepth::new(DepthParams::default()).unwrap();
     stage.run(&harness.ctx(), &inputs).unwrap()
 }
 
-const PLACES: [[f64; 3]; 3] = [[0.0, 0.0, 0.0], [1.2, 0.1, 0.2], [0.5, 1.3, 0.0]];
+pub(crate) const PLACES: [[f64; 3]; 3] = [[0.0, 0.0, 0.0], [1.2, 0.1, 0.2], [0.5, 1.3, 0.0]];
 
 #[test]
 fn depths_of_a_plane_are_found_confirmed_and_as_sure_as_they_say() {
@@ -331,42 +285,7 @@ fn pictures_say_what_their_values_are() {
     assert!((ratio - 2.0).abs() < 1e-3, "{ratio}");
 }
 
-/// Along each of its baselines the patch moves by 12 % of it, once with it and once against it, so that its depths by the two pairs of
-/// the first photo are 13 % too large and 11 % too small.
-#[test]
-fn what_moves_between_photos_has_no_depth_and_a_class_of_its_own() {
-    let harness = Harness::default();
-    let mut scene = scene(&harness, &PLACES);
-    for (frame, share) in scene.frames.iter_mut().zip([0.0, 0.12, -0.12]) {
-        let [x, y, _] = <[f64; 3]>::from(frame.cam_from_world.centre());
-        let moved = Some([share * x, share * y]);
-        frame.image = painted(&harness, &frame.camera, &frame.cam_from_world, moved);
-    }
-    let outputs = run(&harness, &scene);
-    let class = classes(&harness.get(&outputs["class/0.png"]).unwrap());
-    let frame = &scene.frames[0];
-    let inside = |index: usize| {
-        let at = Vector2::new((index % 160) as f64 + 0.5, (index / 160) as f64 + 0.5);
-        let point = on_plane(&frame.camera, &frame.cam_from_world, &at);
-        point.x.abs() < 0.8 && point.y.abs() < 0.6
-    };
-    let (patch, around): (Vec<usize>, Vec<usize>) = (0..class.len()).partition(|index| inside(*index));
-    let differing = |pixels: &[usize]| pixels.iter().filter(|index| class[**index] == 4).count();
-    assert!(
-        2 * differing(&patch) > patch.len(),
-        "{} of {}",
-        differing(&patch),
-        patch.len()
-    );
-    assert!(
-        20 * differing(&around) < around.len(),
-        "{} of {}",
-        differing(&around),
-        around.len()
-    );
-}
-
-fn classes(png: &[u8]) -> Vec<u16> {
+pub(crate) fn classes(png: &[u8]) -> Vec<u16> {
     let picture = image::load_from_memory(png).unwrap();
     picture.as_luma16().unwrap().as_raw().clone()
 }

@@ -178,6 +178,11 @@ mod tests {
             noise: 0.05,
         };
         assert!(falloff.is_real());
+        assert_eq!(
+            falloff.words(),
+            "corners of 40 x 30 pixels are 10.0 ± 1.0 % darker than the middle, and photos held back differ by 8.00 % at 900 pairs of \
+             matched points, 5.00 % without it"
+        );
         assert_eq!(Falloff::real_one(&[falloff], &falloff.camera), Some(&falloff));
         assert_eq!(
             Falloff::real_one(&[falloff], &Camera::pinhole(40, 30, 11.0)),
