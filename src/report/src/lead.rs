@@ -12,7 +12,7 @@ use maud::{Markup, html};
 use super::camera_view::Axes;
 use super::cameras;
 use super::format::{count, decibels};
-use super::notes::{extrapolation_words, reach_words, rejected_words};
+use super::notes::{extrapolation_words, reach_words, rejected_words, unseen_share};
 use super::page::Page;
 use super::pictures;
 use super::quality::{Figure, figures, rounded};
@@ -328,16 +328,6 @@ impl Facts {
 /// Returns the root mean square error that belongs to a PSNR, for channels of 0 to 255: 255 / 10^(PSNR / 20).
 fn levels(psnr: f64) -> String {
     format!("{:.0}", 255.0 / 10_f64.powf(psnr / 20.0))
-}
-
-/// Returns the mean share of held-out photos that no photo trained on shows from within 30 degrees.
-fn unseen_share(scores: &Scores) -> Option<f64> {
-    let shares = scores
-        .views
-        .iter()
-        .filter_map(|view| Some(view.nearest.as_ref()?.uncovered_share));
-    let shares: Vec<f64> = shares.collect();
-    (!shares.is_empty()).then(|| shares.iter().sum::<f64>() / shares.len() as f64)
 }
 
 /// Returns the area on the ground that holds the sparse points but for stray ones, the longer side first. `None` where up is not known.

@@ -51,3 +51,13 @@ pub(super) fn reach_words(scores: &Scores) -> Option<String> {
 fn percent(share: f64) -> String {
     format!("{:.0} %", 100.0 * share)
 }
+
+/// Returns the mean share of held-out photos that no photo trained on shows from within 30 degrees.
+pub(super) fn unseen_share(scores: &Scores) -> Option<f64> {
+    let shares = scores
+        .views
+        .iter()
+        .filter_map(|view| Some(view.nearest.as_ref()?.uncovered_share));
+    let shares: Vec<f64> = shares.collect();
+    (!shares.is_empty()).then(|| shares.iter().sum::<f64>() / shares.len() as f64)
+}
