@@ -85,7 +85,7 @@ fn numbers_that_stand_twice_agree(page: &str) {
     let figure = |name: &str| first(&format!("<dt>{name}</dt><dd>"));
     let rows = page.matches("<td class=\"who\">").count() as f64;
     assert_eq!(
-        [first("<p class=\"quiet work\">"), first("Graph of ")],
+        [first("<p class=\"quiet work\">Pipeline of "), first("Graph of ")],
         [rows; 2],
         "nodes"
     );
