@@ -15,7 +15,7 @@ use super::format::{count, decibels};
 use super::notes::{extrapolation_words, reach_words, rejected_words, unseen_share};
 use super::page::Page;
 use super::pictures;
-use super::quality::{Figure, figures, rounded};
+use super::quality::{Figure, figures, percent, rounded};
 use super::vector::{Vec3, dot};
 
 /// Most things to know that are listed.

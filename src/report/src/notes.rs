@@ -48,10 +48,6 @@ pub(super) fn reach_words(scores: &Scores) -> Option<String> {
     ))
 }
 
-fn percent(share: f64) -> String {
-    format!("{:.0} %", 100.0 * share)
-}
-
 /// Returns the mean share of held-out photos that no photo trained on shows from within 30 degrees.
 pub(super) fn unseen_share(scores: &Scores) -> Option<f64> {
     let shares = scores

@@ -135,7 +135,8 @@ fn place_of(nearest: &Nearest) -> String {
     format!("{distance}, {:.0}°", nearest.angle_deg)
 }
 
-fn percent(share: f64) -> String {
+/// Returns a share as a whole number of per cent.
+pub(super) fn percent(share: f64) -> String {
     format!("{:.0} %", share * 100.0)
 }
 
