@@ -183,7 +183,7 @@ mod tests {
     fn an_octave_has_the_median_of_its_pixels() {
         let pixel = |index: u32| Compared {
             pairs_m: if index < 200 { 5.0 } else { 20.0 },
-            field_m: if index % 4 == 0 { 5.04 } else { 4.98 },
+            field_m: if index.is_multiple_of(4) { 5.04 } else { 4.98 },
         };
         let pixels: [Compared; 210] = std::array::from_fn(|index| pixel(index as u32));
         assert_eq!(words(&pixels, 4.0).unwrap(), "2 cm at 4 to 8 m");
