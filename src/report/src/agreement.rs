@@ -1,4 +1,4 @@
-//! How far depths by pairs of photos agree with those of the field at held-out photos, which the field was not trained on.
+//! How far depths by pairs of photos agree with those of the retrainings at the photos that have maps: held-out ones by default.
 
 use marf_model::RunNode;
 use marf_numeric::lower_median;
@@ -41,14 +41,14 @@ pub(super) fn body(page: &Page<'_>, depth: &RunNode) -> Markup {
     html! {
         @if !octaves.is_empty() {
             p {
-                "At the pixels of " (count(photos, "held-out photo")) " that have both, pairs of photos and the field agree within "
+                "At the pixels of " (count(photos, "photo")) " that have both, pairs of photos and the retrainings' mean agree within "
                 (octaves.join(", ")) ". These are medians."
             }
         }
     }
 }
 
-/// Returns the maps of depth of the views that a bootstrap compared with photos of the scene, by name.
+/// Returns the maps of depth that a bootstrap made of the scene, by the name of their view.
 fn fields<'p>(page: &'p Page<'_>, depth: &RunNode) -> impl Iterator<Item = (&'p str, Map)> {
     let scene = depth.run.inputs.get(SCENE);
     let of_scene = move |node: &&RunNode| scene.is_some() && node.run.inputs.get(SCENE) == scene;
@@ -100,17 +100,18 @@ impl Map {
 
 /// Returns the pixels of the pairs that have a distance in both maps, whose sizes may differ.
 fn compared(pairs: &Map, field: &Map) -> Vec<Compared> {
-    let pixel = |(index, pairs_m): (usize, &f32)| {
+    let pixel = |index: usize| {
+        let pairs_m = pairs.values[index];
         let (column, row) = (index % pairs.width, index / pairs.width);
         let at = (row * field.rows() / pairs.rows()) * field.width + column * field.width / pairs.width;
         let field_m = field.values.get(at).copied().unwrap_or(0.0);
-        let both = *pairs_m > 0.0 && field_m > 0.0;
+        let both = pairs_m > 0.0 && field_m > 0.0;
         both.then_some(Compared {
-            pairs_m: f64::from(*pairs_m),
+            pairs_m: f64::from(pairs_m),
             field_m: f64::from(field_m),
         })
     };
-    pairs.values.iter().enumerate().filter_map(pixel).collect()
+    (0..pairs.values.len()).filter_map(pixel).collect()
 }
 
 /// Says how far pixels of the octave from here on are apart in the median. `None` of few.
@@ -173,7 +174,7 @@ mod tests {
                 body(&Page::new(report, &Media::Embedded), &depth).into_string()
             })
         };
-        let expected = "pixels of 1 held-out photo that have both, pairs of photos and the field agree within 3 cm at 4 to 8 m. These are";
+        let expected = "pixels of 1 photo that have both, pairs of photos and the retrainings' mean agree within 3 cm at 4 to 8 m. These are";
         assert!(said(true).contains(expected), "{}", said(true));
         assert_eq!(said(false), "");
     }

@@ -185,7 +185,7 @@ impl Facts {
             .and_then(|held_out| held_out.depth_calibration.as_ref())
             .map(|depth| {
                 format!(
-                    "At sparse points of held-out photos, half of the field's depths are off by less than {}.",
+                    "At sparse points of held-out photos, half of the retrainings' mean depths are off by at most {}.",
                     share(depth.median_error)
                 )
             });
@@ -370,10 +370,10 @@ mod tests {
             "<dt>ground with most points</dt><dd>0 x 0 m",
             "<dd>15 of 255 gray levels",
             "cameras from above <span class=\"legend\">",
-            "Views were judged up to 3 m and 90° from a photo trained on. Farther away nothing is known.",
+            "Views were judged up to 3 m and 90° from a photo trained on. Farther away errors are not known.",
             "Photos rejected: 3 (1 by extract, 2 by duplicate).",
             "New views differ from held-out photos by 15 of 255 gray levels (root mean square, 24.57 dB), from photos trained on by 13.",
-            "At sparse points of held-out photos, half of the field's depths are off by less than 1 % (5 cm at 5 m).",
+            "At sparse points of held-out photos, half of the retrainings' mean depths are off by at most 1 % (5 cm at 5 m).",
             "No photo trained on saw 1 % of what they show: there the field is invented",
             "<dt>photos kept</dt><dd>4 of 7</dd>",
             "<dt>photos placed</dt><dd>4 of 5</dd>",

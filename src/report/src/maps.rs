@@ -98,19 +98,17 @@ fn reliability(metrics: &Metrics) -> Markup {
     html! {
         (figures(&of_bootstrap(metrics)))
         p {
-            "The members are fields trained as the delivered one, with other seeds"
-            @if metrics.mode == Mode::Photos { " and other draws of the photos" }
-            ". Where they differ, the field is not sure. The total deviation adds their errors at photos trained on, and all of the \
-             range where no photo saw anything."
+            "The members are trainings on the same photos, each with a seed"
+            @if metrics.mode == Mode::Photos { " and a draw of the photos" }
+            " of its own. Where they differ, the field is not sure. The total deviation adds their errors at photos trained on, and all of \
+             the range where no photo saw anything."
         }
         table.facts {
             @for (name, value) in spread(metrics) { tr { th scope="row" { (name) } td.number { (value) } } }
         }
         @if metrics.heldout.as_ref().is_some_and(|held_out| held_out.coverage.sd1 < held_out.coverage_nominal.sd1) {
-            p.quiet {
-                "Members are more alike than any of them is like the photo, so their deviation alone says too little. The 90 % intervals \
-                 are widened by what held-out photos show."
-            }
+            p.quiet { "Too few errors are within the deviation of the members: it does not show what all of them get wrong. \
+                Where there are 90 % intervals, they are fitted to the errors at held-out photos." }
         }
         @if let Some(held_out) = &metrics.heldout { (intervals(held_out)) (curves(held_out)) }
         (members(metrics))

@@ -44,7 +44,7 @@ pub(super) fn reach_words(scores: &Scores) -> Option<String> {
         ),
     };
     Some(format!(
-        "Views were judged up to {distance} and {angle_deg:.0}° from a photo trained on. Farther away nothing is known."
+        "Views were judged up to {distance} and {angle_deg:.0}° from a photo trained on. Farther away errors are not known."
     ))
 }
 

@@ -24,8 +24,8 @@ fn sentences_of_a_run_have_the_numbers_of_its_documents() {
          Half of the errors are at most 5 of 255 levels. At a place that it was not fitted on it \
          covers 88.2 % of the errors, the mean of 5 places (86 % to 93 %) with 12,345 compared pixels. Shares inside differ from \
          the stated shares by 2 % in the mean. 1.2 % of the pixels have none: no photo saw what they show.",
-        "Where they differ, the field is not sure. The total deviation adds their errors at photos trained on",
-        "Members are more alike than any of them is like the photo",
+        "The members are trainings on the same photos, each with a seed of its own. Where they differ, the field is not sure. The total deviation adds their errors at photos trained on",
+        "Too few errors are within the deviation of the members",
         "mean standard deviation 5.4 gray levels",
         "off: no camera has 4 photos with enough matched points",
         "90 % interval of the depth: ± 3.2 % of it at the median pixel (2.6 times the spread, which is at least 0.4 % of it).",
