@@ -1,6 +1,7 @@
 //! Difference between a photo and the render of its pose.
 
-use marf_scene::{Frame, Image, Photo, Srgb};
+use marf_scene::{Camera, Falloff, Frame, Image, Photo, Srgb};
+use nalgebra::Vector2;
 
 use crate::source::Source;
 
@@ -16,11 +17,11 @@ pub struct Reference {
 }
 
 impl Reference {
-    /// Reads a photo of a scene, with its mask.
+    /// Reads a photo of a scene, with its mask, and takes the vignetting of its camera away, which renders do not have.
     ///
     /// # Errors
     /// One sentence: a file is lost, damaged or of another size.
-    pub fn read(source: &dyn Source, frame: &Frame) -> Result<Self, String> {
+    pub fn read(source: &dyn Source, frame: &Frame, falloff: Option<&Falloff>) -> Result<Self, String> {
         let file = &frame.file;
         let read = |digest| {
             let bytes = source
@@ -33,6 +34,10 @@ impl Reference {
         let size = (frame.camera.width, frame.camera.height);
         let is_of_size = |image: &Image<Srgb>| (image.width, image.height) == size;
         if is_of_size(&photo) && mask.as_ref().is_none_or(is_of_size) {
+            let photo = match falloff {
+                Some(falloff) => without(falloff, &frame.camera, &photo),
+                None => photo,
+            };
             return Ok(Self { photo, mask });
         }
         Err(format!("{file} or its mask has another size than its camera"))
@@ -65,6 +70,17 @@ impl Reference {
         }
         differences
     }
+}
+
+/// Returns a photo without the vignetting of its camera. Tones that would be above white are white.
+fn without(falloff: &Falloff, camera: &Camera, photo: &Image<Srgb>) -> Image<Srgb> {
+    Image::from_fn(photo.width, photo.height, |column, row| {
+        let pixel = Vector2::new(f64::from(column) + 0.5, f64::from(row) + 0.5);
+        let v = falloff.at(camera.radius2(&pixel));
+        photo
+            .at(column, row)
+            .map(|tone| (f64::from(tone) / v + 0.5) as u8)
+    })
 }
 
 fn levels(rgb: [u8; 3]) -> u32 {
@@ -104,6 +120,25 @@ mod tests {
         );
         let finer = reference.differences(&gray(8, 4, |x, _| if x / 2 % 2 == 0 { 100 } else { 200 }));
         assert!(finer.iter().all(|difference| *difference == 0.0), "{finer:?}");
+    }
+
+    /// v is 1 - r² / 4. r is 1 at the first pixel and 0 at the middle one, and 150 / 0.75 is 200.
+    #[test]
+    fn dark_corners_of_a_photo_are_no_difference() {
+        let camera = Camera::pinhole(9, 1, 4.0);
+        let falloff = Falloff {
+            camera,
+            factors: [-0.25, 0.0, 0.0],
+            darkening: 0.3,
+            sigma: 0.01,
+            pairs: 1,
+            spread: 0.1,
+            noise: 0.05,
+        };
+        let plain = without(&falloff, &camera, &gray(9, 1, |_, _| 150));
+        assert_eq!([0, 4].map(|column| plain.at(column, 0)), [[200; 3], [150; 3]]);
+        let white = without(&falloff, &camera, &gray(9, 1, |_, _| 255));
+        assert_eq!(white.at(0, 0), [255; 3]);
     }
 
     #[test]

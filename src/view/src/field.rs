@@ -4,10 +4,10 @@ use std::sync::Arc;
 
 use marf_cache::Digest;
 use marf_depth::PointCloud;
-use marf_field::{Device, Field as Trained, FieldError, Render};
+use marf_field::{Device, Field as Trained, FieldError, Render, Vignetting};
 use marf_scene::path::{focus_point, orbit, typical_camera};
 use marf_scene::picture::{ColorScale, DEPTH_DECADES, Palette, round_upper_limit};
-use marf_scene::{Camera, Frame, Pose, Scene};
+use marf_scene::{Camera, Falloff, Frame, Pose, Scene};
 use marf_surface::ExportFrame;
 use nalgebra::Vector3;
 use serde::Serialize;
@@ -179,6 +179,13 @@ impl Field {
         let mut frames = self.scene.frames.iter();
         let found = frames.find(|frame| frame.image == *image);
         found.ok_or_else(|| "the scene has no such photo".to_owned())
+    }
+
+    /// Returns the vignetting of a photo's camera, if the field was trained on photos without it.
+    pub fn falloff(&self, frame: &Frame) -> Option<&Falloff> {
+        let tones = self.scene.tones.as_ref()?;
+        let found = Falloff::real_one(&tones.vignetting, &frame.camera);
+        found.filter(|_| self.trained.config().vignetting != Vignetting::Off)
     }
 
     /// Returns the facts of the field for the page.

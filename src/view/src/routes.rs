@@ -300,7 +300,10 @@ async fn shown(site: &Arc<Site>, field: &SharedField, request: &FramesRequest) -
         Mode::Uncertainty => Shown::Uncertainty,
         Mode::Difference => {
             let (site, field, photo) = (Arc::clone(site), Arc::clone(field), photo?);
-            let read = move || Reference::read(site.source.as_ref(), field.photo(&photo)?);
+            let read = move || {
+                let frame = field.photo(&photo)?;
+                Reference::read(site.source.as_ref(), frame, field.falloff(frame))
+            };
             Shown::Difference(Arc::new(blocking(read).await?))
         }
     })
