@@ -140,36 +140,83 @@ fn members(metrics: &Metrics) -> Markup {
     }
 }
 
-/// Says what the 90 % intervals are and how far they hold at places they were not fitted on.
+/// Shows the 90 % intervals and how far they hold at places they were not fitted on, of gray and of the depth side by side.
 fn intervals(held_out: &HeldOut) -> Markup {
-    let percent = |share: f64| format!("{} %", number(share * 100.0));
-    let told = |calibration: &Calibration, unit: &str, in_unit: &dyn Fn(f64) -> String| {
-        let [half, error, floor] = [
-            calibration.median_half90,
-            calibration.median_error,
-            calibration.floor,
-        ]
-        .map(in_unit);
-        html! {
-            p {
-                "90 % interval of " (unit) ": ± " (half) " at the median pixel (" (number(calibration.factor90))
-                " times the spread, which is at least " (floor) "). Half of the errors are at most " (error) ". At a place that it was not fitted on it covers " (percent(calibration.coverage90)) " of the errors, the mean of "
-                (count(calibration.places as usize, "place")) " (" (percent(calibration.coverage90_range[0])) " to "
-                (percent(calibration.coverage90_range[1])) ") with " (count(calibration.errors as usize, "compared pixel"))
-                ". Shares inside differ from the stated shares by " (percent(calibration.ece)) " in the mean. " (percent(calibration.unseen_share))
-                " of the pixels have none: no photo saw what they show."
-                @if !calibration.note.is_empty() { " Note: " (calibration.note) "." }
+    let gray = |value: f64| format!("{} of 255 levels", rounded(255.0 * value));
+    let depth = |share: f64| format!("{} % of it", rounded(100.0 * share));
+    let columns: Vec<IntervalColumn> = [
+        held_out
+            .calibration
+            .as_ref()
+            .map(|one| IntervalColumn::new("gray", one, &gray)),
+        held_out
+            .depth_calibration
+            .as_ref()
+            .map(|one| IntervalColumn::new("depth", one, &depth)),
+    ]
+    .into_iter()
+    .flatten()
+    .collect();
+    html! {
+        @if held_out.calibration.is_none() { p { "No interval: it takes photos of two places that are held out." } }
+        @if held_out.depth_calibration.is_none() {
+            p { "No interval of the depth: it takes 100 sparse points in photos of two places that are held out." }
+        }
+        @if !columns.is_empty() {
+            table.facts {
+                thead { tr { th {} @for column in &columns { th scope="col" { (column.head) } } } }
+                tbody {
+                    @for (row, name) in IntervalColumn::ROWS.iter().enumerate() {
+                        tr { th scope="row" { (name) } @for column in &columns { td.number { (column.values[row]) } } }
+                    }
+                }
             }
         }
-    };
-    html! {
-        @match &held_out.calibration {
-            Some(gray) => (told(gray, "gray", &|value| format!("{} of 255 levels", rounded(255.0 * value)))),
-            None => p { "No interval: it takes photos of two places that are held out." },
+        @for column in columns.iter().filter(|column| !column.note.is_empty()) {
+            p.quiet { "Note on the interval of " (column.head) ": " (column.note) "." }
         }
-        @match &held_out.depth_calibration {
-            Some(depth) => (told(depth, "the depth", &|share| format!("{} % of it", rounded(100.0 * share)))),
-            None => p { "No interval of the depth: it takes 100 sparse points in photos of two places that are held out." },
+    }
+}
+
+/// The 90 % intervals of one quantity.
+struct IntervalColumn<'a> {
+    head: &'static str,
+    values: [String; Self::ROWS.len()],
+    note: &'a str,
+}
+
+impl<'a> IntervalColumn<'a> {
+    const ROWS: [&'static str; 8] = [
+        "half of the 90 % interval at the median pixel",
+        "it is the spread of the members times",
+        "with a spread of at least",
+        "half of the errors are at most",
+        "errors inside at places it was not fitted on, mean (range)",
+        "stated and found shares differ in the mean by",
+        "pixels without an interval: no photo saw what they show",
+        "compared",
+    ];
+
+    fn new(head: &'static str, calibration: &'a Calibration, in_unit: &dyn Fn(f64) -> String) -> Self {
+        let percent = |share: f64| format!("{} %", number(share * 100.0));
+        let [low, high] = calibration.coverage90_range.map(percent);
+        Self {
+            head,
+            values: [
+                format!("± {}", in_unit(calibration.median_half90)),
+                number(calibration.factor90),
+                in_unit(calibration.floor),
+                in_unit(calibration.median_error),
+                format!("{} ({low} to {high})", percent(calibration.coverage90)),
+                percent(calibration.ece),
+                percent(calibration.unseen_share),
+                format!(
+                    "{}, {}",
+                    count(calibration.errors as usize, "pixel"),
+                    count(calibration.places as usize, "place")
+                ),
+            ],
+            note: &calibration.note,
         }
     }
 }

@@ -20,15 +20,10 @@ fn sentences_of_a_run_have_the_numbers_of_its_documents() {
         ", reprojection error 0.4 px",
         "0.012 m, 0.04 m at most (site 3)",
         "duplicate: closest calls, 6 verdicts of 6 within half of their threshold",
-        "90 % interval of gray: ± 16 of 255 levels at the median pixel (2.6 times the spread, which is at least 2 of 255 levels). \
-         Half of the errors are at most 5 of 255 levels. At a place that it was not fitted on it \
-         covers 88.2 % of the errors, the mean of 5 places (86 % to 93 %) with 12,345 compared pixels. Shares inside differ from \
-         the stated shares by 2 % in the mean. 1.2 % of the pixels have none: no photo saw what they show.",
         "The members are trainings on the same photos, each with a seed of its own. Where they differ, the field is not sure. The total deviation adds their errors at photos trained on",
         "Too few errors are within the deviation of the members",
         "mean standard deviation 5.4 gray levels",
         "off: no camera has 4 photos with enough matched points",
-        "90 % interval of the depth: ± 3.2 % of it at the median pixel (2.6 times the spread, which is at least 0.4 % of it).",
         "3 settings, 1 seeds each where one knob is turned, measured on a processor, 2 cores.",
     ] {
         assert!(html.contains(text), "{text}");
@@ -48,6 +43,39 @@ fn sentences_of_a_run_have_the_numbers_of_its_documents() {
             .split(['<', '>'])
             .find(|part| part.starts_with(|first: char| first.is_ascii_digit()));
         assert_eq!(shown, Some(value), "{name}");
+    }
+}
+
+#[test]
+fn the_table_of_intervals_has_the_numbers_of_gray_and_of_the_depth() {
+    let (store, nodes) = full();
+    let html = store.report(&nodes);
+    for [name, gray, depth] in [
+        [
+            "half of the 90 % interval at the median pixel",
+            "± 16 of 255 levels",
+            "± 3.2 % of it",
+        ],
+        ["it is the spread of the members times", "2.6", "2.6"],
+        ["with a spread of at least", "2 of 255 levels", "0.4 % of it"],
+        ["half of the errors are at most", "5 of 255 levels", "1 % of it"],
+        [
+            "errors inside at places it was not fitted on, mean (range)",
+            "88.2 % (86 % to 93 %)",
+            "88.2 % (86 % to 93 %)",
+        ],
+        ["stated and found shares differ in the mean by", "2 %", "2 %"],
+        [
+            "pixels without an interval: no photo saw what they show",
+            "1.2 %",
+            "1.2 %",
+        ],
+        ["compared", "12,345 pixels, 5 places", "12,345 pixels, 5 places"],
+    ] {
+        let row = format!(
+            "<th scope=\"row\">{name}</th><td class=\"number\">{gray}</td><td class=\"number\">{depth}</td>"
+        );
+        assert!(html.contains(&row), "{row}");
     }
 }
 

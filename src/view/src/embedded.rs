@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use base64::{Engine as _, engine::general_purpose::STANDARD};
 use marf_cache::Digest;
+use marf_numeric::grouped;
 use marf_report::EmbeddedView;
 use marf_scene::Scene;
 use marf_scene::path::{focus_point, orbit, typical_camera};
@@ -55,11 +56,12 @@ fn view_of(label: &str, scene: &Scene, splats: Vec<Splat>) -> Result<EmbeddedVie
     let kept = thinned(splats, MOST_SPLATS);
     let number = if kept.len() < all {
         format!(
-            "{} of {all} splats of `{label}`, enlarged to cover as much",
-            kept.len()
+            "{} of {} splats of `{label}`, enlarged to cover as much",
+            grouped(kept.len()),
+            grouped(all)
         )
     } else {
-        format!("{all} splats of `{label}`")
+        format!("{} splats of `{label}`", grouped(all))
     };
     let data = STANDARD.encode(pack(&kept));
     let script = bundled();
@@ -163,7 +165,7 @@ mod tests {
         assert!(said(2).contains("<p class=\"quiet\">2 splats of `train`, in this file."));
         let most = said(MOST_SPLATS + 1);
         assert!(
-            most.contains("150000 of 150001 splats of `train`, enlarged to cover as much, in this file.")
+            most.contains("150,000 of 150,001 splats of `train`, enlarged to cover as much, in this file.")
         );
         assert!(most.len() < 5_000_000, "{} bytes", most.len());
         let none = view_of("train", &Scene::default(), Vec::new());

@@ -1,11 +1,11 @@
 //! Distances from cameras to the sparse points they see, and how wide a pixel is there.
 
+use marf_numeric::grouped;
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use crate::View;
 use crate::frame::{ENOUGH_POINTS, FAR, Frame, percentile};
-use crate::size::grouped;
 
 /// A point counts as near if this share of the points is nearer, as far if this share is farther: outliers.
 const OUTLIERS: f64 = 0.01;

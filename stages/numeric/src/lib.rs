@@ -2,10 +2,12 @@
 //!
 //! Invariant: the same seed gives the same numbers, and every instruction set the same bits, on every machine.
 
+mod grouped;
 mod instruction_set;
 mod quantiles;
 mod rng;
 
+pub use grouped::grouped;
 #[cfg(target_arch = "x86_64")]
 pub use instruction_set::{Avx2, Avx512};
 pub use instruction_set::{Dispatch, InstructionSet, Plain};

@@ -3,7 +3,6 @@
 //! No files and no network: every function works on bytes and values in memory. Invariant: cameras and poses are f64 and finite. Pixel (0,
 //! 0) is the top-left corner, the first pixel's centre is (0.5, 0.5).
 
-mod alignment;
 mod cahvor;
 mod camera;
 mod coverage;
@@ -23,7 +22,6 @@ mod scene;
 mod thumbnail;
 mod tones;
 
-pub use alignment::Alignment;
 pub use cahvor::{Cahvor, CahvorError, EntrancePupil, Intrinsics, Pinhole, Ray};
 pub use camera::Camera;
 pub use coverage::{Coverage, Observer, SkySeen, SurfaceSeen, seen_at, typical_distance};

@@ -2,6 +2,8 @@
 
 use std::collections::BTreeMap;
 
+use marf_numeric::grouped;
+
 /// Up to four significant digits, thousands with commas. Very small and very large numbers have an exponent.
 pub fn number(value: f64) -> String {
     let size = value.abs();
@@ -15,7 +17,7 @@ pub fn number(value: f64) -> String {
         return format!("{value:.2e}");
     }
     if value.fract() == 0.0 {
-        return grouped(value);
+        return grouped(format_args!("{value:.0}"));
     }
     let decimals = match size {
         size if size >= 1000.0 => 0,
@@ -25,7 +27,7 @@ pub fn number(value: f64) -> String {
         _ => 4,
     };
     if decimals == 0 {
-        return grouped(value.round());
+        return grouped(format_args!("{:.0}", value.round()));
     }
     let text = format!("{value:.decimals$}");
     text.trim_end_matches('0').trim_end_matches('.').to_owned()
@@ -78,7 +80,7 @@ pub fn duration(seconds: f64) -> String {
 /// A count with its noun: `1 photo`, `2 photos`.
 pub fn count(count: usize, noun: &str) -> String {
     let ending = if count == 1 { "" } else { "s" };
-    format!("{} {noun}{ending}", grouped(count as f64))
+    format!("{} {noun}{ending}", grouped(count))
 }
 
 /// A number of bytes in the unit that gives it one to three digits before the point (KB, MB, GB, TB: powers of 1000).
@@ -115,9 +117,9 @@ pub fn node_counts(counts: &BTreeMap<String, u64>) -> Vec<String> {
                     .extend((rejected > 0).then(|| format!("{} not read", count(rejected as usize, "file"))));
             }
             None => {
-                parts.push(format!("kept {} of {}", grouped(kept as f64), photos(all)));
+                parts.push(format!("kept {} of {}", grouped(kept), photos(all)));
                 let again = number("measured").filter(|measured| (1..all).contains(measured));
-                parts.extend(again.map(|measured| format!("measured {} of them", grouped(measured as f64))));
+                parts.extend(again.map(|measured| format!("measured {} of them", grouped(measured))));
             }
         }
     }
@@ -143,18 +145,6 @@ pub fn cut(text: &str, most: usize) -> String {
     }
     let start: String = text.chars().take(most.saturating_sub(1)).collect();
     format!("{start}…")
-}
-
-fn grouped(whole: f64) -> String {
-    let digits = format!("{:.0}", whole.abs());
-    let mut text = String::new();
-    for (index, digit) in digits.chars().enumerate() {
-        if index > 0 && (digits.len() - index).is_multiple_of(3) {
-            text.push(',');
-        }
-        text.push(digit);
-    }
-    if whole < 0.0 { format!("-{text}") } else { text }
 }
 
 #[cfg(test)]

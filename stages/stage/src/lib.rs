@@ -63,11 +63,6 @@ pub trait Stage: Send + Sync {
     fn backend_id_on(&self, _gpu: Option<&str>) -> Result<Option<String>, StageError> {
         Ok(None)
     }
-    /// Returns why two runs of one key may give different results, for a stage that is not a pure function (it measures time,
-    /// or runs another program). `None` for all others.
-    fn varies(&self) -> Option<&'static str> {
-        None
-    }
     /// Returns the name of the output of the stage's own last finished run that it reads as the input [`EARLIER`]. That
     /// output is then part of the key. At the first run it is absent.
     fn earlier(&self) -> Option<&'static str> {

@@ -24,16 +24,3 @@ impl<T> Choice<T> {
         Self::new(value, format!("`{key}` says so"))
     }
 }
-
-/// Writes a count in groups of three digits.
-pub fn grouped(count: u64) -> String {
-    let digits = count.to_string();
-    let mut text = String::new();
-    for (index, digit) in digits.chars().enumerate() {
-        if index > 0 && (digits.len() - index).is_multiple_of(3) {
-            text.push(',');
-        }
-        text.push(digit);
-    }
-    text
-}

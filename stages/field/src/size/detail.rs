@@ -1,8 +1,9 @@
 //! How much detail the surface has in photos: the numbers of the bilinear patches that draw it.
 
+use marf_numeric::grouped;
 use nalgebra::Vector3;
 
-use super::choice::{Choice, grouped};
+use super::choice::Choice;
 use crate::View;
 
 /// Sides of the largest and of the smallest patch, pixels. A smallest one that does not fit takes a cell a

@@ -1,8 +1,9 @@
 //! Cells, levels and table of the grid.
 
+use marf_numeric::grouped;
 use nalgebra::Vector3;
 
-use super::choice::{Choice, grouped};
+use super::choice::Choice;
 use crate::cpu::math::root;
 use crate::cpu::space::contract;
 use crate::distances::{Depths, SHARP};

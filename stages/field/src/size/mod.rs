@@ -15,7 +15,7 @@ use crate::cpu::march::Steps;
 use crate::distances::Depths;
 use crate::frame::{FAR, Frame, MOST_FINEST};
 use crate::{Config, FieldError, View};
-pub use choice::{Choice, grouped};
+pub use choice::Choice;
 use detail::{detail, detail_before};
 use grid::{finest, levels, log2_table, scaled, surface_cells};
 use pulls::{

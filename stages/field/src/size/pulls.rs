@@ -1,6 +1,8 @@
 //! Losses and decays in addition to the photos, and their weights.
 
-use super::choice::{Choice, grouped};
+use marf_numeric::grouped;
+
+use super::choice::Choice;
 use crate::{Config, DepthSource, View};
 
 /// Fewer photos than this are few: matter is to gather on surfaces before one of them alone explains it.

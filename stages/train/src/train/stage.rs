@@ -62,10 +62,6 @@ stage! {
     ],
     device: device,
     {
-        fn varies(&self) -> Option<&'static str> {
-            self.params.limit().map(|_| "it trains by the clock")
-        }
-
         fn earlier(&self) -> Option<&'static str> {
             self.params.warm_start.then_some(WEIGHTS)
         }

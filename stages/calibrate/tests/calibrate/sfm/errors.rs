@@ -1,6 +1,6 @@
 //! Errors of a calibrated scene against known cameras.
 
-use marf_scene::{Alignment, Pose, Scene};
+use marf_scene::{Pose, Scene};
 use nalgebra::{Matrix3, Vector3};
 
 /// Errors of a scene after the best similarity.
@@ -28,7 +28,7 @@ pub fn errors_of(scene: &Scene, truth: &[(String, Pose)]) -> Errors {
             Some((frame.cam_from_world, known.1))
         })
         .collect();
-    let alignment = Alignment::fit(&pairs).unwrap();
+    let alignment = Alignment::fit(&pairs);
     let rotation = alignment.rotation;
     let extent = pairs
         .iter()
@@ -36,7 +36,7 @@ pub fn errors_of(scene: &Scene, truth: &[(String, Pose)]) -> Errors {
         .fold(0.0, f64::max);
     let position = pairs
         .iter()
-        .map(|pair| alignment.difference(&pair.0, &pair.1).0 / extent);
+        .map(|(found, known)| (alignment.point(&found.centre()) - known.centre()).norm() / extent);
     // The remaining rotation in the frame of each camera.
     let left: Vec<Matrix3<f64>> = pairs
         .iter()
@@ -53,6 +53,55 @@ pub fn errors_of(scene: &Scene, truth: &[(String, Pose)]) -> Errors {
         ),
         angle_deg: median_and_max(left.iter().map(angle_deg).collect()),
         scale: alignment.scale,
+    }
+}
+
+/// A similarity: x_known = scale * rotation * x_found + translation.
+struct Alignment {
+    scale: f64,
+    rotation: Matrix3<f64>,
+    translation: Vector3<f64>,
+}
+
+impl Alignment {
+    /// Returns the similarity of least squares between the centres of cameras, given as (found, known) poses of the same photos.
+    ///
+    /// S. Umeyama, "Least-squares estimation of transformation parameters between two point patterns", PAMI 13(4), 1991.
+    fn fit(pairs: &[(Pose, Pose)]) -> Self {
+        let count = pairs.len() as f64;
+        let mean =
+            |side: fn(&(Pose, Pose)) -> Vector3<f64>| pairs.iter().map(side).sum::<Vector3<f64>>() / count;
+        let (found, known) = (mean(|pair| pair.0.centre()), mean(|pair| pair.1.centre()));
+        let apart = |pair: &(Pose, Pose)| (pair.0.centre() - found, pair.1.centre() - known);
+        let covariance: Matrix3<f64> = pairs
+            .iter()
+            .map(|pair| {
+                let (from, to) = apart(pair);
+                to * from.transpose()
+            })
+            .sum();
+        let svd = covariance.svd(true, true);
+        let (u, v_t) = (svd.u.unwrap(), svd.v_t.unwrap());
+        let sign = (u * v_t).determinant().signum();
+        let rotation = u * Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, sign)) * v_t;
+        let along: f64 = pairs
+            .iter()
+            .map(|pair| {
+                let (from, to) = apart(pair);
+                to.dot(&(rotation * from))
+            })
+            .sum();
+        let squares: f64 = pairs.iter().map(|pair| apart(pair).0.norm_squared()).sum();
+        let scale = along / squares;
+        Self {
+            scale,
+            rotation,
+            translation: known - scale * (rotation * found),
+        }
+    }
+
+    fn point(&self, found: &Vector3<f64>) -> Vector3<f64> {
+        self.scale * (self.rotation * found) + self.translation
     }
 }
 
