@@ -80,8 +80,12 @@ impl Derived {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Trainer;
     use crate::test_scene::{ball, small};
+    use crate::training::Training;
+    use crate::{PixelDistance, Trainer};
+
+    /// Lengths of a box that was fitted are rounded to f32 twice, those of one that was given once.
+    const ROUNDED: f32 = 2.0 * f32::EPSILON;
 
     fn derived() -> Derived {
         let mut trainer = Trainer::new(ball(6, 12), &[], &small(), 0).unwrap();
@@ -98,6 +102,47 @@ mod tests {
         given.advance(1).unwrap();
         assert_eq!(given.field().unwrap().derived(), derived);
         assert_eq!(given.training.refit_step, None);
+    }
+
+    #[test]
+    fn points_and_distances_pull_to_the_same_places_in_a_box_that_was_fitted() {
+        let mut views = ball(6, 16);
+        for view in &mut views {
+            let distance = |column, distance| PixelDistance {
+                pixel: [column, 8],
+                distance,
+                sigma: 0.01 * distance,
+            };
+            view.distances = vec![distance(7, 2.1), distance(8, 3.0)];
+        }
+        let sparse = [[0.0, 0.0, 0.5]];
+        let mut training = Training::new(views.clone(), &sparse, &small(), 0).unwrap();
+        let at_first = training.frame.half_side;
+        let matter = (0..64).map(|index| {
+            let angle = 0.1 * f64::from(index);
+            [angle.cos(), angle.sin(), 0.5 * (2.0 * angle).sin()]
+        });
+        assert!(training.refit(&matter.collect::<Vec<_>>()));
+        assert!(training.frame.half_side < 0.5 * at_first, "{at_first}");
+        let derived = Derived::new(&training.frame, &training.sizes);
+        let given = Training::with_derived(views, &sparse, &small(), 0, &derived).unwrap();
+        let [found, expected] = [&training, &given].map(|training| training.observations.clone());
+        assert_eq!((found.len(), expected.len()), (6 * 3, 6 * 3));
+        for (found, expected) in found.iter().zip(&expected) {
+            assert_eq!(found.pixel, expected.pixel);
+            for (found, expected) in [(found.t, expected.t), (found.sigma, expected.sigma)] {
+                let off = (found - expected).abs();
+                assert!(off <= ROUNDED * expected, "{found} instead of {expected}");
+            }
+        }
+        // A restored training is placed in its own box again.
+        let (frame, sizes, state) = (
+            training.frame.clone(),
+            training.sizes.clone(),
+            training.state.clone(),
+        );
+        training.place(frame, sizes, state);
+        assert_eq!(training.observations, found);
     }
 
     #[test]

@@ -180,6 +180,10 @@ impl Training {
 
     /// Puts the training into a box. Sessions that were begun before do not see it.
     pub fn place(&mut self, frame: Frame, sizes: Sizes, state: State) {
+        let scale = self.frame.half_side / frame.half_side;
+        for seen in &mut self.observations {
+            [seen.t, seen.sigma] = [seen.t, seen.sigma].map(|length| (f64::from(length) * scale) as f32);
+        }
         self.march = sizes.steps(&self.config, state.halvings);
         (self.frame, self.sizes, self.state) = (frame, sizes, state);
     }
