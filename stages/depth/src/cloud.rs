@@ -123,7 +123,8 @@ impl Cloud {
                 .map(|channel| channel.round().clamp(0.0, 255.0) as u8)
                 .into(),
             photos: cell.photos,
-            sigma: 1.0 / cell.weight.sqrt(),
+            // A pair gives its disparities to both of its photos, so their weights hold each pair twice.
+            sigma: (f64::from(cell.photos.min(2)) / cell.weight).sqrt(),
         };
         cells.par_iter().map(point).collect()
     }
@@ -200,6 +201,8 @@ mod tests {
     fn pixels_of_one_photo_count_once_and_photos_add_up() {
         let mut cloud = Cloud::new(1.0);
         cloud.add(&[surfel(0.2, 0.1), surfel(0.4, 0.1), surfel(5.5, 0.1)]);
+        let of_one = cloud.cells[&[0, 0, 0]];
+        assert!((of_one.weight - 100.0).abs() < 1e-9, "{}", of_one.weight);
         cloud.add(&[surfel(0.6, 0.1)]);
         let points = cloud.points();
         // The cell that one photo alone shows is left out.
@@ -210,12 +213,25 @@ mod tests {
             "{}",
             points[0].position.x
         );
-        assert!(
-            (points[0].sigma - 0.1 / 2.0_f64.sqrt()).abs() < 1e-12,
-            "{}",
-            points[0].sigma
-        );
+        // Both photos show the one pair that they are.
+        assert!((points[0].sigma - 0.1).abs() < 1e-12, "{}", points[0].sigma);
         assert_eq!(points[0].color, [100, 0, 0]);
+    }
+
+    /// Three pairs of sigma^2 0.02, each in two of three photos: 0.02 / 3. One photo alone keeps its own.
+    #[test]
+    fn a_pair_counts_once_however_many_photos_show_it() {
+        let mut cloud = Cloud::new(1.0);
+        for (photos, variance) in [(1, 0.01), (2, 0.01), (3, 0.02 / 3.0_f64)] {
+            cloud.add(&[surfel(0.5, 0.1)]);
+            let so_far = Cloud {
+                cell: cloud.cell,
+                cells: cloud.cells.clone(),
+            };
+            let point = so_far.points()[0];
+            assert_eq!(point.photos, photos);
+            assert!((point.sigma - variance.sqrt()).abs() < 1e-12, "{point:?}");
+        }
     }
 
     #[test]

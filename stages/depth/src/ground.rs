@@ -47,6 +47,8 @@ struct Sample {
     color: Vector3<f32>,
     weight: f32,
     photo: u16,
+    /// Photos that show it: 1, or those of a layer.
+    photos: u16,
     confirmed: bool,
 }
 
@@ -55,14 +57,20 @@ impl Layer {
         self.height / self.weight
     }
 
+    /// Returns the variance of the mean, m^2. A pair gives its disparities to both of its photos, so their weights hold each pair twice.
+    fn variance(&self) -> f32 {
+        f32::from(self.photos.min(2)) / self.weight
+    }
+
     fn holds(&self, sample: &Sample, pixel_m: f32) -> bool {
-        let sigma = (1.0 / self.weight + 1.0 / sample.weight).sqrt();
+        let sigma = (self.variance() + f32::from(sample.photos.min(2)) / sample.weight).sqrt();
         (self.mean() - sample.height).abs() <= (SAME_SIGMAS * sigma).max(SAME_PIXELS * pixel_m)
     }
 
     /// Adds a sample. Several of one photo share their errors: only the largest weight counts.
     fn add(&mut self, sample: &Sample) {
         if self.last == sample.photo {
+            self.photos = self.photos.max(sample.photos);
             if sample.weight <= self.last_weight {
                 return;
             }
@@ -72,7 +80,7 @@ impl Layer {
             return;
         }
         self.sum(sample, sample.weight);
-        self.photos = self.photos.saturating_add(1);
+        self.photos = self.photos.saturating_add(1).max(sample.photos);
         (self.last, self.last_weight) = (sample.photo, sample.weight);
     }
 
@@ -198,6 +206,7 @@ impl Ground {
                 color: Vector3::new(color(0), color(1), color(2)),
                 weight: (1.0 / (sigma * sigma)) as f32,
                 photo: self.photos,
+                photos: 1,
                 confirmed: corners.iter().all(|corner| corner.confirmed),
             };
             let column = first.x as i32 + pixel.column as i32;
@@ -259,6 +268,7 @@ impl Ground {
                         color: layer.color / layer.weight,
                         weight: layer.weight,
                         photo: layer.last,
+                        photos: layer.photos,
                         confirmed: layer.confirmed,
                     };
                     self.put(place.map(|x| x.div_euclid(2)), &sample);
@@ -322,7 +332,7 @@ fn shown(layers: &[Layer; 2], has_confirmed: bool) -> Option<MapCell> {
     Some(MapCell {
         height_m: f64::from(layer.mean()),
         color: (layer.color / (layer.weight * 255.0)).into(),
-        spread_m: f64::from(1.0 / layer.weight.sqrt()),
+        spread_m: f64::from(layer.variance().sqrt()),
     })
 }
 
@@ -339,93 +349,4 @@ fn is_smooth(corners: [&Surfel; 3]) -> bool {
 }
 
 #[cfg(test)]
-mod tests {
-    use marf_scene::Scene;
-
-    use super::*;
-
-    fn frame() -> ExportFrame {
-        ExportFrame::new(&Scene {
-            up: Some([0.0, 0.0, 1.0]),
-            metres_per_unit: Some(1.0),
-            ..Scene::default()
-        })
-    }
-
-    /// A level square of 5 x 5 points, 1 m apart.
-    fn square(height: f64, sigma: f64) -> Vec<Option<Surfel>> {
-        let point = |index: i32| {
-            Some(Surfel {
-                position: Vector3::new(f64::from(index % 5), f64::from(index / 5), height),
-                normal: Vector3::z(),
-                color: [0, 255, 0],
-                sigma,
-                height_sigma: sigma,
-                confirmed: true,
-            })
-        };
-        (0..25).map(point).collect()
-    }
-
-    fn heights(ground: &Ground) -> Vec<f32> {
-        let map = ground.clone().map(&frame()).unwrap();
-        let mut read = tiff::decoder::Decoder::new(std::io::Cursor::new(map.height_tiff().unwrap())).unwrap();
-        let tiff::decoder::DecodingResult::F32(heights) = read.read_image().unwrap() else {
-            panic!("no floats");
-        };
-        heights.into_iter().filter(|height| !height.is_nan()).collect()
-    }
-
-    /// Checks that all 8 x 8 pixels have this height.
-    fn is_level(ground: &Ground, expected: f32) {
-        let heights = heights(ground);
-        assert_eq!(heights.len(), 64);
-        for height in heights {
-            assert!((height - expected).abs() < 1e-5, "{height}");
-        }
-    }
-
-    #[test]
-    fn surfaces_are_filled_between_their_points_and_photos_are_weighed() {
-        let mut ground = Ground::new(&frame(), Some(0.5), 1.0).unwrap();
-        ground.add(&square(2.0, 0.1), 5).unwrap();
-        is_level(&ground, 2.0);
-        // Four times the weight: 2.0 + 0.8 x 0.1.
-        ground.add(&square(2.1, 0.05), 5).unwrap();
-        is_level(&ground, 2.08);
-        // A roof far above hides the ground.
-        ground.add(&square(5.0, 0.05), 5).unwrap();
-        is_level(&ground, 5.0);
-    }
-
-    #[test]
-    fn a_jump_between_points_is_no_surface() {
-        let mut points = square(0.0, 0.1);
-        for point in points.iter_mut().flatten().filter(|point| point.position.x > 2.5) {
-            point.position.z = 3.0;
-        }
-        let mut ground = Ground::new(&frame(), Some(0.5), 1.0).unwrap();
-        ground.add(&points, 5).unwrap();
-        // 2 m and 1 m of 4 m, by 4 m.
-        assert_eq!(heights(&ground).len(), 48);
-    }
-
-    #[test]
-    fn too_many_pixels_get_wider_unless_the_user_set_them() {
-        let wide = |ground: &mut Ground| {
-            for row in 0..=MOST_TILES as i32 {
-                ground.layers([row * SIDE, 0]);
-            }
-            ground.add(&square(0.0, 0.1), 5)
-        };
-        let mut ground = Ground::new(&frame(), None, 0.5).unwrap();
-        wide(&mut ground).unwrap();
-        assert_eq!(ground.pixel_m, 1.0);
-        let mut ground = Ground::new(&frame(), Some(0.5), 1.0).unwrap();
-        let why = wide(&mut ground).unwrap_err().to_string();
-        assert!(
-            why.contains("pixels of 0.5 m are too many; widen `map_cell`"),
-            "{why}"
-        );
-    }
-}
+mod tests;
