@@ -85,7 +85,7 @@ pub struct Metrics {
     pub train_photos: u64,
     /// Photos held out.
     pub held_out_photos: u64,
-    /// Ids of the drawn photos, repeated as drawn. Only with `resample` or `photos`.
+    /// Ids of the photos trained on, repeated as drawn. Absent: each photo that the scene does not hold out, once.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub drawn: Option<Vec<String>>,
     /// What decided how large the field is.
@@ -132,7 +132,7 @@ impl Metrics {
         Some(format!("{switch}{by_key}: {words}"))
     }
 
-    /// Returns true if it trained on a photo that was not held out.
+    /// Returns true if it trained on a photo that it did not hold out.
     pub fn has_drawn(&self, id: &str) -> bool {
         let is_it = |drawn: &Vec<String>| drawn.iter().any(|drawn| drawn == id);
         self.drawn.as_ref().is_none_or(is_it)

@@ -1,5 +1,7 @@
 //! Intervals that hold: the spread of the members widened until errors on held-out photos are within it as often as stated.
 
+use std::collections::BTreeSet;
+
 use marf_numeric::lower_median;
 use marf_schema::bootstrap::Calibration;
 
@@ -87,22 +89,25 @@ pub(crate) fn widened(spread: f32, floor: f64) -> f64 {
 /// Fits the calibration to the errors at all viewpoints and checks it by leaving out one place at a time. The intervals fitted on the other
 /// places are compared with the errors of that place.
 ///
-/// `None` with fewer than two places or 100 errors.
+/// Views without errors count for the share that no photo saw only. `None` with fewer than 100 errors, or fewer than two places checked.
 pub(crate) fn calibrate(views: &[Errors], floors: &[f64]) -> Option<Calibration> {
-    let mut places: Vec<usize> = views.iter().map(|view| view.place).collect();
-    places.sort_unstable();
-    places.dedup();
-    let errors: usize = views.iter().map(|view| view.pairs.len()).sum();
-    if places.len() < LEAST_PLACES || errors < LEAST_ERRORS {
+    let compared: Vec<&Errors> = views.iter().filter(|view| !view.pairs.is_empty()).collect();
+    let places: BTreeSet<usize> = compared.iter().map(|view| view.place).collect();
+    let errors: usize = compared.iter().map(|view| view.pairs.len()).sum();
+    if errors < LEAST_ERRORS {
         return None;
     }
-    let fit = fit(&views.iter().collect::<Vec<_>>(), floors)?;
+    let fit = fit(&compared, floors)?;
     let checks = places.iter().filter_map(|place| {
-        let (left_out, others): (Vec<_>, Vec<_>) = views.iter().partition(|view| view.place == *place);
+        let (left_out, others): (Vec<_>, Vec<_>) =
+            compared.iter().copied().partition(|view| view.place == *place);
         check(&left_out, &self::fit(&others, floors)?)
     });
     let checks: Vec<Check> = checks.collect();
-    let count = checks.len().max(1) as f64;
+    if checks.len() < LEAST_PLACES {
+        return None;
+    }
+    let count = checks.len() as f64;
     let inside: Vec<f64> = (0..Z.len())
         .map(|at| checks.iter().map(|check| check.inside[at]).sum::<f64>() / count)
         .collect();
@@ -113,15 +118,15 @@ pub(crate) fn calibrate(views: &[Errors], floors: &[f64]) -> Option<Calibration>
             values.fold(f64::NEG_INFINITY, f64::max),
         ]
     };
-    let note = if places.len() < FEW_PLACES {
+    let note = if checks.len() < FEW_PLACES {
         format!(
             "only {} places were held out: a new one may be unlike them",
-            places.len()
+            checks.len()
         )
     } else {
         String::new()
     };
-    (!checks.is_empty()).then(|| Calibration {
+    Some(Calibration {
         floor: fit.floor,
         t: fit.t,
         factor90: fit.factors[NINETY - 1],
@@ -133,8 +138,8 @@ pub(crate) fn calibrate(views: &[Errors], floors: &[f64]) -> Option<Calibration>
         median_error: median(views, |(_, error)| f64::from(error)),
         median_half90: fit.factors[NINETY - 1] * median(views, |(spread, _)| widened(spread, fit.floor)),
         errors: errors as u64,
-        places: places.len() as u64,
-        views: views.len() as u64,
+        places: checks.len() as u64,
+        views: compared.len() as u64,
         unseen_share: views.iter().map(|view| view.unseen_share).sum::<f64>() / views.len() as f64,
         note,
     })
@@ -361,6 +366,20 @@ mod tests {
         let few = |place: usize| Errors::new(place, vec![(0.1, 0.1); 49], 0.0);
         assert_eq!(calibrate(&[few(0), few(1)], &[0.1]), None);
         assert_eq!(calibrate(&[], &[0.1]), None);
+    }
+
+    #[test]
+    fn places_without_errors_are_not_counted() {
+        let empty = |place: usize| Errors::new(place, Vec::new(), 0.75);
+        let known = [normal(0, 0.05, 0.1), normal(1, 0.05, 0.1)];
+        let views = [&known[..], &[empty(1), empty(2)]].concat();
+        let found = calibrate(&views, &[1e-6]).unwrap();
+        assert_eq!((found.places, found.views, found.unseen_share), (2, 2, 0.5));
+        assert!(found.note.contains("only 2 places"), "{found:?}");
+        assert_eq!(found.inside, calibrate(&known, &[1e-6]).unwrap().inside);
+        // Three errors alone bound no 90 %, so that the other place cannot be checked.
+        let few = Errors::new(1, vec![(0.05, 0.1); 3], 0.0);
+        assert_eq!(calibrate(&[normal(0, 0.05, 0.1), few], &[1e-6]), None);
     }
 
     #[test]

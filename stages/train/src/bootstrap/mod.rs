@@ -49,7 +49,7 @@ stage! {
     Expand,
     Threads::All,
     about: "retrains B times and maps where the fields disagree",
-    version: 17,
+    version: 18,
     ports: [
         Port::required("input", SCENE),
         Port::optional("params", BestParams::OUTPUT),

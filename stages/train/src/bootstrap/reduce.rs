@@ -1,7 +1,7 @@
 //! The reduction: members to maps, drawings and figures.
 
 use marf_cache::Digest;
-use marf_schema::bootstrap::{BootstrapParams, Members, Metrics};
+use marf_schema::bootstrap::{BootstrapParams, Members, Metrics, Mode};
 use marf_stage::{Ctx, Inputs, Outputs, StageError, TypedOutputs};
 
 use super::{
@@ -42,7 +42,10 @@ pub(super) fn reduce(
             Members::Auto => rounds(ctx, &params.device, inputs, outputs_of_members)?,
             Members::Count(_) => Vec::new(),
         },
-        out_of_bag: out_of_bag(identity, &members.metrics, &mapper.fields, &photos, &training)?,
+        out_of_bag: match params.mode {
+            Mode::Seeds => None,
+            Mode::Photos => out_of_bag(identity, &members.metrics, &mapper.fields, &photos, &training)?,
+        },
         ..report(params.mode, members.report(), &studies)
     };
     let reach = studies

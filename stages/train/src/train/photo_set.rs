@@ -58,11 +58,14 @@ impl<'a> PhotoSet<'a> {
         self.used().map(|named| named.frame).collect()
     }
 
-    /// Returns the ids of the training photos, each as often as it is used.
-    pub fn drawn(&self) -> Vec<String> {
+    /// Returns the ids of the training photos, each as often as it is used. `None` if these are all that the scene does not hold out.
+    pub fn drawn(&self) -> Option<Vec<String>> {
         let repeated = self.split.training.iter().zip(&self.times);
-        repeated
+        let drawn: Vec<String> = repeated
             .flat_map(|(named, times)| std::iter::repeat_n(named.frame.id.clone(), *times))
-            .collect()
+            .collect();
+        let others = self.scene.frames.iter().filter(|frame| !frame.held_out);
+        let is_all = drawn.iter().eq(others.map(|frame| &frame.id));
+        (!is_all).then_some(drawn)
     }
 }

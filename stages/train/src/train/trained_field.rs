@@ -179,7 +179,7 @@ impl TrainedField {
             fold: settings.fold,
             train_photos: set.used().count() as u64,
             held_out_photos: held_out.len() as u64,
-            drawn: (params.resample.is_some() || settings.photos.is_some()).then(|| set.drawn()),
+            drawn: set.drawn(),
             fit: settings.fit,
             gpu: marf_field_gpu::backend_id(&params.device),
             config,

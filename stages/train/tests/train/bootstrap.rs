@@ -403,6 +403,7 @@ fn photos_that_a_member_did_not_draw_test_it() {
         member.put(&fixture.harness.ctx(), &metrics).unwrap();
     }
     let (report, _) = fixture.reduce(json!({"b": 2, "mode": "photos"}));
+    assert!(fixture.reduce(json!({"b": 2})).0.out_of_bag.is_none());
     let found = report.out_of_bag.unwrap();
     assert_eq!(found.photos, 3, "04, 06 and 08; all others were drawn by both");
     assert!(

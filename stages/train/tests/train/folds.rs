@@ -46,6 +46,7 @@ fn every_photo_is_judged_once_by_a_field_that_has_not_seen_its_place() {
             .collect();
         assert_eq!(ids(&metrics["views"]), expected);
         assert_eq!(metrics["train_photos"], 12 - expected.len());
+        assert_eq!(metrics["drawn"].as_array().unwrap().len(), 12 - expected.len());
         assert_eq!(metrics["steps"], 16);
         assert_eq!(
             metrics["config"]["steps"], 16,

@@ -82,7 +82,25 @@ fn a_short_training_may_reach_its_target_and_no_time_is_an_error() {
     let scene = inputs(&[("scene", put_scene(&harness, &scene(&harness, 16)))]);
     let train: Train = stage(json!({"steps": 30, "field": small(), "target_psnr": 1.0}));
     let outputs = run(&train, &harness.ctx(), &scene).unwrap();
-    assert_eq!(json(&harness, &outputs, "metrics")["target"]["reached_at"], 30);
+    let metrics = json(&harness, &outputs, "metrics");
+    assert_eq!(metrics["target"]["reached_at"], 30);
+    // Photos held back to watch the target are not trained on.
+    let drawn = metrics["drawn"].as_array().unwrap();
+    assert_eq!(metrics["train_photos"], drawn.len());
+    let watching = metrics["target"]["validation_photos"].as_u64().unwrap();
+    assert_eq!(drawn.len() as u64 + watching, 12);
+    let judged = inputs(&[
+        ("weights", outputs["weights"]),
+        ("scene", outputs["scene"]),
+        ("metrics", outputs["metrics"]),
+    ]);
+    let evaluate: Evaluate = stage(json!({"views": "all"}));
+    let all = run(&evaluate, &harness.ctx(), &judged).unwrap();
+    let all = json(&harness, &all, "metrics");
+    // Only photos that were not trained on have a nearest one that was.
+    let views = all["views"].as_array().unwrap().iter();
+    let trained_on = views.filter(|view| view.get("nearest").is_none());
+    assert!(trained_on.map(|view| &view["id"]).eq(drawn), "{drawn:?}: {all}");
     let late: Train = stage(json!({"within": "1ms", "field": small()}));
     let error = run(&late, &harness.ctx(), &scene).unwrap_err().to_string();
     assert!(
