@@ -95,7 +95,7 @@ pub(super) fn levels(config: &Config, finest: u32) -> Choice<u32> {
     let levels = enough.unwrap_or(16);
     let mut reason = format!(
         "from {base} to {} cells by {:.2} a level",
-        grouped(finest.into()),
+        grouped(finest),
         growth(levels)
     );
     if levels > step {
@@ -208,7 +208,7 @@ fn log2_table_asked(config: &Config, cells: u64, detail: f64) -> Choice<u32> {
     let budget = format!(
         "{} steps of {} samples fill 2^{filled}",
         grouped(steps),
-        grouped(config.batch_samples.into())
+        grouped(config.batch_samples)
     );
     if filled < wanted {
         return Choice::new(filled, format!("the budget decides: {budget}. {scene}"));

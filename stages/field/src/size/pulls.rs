@@ -69,7 +69,7 @@ pub(super) fn depth_steps(config: &Config, views: &[View], points: usize) -> Cho
             )
         }
     };
-    let most = grouped(LONGEST_PULL.into());
+    let most = grouped(LONGEST_PULL);
     let (steps, reason) = match config.steps {
         _ if points == 0 && distances == 0 => (LONGEST_PULL, "there are no sparse points".to_owned()),
         _ if photos < FEW_PHOTOS => (
