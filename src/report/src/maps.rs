@@ -181,7 +181,7 @@ fn intervals(held_out: &HeldOut) -> Markup {
 /// The 90 % intervals of one quantity.
 struct IntervalColumn<'a> {
     head: &'static str,
-    values: [String; Self::ROWS.len()],
+    values: [String; 8],
     note: &'a str,
 }
 
