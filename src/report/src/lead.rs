@@ -176,33 +176,41 @@ impl Facts {
     /// Says how far depths are off: those of the field at sparse points of held-out photos, and those of pairs of photos.
     fn depth_words(&self) -> Option<String> {
         let has_scale = self.scene.as_ref()?.metres_per_unit.is_some();
-        let share = |share: f64| {
-            let metres = has_scale.then(|| format!(" ({} cm at 5 m)", rounded(500.0 * share)));
-            format!("{} %{}", rounded(100.0 * share), metres.unwrap_or_default())
-        };
         let held_out = self.maps.as_ref().and_then(|maps| maps.heldout.as_ref());
         let field = held_out
             .and_then(|held_out| held_out.depth_calibration.as_ref())
             .map(|depth| {
+                let share = depth.median_error;
+                let metres = has_scale.then(|| format!(" ({} cm at 5 m)", rounded(500.0 * share)));
+                let share = format!("{} %{}", rounded(100.0 * share), metres.unwrap_or_default());
                 format!(
-                    "At sparse points of held-out photos, half of the retrainings' mean depths are off by at most {}.",
-                    share(depth.median_error)
+                    "At sparse points of held-out photos, half of the retrainings' mean depths are off by at most {share}."
                 )
             });
-        let pairs = self.pairs_share.map(share);
-        let pairs =
-            pairs.map(|pairs| format!("One standard deviation of depths from pairs of photos is {pairs}."));
+        let pairs = self.pairs_share.map(|share| {
+            let share = rounded(100.0 * share);
+            format!("One standard deviation of depths from pairs of photos is {share} % of the distance in the median.")
+        });
         let sentences: Vec<String> = field.into_iter().chain(pairs).collect();
         (!sentences.is_empty()).then(|| sentences.join(" "))
     }
 
+    /// Returns the viewpoints of the maps that are those of held-out photos.
+    fn held_out_views(&self) -> Vec<&bootstrap::ViewReport> {
+        let views = self.maps.iter().flat_map(|maps| &maps.views);
+        views.filter(|view| view.photo.is_some()).collect()
+    }
+
+    /// Returns the mean share of what held-out photos show that no photo saw. `None` without maps of any.
     fn invented_share(&self) -> Option<f64> {
-        Some(self.maps.as_ref()?.unseen_share)
+        let views = self.held_out_views();
+        let sum: f64 = views.iter().map(|view| view.unseen_share).sum();
+        (!views.is_empty()).then(|| sum / views.len() as f64)
     }
 
     /// Names the held-out photo that shows most of what no photo trained on saw. None of a single one.
     fn least_seen(&self) -> Option<String> {
-        let views = &self.maps.as_ref()?.views;
+        let views = self.held_out_views();
         let most = views
             .iter()
             .max_by(|a, b| a.unseen_share.total_cmp(&b.unseen_share))?;
@@ -350,93 +358,4 @@ fn extent(scene: &Scene) -> Option<String> {
 }
 
 #[cfg(test)]
-mod tests {
-    use marf_scene::Point;
-
-    use super::*;
-    use crate::fixture::{full, node};
-    use crate::fixture_documents::spread;
-
-    #[test]
-    fn the_first_screen_says_the_result_with_its_numbers() {
-        let (store, nodes) = full();
-        let said = store.with_report(&nodes, |report| {
-            let media = crate::media::Media::Embedded;
-            body(&Page::new(report, &media)).into_string()
-        });
-        // 255 / 10^(24.567 / 20) = 15.08.
-        for text in [
-            "4 of 7 photos became a field of 0 x 0 m of ground.",
-            "<dt>ground with most points</dt><dd>0 x 0 m",
-            "<dd>15 of 255 gray levels",
-            "cameras from above <span class=\"legend\">",
-            "Views were judged up to 3 m and 90° from a photo trained on. Farther away errors are not known.",
-            "Photos rejected: 3 (1 by extract, 2 by duplicate).",
-            "New views differ from held-out photos by 15 of 255 gray levels (root mean square, 24.57 dB), from photos trained on by 13.",
-            "At sparse points of held-out photos, half of the retrainings' mean depths are off by at most 1 % (5 cm at 5 m).",
-            "No photo trained on saw 1 % of what they show: there the field is invented",
-            "<dt>photos kept</dt><dd>4 of 7</dd>",
-            "<dt>photos placed</dt><dd>4 of 5</dd>",
-            "1 of 5 photos have no camera.",
-            "The error is that of 1 held-out photo at 1 place only.",
-            "<video",
-        ] {
-            assert!(said.contains(text), "{text}: {said}");
-        }
-    }
-
-    #[test]
-    fn the_photo_with_most_of_what_no_photo_saw_is_named() {
-        let mut maps = spread(["a", "b"].map(str::to_owned).to_vec());
-        maps.views[1].unseen_share = 0.4;
-        let said = |maps: bootstrap::Metrics| {
-            let maps = Some(maps);
-            let facts = Facts {
-                maps,
-                ..Facts::default()
-            };
-            facts.least_seen()
-        };
-        let found = said(maps.clone()).unwrap();
-        assert!(
-            found.ends_with("no photo saw. b has most of them (40 %)."),
-            "{found}"
-        );
-        maps.views.truncate(1);
-        assert_eq!(said(maps), None);
-    }
-
-    #[test]
-    fn a_run_that_made_nothing_says_nothing() {
-        let store = crate::fixture::Store::default();
-        let said = store.with_report(&[node("train", &[])], |report| {
-            let media = crate::media::Media::Embedded;
-            body(&Page::new(report, &media)).into_string()
-        });
-        assert!(
-            !said.contains("<p class=\"lead\">") && !said.contains("<li>"),
-            "{said}"
-        );
-    }
-
-    /// 101 points on a line of 10 units that stand 2 m apart each tenth: 0.5 to 9.5 units are 18 m, and across there is nothing.
-    #[test]
-    fn an_extent_leaves_stray_points_out() {
-        let scene = |up| Scene {
-            up,
-            metres_per_unit: Some(2.0),
-            points: (0..=100)
-                .map(|index| Point {
-                    position: [f64::from(index) * 0.1, 0.0, 0.0],
-                    color: None,
-                    views: 2,
-                })
-                .collect(),
-            ..Scene::default()
-        };
-        let found = extent(&scene(Some([0.0, 0.0, 1.0]))).unwrap();
-        assert_eq!(found, "18 x 0 m");
-        assert_eq!(extent(&scene(None)), None);
-        assert_eq!(extent(&Scene::default()), None);
-    }
-}
+mod tests;

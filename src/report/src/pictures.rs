@@ -6,8 +6,9 @@ use marf_cache::Digest;
 use marf_model::RunNode;
 use marf_scene::picture::{ColorScale, Palette, draw_map, quantile, round_upper_limit};
 use marf_scene::{Image, Srgb};
+use marf_schema::evaluate::{self, EvaluateParams, Which};
 use marf_schema::scores::{PhotoScores, Scores};
-use marf_schema::{evaluate, folds, output, train};
+use marf_schema::{folds, output, train};
 use maud::{Markup, html};
 
 use super::cameras::Plan;
@@ -69,7 +70,10 @@ fn views(page: &Page<'_>, node: &RunNode) -> Markup {
     let psnr = |name: &str| view(name).map_or(f64::MAX, |view| view.psnr);
     names.sort_by(|a, b| psnr(a).total_cmp(&psnr(b)));
     html! {
-        h3 { (node.run.name) ": " (count(names.len(), "view")) }
+        h3 {
+            (node.run.name) ": " (count(names.len(), "view"))
+            @if let Some(trained) = trained_on(page, node, views) { ", " (trained) " of photos trained on" }
+        }
         @if let Err(missing) = &scores { (missing) }
         @if let Ok(scores) = &scores { (by_distance(scores)) }
         @let plan = Plan::new(page, node);
@@ -80,6 +84,15 @@ fn views(page: &Page<'_>, node: &RunNode) -> Markup {
         }
         @if names.len() > MOST_VIEWS { p.quiet { (count(names.len() - MOST_VIEWS, "better view")) " not shown." } }
     }
+}
+
+/// Returns how many of the photos of an evaluation were trained on. `None` if it is one of held-out photos.
+fn trained_on(page: &Page<'_>, node: &RunNode, views: &[PhotoScores]) -> Option<usize> {
+    let params = page.report.params.get(&node.run.name)?.clone();
+    let params: EvaluateParams = serde_json::from_value(params).ok()?;
+    let shows_others = has_document::<evaluate::Metrics>(node) && params.views != Which::Heldout;
+    // They have no nearest one.
+    shows_others.then(|| views.iter().filter(|view| view.nearest.is_none()).count())
 }
 
 /// Reads the scores of a training or an evaluation.

@@ -280,6 +280,42 @@ fn pictures_films_and_starts_are_named_with_their_sizes_and_digests() {
 }
 
 #[test]
+fn photos_trained_on_are_counted_among_those_that_an_evaluation_shows() {
+    let mut store = fixture::Store::default();
+    let mut scores = marf_schema::example::scores();
+    let nearest = serde_json::json!({
+        "id": "0001", "distance": 1.0, "angle_deg": 2.0, "uncovered_share": 0.0, "extrapolates": false,
+    });
+    scores.views.push(marf_schema::scores::PhotoScores {
+        name: "0002".to_owned(),
+        nearest: serde_json::from_value(nearest).unwrap(),
+        ..scores.views[0].clone()
+    });
+    let metrics = marf_schema::evaluate::Metrics { scores, scale: 1 };
+    let outputs = [
+        store.document(&metrics),
+        ("heldout/0001.png", store.put_picture(90)),
+        ("heldout/0002.png", store.put_picture(80)),
+    ];
+    let nodes = [giving(node("evaluate", &[]), outputs)];
+    for (params, heading) in [
+        (
+            serde_json::json!({"views": "all"}),
+            "evaluate: 2 views, 1 of photos trained on<",
+        ),
+        (
+            serde_json::json!({"views": "train"}),
+            "evaluate: 2 views, 1 of photos trained on<",
+        ),
+        (serde_json::json!({"views": "heldout"}), "evaluate: 2 views<"),
+        (serde_json::json!({}), "evaluate: 2 views<"),
+    ] {
+        store.params.insert("evaluate".to_owned(), params);
+        has(&store.report(&nodes), &[heading]);
+    }
+}
+
+#[test]
 fn charts_of_uncertainty_have_the_values_of_their_document() {
     let (store, nodes) = full();
     // 0.012 and 0.013 of 255 are left without the half that is most uncertain.
