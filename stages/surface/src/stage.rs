@@ -6,6 +6,7 @@ use marf_scene::{Frame, Observer, Scene, picture::png16, picture_names, seen_at}
 use marf_schema::bootstrap::MemberFields;
 use marf_schema::output::{DEPTH, MESH_GLB, MESH_PLY, POINTS, SCENE, SPLAT_FILES, SURFACE_MAPS, WEIGHTS};
 use marf_schema::surface::{SurfaceParams, SurfaceReport};
+use marf_schema::train;
 use marf_stage::{Ctx, Document, Inputs, Outputs, Port, Set, StageError, Threads, TypedOutputs, stage};
 
 use crate::SurfaceError;
@@ -32,9 +33,10 @@ stage! {
     Set,
     Threads::All,
     about: "makes a mesh (PLY, GLB), points, splats, a height map and an orthophoto of a trained field",
-    version: 6,
+    version: 7,
     ports: [
         Port::required("input", WEIGHTS),
+        Port::required("input", train::Metrics::OUTPUT),
         Port::required("input", SCENE),
         Port::optional("members", MemberFields::OUTPUT),
     ],
@@ -56,7 +58,7 @@ impl Set for MakeSurface {
         let field = self.field(ctx, inputs.required(WEIGHTS)?)?;
         let frame = ExportFrame::new(&scene);
         let mut outputs = Outputs::new();
-        let (views, held_out) = views_of(&scene)?;
+        let (views, held_out) = views_of(&scene, &inputs.read(ctx)?)?;
         let limits = self.limits(&frame);
         let seen = self.look(ctx, &scene, &field, &views, &mut outputs)?;
         let (photos, shrunk) = (seen.views.len(), seen.shrunk());
@@ -229,12 +231,61 @@ impl MakeSurface {
 /// Photos with their names.
 type Named<'a> = Vec<(&'a Frame, String)>;
 
-/// Returns the photos that a field was trained on, and those that were held out.
-fn views_of(scene: &Scene) -> Result<(Named<'_>, Named<'_>), StageError> {
+/// Returns the photos that a field was trained on, and those that the scene holds out.
+fn views_of<'a>(scene: &'a Scene, trained: &train::Metrics) -> Result<(Named<'a>, Named<'a>), StageError> {
     let named = scene.frames.iter().zip(picture_names(scene));
-    let (held_out, views): (Vec<_>, Vec<_>) = named.partition(|(frame, _)| frame.held_out);
+    let is_trained_on = |frame: &Frame| match &trained.drawn {
+        Some(drawn) => drawn.contains(&frame.id),
+        None => !frame.held_out,
+    };
+    let (views, others): (Vec<_>, Vec<_>) = named.partition(|(frame, _)| is_trained_on(frame));
     if views.is_empty() {
         return Err(SurfaceError::NoPhotos.into());
     }
-    Ok((views, held_out))
+    let held_out = others.into_iter().filter(|(frame, _)| frame.held_out);
+    Ok((views, held_out.collect()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use marf_scene::{Camera, Pose};
+
+    #[test]
+    fn photos_that_a_training_did_not_draw_are_not_looked_at() {
+        let frame = |(index, id): (usize, &str)| Frame {
+            id: id.to_owned(),
+            file: format!("{id}.png"),
+            image: Digest::from_content(b""),
+            camera: Camera::pinhole(8, 8, 8.0),
+            cam_from_world: Pose::identity(),
+            held_out: index % 2 == 1,
+            mask: None,
+            error_px: None,
+        };
+        let scene = Scene {
+            frames: ["a", "b", "c", "d"].into_iter().enumerate().map(frame).collect(),
+            ..Scene::default()
+        };
+        let ids = |drawn: Option<&[&str]>| {
+            let trained = train::Metrics {
+                drawn: drawn.map(|ids| ids.iter().map(|id| (*id).to_owned()).collect()),
+                ..marf_schema::example::train_metrics()
+            };
+            let (views, held_out) = views_of(&scene, &trained).unwrap();
+            [views, held_out].map(|named| {
+                named
+                    .iter()
+                    .map(|(frame, _)| frame.id.as_str())
+                    .collect::<String>()
+            })
+        };
+        assert_eq!(ids(None), ["ac", "bd"]);
+        assert_eq!(ids(Some(&["c", "c"])), ["c", "bd"]);
+        assert_eq!(
+            ids(Some(&["a", "b"])),
+            ["ab", "d"],
+            "a fold trains on what the scene holds out"
+        );
+    }
 }
