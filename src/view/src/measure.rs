@@ -15,6 +15,11 @@ const AROUND: u32 = 2;
 /// 90 % of the positions in a pixel are at most so far from its middle along a line, pixels.
 const WITHIN_PX: f64 = 0.45;
 
+/// Share of the retrainings that have a surface along a ray, at least, where the field has one. Far ground of which photos see no
+/// parallax is anything to a retraining: a speck before the camera, or nothing (`benches/view.md`).
+const AGREEING: f64 = 0.8;
+/// Half of a 90 % interval, as a share of the distance, at most: with a longer one the retrainings only say that something is there.
+const MOST_HALF: f64 = 0.5;
 /// A field and pairs that differ by more standard deviations show different surfaces.
 const CONTRADICTED: f64 = 2.0;
 /// Half of a 90 % interval of a normal distribution, standard deviations.
@@ -24,7 +29,7 @@ const NINETY: f64 = 1.644_853_626_951_472;
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Picked {
     /// Where the ray of the pixel ends, in the world: at the mean of the retrainings' depths, or the field's where there are none,
-    /// and of the depth by pairs of photos, weighted by what each is sure of.
+    /// and of the depth by pairs of photos, weighted by what each is sure of. `None` where neither pairs nor retrainings agree on a surface.
     pub point: Option<[f64; 3]>,
     /// Unit vector of the ray, in the world.
     #[serde(skip)]
@@ -87,9 +92,11 @@ pub fn pick(field: &Field, view: &View, [column, row]: [u32; 2]) -> Result<Picke
     };
     let ray = ray_of(camera, cam_from_world, [column, row])
         .ok_or_else(|| FrameError::Failed("the lens has no ray there".to_owned()))?;
-    let shown = mean_depth(if own.is_empty() { &renders } else { &own }, MIDDLE);
     let half =
         |depth: f64| Some(half_width(field.depth_interval()?, local_spread(&renders)? / depth) * depth);
+    let surface = mean_depth(if own.is_empty() { &renders } else { &own }, MIDDLE);
+    let is_agreed = |depth: f64| half(depth).is_none_or(|half| half <= MOST_HALF * depth);
+    let shown = surface.filter(|depth| agree(&renders) && is_agreed(*depth));
     let by_field = shown.and_then(half);
     let by_pairs = field.cloud().and_then(|cloud| {
         let ray = Ray {
@@ -97,7 +104,7 @@ pub fn pick(field: &Field, view: &View, [column, row]: [u32; 2]) -> Result<Picke
             direction: ray,
             pixel: 1.0 / camera.fx_px.min(camera.fy_px),
         };
-        cloud.along(&ray, shown)
+        cloud.along(&ray, surface)
     });
     let (depth, along) = combined(shown, by_field, by_pairs);
     // The interval of the field alone is fitted on points anywhere in their pixels.
@@ -137,6 +144,14 @@ fn mean_depth(renders: &[Render], pixel: usize) -> Option<f64> {
     };
     let opacity = mean(|render, pixel| render.opacity[pixel]);
     (opacity > f64::from(MIN_OPACITY)).then(|| mean(|render, pixel| render.depth[pixel]))
+}
+
+/// Returns whether enough of the retrainings have a surface at the middle pixel. None contradict each other where there are none.
+fn agree(renders: &[Render]) -> bool {
+    let met = renders
+        .iter()
+        .filter(|render| render.opacity[MIDDLE] > MIN_OPACITY);
+    met.count() as f64 >= AGREEING * renders.len() as f64
 }
 
 /// Returns by how much the depth changes from pixel to pixel around the middle one at most: where in the pixel the point is decides how
@@ -368,6 +383,21 @@ mod tests {
             factor: 2.0,
         };
         assert!((half_width(interval, 0.004) - 0.01).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_surface_takes_four_fifths_of_the_retrainings() {
+        let render = |opacity: f32| Render {
+            opacity: vec![opacity; MIDDLE + 1],
+            ..Render::empty(1, 1)
+        };
+        let agreed = |opacities: &[f32]| {
+            let renders: Vec<Render> = opacities.iter().map(|opacity| render(*opacity)).collect();
+            agree(&renders)
+        };
+        assert!(agreed(&[]) && agreed(&[0.9]) && agreed(&[0.9, 0.6, 1.0, 0.51, 0.1]));
+        // 0.5 is no surface, and 3 of 4 are too few.
+        assert!(!agreed(&[0.9, 0.6, 1.0, 0.5, 0.1]) && !agreed(&[0.9, 0.9, 0.9, 0.0]));
     }
 
     #[test]

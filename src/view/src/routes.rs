@@ -364,8 +364,11 @@ async fn measured(State(site): State<Arc<Site>>, body: Bytes) -> Response {
     let work = move || {
         let [a, b] = &request.marks;
         let [a, b] = [pick(&field, &a.view, a.pixel)?, pick(&field, &b.view, b.pixel)?];
-        distance(&a, &b)
-            .ok_or_else(|| FrameError::Failed("the field has no surface at one of the points".to_owned()))
+        distance(&a, &b).ok_or_else(|| {
+            FrameError::Failed(
+                "the field has no surface at one of the points on which its retrainings agree".to_owned(),
+            )
+        })
     };
     rendered(site.renderer.run(work).await)
 }

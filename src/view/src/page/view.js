@@ -270,7 +270,7 @@ class View {
     const mark = { camera, cam_from_world, pixel: inside };
     const picked = await this.asked("pick", { run, field, ...mark });
     if (!picked) return;
-    if (!picked.point) return this.tell("The field has no surface there.");
+    if (!picked.point) return this.tell("The field has no surface there on which its retrainings agree.");
     this.marks = [...(this.marks.length === 2 ? [] : this.marks), { ...mark, point: picked.point }];
     this.drawOverlay();
     if (this.marks.length < 2) return this.tell("Mark a second point.");
