@@ -34,6 +34,32 @@ fn every_part_of_a_filter_is_computed_again_from_the_shared_store_alone() {
     );
 }
 
+/// A user may give any folder: `.` holds other files, and one that holds none is made and removed.
+#[test]
+fn the_scratch_folder_loses_nothing_but_what_the_job_put_there() {
+    let site = Site::new(FILTERS);
+    marf(site.path(), &["run"]).exits(0);
+    let store = format!("file://{}", site.path().join("shared").display());
+    marf(site.path(), &["cache", "push", "--remote", &store]).exits(0);
+    let status = marf(site.path(), &["status", "--json"]).exits(0).stdout;
+    let status: Value = serde_json::from_str(&status).unwrap();
+    let nodes = status["nodes"].as_array().unwrap();
+    let node = nodes.iter().find(|node| node["name"] == "grayscale").unwrap();
+    let key = node["key"].as_str().unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("notes.txt"), "mine").unwrap();
+    for scratch in [".", "made"] {
+        marf(
+            folder.path(),
+            &["exec", key, "--store", &store, "--scratch", scratch],
+        )
+        .exits(0);
+        let left = std::fs::read_dir(folder.path()).unwrap();
+        let left: Vec<_> = left.map(|entry| entry.unwrap().file_name()).collect();
+        assert_eq!(left, ["notes.txt"], "--scratch {scratch}");
+    }
+}
+
 /// As above, for a training and its bootstrap. An action of another version is refused with that code, too.
 #[test]
 fn every_training_is_computed_again_from_the_shared_store_alone() {

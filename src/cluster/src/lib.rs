@@ -7,7 +7,7 @@
 //! FOLDER/<key>.json      end of the job, written by rename ([`JobResult`])
 //! FOLDER/<key>.progress  progress of the job ([`JobProgress`])
 //! FOLDER/<key>.backend   the backend of the GPU of a machine of jobs, which is in keys ([`BackendQuestion`])
-//! FOLDER/<key>/          scratch store of the job with checkpoints, until it has a result
+//! FOLDER/<key>/          scratch folder of the job, with its store and checkpoints, until it has a result
 //! ```
 //! FOLDER is on a file system that the machine of the run and those of the jobs share. Inputs and results travel through a shared
 //! store. Only the file of a job reports how it ended. The batch system is asked which jobs exist, never how one ended: its

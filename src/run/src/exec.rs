@@ -31,8 +31,8 @@ pub enum ExecResult {
 }
 
 /// Computes actions, or answers which backend this machine has. `given` is a file with one action a line, or the key of a result in the
-/// shared store. The outcome is written to `result`. `scratch` is the folder for checkpoints and fetched blobs, by default a temporary one.
-/// It is kept until there is a result.
+/// shared store. The outcome is written to `result`. Checkpoints and fetched blobs are in a folder of the job below `scratch`, by default
+/// a temporary one. The folder of the job is kept until there is a result.
 ///
 /// # Errors
 /// A shared store that cannot be used, actions that cannot be computed here, a file that cannot be written.
@@ -62,7 +62,7 @@ pub fn exec(
                 scratch,
                 remote: &remote,
             };
-            machine.compute(list, reader)
+            machine.compute(&task.key, list, reader)
         }
         Work::Backend(question) => backend_of(question),
     };
@@ -192,15 +192,22 @@ struct Machine<'a> {
 }
 
 impl Machine<'_> {
-    /// Computes actions one after the other and sends their results. Returns the conflicts with results that were there.
-    fn compute<R: Upstream + 'static>(&self, actions: &[Action], reader: Arc<R>) -> Result<Outcome, Error> {
+    /// Computes the actions of a job one after the other and sends their results. Returns the conflicts with results that were there.
+    fn compute<R: Upstream + 'static>(
+        &self,
+        job: &Digest,
+        actions: &[Action],
+        reader: Arc<R>,
+    ) -> Result<Outcome, Error> {
         let kept = self.scratch;
         let temporary = kept.is_none().then(tempfile::tempdir).transpose();
         let temporary = temporary.map_err(|error| Error::failed(error.to_string()))?;
         let dir = kept
             .or(temporary.as_ref().map(|dir| dir.path()))
             .unwrap_or(Path::new("."));
-        let store = open_store(dir, &self.context.cancel)?.with_upstream(reader);
+        // The folder may hold other files of the user.
+        let own = dir.join(job.to_string());
+        let store = open_store(&own, &self.context.cancel)?.with_upstream(reader);
         let made = actions.iter().map(|action| Ok(self.record(action, &store)?.key));
         let keys: Vec<Digest> = made.collect::<Result<_, Error>>()?;
         let stop = StopObserver(self.context.cancel.clone());
@@ -208,7 +215,8 @@ impl Machine<'_> {
         drop(store);
         if let Some(dir) = kept {
             // A folder that cannot be removed only takes space.
-            let _ = std::fs::remove_dir_all(dir);
+            let _ = std::fs::remove_dir_all(&own);
+            let _ = std::fs::remove_dir(dir); // it stays if it holds anything else
         }
         Ok(Outcome {
             conflicts: sent.conflicts,
