@@ -181,6 +181,11 @@ pub fn below(folder: &Path, relative: &str) -> io::Result<PathBuf> {
     Ok(path)
 }
 
+/// Returns whether an error of [`open`] is that there is something else than a regular file.
+pub(crate) fn is_irregular(error: &io::Error) -> bool {
+    error.kind() == ErrorKind::InvalidInput && error.raw_os_error().is_none()
+}
+
 fn check_regular(found: &Metadata) -> io::Result<()> {
     if found.is_symlink() {
         return Err(refused("it is a link"));

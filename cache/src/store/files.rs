@@ -9,6 +9,7 @@ use std::{
 };
 
 use super::error::StoreError;
+use crate::file::{Links, is_irregular, open};
 
 /// Whether a store can be written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -170,11 +171,13 @@ impl Operations for Disk {
     }
 
     fn read(&self, path: &Path) -> io::Result<Vec<u8>> {
-        fs::read(path)
+        let mut bytes = Vec::new();
+        open(path, Links::Followed)?.read_to_end(&mut bytes)?;
+        Ok(bytes)
     }
 
     fn read_at(&self, path: &Path, offset: u64, len: usize) -> io::Result<Vec<u8>> {
-        let mut file = File::open(path)?;
+        let mut file = open(path, Links::Followed)?;
         // Some file systems refuse to seek far behind the end.
         if offset >= file.metadata()?.len() {
             return Ok(Vec::new());
@@ -337,9 +340,12 @@ impl Files {
         }
     }
 
-    /// Reads a whole file, or returns `None` if it is absent.
+    /// Reads a whole file, or returns `None` if it is absent. A pipe or a device is as damaged as an empty file: it is never read.
     pub(super) fn read(&self, path: &Path) -> Result<Option<Vec<u8>>, StoreError> {
-        found(self.0.read(path), path)
+        match self.0.read(path) {
+            Err(error) if is_irregular(&error) => Ok(Some(Vec::new())),
+            read => found(read, path),
+        }
     }
 
     /// Reads bytes of a file from an offset on, fewer at its end. Returns `None` if the file is absent.

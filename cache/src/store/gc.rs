@@ -84,7 +84,7 @@ pub struct GcReport {
     pub packs: u64,
     /// Bytes that this freed.
     pub pack_bytes: u64,
-    /// Folders and files of unfinished work removed.
+    /// Folders of checkpoints of given-up work removed.
     pub scratch: u64,
     /// Objects that the roots need and the store lacks.
     #[serde(skip)]
@@ -141,12 +141,12 @@ impl Store {
             .take(Lock::Collect, Share::Exclusive, &objects.notices)?;
         let used = mark_leases(self, &mut marker, plan.grace)?;
         let dead = find_dead(objects, &marker, plan.grace, &mut report)?;
-        let scratch = self.dead_scratch(plan, &used)?;
-        report.scratch = scratch.len() as u64;
+        let given_up = self.dead_checkpoints(plan, &used)?;
+        report.scratch = given_up.len() as u64;
         if !plan.dry_run {
             remove(objects, &dead)?;
-            for name in scratch {
-                remove_any(objects, &self.scratch().join(name))?;
+            for name in given_up {
+                objects.files.remove_dir_all(&self.checkpoints().join(name))?;
             }
             remove_stale_leases(self, plan.grace)?;
         }
@@ -157,19 +157,19 @@ impl Store {
         Ok(report)
     }
 
-    /// Returns the entries of the scratch folder whose key nothing needs: neither the plan nor a process names it, or
+    /// Returns the folders of checkpoints whose key nothing needs: neither the plan nor a process names it, or
     /// its record is there and no process uses it.
-    fn dead_scratch(&self, plan: &GcPlan, used: &BTreeSet<Digest>) -> Result<Vec<String>, StoreError> {
+    fn dead_checkpoints(&self, plan: &GcPlan, used: &BTreeSet<Digest>) -> Result<Vec<String>, StoreError> {
         let planned: BTreeSet<&Digest> = std::iter::once(&plan.always)
             .chain(&plan.runs)
             .flat_map(|roots| &roots.keys)
             .collect();
         let mut dead = Vec::new();
-        for name in self.objects.files.names(&self.scratch())? {
-            let Some(key) = name.get(..64).and_then(|hex| hex.parse::<Digest>().ok()) else {
+        for name in self.objects.files.names(&self.checkpoints())? {
+            let Ok(key) = name.parse::<Digest>() else {
                 continue;
             };
-            let is_young = is_young(&self.objects, &self.scratch().join(&name), plan.grace);
+            let is_young = is_young(&self.objects, &self.checkpoints().join(&name), plan.grace);
             let is_done = || Ok::<_, StoreError>(commit::record_of(&self.objects, &key)?.is_some());
             if !used.contains(&key) && !is_young && (!planned.contains(&key) || is_done()?) {
                 dead.push(name);
@@ -315,14 +315,6 @@ fn remove(objects: &Objects, dead: &Garbage) -> Result<(), StoreError> {
         objects.files.remove_file(&objects.loose_path(digest))?;
     }
     Ok(())
-}
-
-fn remove_any(objects: &Objects, path: &std::path::Path) -> Result<(), StoreError> {
-    if path.is_dir() {
-        objects.files.remove_dir_all(path)
-    } else {
-        objects.files.remove_file(path)
-    }
 }
 
 /// Living objects of a pack, sorted, and their bytes.

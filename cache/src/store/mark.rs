@@ -17,9 +17,6 @@ use crate::{
     manifest::{Leaf, LeafRef, Root},
 };
 
-/// First bytes of a leaf of rows.
-const LEAF_START: &[u8] = b"{\"id\":";
-
 /// How a set is reached: what its leaves are, and whether they must be in the store.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 enum Walk {
@@ -193,13 +190,22 @@ impl<'a> Marker<'a> {
         Ok(Some(true))
     }
 
-    /// Marks a blob, and lists it where it is missing. Returns whether it is new.
+    /// Marks a blob, and lists it where it is missing. Returns whether it is there.
     fn blob(&mut self, digest: &Digest, role: Role, owner: &Digest) -> Result<bool, StoreError> {
-        let visited = self.visit(Kind::Blob, digest)?;
-        if visited.is_none() {
+        let is_there = self.visit(Kind::Blob, digest)?.is_some();
+        if !is_there {
             self.miss(digest, role, owner);
         }
-        Ok(visited == Some(true))
+        Ok(is_there)
+    }
+
+    /// Notes that what a set or leaf names is followed. Returns whether it was not before.
+    fn walk(&mut self, digest: &Digest, walk: Walk) -> bool {
+        let is_new = self.walked.insert((*digest, walk));
+        if is_new {
+            self.note(Step::Walked(*digest, walk));
+        }
+        is_new
     }
 
     /// Lists an object that is missing, once, as what it was first found to be named.
@@ -324,9 +330,8 @@ impl<'a> Marker<'a> {
     }
 
     fn follow_action(&mut self, key: &Digest) -> Result<(), StoreError> {
-        if !self.blob(key, Role::Action, key)? {
-            return Ok(());
-        }
+        // A process may use the action as a blob: a mark on it does not show that its inputs are marked.
+        self.blob(key, Role::Action, key)?;
         let bytes = self.read(key, Role::Action, key)?;
         let action = bytes.and_then(|bytes| Action::decode(&bytes).ok());
         for (name, input) in action.iter().flat_map(|action| &action.inputs) {
@@ -386,10 +391,9 @@ impl<'a> Marker<'a> {
 
     /// Marks everything that a set consists of. Does nothing for a blob that is not a set.
     fn follow_set(&mut self, root: &Digest, owner: &Digest, walk: Walk) -> Result<(), StoreError> {
-        if !self.objects.is_set(root)? || !self.walked.insert((*root, walk)) {
+        if !self.objects.is_set(root)? || !self.walk(root, walk) {
             return Ok(());
         }
-        self.note(Step::Walked(*root, walk));
         let Some(bytes) = self.read(root, Role::Root, owner)? else {
             return Ok(());
         };
@@ -414,7 +418,7 @@ impl<'a> Marker<'a> {
         walk: Walk,
     ) -> Result<(), StoreError> {
         let digest = &leaf.leaf;
-        let is_new = match walk {
+        let is_there = match walk {
             Walk::Parts => {
                 self.tasks.push(Task::Key {
                     key: *digest,
@@ -424,9 +428,10 @@ impl<'a> Marker<'a> {
                 return Ok(());
             }
             Walk::Output => self.blob(digest, Role::Leaf, root)?,
-            Walk::Input => self.visit(Kind::Blob, digest)? == Some(true),
+            Walk::Input => self.visit(Kind::Blob, digest)?.is_some(),
         };
-        if !is_new || self.objects.peek(digest, LEAF_START.len())?.as_deref() != Some(LEAF_START) {
+        // As with an action, a mark on a leaf does not show that its rows are marked.
+        if !is_there || !self.objects.is_leaf(digest)? || !self.walk(digest, walk) {
             return Ok(());
         }
         let bytes = self.read(digest, Role::Leaf, root)?;

@@ -10,6 +10,7 @@
 //! .marf/locks/                   empty files that processes lock
 //! .marf/tmp/<id>/                temporary files of one open store
 //! .marf/bad/                     quarantine: damaged files
+//! .marf/checkpoints/<key>/       state of unfinished work, until it has a result or a collection finds it given up
 //! .marf/scratch/                 files of unfinished work of stages, which may be removed at any time
 //! ```
 //!
@@ -192,6 +193,11 @@ impl Store {
     /// Returns the folder for files of unfinished work, which may be absent.
     pub fn scratch(&self) -> PathBuf {
         self.dir.join("scratch")
+    }
+
+    /// Returns the folder with a folder of checkpoints for each key, which may be absent.
+    pub fn checkpoints(&self) -> PathBuf {
+        self.dir.join("checkpoints")
     }
 
     /// Returns whether the store was opened without permission to write.

@@ -18,7 +18,7 @@ use super::{
     pack::{self, Contents, Entry, Kind, Window},
     staging::StagingDir,
 };
-use crate::Digest;
+use crate::{Digest, file::is_irregular};
 
 /// Attempts to read an object whose pack others rewrite at the same time.
 const ATTEMPTS: usize = 6;
@@ -27,6 +27,8 @@ const REFRESH_PATIENCE: std::time::Duration = std::time::Duration::from_secs(5);
 
 /// First bytes of a set: its root names blocks.
 const SET_START: &[u8] = b"{\"block\":";
+/// First bytes of a leaf of rows.
+const LEAF_START: &[u8] = b"{\"id\":";
 
 /// All committed objects of a store, also those that other processes add.
 pub(super) struct Objects {
@@ -177,8 +179,10 @@ impl Objects {
 
     /// Returns the first bytes of a blob, unverified: enough to recognise its form.
     pub(super) fn peek(&self, digest: &Digest, len: usize) -> Result<Option<Vec<u8>>, StoreError> {
-        if let Some(bytes) = self.files.read_at(&self.loose_path(digest), 0, len)? {
-            return Ok(Some(bytes));
+        match self.files.read_at(&self.loose_path(digest), 0, len) {
+            Err(StoreError::Io { source, .. }) if is_irregular(&source) => return Ok(Some(Vec::new())),
+            Ok(None) => {}
+            read => return read,
         }
         let Some(location) = self.locate(Kind::Blob, digest)? else {
             return Ok(None);
@@ -191,6 +195,11 @@ impl Objects {
     /// Returns whether a blob begins as the root of a set does.
     pub(super) fn is_set(&self, digest: &Digest) -> Result<bool, StoreError> {
         Ok(self.peek(digest, SET_START.len())?.as_deref() == Some(SET_START))
+    }
+
+    /// Returns whether a blob begins as a leaf of rows does.
+    pub(super) fn is_leaf(&self, digest: &Digest) -> Result<bool, StoreError> {
+        Ok(self.peek(digest, LEAF_START.len())?.as_deref() == Some(LEAF_START))
     }
 
     /// Reads an entry of a pack and returns its content if it is whole. Repairs nothing.

@@ -89,7 +89,7 @@ pub(crate) struct FileCheckpoints<'a> {
 impl<'a> FileCheckpoints<'a> {
     pub(crate) fn new(store: &Store, key: &Digest, node: &str, listener: &'a dyn Listener) -> Self {
         Self {
-            dir: store.dir().join("checkpoints").join(key.to_string()),
+            dir: store.checkpoints().join(key.to_string()),
             node: node.to_owned(),
             listener,
         }

@@ -94,6 +94,14 @@ fn rich(store: &Store) -> (Record, Vec<Digest>, Vec<Digest>) {
     (record, keys, blobs)
 }
 
+/// Makes a checkpoint of a key.
+fn checkpoint(store: &Store, key: &Digest) -> PathBuf {
+    let folder = store.checkpoints().join(key.to_string());
+    fs::create_dir_all(&folder).unwrap();
+    fs::write(folder.join("training"), b"").unwrap();
+    folder
+}
+
 #[test]
 fn a_closure_holds_action_inputs_outputs_needs_parts_and_children() {
     let (_dir, store) = fresh();
@@ -166,21 +174,13 @@ fn a_collection_keeps_the_closure_of_its_roots_and_removes_the_rest() {
         let blob = store.put(name).unwrap();
         store.put_memo(Digest::from_content(name), blob, maker);
     }
-    let scratch = [
-        Digest::from_content(b"under way"),
-        Digest::from_content(b"given up"),
-        kept.key,
-    ]
-    .map(|key| {
-        let path = store.scratch().join(format!("{key}.state"));
-        fs::create_dir_all(store.scratch()).unwrap();
-        fs::write(&path, b"").unwrap();
-        path
-    });
+    let [under_way, in_use, given_up] = [&b"under way"[..], b"in use", b"given up"].map(Digest::from_content);
+    let checkpoints = [under_way, in_use, given_up, kept.key].map(|key| checkpoint(&store, &key));
     store.commit().unwrap();
     drop(store);
     let store = reopen(&dir);
-    let mut plan = plan(&[kept.key, Digest::from_content(b"under way")]);
+    assert_eq!(store.hit(&in_use).unwrap(), None);
+    let mut plan = plan(&[kept.key, under_way]);
     plan.dry_run = true;
     let promised = store.gc(&plan).unwrap();
     assert!(store.objects.contains(&dead.outputs["photos"].digest));
@@ -197,7 +197,7 @@ fn a_collection_keeps_the_closure_of_its_roots_and_removes_the_rest() {
         },
         report
     );
-    assert_eq!(scratch.map(|path| path.exists()), [true, false, false]);
+    assert_eq!(checkpoints.map(|path| path.exists()), [true, true, false, false]);
     for store in [&store, &reopen(&dir)] {
         let closure = store.closure(&[kept.key], &[]).unwrap();
         assert_eq!((&closure.keys, &closure.blobs), (&keys, &blobs));
@@ -249,6 +249,7 @@ fn runs_are_kept_from_the_newest_on_as_long_as_they_fit() {
 fn what_is_younger_than_the_grace_stays() {
     let (dir, store) = fresh();
     store.put_record(record("k", &store, &large(3)));
+    let folder = checkpoint(&store, &Digest::from_content(b"given up"));
     store.commit().unwrap();
     drop(store);
     let store = reopen(&dir);
@@ -257,10 +258,11 @@ fn what_is_younger_than_the_grace_stays() {
         ..GcPlan::default()
     };
     assert_eq!(store.gc(&plan).unwrap().records, 0);
-    assert_eq!(store.records().unwrap().len(), 1);
+    assert_eq!((store.records().unwrap().len(), folder.exists()), (1, true));
     // The lease of the process that ended is as old as its objects.
     assert_eq!(files_below(&store.dir().join("leases")).len(), 1);
     assert_eq!(store.gc(&GcPlan::default()).unwrap().records, 1);
+    assert!(!folder.exists());
     assert_eq!(files_below(&store.dir().join("leases")).len(), 0);
 }
 
@@ -313,6 +315,63 @@ fn what_a_process_found_stays_until_it_ends() {
     drop(user);
     collector.gc(&GcPlan::default()).unwrap();
     assert_eq!(collector.stat().unwrap().packs, 0);
+}
+
+/// A process uses one object of a kept run after the other: an action, a leaf, a list, a record.
+#[test]
+fn a_kept_run_is_whole_whatever_of_it_a_process_uses() {
+    let (_dir, store) = fresh();
+    let (record, keys, blobs) = rich(&store);
+    let plan = GcPlan {
+        runs: vec![Roots {
+            keys: vec![record.key],
+            blobs: Vec::new(),
+        }],
+        ..GcPlan::default()
+    };
+    let whole = |user: &dyn Fn(&Store), what: Digest| {
+        let (dir, store) = fresh();
+        rich(&store);
+        drop(store);
+        let store = reopen(&dir);
+        user(&store);
+        let collector = reopen(&dir);
+        assert_eq!(collector.gc(&plan).unwrap().missing, [], "{what}");
+        drop(store);
+        let closure = collector.closure(&[record.key], &[]).unwrap();
+        assert_eq!(
+            (&closure.keys, &closure.blobs, closure.missing),
+            (&keys, &blobs, Vec::new()),
+            "{what}"
+        );
+    };
+    for blob in &blobs {
+        let bytes = store.get(blob).unwrap();
+        whole(&|user| assert_eq!(user.put(&bytes).unwrap(), *blob), *blob);
+    }
+    for key in &keys {
+        whole(&|user| assert!(user.hit(key).unwrap().is_some()), *key);
+    }
+}
+
+/// Also without a run that keeps it.
+#[test]
+fn a_result_that_a_process_uses_keeps_its_inputs() {
+    let (dir, store) = fresh();
+    let input = store.put(b"of a result in use").unwrap();
+    let action = action("blur", "with an input", &[input]);
+    store.put(&action.encode()).unwrap();
+    let record = record_of(&action, store.put(b"output").unwrap(), 6);
+    store.put_record(record.clone());
+    store.commit().unwrap();
+    drop(store);
+    let user = reopen(&dir);
+    assert!(user.hit(&record.key).unwrap().is_some());
+    let collector = reopen(&dir);
+    collector.gc(&GcPlan::default()).unwrap();
+    assert_eq!(&*user.get(&input).unwrap(), b"of a result in use");
+    drop(user);
+    assert_eq!(collector.gc(&GcPlan::default()).unwrap().records, 1);
 }
 
 /// Writers that share blobs, processes that come and go, and a collector without any grace.

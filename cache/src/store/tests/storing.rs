@@ -204,6 +204,36 @@ fn a_reference_to_a_file_that_is_gone_is_lost_and_can_be_stored_again() {
     assert!(store.put_reference(&path, 1 << 20).is_err());
 }
 
+/// A pipe would block and a device would fill the memory.
+#[test]
+#[cfg(unix)]
+fn a_reference_to_what_is_no_regular_file_any_more_is_damaged() {
+    let (dir, store) = fresh();
+    let path = dir.path().join("photo");
+    fs::write(&path, large(3)).unwrap();
+    let (digest, _) = store.put_reference(&path, 1 << 20).unwrap();
+    store.commit().unwrap();
+    let loose = store.objects.loose_path(&digest);
+    let made = std::process::Command::new("mkfifo")
+        .arg(dir.path().join("pipe"))
+        .status();
+    assert!(made.unwrap().success());
+    for device in ["/dev/zero", "pipe"].map(|name| dir.path().join(name)) {
+        let _ = fs::remove_file(&loose);
+        std::os::unix::fs::symlink(&device, &loose).unwrap();
+        assert_eq!(store.objects.peek(&digest, 9).unwrap(), Some(Vec::new()));
+        let options = FsckOptions {
+            read_data: ReadShare::ALL,
+            repair: false,
+        };
+        let faults = store.fsck(options).unwrap().faults;
+        assert_eq!((faults.len(), faults[0].object), (1, Some(digest)), "{faults:?}");
+        assert!(store.put_reference(&device, 1 << 20).is_err());
+        assert!(matches!(store.get(&digest), Err(StoreError::Damaged { .. })));
+        assert!(matches!(store.get(&digest), Err(StoreError::Missing { .. })));
+    }
+}
+
 #[test]
 fn a_file_above_the_limit_is_refused_with_both_numbers() {
     let (dir, store) = fresh();
