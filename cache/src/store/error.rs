@@ -69,6 +69,9 @@ pub enum StoreError {
         /// Why not.
         message: String,
     },
+    /// The caller wants to stop.
+    #[error("stopped")]
+    Stopped,
     /// A later program wrote the store.
     #[error("the store `{}` has format {found}, but this program reads format {known}", path.display())]
     Newer {

@@ -91,7 +91,7 @@ impl Store {
     ///
     /// # Errors
     /// Returns an error if the store cannot be read, or cannot be written for a repair. Faults are not
-    /// errors.
+    /// errors. [`StoreError::Stopped`], between two objects and before a repair.
     pub fn fsck(&self, options: FsckOptions) -> Result<FsckReport, StoreError> {
         self.commit()?;
         let mut check = Check {
@@ -112,6 +112,7 @@ impl Store {
         check.records()?;
         check.runs()?;
         if options.repair {
+            check.go_on()?;
             check.repair()?;
         }
         Ok(check.report)
@@ -119,6 +120,14 @@ impl Store {
 }
 
 impl Check<'_> {
+    /// Returns an error if the caller wants to stop.
+    fn go_on(&self) -> Result<(), StoreError> {
+        if self.store.objects.notices.is_interrupted() {
+            return Err(StoreError::Stopped);
+        }
+        Ok(())
+    }
+
     fn fault(&mut self, file: impl Into<PathBuf>, object: Option<Digest>, what: &'static str) {
         self.report.faults.push(Fault {
             file: file.into(),
@@ -145,6 +154,7 @@ impl Check<'_> {
         let mut found = Vec::new();
         objects.for_each_loose(|digest, _| found.push(digest))?;
         for digest in found {
+            self.go_on()?;
             self.report.blobs += 1;
             if !self.options.read_data.has(&digest) {
                 continue;
@@ -177,6 +187,7 @@ impl Check<'_> {
         let mut window = Window::new(&objects.files, &path);
         let mut bad = Vec::new();
         for entry in &contents.entries {
+            self.go_on()?;
             let count = match entry.kind {
                 Kind::Blob => &mut self.report.blobs,
                 Kind::Record => &mut self.report.records,
@@ -297,6 +308,7 @@ impl Check<'_> {
         let mut breaks: BTreeMap<Digest, Vec<(String, Digest)>> = BTreeMap::new();
         let mut missing = BTreeSet::new();
         for key in store.objects.index.ids(Kind::Record)? {
+            self.go_on()?;
             let json = store.objects.whole_payload(Kind::Record, &key)?;
             let Some(record) = json.and_then(|json| Record::decode(&json)) else {
                 continue;

@@ -60,89 +60,92 @@ impl Listings {
     }
 }
 
-/// Lists what a source offers, on the threads of `pool`. None for other stages.
-pub(crate) fn list(
-    stage: &dyn Stage,
-    store: &Store,
-    cancel: &Cancel,
-    progress: &dyn Progress,
-    pool: &rayon::ThreadPool,
-) -> Result<Option<SourceListing>, StageError> {
-    let Work::Source(source) = stage.work() else {
-        return Ok(None);
-    };
-    let listing = asked(store, cancel, progress, pool, |ctx| source.list(ctx))?;
-    let unsorted = listing
-        .shards
-        .windows(2)
-        .find(|pair| pair[0].shard >= pair[1].shard);
-    if let Some(pair) = unsorted {
-        let shard = pair[1].shard;
-        return Err(contract_violation(format!(
-            "shard {shard} is listed twice or out of order"
-        )));
+/// What a source needs to answer questions about its archive.
+pub(crate) struct Inquiry<'a> {
+    /// The store, which the source may read.
+    pub(crate) store: &'a Store,
+    pub(crate) cancel: &'a Cancel,
+    pub(crate) progress: &'a dyn Progress,
+    /// The threads that the source works on.
+    pub(crate) pool: &'a rayon::ThreadPool,
+}
+
+impl Inquiry<'_> {
+    /// Lists what a source offers. None for other stages.
+    pub(crate) fn list(&self, stage: &dyn Stage) -> Result<Option<SourceListing>, StageError> {
+        let Work::Source(source) = stage.work() else {
+            return Ok(None);
+        };
+        let listing = self.ask(|ctx| source.list(ctx))?;
+        let unsorted = listing
+            .shards
+            .windows(2)
+            .find(|pair| pair[0].shard >= pair[1].shard);
+        if let Some(pair) = unsorted {
+            let shard = pair[1].shard;
+            return Err(contract_violation(format!(
+                "shard {shard} is listed twice or out of order"
+            )));
+        }
+        Ok(Some(SourceListing::new(listing)))
     }
-    Ok(Some(SourceListing::new(listing)))
-}
 
-/// Asks a source, on the threads of `pool`. The source may read the store.
-fn asked<T: Send>(
-    store: &Store,
-    cancel: &Cancel,
-    progress: &dyn Progress,
-    pool: &rayon::ThreadPool,
-    question: impl Fn(&Ctx<'_>) -> Result<T, StageError> + Sync,
-) -> Result<T, StageError> {
-    let scratch: PathBuf = store.scratch();
-    let blobs = StoreBlobs::new(store);
-    pool.install(|| {
-        let ctx = Ctx {
-            blobs: &blobs,
-            cancel,
-            progress,
-            checkpoints: &ReadOnly(store),
-            memos: &ReadOnly(store),
-            scratch: &scratch,
-            threads: pool.current_num_threads(),
-            began: Instant::now(),
-        };
-        catch_unwind(AssertUnwindSafe(|| question(&ctx)))
-            .unwrap_or_else(|payload| Err(panicked(payload.as_ref())))
-    })
-}
+    fn ask<T: Send>(
+        &self,
+        question: impl Fn(&Ctx<'_>) -> Result<T, StageError> + Sync,
+    ) -> Result<T, StageError> {
+        let scratch: PathBuf = self.store.scratch();
+        let blobs = StoreBlobs::new(self.store);
+        let (store, cancel, progress) = (self.store, self.cancel, self.progress);
+        let threads = self.pool.current_num_threads();
+        self.pool.install(|| {
+            let ctx = Ctx {
+                blobs: &blobs,
+                cancel,
+                progress,
+                checkpoints: &ReadOnly(store),
+                memos: &ReadOnly(store),
+                scratch: &scratch,
+                threads,
+                began: Instant::now(),
+            };
+            catch_unwind(AssertUnwindSafe(|| question(&ctx)))
+                .unwrap_or_else(|payload| Err(panicked(payload.as_ref())))
+        })
+    }
 
-/// Returns every file that differs between a listing and that of an earlier action. Only shards whose files both know are compared.
-pub(crate) fn file_changes(
-    stage: &dyn Stage,
-    store: &Store,
-    pool: &rayon::ThreadPool,
-    listed: &SourceListing,
-    earlier: &Action,
-) -> Result<Vec<Change>, StageError> {
-    let Work::Source(source) = stage.work() else {
-        return Ok(Vec::new());
-    };
-    let (mut old, mut new) = (BTreeMap::new(), BTreeMap::new());
-    for change in listed.changes_since(store, earlier).unwrap_or_default() {
-        let Some(shard) = change.shard() else { continue };
-        let cancel = Cancel::default();
-        let now = asked(store, &cancel, &NoProgress, pool, |ctx| match change.new {
-            Some(_) => source.files(ctx, shard),
-            None => Ok(Some(Files::default())),
-        })?;
-        let digest = change.old.as_ref().and_then(|digest| digest.parse().ok());
-        let before = match digest {
-            Some(digest) => store.get(&digest).ok().and_then(|bytes| Files::decode(&bytes)),
-            None => Some(Files::default()),
+    /// Returns every file that differs between a listing and that of an earlier action. Only shards whose files both know are compared.
+    pub(crate) fn file_changes(
+        &self,
+        stage: &dyn Stage,
+        listed: &SourceListing,
+        earlier: &Action,
+    ) -> Result<Vec<Change>, StageError> {
+        let Work::Source(source) = stage.work() else {
+            return Ok(Vec::new());
         };
-        if let (Some(before), Some(now)) = (before, now) {
-            for (files, paths) in [(before, &mut old), (now, &mut new)] {
-                let files = files.0.into_iter();
-                paths.extend(files.map(|(name, digest)| (file_path(shard, &name), digest.to_string())));
+        let store = self.store;
+        let (mut old, mut new) = (BTreeMap::new(), BTreeMap::new());
+        for change in listed.changes_since(store, earlier).unwrap_or_default() {
+            let Some(shard) = change.shard() else { continue };
+            let now = self.ask(|ctx| match change.new {
+                Some(_) => source.files(ctx, shard),
+                None => Ok(Some(Files::default())),
+            })?;
+            let digest = change.old.as_ref().and_then(|digest| digest.parse().ok());
+            let before = match digest {
+                Some(digest) => store.get(&digest).ok().and_then(|bytes| Files::decode(&bytes)),
+                None => Some(Files::default()),
+            };
+            if let (Some(before), Some(now)) = (before, now) {
+                for (files, paths) in [(before, &mut old), (now, &mut new)] {
+                    let files = files.0.into_iter();
+                    paths.extend(files.map(|(name, digest)| (file_path(shard, &name), digest.to_string())));
+                }
             }
         }
+        Ok(changes_between(&old, &new))
     }
-    Ok(changes_between(&old, &new))
 }
 
 /// Returns the inputs that represent a listing. `put` stores their bytes, or only computes digests.

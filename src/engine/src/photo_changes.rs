@@ -1,6 +1,6 @@
 //! Which photos differ between the set that made the last result of a node and the set it would read now.
 
-use std::{collections::BTreeMap, num::NonZero};
+use std::collections::BTreeMap;
 
 use marf_cache::{Action, Digest, Record, SetError, Store, StoreError, manifest::LeafRef};
 use marf_stage::PHOTOS;
@@ -8,9 +8,9 @@ use marf_stage::PHOTOS;
 use crate::{
     graph::Graph,
     key::{Change, action_at, changes_between, photo_path},
-    listing::file_changes,
+    listing::{Inquiry, NoProgress},
     measure_table::row_digest,
-    plan::{NodePreview, plan_all},
+    plan::{NodePreview, PlanOptions, plan_all},
     record::{EngineError, RunRecord},
     run,
 };
@@ -20,18 +20,18 @@ use crate::{
 /// source that will run, the answer is the files that differ, unless they are known only after a fetch.
 ///
 /// # Errors
-/// A store that cannot be read, a name that is not in the graph.
+/// A store that cannot be read, a name that is not in the graph, the wish to stop.
 pub fn photo_changes(
     graph: &Graph,
     store: &Store,
     last: Option<&RunRecord>,
-    threads: Option<NonZero<usize>>,
+    options: &PlanOptions,
     node: &str,
 ) -> Result<Vec<Change>, EngineError> {
     let index = graph
         .index(node)
         .ok_or_else(|| EngineError::unknown(graph, node))?;
-    let known = plan_all(graph, store, last, threads, None)?;
+    let known = plan_all(graph, store, last, options, None)?;
     let index = nearest_known(graph, &known, index);
     let Some(record) = last_record(store, last, &graph.nodes[index].name)? else {
         return Ok(Vec::new());
@@ -40,10 +40,21 @@ pub fn photo_changes(
     let (Some(now), Some(before)) = (set_now(&known[index]), last_set(&record, action.as_ref())) else {
         return match (&known[index].listed, &action) {
             (Some(listed), Some(earlier)) => {
-                let pool = run::pool(run::threads(threads))?;
+                let inquiry = Inquiry {
+                    store,
+                    cancel: &options.cancel,
+                    progress: &NoProgress,
+                    pool: &run::pool(run::threads(options.threads))?,
+                };
                 let stage = graph.nodes[index].bound.as_ref();
-                file_changes(stage, store, &pool, listed, earlier)
-                    .map_err(|error| EngineError::BadSet(error.to_string()))
+                let changes = inquiry.file_changes(stage, listed, earlier);
+                changes.map_err(|error| {
+                    if options.cancel.is_set() {
+                        EngineError::Stopped
+                    } else {
+                        EngineError::BadSet(error.to_string())
+                    }
+                })
             }
             _ => Ok(Vec::new()),
         };

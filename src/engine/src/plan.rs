@@ -10,7 +10,7 @@ use crate::{
     earlier::KeyRequest,
     graph::{Graph, Node},
     key::{Change, Key, action_at, node_key},
-    listing::{NoProgress, SourceListing, list},
+    listing::{Inquiry, NoProgress, SourceListing},
     lookup::{Lookup, RunReason, because, look_up, lost_output, outputs_of, why_missed},
     needs::Needs,
     record::{EngineError, RunRecord},
@@ -72,18 +72,26 @@ impl PlanState {
     }
 }
 
-/// Returns the plan of a run, in topological order. `last` is the last run of this pipeline. `threads` is the number of threads for
-/// listings, by default all cores.
+/// How sources are listed for a plan.
+#[derive(Debug, Clone, Default)]
+pub struct PlanOptions {
+    /// Threads for listings, by default all cores.
+    pub threads: Option<NonZero<usize>>,
+    /// Set when the user wants to stop.
+    pub cancel: Cancel,
+}
+
+/// Returns the plan of a run, in topological order. `last` is the last run of this pipeline.
 ///
 /// # Errors
-/// A store that cannot be read.
+/// A store that cannot be read, the wish to stop.
 pub fn plan(
     graph: &Graph,
     store: &Store,
     last: Option<&RunRecord>,
-    threads: Option<NonZero<usize>>,
+    options: &PlanOptions,
 ) -> Result<Vec<PlannedNode>, EngineError> {
-    plan_beside(graph, store, last, threads, None)
+    plan_beside(graph, store, last, options, None)
 }
 
 /// As [`plan`], of a run that fetches the results that its store lacks from a shared store.
@@ -94,10 +102,10 @@ pub fn plan_beside(
     graph: &Graph,
     store: &Store,
     last: Option<&RunRecord>,
-    threads: Option<NonZero<usize>>,
+    options: &PlanOptions,
     shared: Option<&dyn SharedResults>,
 ) -> Result<Vec<PlannedNode>, EngineError> {
-    let known = plan_all(graph, store, last, threads, shared)?.into_iter();
+    let known = plan_all(graph, store, last, options, shared)?.into_iter();
     Ok(known.map(|known| known.node).collect())
 }
 
@@ -106,7 +114,7 @@ pub(crate) fn plan_all(
     graph: &Graph,
     store: &Store,
     last: Option<&RunRecord>,
-    threads: Option<NonZero<usize>>,
+    options: &PlanOptions,
     shared: Option<&dyn SharedResults>,
 ) -> Result<Vec<NodePreview>, EngineError> {
     let planner = Planner {
@@ -114,7 +122,8 @@ pub(crate) fn plan_all(
         graph,
         store,
         last,
-        pool: run::pool(run::threads(threads))?,
+        cancel: &options.cancel,
+        pool: run::pool(run::threads(options.threads))?,
     };
     let mut known: Vec<NodePreview> = Vec::new();
     for index in 0..graph.nodes.len() {
@@ -137,6 +146,7 @@ struct Planner<'a> {
     graph: &'a Graph,
     store: &'a Store,
     last: Option<&'a RunRecord>,
+    cancel: &'a Cancel,
     pool: rayon::ThreadPool,
     shared: Option<&'a dyn SharedResults>,
 }
@@ -148,10 +158,16 @@ impl Planner<'_> {
             Ok(inputs) => inputs,
             Err(upstream) => return Ok(self.behind(node, &known[upstream].node)),
         };
-        let cancel = Cancel::default();
-        let ask = || list(node.bound.as_ref(), self.store, &cancel, &NoProgress, &self.pool);
+        let inquiry = Inquiry {
+            store: self.store,
+            cancel: self.cancel,
+            progress: &NoProgress,
+            pool: &self.pool,
+        };
+        let ask = || inquiry.list(node.bound.as_ref());
         let listed = match self.graph.listed(&node.name, ask) {
             Ok(listed) => listed,
+            Err(_) if self.cancel.is_set() => return Err(EngineError::Stopped),
             Err(error) => {
                 let why = because(format!("it cannot list what is there: {error}"));
                 return Ok(self.will_run(node, why, None, None));
@@ -275,15 +291,15 @@ impl Planner<'_> {
 /// Returns the plan of one node.
 ///
 /// # Errors
-/// A store that cannot be read, a name that is not in the graph.
+/// A store that cannot be read, a name that is not in the graph, the wish to stop.
 pub fn why(
     graph: &Graph,
     store: &Store,
     last: Option<&RunRecord>,
-    threads: Option<NonZero<usize>>,
+    options: &PlanOptions,
     node: &str,
 ) -> Result<PlannedNode, EngineError> {
-    let planned = plan(graph, store, last, threads)?.into_iter();
+    let planned = plan(graph, store, last, options)?.into_iter();
     let mut found = planned.filter(|planned| planned.node == node);
     found.next().ok_or_else(|| EngineError::unknown(graph, node))
 }

@@ -205,6 +205,9 @@ pub enum EngineError {
         /// The error of the operating system.
         message: String,
     },
+    /// The user wants to stop.
+    #[error("stopped")]
+    Stopped,
     /// A set of photos that cannot be read.
     #[error("a set of photos cannot be read: {0}")]
     BadSet(String),

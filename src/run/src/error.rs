@@ -155,6 +155,7 @@ impl From<StoreError> for Error {
     fn from(error: StoreError) -> Self {
         let diagnostic = Diagnostic::with_hint(error.to_string(), error.hint());
         match error {
+            StoreError::Stopped => Self::Interrupted,
             StoreError::Locked { .. } => {
                 Self::Locked(diagnostic.hint("wait for the other run, or give this one its own --store"))
             }
@@ -173,6 +174,7 @@ impl From<EngineError> for Error {
     fn from(error: EngineError) -> Self {
         match error {
             EngineError::Store(error) => error.into(),
+            EngineError::Stopped => Self::Interrupted,
             EngineError::UnknownNode { .. } => Self::usage(error.to_string()),
             EngineError::BadRun { .. } | EngineError::BadSet(_) | EngineError::Threads { .. } => {
                 Self::failed(error.to_string())

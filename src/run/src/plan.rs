@@ -1,6 +1,6 @@
 //! The actions of a run, planned without running it, and their reasons.
 
-use marf_engine::{PlannedNode, SharedResults};
+use marf_engine::{PlanOptions, PlannedNode, SharedResults};
 use marf_schema::scenes::Scenes;
 use marf_stage::Document;
 
@@ -13,18 +13,25 @@ use crate::shared::Shared;
 /// Returns the state of every selected node and the first thing that changed.
 ///
 /// # Errors
-/// A pipeline or a selection that is wrong, a store that cannot be read.
+/// A pipeline or a selection that is wrong, a store that cannot be read, the wish to stop.
 pub fn plan(context: &Context, selection: &Selection) -> Result<Vec<PlannedNode>, Error> {
     let session = known(Session::open(context)?)?;
     let last = session.last()?;
     let shared = Shared::open(&session)?;
     let shared = shared.as_deref().map(|shared| shared as &dyn SharedResults);
     let (graph, store) = (&session.graph, &session.store);
-    let mut nodes = marf_engine::plan_beside(graph, store, last.as_ref(), context.threads, shared)?;
+    let mut nodes = marf_engine::plan_beside(graph, store, last.as_ref(), &options(context), shared)?;
     let selected = scenes::selected(&session, selection)?;
     let chosen = session.graph.select(&selected.to, &selected.from)?;
     nodes.retain(|node| chosen.contains(&node.node));
     Ok(nodes)
+}
+
+fn options(context: &Context) -> PlanOptions {
+    PlanOptions {
+        threads: context.threads,
+        cancel: context.cancel.clone(),
+    }
 }
 
 /// A question why a node would run.
@@ -44,9 +51,9 @@ pub fn why(context: &Context, request: &WhyRequest) -> Result<PlannedNode, Error
     let session = known(Session::open(context)?)?;
     let last = session.last()?;
     let (graph, store, node) = (&session.graph, &session.store, &request.node);
-    let mut planned = marf_engine::why(graph, store, last.as_ref(), context.threads, node)?;
+    let mut planned = marf_engine::why(graph, store, last.as_ref(), &options(context), node)?;
     if request.with_photos {
-        let photos = marf_engine::photo_changes(graph, store, last.as_ref(), context.threads, node)?;
+        let photos = marf_engine::photo_changes(graph, store, last.as_ref(), &options(context), node)?;
         planned.changes.extend(photos);
     }
     Ok(planned)
@@ -60,7 +67,7 @@ fn known(session: Session) -> Result<Session, Error> {
     };
     let last = session.last()?;
     let (graph, store) = (&session.graph, &session.store);
-    let nodes = marf_engine::plan(graph, store, last.as_ref(), session.context.threads)?;
+    let nodes = marf_engine::plan(graph, store, last.as_ref(), &options(&session.context))?;
     let split = nodes.iter().find(|node| node.node == by_scene.split);
     let key = split
         .filter(|node| !node.state.is_open())

@@ -225,6 +225,38 @@ fn a_check_finds_each_damage_names_what_it_breaks_and_repairs_it() {
 }
 
 #[test]
+fn a_check_ends_at_any_object_when_the_caller_wants_it() {
+    use std::sync::atomic::{AtomicUsize, Ordering};
+    let (dir, store) = fresh();
+    for seed in [3, 5] {
+        store.put(&large(seed)).unwrap();
+    }
+    store.put_record(record("k", &store, b"out"));
+    store.commit().unwrap();
+    drop(store);
+    let left = Arc::new(AtomicUsize::new(usize::MAX));
+    let asked = Arc::clone(&left);
+    let is_stopped = move || {
+        asked
+            .fetch_update(Ordering::Relaxed, Ordering::Relaxed, |left| left.checked_sub(1))
+            .is_err()
+    };
+    let store = Store::open_interruptible(dir.path().join(".marf"), is_stopped).unwrap();
+    let options = FsckOptions {
+        read_data: ReadShare::ALL,
+        repair: true,
+    };
+    // Two loose blobs, a pack with action, output and record, the record again, the repair.
+    for objects in 0..7 {
+        left.store(objects, Ordering::Relaxed);
+        let ended = store.fsck(options);
+        assert!(matches!(ended, Err(StoreError::Stopped)), "{objects}: {ended:?}");
+    }
+    left.store(7, Ordering::Relaxed);
+    assert_eq!(store.fsck(options).unwrap().faults, vec![]);
+}
+
+#[test]
 fn a_check_finds_a_false_row_of_the_index_and_repairs_it() {
     let (_dir, store) = fresh();
     let record = record("k", &store, b"out");

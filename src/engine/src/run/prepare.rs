@@ -11,7 +11,7 @@ use crate::{
     earlier::KeyRequest,
     event::{Event, NodeProgress},
     key::Key,
-    listing::{SourceListing, list},
+    listing::{Inquiry, SourceListing},
     lookup::{Lookup, look_up, lost_output, why_missed},
 };
 
@@ -48,13 +48,13 @@ fn prepare(state: &mut RunState<'_>, index: usize) -> Result<(), StoreError> {
     let task = &state.tasks[index];
     let progress = NodeProgress::new(&task.name, context.listener);
     let ask = || {
-        let listed = list(
-            task.bound.as_ref(),
-            context.store,
-            context.cancel,
-            &progress,
-            context.pool,
-        )?;
+        let inquiry = Inquiry {
+            store: context.store,
+            cancel: context.cancel,
+            progress: &progress,
+            pool: context.pool,
+        };
+        let listed = inquiry.list(task.bound.as_ref())?;
         let warnings = listed.iter().flat_map(|listed| &listed.listing.warnings);
         for message in warnings.cloned() {
             let node = Some(task.name.clone());

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use crate::common::*;
 use marf_cache::{Action, Store};
-use marf_engine::{Cancel, Graph, NodeState, Outcome, RunRecord, plan};
+use marf_engine::{Cancel, Graph, NodeState, Outcome, PlanOptions, RunRecord, plan};
 use proptest::prelude::*;
 use serde_json::json;
 
@@ -236,7 +236,13 @@ fn summaries_are_parts_of_the_result_and_hold_no_parameter() {
 fn the_plan_tells_what_is_surely_looked_at() {
     let (_dir, store, number, fixture, first) = after_first_run();
     let extent = |enough| {
-        let planned = plan(&graph(number, enough), &store, Some(&first), None).unwrap();
+        let planned = plan(
+            &graph(number, enough),
+            &store,
+            Some(&first),
+            &PlanOptions::default(),
+        )
+        .unwrap();
         let crowd = planned.into_iter().find(|node| node.node == "crowd").unwrap();
         crowd.extent.map(|extent| (extent.shards, extent.photos))
     };

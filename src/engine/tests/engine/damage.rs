@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use crate::common::*;
 use marf_cache::{Digest, Store};
-use marf_engine::{Outcome, PlanState, RunRecord, RunSource, last_run, plan};
+use marf_engine::{Outcome, PlanOptions, PlanState, RunRecord, RunSource, last_run, plan};
 
 #[test]
 fn a_damaged_output_is_made_again_and_the_stream_says_so() {
@@ -180,7 +180,7 @@ fn what_a_lost_pack_held_is_made_again() {
     drop(store);
     let store = Store::open(dir.path().join(".marf")).unwrap();
     let last = last_run(&store, "test", &RunSource::default(), no_warning).unwrap();
-    let planned = plan(&graph, &store, last.as_ref(), None).unwrap();
+    let planned = plan(&graph, &store, last.as_ref(), &PlanOptions::default()).unwrap();
     let many = planned.iter().find(|node| node.node == "many").unwrap();
     assert_eq!(many.state, PlanState::WillRun, "{}", many.reason);
     let (record, _) = run_on(&graph, &store);

@@ -2,7 +2,9 @@
 
 use crate::common::*;
 use marf_cache::{Action, Store};
-use marf_engine::{Graph, NodeState, Outcome, PlanState, RunRecord, RunSource, last_run, plan, why};
+use marf_engine::{
+    Graph, NodeState, Outcome, PlanOptions, PlanState, RunRecord, RunSource, last_run, plan, why,
+};
 
 /// The archive, its sum times a number, and a list of its results.
 struct AppendPipeline {
@@ -37,7 +39,9 @@ impl AppendPipeline {
     /// Plans and runs. The two must agree on the node, its key and whether it runs.
     fn run(&self, store: &Store) -> (RunRecord, NodeState, EventLog) {
         let last = last_run(store, "test", &RunSource::default(), no_warning).unwrap();
-        let planned = plan(&self.graph(), store, last.as_ref(), None).unwrap().remove(2);
+        let planned = plan(&self.graph(), store, last.as_ref(), &PlanOptions::default())
+            .unwrap()
+            .remove(2);
         let (record, log) = run_on(&self.graph(), store);
         assert_eq!(record.outcome, Outcome::Done, "{:?}", node_events(&log));
         let node = record.node("append").unwrap();
@@ -119,7 +123,14 @@ fn the_earlier_output_stands_in_the_key_and_among_the_changes() {
         &marf_engine::Cancel::default(),
     );
     let last = last_run(&store, "test", &RunSource::default(), no_warning).unwrap();
-    let planned = why(&pipeline.graph(), &store, last.as_ref(), None, "append").unwrap();
+    let planned = why(
+        &pipeline.graph(),
+        &store,
+        last.as_ref(),
+        &PlanOptions::default(),
+        "append",
+    )
+    .unwrap();
     let changes: Vec<String> = planned.changes.iter().map(ToString::to_string).collect();
     assert_eq!(changes, ["input sum changed", "input earlier changed"]);
 }

@@ -7,7 +7,7 @@ use std::{
 
 use crate::common::*;
 use marf_cache::{Digest, Store};
-use marf_engine::{Cancel, Event, Graph, NodeState, Outcome, plan};
+use marf_engine::{Cancel, Event, Graph, NodeState, Outcome, PlanOptions, plan};
 
 fn broken_graph(fixture: u64, how: &str) -> Graph {
     let mut nodes = TestPipeline::new(fixture).nodes();
@@ -92,7 +92,7 @@ fn an_archive_that_cannot_be_listed_fails_with_its_hint() {
     let (_dir, store) = fresh_store();
     let (number, _fixture) = new_fixture();
     let graph = TestPipeline::new(number).graph();
-    let planned = plan(&graph, &store, None, None).unwrap();
+    let planned = plan(&graph, &store, None, &PlanOptions::default()).unwrap();
     assert_eq!(
         planned[0].reason,
         "it cannot list what is there: the archive is empty"

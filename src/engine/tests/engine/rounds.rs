@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use crate::common::*;
-use marf_engine::{Cancel, Graph, NodeState, Outcome, OutputName, PlanState, plan, why};
+use marf_engine::{Cancel, Graph, NodeState, Outcome, OutputName, PlanOptions, PlanState, plan, why};
 use serde_json::json;
 
 /// The nodes up to `sum`, then a knockout with this many draws and rounds.
@@ -68,7 +68,7 @@ fn what_is_stored_is_told_as_it_was_made() {
     assert_eq!(made_by("knockout/8-0"), output("knockout/9-2", "draw"));
     assert_eq!(made_by("knockout/7-0"), output("knockout/8-0", "draw"));
 
-    let planned = plan(&graph, &store, Some(&first), None).unwrap();
+    let planned = plan(&graph, &store, Some(&first), &PlanOptions::default()).unwrap();
     assert!(
         planned.iter().all(|node| node.state == PlanState::Fresh),
         "{planned:?}"
@@ -93,7 +93,7 @@ fn another_round_runs_alone_and_the_plan_tells_why() {
     fixture.put_shard(1);
     let (first, _) = run_on(&knockout(number, json!({ "rounds": 2 })), &store);
     let more = knockout(number, json!({ "rounds": 3 }));
-    let planned = why(&more, &store, Some(&first), None, "knockout").unwrap();
+    let planned = why(&more, &store, Some(&first), &PlanOptions::default(), "knockout").unwrap();
     assert_eq!(planned.reason, "params.rounds: 2 -> 3");
     let (record, log) = run_on(&more, &store);
     assert_eq!(children_that_ran(&log), ["7-0"]);

@@ -13,7 +13,8 @@ use crate::what_ran::after_first_run;
 use proptest::prelude::*;
 
 use marf_engine::{
-    Event, Listener, NodeState, Outcome, PlanState, RunRecord, RunSource, StateListener, last_run, plan, runs,
+    Event, Listener, NodeState, Outcome, PlanOptions, PlanState, RunRecord, RunSource, StateListener,
+    last_run, plan, runs,
 };
 
 #[test]
@@ -75,7 +76,13 @@ fn the_plan_says_never_ran_and_writes_nothing() {
     let (_dir, store) = fresh_store();
     let (number, fixture) = new_fixture();
     fixture.put_shard(1);
-    let planned = plan(&TestPipeline::new(number).graph(), &store, None, None).unwrap();
+    let planned = plan(
+        &TestPipeline::new(number).graph(),
+        &store,
+        None,
+        &PlanOptions::default(),
+    )
+    .unwrap();
     assert_eq!(planned[0].reason, "never ran");
     assert_eq!(planned[1].reason, "upstream archive will run");
     assert!(planned.iter().all(|node| node.state == PlanState::WillRun));

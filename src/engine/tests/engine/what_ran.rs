@@ -4,7 +4,8 @@ use crate::common::*;
 
 use marf_cache::{Action, Digest};
 use marf_engine::{
-    Graph, Listings, NodeState, Outcome, PlanState, PlannedNode, RunSource, last_run, plan, why,
+    EngineError, Graph, Listings, NodeState, Outcome, PlanOptions, PlanState, PlannedNode, RunSource,
+    last_run, plan, why,
 };
 
 /// A store with the pipeline's first run in it.
@@ -57,7 +58,7 @@ fn nothing_runs_when_nothing_changed() {
     );
     assert_eq!(before.1, 37);
     let graph = pipeline.graph();
-    let planned = plan(&graph, &store, Some(&first), None).unwrap();
+    let planned = plan(&graph, &store, Some(&first), &PlanOptions::default()).unwrap();
     assert!(
         planned.iter().all(|node| node.state == PlanState::Fresh),
         "{planned:?}"
@@ -98,7 +99,7 @@ fn graphs_that_share_listings_ask_a_source_once() {
     assert_eq!(fixture.take_fetched(), vec![3]);
     fixture.put_shard(4);
     let graph = pipeline.graph().sharing(&listings);
-    let planned = plan(&graph, &store, Some(&record), None).unwrap();
+    let planned = plan(&graph, &store, Some(&record), &PlanOptions::default()).unwrap();
     assert!(
         planned.iter().all(|node| node.state == PlanState::Fresh),
         "{planned:?}"
@@ -116,10 +117,10 @@ fn a_new_threshold_measures_nothing_and_an_equal_result_stops_there() {
     fixture.take_measured();
     pipeline.most = 13; // no number is 13: the same photos stay
     let graph = pipeline.graph();
-    let planned = why(&graph, &store, Some(&first), None, "at_most").unwrap();
+    let planned = why(&graph, &store, Some(&first), &PlanOptions::default(), "at_most").unwrap();
     assert_eq!(planned.state, PlanState::WillRun);
     assert_eq!(planned.reason, "params.most: 12 -> 13");
-    let downstream = why(&graph, &store, Some(&first), None, "sum").unwrap();
+    let downstream = why(&graph, &store, Some(&first), &PlanOptions::default(), "sum").unwrap();
     assert_eq!(downstream.state, PlanState::MayRun);
     assert_eq!(downstream.reason, "upstream distinct may run");
     let (record, log) = run_on(&graph, &store);
@@ -142,7 +143,7 @@ fn going_back_to_an_old_parameter_runs_nothing() {
     run_on(&pipeline.graph(), &store);
     pipeline.most = 12;
     let last = last_run(&store, "test", &RunSource::default(), no_warning).unwrap();
-    let planned = plan(&pipeline.graph(), &store, last.as_ref(), None).unwrap();
+    let planned = plan(&pipeline.graph(), &store, last.as_ref(), &PlanOptions::default()).unwrap();
     let states: Vec<PlanState> = planned.iter().map(|node| node.state).collect();
     assert_eq!(states[0], PlanState::Fresh);
     assert!(
@@ -185,7 +186,7 @@ fn the_plan_says_how_many_photos_of_how_many_shards_a_node_will_look_at() {
     let (_dir, store, mut pipeline, fixture, first) = after_first_run();
     fixture.put_shard(3);
     let extents = |pipeline: &TestPipeline| -> Vec<_> {
-        let planned = plan(&pipeline.graph(), &store, Some(&first), None).unwrap();
+        let planned = plan(&pipeline.graph(), &store, Some(&first), &PlanOptions::default()).unwrap();
         let of = |node: &PlannedNode| node.extent.map(|extent| (extent.shards, extent.photos));
         planned.iter().map(of).collect()
     };
@@ -221,7 +222,8 @@ fn every_photo_that_was_added_edited_or_removed_is_named() {
     };
     run_with(&graph, &store, &to_archive, &marf_engine::Cancel::default());
     for node in ["at_most", "sum"] {
-        let changes = marf_engine::photo_changes(&graph, &store, Some(&first), None, node).unwrap();
+        let changes =
+            marf_engine::photo_changes(&graph, &store, Some(&first), &PlanOptions::default(), node).unwrap();
         let words: Vec<String> = changes.iter().map(ToString::to_string).collect();
         assert_eq!(
             words,
@@ -235,6 +237,25 @@ fn every_photo_that_was_added_edited_or_removed_is_named() {
     }
 }
 
+#[test]
+fn a_plan_ends_when_the_user_stops_it_while_a_source_is_listed() {
+    let (_dir, store, pipeline, fixture, first) = after_first_run();
+    let (graph, last) = (pipeline.graph(), Some(&first));
+    let asked = |question: &dyn Fn(&PlanOptions) -> Option<EngineError>| {
+        let options = PlanOptions::default();
+        let cancel = options.cancel.clone();
+        *fixture.at_list.lock() = Some(std::sync::Arc::new(move || cancel.set()));
+        question(&options)
+    };
+    for error in [
+        asked(&|options| plan(&graph, &store, last, options).err()),
+        asked(&|options| why(&graph, &store, last, options, "sum").err()),
+        asked(&|options| marf_engine::photo_changes(&graph, &store, last, options, "sum").err()),
+    ] {
+        assert!(matches!(error, Some(EngineError::Stopped)), "{error:?}");
+    }
+}
+
 /// A trial of an older stage would be served for a newer one if the versions of children were in no key of their parent.
 #[test]
 fn a_newer_stage_of_the_children_runs_them_and_their_parent() {
@@ -243,7 +264,7 @@ fn a_newer_stage_of_the_children_runs_them_and_their_parent() {
     let draw = table.iter_mut().find(|def| def.name == "draw").unwrap();
     draw.version = 2;
     let newer = Graph::new(pipeline.nodes(), &table).unwrap();
-    let planned = why(&newer, &store, Some(&first), None, "many").unwrap();
+    let planned = why(&newer, &store, Some(&first), &PlanOptions::default(), "many").unwrap();
     assert_eq!(planned.reason, "version of stage draw 1 -> 2");
     let (_, log) = run_on(&newer, &store);
     assert_eq!(

@@ -33,7 +33,7 @@ pub struct Changed {
 /// files. No server is asked.
 ///
 /// # Errors
-/// A store or a lock that cannot be read.
+/// A store or a lock that cannot be read, the wish to stop.
 pub fn since(context: &Context, lineage: &Run<'_>, nodes: &[&RunNode]) -> Result<Vec<Changed>, Error> {
     let base = context.folder();
     let pins = marf_stages::pinned_products(&base.join(LOCK_FILE));
@@ -53,7 +53,9 @@ pub fn since(context: &Context, lineage: &Run<'_>, nodes: &[&RunNode]) -> Result
             {
                 let now = match (&file.fetched, &folder) {
                     (Some(_), _) => of_lock(by_sol.get(&part.shard), &file),
-                    (None, Some(folder)) if file.bytes.is_some() => of_folder(folder, &file, &context.cancel),
+                    (None, Some(folder)) if file.bytes.is_some() => {
+                        of_folder(folder, &file, &context.cancel)?
+                    }
                     _ => Vec::new(),
                 };
                 if !now.is_empty() {
@@ -118,14 +120,17 @@ fn differences(pin: &PinnedProduct, file: &Origin) -> Vec<String> {
     now
 }
 
-fn of_folder(folder: &Path, file: &Origin, cancel: &Cancel) -> Vec<String> {
+fn of_folder(folder: &Path, file: &Origin, cancel: &Cancel) -> Result<Vec<String>, Error> {
     let read = open(&folder.join(&file.file), Links::Followed)
         .and_then(|file| Digest::from_reader(Stoppable::new(file, || cancel.is_set())));
-    match read {
+    if cancel.is_set() {
+        return Err(Error::Interrupted);
+    }
+    Ok(match read {
         Ok((now, _)) if now == file.blake3 => Vec::new(),
         Ok((now, _)) => vec![format!("the folder has other bytes now, blake3 {now}")],
         Err(error) => vec![format!("the folder has it no longer: {error}")],
-    }
+    })
 }
 
 /// Returns the folder that a source read, if its archive is one, as the pipeline names it.
@@ -137,4 +142,37 @@ fn folder_of(lineage: &Run<'_>, source: &str) -> Option<PathBuf> {
     (table["kind"] == "folder")
         .then(|| table["path"].as_str().map(PathBuf::from))
         .flatten()
+}
+
+#[cfg(test)]
+mod tests {
+    use marf_stage::OriginKind;
+
+    use super::*;
+
+    #[test]
+    fn a_file_that_is_read_when_the_user_stops_is_not_taken_for_a_changed_one() {
+        let dir = tempfile::tempdir().unwrap();
+        let bytes = vec![7; 40 << 20];
+        std::fs::write(dir.path().join("a.png"), &bytes).unwrap();
+        let file = Origin {
+            file: "a.png".to_owned(),
+            kind: OriginKind::Photo,
+            blake3: Digest::from_content(&bytes),
+            bytes: Some(bytes.len() as u64),
+            sha256: None,
+            url: None,
+            fetched: None,
+            reason: None,
+        };
+        assert_eq!(of_folder(dir.path(), &file, &Cancel::default()), Ok(Vec::new()));
+        for checks in 0..3 {
+            let cancel = Cancel::after(checks);
+            assert_eq!(
+                of_folder(dir.path(), &file, &cancel),
+                Err(Error::Interrupted),
+                "{checks}"
+            );
+        }
+    }
 }

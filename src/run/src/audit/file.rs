@@ -52,7 +52,7 @@ pub struct AuditReport {
 /// Traces a file.
 ///
 /// # Errors
-/// A file or a store that cannot be read.
+/// A file or a store that cannot be read, the wish to stop.
 pub fn audit(context: &Context, request: &AuditRequest) -> Result<AuditReport, Error> {
     let file = &request.file;
     let bytes = file_bytes(file, &context.cancel)?;

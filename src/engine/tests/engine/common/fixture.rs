@@ -15,6 +15,7 @@ use serde::{Deserialize, Serialize};
 type AtMeasure = Box<dyn Fn(usize) + Send>;
 type AtDraw = Arc<dyn Fn(u64) + Send + Sync>;
 type AtSum = Arc<dyn Fn() + Send + Sync>;
+type AtList = Arc<dyn Fn() + Send + Sync>;
 type AtContext = Arc<dyn Fn(usize) + Send + Sync>;
 
 /// The archive of one test (shard -> name -> number), and a log of what its stages did.
@@ -29,6 +30,8 @@ pub struct Fixture {
     pub ran: AtomicU64,
     /// Number of reductions of children.
     pub reduced: AtomicU64,
+    /// Called at every listing, which then looks for the wish to stop.
+    pub at_list: Mutex<Option<AtList>>,
     /// Called at every measure with the number of earlier ones.
     pub at_measure: Mutex<Option<AtMeasure>>,
     /// Called when a sum begins.

@@ -113,8 +113,13 @@ stage!(
 );
 
 impl Source for Archive {
-    fn list(&self, _ctx: &Ctx<'_>) -> Result<Listing, StageError> {
+    fn list(&self, ctx: &Ctx<'_>) -> Result<Listing, StageError> {
         let fixture = fixture(self.0.fixture.0);
+        let at_list = fixture.at_list.lock().clone();
+        if let Some(at_list) = at_list {
+            at_list();
+            ctx.check()?;
+        }
         let archive = fixture.archive.lock();
         if archive.is_empty() {
             return Err(StageError::new("the archive is empty").hint("fill it"));
