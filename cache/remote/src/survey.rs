@@ -63,31 +63,25 @@ impl Survey {
         self.conflicts.extend(conflict::between(kept, refused));
     }
 
-    /// Returns the new results in groups: parts and children are in an earlier group than what consists of them.
+    /// Returns the new results in groups: parts and children are in an earlier group than what consists of them. A key does
+    /// not depend on children, so records of another program may name each other in a cycle. They form the last group.
     pub(crate) fn in_order(&self) -> Vec<Vec<&RemoteRecord>> {
-        let mut ranks = BTreeMap::new();
         let mut groups: Vec<Vec<&RemoteRecord>> = Vec::new();
-        for (key, record) in &self.new {
-            let rank = self.rank(key, &mut ranks);
-            groups.resize_with(groups.len().max(rank + 1), Vec::new);
-            if let Some(group) = groups.get_mut(rank) {
-                group.push(record);
+        let mut left: BTreeMap<&Digest, &RemoteRecord> = self.new.iter().collect();
+        while !left.is_empty() {
+            let waits = |record: &RemoteRecord| record.keys.iter().any(|key| left.contains_key(key));
+            let (waiting, ready): (BTreeMap<_, _>, BTreeMap<_, _>) = left
+                .iter()
+                .map(|(key, record)| (*key, *record))
+                .partition(|(_, record)| waits(record));
+            if ready.is_empty() {
+                groups.push(waiting.into_values().collect());
+                break;
             }
+            groups.push(ready.into_values().collect());
+            left = waiting;
         }
         groups
-    }
-
-    /// Returns the number of levels of new results below a key. A key is a digest of what it depends on, so there is no
-    /// cycle.
-    fn rank(&self, key: &Digest, ranks: &mut BTreeMap<Digest, usize>) -> usize {
-        if let Some(rank) = ranks.get(key) {
-            return *rank;
-        }
-        let below = self.new.get(key).into_iter().flat_map(|record| &record.keys);
-        let below = below.filter(|key| self.new.contains_key(key));
-        let rank = below.map(|key| self.rank(key, ranks) + 1).max().unwrap_or(0);
-        ranks.insert(*key, rank);
-        rank
     }
 }
 
@@ -118,5 +112,66 @@ pub(crate) async fn record(
         Ok(Some(found))
     } else {
         Err(bucket.damaged(&name, "it is the result of another key"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use marf_cache::RunMetadata;
+
+    use super::*;
+
+    fn key(name: &str) -> Digest {
+        Digest::from_content(name.as_bytes())
+    }
+
+    /// Returns the groups of results that each name some others, by the names of their stages.
+    fn groups(named: &[(&str, &[&str])]) -> Vec<BTreeSet<String>> {
+        let mut survey = Survey::default();
+        for (name, below) in named {
+            let record = Record {
+                key: key(name),
+                stage: (*name).to_owned(),
+                outputs: BTreeMap::new(),
+                needs: None,
+                parts: None,
+                children: BTreeMap::new(),
+                origins: None,
+                metadata: RunMetadata::default(),
+            };
+            let record = RemoteRecord {
+                record,
+                blobs: Vec::new(),
+                keys: below.iter().map(|name| key(name)).collect(),
+            };
+            survey.new.insert(key(name), record);
+        }
+        let names = |group: &Vec<&RemoteRecord>| group.iter().map(|one| one.record.stage.clone()).collect();
+        survey.in_order().iter().map(names).collect()
+    }
+
+    #[test]
+    fn what_a_result_consists_of_goes_first_and_a_cycle_goes_last() {
+        let chain: &[(&str, &[&str])] = &[
+            ("train", &[]),
+            ("trial", &["train"]),
+            ("tune", &["trial", "train", "known"]),
+        ];
+        assert_eq!(
+            groups(chain),
+            ["train", "trial", "tune"].map(|name| BTreeSet::from([name.to_owned()]))
+        );
+        let cycle: &[(&str, &[&str])] = &[
+            ("itself", &["itself"]),
+            ("one", &["other", "leaf"]),
+            ("other", &["one"]),
+            ("above", &["one"]),
+            ("leaf", &[]),
+        ];
+        let last = ["above", "itself", "one", "other"].map(str::to_owned);
+        assert_eq!(
+            groups(cycle),
+            [BTreeSet::from(["leaf".to_owned()]), BTreeSet::from(last)]
+        );
     }
 }

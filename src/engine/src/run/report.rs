@@ -15,6 +15,9 @@ use crate::{
     record::{NodeInput, NodeRun, NodeState, Outcome, OutputName, RUN_FORMAT, RunRecord},
 };
 
+/// Most levels of children that a record lists below a stored result.
+const MOST_DEPTH: usize = 8;
+
 /// Returns the record of a run, which is not stored yet. A run that goes on counts as stopped here.
 pub(super) fn record(state: &RunState<'_>) -> Result<RunRecord, StoreError> {
     let context = &state.context;
@@ -137,21 +140,30 @@ fn add_run(state: &RunState<'_>, index: usize, runs: &mut Vec<NodeRun>) -> Resul
         state.context.store,
         &task.name,
         &task.outcome.stored_children,
+        &mut Vec::from_iter(task.outcome.key),
         runs,
     )
 }
 
-/// Appends the children of a node whose result was in the store.
+/// Appends the children of a node whose result was in the store. `above` holds the keys of the node and of all nodes above it: a key does
+/// not depend on children, so a record that another program wrote may name one of them as a child.
 fn add_stored(
     store: &Store,
     parent: &str,
     children: &BTreeMap<String, Digest>,
+    above: &mut Vec<Digest>,
     runs: &mut Vec<NodeRun>,
 ) -> Result<(), StoreError> {
+    if above.len() > MOST_DEPTH {
+        return Ok(());
+    }
     for StoredChild {
         name, key, record, ..
     } in in_order(stored_children(store, children)?)
     {
+        if above.contains(&key) {
+            continue;
+        }
         let name = format!("{parent}/{name}");
         runs.push(NodeRun {
             name: name.clone(),
@@ -169,7 +181,9 @@ fn add_stored(
             counts: lasting_counts(&record),
             outputs: record.outputs.clone(),
         });
-        add_stored(store, &name, &record.children, runs)?;
+        above.push(key);
+        add_stored(store, &name, &record.children, above, runs)?;
+        above.pop();
     }
     Ok(())
 }

@@ -1,12 +1,13 @@
 //! A second level of the store: the requests it gets, and the results it is offered.
 
 use std::{
+    collections::BTreeMap,
     path::PathBuf,
     sync::{Arc, Mutex},
 };
 
 use marf_cache::{Digest, Record, Store};
-use marf_engine::{Cancel, Options, RunRecord, SharedResults};
+use marf_engine::{Cancel, Options, RunRecord, SharedResults, action_at};
 
 use crate::common::{EventLog, TestPipeline, fresh_store, new_fixture, options, ran, run_on, run_with};
 
@@ -95,6 +96,53 @@ fn what_the_shared_store_has_is_not_made_and_comes_whole() {
     assert_eq!(closure.missing, []);
     assert_eq!(here.closure(&keys, &[]).unwrap().missing, []);
     assert_eq!(closure.keys, here.closure(&keys, &[]).unwrap().keys);
+}
+
+/// A key does not depend on children, so a record that another program wrote may name any.
+#[test]
+fn a_foreign_record_that_is_its_own_descendant_or_has_many_levels_ends_no_run() {
+    let pipeline = pipeline();
+    let ((_here_dir, here), (_there_dir, there)) = (fresh_store(), fresh_store());
+    let (first, _) = run_on(&pipeline.graph(), &here);
+    let (again, _) = run_on(&pipeline.graph(), &here);
+    let many = first.node("many").unwrap().key.unwrap();
+    let whole = here.record(&many).unwrap().unwrap();
+    // A chain of twenty results, each the child of the one before it.
+    let mut deepest = None;
+    for level in 0..20 {
+        let mut action = action_at(&here, &many).unwrap().unwrap();
+        action.params = serde_json::json!({ "level": level });
+        let mut record = Record {
+            key: there.put(&action.encode()).unwrap(),
+            ..whole.clone()
+        };
+        record.children = BTreeMap::from_iter(deepest.map(|key| ("next".to_owned(), key)));
+        deepest = Some(record.key);
+        there.put_record(record);
+    }
+    for mut record in here.records().unwrap() {
+        for blob in here.belongings(&record).unwrap().blobs {
+            there.put(&here.get(&blob).unwrap()).unwrap();
+        }
+        if record.key == many || whole.children.values().any(|child| *child == record.key) {
+            record.children.insert("itself".to_owned(), many);
+        }
+        if record.key == many {
+            record
+                .children
+                .extend(deepest.map(|key| ("deep".to_owned(), key)));
+        }
+        there.put_record(record);
+    }
+    there.commit().unwrap();
+    let (foreign, log) = run_on(&pipeline.graph(), &there);
+    assert_eq!(ran(&log), Vec::<String>::new());
+    let names = |run: &RunRecord| run.nodes.iter().map(|node| node.name.clone()).collect::<Vec<_>>();
+    let (deep, listed): (Vec<_>, Vec<_>) = names(&foreign)
+        .into_iter()
+        .partition(|name| name.starts_with("many/deep"));
+    assert_eq!(listed, names(&again));
+    assert_eq!(deep.len(), 8, "{deep:?}");
 }
 
 #[test]
