@@ -177,9 +177,10 @@ const DEVICE: &str = "device";
 
 fn node(entry: &Entry, names: &[&str], context: &PipelineContext<'_>) -> Result<Node, ConfigError> {
     let table = &entry.value;
-    if entry.key.contains('/') {
-        let message = format!("`node.{}`: names of nodes have no `/`", entry.key);
-        let hint = "in `input = \"NODE/PART\"` it leads to a part of what a node gives".to_owned();
+    if !is_name(&entry.key) {
+        let message = format!("`{}` is not a name of a node", entry.key.escape_debug());
+        let hint = "its results are in a folder of this name: use letters, digits, `-`, `_` and single dots"
+            .to_owned();
         return Err(ConfigError::at(entry.at.clone(), message).hint(Some(hint)));
     }
     let def = stage_of(entry)?;
@@ -248,6 +249,13 @@ fn node(entry: &Entry, names: &[&str], context: &PipelineContext<'_>) -> Result<
         edges,
         params,
     })
+}
+
+/// Returns whether a text can be the name of a node: it is the name of a folder below the output folder, and a `/` in an input leads to a
+/// part of what a node gives.
+fn is_name(text: &str) -> bool {
+    let is_forbidden = |letter: char| matches!(letter, '/' | '\\' | ':') || letter.is_control();
+    !matches!(text, "" | "." | "..") && !text.contains(is_forbidden)
 }
 
 /// Rejects a key together with an input that decides its value.
@@ -388,4 +396,31 @@ fn givers(error: &GraphError, nodes: &[Node]) -> Option<String> {
     let stages = marf_stages::stages().iter().filter(|def| gives(def));
     let stages: Vec<String> = stages.map(|def| format!("`{}`", def.name)).collect();
     (!stages.is_empty()).then(|| format!("add a node of a stage that gives it: {}", stages.join(", ")))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::check;
+
+    #[test]
+    fn a_name_that_leads_out_of_its_folder_is_refused_and_another_is_not() {
+        let error = |name: &str| {
+            let text = format!(
+                "[archive.demo]\nkind = \"demo\"\n[node.\"{name}\"]\nuses = \"extract\"\narchive = \"demo\"\n"
+            );
+            let checked = check(&text, &[], &GlobalOptions::default(), Path::new(""));
+            checked.err().map(|error| error.message)
+        };
+        for name in [
+            "", ".", "..", "a/b", "../a", "/a", "c:", r"a\\b", r"a\nb", r"a\u0000",
+        ] {
+            let shown = name.replace("u0000", "0");
+            let expected = format!("`{shown}` is not a name of a node");
+            assert_eq!(error(name), Some(expected), "{name}");
+        }
+        for name in ["extract", "a.b", "train@site1-20", "größe", "a b"] {
+            assert_eq!(error(name), None, "{name}");
+        }
+    }
 }
