@@ -301,8 +301,8 @@ impl Index {
     pub(super) fn refresh(&self, patience: Duration) -> Result<bool, StoreError> {
         let modified = self.files.meta(&self.packs_dir()).map(|meta| meta.modified);
         let on_disk = self.read(tables::packs)?;
+        let mut in_memory = self.in_memory(tables::packs).unwrap_or_default();
         let listed = self.listed()?;
-        let in_memory = self.in_memory(tables::packs).unwrap_or_default();
         let is_settled = modified
             .and_then(|time| time.elapsed().ok())
             .is_some_and(|age| age > CLOCK_STEP);
@@ -310,6 +310,16 @@ impl Index {
         if on_disk.as_ref() == Some(&listed) {
             self.memory.lock().take();
             return Ok(false);
+        }
+        // Rows of a pack that is gone would hide those of the pack that replaced it.
+        if !in_memory.is_subset(&listed) {
+            self.memory.lock().take();
+            in_memory.clear();
+        }
+        if self.access == Access::ReadOnly && on_disk.as_ref().is_some_and(|packs| !packs.is_subset(&listed))
+        {
+            self.disable("it names packs that are gone")?;
+            return Ok(true);
         }
         let all = on_disk.is_some() && self.access == Access::ReadWrite;
         if all && self.write(patience, |connection| self.register(connection))? {

@@ -227,6 +227,39 @@ fn a_read_only_store_is_read_without_a_write_and_refuses_a_commit() {
     chmod(0o755);
 }
 
+/// Others merge and collect packs, and the index that they write cannot be read whole without a write.
+#[test]
+#[cfg(unix)]
+fn a_read_only_store_finds_what_is_in_packs_that_replaced_those_of_its_index() {
+    use std::os::unix::fs::PermissionsExt;
+    let (dir, store) = fresh();
+    let record = record("k", &store, b"out");
+    store.put_record(record.clone());
+    store.commit().unwrap();
+    let root = store.dir().to_owned();
+    drop(store);
+    let replace_pack = |name: &str| {
+        let packs = files_below(&root.join("packs"));
+        assert_eq!(packs.len(), 1);
+        fs::rename(&packs[0], root.join("packs").join(name)).unwrap();
+    };
+    let chmod = |mode| fs::set_permissions(&root, fs::Permissions::from_mode(mode)).unwrap();
+    let find = |store: &Store| {
+        assert!(store.is_read_only());
+        assert_eq!(store.hit(&record.key).unwrap().as_ref(), Some(&record));
+        assert_eq!(&*store.get(&record.outputs["photos"].digest).unwrap(), b"out");
+    };
+    chmod(0o555);
+    let store = reopen(&dir);
+    find(&store);
+    replace_pack("second.pack");
+    find(&store);
+    replace_pack("third.pack");
+    find(&store);
+    find(&reopen(&dir));
+    chmod(0o755);
+}
+
 /// A row whose segment is in no table leads nowhere, although a pack has the object.
 #[test]
 fn a_row_without_its_segment_is_found_and_the_index_made_anew() {
