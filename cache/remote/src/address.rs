@@ -113,7 +113,9 @@ fn open_folder(place: &str, folder: &std::path::Path) -> Result<LocalFileSystem,
         cause,
     };
     std::fs::create_dir_all(folder).map_err(|error| failed(error.to_string()))?;
-    LocalFileSystem::new_with_prefix(folder).map_err(|error| failed(error.to_string()))
+    LocalFileSystem::new_with_prefix(folder)
+        .map(|store| store.with_fsync(true))
+        .map_err(|error| failed(error.to_string()))
 }
 
 fn open_bucket(
