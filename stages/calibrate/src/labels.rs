@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use marf_cache::{Digest, digest_of};
 use marf_numeric::upper_median;
-use marf_scene::{Cahvor, Camera, CameraPrior, Image, Pinhole, Pose, SiteFrame, Srgb};
+use marf_scene::{Cahvor, Camera, CameraPrior, Image, Photo, Pinhole, Pose, SiteFrame, Srgb};
 use marf_schema::calibrate::{CalibrateParams, Tie};
 use marf_stage::{Ctx, StageError};
 use nalgebra::Vector3;
@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::calibration::{Calibration, PhotoStatistics, PlacedPhoto};
-use crate::photos::{InputPhoto, as_png, decode, kept, reduction, store};
+use crate::photos::{InputPhoto, as_png, decode, kept, reduction, store, with_other_grid};
 use crate::resample::resample;
 use crate::up::FoundUp;
 
@@ -35,7 +35,7 @@ struct PinholePhoto {
 
 /// A photo as an ideal pinhole would take it.
 pub(crate) struct IdealPhoto {
-    pub image: Image<Srgb>,
+    pub photo: Photo,
     pub pixels: Pixels,
     pub camera: Camera,
     pub cam_from_site: Pose,
@@ -226,7 +226,7 @@ fn known_or_made(
     params: &CalibrateParams,
 ) -> Result<Result<PinholePhoto, String>, StageError> {
     let depends_on = photo_key(item, Some(candidate), None);
-    let key = digest_of(&("calibrate label photo 1", depends_on, params.longest_side_px));
+    let key = digest_of(&("calibrate label photo 2", depends_on, params.longest_side_px));
     let known = ctx.memos.load(&key).and_then(|bytes| {
         let known: Result<PinholePhoto, String> = serde_json::from_slice(&bytes).ok()?;
         let image = known.as_ref().ok().map(|known| known.image);
@@ -252,12 +252,12 @@ fn make(
         Ok(ideal) => ideal,
         Err(reason) => return Ok(Err(reason)),
     };
-    let factor = reduction(ideal.image.width, ideal.image.height, params.longest_side_px);
+    let factor = reduction(ideal.camera.width, ideal.camera.height, params.longest_side_px);
     let (image, file) = if ideal.pixels == Pixels::Own && factor == 1 {
         (item.image, item.facts.file.clone())
     } else {
         (
-            store(ctx, item, &ideal.image.box_reduced(factor))?,
+            store(ctx, item, &ideal.photo.box_reduced(factor))?,
             as_png(&item.facts.file),
         )
     };
@@ -275,7 +275,7 @@ pub(crate) fn ideal(
     item: &InputPhoto,
     candidate: &Candidate<'_>,
 ) -> Result<Result<IdealPhoto, String>, StageError> {
-    undistorted(ctx, decode(ctx, item)?.image, item, candidate)
+    undistorted(ctx, decode(ctx, item)?, item, candidate)
 }
 
 /// Returns a mask resampled as its photo by [`ideal`]. Where the photo's edge is repeated, so is the mask's.
@@ -285,17 +285,17 @@ pub(crate) fn ideal_mask(
     item: &InputPhoto,
     candidate: &Candidate<'_>,
 ) -> Result<Image<Srgb>, StageError> {
-    let found = undistorted(ctx, mask.clone(), item, candidate)?;
-    Ok(found.map_or(mask, |ideal| ideal.image))
+    let found = undistorted(ctx, mask.clone().into(), item, candidate)?;
+    Ok(found.map_or(mask, |ideal| ideal.photo.image))
 }
 
 fn undistorted(
     ctx: &Ctx<'_>,
-    photo: Image<Srgb>,
+    photo: Photo,
     item: &InputPhoto,
     candidate: &Candidate<'_>,
 ) -> Result<Result<IdealPhoto, String>, StageError> {
-    let (width, height) = (photo.width, photo.height);
+    let (width, height) = (photo.image.width, photo.image.height);
     let labelled = (item.facts.width, item.facts.height);
     if labelled != (0, 0) && labelled != (width, height) {
         return Ok(Err(format!(
@@ -307,16 +307,18 @@ fn undistorted(
         Ok(found) => found,
         Err(error) => return Ok(Err(error.to_string())),
     };
-    let (image, pixels) = match undistortion {
+    let (photo, pixels) = match undistortion {
         Undistortion::None => (photo, Pixels::Own),
-        Undistortion::Resample(model) => match resample(&photo, &model, &pinhole, ctx.cancel) {
-            Ok(image) => (image, Pixels::Resampled),
-            Err(Some(error)) => return Ok(Err(error.to_string())),
-            Err(None) => return Err(StageError::Cancelled),
-        },
+        Undistortion::Resample(model) => {
+            match with_other_grid(photo, |pixels| resample(pixels, &model, &pinhole, ctx.cancel)) {
+                Ok(photo) => (photo, Pixels::Resampled),
+                Err(Some(error)) => return Ok(Err(error.to_string())),
+                Err(None) => return Err(StageError::Cancelled),
+            }
+        }
     };
     Ok(Ok(IdealPhoto {
-        image,
+        photo,
         pixels,
         camera: pinhole.camera,
         cam_from_site: pinhole.cam_from_frame * candidate.site_from_frame.inverse(),
@@ -392,4 +394,57 @@ pub(crate) fn tie(found: &Calibration, items: &[InputPhoto]) -> Option<Tie> {
 /// Returns the median of points, axis by axis. Without points it is the origin.
 pub(crate) fn median(points: &[Vector3<f64>]) -> Vector3<f64> {
     Vector3::from_fn(|axis, _| upper_median(points.iter().map(|point| point[axis])).unwrap_or(0.0))
+}
+
+#[cfg(test)]
+mod tests {
+    use marf_scene::PhotoFacts;
+    use marf_stage::harness::Harness;
+
+    use super::*;
+
+    #[test]
+    fn a_photo_for_the_pinhole_of_its_label_is_as_transparent_as_before() {
+        let harness = Harness::default();
+        let photo = Photo {
+            alpha: vec![128; 64 * 48],
+            ..Photo::from(Image::<Srgb>::from_fn(64, 48, |_, _| [50; 3]))
+        };
+        let image = harness.put(&photo.to_png().unwrap());
+        for radial in [0.0, 0.5] {
+            let model = Cahvor {
+                c: [0.0; 3],
+                a: [0.0, 0.0, 1.0],
+                h: [50.0, 0.0, 32.0],
+                v: [0.0, 50.0, 24.0],
+                o: Some([0.0, 0.0, 1.0]),
+                r: Some([0.0, radial, 0.0]),
+                e: None,
+            };
+            let facts = PhotoFacts {
+                width: 64,
+                height: 48,
+                prior: Some(CameraPrior {
+                    model,
+                    frame: "SITE_FRAME".to_owned(),
+                    site_from_frame: None,
+                    motion_counter: vec![1],
+                }),
+                ..PhotoFacts::default()
+            };
+            let item = InputPhoto::new("a".to_owned(), image, facts);
+            let label = candidate(0, &item).unwrap();
+            for longest_side_px in [None, Some(32)] {
+                let params = CalibrateParams {
+                    longest_side_px,
+                    ..CalibrateParams::default()
+                };
+                let made = make(&harness.ctx(), &item, &label, &params).unwrap().unwrap();
+                let found = Photo::decode(&harness.get(&made.image).unwrap()).unwrap();
+                assert_eq!(found.image.width, made.camera.width);
+                let is_kept = found.alpha == vec![128; found.image.pixels.len()];
+                assert!(is_kept, "{radial} {longest_side_px:?}");
+            }
+        }
+    }
 }

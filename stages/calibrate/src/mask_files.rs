@@ -126,7 +126,7 @@ pub(crate) fn blackened(mask: &mut Image<Srgb>) {
     only_white(mask, |pixel| pixel == OPEN);
 }
 
-fn only_white(mask: &mut Image<Srgb>, is_open: impl Fn([u8; 3]) -> bool) {
+pub(crate) fn only_white(mask: &mut Image<Srgb>, is_open: impl Fn([u8; 3]) -> bool) {
     for pixel in &mut mask.pixels {
         *pixel = if is_open(*pixel) { OPEN } else { HIDDEN };
     }

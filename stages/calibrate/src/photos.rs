@@ -1,7 +1,7 @@
 //! The photos of the input set: reading, decoding, storing.
 
 use marf_cache::{Digest, digest_of, manifest::Row};
-use marf_scene::{Photo, PhotoFacts, encode_png};
+use marf_scene::{Image, Photo, PhotoFacts, Srgb};
 use marf_stage::{Ctx, Inputs, PHOTOS, StageError, rows_of};
 
 use crate::orientation::Orientation;
@@ -102,15 +102,32 @@ pub(crate) fn reduction(width: u32, height: u32, longest_side_px: Option<u32>) -
     longest_side_px.map_or(1, |side| width.max(height).div_ceil(side.max(1)).max(1))
 }
 
-/// Stores an image as PNG and returns its digest.
-pub(crate) fn store(
-    ctx: &Ctx<'_>,
-    item: &InputPhoto,
-    image: &marf_scene::Image<marf_scene::Srgb>,
-) -> Result<Digest, StageError> {
-    let bytes =
-        encode_png(image).map_err(|error| StageError::new(format!("photo `{}`: {error}", item.id)))?;
-    ctx.put(&bytes)
+/// Returns a photo whose colours and opacities are both in the pixel grid that `change` gives them.
+pub(crate) fn with_other_grid<E>(
+    photo: Photo,
+    change: impl Fn(&Image<Srgb>) -> Result<Image<Srgb>, E>,
+) -> Result<Photo, E> {
+    let alpha = if photo.alpha.is_empty() {
+        Vec::new()
+    } else {
+        let opacity = |alpha: &u8| [*alpha; 3];
+        let opacities = Image {
+            pixels: photo.alpha.iter().map(opacity).collect(),
+            ..photo.image
+        };
+        change(&opacities)?.pixels.iter().map(|pixel| pixel[0]).collect()
+    };
+    Ok(Photo {
+        image: change(&photo.image)?,
+        alpha,
+        ..photo
+    })
+}
+
+/// Stores a photo as PNG and returns its digest.
+pub(crate) fn store(ctx: &Ctx<'_>, item: &InputPhoto, photo: &Photo) -> Result<Digest, StageError> {
+    let png = photo.to_png();
+    ctx.put(&png.map_err(|error| StageError::new(format!("photo `{}`: {error}", item.id)))?)
 }
 
 /// Returns the digest of a photo reduced by an integer factor, as PNG. The result of an earlier run is taken from the memo.

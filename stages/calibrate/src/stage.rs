@@ -33,7 +33,7 @@ stage! {
     Set,
     Threads::All,
     about: "photos to a calibrated scene: from what they show, from labels, or from imported cameras",
-    version: 15,
+    version: 16,
     ports: [
         Port::required("input", PHOTOS),
         Port::optional("cameras", COMPANIONS),

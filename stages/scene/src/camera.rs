@@ -117,6 +117,13 @@ impl Camera {
         )
     }
 
+    /// Returns the camera of a photo of this size from that of the photo [reduced](Self::box_reduced) by `factor`.
+    #[must_use]
+    pub fn unreduced(&self, factor: u32, [width, height]: [u32; 2]) -> Self {
+        let scale = f64::from(factor.max(1));
+        self.scaled(scale, scale, width, height)
+    }
+
     /// Returns the camera that sees more or fewer rows, as many above as below. The other rows keep their content.
     #[must_use]
     pub fn with_height(&self, height: u32) -> Self {

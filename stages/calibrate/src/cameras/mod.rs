@@ -17,7 +17,7 @@ use rayon::prelude::*;
 use crate::export::{Tracks, write_colmap, write_colmap_text, write_ply, write_transforms};
 use crate::import::read_tracks;
 use crate::mask_files::blackened;
-use crate::photos::as_png;
+use crate::photos::{as_png, with_other_grid};
 use undistort::{ideal, undistort};
 
 /// Writes a calibrated scene as a folder: photos, masks, transforms.json, COLMAP's model as binary and text, points.
@@ -37,7 +37,7 @@ stage! {
     Set,
     Threads::All,
     about: "writes cameras and photos as a folder for nerfstudio, instant-ngp and COLMAP, optionally undistorted",
-    version: 2,
+    version: 3,
     ports: [
         Port::required("input", SCENE),
         Port::required("input", SPARSE_IMAGES),
@@ -202,12 +202,14 @@ fn straight_frame(ctx: &Ctx<'_>, frame: &Frame) -> Result<Frame, StageError> {
             size.0, size.1
         )));
     }
-    let image =
-        undistort(&photo.image, &frame.camera, &pinhole, ctx.cancel).map_err(|pixel| match pixel {
-            Some(pixel) => blind(&format!("at {} {}", pixel.x, pixel.y)),
-            None => ctx.check().err().unwrap_or_else(|| named("stopped".to_owned())),
-        })?;
-    let png = encode_png(&image).map_err(|error| named(error.to_string()))?;
+    let straight = with_other_grid(photo, |pixels| {
+        undistort(pixels, &frame.camera, &pinhole, ctx.cancel)
+    });
+    let straight = straight.map_err(|pixel| match pixel {
+        Some(pixel) => blind(&format!("at {} {}", pixel.x, pixel.y)),
+        None => ctx.check().err().unwrap_or_else(|| named("stopped".to_owned())),
+    })?;
+    let png = straight.to_png().map_err(|error| named(error.to_string()))?;
     let digest: Digest = ctx.put(&png)?;
     Ok(Frame {
         file: as_png(&frame.file),

@@ -1,7 +1,7 @@
 //! Photos as the cameras of an import show them: in their stored grid, and without a distortion that [`Camera`] does not have.
 
 use marf_cache::{Digest, digest_of};
-use marf_scene::{Camera, Image, Photo, PhotoFacts, Srgb, encode_png};
+use marf_scene::{Camera, Image, PhotoFacts, Srgb, encode_png};
 use marf_schema::calibrate::CalibrateParams;
 use marf_stage::{Ctx, Inputs, StageError};
 
@@ -9,9 +9,9 @@ use super::cameras::{ImportError, Role, View, refused};
 use super::distortion::Distortion;
 use super::undistort::Undistorter;
 use crate::calibration::{HeldOut, PhotoStatistics, PlacedPhoto};
-use crate::mask_files::{blackened, stored_mask};
+use crate::mask_files::{HIDDEN, blackened, only_white, stored_mask};
 use crate::orientation::Orientation;
-use crate::photos::{InputPhoto, as_png, decode, kept, reduced, reduction, size_px};
+use crate::photos::{InputPhoto, as_png, decode, kept, reduced, reduction, size_px, store, with_other_grid};
 
 /// A photo in the grid of its camera, before it is reduced.
 pub(crate) struct ReadyPhoto {
@@ -104,35 +104,20 @@ impl Change {
         if let Some(known) = known {
             return Ok(known);
         }
-        let photo = decode(ctx, item)?;
-        let alpha = if photo.alpha.is_empty() {
-            Vec::new()
-        } else {
-            let opacity = |alpha: &u8| [*alpha; 3];
-            let opacities = Image {
-                pixels: photo.alpha.iter().map(opacity).collect(),
-                ..photo.image
-            };
-            let changed = self.changed(ctx, &self.orientation.stored(&opacities), item)?;
-            changed.pixels.iter().map(|pixel| pixel[0]).collect()
-        };
-        let png = Photo {
-            image: self.changed(ctx, &self.orientation.stored(&photo.image), item)?,
-            alpha,
-            ..photo
-        }
-        .to_png();
-        let digest =
-            ctx.put(&png.map_err(|error| StageError::new(format!("photo `{}`: {error}", item.id)))?)?;
+        let changed = with_other_grid(decode(ctx, item)?, |pixels| {
+            self.changed(ctx, &self.orientation.stored(pixels), item)
+        });
+        let digest = store(ctx, item, &changed?)?;
         ctx.memos.save(&key, digest.as_bytes());
         Ok(digest)
     }
 
     /// Returns the digest of the changed mask of a photo as PNG, if it has one.
     fn mask(&self, ctx: &Ctx<'_>, inputs: &Inputs, item: &InputPhoto) -> Result<Option<Digest>, StageError> {
-        let Some(mask) = stored_mask(ctx, inputs, item)? else {
+        let Some(mut mask) = stored_mask(ctx, inputs, item)? else {
             return Ok(None);
         };
+        only_white(&mut mask, |pixel| pixel != HIDDEN);
         let mut changed = self.changed(ctx, &mask, item)?;
         blackened(&mut changed);
         let png = encode_png(&changed).map_err(|error| StageError::new(error.to_string()))?;

@@ -36,7 +36,7 @@ stage! {
     Set,
     Threads::All,
     about: "splits the photos of a mission by place, so that the nodes after it run once for each scene",
-    version: 2,
+    version: 3,
     ports: [
         Port::required("input", PHOTOS),
         Port::optional("cameras", COMPANIONS),

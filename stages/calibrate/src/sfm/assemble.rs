@@ -237,16 +237,7 @@ fn note(label: Option<&str>, rejected: Option<&RejectedLabel>) -> Option<String>
 fn full_size(reconstruction: &Reconstruction<'_>, model: &Model, photo: usize) -> Camera {
     let row = &reconstruction.features[photo].row;
     let camera = &model.cameras[reconstruction.input.views[photo].camera];
-    let factor = f64::from(row.factor);
-    Camera {
-        width: row.width,
-        height: row.height,
-        fx_px: camera.fx_px * factor,
-        fy_px: camera.fy_px * factor,
-        cx_px: camera.cx_px * factor,
-        cy_px: camera.cy_px * factor,
-        ..*camera
-    }
+    camera.unreduced(row.factor, [row.width, row.height])
 }
 
 /// Returns the points with their observations, which name photos by index. Their pixels are those of photos reduced to `longest_side_px`.

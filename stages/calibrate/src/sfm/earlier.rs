@@ -1,10 +1,10 @@
 //! The scene of an earlier run, to which new photos are added.
 
 use marf_scene::Scene;
-use marf_sfm::mapper::MapperInput;
 use marf_sfm::view_graph::PosedCamera;
 use marf_stage::{Ctx, Inputs, StageError};
 
+use super::photo_features::PhotoFeatures;
 use crate::photos::InputPhoto;
 
 /// A scene of an earlier run.
@@ -29,16 +29,15 @@ pub(super) fn load(
     ctx: &Ctx<'_>,
     inputs: &Inputs,
     items: &[InputPhoto],
-    input: &MapperInput<'_>,
+    features: &[PhotoFeatures],
 ) -> Result<Option<EarlierScene>, StageError> {
     let Some(scene) = earlier_scene(ctx, inputs)? else {
         return Ok(None);
     };
-    let known = items.iter().enumerate().map(|(photo, item)| {
+    let known = items.iter().zip(features).map(|(item, features)| {
         let frame = scene.frame(&item.id)?;
-        let size = &input.cameras[input.views[photo].camera].camera;
         Some(PosedCamera {
-            camera: frame.camera.resized(size.width, size.height),
+            camera: features.row.at_working_size(&frame.camera),
             cam_from_world: frame.cam_from_world,
         })
     });

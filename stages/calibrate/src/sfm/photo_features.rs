@@ -16,7 +16,7 @@ use crate::mask_files::undistorted_mask;
 use crate::photos::{InputPhoto, as_png, decode, kept, store};
 
 /// Raised when features, working images or label cameras may change.
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 
 /// The features of a photo, with the row that is kept of it.
 pub(crate) struct PhotoFeatures {
@@ -53,6 +53,21 @@ pub(crate) struct FeatureRow {
     pub note: Option<String>,
     /// Digest of its features: part of the keys of its pairs.
     pub found: Digest,
+}
+
+impl FeatureRow {
+    /// Returns a camera of this photo, which may be of a reduced size, at the working size.
+    ///
+    /// A photo reduced by boxes has lost the columns and rows that fill none: its scale is exactly one over the factor, not the ratio of
+    /// the sizes.
+    pub(super) fn at_working_size(&self, camera: &Camera) -> Camera {
+        let size_px = [self.width, self.height];
+        let is_size = |factor: &u32| size_px.map(|side| side / factor) == [camera.width, camera.height];
+        match (1..=self.width.max(1)).find(is_size) {
+            Some(factor) => camera.unreduced(factor, size_px).box_reduced(self.factor),
+            None => camera.resized(self.width / self.factor, self.height / self.factor),
+        }
+    }
 }
 
 /// Returns the features of each photo, resampled if the lens of its label is not a pinhole. Results of an earlier run are taken from the
@@ -148,9 +163,9 @@ fn computed(
         Some(Ok(ideal)) => {
             label = Some((ideal.camera, ideal.cam_from_site));
             if ideal.pixels == Pixels::Resampled {
-                (image, file) = (store(ctx, item, &ideal.image)?, Some(as_png(&item.facts.file)));
+                (image, file) = (store(ctx, item, &ideal.photo)?, Some(as_png(&item.facts.file)));
             }
-            ideal.image
+            ideal.photo.image
         }
         Some(Err(reason)) => {
             note = Some(reason);
@@ -225,4 +240,59 @@ fn unpack(bytes: &[u8]) -> Option<(Features, Vec<[u8; 3]>)> {
     let features = Features::decode(features)?;
     let (colors, torn) = colors.as_chunks::<3>();
     (torn.is_empty() && colors.len() == features.keypoints.len()).then(|| (features, colors.to_vec()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn row(width: u32, height: u32, factor: u32) -> FeatureRow {
+        FeatureRow {
+            image: Digest::from_content(b"image"),
+            file: None,
+            width,
+            height,
+            factor,
+            label: None,
+            note: None,
+            found: Digest::from_content(b"features"),
+        }
+    }
+
+    fn numbers(camera: &Camera) -> [f64; 4] {
+        [camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px]
+    }
+
+    fn are_equal(found: &Camera, expected: &Camera) -> bool {
+        let pairs = numbers(found).into_iter().zip(numbers(expected));
+        let same = pairs.map(|(a, b)| (a / b - 1.0).abs()).all(|off| off < 1e-12);
+        same && (found.width, found.height) == (expected.width, expected.height)
+    }
+
+    /// 5472 is no multiple of 5 nor of 7, and 3648 neither: boxes leave columns and rows out.
+    #[test]
+    fn a_camera_at_the_working_size_and_back_is_unchanged() {
+        let row = row(5472, 3648, 5);
+        let full = Camera {
+            fy_px: 4010.0,
+            cx_px: 2700.0,
+            ..Camera::pinhole(5472, 3648, 4000.0)
+        };
+        let working = row.at_working_size(&full);
+        assert_eq!((working.width, working.height), (1094, 729));
+        let expected = [800.0, 802.0, 540.0, 364.8];
+        for (found, expected) in numbers(&working).into_iter().zip(expected) {
+            assert!((found - expected).abs() < 1e-9, "{found}, not {expected}");
+        }
+        let back = working.unreduced(5, [5472, 3648]);
+        assert!(are_equal(&back, &full), "{back:?}");
+        // As an earlier run had it for the field, at a seventh.
+        let reduced = full.box_reduced(7);
+        assert_eq!((reduced.width, reduced.height), (781, 521));
+        let found = row.at_working_size(&reduced);
+        assert!(are_equal(&found, &working), "{found:?}");
+        // Of another size than any that boxes leave.
+        let resized = row.at_working_size(&full.resized(4000, 3000));
+        assert_eq!((resized.width, resized.height), (1094, 729));
+    }
 }

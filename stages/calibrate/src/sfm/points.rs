@@ -45,7 +45,7 @@ pub(crate) fn points_of_known(
     let candidates: Vec<_> = photos.iter().map(|_| None).collect();
     let features = photo_features(ctx, inputs, photos, &candidates, params)?;
     let known = placed.iter().zip(&features).map(|(one, features)| PosedCamera {
-        camera: working_camera(one, features),
+        camera: features.row.at_working_size(&one.camera),
         cam_from_world: one.cam_from_world,
     });
     let known: Vec<PosedCamera> = known.collect();
@@ -79,16 +79,6 @@ pub(crate) fn points_of_known(
             })
             .collect(),
     })
-}
-
-/// Returns the camera of a placed photo at the size that its features were sought at.
-fn working_camera(one: &PlacedPhoto, features: &PhotoFeatures) -> Camera {
-    let row = &features.row;
-    if (one.camera.width, one.camera.height) == (row.width, row.height) {
-        return one.camera.box_reduced(row.factor);
-    }
-    one.camera
-        .resized(row.width / row.factor, row.height / row.factor)
 }
 
 /// Returns a camera for each photo.

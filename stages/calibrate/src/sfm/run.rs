@@ -61,7 +61,7 @@ pub(crate) fn run(
         supervisor: &supervisor,
         registered: &|count| ctx.progress.at(count as u64, total, "photos placed"),
     };
-    let earlier = earlier::load(ctx, inputs, items, &input)?;
+    let earlier = earlier::load(ctx, inputs, items, &features)?;
     let mut models = match &earlier {
         Some(earlier) => extend(&input, &earlier.known)
             .map_err(failed)?

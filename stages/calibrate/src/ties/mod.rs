@@ -38,7 +38,7 @@ stage! {
     Set,
     Threads::All,
     about: "how scenes lie to each other, where photos of both show the same ground",
-    version: 1,
+    version: 2,
     ports: [Port::many("input", SCENE)],
     outputs: [Ties::OUTPUT],
 }

@@ -166,6 +166,32 @@ fn masks_are_written_and_named_as_colmap_and_nerfstudio_read_them() {
 }
 
 #[test]
+fn a_photo_without_distortion_is_as_transparent_as_before() {
+    let (mut input, _) = calibrated();
+    let image = Image::<Srgb>::from_fn(64, 48, |x, _| if x < 20 { [0; 3] } else { [40; 3] });
+    let alpha = (0..64 * 48).map(|at| if at % 64 < 20 { 0 } else { 255 });
+    let photo = Photo {
+        alpha: alpha.collect(),
+        ..Photo::from(image)
+    };
+    input.plain("c.png", &photo.to_png().unwrap());
+    input.companion(
+        "sparse/0/images.txt",
+        b"1 1 0 0 0 0 0 0 1 a.png\n\n2 1 0 0 0 -0.5 0 0 1 b.jpg\n\n3 1 0 0 0 -1 0 0 1 c.png\n\n",
+    );
+    let stage = marf_calibrate::Calibrate::new(serde_json::from_value(json!({"method": "import"})).unwrap());
+    let scene = input.outputs_of(&stage.unwrap());
+    let straight = exported(&input, &scene, &json!({"undistort": true})).unwrap();
+    let bytes = input.harness.get(&straight["cameras/c.png"]).unwrap();
+    let photo = Photo::decode(&bytes).unwrap();
+    assert_eq!(photo.alpha.len(), photo.image.pixels.len());
+    let width = photo.image.width as usize;
+    assert!(width > 64, "{width}");
+    let row = &photo.alpha[20 * width..21 * width];
+    assert_eq!((row[2], row[width - 3]), (0, 255));
+}
+
+#[test]
 fn a_developed_photo_is_named_and_written_as_the_png_that_it_is() {
     let (mut input, _) = calibrated();
     let image: Image<Srgb> = Image::from_fn(64, 48, |x, y| [x as u8, y as u8, 7]);
@@ -220,6 +246,6 @@ fn the_answer_belongs_to_the_version() {
         ExportCameras::VERSION,
         Digest::from_content(all.join("\n").as_bytes()).short(),
     );
-    assert_eq!(found, (2, "779efbaf5f66".to_owned()));
+    assert_eq!(found, (3, "779efbaf5f66".to_owned()));
     assert_eq!(define::<ExportCameras>().version, ExportCameras::VERSION);
 }

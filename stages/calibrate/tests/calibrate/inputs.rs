@@ -274,6 +274,33 @@ fn a_lens_beyond_brown_is_resampled_to_a_pinhole_with_its_mask() {
     );
 }
 
+/// Masks of other programs have 1, 254 or grey where the photo counts.
+#[test]
+fn a_mask_hides_its_black_pixels_whatever_the_others_are() {
+    let mask_of = |open: u8| {
+        let mask = Image::<Srgb>::from_fn(64, 48, |x, _| if x < 20 { [0; 3] } else { [open; 3] });
+        let mut input = Input::default();
+        for name in ["a.jpg", "b.jpg"] {
+            input.plain(name, &encode_png(&picture()).unwrap());
+        }
+        input.companion("masks/a.png", &encode_png(&mask).unwrap());
+        let camera = "OPENCV_FISHEYE 64 48 40 40 32 24 0.01 0 0 0";
+        with_model(&mut input, &model(&["a.jpg", "b.jpg"], camera));
+        let frame = &import(&input).scene.frames[0];
+        decoded(&input, &frame.mask.unwrap()).image
+    };
+    let white = mask_of(255);
+    let hidden = white.pixels.iter().filter(|pixel| **pixel == [0; 3]).count();
+    assert!(
+        hidden > 0 && 2 * hidden < white.pixels.len(),
+        "{hidden} of {}",
+        white.pixels.len()
+    );
+    for open in [254, 120, 1] {
+        assert!(mask_of(open) == white, "{open} hides more than black");
+    }
+}
+
 /// Reads a folder of `input-faults` as `extract` does: pictures below `masks` and files of cameras are companions.
 fn faulty(root: &Path) -> Input {
     let mut input = Input::default();

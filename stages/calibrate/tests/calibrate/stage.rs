@@ -375,7 +375,7 @@ fn the_version_is_raised_when_the_answer_changes() {
     assert_eq!(
         found,
         (
-            15,
+            16,
             "921e9d60702d 563ab5fcc1aa".to_owned(),
             "d6bc5b2d6f28 d8f0f8b2add1".to_owned()
         )
