@@ -183,9 +183,14 @@ impl Sol<'_> {
                     self.take(name, file, &wants[index], answer)?
                 }
                 Err(error) => match *error.kind {
+                    // A firewall refuses a file that is there once, a bucket refuses one that is not there each time. A
+                    // refusal is final when the next run gets it too.
                     NetErrorKind::Status(status) if !error.retryable => {
-                        self.pins.gone.insert(name.clone(), status);
-                        Ok(())
+                        if self.pins.gone.insert(name.clone(), status) == Some(status) {
+                            Ok(())
+                        } else {
+                            Err(error.to_string())
+                        }
                     }
                     _ => Err(error.to_string()),
                 },

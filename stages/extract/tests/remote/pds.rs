@@ -272,6 +272,32 @@ fn what_is_listed_and_gone_is_a_verdict_and_what_fails_for_now_stops_with_the_re
     );
 }
 
+#[test]
+fn a_refusal_is_final_when_the_next_run_gets_it_too() {
+    let server = Server::start().unwrap();
+    let names: Vec<String> = mount(&server, 1..=1)
+        .into_iter()
+        .filter(|name| &name[27..28] == "N")
+        .collect();
+    let path = |name: &str| format!("{BROWSE}/00001/{BELOW}/{name}");
+    server.script(&path(&names[0]), vec![Reply::status(403).always()]);
+    server.script(&path(&names[1]), vec![Reply::status(403)]);
+    server.script(&path(&names[2]), vec![Reply::status(401)]);
+    let place = Place::new();
+    let archive = place.archive(&server, "1");
+    let error = place.bring(&archive).err().unwrap();
+    assert!(error.to_string().starts_with("3 of "), "{error}");
+    let is_complete = || place.lock()["jezero/sol-00001.toml"].contains("\ncomplete = ");
+    assert!(!is_complete());
+    server.clear();
+    let brought = place.bring(&archive).unwrap();
+    assert_eq!(pictures(&server), 3, "all that were refused");
+    assert_eq!(brought.reason(&names[0]), "listed, but the server answered 403");
+    let refused = |verdict: &&Verdict| verdict.reason.starts_with("listed, but the server answered");
+    assert_eq!(brought.verdicts.iter().filter(refused).count(), 1);
+    assert!(is_complete());
+}
+
 /// The trees, and the page of the collection above each.
 fn is_below_collection(target: &str) -> bool {
     [BROWSE, DATA]
