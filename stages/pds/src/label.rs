@@ -223,6 +223,16 @@ impl Label {
         }
     }
 
+    /// Drops the camera where pixels are displayed in another direction, with a note.
+    pub(crate) fn drop_camera_of_turned_pixels(&mut self) {
+        let is_turned = self.array.as_ref().is_some_and(|array| !array.is_upright());
+        if is_turned && self.prior.take().is_some() {
+            self.notes.push(
+                "label has no usable camera: it is for the pixels as stored, and they are displayed in another direction".to_owned(),
+            );
+        }
+    }
+
     /// Notes that the label's camera cannot be used.
     pub(crate) fn refuse_camera(&mut self, error: &CameraError) {
         self.notes.push(format!("label has no usable camera: {error}"));

@@ -49,6 +49,7 @@ pub fn label(odl: &Group) -> Label {
     };
     if let Some(array) = &mut label.array {
         scaling::apply(odl, array, &mut label.notes);
+        set_directions(odl, array, &mut label.notes);
     }
     label.size = label.array.as_ref().map(|array| (array.shape[2], array.shape[1]));
     let method = state.and_then(|state| text(state, "BAYER_METHOD"));
@@ -56,10 +57,32 @@ pub fn label(odl: &Group) -> Label {
     label.mosaic = mosaic(odl);
     label.derived = camera::derived(odl);
     camera::add(odl, &mut label);
+    label.drop_camera_of_turned_pixels();
     label
 }
 
-/// Returns the reason if a label is not of a photo.
+/// Sets the directions in which the image is displayed. One that lies on its side stays as it is stored, with a note.
+fn set_directions(odl: &Group, array: &mut Array, notes: &mut Vec<String>) {
+    let names = ["IMAGE", "IMAGE_DATA"];
+    let image = described(odl).find(&names).or_else(|| odl.find(&names));
+    let is = |key: &str, words: &[&str]| {
+        let direction = image.and_then(|image| text(image, key));
+        direction.is_some_and(|direction| words.iter().any(|word| direction.eq_ignore_ascii_case(word)))
+    };
+    let [lines, samples] = ["LINE_DISPLAY_DIRECTION", "SAMPLE_DISPLAY_DIRECTION"];
+    if is(lines, &["LEFT", "RIGHT"]) || is(samples, &["UP", "DOWN"]) {
+        notes.push("pixels are as stored: by its label, their lines are displayed as columns".to_owned());
+        return;
+    }
+    if is(lines, &["UP"]) {
+        array.lines = LineDirection::BottomToTop;
+    }
+    if is(samples, &["LEFT"]) {
+        array.samples = SampleDirection::RightToLeft;
+    }
+}
+
+/// Returns the reason if a label is not of a photo, or its pixels are not read.
 pub fn no_photo(odl: &Group) -> Option<String> {
     let image = odl.find(&["IMAGE", "IMAGE_DATA"]);
     if image.is_none() && odl.text("NL").is_none() {
@@ -77,6 +100,21 @@ pub fn no_photo(odl: &Group) -> Option<String> {
     derived
         .filter(|kind| kind != "IMAGE")
         .map(|kind| format!("a product of type {kind} holds no photo"))
+        .or_else(|| unread(odl))
+}
+
+/// Returns the reason if a VICAR label describes pixels in a form that is not read.
+pub fn unread(odl: &Group) -> Option<String> {
+    odl.get("LBLSIZE")?;
+    if let Some(method) = text(odl, "COMPRESS") {
+        return Some(format!(
+            "its pixels are compressed, by `COMPRESS={method}` of its VICAR label: marf reads uncompressed ones"
+        ));
+    }
+    let prefix_bytes = unsigned(odl, "NBB").filter(|bytes| *bytes > 0 && odl.text("ORG") == Some("BIP"))?;
+    Some(format!(
+        "each of its pixels has a prefix of {prefix_bytes} bytes, by `NBB` of its VICAR label: marf reads pixels without one"
+    ))
 }
 
 /// Returns the side of the boxes of detector pixels that were averaged, if both sides are equal.
@@ -256,6 +294,9 @@ fn sample(kind: &str, bits: u32) -> Option<Sample> {
 
 /// Returns the array that a VICAR label describes by its system items.
 fn vicar_array(odl: &Group) -> Option<Array> {
+    if unread(odl).is_some() {
+        return None;
+    }
     let offset = u64::from(unsigned(odl, "LBLSIZE")?);
     let record = u64::from(unsigned(odl, "RECSIZE")?);
     let header = u64::from(unsigned(odl, "NLB").unwrap_or(0));

@@ -101,12 +101,7 @@ fn label(root: Node<'_, '_>) -> Label {
     if let Some(lander) = discipline.and_then(lander).filter(|_| label.place.is_none()) {
         add_place(lander, &mut label);
     }
-    let turned = label.array.as_ref().is_some_and(|array| !array.is_upright());
-    if turned && label.prior.take().is_some() {
-        label.notes.push(
-            "label has no usable camera: it is for the pixels as stored, and they are displayed in another direction".into(),
-        );
-    }
+    label.drop_camera_of_turned_pixels();
     label
 }
 

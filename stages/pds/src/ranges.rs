@@ -124,7 +124,11 @@ pub struct Product {
 /// # Errors
 /// Why there is none.
 pub fn label(bytes: &[u8]) -> Result<Label, String> {
-    raw::attached(bytes).map(|group| pds3::label(&group))
+    let group = raw::attached(bytes)?;
+    match pds3::unread(&group) {
+        Some(reason) => Err(reason),
+        None => Ok(pds3::label(&group)),
+    }
 }
 
 /// Reads a product by its attached label, else by the detached one.

@@ -284,3 +284,96 @@ fn pancam_and_microscopic_imager_have_cameras() {
         assert_eq!(label.sensor, Some(marf_scene::Sensor::Monochrome), "{instrument}");
     }
 }
+
+/// Labels of rovers say DOWN and RIGHT, or nothing. Then the camera is for the pixels that are shown.
+#[test]
+fn an_image_is_displayed_in_the_directions_of_its_label() {
+    let default = (LineDirection::TopToBottom, SampleDirection::LeftToRight);
+    for (keys, expected) in [
+        ("", default),
+        ("LINE_DISPLAY_DIRECTION = DOWN", default),
+        (
+            "LINE_DISPLAY_DIRECTION = DOWN\n SAMPLE_DISPLAY_DIRECTION = RIGHT",
+            default,
+        ),
+        (
+            "LINE_DISPLAY_DIRECTION = UP\n SAMPLE_DISPLAY_DIRECTION = RIGHT",
+            (LineDirection::BottomToTop, SampleDirection::LeftToRight),
+        ),
+        (
+            "SAMPLE_DISPLAY_DIRECTION = \"LEFT\"",
+            (LineDirection::TopToBottom, SampleDirection::RightToLeft),
+        ),
+        (
+            "LINE_DISPLAY_DIRECTION = UP\n SAMPLE_DISPLAY_DIRECTION = LEFT",
+            (LineDirection::BottomToTop, SampleDirection::RightToLeft),
+        ),
+    ] {
+        let label = read(&DEMO.replace(" LINES = 8\n", &format!(" LINES = 8\n {keys}\n")));
+        let array = label.array.unwrap();
+        assert_eq!((array.lines, array.samples), expected, "{keys}");
+        assert_eq!(label.prior.is_some(), expected == default, "{keys}");
+        assert!(label.place.is_some(), "{keys}");
+        let noted = label
+            .notes
+            .iter()
+            .any(|note| note.contains("displayed in another direction"));
+        assert_eq!(noted, expected != default, "{:?}", label.notes);
+    }
+    let side = " LINES = 8\n LINE_DISPLAY_DIRECTION = RIGHT\n SAMPLE_DISPLAY_DIRECTION = DOWN\n";
+    let label = read(&DEMO.replace(" LINES = 8\n", side));
+    assert!(label.array.unwrap().is_upright() && label.prior.is_some());
+    assert!(
+        label
+            .notes
+            .iter()
+            .any(|note| note.contains("pixels are as stored")),
+        "{:?}",
+        label.notes
+    );
+}
+
+#[test]
+fn vicar_pixels_that_are_compressed_or_have_prefixes_are_refused_by_name() {
+    let file = |items: &str| {
+        let mut bytes =
+            format!("LBLSIZE=200 FORMAT='BYTE' EOL=0 NL=2 NS=3 NLB=0 INTFMT='LOW' {items}").into_bytes();
+        bytes.resize(200, 0);
+        bytes.extend([9; 64]);
+        bytes
+    };
+    for (items, expected) in [
+        (
+            "RECSIZE=3 ORG='BSQ' NB=1 NBB=0 COMPRESS='BASIC'",
+            "compressed, by `COMPRESS=BASIC`",
+        ),
+        (
+            "RECSIZE=3 ORG='BSQ' NB=1 NBB=0 COMPRESS='BASIC2'",
+            "compressed, by `COMPRESS=BASIC2`",
+        ),
+        (
+            "RECSIZE=5 ORG='BIP' NB=3 NBB=2 COMPRESS='NONE'",
+            "each of its pixels has a prefix of 2 bytes",
+        ),
+    ] {
+        let bytes = file(items);
+        let photo = crate::raw::develop(None, &bytes, None).err().unwrap().to_string();
+        assert!(photo.contains(expected), "{photo}");
+        let ranges = crate::ranges::read(None, &bytes, None).err().unwrap().to_string();
+        assert!(ranges.contains(expected), "{ranges}");
+        assert_eq!(label(&crate::vicar::parse(&bytes).unwrap()).array, None);
+    }
+    for items in [
+        "RECSIZE=9 ORG='BIP' NB=3 NBB=0 COMPRESS='NONE'",
+        "RECSIZE=5 ORG='BIL' NB=3 NBB=2",
+    ] {
+        let made = crate::raw::develop(None, &file(items), None);
+        let image = made.unwrap_or_else(|error| panic!("{items}: {error}")).image;
+        assert!(
+            image.pixels == [[9; 3]; 6],
+            "{items}: {} x {}",
+            image.width,
+            image.height
+        );
+    }
+}
