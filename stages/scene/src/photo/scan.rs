@@ -4,6 +4,8 @@
 //! counted here once, without decoding them to pixels (ITU-T T.81, annexes B and F). Progressive, arithmetic and
 //! lossless frames are not counted.
 
+use std::cell::OnceCell;
+
 /// Most bytes between the last block and the next marker: none in our photos, but some encoders pad.
 const MAX_LEFT_OVER: usize = 2;
 
@@ -111,11 +113,26 @@ fn next_marker(bytes: &[u8], from: usize) -> Option<(u8, usize)> {
     Some((rest[found + 1], from + found + 2))
 }
 
+/// A Huffman table as its segment has it. It is built for the first scan that uses it: a file may have millions.
+struct Table<'a> {
+    counts: &'a [u8; 16],
+    symbols: &'a [u8],
+    built: OnceCell<Option<Huffman>>,
+}
+
+impl Table<'_> {
+    /// Returns the built table, or `None` if it is damaged.
+    fn built(&self) -> Option<&Huffman> {
+        let built = self.built.get_or_init(|| Huffman::new(self.counts, self.symbols));
+        built.as_ref()
+    }
+}
+
 /// The tables and the frame that were read so far.
 #[derive(Default)]
-struct Jpeg {
+struct Jpeg<'a> {
     /// Huffman tables: DC 0 to 3, then AC 0 to 3.
-    tables: [Option<Box<Huffman>>; 8],
+    tables: [Option<Table<'a>>; 8],
     /// Of each component its id, and its blocks per unit across and down.
     components: Vec<(u8, usize, usize)>,
     width: usize,
@@ -124,7 +141,7 @@ struct Jpeg {
     restart: usize,
 }
 
-impl Jpeg {
+impl<'a> Jpeg<'a> {
     /// Reads a frame header (SOF). `None` if it is damaged.
     fn frame(&mut self, body: &[u8]) -> Option<()> {
         let number = |at: usize| Some(usize::from(*body.get(at)?) << 8 | usize::from(*body.get(at + 1)?));
@@ -138,28 +155,33 @@ impl Jpeg {
             .then_some(())
     }
 
-    /// Reads Huffman tables (DHT). `None` if they are damaged.
-    fn tables(&mut self, mut body: &[u8]) -> Option<()> {
+    /// Reads Huffman tables (DHT). `None` if they are cut short.
+    fn tables(&mut self, mut body: &'a [u8]) -> Option<()> {
         while let Some((&kind, rest)) = body.split_first() {
             let counts = rest.first_chunk::<16>()?;
             let total: usize = counts.iter().map(|count| usize::from(*count)).sum();
             let symbols = rest.get(16..16 + total)?;
             let place = usize::from(kind >> 4) * 4 + usize::from(kind & 15);
-            *self.tables.get_mut(place)? = Some(Box::new(Huffman::new(counts, symbols)?));
+            *self.tables.get_mut(place)? = Some(Table {
+                counts,
+                symbols,
+                built: OnceCell::new(),
+            });
             body = &rest[16 + total..];
         }
         Some(())
     }
 
-    /// Reads a scan header (SOS). `None` if it is damaged or names a table that is missing.
+    /// Reads a scan header (SOS). `None` if it is damaged or names a table that is missing or damaged.
     fn scan(&self, body: &[u8]) -> Option<Scan<'_>> {
         let count = usize::from(*body.first()?);
         let chosen = body.get(1..1 + 2 * count)?.chunks_exact(2);
         let (mut blocks, mut size) = (Vec::new(), (1, 1));
         for pair in chosen {
             let (_, h, v) = *self.components.iter().find(|(id, ..)| *id == pair[0])?;
-            let dc = self.tables.get(usize::from(pair[1] >> 4) % 4)?.as_deref()?;
-            let ac = self.tables.get(4 + usize::from(pair[1] & 15) % 4)?.as_deref()?;
+            let table = |place: usize| self.tables.get(place)?.as_ref()?.built();
+            let dc = table(usize::from(pair[1] >> 4) % 4)?;
+            let ac = table(4 + usize::from(pair[1] & 15) % 4)?;
             // The unit of a scan of one component is a single block.
             let repeated = if count == 1 { 1 } else { h * v };
             blocks.extend(std::iter::repeat_n((dc, ac), repeated));

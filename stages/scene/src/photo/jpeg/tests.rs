@@ -94,6 +94,26 @@ fn the_end_marker_of_a_preview_is_not_that_of_the_picture() {
     assert!(Photo::decode(&bytes[..bytes.len() - 2]).is_err());
 }
 
+/// Building a table takes as long as reading 64 KB: a file of nothing but tables would take hours.
+#[test]
+fn a_table_is_built_for_the_scan_that_uses_it_and_no_other() {
+    let whole = whole();
+    let scan = whole.windows(2).position(|pair| pair == [0xff, 0xda]).unwrap();
+    // Three codes of one bit: no table can be built.
+    let with_table = |name: u8| {
+        let mut table = vec![0xff, 0xc4, 0, 22, name, 3];
+        table.resize(24, 0);
+        [&whole[..scan], &table, &whole[scan..]].concat()
+    };
+    assert_eq!(
+        scan::check(&with_table(0x13)),
+        Ok(()),
+        "the fourth AC table is not used"
+    );
+    let used = scan::check(&with_table(0x10));
+    assert!(matches!(used, Err(scan::ScanError::Segment(_))), "{used:?}");
+}
+
 /// The decoder works through all units of a picture for each scan: few bytes would keep it busy for minutes.
 #[test]
 fn a_picture_of_very_many_scans_is_refused_before_it_is_decoded() {
