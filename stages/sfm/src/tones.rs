@@ -172,13 +172,16 @@ fn solve_channel(pairs: &Pairs, photos: usize, channel: usize) -> Vec<Option<Exp
         }
     });
     let shifts = least_squares(&differences.collect::<Vec<_>>(), photos);
-    let is_known = |photo: usize| lines.iter().any(|(pair, _)| pair.contains(&photo));
+    let mut is_known = vec![false; photos];
+    for photo in lines.iter().flat_map(|(pair, _)| pair) {
+        is_known[*photo] = true;
+    }
     let exposure = |photo: usize| Exposure {
         log_gain: log_gains[photo],
         offset: gains[photo] * shifts[photo],
     };
     (0..photos)
-        .map(|photo| is_known(photo).then(|| exposure(photo)))
+        .map(|photo| is_known[photo].then(|| exposure(photo)))
         .collect()
 }
 
