@@ -203,6 +203,14 @@ mod tests {
         }
     }
 
+    /// No test can cut the power, so this asks how the folder was opened.
+    #[test]
+    fn files_of_a_folder_are_written_through_to_the_disk() {
+        let dir = tempfile::tempdir().unwrap();
+        let folder = open_folder("here", dir.path()).unwrap();
+        assert!(format!("{folder:?}").contains("fsync: true"), "{folder:?}");
+    }
+
     #[test]
     fn a_credential_in_an_address_is_refused_and_not_repeated() {
         for bad in [
