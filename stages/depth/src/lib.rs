@@ -61,4 +61,4 @@ pub use raster::{Picture, Raster};
 pub use rectify::{Eye, LEAST_ANGLE_DEG, PosedCamera, Rectified, RectifyError};
 pub use search::Search;
 pub use stage::MakeDepth;
-pub use targets::{DistanceSample, distances};
+pub use targets::{DistanceSample, TargetDetail, distances};

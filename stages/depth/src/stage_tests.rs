@@ -7,8 +7,8 @@ use marf_schema::output::{POINTS, SCENE};
 use marf_stage::{Define, Inputs, Outputs, Set, TypedOutputs, harness::Harness};
 use nalgebra::{Vector2, Vector3};
 
-use crate::MakeDepth;
 use crate::plane_photos::{height, on_plane, painted};
+use crate::{DistanceSample, MakeDepth, TargetDetail};
 
 fn frame(harness: &Harness, index: usize, place: Vector3<f64>) -> Frame {
     let pose = Pose::looking_at(place, Vector3::new(0.0, 0.0, 10.0), Vector3::y());
@@ -109,38 +109,52 @@ fn depths_of_a_plane_are_found_confirmed_and_as_sure_as_they_say() {
     }
 }
 
+/// Checks that the median is right to half a per cent, and that 97 % are within three standard deviations.
+fn are_of_the_plane(frame: &Frame, distances: &[DistanceSample]) {
+    let mut sure = 0;
+    let errors = distances.iter().map(|one| {
+        let at = Vector2::new(160.0 * f64::from(one.at[0]), 120.0 * f64::from(one.at[1]));
+        let truth =
+            (on_plane(&frame.camera, &frame.cam_from_world, &at) - frame.cam_from_world.centre()).norm();
+        let error = (f64::from(one.distance) - truth).abs();
+        sure += usize::from(error <= 3.0 * f64::from(one.sigma));
+        error / truth
+    });
+    let mut errors: Vec<f64> = errors.collect();
+    errors.sort_by(f64::total_cmp);
+    assert!(errors[errors.len() / 2] < 0.005, "{}", errors[errors.len() / 2]);
+    assert!(
+        sure as f64 > 0.97 * errors.len() as f64,
+        "{sure} of {}",
+        errors.len()
+    );
+}
+
 #[test]
 fn distances_of_pixels_are_those_of_the_plane_and_as_sure_as_they_say() {
     let harness = Harness::default();
     let scene = scene(&harness, &PLACES);
-    let found = crate::distances(&harness.ctx(), &scene).unwrap();
-    assert_eq!(found.len(), 3);
-    for (frame, distances) in scene.frames.iter().zip(&found) {
-        // 160 x 120 are fewer than 32,768.
-        assert!(distances.len() > 12_000, "{}", distances.len());
-        let mut sure = 0;
-        let errors = distances.iter().map(|one| {
-            let at = Vector2::new(160.0 * f64::from(one.at[0]), 120.0 * f64::from(one.at[1]));
-            let truth =
-                (on_plane(&frame.camera, &frame.cam_from_world, &at) - frame.cam_from_world.centre()).norm();
-            let error = (f64::from(one.distance) - truth).abs();
-            sure += usize::from(error <= 3.0 * f64::from(one.sigma));
-            error / truth
-        });
-        let mut errors: Vec<f64> = errors.collect();
-        errors.sort_by(f64::total_cmp);
-        assert!(errors[errors.len() / 2] < 0.005, "{}", errors[errors.len() / 2]);
-        assert!(
-            sure as f64 > 0.97 * errors.len() as f64,
-            "{sure} of {}",
-            errors.len()
-        );
+    // All of 160 x 120 pixels, or those of every second row and column.
+    for (detail, [least, most]) in [
+        (TargetDetail::Fine, [12_000, 19_200]),
+        (TargetDetail::Coarse, [2_500, 4_800]),
+    ] {
+        let found = crate::distances(&harness.ctx(), &scene, detail).unwrap();
+        assert_eq!(found.len(), 3);
+        for (frame, distances) in scene.frames.iter().zip(&found) {
+            let count = distances.len();
+            assert!((least..=most).contains(&count), "{detail:?}: {count}");
+            are_of_the_plane(frame, distances);
+        }
     }
     let alone = Scene {
         frames: scene.frames[..1].to_vec(),
         ..scene
     };
-    assert_eq!(crate::distances(&harness.ctx(), &alone).unwrap(), [vec![]]);
+    assert_eq!(
+        crate::distances(&harness.ctx(), &alone, TargetDetail::Fine).unwrap(),
+        [vec![]]
+    );
 }
 
 #[test]
@@ -159,7 +173,7 @@ fn what_is_transparent_has_no_distance() {
         cut.write_to(&mut png, image::ImageFormat::Png).unwrap();
         frame.image = harness.put(png.get_ref());
     }
-    for distances in crate::distances(&harness.ctx(), &scene).unwrap() {
+    for distances in crate::distances(&harness.ctx(), &scene, TargetDetail::Fine).unwrap() {
         let clear = distances.iter().filter(|one| one.at[0] < 0.5).count();
         assert_eq!(clear, 0);
         assert!(distances.len() > 2_000, "{}", distances.len());

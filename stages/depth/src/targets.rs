@@ -8,11 +8,40 @@ use crate::disparities::Class;
 use crate::matching::Matching;
 use crate::merge::PhotoDepth;
 
-/// Longest side of the pictures that are matched, pixels, and most pairs of a photo.
-const SIDE_PX: u32 = 480;
-const NEIGHBOURS: u32 = 3;
-/// Most distances of a photo: from every second, third, ... column and row.
-const MOST: usize = 1 << 15;
+/// How finely photos are matched for a training.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum TargetDetail {
+    /// Few photos, each of which counts: 480 pixels a side, three pairs a photo, at most 32,768 distances of each.
+    Fine,
+    /// Many photos: 240 pixels, one pair, 8,192 distances. It takes a fifteenth of the time (`benches/field.md`).
+    Coarse,
+}
+
+impl TargetDetail {
+    /// Longest side of the pictures that are matched, pixels.
+    const fn side_px(self) -> u32 {
+        match self {
+            Self::Fine => 480,
+            Self::Coarse => 240,
+        }
+    }
+
+    /// Most pairs of a photo.
+    const fn neighbours(self) -> u32 {
+        match self {
+            Self::Fine => 3,
+            Self::Coarse => 1,
+        }
+    }
+
+    /// Most distances of a photo: from every second, third, ... column and row.
+    const fn most(self) -> usize {
+        match self {
+            Self::Fine => 1 << 15,
+            Self::Coarse => 1 << 13,
+        }
+    }
+}
 
 /// How far away what a pixel shows is.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -27,22 +56,26 @@ pub struct DistanceSample {
 
 /// Returns distances of pixels of each photo of a scene, in their order, from pairs of these photos alone.
 ///
-/// A photo has at most 32,768, spread over it. There is none next to edges. Without a pair that shows depth the list is empty.
+/// They are spread over the photo. There is none next to edges. Without a pair that shows depth the list is empty.
 ///
 /// # Errors
 /// A photo that cannot be read, or the wish to stop.
-pub fn distances(ctx: &Ctx<'_>, scene: &Scene) -> Result<Vec<Vec<DistanceSample>>, StageError> {
-    let mut matching = Matching::new(ctx, scene, SIDE_PX, NEIGHBOURS)?;
+pub fn distances(
+    ctx: &Ctx<'_>,
+    scene: &Scene,
+    detail: TargetDetail,
+) -> Result<Vec<Vec<DistanceSample>>, StageError> {
+    let mut matching = Matching::new(ctx, scene, detail.side_px(), detail.neighbours())?;
     let photos = 0..scene.frames.len();
     photos
-        .map(|photo| Ok(spread(&matching.depth_of(photo)?)))
+        .map(|photo| Ok(spread(&matching.depth_of(photo)?, detail.most())))
         .collect()
 }
 
 /// Returns distances of pixels on a lattice.
-fn spread(depth: &PhotoDepth) -> Vec<DistanceSample> {
+fn spread(depth: &PhotoDepth, most: usize) -> Vec<DistanceSample> {
     let (width, height) = (depth.camera.width as usize, depth.camera.height as usize);
-    let stride = (1..).find(|stride| width.div_ceil(*stride) * height.div_ceil(*stride) <= MOST);
+    let stride = (1..).find(|stride| width.div_ceil(*stride) * height.div_ceil(*stride) <= most);
     let stride = stride.unwrap_or(1);
     let rows = (stride / 2..height).step_by(stride);
     let pixels = rows.flat_map(|row| {

@@ -142,7 +142,7 @@ pub struct Config {
     /// Steps after which nothing pulls any longer, 1 or more. Absent: from `steps` and the number of
     /// photos, at most 1,000.
     pub depth_steps: Option<u32>,
-    /// What pulls. Default: `pairs` with fewer than 24 photos to train on, else `points`.
+    /// What pulls. Default: `pairs` with fewer than 24 photos to train on, or with 16 steps a photo or more, else `points`.
     #[serde(skip_serializing_if = "is_zero")]
     pub depth_source: DepthSource,
     /// Exposure of single photos. Default: `per_photo_and_offset` if photos differ in the tones of matched points by more than noise, else

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use marf_depth::TargetDetail;
 use marf_field::{Config, Derived, Field, PixelDistance, Pixels, Trainer, View, exposure::StartExposure};
 use marf_scene::{Camera, Frame, Scene, Tones};
 use marf_schema::train::TrainParams;
@@ -62,12 +63,17 @@ impl Distances {
     ///
     /// # Errors
     /// A photo that cannot be read, or the wish to stop.
-    pub fn between(ctx: &Ctx<'_>, scene: &Scene, photos: Vec<Frame>) -> Result<Self, StageError> {
+    pub fn between(
+        ctx: &Ctx<'_>,
+        scene: &Scene,
+        photos: Vec<Frame>,
+        detail: TargetDetail,
+    ) -> Result<Self, StageError> {
         let scene = Scene {
             frames: photos,
             ..scene.clone()
         };
-        let distances = marf_depth::distances(ctx, &scene)?;
+        let distances = marf_depth::distances(ctx, &scene, detail)?;
         let ids = scene.frames.into_iter().map(|frame| frame.id);
         Ok(Self(ids.zip(distances).collect()))
     }

@@ -83,7 +83,7 @@ pub(super) fn depth_steps(config: &Config, views: &[View], points: usize) -> Cho
         Some(steps) => (
             (steps / 2).clamp(1, LONGEST_PULL.into()) as u32,
             format!(
-                "half of {} steps, {most} at most: later they would blur what {photos} photos show",
+                "half of {} steps, {most} at most: later {what} would blur what {photos} photos show",
                 grouped(steps)
             ),
         ),

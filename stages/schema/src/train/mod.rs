@@ -205,6 +205,9 @@ impl TrainParams {
             let said = field.0.entry("batch_samples".to_owned());
             said.or_insert_with(|| batch.into());
         }
+        // By the clock, the steps that decide on pairs are expected ones.
+        let said = field.0.entry("depth_source".to_owned());
+        said.or_insert_with(|| serde_json::json!(setup.config.depth_source));
         let judged_photos = self.within.map(|_| metrics.scores.views.len() as u64);
         Some(Self {
             budget: None,

@@ -85,7 +85,7 @@ fn a_training_with_a_budget_is_repeated_by_its_schedule() {
     let budgeted = params(json!({"budget": "9s", "quality": "standard", "seed": 5, "target_psnr": 20}));
     let expected = json!({
         "schedule": [[0, 900], [30, 700]], "quality": "standard", "seed": 5, "target_psnr": 20,
-        "scale": 1
+        "scale": 1, "field": {"depth_source": "points"}
     });
     let metrics = crate::example::train_metrics();
     assert_eq!(budgeted.repeating(&setup, &metrics), Some(params(expected)));

@@ -11,7 +11,7 @@ use marf_stage::{Ctx, Define, Inputs, StageError};
 use super::{
     photo_set::PhotoSet,
     planner::{Planner, TrainingTime, slower},
-    setup::Settings,
+    setup::{Settings, target_detail},
     start::Start,
 };
 use crate::{
@@ -65,13 +65,14 @@ impl<'a> Plan<'a> {
     ) -> Result<Self, StageError> {
         let mut settings = Settings::resolve(ctx, params, inputs, scene)?;
         let photos = PhotoSet::new(scene, &settings, params.resample)?;
-        settings.choose_depth_source(photos.split.training.len());
+        settings.choose_depth_source(params, photos.split.training.len());
         let start = Start::decide(ctx, params, inputs, &photos, &mut settings)?;
         let distances = match settings.config.depth_source {
             DepthSource::Points => Distances::default(),
             DepthSource::Pairs => {
                 let frames = photos.trained_on().into_iter().cloned().collect();
-                ctx.timed("depth", || Distances::between(ctx, scene, frames))?
+                let detail = target_detail(photos.split.training.len());
+                ctx.timed("depth", || Distances::between(ctx, scene, frames, detail))?
             }
         };
         let judging = JudgingPlan {

@@ -1,5 +1,6 @@
 //! What decides a training before it begins: its own parameters, or the setup of another training.
 
+use marf_depth::TargetDetail;
 use marf_field::{
     Config, DepthSource, Derived, EXPECTED_STEPS_PER_S, FEW_PHOTOS, Facts, Field, Gain, OpenSizes, Overrides,
     Quality, Schedule,
@@ -15,6 +16,9 @@ use crate::{
     settings::{field_config, field_keys, scale_to},
     split::Split,
 };
+
+/// Matching pairs of photos pays from so many steps a photo on: it takes as long as one to five steps a photo.
+const LEAST_STEPS_A_PHOTO: u64 = 16;
 
 /// Settings of a training, all resolved but the box and the sizes where no other training has derived them.
 pub(super) struct Settings {
@@ -84,11 +88,13 @@ impl Settings {
         })
     }
 
-    /// Lets pairs of few photos show where surfaces are: with more, the photos themselves do (`benches/field.md`).
-    pub fn choose_depth_source(&mut self, photos: usize) {
+    /// Lets pairs of photos show where surfaces are if the photos are few, or if matching them takes little of the time of the training
+    /// (`benches/field.md`).
+    pub fn choose_depth_source(&mut self, params: &TrainParams, photos: usize) {
         let is_open =
             self.fit == Fit::Scene && !self.is_decided() && !self.keys.0.contains_key("depth_source");
-        if is_open && photos < FEW_PHOTOS {
+        let steps = params.within.map_or(self.schedule.steps(), expected_steps);
+        if is_open && (photos < FEW_PHOTOS || steps >= LEAST_STEPS_A_PHOTO * photos as u64) {
             self.config.depth_source = DepthSource::Pairs;
         }
     }
@@ -230,12 +236,25 @@ fn choose_terms(tones: &Tones, keys: &Overrides, config: &mut Config) {
     }
 }
 
+/// Returns the steps of a time on a machine of two cores.
+fn expected_steps(time: Budget) -> u64 {
+    (time.seconds() * EXPECTED_STEPS_PER_S) as u64
+}
+
+/// Returns how finely photos are matched for a training on so many.
+pub(super) fn target_detail(photos: usize) -> TargetDetail {
+    if photos < FEW_PHOTOS {
+        TargetDetail::Fine
+    } else {
+        TargetDetail::Coarse
+    }
+}
+
 /// Returns the schedule that the parameters say.
 fn scheduled(params: &TrainParams) -> Schedule {
-    let expected = |budget: Budget| (budget.seconds() * EXPECTED_STEPS_PER_S) as u64;
     match (&params.schedule, params.budget) {
         (Some(schedule), _) => schedule.clone(),
-        (None, Some(budget)) => Schedule::once(expected(budget)),
+        (None, Some(budget)) => Schedule::once(expected_steps(budget)),
         (None, None) => {
             let steps = params.planned_steps();
             Schedule::once(params.fold.map_or(steps, |fold| fold.steps_of(steps)))

@@ -57,10 +57,14 @@ fn floor(harness: &Harness, photos: u32) -> Scene {
 }
 
 fn trained(harness: &Harness, scene: &Scene, keys: &Value) -> (Outputs, Setup) {
+    trained_for(harness, scene, 48, keys)
+}
+
+fn trained_for(harness: &Harness, scene: &Scene, steps: u64, keys: &Value) -> (Outputs, Setup) {
     let mut field = small();
     let both = field.as_object_mut().unwrap();
     both.extend(keys.as_object().unwrap().clone());
-    let train: Train = stage(json!({"steps": 48, "field": field, "judged_scale": 8}));
+    let train: Train = stage(json!({"steps": steps, "field": field, "judged_scale": 8}));
     let outputs = run(
         &train,
         &harness.ctx(),
@@ -83,9 +87,23 @@ fn pairs_of_few_photos_give_distances_and_a_key_decides_otherwise() {
     let (by_key, setup) = trained(&harness, &few, &json!({"depth_source": "points"}));
     assert_eq!(setup.config.depth_source, DepthSource::Points);
     assert_ne!(by_rule["weights"], by_key["weights"]);
-    // 32 photos are 24 to train on.
-    let (_, setup) = trained(&harness, &floor(&harness, 32), &json!({}));
-    assert_eq!(setup.config.depth_source, DepthSource::Points);
+}
+
+/// 32 photos are 24 to train on, and 16 steps for each are 384.
+#[test]
+fn pairs_of_many_photos_give_distances_from_16_steps_a_photo_on() {
+    let harness = Harness::default();
+    let many = floor(&harness, 32);
+    for (steps, expected) in [(383, DepthSource::Points), (384, DepthSource::Pairs)] {
+        let (_, setup) = trained_for(&harness, &many, steps, &json!({}));
+        assert_eq!(setup.config.depth_source, expected, "{steps}");
+        let reason = &setup.derived.sizes.depth_steps.reason;
+        assert_eq!(
+            reason.contains("distances from pairs of them would blur what 24 photos show"),
+            expected == DepthSource::Pairs,
+            "{reason}"
+        );
+    }
 }
 
 #[test]
