@@ -39,6 +39,17 @@ impl Cell {
         self.photos = self.photos.saturating_add(other.photos);
         self.confirmed |= other.confirmed;
     }
+
+    /// Returns the cell with this share of its weight.
+    fn of_weight(self, share: f64) -> Self {
+        Self {
+            position: self.position * share,
+            normal: self.normal * share as f32,
+            color: self.color * share as f32,
+            weight: self.weight * share,
+            ..self
+        }
+    }
 }
 
 /// A cloud that grows photo by photo.
@@ -79,14 +90,9 @@ impl Cloud {
             let mut sum = Cell::default();
             same.iter().for_each(|(_, one)| sum.add(one));
             // Pixels of one photo share their errors: together they count as one of their mean weight.
-            let share = 1.0 / sum.pixels;
             let of_photo = Cell {
-                position: sum.position * share,
-                normal: sum.normal * share as f32,
-                color: sum.color * share as f32,
-                weight: sum.weight * share,
                 photos: 1,
-                ..sum
+                ..sum.of_weight(1.0 / sum.pixels)
             };
             self.cells.entry(same[0].0).or_default().add(&of_photo);
         }
@@ -95,16 +101,24 @@ impl Cloud {
         }
     }
 
+    /// Makes the cells twice as wide. The same photos show the parts of one, with the same errors: they count as they would in one cell.
     fn coarsen(&mut self) {
         self.cell *= 2.0;
+        let mut coarse: HashMap<Place, (Cell, f64)> = HashMap::new();
         let mut fine: Vec<(Place, Cell)> = std::mem::take(&mut self.cells).into_iter().collect();
         fine.par_sort_by_key(|(place, _)| *place);
         for (place, cell) in fine {
-            let known = self.cells.entry(place.map(|x| x >> 1)).or_default();
+            let (known, shown) = coarse.entry(place.map(|x| x >> 1)).or_default();
             let photos = known.photos.max(cell.photos);
             known.add(&cell);
             known.photos = photos;
+            *shown += f64::from(cell.photos);
         }
+        let whole = |(cell, shown): (Cell, f64)| cell.of_weight(f64::from(cell.photos) / shown);
+        self.cells = coarse
+            .into_iter()
+            .map(|(place, parts)| (place, whole(parts)))
+            .collect();
     }
 
     /// Returns the points, in the order of their cells. Of a cloud with confirmed points, those of one photo that no other confirms
@@ -232,6 +246,31 @@ mod tests {
             assert_eq!(point.photos, photos);
             assert!((point.sigma - variance.sqrt()).abs() < 1e-12, "{point:?}");
         }
+    }
+
+    /// Four cells of 0.5, each in the same two photos of one pair, in one of 1.
+    #[test]
+    fn a_wider_cell_is_as_sure_as_its_parts() {
+        let mut cloud = Cloud::new(0.5);
+        for _ in 0..2 {
+            let parts = [0.2, 0.7].map(|x| [0.2, 0.7].map(|y| (x, y)));
+            let at = |(x, y): (f64, f64)| Surfel {
+                position: Vector3::new(x, y, 0.2),
+                ..surfel(0.0, 0.1)
+            };
+            let parts: Vec<Surfel> = parts.into_iter().flatten().map(at).collect();
+            cloud.add(&parts);
+        }
+        assert_eq!(cloud.cells.len(), 4);
+        cloud.coarsen();
+        let points = cloud.points();
+        assert_eq!((points.len(), points[0].photos), (1, 2));
+        let off = points[0].position - Vector3::new(0.45, 0.45, 0.2);
+        assert!(
+            off.norm() < 1e-12 && (points[0].sigma - 0.1).abs() < 1e-12,
+            "{points:?}"
+        );
+        assert_eq!(points[0].color, [100, 0, 0]);
     }
 
     #[test]
