@@ -77,6 +77,10 @@ fn the_table_of_intervals_has_the_numbers_of_gray_and_of_the_depth() {
         );
         assert!(html.contains(&row), "{row}");
     }
+    for quantity in ["gray", "depth"] {
+        let note = format!("Note on the interval of {quantity}: only 5 places were held out");
+        assert!(html.contains(&note), "{note}");
+    }
 }
 
 #[test]

@@ -28,7 +28,7 @@ pub const CRATES: [Crate; 36] = [
     row("cache/remote", "marf-remote", &["marf-cache", "marf-keys"]),
     row("stages/numeric", "marf-numeric", &[]),
     row("labs/loopback", "marf-loopback", &[]),
-    row("stages/stage", "marf-stage", &["marf-cache"]),
+    row("stages/stage", "marf-stage", &["marf-cache", "marf-numeric"]),
     row("stages/scene", "marf-scene", &["marf-cache", "marf-numeric"]),
     Crate {
         tests_use: &["marf-cache"],
@@ -221,6 +221,7 @@ pub const CRATES: [Crate; 36] = [
         "marf-view",
         &[
             "marf-cache",
+            "marf-numeric",
             "marf-scene",
             "marf-field",
             "marf-field-gpu",
