@@ -4,7 +4,7 @@ use marf_cache::Digest;
 use marf_schema::changes::ChangesParams;
 use marf_schema::output::{SCENE, WEIGHTS};
 use marf_schema::surface::{SurfaceParams, SurfaceReport};
-use marf_schema::train::{Setup, TrainParams};
+use marf_schema::train::{Metrics, Setup, TrainParams};
 use marf_stage::{Ctx, Document, Inputs, NodeSpec, Outputs, StageError};
 
 use super::outputs::{digest, document};
@@ -150,7 +150,9 @@ impl Rounds<'_> {
     ) -> Result<NodeSpec, StageError> {
         let mut inputs = Inputs::default();
         inputs.0.insert(SCENE.to_owned(), self.scenes[time]);
-        inputs.0.insert(WEIGHTS.to_owned(), digest(trained, WEIGHTS)?);
+        for name in [WEIGHTS, Metrics::OUTPUT] {
+            inputs.0.insert(name.to_owned(), digest(trained, name)?);
+        }
         NodeSpec::new(
             format!("{}-{name}", TIMES[time]),
             &surface(self.params, size),
