@@ -305,7 +305,11 @@ fn rounds_follow_from_what_is_done() {
     let ctx = harness.ctx();
     let setup = ctx.put(b"setup").unwrap();
     let weights = ctx.put(b"weights").unwrap();
-    let trained = Outputs::from([("setup".to_owned(), setup), ("weights".to_owned(), weights)]);
+    let metrics = ctx.put(b"metrics").unwrap();
+    let trained = Outputs::from(
+        [("setup", setup), ("weights", weights), ("metrics", metrics)]
+            .map(|(name, digest)| (name.to_owned(), digest)),
+    );
     let params = ChangesParams {
         cell: Some(0.1),
         ..params()
@@ -341,6 +345,9 @@ fn rounds_follow_from_what_is_done() {
         (&last[5].params["cell"], &last[5].params["map_cell"]),
         (&0.1.into(), &0.1.into())
     );
+    for (name, digest) in [("weights", weights), ("metrics", metrics)] {
+        assert_eq!(last[5].inputs.0.get(name), Some(&digest), "{name}");
+    }
     assert!(rounds.results(&[]).is_err());
 }
 
