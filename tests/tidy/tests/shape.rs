@@ -24,7 +24,7 @@ enum Bar {
     Rule(Rule),
 }
 
-/// The most that is allowed now, and the bar. A limit only goes down.
+/// The most that is allowed now, and the bar. A limit goes down, but where defects cost lines.
 struct Limit {
     bar: Bar,
     now: usize,
