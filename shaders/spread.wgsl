@@ -7,7 +7,7 @@
 // Threads   one in APART per ray, its samples from the front for the sums and then from the back: workgroup 64, folded.
 // Reads     `spans` [4][rays] (of visited samples, of kept ones: the first of the visited). `rgb` [3][capacity],
 //           `along` [3][capacity] (row 2, the place), `logits` [3][capacity]. `found` [FOUND_ROWS][rays] of `compare`,
-//           `pulls` [rays] (place, weight), `counts`[slot] rays in use. `light` and `along` as left by `opacity`.
+//           `pulls` [rays] (place, above 1 for sky, and weight), `counts`[slot] rays in use. `light` and `along` as left by `opacity`.
 // Writes    `d_outputs` [4][capacity]: slopes in the three logits and in the raw density of kept samples of rays in
 //           use, each element once.
 // Extremes  the slope is exactly 0 where the raw density is at its limit (tau is 0 there) or a logit outside its
@@ -89,9 +89,12 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
         near_by += select(0.0, weight, abs(lit.z - pull.x) < reach);
         left = lit.y * (1.0 - lit.x);
     }
+    // Sky is behind all steps, whose places are at most 1: what passes all samples counts, and each is in the way.
+    let sky = pull.x > 1.0;
+    near_by += select(0.0, left, sky);
     // 0 without a pull, where the floor might be 0 too.
     let pulled = pull.y != 0.0;
-    let strength_near = select(0.0, -pull.y / near_by, pulled);
+    let strength_near = select(0.0, select(-pull.y, pull.y, sky) / near_by, pulled);
 
     var suffix = left * row_of(FOUND_TOWARDS, ray);
     var suffix_near = 0.0;
@@ -124,7 +127,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
         var d_tau = after * q - suffix;
         suffix = fma(weight, q, suffix);
         d_tau = fma(emptiness, 1.0 - alpha, d_tau);
-        let q_near = select(0.0, strength_near, abs(place - pull.x) < reach);
+        let q_near = select(0.0, strength_near, sky || abs(place - pull.x) < reach);
         d_tau += after * q_near - suffix_near;
         suffix_near = fma(weight, q_near, suffix_near);
         behind += weight;

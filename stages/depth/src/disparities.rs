@@ -23,6 +23,8 @@ pub enum Class {
     Edge = 3,
     /// Pairs of a photo give different depths: it has none. What moved between the photos does that, and so do wrong matches.
     Differs = 4,
+    /// No depth: the pixel shows sky.
+    Sky = 5,
 }
 
 /// Disparities of the left picture. All rasters have its size.

@@ -43,6 +43,7 @@ mod refine;
 mod rows;
 pub mod score;
 mod search;
+mod sky;
 mod spline;
 mod stage;
 #[cfg(test)]

@@ -4,6 +4,8 @@ use marf_cache::Digest;
 use marf_scene::Scene;
 use marf_schema::depth::RowOffset;
 use marf_stage::{Ctx, StageError};
+use marf_surface::ExportFrame;
+use nalgebra::Vector3;
 
 use crate::disparities::match_pair;
 use crate::faults::{PairFault, fault, hidden};
@@ -13,6 +15,7 @@ use crate::pairs::{Pair, Pairs, choose};
 use crate::photos::Photos;
 use crate::rectify::PosedCamera;
 use crate::rows::row_offset;
+use crate::sky;
 
 /// Of kept pairs. Raised when the disparities of a pair may differ.
 const PAIR_VERSION: u32 = 3;
@@ -25,6 +28,7 @@ pub(crate) struct Matching<'a> {
     scene: &'a Scene,
     pub photos: Photos<'a>,
     pub views: Vec<PosedCamera>,
+    up: Option<Vector3<f64>>,
     pub pairs: Pairs,
     /// One for each chosen pair.
     pub outcomes: Vec<PairOutcome>,
@@ -50,6 +54,7 @@ impl<'a> Matching<'a> {
             scene,
             photos,
             views,
+            up: ExportFrame::new(scene).up,
             pairs,
             outcomes,
         })
@@ -76,7 +81,13 @@ impl<'a> Matching<'a> {
             .iter()
             .map(|pair| view_of(self.ctx, self.scene, &mut self.photos, pair, photo));
         let views = views.collect::<Result<Vec<_>, _>>()?;
-        Ok(merge(self.views[photo].camera, &views))
+        let view = self.views[photo];
+        let mut depth = merge(view.camera, &views);
+        if let Some(up) = &self.up {
+            let picture = &self.photos.get(photo)?.picture;
+            sky::mark(&mut depth, picture, &view.cam_from_world, up);
+        }
+        Ok(depth)
     }
 
     /// Returns why no pair of a photo found anything. Empty if one did.

@@ -39,7 +39,7 @@ pub(crate) fn surfels(
         let confirmed = match depth.class[index] {
             Class::Confirmed => true,
             Class::Pair => false,
-            Class::None | Class::Edge | Class::Differs => return None,
+            Class::None | Class::Edge | Class::Differs | Class::Sky => return None,
         };
         let at = Vector2::new((index % width) as f64 + 0.5, (index / width) as f64 + 0.5);
         let ray = depth.camera.unproject(&at)?;

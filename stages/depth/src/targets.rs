@@ -7,6 +7,7 @@ use nalgebra::Vector2;
 use crate::disparities::Class;
 use crate::matching::Matching;
 use crate::merge::PhotoDepth;
+use crate::raster::Raster;
 
 /// How finely photos are matched for a training.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -48,15 +49,16 @@ impl TargetDetail {
 pub struct DistanceSample {
     /// Place in the photo as shares of its width and height.
     pub at: [f32; 2],
-    /// Distance from the camera, units of the world.
+    /// Distance from the camera, units of the world. Infinite for sky.
     pub distance: f32,
-    /// One standard deviation of it.
+    /// One standard deviation of it, 0 for sky.
     pub sigma: f32,
 }
 
 /// Returns distances of pixels of each photo of a scene, in their order, from pairs of these photos alone.
 ///
-/// They are spread over the photo. There is none next to edges. Without a pair that shows depth the list is empty.
+/// They are spread over the photo. There is none next to edges. Sky is infinitely far away. Without a pair that shows depth the list is
+/// empty.
 ///
 /// # Errors
 /// A photo that cannot be read, or the wish to stop.
@@ -72,6 +74,9 @@ pub fn distances(
         .collect()
 }
 
+/// Pixels around sky that are not certain to show sky alone.
+const SKYLINE_PX: usize = 2;
+
 /// Returns distances of pixels on a lattice.
 fn spread(depth: &PhotoDepth, most: usize) -> Vec<DistanceSample> {
     let (width, height) = (depth.camera.width as usize, depth.camera.height as usize);
@@ -83,16 +88,30 @@ fn spread(depth: &PhotoDepth, most: usize) -> Vec<DistanceSample> {
             .step_by(stride)
             .map(move |column| [column, row])
     });
+    let sky = Raster {
+        width,
+        height,
+        values: depth.class.iter().map(|class| *class == Class::Sky).collect(),
+    };
+    let sky = sky.eroded(SKYLINE_PX, SKYLINE_PX);
     let found = pixels.filter_map(|[column, row]| {
         let index = row * width + column;
+        let at = Vector2::new(column as f64 + 0.5, row as f64 + 0.5);
+        let shares = [at.x / width as f64, at.y / height as f64].map(|share| share as f32);
+        if sky.values[index] {
+            return Some(DistanceSample {
+                at: shares,
+                distance: f32::INFINITY,
+                sigma: 0.0,
+            });
+        }
         if !matches!(depth.class[index], Class::Pair | Class::Confirmed) {
             return None;
         }
-        let at = Vector2::new(column as f64 + 0.5, row as f64 + 0.5);
         let inverse = f64::from(depth.inverse[index]);
         let distance = depth.camera.unproject(&at)?.norm() / inverse;
         Some(DistanceSample {
-            at: [at.x / width as f64, at.y / height as f64].map(|share| share as f32),
+            at: shares,
             distance: distance as f32,
             sigma: (distance * f64::from(depth.sigma[index]) / inverse) as f32,
         })

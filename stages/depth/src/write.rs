@@ -57,7 +57,8 @@ pub(crate) fn photo(
     let class: Vec<u16> = depth.class.iter().map(|class| *class as u16).collect();
     let words = [(
         "marf:class",
-        "0 none, 1 one pair, 2 confirmed by two, 3 next to an edge, 4 none: pairs differ".to_owned(),
+        "0 none, 1 one pair, 2 confirmed by two, 3 next to an edge, 4 none: pairs differ, 5 none: sky"
+            .to_owned(),
     )];
     let pictures = [
         (DEPTH, png16::depth(width, height, &distance, metres)),
@@ -85,9 +86,10 @@ pub(crate) fn photo(
         size_px: [width, height],
         depth_step: f64::from(distance.iter().copied().fold(0.0, f32::max)) * frame.scale() / png16::MOST,
         pairs: 0,
-        share: share(&|class| !matches!(class, Class::None | Class::Differs)),
+        share: share(&|class| !matches!(class, Class::None | Class::Differs | Class::Sky)),
         confirmed_share: share(&|class| *class == Class::Confirmed),
         differing_share: share(&|class| *class == Class::Differs),
+        sky_share: share(&|class| *class == Class::Sky),
         median_sigma_share: upper_median(known.map(|(inverse, sigma)| f64::from(sigma / inverse))),
         reason: String::new(),
     })

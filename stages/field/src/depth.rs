@@ -1,4 +1,4 @@
-//! Sparse points, and distances of pixels, pull the matter of a ray to where a camera sees them.
+//! Sparse points, and distances of pixels, pull the matter of a ray to where a camera sees them. Sky empties its rays.
 
 use marf_scene::Camera;
 use nalgebra::{Vector2, Vector3};
@@ -22,12 +22,15 @@ const SIGMAS: f32 = 2.0;
 /// Added to the weight near the point: bounds the pull on rays that have next to nothing there.
 pub const FLOOR: f32 = 0.05;
 
+/// Place of sky: behind all steps, whose places are at most 1.
+const SKY: f32 = 2.0;
+
 /// A pixel in which a point is seen.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Observation {
     /// Number of the pixel among all pixels of all views.
     pub pixel: u64,
-    /// Distance of the point along its ray, half sides.
+    /// Distance of the point along its ray, half sides. Infinite for sky.
     pub t: f32,
     /// One standard deviation of it. 0 for a sparse point.
     pub sigma: f32,
@@ -36,8 +39,14 @@ pub struct Observation {
 impl Observation {
     /// Returns where it pulls to, and its share of the weight of a pull. `None` beyond the steps.
     ///
-    /// A distance pulls less if two of its standard deviations are longer than the reach of a pull.
+    /// A distance pulls less if two of its standard deviations are longer than the reach of a pull. Sky is behind all steps.
     pub fn place_and_share(&self, steps: &Steps) -> Option<PlaceShare> {
+        if self.t == f32::INFINITY {
+            return Some(PlaceShare {
+                place: SKY,
+                share: 1.0,
+            });
+        }
         let step = step_at(steps, self.t)?;
         let reach = REACH * steps.length[step];
         Some(PlaceShare {
@@ -50,7 +59,7 @@ impl Observation {
 /// Where an observation pulls to.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlaceShare {
-    /// Number of a step as a share of all steps.
+    /// Number of a step as a share of all steps. Above 1 for sky.
     pub place: f32,
     /// Share of the weight of a pull, in [0, 1].
     pub share: f32,
@@ -59,7 +68,7 @@ pub struct PlaceShare {
 /// What pulls the matter of a ray.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pull {
-    /// Where to: number of a step as a share of all steps.
+    /// Where to: number of a step as a share of all steps. Above 1 for sky.
     pub place: f32,
     /// Weight of the loss, for this ray.
     pub weight: f32,
@@ -101,9 +110,10 @@ pub fn observations(
         let dense = view.distances.iter().filter_map(|one| {
             let [column, row] = one.pixel.map(u64::from);
             let half_sides = |length: f32| (f64::from(length) / frame.half_side) as f32;
+            let is_seen = |t: &f32| *t == f32::INFINITY || place(steps, *t).is_some();
             Some(Observation {
                 pixel: first + view.image.kept(column, row)?,
-                t: Some(half_sides(one.distance)).filter(|t| place(steps, *t).is_some())?,
+                t: Some(half_sides(one.distance)).filter(is_seen)?,
                 sigma: half_sides(one.sigma),
             })
         });
@@ -160,19 +170,27 @@ pub fn place(steps: &Steps, t: f32) -> Option<f32> {
 }
 
 impl Pull {
-    /// Adds the slopes of `-weight ln(W + 0.05)` in the optical depths, W the weight within 2.5 steps of the point.
+    /// Adds the slopes of `-weight ln(W + 0.05)` in the optical depths, W the weight within 2.5 steps of the point. For sky, W is the
+    /// transmittance behind all samples, 1 minus the sum of their weights.
     ///
     /// dL/dtau_i = T_{i+1} q_i - sum_{j>i} w_j q_j, where q_i = dL/dw_i. `cell`: length of a step in units of `place`.
     /// A ray without samples near the point is left as it is.
     #[inline(always)]
     pub fn spread(&self, ray: &Ray, cell: f32, d_tau: &mut [f32]) {
-        let near = |i: usize| (ray.place[i] - self.place).abs() < REACH * cell;
+        let is_sky = self.place > 1.0;
+        let near = |i: usize| is_sky || (ray.place[i] - self.place).abs() < REACH * cell;
         let weight = |i: usize| ray.transmittance[i] * ray.alpha[i];
         let mut there = FLOOR;
+        let mut left = 1.0;
         for i in 0..ray.alpha.len() {
-            there += if near(i) { weight(i) } else { 0.0 };
+            there += if near(i) && !is_sky { weight(i) } else { 0.0 };
+            left = ray.transmittance[i] * (1.0 - ray.alpha[i]);
         }
-        let pull = -self.weight / there;
+        let pull = if is_sky {
+            self.weight / (there + left)
+        } else {
+            -self.weight / there
+        };
         let mut suffix = 0.0_f32;
         for i in (0..ray.alpha.len()).rev() {
             let q = if near(i) { pull } else { 0.0 };
@@ -268,11 +286,12 @@ mod tests {
             distance,
             sigma,
         };
-        // Units of the world are two half sides. The last lies behind all steps.
+        // Units of the world are two half sides. The third lies behind all steps, the last shows sky.
         views[1].distances = vec![
             distance([3, 2], 6.0, 0.1),
             distance([4, 2], 6.0, 5.0),
             distance([5, 2], 1e9, 0.1),
+            distance([6, 2], f32::INFINITY, 0.0),
         ];
         let frame = Frame {
             origin: [0.0; 3],
@@ -282,7 +301,7 @@ mod tests {
         let steps = Steps::new(0.5, 100.0, 0.5, 0.0);
         let found = observations(&views, &pixel_offsets(&views), &[], &frame, &steps);
         let pixels: Vec<u64> = found.iter().map(|one| one.pixel).collect();
-        assert_eq!(pixels, [2400 + 123, 2400 + 124]);
+        assert_eq!(pixels, [2400 + 123, 2400 + 124, 2400 + 126]);
         let at: Vec<_> = found
             .iter()
             .map(|one| one.place_and_share(&steps).unwrap())
@@ -290,6 +309,7 @@ mod tests {
         assert_eq!(at[0].place, place(&steps, 3.0).unwrap());
         // A pull reaches 2.5 steps of 0.5. Two standard deviations are 0.1 and 5 half sides.
         assert_eq!((at[0].share, at[1].share), (1.0, 0.25));
+        assert_eq!((at[2].place, at[2].share), (SKY, 1.0));
         let sparse = Observation {
             pixel: 0,
             t: 3.0,
@@ -310,6 +330,7 @@ mod tests {
             }
             left *= (-tau).exp();
         }
+        there += if at == SKY { left } else { 0.0 };
         -0.7 * there.ln()
     }
 
@@ -329,8 +350,8 @@ mod tests {
             rgb: &[[0.0; 4]; 6],
             place: &place,
         };
-        // In the middle, before the first, at the last, and where no sample is.
-        for at in [0.26, -0.1, 0.5, 0.9] {
+        // In the middle, before the first, at the last, where no sample is, and in the sky.
+        for at in [0.26, -0.1, 0.5, 0.9, SKY] {
             let mut found = [0.0; 6];
             let pull = Pull {
                 place: at,
@@ -361,16 +382,15 @@ mod tests {
                 rgb: &[[0.0; 4]],
                 place: &[0.5],
             };
-            let pull = Pull {
-                place: 0.5,
-                weight: 1.0,
-            };
-            let mut found = [0.0];
-            pull.spread(&ray, 0.01, &mut found);
-            assert!(
-                found[0].is_finite() && found[0] <= 0.0,
-                "{alpha} {transmittance}: {found:?}"
-            );
+            for (place, sign) in [(0.5, -1.0), (SKY, 1.0)] {
+                let pull = Pull { place, weight: 1.0 };
+                let mut found = [0.0];
+                pull.spread(&ray, 0.01, &mut found);
+                assert!(
+                    found[0].is_finite() && sign * found[0] >= 0.0,
+                    "{alpha} {transmittance} {place}: {found:?}"
+                );
+            }
         }
     }
 }

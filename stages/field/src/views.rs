@@ -23,9 +23,9 @@ pub struct View {
 pub struct PixelDistance {
     /// Column and row of the pixel.
     pub pixel: [u32; 2],
-    /// Distance from the camera, units of the world.
+    /// Distance from the camera, units of the world. Infinite for sky, whose rays meet nothing.
     pub distance: f32,
-    /// One standard deviation of it.
+    /// One standard deviation of it, 0 for sky.
     pub sigma: f32,
 }
 

@@ -111,6 +111,9 @@ pub struct PhotoMetrics {
     pub confirmed_share: f64,
     /// Share of its pixels whose pairs differ, which have no depth.
     pub differing_share: f64,
+    /// Share of its pixels that show sky. 0 if up is not known.
+    #[serde(default)]
+    pub sky_share: f64,
     /// Median standard deviation, as a share of the depth.
     pub median_sigma_share: Option<f64>,
     /// Why it has no depth. Empty if it has.

@@ -118,7 +118,11 @@ fn ray_loss(
     let opacity: f64 = seen.iter().map(|a| a.1).sum();
     let pull = target.pull.map_or(0.0, |pull| {
         let near = |place: f64| (place - f64::from(pull.place)).abs() < f64::from(REACH) * cell;
-        let there: f64 = seen.iter().filter(|a| near(a.2)).map(|a| a.0).sum();
+        let there: f64 = if pull.place > 1.0 {
+            1.0 - seen.iter().map(|a| a.0).sum::<f64>()
+        } else {
+            seen.iter().filter(|a| near(a.2)).map(|a| a.0).sum()
+        };
         -f64::from(pull.weight) * (there + f64::from(FLOOR)).ln()
     });
     share

@@ -65,6 +65,8 @@ impl Scene {
         let pulls = (0..SLOTS).map(|ray| match ray % 4 {
             0 => [0.09, 0.01],
             1 => [0.5, 0.01],
+            // Sky.
+            2 => [2.0, 0.01],
             _ => [0.1, 0.0],
         });
         Self {

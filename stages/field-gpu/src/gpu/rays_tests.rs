@@ -117,10 +117,10 @@ fn view(camera: Camera, angle: f64, run: u32, is_opaque: bool) -> View {
     let alpha: Vec<u8> = (0..if is_opaque { 0 } else { all })
         .map(|place| (3 * place) as u8)
         .collect();
-    // Of less and less sure ones, some pull with less than the whole weight.
+    // Of less and less sure ones, some pull with less than the whole weight. Every fifth is sky.
     let distances = (0..camera.height).map(|row| PixelDistance {
         pixel: [camera.width - 1 - row % 3, row],
-        distance: 3.0,
+        distance: if row % 5 == 0 { f32::INFINITY } else { 3.0 },
         sigma: 0.05 * row as f32,
     });
     View {

@@ -58,8 +58,10 @@ pub(super) fn depth_steps(config: &Config, views: &[View], points: usize) -> Cho
         return Choice::said(steps, "depth_steps");
     }
     let photos = views.len();
-    let distances: usize = views.iter().map(|view| view.distances.len()).sum();
-    let what = match (config.depth_source, distances) {
+    let all = || views.iter().flat_map(|view| &view.distances);
+    let distances = all().filter(|one| one.distance.is_finite()).count();
+    let sky = all().count() - distances;
+    let mut what = match (config.depth_source, distances) {
         (DepthSource::Points, _) => "sparse points".to_owned(),
         (DepthSource::Pairs, 0) => "sparse points (no pair of them shows distances)".to_owned(),
         (DepthSource::Pairs, count) => {
@@ -69,6 +71,9 @@ pub(super) fn depth_steps(config: &Config, views: &[View], points: usize) -> Cho
             )
         }
     };
+    if sky > 0 {
+        what += &format!(" and {} pixels of sky", grouped(sky as u64));
+    }
     let most = grouped(LONGEST_PULL);
     let (steps, reason) = match config.steps {
         _ if points == 0 && distances == 0 => (LONGEST_PULL, "there are no sparse points".to_owned()),

@@ -26,7 +26,7 @@ stage! {
     Set,
     Threads::All,
     about: "trains the first steps of a training, from which `train` continues",
-    version: 15,
+    version: 16,
     ports: [
         Port::required("input", SCENE),
         Port::optional("params", BestParams::OUTPUT),
