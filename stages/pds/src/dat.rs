@@ -7,9 +7,7 @@ use std::sync::OnceLock;
 
 use marf_scene::Photo;
 
-use crate::label::{
-    Array, BandStorage, BayerPhase, LineDirection, Quantity, Sample, SampleDirection, SampleKind,
-};
+use crate::label::{Array, BayerPhase, Sample, SampleKind};
 
 /// Bytes of the header.
 const HEADER: usize = 64;
@@ -128,27 +126,15 @@ impl Header {
         let companded = sample_bytes == 1 && self.table != NO_TABLE;
         Decompressed {
             array: Array {
-                file: None,
-                offset: 0,
                 shape: [bands, self.height, self.width],
-                order: BandStorage::BandSequential,
                 sample: Sample {
                     kind: SampleKind::Unsigned,
                     bytes: sample_bytes,
                     big_endian: true,
                 },
-                prefix_bytes: 0,
-                suffix_bytes: 0,
                 bits: Some(if sample_bytes == 1 { 8 } else { 12 }),
-                scaling: Vec::new(),
-                from_zenith: None,
-                sunlight: Vec::new(),
-                missing: Vec::new(),
-                saturated: Vec::new(),
                 companded_by: companded.then(|| format!("MMM_LUT{}", self.table)),
-                quantity: Quantity::Counts,
-                lines: LineDirection::default(),
-                samples: SampleDirection::default(),
+                ..Array::default()
             },
             bytes: samples,
             phase: self.phase,

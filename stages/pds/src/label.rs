@@ -81,7 +81,7 @@ pub struct FileFacts {
 }
 
 /// An array of pixels in a file.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct Array {
     /// Name of the file, if not the label's own.
     pub file: Option<String>,
@@ -113,43 +113,24 @@ pub struct Array {
     pub companded_by: Option<String>,
     /// What the scaled value is.
     pub quantity: Quantity,
-    /// Where the first line is displayed.
-    pub lines: LineDirection,
-    /// Where the first sample of a line is displayed.
-    pub samples: SampleDirection,
-}
-
-/// Direction in which lines are displayed.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub enum LineDirection {
-    /// The first line is at the top.
-    #[default]
-    TopToBottom,
-    /// The first line is at the bottom.
-    BottomToTop,
-}
-
-/// Direction in which the samples of a line are displayed.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub enum SampleDirection {
-    /// The first sample is at the left.
-    #[default]
-    LeftToRight,
-    /// The first sample is at the right.
-    RightToLeft,
+    /// The first line is displayed at the bottom.
+    pub upside_down: bool,
+    /// The first sample of a line is displayed at the right.
+    pub mirrored: bool,
 }
 
 impl Array {
     /// Whether pixels are displayed in the order in which they are stored.
     pub fn is_upright(&self) -> bool {
-        (self.lines, self.samples) == (LineDirection::TopToBottom, SampleDirection::LeftToRight)
+        !self.upside_down && !self.mirrored
     }
 }
 
 /// Nesting of bands, lines and samples. The last varies fastest.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum BandStorage {
     /// Band, line, sample.
+    #[default]
     BandSequential,
     /// Line, band, sample.
     LineInterleaved,
@@ -158,7 +139,7 @@ pub enum BandStorage {
 }
 
 /// Type of one stored sample.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Sample {
     /// Integer or float.
     pub kind: SampleKind,
@@ -169,9 +150,10 @@ pub struct Sample {
 }
 
 /// Kind of number.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum SampleKind {
     /// Unsigned integer.
+    #[default]
     Unsigned,
     /// Integer in two's complement.
     Signed,
@@ -180,9 +162,10 @@ pub enum SampleKind {
 }
 
 /// What an array's scaled values are.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum Quantity {
     /// Counts of the detector, in proportion to light.
+    #[default]
     Counts,
     /// Spectral radiance, W / (m2 sr nm).
     Radiance,

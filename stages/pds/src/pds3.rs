@@ -6,10 +6,7 @@ mod scaling;
 
 use marf_scene::Sensor;
 
-use crate::label::{
-    Array, BandStorage, BayerPhase, FileFacts, Label, LineDirection, Quantity, Sample, SampleDirection,
-    SampleKind,
-};
+use crate::label::{Array, BandStorage, BayerPhase, FileFacts, Label, Sample, SampleKind};
 use crate::odl::{Group, Value};
 use crate::{sensor, values};
 use keys::{text, top, unsigned};
@@ -75,10 +72,10 @@ fn set_directions(odl: &Group, array: &mut Array, notes: &mut Vec<String>) {
         return;
     }
     if is(lines, &["UP"]) {
-        array.lines = LineDirection::BottomToTop;
+        array.upside_down = true;
     }
     if is(samples, &["LEFT"]) {
-        array.samples = SampleDirection::RightToLeft;
+        array.mirrored = true;
     }
 }
 
@@ -194,15 +191,10 @@ fn array(odl: &Group) -> Option<Array> {
         prefix_bytes: unsigned(image, "LINE_PREFIX_BYTES").unwrap_or(0),
         suffix_bytes: unsigned(image, "LINE_SUFFIX_BYTES").unwrap_or(0),
         bits: image.text("SAMPLE_BIT_MASK").and_then(values::mask_bits),
-        scaling: Vec::new(),
-        from_zenith: None,
-        sunlight: Vec::new(),
         missing: constants(image, &MISSING, stored),
         saturated: constants(image, &SATURATED, stored),
         companded_by: companded_by(odl),
-        quantity: Quantity::Counts,
-        lines: LineDirection::default(),
-        samples: SampleDirection::default(),
+        ..Array::default()
     })
 }
 
@@ -323,7 +315,6 @@ fn vicar_array(odl: &Group) -> Option<Array> {
     };
     let data = odl.find(&["IMAGE_DATA"]);
     Some(Array {
-        file: None,
         offset: offset.checked_add(header.checked_mul(record)?)?,
         shape: [unsigned(odl, "NB")?, unsigned(odl, "NL")?, unsigned(odl, "NS")?],
         order: match odl.text("ORG")? {
@@ -334,11 +325,7 @@ fn vicar_array(odl: &Group) -> Option<Array> {
         },
         sample,
         prefix_bytes: unsigned(odl, "NBB").unwrap_or(0),
-        suffix_bytes: 0,
         bits: data.and_then(|group| values::mask_bits(group.text("SAMPLE_BIT_MASK")?)),
-        scaling: Vec::new(),
-        from_zenith: None,
-        sunlight: Vec::new(),
         missing: data
             .map(|group| constants(group, &MISSING, sample))
             .unwrap_or_default(),
@@ -346,9 +333,7 @@ fn vicar_array(odl: &Group) -> Option<Array> {
             .map(|group| constants(group, &SATURATED, sample))
             .unwrap_or_default(),
         companded_by: companded_by(odl),
-        quantity: Quantity::Counts,
-        lines: LineDirection::default(),
-        samples: SampleDirection::default(),
+        ..Array::default()
     })
 }
 

@@ -4,9 +4,7 @@ use marf_scene::{Image, Srgb, TooLarge};
 
 use crate::companding::Table;
 use crate::demosaic;
-use crate::label::{
-    Array, BandStorage, BayerPhase, LineDirection, Quantity, Sample, SampleDirection, SampleKind,
-};
+use crate::label::{Array, BandStorage, BayerPhase, Quantity, Sample, SampleKind};
 use crate::sun;
 use crate::tone::{self, WHITE_RADIANCE};
 
@@ -118,18 +116,16 @@ pub fn render(
 /// Turns stored pixels as they are displayed. Returns a note if they were turned.
 fn display(array: &Array, image: &mut Image<Srgb>) -> Option<String> {
     let mut turned = Vec::new();
-    if array.lines == LineDirection::BottomToTop {
+    if array.upside_down {
         image.pixels.reverse();
         turned.push("from bottom to top");
     }
     // Reversing all pixels turns lines and samples.
-    let reversed = array.lines == LineDirection::BottomToTop;
-    let mirrored = array.samples == SampleDirection::RightToLeft;
-    if reversed != mirrored {
+    if array.upside_down != array.mirrored {
         let width = image.width.max(1) as usize;
         image.pixels.chunks_exact_mut(width).for_each(<[_]>::reverse);
     }
-    if mirrored {
+    if array.mirrored {
         turned.push("from right to left");
     }
     (!turned.is_empty()).then(|| format!("displayed {}, by its label", turned.join(" and ")))

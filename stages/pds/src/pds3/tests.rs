@@ -288,7 +288,7 @@ fn pancam_and_microscopic_imager_have_cameras() {
 /// Labels of rovers say DOWN and RIGHT, or nothing. Then the camera is for the pixels that are shown.
 #[test]
 fn an_image_is_displayed_in_the_directions_of_its_label() {
-    let default = (LineDirection::TopToBottom, SampleDirection::LeftToRight);
+    let default = (false, false);
     for (keys, expected) in [
         ("", default),
         ("LINE_DISPLAY_DIRECTION = DOWN", default),
@@ -298,20 +298,17 @@ fn an_image_is_displayed_in_the_directions_of_its_label() {
         ),
         (
             "LINE_DISPLAY_DIRECTION = UP\n SAMPLE_DISPLAY_DIRECTION = RIGHT",
-            (LineDirection::BottomToTop, SampleDirection::LeftToRight),
+            (true, false),
         ),
-        (
-            "SAMPLE_DISPLAY_DIRECTION = \"LEFT\"",
-            (LineDirection::TopToBottom, SampleDirection::RightToLeft),
-        ),
+        ("SAMPLE_DISPLAY_DIRECTION = \"LEFT\"", (false, true)),
         (
             "LINE_DISPLAY_DIRECTION = UP\n SAMPLE_DISPLAY_DIRECTION = LEFT",
-            (LineDirection::BottomToTop, SampleDirection::RightToLeft),
+            (true, true),
         ),
     ] {
         let label = read(&DEMO.replace(" LINES = 8\n", &format!(" LINES = 8\n {keys}\n")));
         let array = label.array.unwrap();
-        assert_eq!((array.lines, array.samples), expected, "{keys}");
+        assert_eq!((array.upside_down, array.mirrored), expected, "{keys}");
         assert_eq!(label.prior.is_some(), expected == default, "{keys}");
         assert!(label.place.is_some(), "{keys}");
         let noted = label

@@ -4,9 +4,7 @@ use roxmltree::Node;
 
 use super::node::{PDS, child, children, number_at, text_at};
 use super::{display, scaling};
-use crate::label::{
-    Array, BandStorage, FileFacts, LineDirection, Quantity, Sample, SampleDirection, SampleKind,
-};
+use crate::label::{Array, BandStorage, FileFacts, Sample, SampleKind};
 use crate::values;
 
 /// Keys of values that mean no light: no value, or less than can be stored.
@@ -52,7 +50,7 @@ pub(super) fn read(root: Node<'_, '_>, notes: &mut Vec<String>) -> Option<Array>
         let name = array_name(node).unwrap_or_else(|| "the first".to_owned());
         notes.push(format!("label describes {all} arrays: {name} is read"));
     }
-    (array.lines, array.samples) = display::directions(root, text_at(node, &[(PDS, "local_identifier")]));
+    display::set_directions(root, text_at(node, &[(PDS, "local_identifier")]), &mut array);
     Some(array)
 }
 
@@ -105,26 +103,18 @@ fn one(node: Node<'_, '_>) -> Option<Array> {
         shape,
         order,
         sample,
-        prefix_bytes: 0,
-        suffix_bytes: 0,
-        bits: None,
         scaling: if scaling == (1.0, 0.0) {
             Vec::new()
         } else {
             vec![scaling]
         },
-        from_zenith: None,
-        sunlight: Vec::new(),
         missing: constants
             .map(|node| constants_of(node, &MISSING, sample))
             .unwrap_or_default(),
         saturated: constants
             .map(|node| constants_of(node, &SATURATED, sample))
             .unwrap_or_default(),
-        companded_by: None,
-        quantity: Quantity::Counts,
-        lines: LineDirection::default(),
-        samples: SampleDirection::default(),
+        ..Array::default()
     };
     scaling::apply_unit(element, &mut array);
     Some(array)

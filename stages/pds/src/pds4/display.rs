@@ -3,37 +3,28 @@
 use roxmltree::Node;
 
 use super::node::{PDS, at, children, text_at};
-use crate::label::{LineDirection, SampleDirection};
+use crate::label::Array;
 
 const DISP: &str = "http://pds.nasa.gov/pds4/disp/v1";
 
-/// Returns the directions of the array of this identifier: those of the first display settings that name it, or that name
+/// Sets the directions of the array of this identifier: those of the first display settings that name it, or that name
 /// no array.
-pub(super) fn directions(root: Node<'_, '_>, array: Option<String>) -> (LineDirection, SampleDirection) {
+pub(super) fn set_directions(root: Node<'_, '_>, identifier: Option<String>, array: &mut Array) {
     let area = at(root, &[(PDS, "Observation_Area"), (PDS, "Discipline_Area")]);
     let settings = area
         .into_iter()
         .flat_map(|area| children(area, DISP, "Display_Settings"))
         .find(|settings| {
             let named = reference(*settings);
-            named.is_none() || array.is_none() || named == array
+            named.is_none() || identifier.is_none() || named == identifier
         });
     let says = |name, word: &str| {
         settings
             .and_then(|settings| text_at(settings, &[(DISP, "Display_Direction"), (DISP, name)]))
             .is_some_and(|text| text.eq_ignore_ascii_case(word))
     };
-    let lines = if says("vertical_display_direction", "Bottom to Top") {
-        LineDirection::BottomToTop
-    } else {
-        LineDirection::TopToBottom
-    };
-    let samples = if says("horizontal_display_direction", "Right to Left") {
-        SampleDirection::RightToLeft
-    } else {
-        SampleDirection::LeftToRight
-    };
-    (lines, samples)
+    array.upside_down = says("vertical_display_direction", "Bottom to Top");
+    array.mirrored = says("horizontal_display_direction", "Right to Left");
 }
 
 /// Returns the identifier of the array that display settings are for.

@@ -4,27 +4,13 @@ use super::*;
 
 fn array(shape: [u32; 3], kind: SampleKind, bytes: u32) -> Array {
     Array {
-        file: None,
-        offset: 0,
         shape,
-        order: BandStorage::BandSequential,
         sample: Sample {
             kind,
             bytes,
             big_endian: true,
         },
-        prefix_bytes: 0,
-        suffix_bytes: 0,
-        bits: None,
-        scaling: Vec::new(),
-        from_zenith: None,
-        sunlight: Vec::new(),
-        missing: Vec::new(),
-        saturated: Vec::new(),
-        companded_by: None,
-        quantity: Quantity::Counts,
-        lines: LineDirection::default(),
-        samples: SampleDirection::default(),
+        ..Array::default()
     }
 }
 
