@@ -3,11 +3,14 @@
 mod metrics;
 
 use marf_field::{Device, Overrides, Quality};
-use marf_stage::{ParamError, Params};
+use marf_stage::ParamError;
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-use crate::{check::check_field, train::Fit};
+use crate::{
+    check::{check_field, check_scale, check_steps, check_within},
+    train::Fit,
+};
 
 pub use metrics::{
     Calibration, Coverage, HeldOut, Member, MemberFields, Metrics, OutOfBag, PhotoReport, Round,
@@ -218,10 +221,6 @@ const MAX_MEMBERS: u32 = 1000;
 /// Most viewpoints along a path.
 const MAX_FRAMES: u32 = 10_000;
 
-impl Params for BootstrapParams {
-    const STAGE: &'static str = "bootstrap";
-}
-
 impl BootstrapParams {
     /// Checks what can be checked without a scene.
     ///
@@ -232,22 +231,10 @@ impl BootstrapParams {
             let message = format!("{count} member has no spread: at least 2, 5 for maps, 10 for intervals");
             return Err(ParamError::new("b", message));
         }
-        let at_most = |key: &str, value: u32, most: u32| {
-            let message = || format!("{value} is more than {most}");
-            if value > most {
-                Err(ParamError::new(key, message()))
-            } else {
-                Ok(())
-            }
-        };
-        let above_zero = |key: &str, value: u64| match value {
-            0 => Err(ParamError::new(key, "0 is too few: use at least 1")),
-            _ => Ok(()),
-        };
         if let Members::Count(count) = self.b {
-            at_most("b", count, MAX_MEMBERS)?;
+            check_within("b", count, 2..=MAX_MEMBERS)?;
         }
-        at_most("map_frames", self.map_frames, MAX_FRAMES)?;
+        check_within("map_frames", self.map_frames, 1..=MAX_FRAMES)?;
         let ViewpointList(viewpoints) = &self.viewpoints;
         for (index, kind) in viewpoints.iter().enumerate() {
             if viewpoints[..index].contains(kind) {
@@ -260,9 +247,8 @@ impl BootstrapParams {
                 "the list is empty: name at least one kind",
             ));
         }
-        above_zero("map_frames", u64::from(self.map_frames))?;
-        above_zero("steps", self.steps.unwrap_or(1))?;
-        above_zero("scale", u64::from(self.scale.unwrap_or(1)))?;
+        check_steps(self.steps)?;
+        check_scale(self.scale)?;
         check_field(&Fit::Scene.config(), &self.field)
     }
 }

@@ -144,10 +144,6 @@ pub enum Intrinsics {
     Photo,
 }
 
-impl Params for CalibrateParams {
-    const STAGE: &'static str = "calibrate";
-}
-
 impl Default for CalibrateParams {
     fn default() -> Self {
         Self {

@@ -1,6 +1,6 @@
 //! `cameras`: a calibrated scene as a folder that other programs read.
 
-use marf_stage::{ParamError, Params};
+use marf_stage::ParamError;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -13,10 +13,6 @@ pub struct CamerasParams {
     /// Folder of `photos` as seen from transforms.json (`../photos`). A photo that is there in the needed
     /// form is referred to. Default: all photos are written next to transforms.json.
     pub photos_at: Option<String>,
-}
-
-impl Params for CamerasParams {
-    const STAGE: &'static str = "cameras";
 }
 
 impl CamerasParams {

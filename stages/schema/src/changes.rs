@@ -1,11 +1,11 @@
 //! `changes`: one place photographed at two times, trained apart and compared.
 
 use marf_field::{Device, Quality};
-use marf_stage::{Document, ParamError, Params, Sols};
+use marf_stage::{ParamError, Sols};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::check::check_scale;
+use crate::check::{check_length, check_scale, check_steps, check_within};
 
 /// Most retrainings of each time.
 const MAX_MEMBERS: u32 = 20;
@@ -67,10 +67,6 @@ impl Default for ChangesParams {
     }
 }
 
-impl Params for ChangesParams {
-    const STAGE: &'static str = "changes";
-}
-
 impl ChangesParams {
     /// Checks what a type cannot.
     ///
@@ -95,22 +91,11 @@ impl ChangesParams {
         if let Some(sol) = self.before.shared_with(&self.after) {
             return refuse("after", format!("sol {sol} is in `before` too"));
         }
-        if !(2..=MAX_MEMBERS).contains(&self.b) {
-            return refuse("b", format!("{} is not within 2 and {MAX_MEMBERS}", self.b));
-        }
-        if self.steps == Some(0) {
-            return refuse("steps", "0 steps train nothing".to_owned());
-        }
+        check_within("b", self.b, 2..=MAX_MEMBERS)?;
+        check_steps(self.steps)?;
         check_scale(self.scale)?;
-        if let Some(cell) = self.cell.filter(|cell| !cell.is_finite() || *cell <= 0.0) {
-            return refuse("cell", format!("{cell} is not a finite length above 0"));
-        }
-        if !(16..=MAX_SIDE_PX).contains(&self.side_px) {
-            return refuse(
-                "side_px",
-                format!("{} is not within 16 and {MAX_SIDE_PX}", self.side_px),
-            );
-        }
+        check_length("cell", self.cell)?;
+        check_within("side_px", self.side_px, 16..=MAX_SIDE_PX)?;
         if !(self.sigmas >= 1.0 && self.sigmas.is_finite()) {
             return refuse(
                 "sigmas",
@@ -236,11 +221,6 @@ pub struct ChangesReport {
     pub colour: Noise,
     /// The patches, the largest first.
     pub patches: Vec<Patch>,
-}
-
-impl Document for ChangesReport {
-    const STAGE: &'static str = ChangesParams::STAGE;
-    const OUTPUT: &'static str = "changes";
 }
 
 #[cfg(test)]

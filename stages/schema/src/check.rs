@@ -1,7 +1,50 @@
 //! Checks that parameters of several stages share.
 
+use std::{fmt::Display, ops::RangeInclusive};
+
 use marf_field::{Config, Overrides};
 use marf_stage::ParamError;
+
+/// Checks that a number is in its range, with both ends.
+///
+/// # Errors
+/// A number outside, or NaN.
+pub(crate) fn check_within<T: PartialOrd + Display>(
+    key: &str,
+    value: T,
+    range: RangeInclusive<T>,
+) -> Result<(), ParamError> {
+    if range.contains(&value) {
+        return Ok(());
+    }
+    let message = format!("{value} is not within {} to {}", range.start(), range.end());
+    Err(ParamError::new(key, message))
+}
+
+/// Checks a length, if there is one.
+///
+/// # Errors
+/// A length that is 0, negative, infinite or NaN.
+pub(crate) fn check_length(key: &str, length: Option<f64>) -> Result<(), ParamError> {
+    match length {
+        Some(length) if !length.is_finite() || length <= 0.0 => {
+            let message = format!("{length} is not a finite length above 0");
+            Err(ParamError::new(key, message))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Checks the steps of a training, if they are set.
+///
+/// # Errors
+/// 0.
+pub(crate) fn check_steps(steps: Option<u64>) -> Result<(), ParamError> {
+    match steps {
+        Some(0) => Err(ParamError::new("steps", "0 steps train nothing: use at least 1")),
+        _ => Ok(()),
+    }
+}
 
 /// Checks a factor by which photos are shrunk.
 ///

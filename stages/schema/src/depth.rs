@@ -2,11 +2,14 @@
 
 use std::collections::BTreeMap;
 
-use marf_stage::{Document, ParamError, Params};
+use marf_stage::ParamError;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::surface::MapReport;
+use crate::{
+    check::{check_length, check_within},
+    surface::MapReport,
+};
 
 /// Longest and shortest side of pictures that are matched.
 const SIDES_PX: std::ops::RangeInclusive<u32> = 64..=8192;
@@ -36,32 +39,15 @@ impl Default for DepthParams {
     }
 }
 
-impl Params for DepthParams {
-    const STAGE: &'static str = "depth";
-}
-
 impl DepthParams {
     /// Checks what can be checked without a scene.
     ///
     /// # Errors
     /// Names the key that is out of range.
     pub fn check(&self) -> Result<(), ParamError> {
-        let within = |key: &str, value: u32, range: std::ops::RangeInclusive<u32>| {
-            if range.contains(&value) {
-                return Ok(());
-            }
-            let message = format!("{value} is not within {} and {}", range.start(), range.end());
-            Err(ParamError::new(key, message))
-        };
-        within("side_px", self.side_px, SIDES_PX)?;
-        within("neighbours", self.neighbours, NEIGHBOURS)?;
-        match self.map_cell {
-            Some(length) if !length.is_finite() || length <= 0.0 => Err(ParamError::new(
-                "map_cell",
-                format!("{length} is not a length above 0"),
-            )),
-            _ => Ok(()),
-        }
+        check_within("side_px", self.side_px, SIDES_PX)?;
+        check_within("neighbours", self.neighbours, NEIGHBOURS)?;
+        check_length("map_cell", self.map_cell)
     }
 }
 
@@ -80,6 +66,9 @@ pub struct Metrics {
     pub share: f64,
     /// Share of all pixels whose depth two pairs agree on.
     pub confirmed_share: f64,
+    /// Share of all pixels that show sky, which has no depth. 0 if up is not known.
+    #[serde(default)]
+    pub sky_share: f64,
     /// Median over the photos of their median standard deviation, as a share of the depth.
     pub median_sigma_share: Option<f64>,
     /// Points of the cloud.
@@ -202,11 +191,6 @@ pub struct OctaveAgreement {
     /// Its pixels.
     #[serde(flatten)]
     pub agreement: Agreement,
-}
-
-impl Document for Metrics {
-    const STAGE: &'static str = DepthParams::STAGE;
-    const OUTPUT: &'static str = "metrics";
 }
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! `evaluate`: renders of a trained field compared with photos.
 
 use marf_field::Device;
-use marf_stage::{Document, ParamError, Params};
+use marf_stage::ParamError;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -35,10 +35,6 @@ pub struct EvaluateParams {
     pub device: Device,
 }
 
-impl Params for EvaluateParams {
-    const STAGE: &'static str = "evaluate";
-}
-
 impl EvaluateParams {
     /// Checks what can be checked without a scene.
     ///
@@ -68,9 +64,4 @@ pub struct Metrics {
     pub scores: Scores,
     /// Factor by which photos were shrunk.
     pub scale: u32,
-}
-
-impl Document for Metrics {
-    const STAGE: &'static str = EvaluateParams::STAGE;
-    const OUTPUT: &'static str = "metrics";
 }

@@ -1,7 +1,7 @@
 //! `folds`: every photo of a small scene judged by a field that was trained without its place.
 
 use marf_field::Device;
-use marf_stage::{Document, ParamError, Params};
+use marf_stage::ParamError;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -34,10 +34,6 @@ impl Default for FoldsParams {
             device: Device::default(),
         }
     }
-}
-
-impl Params for FoldsParams {
-    const STAGE: &'static str = "folds";
 }
 
 impl FoldsParams {
@@ -89,11 +85,6 @@ pub struct FoldReport {
     pub held_out_photos: u64,
     /// Mean PSNR on these, dB.
     pub psnr: f64,
-}
-
-impl Document for Metrics {
-    const STAGE: &'static str = FoldsParams::STAGE;
-    const OUTPUT: &'static str = "metrics";
 }
 
 #[cfg(test)]

@@ -22,6 +22,7 @@ pub mod example;
 pub mod folds;
 pub mod masks;
 mod memory;
+mod names;
 pub mod output;
 pub mod partial;
 pub mod render;

@@ -1,6 +1,6 @@
 //! `masks`: parts of the picture that stand still while the camera moves, proposed as masks.
 
-use marf_stage::{Document, ParamError, Params};
+use marf_stage::ParamError;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -16,10 +16,6 @@ impl Default for MasksParams {
     fn default() -> Self {
         Self { photos: 40 }
     }
-}
-
-impl Params for MasksParams {
-    const STAGE: &'static str = "masks";
 }
 
 impl MasksParams {
@@ -68,9 +64,4 @@ pub struct CameraReport {
     pub share: f64,
     /// The finding, as a sentence.
     pub found: String,
-}
-
-impl Document for Metrics {
-    const STAGE: &'static str = MasksParams::STAGE;
-    const OUTPUT: &'static str = "metrics";
 }

@@ -1,6 +1,6 @@
 //! `partial`: the first steps of a training, which `train` goes on from.
 
-use marf_stage::{Document, ParamError, Params};
+use marf_stage::ParamError;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -79,10 +79,6 @@ impl PartialParams {
     }
 }
 
-impl Params for PartialParams {
-    const STAGE: &'static str = "partial";
-}
-
 /// Output `reached` of `partial`: how far the training is.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Reached {
@@ -96,11 +92,6 @@ pub struct Reached {
     pub held_out_photos: u64,
     /// Longest side of the grid of these pixels, at most.
     pub judged_px: u32,
-}
-
-impl Document for Reached {
-    const STAGE: &'static str = PartialParams::STAGE;
-    const OUTPUT: &'static str = "reached";
 }
 
 #[cfg(test)]

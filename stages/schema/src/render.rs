@@ -4,9 +4,11 @@ use std::collections::BTreeMap;
 
 use marf_field::Device;
 use marf_scene::{Camera, Pose};
-use marf_stage::{Document, ParamError, Params};
+use marf_stage::ParamError;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+
+use crate::check::check_within;
 
 /// Path of the camera.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -104,24 +106,15 @@ const MAX_FRAMES: u32 = 10_000;
 /// Rounding to whole pixels moves them by up to half of this at a width of 100 pixels.
 const SAME_LENS: f64 = 0.01;
 
-impl Params for RenderParams {
-    const STAGE: &'static str = "render";
-}
-
 impl RenderParams {
     /// Checks what can be checked without a scene.
     ///
     /// # Errors
     /// Names the key that is out of range, and the keyframe.
     pub fn check(&self) -> Result<(), ParamError> {
-        let within = |key: &str, value: u32, most: u32| match value {
-            0 => Err(ParamError::new(key, "0 makes no picture: use at least 1")),
-            _ if value > most => Err(ParamError::new(key, format!("{value} is more than {most}"))),
-            _ => Ok(()),
-        };
-        within("frames", self.frames, MAX_FRAMES)?;
-        within("width", self.width, MAX_SIDE_PX)?;
-        within("height", self.height.unwrap_or(1), MAX_SIDE_PX)?;
+        check_within("frames", self.frames, 1..=MAX_FRAMES)?;
+        check_within("width", self.width, 1..=MAX_SIDE_PX)?;
+        check_within("height", self.height.unwrap_or(1), 1..=MAX_SIDE_PX)?;
         self.check_outputs()?;
         self.check_keyframes()
     }
@@ -187,11 +180,6 @@ fn has_lens_of(camera: &Camera, other: &Camera) -> bool {
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Poses(pub Vec<Place>);
-
-impl Document for Poses {
-    const STAGE: &'static str = RenderParams::STAGE;
-    const OUTPUT: &'static str = "poses";
-}
 
 /// A camera along the path.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]

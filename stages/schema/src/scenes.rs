@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use marf_stage::{Document, ParamError, Params};
+use marf_stage::ParamError;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -55,10 +55,6 @@ impl Default for ScenesParams {
             groups: BTreeMap::new(),
         }
     }
-}
-
-impl Params for ScenesParams {
-    const STAGE: &'static str = "scenes";
 }
 
 impl ScenesParams {
@@ -117,11 +113,6 @@ pub struct Scenes {
     pub skipped: Vec<PhotoGroup>,
     /// Stops of the rover, by site and drive.
     pub stops: Vec<Stop>,
-}
-
-impl Document for Scenes {
-    const STAGE: &'static str = ScenesParams::STAGE;
-    const OUTPUT: &'static str = "scenes";
 }
 
 /// Photos of one place.

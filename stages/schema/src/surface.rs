@@ -3,9 +3,11 @@
 use std::collections::BTreeMap;
 
 use marf_field::Device;
-use marf_stage::{Document, ParamError, Params};
+use marf_stage::ParamError;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+
+use crate::check::{check_length, check_within};
 
 /// Largest picture of the field. A larger number is taken for a mistake.
 const MAX_SIDE_PX: u32 = 4096;
@@ -71,10 +73,6 @@ impl Default for SurfaceParams {
     }
 }
 
-impl Params for SurfaceParams {
-    const STAGE: &'static str = "surface";
-}
-
 impl SurfaceParams {
     /// Checks what can be checked without a scene.
     ///
@@ -87,12 +85,7 @@ impl SurfaceParams {
             ("most_spread", self.most_spread),
             ("map_cell", self.map_cell),
         ] {
-            if let Some(length) = length.filter(|length| !length.is_finite() || *length <= 0.0) {
-                return Err(ParamError::new(
-                    key,
-                    format!("{length} is not a finite length above 0"),
-                ));
-            }
+            check_length(key, length)?;
         }
         if self.least_photos == 0 {
             return Err(ParamError::new(
@@ -100,13 +93,7 @@ impl SurfaceParams {
                 "0 would keep what no photo saw: use at least 1",
             ));
         }
-        match self.side_px {
-            16..=MAX_SIDE_PX => Ok(()),
-            side => Err(ParamError::new(
-                "side_px",
-                format!("{side} is not within 16 and {MAX_SIDE_PX}"),
-            )),
-        }
+        check_within("side_px", self.side_px, 16..=MAX_SIDE_PX)
     }
 }
 
@@ -225,9 +212,4 @@ pub struct MapReport {
     pub origin: String,
     /// Share of the pixels that have a height.
     pub covered_share: f64,
-}
-
-impl Document for SurfaceReport {
-    const STAGE: &'static str = SurfaceParams::STAGE;
-    const OUTPUT: &'static str = "surface";
 }

@@ -1,6 +1,6 @@
 //! `ties`: how the scenes of a mission lie to each other.
 
-use marf_stage::{Document, ParamError, Params};
+use marf_stage::ParamError;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -24,10 +24,6 @@ impl Default for TiesParams {
             seed: 0,
         }
     }
-}
-
-impl Params for TiesParams {
-    const STAGE: &'static str = "ties";
 }
 
 impl TiesParams {
@@ -59,11 +55,6 @@ pub struct Ties {
     pub ties: Vec<SceneTie>,
     /// Pairs of scenes that were compared and are not tied, sorted, with the reason.
     pub apart: Vec<Apart>,
-}
-
-impl Document for Ties {
-    const STAGE: &'static str = TiesParams::STAGE;
-    const OUTPUT: &'static str = "ties";
 }
 
 /// Position of a scene.

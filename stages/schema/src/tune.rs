@@ -3,12 +3,15 @@
 use std::collections::BTreeMap;
 
 use marf_field::{Device, Overrides, Quality};
-use marf_stage::{Document, ParamError, Params};
+use marf_stage::ParamError;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use crate::{check::check_field, train::Fit};
+use crate::{
+    check::{check_field, check_scale, check_steps, check_within},
+    train::Fit,
+};
 
 /// How trials are compared.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -82,10 +85,6 @@ impl Default for TuneParams {
 /// Most trials. A larger number is taken for a mistake.
 const MAX_TRIALS: u32 = 1000;
 
-impl Params for TuneParams {
-    const STAGE: &'static str = "tune";
-}
-
 impl TuneParams {
     /// Returns the steps of the longest training.
     pub fn horizon(&self) -> u64 {
@@ -101,28 +100,11 @@ impl TuneParams {
     /// # Errors
     /// Names the key that is out of range.
     pub fn check(&self) -> Result<(), ParamError> {
-        if !(1..=MAX_TRIALS).contains(&self.trials) {
-            let message = format!(
-                "{} trials: use from 1, which is the defaults, to {MAX_TRIALS}",
-                self.trials
-            );
-            return Err(ParamError::new("trials", message));
-        }
-        for (key, value) in [("steps", self.steps), ("scale", self.scale.map(u64::from))] {
-            if value == Some(0) {
-                return Err(ParamError::new(key, "0 is too few: use at least 1"));
-            }
-        }
-        if !(2..=10).contains(&self.eta) {
-            return Err(ParamError::new(
-                "eta",
-                format!("{} is not from 2 to 10", self.eta),
-            ));
-        }
-        if !(0.0..=100.0).contains(&self.least_gain_db) {
-            let message = format!("{} dB is not from 0 to 100", self.least_gain_db);
-            return Err(ParamError::new("least_gain_db", message));
-        }
+        check_within("trials", self.trials, 1..=MAX_TRIALS)?;
+        check_steps(self.steps)?;
+        check_scale(self.scale)?;
+        check_within("eta", self.eta, 2..=10)?;
+        check_within("least_gain_db", self.least_gain_db, 0.0..=100.0)?;
         check_field(&Fit::Scene.config(), &self.field)?;
         for (key, range) in &self.space {
             let path = format!("space.{key}");
@@ -200,20 +182,10 @@ pub struct BestParams {
     pub field: Overrides,
 }
 
-impl Document for BestParams {
-    const STAGE: &'static str = TuneParams::STAGE;
-    const OUTPUT: &'static str = "params";
-}
-
 /// Output `trials` of `tune`: every trial, by number.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Trials(pub Vec<Trial>);
-
-impl Document for Trials {
-    const STAGE: &'static str = TuneParams::STAGE;
-    const OUTPUT: &'static str = "trials";
-}
 
 /// A row of the output `trials`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -255,11 +227,6 @@ pub struct Scatter {
     pub chosen: u32,
     /// Why, in one sentence.
     pub decision: String,
-}
-
-impl Document for Scatter {
-    const STAGE: &'static str = TuneParams::STAGE;
-    const OUTPUT: &'static str = "scatter";
 }
 
 #[cfg(test)]

@@ -1,12 +1,12 @@
 //! `video`: pictures in order to a file that plays.
 
 use marf_cache::Digest;
-use marf_stage::{Document, ParamError, Params};
+use marf_stage::ParamError;
 use marf_video::{QUANTIZERS, RATES, Settings, check_built_in};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::render::RenderParams;
+use crate::check::check_within;
 
 /// Parameters of `video`.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -28,25 +28,14 @@ impl Default for VideoParams {
     }
 }
 
-impl Params for VideoParams {
-    const STAGE: &'static str = "video";
-}
-
 impl VideoParams {
     /// Checks that this program can encode so, before anything is rendered.
     ///
     /// # Errors
     /// A number out of its range, by its key, and a build without the encoder.
     pub fn check(&self) -> Result<(), ParamError> {
-        let within = |key: &str, value: u32, range: std::ops::RangeInclusive<u32>| {
-            let message = || format!("{value} is not in {} to {}", range.start(), range.end());
-            if range.contains(&value) {
-                return Ok(());
-            }
-            Err(ParamError::new(key, message()))
-        };
-        within("fps", self.fps, RATES)?;
-        within("quantizer", self.quantizer, QUANTIZERS)?;
+        check_within("fps", self.fps, RATES)?;
+        check_within("quantizer", self.quantizer, QUANTIZERS)?;
         check_built_in().map_err(|error| {
             let message = format!("{error}: build marf with it, or leave the nodes of `video` out");
             ParamError::new("", message)
@@ -66,11 +55,6 @@ impl VideoParams {
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Film(pub Vec<Digest>);
-
-impl Document for Film {
-    const STAGE: &'static str = RenderParams::STAGE;
-    const OUTPUT: &'static str = "film";
-}
 
 #[cfg(test)]
 mod tests {

@@ -112,23 +112,27 @@ fn limits_of_searches_and_of_members_are_those_that_their_sentences_name() {
     let tune = |refused: Value, said: &str, taken: Value| limit(TuneParams::check, refused, said, taken);
     tune(
         json!({"trials": 1001}),
-        "trials: 1001 trials: use from 1, which is the defaults, to 1000",
+        "trials: 1001 is not within 1 to 1000",
         json!({"trials": 1000}),
     );
     tune(
         json!({"steps": 0}),
-        "steps: 0 is too few: use at least 1",
+        "steps: 0 steps train nothing: use at least 1",
         json!({"steps": 1}),
     );
-    tune(json!({"eta": 1}), "eta: 1 is not from 2 to 10", json!({"eta": 2}));
+    tune(
+        json!({"eta": 1}),
+        "eta: 1 is not within 2 to 10",
+        json!({"eta": 2}),
+    );
     tune(
         json!({"eta": 11}),
-        "eta: 11 is not from 2 to 10",
+        "eta: 11 is not within 2 to 10",
         json!({"eta": 10}),
     );
     tune(
         json!({"least_gain_db": 100.5}),
-        "least_gain_db: 100.5 dB is not from 0 to 100",
+        "least_gain_db: 100.5 is not within 0 to 100",
         json!({"least_gain_db": 100}),
     );
     let space = |low: f64, high: f64| json!({"space": {"learning_rate": {"log": [low, high]}}});
@@ -151,17 +155,17 @@ fn limits_of_searches_and_of_members_are_those_that_their_sentences_name() {
     );
     bootstrap(
         json!({"b": 1001}),
-        "b: 1001 is more than 1000",
+        "b: 1001 is not within 2 to 1000",
         json!({"b": 1000}),
     );
     bootstrap(
         json!({"map_frames": 10_001}),
-        "map_frames: 10001 is more than 10000",
+        "map_frames: 10001 is not within 1 to 10000",
         json!({"map_frames": 10_000}),
     );
     bootstrap(
         json!({"map_frames": 0}),
-        "map_frames: 0 is too few: use at least 1",
+        "map_frames: 0 is not within 1 to 10000",
         json!({"map_frames": 1}),
     );
     bootstrap(
@@ -176,17 +180,17 @@ fn limits_of_pictures_are_those_that_their_sentences_name() {
     let render = |refused: Value, said: &str, taken: Value| limit(RenderParams::check, refused, said, taken);
     render(
         json!({"frames": 0}),
-        "frames: 0 makes no picture: use at least 1",
+        "frames: 0 is not within 1 to 10000",
         json!({"frames": 1}),
     );
     render(
         json!({"frames": 10_001}),
-        "frames: 10001 is more than 10000",
+        "frames: 10001 is not within 1 to 10000",
         json!({"frames": 10_000}),
     );
     render(
         json!({"width": 4097}),
-        "width: 4097 is more than 4096",
+        "width: 4097 is not within 1 to 4096",
         json!({"width": 4096}),
     );
     render(
@@ -232,8 +236,8 @@ fn limits_of_pictures_are_those_that_their_sentences_name() {
             .map(|error| format!("{}: {}", error.path, error.message))
     };
     for (key, refused, said, taken) in [
-        ("fps", 241, "fps: 241 is not in 1 to 240", 240),
-        ("quantizer", 11, "quantizer: 11 is not in 12 to 51", 12),
+        ("fps", 241, "fps: 241 is not within 1 to 240", 240),
+        ("quantizer", 11, "quantizer: 11 is not within 12 to 51", 12),
     ] {
         assert_eq!(video(key, refused).as_deref(), Some(said));
         assert!(
@@ -297,7 +301,7 @@ fn limits_of_scenes_and_surfaces_are_those_that_their_sentences_name() {
         json!({"least_photos": 1}),
     );
     for (refused, taken) in [(15, 16), (4097, 4096)] {
-        let said = format!("side_px: {refused} is not within 16 and 4096");
+        let said = format!("side_px: {refused} is not within 16 to 4096");
         surface(json!({"side_px": refused}), &said, json!({"side_px": taken}));
     }
 }
@@ -310,9 +314,14 @@ fn limits_of_comparisons_are_those_that_their_sentences_name() {
         table
     };
     for (key, refused, said, taken) in [
-        ("b", json!(1), "b: 1 is not within 2 and 20", json!(2)),
-        ("b", json!(21), "b: 21 is not within 2 and 20", json!(20)),
-        ("steps", json!(0), "steps: 0 steps train nothing", json!(1)),
+        ("b", json!(1), "b: 1 is not within 2 to 20", json!(2)),
+        ("b", json!(21), "b: 21 is not within 2 to 20", json!(20)),
+        (
+            "steps",
+            json!(0),
+            "steps: 0 steps train nothing: use at least 1",
+            json!(1),
+        ),
         (
             "cell",
             json!(0.0),
@@ -322,7 +331,7 @@ fn limits_of_comparisons_are_those_that_their_sentences_name() {
         (
             "side_px",
             json!(15),
-            "side_px: 15 is not within 16 and 4096",
+            "side_px: 15 is not within 16 to 4096",
             json!(16),
         ),
         (
@@ -354,31 +363,31 @@ fn limits_of_depths_are_those_that_their_sentences_name() {
         (
             "side_px",
             json!(63),
-            "side_px: 63 is not within 64 and 8192",
+            "side_px: 63 is not within 64 to 8192",
             json!(64),
         ),
         (
             "side_px",
             json!(8193),
-            "side_px: 8193 is not within 64 and 8192",
+            "side_px: 8193 is not within 64 to 8192",
             json!(8192),
         ),
         (
             "neighbours",
             json!(0),
-            "neighbours: 0 is not within 1 and 8",
+            "neighbours: 0 is not within 1 to 8",
             json!(1),
         ),
         (
             "neighbours",
             json!(9),
-            "neighbours: 9 is not within 1 and 8",
+            "neighbours: 9 is not within 1 to 8",
             json!(8),
         ),
         (
             "map_cell",
             json!(-0.5),
-            "map_cell: -0.5 is not a length above 0",
+            "map_cell: -0.5 is not a finite length above 0",
             json!(0.001),
         ),
     ] {

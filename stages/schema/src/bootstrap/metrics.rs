@@ -1,20 +1,14 @@
 //! Results of a bootstrap: its members, its maps and the held-out photos.
 
 use marf_cache::Digest;
-use marf_stage::{Document, Params};
 use serde::{Deserialize, Serialize};
 
-use super::{BootstrapParams, Mode};
+use super::Mode;
 
 /// Output `members` of `bootstrap`: the fields of its members, in order, for `render`.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct MemberFields(pub Vec<Digest>);
-
-impl Document for MemberFields {
-    const STAGE: &'static str = BootstrapParams::STAGE;
-    const OUTPUT: &'static str = "members";
-}
 
 /// Output `metrics` of `bootstrap`. Spreads are of sRGB in [0, 1], means over all pixels of all viewpoints.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -52,11 +46,6 @@ pub struct Metrics {
     pub heldout: Option<HeldOut>,
     /// Every viewpoint.
     pub views: Vec<ViewReport>,
-}
-
-impl Document for Metrics {
-    const STAGE: &'static str = BootstrapParams::STAGE;
-    const OUTPUT: &'static str = "metrics";
 }
 
 /// The first members of a bootstrap.

@@ -3,10 +3,9 @@
 use marf_cache::Digest;
 use marf_field::{Config, Derived, Facts, Gain, Schedule};
 use marf_scene::{Falloff, ToneDifference};
-use marf_stage::{Document, Params};
 use serde::{Deserialize, Serialize};
 
-use super::{Fit, Fold, Holdout, Memory, Target, TrainParams};
+use super::{Fit, Fold, Holdout, Memory, Target};
 use crate::scores::Scores;
 
 /// How well a field reproduces photos that it was trained on (the protocol of the paper). It says nothing
@@ -147,11 +146,6 @@ fn by_key(key: &str, is_on: bool, is_needed: bool) -> String {
     format!(", as `field.{key}` or `fit` says")
 }
 
-impl Document for Metrics {
-    const STAGE: &'static str = TrainParams::STAGE;
-    const OUTPUT: &'static str = "metrics";
-}
-
 /// Output `setup` of `train`: everything a training depends on except its scene, its seed and the draw of its
 /// photos, including all derived and decided values.
 ///
@@ -200,11 +194,6 @@ impl Setup {
     }
 }
 
-impl Document for Setup {
-    const STAGE: &'static str = TrainParams::STAGE;
-    const OUTPUT: &'static str = "setup";
-}
-
 /// Output `curve` of `train`: points in the order of steps.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(transparent)]
@@ -215,11 +204,6 @@ impl Curve {
     pub const MOST_PHOTOS: usize = 3;
     /// Their longest side, pixels.
     pub const SIDE_PX: u32 = 64;
-}
-
-impl Document for Curve {
-    const STAGE: &'static str = TrainParams::STAGE;
-    const OUTPUT: &'static str = "curve";
 }
 
 /// A point of the training curve.

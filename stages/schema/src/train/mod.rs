@@ -3,11 +3,11 @@
 mod metrics;
 
 use marf_field::{Config, Device, Overrides, Quality, Schedule};
-use marf_stage::{ParamError, Params};
+use marf_stage::ParamError;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::check::{check_field, check_scale, check_share};
+use crate::check::{check_field, check_scale, check_share, check_steps};
 
 pub use crate::{
     budget::{Budget, ParseBudgetError},
@@ -163,10 +163,6 @@ impl Limit {
     }
 }
 
-impl Params for TrainParams {
-    const STAGE: &'static str = "train";
-}
-
 /// Part of the time of a training that an unfinished run took, approximately. It is not in the seconds of the
 /// node.
 pub const BEFORE_STOP: &str = "before the stop";
@@ -226,9 +222,7 @@ impl TrainParams {
     /// # Errors
     /// Names the key that is out of range.
     pub fn check(&self) -> Result<(), ParamError> {
-        if self.steps == Some(0) {
-            return Err(ParamError::new("steps", "0 steps train nothing: use at least 1"));
-        }
+        check_steps(self.steps)?;
         let lengths = [
             ("steps", self.steps.is_some()),
             ("budget", self.budget.is_some()),
