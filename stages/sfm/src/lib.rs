@@ -7,16 +7,12 @@
 
 pub mod align;
 pub mod bundle;
-mod bytes;
 pub mod mapper;
 pub mod metric;
 pub mod rigs;
-mod supervisor;
 pub mod tones;
 pub mod view_graph;
 pub mod vignetting;
-
-pub use supervisor::Supervisor;
 
 #[cfg(test)]
 mod tests;

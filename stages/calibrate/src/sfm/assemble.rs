@@ -14,10 +14,10 @@ use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use super::earlier::EarlierScene;
+use super::error::failed;
 use super::photo_features::PhotoFeatures;
 use super::reasons::{Cause, cause};
 use super::reconstruction::Reconstruction;
-use super::supervisor::failed;
 use crate::calibration::{Calibration, PhotoStatistics, PlacedPhoto, up_of};
 use crate::export::{Observation, TrackPoint};
 use crate::labels::median;

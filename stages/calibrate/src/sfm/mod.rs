@@ -8,6 +8,7 @@ mod cameras;
 mod capture_order;
 mod compare;
 mod earlier;
+mod error;
 mod fixed_masks;
 mod links;
 mod overlap;
@@ -17,7 +18,6 @@ mod points;
 mod reasons;
 mod reconstruction;
 mod run;
-mod supervisor;
 
 pub(crate) use assemble::sparse;
 pub(crate) use capture_order::capture_order;

@@ -11,9 +11,9 @@ use marf_stage::{Ctx, Inputs, StageError};
 use super::assemble::tracks;
 use super::capture_order::capture_order;
 use super::compare::{choose, names, pack_inliers, unpack_inliers};
+use super::error::failed;
 use super::pair_memos::{PairFunction, map_pairs};
 use super::photo_features::{PhotoFeatures, photo_features};
-use super::supervisor::{NodeSupervisor, failed};
 use crate::calibration::{PhotoStatistics, PlacedPhoto};
 use crate::export::TrackPoint;
 use crate::photos::InputPhoto;
@@ -56,14 +56,13 @@ pub(crate) fn points_of_known(
     };
     let links = map_pairs(ctx, &names(&features), &pairs, &work)?;
     let (cameras, views) = own_cameras(&features, &known);
-    let supervisor = NodeSupervisor::new(ctx);
     let input = MapperInput {
         views: &views,
         cameras: &cameras,
         links: &links,
         tracks: Tracks::build(&views, &links),
         options: MapOptions::automatic(&cameras, params.seed),
-        supervisor: &supervisor,
+        stop: &|| ctx.cancel.is_set(),
         registered: &|_| (),
     };
     let known: Vec<Option<PosedCamera>> = known.into_iter().map(Some).collect();

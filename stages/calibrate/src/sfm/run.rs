@@ -13,11 +13,11 @@ use marf_stage::{Ctx, Inputs, StageError};
 
 use super::capture_order::capture_order;
 use super::compare::{Comparison, choose};
+use super::error::failed;
 use super::fixed_masks::FixedMasks;
 use super::links::PairLinks;
 use super::photo_features::{PhotoFeatures, photo_features};
 use super::reconstruction::Reconstruction;
-use super::supervisor::{NodeSupervisor, failed};
 use super::{assemble, cameras, earlier};
 use crate::calibration::Calibration;
 use crate::labels;
@@ -51,14 +51,13 @@ pub(crate) fn run(
     };
     let links = links.run(ctx)?;
     let total = features.len() as u64;
-    let supervisor = NodeSupervisor::new(ctx);
     let input = MapperInput {
         views: &views,
         cameras: &shared,
         links: &links,
         tracks: Tracks::build(&views, &links),
         options: options(params, &shared),
-        supervisor: &supervisor,
+        stop: &|| ctx.cancel.is_set(),
         registered: &|count| ctx.progress.at(count as u64, total, "photos placed"),
     };
     let earlier = earlier::load(ctx, inputs, items, &features)?;

@@ -1,6 +1,5 @@
 //! Levenberg-Marquardt: damped Gauss-Newton steps. The damping follows how well the last gain was predicted.
 
-use super::checkpoint::Checkpoint;
 use super::normal_equations::NormalEquations;
 use super::objective::Objective;
 use super::options::{BundleOptions, BundleReport, Solver};
@@ -10,7 +9,6 @@ use super::state::{Normalization, State, Step};
 use super::step_control::StepControl;
 use super::validate::{self, BundleError};
 use super::{conjugate_gradients, dense};
-use crate::Supervisor;
 
 /// Trials with ten times the damping when the matrix is not positive definite.
 const MOST_FAILURES: usize = 10;
@@ -25,8 +23,8 @@ const ROUNDING: f64 = 1e-12;
 ///
 /// Levenberg-Marquardt with Marquardt's scaling and Nielsen's damping (1999), points eliminated (Schur complement),
 /// robust losses by reweighting. Rotations are updated from the left, about the camera centre. The cost never rises
-/// and no number becomes non-finite. Parameters that did not move keep their bits. The supervisor is polled before
-/// each step and within long ones. A state that it has saved for exactly this problem is resumed.
+/// and no number becomes non-finite. Parameters that did not move keep their bits. `stop` is polled before
+/// each step and within long ones. Once it is true, the best state so far is the result.
 ///
 /// # Extremes
 /// - An observation behind the camera, beyond the fold of the distortion or with an error above 1e9 px costs as much
@@ -41,25 +39,18 @@ const ROUNDING: f64 = 1e-12;
 pub fn adjust(
     problem: &mut Problem,
     options: &BundleOptions,
-    supervisor: &dyn Supervisor,
+    stop: &dyn Fn() -> bool,
 ) -> Result<BundleReport, BundleError> {
     validate::check_options(options)?;
     validate::check(problem)?;
-    let checkpoint = Checkpoint::new(supervisor, problem, options);
-    if let Some(finished) = checkpoint.finished(problem) {
-        return Ok(finished);
-    }
     let normalization = Normalization::new(problem);
     let start = State::new(problem, &normalization);
     let objective = Objective::new(problem, &normalization, options.loss, options.prior_loss);
-    let (state, mut report) = descend(&objective, &start, options, &checkpoint);
+    let (state, mut report) = descend(&objective, &start, options, stop);
     if report.final_cost < report.initial_cost {
         state.write(&start, &normalization, problem);
     } else {
         report.final_cost = report.initial_cost;
-    }
-    if !supervisor.stop() {
-        checkpoint.save_finished(problem, &report);
     }
     Ok(report)
 }
@@ -78,7 +69,7 @@ fn descend(
     objective: &Objective,
     start: &State,
     options: &BundleOptions,
-    checkpoint: &Checkpoint<'_>,
+    stop: &dyn Fn() -> bool,
 ) -> (State, BundleReport) {
     let mut control = StepControl::new(objective.index.slots, options);
     let mut workspace = Workspace::new(objective);
@@ -87,18 +78,13 @@ fn descend(
     let exact = 0.5 * EXACT_PX * EXACT_PX * report.residuals as f64;
     let mut is_linearised = false;
     report.converged = report.final_cost <= exact;
-    if let Some(saved) = checkpoint.unfinished() {
-        (state, control, report) = saved;
-    }
-    let stop = || checkpoint.supervisor.stop();
     while !report.converged && report.iterations < options.max_iterations && !stop() {
-        checkpoint.save_unfinished(&state, &control, &report);
         report.iterations += 1;
         if !is_linearised {
             workspace.equations.linearise(objective, &state);
             is_linearised = true;
         }
-        if !workspace.solve(objective, &mut control, &stop) {
+        if !workspace.solve(objective, &mut control, stop) {
             break;
         }
         trial.set_stepped(

@@ -17,29 +17,12 @@ type Strip = [f64; TILE];
 /// Replaces A by its factor L (A = L Lᵀ). False if a pivot was not above `floor` times its diagonal, or if `stop`,
 /// which is polled every 48 columns, became true. A is then undefined.
 pub(super) fn factor(a: &mut [f64], n: usize, floor: f64, stop: &dyn Fn() -> bool) -> bool {
-    let least = least_pivots(a, n, floor);
-    factor_from(0, a, n, &least, &mut |_, _| !stop())
-}
-
-/// Returns the smallest pivots that are taken: `floor` times the diagonal.
-pub(super) fn least_pivots(a: &[f64], n: usize, floor: f64) -> Vec<f64> {
-    (0..n).map(|row| floor * a[row * n + row]).collect()
-}
-
-/// As [`factor`], from a state in which the first columns are factored and the others hold the remainder to factor.
-/// Before every 48 columns `go_on` gets this state with the number of factored columns, and returns whether to
-/// continue.
-pub(super) fn factor_from(
-    factored: usize,
-    a: &mut [f64],
-    n: usize,
-    least: &[f64],
-    go_on: &mut dyn FnMut(&[f64], usize) -> bool,
-) -> bool {
+    // The smallest pivots that are taken.
+    let least: Vec<f64> = (0..n).map(|row| floor * a[row * n + row]).collect();
     let mut packed = Vec::new();
-    for start in (factored..n).step_by(PANEL) {
+    for start in (0..n).step_by(PANEL) {
         let end = (start + PANEL).min(n);
-        if !go_on(a, start) || !factor_corner(a, n, start..end, least) {
+        if stop() || !factor_corner(a, n, start..end, &least) {
             return false;
         }
         let (upper, below) = a.split_at_mut(end * n);

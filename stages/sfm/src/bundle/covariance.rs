@@ -3,7 +3,6 @@
 use nalgebra::Matrix6;
 use rayon::prelude::*;
 
-use super::covariance_checkpoint::{Checkpoint, ScaledMatrix};
 use super::index::{NONE, POSE_PARAMS};
 use super::loss::Loss;
 use super::normal_equations::NormalEquations;
@@ -12,13 +11,9 @@ use super::problem::{PoseFreedom, Prior, Problem};
 use super::schur::{ReducedSystem, SchurComplement};
 use super::state::{Normalization, State};
 use super::{cholesky, dense, validate};
-use crate::Supervisor;
 
-/// Largest number of unknowns: the dense matrix then takes 1.2 GB, and its checkpoint 0.6 GB.
+/// Largest number of unknowns: the dense matrix then takes 1.2 GB.
 const MOST_UNKNOWNS: usize = 12_000;
-
-/// Blocks of the inverse between two checkpoints: with 12,000 unknowns they take 3 s on two cores.
-const BLOCKS_AT_ONCE: usize = 64;
 
 /// A pivot below this, with the diagonal scaled to 1, is a direction in which the scene is not determined.
 const PIVOT_FLOOR: f64 = 1e-11;
@@ -29,12 +24,11 @@ const PIVOT_FLOOR: f64 = 1e-11;
 /// their own sigmas. `sigma_px`: standard deviation of one residual coordinate. Zero for a fixed pose, and in a fixed
 /// coordinate. Points with less than two views, or seen from one position, do not contribute. `None` if a free pose
 /// or lens is not determined (gauge not fixed), the problem is not valid, `sigma_px` is not positive, or there are
-/// more than 12,000 unknowns. Also `None` on a stop by the supervisor. The next call then resumes the saved state, to
-/// the same bits.
+/// more than 12,000 unknowns. Also `None` once `stop` is true, which is polled in between.
 pub fn pose_covariances(
     problem: &Problem,
     sigma_px: f64,
-    supervisor: &dyn Supervisor,
+    stop: &(dyn Fn() -> bool + Sync),
 ) -> Option<Vec<Matrix6<f64>>> {
     let usable = sigma_px > 0.0 && sigma_px.is_finite() && validate::check(problem).is_ok();
     if !usable {
@@ -50,9 +44,8 @@ pub fn pose_covariances(
         .priors
         .iter_mut()
         .for_each(|prior| shrink(prior, sigma_px));
-    let checkpoint = Checkpoint::new(supervisor, problem, sigma_px);
     let state = State::new(problem, &normalization);
-    let slots = blocks(&objective, &state, &checkpoint, supervisor)?;
+    let slots = blocks(&objective, &state, stop)?;
     let unit = [
         1.0,
         1.0,
@@ -138,74 +131,42 @@ fn shrink(prior: &mut Prior, factor: f64) {
     }
 }
 
-/// Returns the blocks of the inverse on its diagonal, slot by slot. `None` if the matrix is singular or on a stop by
-/// the supervisor.
+/// Returns the blocks of the inverse on its diagonal, slot by slot. `None` if the matrix is singular or on a stop.
 fn blocks(
     objective: &Objective,
     state: &State,
-    checkpoint: &Checkpoint<'_>,
-    supervisor: &dyn Supervisor,
+    stop: &(dyn Fn() -> bool + Sync),
 ) -> Option<Vec<Matrix6<f64>>> {
-    let count = objective.index.slots;
-    let mut blocks = checkpoint.blocks();
-    if blocks.len() >= count {
-        return (blocks.len() == count).then_some(blocks);
-    }
-    let factor = factored(objective, state, checkpoint, supervisor)?;
-    while blocks.len() < count {
-        let next = blocks.len()..count.min(blocks.len() + BLOCKS_AT_ONCE);
-        let found: Option<Vec<Matrix6<f64>>> = next
-            .into_par_iter()
-            .map(|slot| (!supervisor.stop()).then(|| block(objective, &factor, slot)))
-            .collect();
-        blocks.extend(found?);
-        checkpoint.save_blocks(&blocks, count);
-    }
-    Some(blocks)
-}
-
-/// Returns the Cholesky factor of the undamped reduced matrix. `None` if it is singular or on a stop by the
-/// supervisor.
-fn factored(
-    objective: &Objective,
-    state: &State,
-    checkpoint: &Checkpoint<'_>,
-    supervisor: &dyn Supervisor,
-) -> Option<ScaledMatrix> {
-    let n = objective.index.unknowns();
-    let mut matrix = match checkpoint.matrix() {
-        Some(matrix) => matrix,
-        None => assembled(objective, state, supervisor)?,
-    };
-    let ScaledMatrix {
-        l,
-        scale,
-        least,
-        factored,
-    } = &mut matrix;
-    let mut go_on = |l: &[f64], columns: usize| {
-        checkpoint.save_matrix(l, scale, least, columns);
-        !supervisor.stop()
-    };
-    if !cholesky::factor_from(*factored, l, n, least, &mut go_on) {
+    let ScaledMatrix { mut l, scale } = assembled(objective, state, stop)?;
+    if !cholesky::factor(&mut l, scale.len(), PIVOT_FLOOR, stop) {
         return None;
     }
-    checkpoint.save_matrix(l, scale, least, n);
-    *factored = n;
-    Some(matrix)
+    let factor = ScaledMatrix { l, scale };
+    (0..objective.index.slots)
+        .into_par_iter()
+        .map(|slot| (!stop()).then(|| block(objective, &factor, slot)))
+        .collect()
+}
+
+/// The reduced matrix or its Cholesky factor, scaled to a unit diagonal.
+struct ScaledMatrix {
+    /// By rows, only the lower triangle is used.
+    l: Vec<f64>,
+    /// What rows and columns were multiplied by.
+    scale: Vec<f64>,
 }
 
 /// Returns the undamped reduced matrix scaled to a unit diagonal. `None` if a free parameter is not observed or on a
-/// stop by the supervisor.
-fn assembled(objective: &Objective, state: &State, supervisor: &dyn Supervisor) -> Option<ScaledMatrix> {
+/// stop.
+fn assembled(objective: &Objective, state: &State, stop: &dyn Fn() -> bool) -> Option<ScaledMatrix> {
     let mut equations = NormalEquations::new(objective);
     equations.linearise_determined(objective, state);
-    if supervisor.stop() || !all_parameters_observed(objective, &equations) {
+    if stop() || !all_parameters_observed(objective, &equations) {
         return None;
     }
     let mut schur = SchurComplement::new(objective);
     schur.eliminate(objective, &equations, 0.0);
-    if supervisor.stop() {
+    if stop() {
         return None;
     }
     let mut l = Vec::new();
@@ -223,13 +184,7 @@ fn assembled(objective: &Objective, state: &State, supervisor: &dyn Supervisor) 
             l[row * n + column] *= scale[row] * scale[column];
         }
     }
-    let least = cholesky::least_pivots(&l, n, PIVOT_FLOOR);
-    Some(ScaledMatrix {
-        l,
-        scale,
-        least,
-        factored: 0,
-    })
+    Some(ScaledMatrix { l, scale })
 }
 
 /// Returns one 6 x 6 block of the inverse: (L⁻¹ E)ᵀ (L⁻¹ E), E the block's columns of the unit matrix.

@@ -1,11 +1,9 @@
 //! Robust losses.
 
-use serde::Serialize;
-
 /// Loss ρ of a squared residual s. The cost is ½ Σ ρ(s).
 ///
 /// The width is in the unit of the residual: pixels for observations, sigmas for priors.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Loss {
     /// s.
     Squared,

@@ -5,12 +5,10 @@
 //! the reduced system, `adjust` iterates (Levenberg-Marquardt).
 
 mod adjust;
-mod checkpoint;
 mod cholesky;
 mod cholesky3;
 mod conjugate_gradients;
 mod covariance;
-mod covariance_checkpoint;
 mod dense;
 mod index;
 mod loss;

@@ -1,11 +1,9 @@
 //! Options and report of an adjustment, and the criterion by which models are compared.
 
-use serde::{Deserialize, Serialize};
-
 use super::loss::Loss;
 
 /// How the reduced system of poses and cameras is solved.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Solver {
     /// Dense up to 600 free poses, conjugate gradients above.
     Auto,
@@ -16,7 +14,7 @@ pub enum Solver {
 }
 
 /// Options of a bundle adjustment.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BundleOptions {
     /// Loss of observations, in pixels.
     pub loss: Loss,
@@ -31,7 +29,7 @@ pub struct BundleOptions {
 }
 
 /// Result of a bundle adjustment.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BundleReport {
     /// Steps tried.
     pub iterations: u32,

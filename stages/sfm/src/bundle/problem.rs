@@ -2,10 +2,9 @@
 
 use marf_scene::{Camera, Pose};
 use nalgebra::{Vector2, Vector3};
-use serde::{Deserialize, Serialize};
 
 /// Distortion model, smallest first. The coefficients are those of [`Camera`].
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum LensModel {
     /// No distortion.
     Pinhole,
@@ -19,7 +18,7 @@ pub enum LensModel {
 
 /// The free parameters of a camera. fx and fy vary together (their ratio is fixed). Coefficients that `lens` does not
 /// have are fixed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct CameraFreedom {
     /// Whether the focal length is free.
     pub focal: bool,
@@ -30,7 +29,7 @@ pub struct CameraFreedom {
 }
 
 /// Which parameters of a pose are free.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum PoseFreedom {
     /// All.
     Free,
@@ -41,7 +40,7 @@ pub enum PoseFreedom {
 }
 
 /// A point observed in a photo.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Observation {
     /// Index of the point.
     pub point: u32,
@@ -52,7 +51,7 @@ pub struct Observation {
 }
 
 /// Prior knowledge as a residual in units of its sigma, under the loss of priors.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Prior {
     /// The camera centre in the world.
     Centre {
@@ -97,7 +96,7 @@ pub enum Prior {
 }
 
 /// What is adjusted together. Observations are sorted by (point, pose).
-#[derive(Debug, Clone, Default, Serialize)]
+#[derive(Debug, Clone, Default)]
 pub struct Problem {
     /// Lenses that photos share.
     pub cameras: Vec<Camera>,

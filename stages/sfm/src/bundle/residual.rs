@@ -2,7 +2,6 @@
 
 use marf_scene::Camera;
 use nalgebra::{Matrix3, Vector2, Vector3};
-use serde::{Deserialize, Serialize};
 
 /// Parameters of a camera, in this order: ln f, k1, k2, p1, p2, cx, cy.
 pub(super) const CAMERA_PARAMS: usize = 7;
@@ -21,7 +20,7 @@ pub(super) enum CameraParam {
 }
 
 /// A pose by rotation and camera centre: x_cam = R (X - C).
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct CentredPose {
     /// R of `cam_from_world`.
     pub rotation: Matrix3<f64>,

@@ -3,7 +3,6 @@
 use marf_numeric::upper_median;
 use marf_scene::{Camera, Pose};
 use nalgebra::Vector3;
-use serde::{Deserialize, Serialize};
 
 use super::index::{Index, NONE};
 use super::problem::{Prior, Problem};
@@ -86,7 +85,7 @@ impl Normalization {
 }
 
 /// The parameters.
-#[derive(Debug, Clone, Serialize, Deserialize)]
+#[derive(Debug, Clone)]
 pub(super) struct State {
     pub cameras: Vec<Camera>,
     pub views: Vec<CentredPose>,

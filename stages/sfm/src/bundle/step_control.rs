@@ -1,7 +1,5 @@
 //! How the next step of an adjustment is computed: solver, damping, accuracy.
 
-use serde::{Deserialize, Serialize};
-
 use super::options::{BundleOptions, Solver};
 
 /// Damping of the first step, as a share of the diagonal.
@@ -12,7 +10,7 @@ const FIRST_DAMPING: f64 = 1e-4;
 const MOST_DENSE_POSES: usize = 600;
 
 /// How the next step is computed.
-#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy)]
 pub(super) struct StepControl {
     pub solver: Solver,
     pub damping: f64,

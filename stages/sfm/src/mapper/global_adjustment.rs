@@ -126,10 +126,8 @@ pub fn pose_uncertainties(
     built.problem.camera_freedom = freedoms(input, model);
     built.problem.priors = focal_priors(input, model);
     fix_gauge(model, &mut built);
-    let covariances = pose_covariances(&built.problem, sigma_px(input, model), input.supervisor);
-    if input.supervisor.stop() {
-        return Err(MapError::Stopped);
-    }
+    let covariances = pose_covariances(&built.problem, sigma_px(input, model), input.stop);
+    input.check_stop()?;
     let of = |covariance: &Matrix6<f64>| {
         let root = |first: usize| {
             (first..first + 3)
@@ -208,10 +206,8 @@ fn adjust_scope(
         tolerance: effort.tolerance,
         solver: Solver::Auto,
     };
-    let report = adjust(&mut built.problem, &options, input.supervisor)?;
-    if input.supervisor.stop() {
-        return Err(MapError::Stopped);
-    }
+    let report = adjust(&mut built.problem, &options, input.stop)?;
+    input.check_stop()?;
     write_back(model, &built);
     Ok(report)
 }

@@ -2,7 +2,6 @@
 
 use super::options::MapOptions;
 use super::tracks::Tracks;
-use crate::Supervisor;
 use crate::bundle::BundleError;
 use crate::view_graph::{Link, SharedCamera, View};
 
@@ -32,9 +31,21 @@ pub struct MapperInput<'a> {
     pub tracks: Tracks,
     /// Options.
     pub options: MapOptions,
-    /// Polled regularly. On a stop, mapping ends with [`MapError::Stopped`], and a later call resumes the saved
-    /// state.
-    pub supervisor: &'a dyn Supervisor,
+    /// Polled regularly: whether to stop. Once true, it stays so, and mapping ends with [`MapError::Stopped`].
+    pub stop: &'a (dyn Fn() -> bool + Sync),
     /// Receives the number of photos registered so far.
     pub registered: &'a (dyn Fn(usize) + Sync),
+}
+
+impl MapperInput<'_> {
+    /// Ends a computation that is to stop.
+    ///
+    /// # Errors
+    /// [`MapError::Stopped`]: the last step may then have been cut short, and its result is worth nothing.
+    pub(super) fn check_stop(&self) -> Result<(), MapError> {
+        if (self.stop)() {
+            return Err(MapError::Stopped);
+        }
+        Ok(())
+    }
 }

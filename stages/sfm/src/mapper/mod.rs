@@ -4,7 +4,6 @@
 //! Invariant: the result depends on the photos, the view graph and the seed alone. Each step over many tracks is a pure
 //! function of one track, collected in order.
 
-mod checkpoint;
 mod extend;
 mod global_adjustment;
 mod initial_pair;

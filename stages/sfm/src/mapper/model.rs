@@ -4,7 +4,6 @@ use marf_scene::{Camera, Pose};
 use marf_sfm_features::estimators::{Ray, ray_angle_rad, triangulate_robust};
 use nalgebra::Vector3;
 use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
 
 use super::input::MapperInput;
 use super::tracks::Observation;
@@ -13,7 +12,7 @@ use crate::bundle::LensModel;
 use crate::view_graph::PosedCamera;
 
 /// Registered photos in one coordinate frame, with the points they observe.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Model {
     /// By index of [`MapperInput::cameras`].
     pub cameras: Vec<Camera>,
@@ -166,7 +165,7 @@ impl Model {
         let states: Vec<TrackState> = tracks
             .par_chunks(TRACKS_AT_ONCE)
             // A model that is stopped in the middle is thrown away.
-            .filter(|_| !input.supervisor.stop())
+            .filter(|_| !(input.stop)())
             .flat_map_iter(|tracks| tracks.iter().map(|&track| step(self, track)))
             .collect();
         if states.len() < tracks.len() {

@@ -1,12 +1,10 @@
 //! Options of the mapper.
 
-use serde::Serialize;
-
 use crate::bundle::LensModel;
 use crate::view_graph::{SharedCamera, max_error_px};
 
 /// Which distortion model a scene gets.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum LensChoice {
     /// The smallest model that the photos support.
     Smallest {
@@ -18,7 +16,7 @@ pub enum LensChoice {
 }
 
 /// Whether the principal point is free in the last adjustment.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum PrincipalPointChoice {
     /// Fixed.
     Fixed,
@@ -29,7 +27,7 @@ pub enum PrincipalPointChoice {
 }
 
 /// Options of the mapper.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone)]
 pub struct MapOptions {
     /// Largest reprojection error of an observation, pixels of the working size.
     pub max_error_px: f64,

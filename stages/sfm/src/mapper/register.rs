@@ -4,13 +4,11 @@ use std::collections::BTreeMap;
 
 use marf_sfm_features::estimators::{PointObservation, Resection, resect};
 use marf_sfm_features::two_view::FocalKnown;
-use serde::{Deserialize, Serialize};
 
 use super::global_adjustment::{COARSE, adjust_local, refine};
 use super::initial_pair;
 use super::input::{MIN_PHOTOS, MapError, MapperInput};
 use super::model::Model;
-use crate::view_graph::Link;
 
 /// Observations of triangulated points that a photo needs to be tried.
 const MIN_VISIBLE: usize = 20;
@@ -32,79 +30,32 @@ const STARTS: usize = 3;
 /// Factors tried on a guessed focal length whose camera has no photo in the model yet.
 const FOCAL_FACTORS: [f64; 5] = [1.0, 0.7, 1.4, 0.5, 2.0];
 
-/// The search for the largest model of photos not taken, between two steps.
-#[derive(Default, Serialize, Deserialize)]
-pub(super) struct Search {
-    /// Candidates that were looked at.
-    looked_at: usize,
-    tried_starts: usize,
-    best: Option<Model>,
-    /// A model that grows, and the photo it started from.
-    growing: Option<(GrowingModel, usize)>,
-}
-
-/// The result of one step of a search.
-pub(super) enum SearchStep {
-    /// There is more to do.
-    Unfinished,
-    /// The largest model, if any pair could start one.
-    Finished(Option<Model>),
-}
-
-impl Search {
-    /// Takes one step: looks at one of the `candidates`, or adds to the model that grows.
-    pub(super) fn step(
-        &mut self,
-        input: &MapperInput<'_>,
-        taken: &[bool],
-        candidates: &[&Link],
-    ) -> Result<SearchStep, MapError> {
-        if let Some((growing, start)) = &mut self.growing {
-            if growing.step(input, taken)? == Progress::Unfinished {
-                return Ok(SearchStep::Unfinished);
-            }
-            let reachable = reachable(input, *start, taken);
-            if let Some((grown, _)) = self.growing.take() {
-                return Ok(self.compare(input, grown.model, taken, reachable));
-            }
-        }
-        let Some(link) = candidates.get(self.looked_at) else {
-            return Ok(self.finish(input));
-        };
-        self.looked_at += 1;
+/// Returns the largest model found of photos not taken. `None` if no pair can start one.
+pub(super) fn largest_model(input: &MapperInput<'_>, taken: &[bool]) -> Result<Option<Model>, MapError> {
+    let size = |model: &Model| model.photos().filter(|&photo| !taken[photo]).count();
+    let mut best: Option<Model> = None;
+    let mut tried_starts = 0;
+    for link in initial_pair::candidates(input, taken) {
+        input.check_stop()?;
         let known = |best: &Model| link.photos.iter().any(|&photo| best.poses[photo].is_some());
-        if !self.best.as_ref().is_some_and(known)
-            && let Some(model) = initial_pair::initial_model(input, link)?
-        {
-            self.growing = Some((GrowingModel::new(model), link.photos[0]));
+        if best.as_ref().is_some_and(known) {
+            continue;
         }
-        Ok(SearchStep::Unfinished)
-    }
-
-    /// Keeps a model if it is larger than the best, and decides whether others are tried.
-    fn compare(
-        &mut self,
-        input: &MapperInput<'_>,
-        model: Model,
-        taken: &[bool],
-        reachable: usize,
-    ) -> SearchStep {
-        let size = |model: &Model| model.photos().filter(|&photo| !taken[photo]).count();
-        if self.best.as_ref().is_none_or(|best| size(&model) > size(best)) {
-            self.best = Some(model);
+        let Some(model) = initial_pair::initial_model(input, link)? else {
+            continue;
+        };
+        let model = register_all(input, model, taken)?;
+        if best.as_ref().is_none_or(|best| size(&model) > size(best)) {
+            best = Some(model);
         }
-        self.tried_starts += 1;
-        let enough = self.best.as_ref().is_some_and(|best| 2 * size(best) >= reachable);
-        if enough || self.tried_starts >= STARTS {
-            return self.finish(input);
+        tried_starts += 1;
+        let reachable = reachable(input, link.photos[0], taken);
+        let enough = best.as_ref().is_some_and(|best| 2 * size(best) >= reachable);
+        if enough || tried_starts >= STARTS {
+            break;
         }
-        SearchStep::Unfinished
     }
-
-    fn finish(&mut self, input: &MapperInput<'_>) -> SearchStep {
-        let large = |model: &Model| model.photos().count() >= MIN_PHOTOS.min(input.views.len());
-        SearchStep::Finished(self.best.take().filter(large))
-    }
+    Ok(best.filter(|model| model.photos().count() >= MIN_PHOTOS.min(input.views.len())))
 }
 
 /// Returns the number of photos not taken that are connected to a photo.
@@ -123,7 +74,7 @@ fn reachable(input: &MapperInput<'_>, from: usize, taken: &[bool]) -> usize {
 }
 
 /// Number of attempts and points visible at the last one, of photos that did not fit.
-#[derive(Default, Serialize, Deserialize)]
+#[derive(Default)]
 struct Attempts(BTreeMap<usize, (u32, usize)>);
 
 impl Attempts {
@@ -141,60 +92,36 @@ impl Attempts {
     }
 }
 
-/// A model to which photos are added one by one until none fits. Then all is adjusted and each is tried again.
-#[derive(Serialize, Deserialize)]
-pub(super) struct GrowingModel {
-    pub model: Model,
-    attempts: Attempts,
-    /// Photos of the model when all of it was adjusted last.
-    adjusted: usize,
-    /// Photos of the model when none fitted last.
-    stable: usize,
-}
-
-/// Whether a computation by steps is at its end.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Progress {
-    Unfinished,
-    Finished,
-}
-
-impl GrowingModel {
-    pub(super) fn new(model: Model) -> Self {
-        Self {
-            attempts: Attempts::default(),
-            adjusted: model.photos().count(),
-            stable: 0,
-            model,
-        }
-    }
-
-    /// Tries the next photo. Without one, adjusts all.
-    pub(super) fn step(&mut self, input: &MapperInput<'_>, taken: &[bool]) -> Result<Progress, MapError> {
-        if input.supervisor.stop() {
-            return Err(MapError::Stopped);
-        }
-        let model = &mut self.model;
+/// Returns a model to which photos were added one by one until none fitted. Then all is adjusted and each is tried again.
+pub(super) fn register_all(
+    input: &MapperInput<'_>,
+    mut model: Model,
+    taken: &[bool],
+) -> Result<Model, MapError> {
+    let mut attempts = Attempts::default();
+    // Photos of the model when all of it was adjusted last, and when none fitted last.
+    let (mut adjusted, mut stable) = (model.photos().count(), 0);
+    loop {
+        input.check_stop()?;
         let placed = model.photos().count();
-        let Some((photo, visible)) = next_photo(input, model, taken, &self.attempts) else {
-            if placed == self.stable {
-                return Ok(Progress::Finished);
+        let Some((photo, visible)) = next_photo(input, &model, taken, &attempts) else {
+            if placed == stable {
+                return Ok(model);
             }
-            refine(input, model, &[], COARSE)?;
-            self.adjusted = model.photos().count();
-            (self.stable, self.attempts) = (placed, Attempts::default());
-            return Ok(Progress::Unfinished);
+            refine(input, &mut model, &[], COARSE)?;
+            adjusted = model.photos().count();
+            (stable, attempts) = (placed, Attempts::default());
+            continue;
         };
-        if !register(input, model, photo)? {
-            self.attempts.note(photo, visible);
-            return Ok(Progress::Unfinished);
+        if !register(input, &mut model, photo)? {
+            attempts.note(photo, visible);
+            continue;
         }
         (input.registered)(placed + 1);
-        if (placed + 1) as f64 >= GROWTH * self.adjusted as f64 {
-            refine(input, model, &[], COARSE)?;
-            self.adjusted = model.photos().count().max(placed);
+        if (placed + 1) as f64 >= GROWTH * adjusted as f64 {
+            refine(input, &mut model, &[], COARSE)?;
+            adjusted = model.photos().count().max(placed);
         }
-        Ok(Progress::Unfinished)
     }
 }
 

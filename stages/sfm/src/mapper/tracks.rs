@@ -1,12 +1,11 @@
 //! Tracks: features of several photos that are one point of the scene.
 
 use nalgebra::Vector2;
-use serde::Serialize;
 
 use crate::view_graph::{Link, View};
 
 /// A feature of a photo that belongs to a track.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Observation {
     /// Index of the track.
     pub track: u32,

@@ -15,8 +15,6 @@ pub fn triangulate(
     known: &[Option<PosedCamera>],
 ) -> Result<Option<Model>, MapError> {
     let model = Model::known(input, known);
-    if input.supervisor.stop() {
-        return Err(MapError::Stopped);
-    }
+    input.check_stop()?;
     Ok(model)
 }

@@ -1,6 +1,7 @@
 //! Mapping of synthetic photos with known ground truth, at the extremes: a correct result or none.
 
 mod intruders;
+pub(crate) mod polls;
 mod stopped;
 mod synthetic;
 
@@ -376,6 +377,6 @@ fn photos_of_known_cameras_give_points_and_stay_where_they_are() {
             .with_input(|input| triangulate(input, &nothing).unwrap())
             .is_none()
     );
-    let stopped = scene.supervised(&|| true, |input| triangulate(input, &known));
+    let stopped = scene.stoppable(&|| true, |input| triangulate(input, &known));
     assert!(matches!(stopped, Err(MapError::Stopped)), "{stopped:?}");
 }

@@ -5,7 +5,6 @@ use marf_scene::{Camera, Pose};
 use marf_sfm_features::two_view::{FocalKnown, VerifyOptions, ViewPoints, verify};
 use nalgebra::{Vector2, Vector3};
 
-use crate::Supervisor;
 use crate::align::{PosePair, Tolerance, align, pose_difference};
 use crate::mapper::{MapOptions, MapperInput, Model, Tracks, map};
 use crate::view_graph::{ComparedPair, SharedCamera, View, link_pair, max_error_px, refine_focal_lengths};
@@ -176,13 +175,13 @@ impl Synthetic {
 
     /// Calls `work` with the input of the mapper.
     pub(super) fn with_input<R>(&self, work: impl FnOnce(&MapperInput<'_>) -> R) -> R {
-        self.supervised(&|| false, work)
+        self.stoppable(&|| false, work)
     }
 
-    /// As [`Synthetic::with_input`], with a supervisor.
-    pub(super) fn supervised<R>(
+    /// As [`Synthetic::with_input`], stopped once `stop` is true.
+    pub(super) fn stoppable<R>(
         &self,
-        supervisor: &dyn Supervisor,
+        stop: &(dyn Fn() -> bool + Sync),
         work: impl FnOnce(&MapperInput<'_>) -> R,
     ) -> R {
         let (views, features) = self.observe();
@@ -201,7 +200,7 @@ impl Synthetic {
             links: &links,
             tracks: Tracks::build(&views, &links),
             options: MapOptions::automatic(&shared, 0),
-            supervisor,
+            stop,
             registered: &|_| (),
         };
         work(&input)

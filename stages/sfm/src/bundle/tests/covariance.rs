@@ -2,7 +2,7 @@ use nalgebra::{Matrix6, Vector6};
 
 use super::super::synthetic::add_noise;
 use super::*;
-use crate::supervisor::testing::Stopping;
+use crate::tests::polls::Polls;
 
 const SOLVES: usize = 200;
 
@@ -119,7 +119,7 @@ fn a_photo_whose_points_nobody_else_sees_has_no_covariance() {
     assert_eq!(pose_covariances(&problem, 1.0, &|| false), None);
 }
 
-/// Questions before anything is factored.
+/// Polls before anything is factored.
 const ASSEMBLY: u64 = 2;
 /// Panels of 48 columns.
 const PANELS: u64 = 6;
@@ -136,68 +136,14 @@ fn six_panels() -> Problem {
 }
 
 #[test]
-fn the_bits_are_the_same_wherever_it_was_stopped() {
+fn a_stop_has_no_covariances_and_a_panel_and_a_block_poll_once() {
     let problem = six_panels();
-    let expected = pose_covariances(&problem, 0.7, &|| false).unwrap();
-    let mut stops = 0;
-    for questions in 0.. {
-        let supervisor = Stopping::default();
-        if pose_covariances(&problem, 0.7, supervisor.after(questions)).is_some() {
-            break;
-        }
-        let resumed = pose_covariances(&problem, 0.7, supervisor.after(u64::MAX));
-        assert!(
-            resumed.as_ref() == Some(&expected),
-            "stopped after {questions} questions"
-        );
-        stops += 1;
+    let all = ASSEMBLY + PANELS + FREE;
+    for after in 0..all {
+        let polls = Polls::new(after);
+        let stopped = pose_covariances(&problem, 0.7, &|| polls.stop());
+        assert!(stopped.is_none(), "stopped after {after} polls");
     }
-    assert_eq!(stops, ASSEMBLY + PANELS + FREE, "a question a panel and a block");
-}
-
-#[test]
-fn nothing_that_was_saved_is_computed_again() {
-    let problem = six_panels();
-    let expected = pose_covariances(&problem, 0.7, &|| false);
-    let supervisor = Stopping::default();
-    let done = 2;
-    assert_eq!(
-        pose_covariances(&problem, 0.7, supervisor.after(ASSEMBLY + done)),
-        None
-    );
-    let left = PANELS - done + FREE;
-    assert_eq!(pose_covariances(&problem, 0.7, supervisor.after(left - 1)), None);
-    // The matrix is factored. The blocks, which are saved 64 at a time, are still missing.
-    assert_eq!(pose_covariances(&problem, 0.7, supervisor.after(FREE)), expected);
-    // All that is left is to read the blocks.
-    assert_eq!(pose_covariances(&problem, 0.7, supervisor.after(0)), expected);
-}
-
-#[test]
-fn damaged_and_foreign_checkpoints_cost_only_time() {
-    let problem = six_panels();
-    let expected = pose_covariances(&problem, 0.7, &|| false);
-    let damages: [fn(&mut Vec<u8>); 4] = [
-        |bytes| bytes.clear(),
-        |bytes| bytes.truncate(bytes.len() - 1),
-        |bytes| bytes[7] ^= 1,
-        |bytes| bytes.push(0),
-    ];
-    for damage in damages {
-        for questions in [3, u64::MAX] {
-            let supervisor = Stopping::default();
-            let _ = pose_covariances(&problem, 0.7, supervisor.after(questions));
-            supervisor.damage(damage);
-            let found = pose_covariances(&problem, 0.7, supervisor.after(u64::MAX));
-            assert!(found == expected, "{questions}");
-        }
-    }
-    let supervisor = Stopping::default();
-    let _ = pose_covariances(&problem, 0.7, supervisor.after(u64::MAX));
-    let mut other = six_panels();
-    other.observations[3].pixel.x += 1e-3;
-    let wanted = pose_covariances(&other, 0.7, &|| false);
-    assert!(pose_covariances(&other, 0.7, supervisor.after(u64::MAX)) == wanted);
-    let wanted = pose_covariances(&problem, 0.8, &|| false);
-    assert!(pose_covariances(&problem, 0.8, supervisor.after(u64::MAX)) == wanted);
+    let polls = Polls::new(all);
+    assert!(pose_covariances(&problem, 0.7, &|| polls.stop()).is_some());
 }
