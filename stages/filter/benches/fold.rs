@@ -152,22 +152,19 @@ impl Blobs for Store {
     }
 }
 
-/// Returns a photo as a row and as its measure, which has a first byte 1, then size, sharpness, colour, hashes behind their
-/// number, and the digest of the planes.
+/// Returns a photo as a row and as its measure, which has a first byte 1, then size, sharpness, colour, hashes, and the digest of
+/// the planes.
 fn photo(photo: usize, photos: usize) -> (Row, Vec<u8>) {
     let row = Row {
         id: format!("NLF_{photo:07}_0671382174_448ECM"),
         blobs: BTreeMap::new(),
         facts: serde_json::json!({"file": "", "width": 1280, "height": 960, "sol": photo / SOL}),
     };
-    let mut measure = vec![1];
-    measure.extend(1280_u32.to_le_bytes());
-    measure.extend(960_u32.to_le_bytes());
-    measure.extend((mixed(!photo as u64) as f64).to_le_bytes());
-    measure.extend(0.1_f64.to_le_bytes());
-    measure.push(1);
-    measure.extend(hash_of(photo, photos).to_le_bytes());
-    measure.extend(Store::planes_digest(photo, cluster(photo, photos)).as_bytes());
+    let planes = Store::planes_digest(photo, cluster(photo, photos));
+    let sharpness = mixed(!photo as u64) as f64;
+    let hashes = vec![hash_of(photo, photos)];
+    let descriptor = ([1280_u32, 960], sharpness, 0.1, hashes, planes.as_bytes());
+    let measure = [vec![1], postcard::to_allocvec(&descriptor).unwrap()].concat();
     (row, measure)
 }
 

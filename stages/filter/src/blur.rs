@@ -5,14 +5,13 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::by_hand::ByHand;
-use crate::bytes::{Stored, put_number, take, take_number};
 use crate::decision::Decision;
 use crate::decoded::DecodedPhoto;
 use crate::filter::{AnyPass, Filter, MeasuredPhoto, Pass, check_range};
 use crate::octave::Octave;
 #[cfg(test)]
 use crate::section::Guard;
-use crate::statistics::{BinCounts, LogBins, Quantile, Steps, put_bins};
+use crate::statistics::{BinCounts, LogBins, Quantile, Steps};
 
 /// Rejects photos that are out of focus, smeared by motion, or nothing but noise.
 pub struct Blur;
@@ -72,14 +71,12 @@ impl Default for BlurParams {
 }
 
 /// Sharpness of one photo.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Sharpness {
     /// Variance of the 4-neighbour Laplacian, squared 8-bit steps.
     laplacian: f64,
-    /// Full, half and quarter size. The first `sizes` are measured.
-    octaves: [Octave; OCTAVES],
-    /// How many sizes have 3 pixels on both sides.
-    sizes: usize,
+    /// Full, half and quarter size, as far as they have 3 pixels on both sides.
+    octaves: [Option<Octave>; OCTAVES],
 }
 
 /// Number of sizes, each half of the one before. A motion of 15 pixels leaves only the noise of JPEG at full size
@@ -88,30 +85,8 @@ const OCTAVES: usize = 3;
 
 impl Sharpness {
     /// Returns the sizes that were measured, the largest first.
-    fn octaves(&self) -> &[Octave] {
-        &self.octaves[..self.sizes]
-    }
-}
-
-/// The variance (8 bytes), then each octave.
-impl Stored<'_> for Sharpness {
-    fn encode(&self) -> Vec<u8> {
-        let mut bytes = self.laplacian.to_le_bytes().to_vec();
-        self.octaves().iter().for_each(|octave| octave.put(&mut bytes));
-        bytes
-    }
-
-    fn decode(mut bytes: &[u8]) -> Option<Self> {
-        let mut sharpness = Self {
-            laplacian: f64::from_le_bytes(take(&mut bytes)?),
-            octaves: Default::default(),
-            sizes: 0,
-        };
-        while !bytes.is_empty() {
-            *sharpness.octaves.get_mut(sharpness.sizes)? = Octave::take(&mut bytes)?;
-            sharpness.sizes += 1;
-        }
-        Some(sharpness)
+    fn octaves(&self) -> impl Iterator<Item = &Octave> {
+        self.octaves.iter().flatten()
     }
 }
 
@@ -119,17 +94,17 @@ impl Filter for Blur {
     const NAME: &'static str = "blur";
     const ABOUT: &'static str = "rejects photos that are blurred or mere noise";
     const RELAX: &'static str = "a lower `floor_ratio` or `min_ratio`";
-    const MEASURE_VERSION: u32 = 3;
+    const MEASURE_VERSION: u32 = 4;
     const DECISION_VERSION: u32 = 1;
     type Params = BlurParams;
-    type Measure<'a> = Sharpness;
+    type Measure = Sharpness;
     type Context = RatioLimits;
     const MEASURE: Option<fn(&DecodedPhoto<'_>) -> Sharpness> = Some(sharpness);
 
     #[cfg(test)]
     const GUARD: Guard = Guard {
-        measures: "3 bf707fb7a444",
-        decisions: "4 d26ff894355b",
+        measures: "4 000000000000",
+        decisions: "5 d26ff894355b",
     };
 
     fn by_hand(params: &BlurParams) -> &ByHand {
@@ -167,25 +142,22 @@ impl Filter for Blur {
 
 /// Measures the sharpness of a photo.
 fn sharpness(decoded: &DecodedPhoto<'_>) -> Sharpness {
-    let mut sharpness = Sharpness {
-        laplacian: decoded.laplacian().variance,
-        octaves: Default::default(),
-        sizes: 0,
-    };
     let luma = decoded.luma();
-    if luma.width > 2 && luma.height > 2 {
-        sharpness.octaves[0] = Octave::from_luma(luma);
-        sharpness.sizes = 1;
-        let mut next = luma.halved();
-        while let Some(plane) =
-            next.filter(|plane| sharpness.sizes < OCTAVES && plane.width > 2 && plane.height > 2)
-        {
-            sharpness.octaves[sharpness.sizes] = Octave::from_plane(&plane);
-            sharpness.sizes += 1;
-            next = plane.halved();
+    let large = |width: usize, height: usize| width > 2 && height > 2;
+    let mut octaves = [None; OCTAVES];
+    if large(luma.width, luma.height) {
+        octaves[0] = Some(Octave::from_luma(luma));
+        let mut plane = luma.halved();
+        for octave in &mut octaves[1..] {
+            plane = plane.filter(|plane| large(plane.width, plane.height));
+            *octave = plane.as_ref().map(Octave::from_plane);
+            plane = plane.and_then(|plane| plane.halved());
         }
     }
-    sharpness
+    Sharpness {
+        laplacian: decoded.laplacian().variance,
+        octaves,
+    }
 }
 
 /// Bins of reblur ratios, 0.8 to 1.6 % wide. Medians are at most half a bin off, and the median of 10,000 photos
@@ -194,6 +166,7 @@ const RATIOS: LogBins = LogBins { bits: 6 };
 
 /// The limits of reblur ratios where the photos of an instrument are compared with each other. They depend on the
 /// ratio of the photo under decision, which is left out of the medians.
+#[derive(Serialize, Deserialize)]
 pub struct RatioLimits {
     /// Of the smaller ratio of both axes, by number of halvings.
     least: [Steps; OCTAVES],
@@ -201,30 +174,11 @@ pub struct RatioLimits {
     most: Steps,
 }
 
-/// The limits, one behind the other.
-impl Stored<'_> for RatioLimits {
-    fn encode(&self) -> Vec<u8> {
-        let mut bytes = Vec::new();
-        let limits = self.least.iter().chain([&self.most]);
-        limits.for_each(|limit| limit.put(&mut bytes));
-        bytes
-    }
-
-    fn decode(mut bytes: &[u8]) -> Option<Self> {
-        let mut limit = || Steps::take(&mut bytes);
-        let limits = Self {
-            least: [limit()?, limit()?, limit()?],
-            most: limit()?,
-        };
-        bytes.is_empty().then_some(limits)
-    }
-}
-
 /// The distribution of the reblur ratios.
 struct RatiosPass;
 
 /// The reblur ratios of the photos of an instrument.
-#[derive(Default)]
+#[derive(Default, Serialize, Deserialize)]
 struct Ratios {
     photos: u64,
     /// Smaller ratio of both axes, by number of halvings.
@@ -237,30 +191,27 @@ impl Pass<Blur> for RatiosPass {
     const NAME: &'static str = "ratios";
     type Total = Ratios;
 
-    /// The number of photos, the bins of the smaller ratio at each size, those of the larger one at full size.
-    fn summarise(_: Option<&RatioLimits>, photos: &[&MeasuredPhoto<'_, Sharpness>]) -> Vec<u8> {
+    fn summarise(_: Option<&RatioLimits>, photos: &[&MeasuredPhoto<'_, Sharpness>]) -> Ratios {
         let octaves = |halvings: usize| {
-            let octave =
-                move |photo: &&MeasuredPhoto<'_, Sharpness>| photo.measure.octaves().get(halvings).copied();
-            photos.iter().filter_map(octave)
+            photos
+                .iter()
+                .filter_map(move |photo| photo.measure.octaves().nth(halvings))
         };
-        let mut bytes = Vec::new();
-        put_number(&mut bytes, photos.len() as u64);
-        for halvings in 0..OCTAVES {
-            let lowest = octaves(halvings).filter_map(|octave| RATIOS.bin(octave.lowest().0));
-            put_bins(&mut bytes, lowest.collect());
+        Ratios {
+            photos: photos.len() as u64,
+            lowest: std::array::from_fn(|halvings| {
+                BinCounts::new(octaves(halvings).filter_map(|octave| RATIOS.bin(octave.lowest().0)))
+            }),
+            finest: BinCounts::new(octaves(0).filter_map(|octave| RATIOS.bin(octave.highest()))),
         }
-        let finest = octaves(0).filter_map(|octave| RATIOS.bin(octave.highest()));
-        put_bins(&mut bytes, finest.collect());
-        bytes
     }
 
-    fn add(total: &mut Ratios, mut summary: &[u8]) -> Option<()> {
-        total.photos = total.photos.checked_add(take_number(&mut summary)?)?;
-        for counts in total.lowest.iter_mut().chain([&mut total.finest]) {
-            counts.take(&mut summary)?;
+    fn add(total: &mut Ratios, summary: Ratios) -> Option<()> {
+        total.photos = total.photos.checked_add(summary.photos)?;
+        for (total, summary) in total.lowest.iter_mut().zip(&summary.lowest) {
+            total.add(summary)?;
         }
-        summary.is_empty().then_some(())
+        total.finest.add(&summary.finest)
     }
 
     fn conclude(params: &BlurParams, _: Option<RatioLimits>, ratios: Ratios) -> Option<RatioLimits> {
@@ -288,14 +239,14 @@ fn max_ratio(params: &BlurParams, limits: Option<&RatioLimits>, ratio: f64) -> f
 
 /// Decides by the rule [`BlurRule::Reblur`].
 fn decide_reblur(params: &BlurParams, photo: &Sharpness, limits: Option<&RatioLimits>) -> Decision {
-    let Some(fine) = photo.octaves().first() else {
+    let Some(fine) = photo.octaves().next() else {
         return Decision::reject(
             0.0,
             params.min_ratio,
             "fewer than 3 pixels a side: nothing can be sharp",
         );
     };
-    let worst = photo.octaves().iter().enumerate().map(|(halvings, octave)| {
+    let worst = photo.octaves().enumerate().map(|(halvings, octave)| {
         let (ratio, axis) = octave.lowest();
         (ratio, min_ratio(params, limits, halvings, ratio), halvings, axis)
     });

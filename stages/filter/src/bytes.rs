@@ -1,120 +1,98 @@
-//! Reading and writing of kept bytes: numbers, and parts behind their length.
+//! Values as kept bytes: postcard, the same on every machine, floats exact.
 
-/// Removes `N` bytes from the front. `None` if there are fewer.
-pub(crate) fn take<const N: usize>(bytes: &mut &[u8]) -> Option<[u8; N]> {
-    let (front, rest) = bytes.split_first_chunk::<N>()?;
-    *bytes = rest;
-    Some(*front)
+use marf_cache::Digest;
+use marf_stage::StageError;
+use serde::de::{Deserialize, Deserializer, Error};
+use serde::{Serialize, Serializer};
+
+/// Returns a value as bytes.
+///
+/// # Errors
+/// A value that serde cannot write.
+pub(crate) fn to_bytes(value: &impl Serialize) -> Result<Vec<u8>, StageError> {
+    postcard::to_allocvec(value)
+        .map_err(|error| StageError::new("a value cannot be written as bytes").cause(error.to_string()))
 }
 
-/// Appends a number in groups of seven bits, the lowest first (LEB128): one byte below 128, ten at the most.
-pub(crate) fn put_number(bytes: &mut Vec<u8>, mut number: u64) {
-    while number >= 0x80 {
-        bytes.push(number as u8 | 0x80);
-        number >>= 7;
+/// Reads the bytes of [`to_bytes`]. `None` for other bytes.
+pub(crate) fn from_bytes<'a, T: Deserialize<'a>>(bytes: &'a [u8]) -> Option<T> {
+    let (value, rest) = postcard::take_from_bytes(bytes).ok()?;
+    rest.is_empty().then_some(value)
+}
+
+/// Reads a list of `N` values.
+///
+/// # Errors
+/// A list of another length, or values that cannot be read.
+pub(crate) fn read_list<'a, const N: usize, T, D>(from: D) -> Result<Vec<T>, D::Error>
+where
+    T: Deserialize<'a>,
+    D: Deserializer<'a>,
+{
+    let list = Vec::deserialize(from)?;
+    if list.len() != N {
+        return Err(D::Error::invalid_length(list.len(), &"the length of the list"));
     }
-    bytes.push(number as u8);
+    Ok(list)
 }
 
-/// Removes a number of [`put_number`] from the front. `None` if it is cut short or above `u64::MAX`.
-pub(crate) fn take_number(bytes: &mut &[u8]) -> Option<u64> {
-    let mut number = 0;
-    for shift in (0..u64::BITS).step_by(7) {
-        let [byte] = take(bytes)?;
-        let part = u64::from(byte & 0x7f);
-        if part > u64::MAX >> shift {
-            return None;
-        }
-        number |= part << shift;
-        if byte < 0x80 {
-            return Some(number);
-        }
-    }
-    None
-}
+/// A digest as its 32 bytes: serde writes it in hexadecimal digits.
+pub(crate) mod digest {
+    use super::*;
 
-/// Appends bytes behind their number.
-pub(crate) fn put_part(bytes: &mut Vec<u8>, part: &[u8]) {
-    put_number(bytes, part.len() as u64);
-    bytes.extend(part);
-}
-
-/// Removes a part of [`put_part`] from the front. `None` if it is cut short.
-pub(crate) fn take_part<'a>(bytes: &mut &'a [u8]) -> Option<&'a [u8]> {
-    let length = usize::try_from(take_number(bytes)?).ok()?;
-    let (part, rest) = bytes.split_at_checked(length)?;
-    *bytes = rest;
-    Some(part)
-}
-
-/// Appends a text that may be absent.
-pub(crate) fn put_text(bytes: &mut Vec<u8>, text: Option<&str>) {
-    bytes.push(u8::from(text.is_some()));
-    if let Some(text) = text {
-        put_part(bytes, text.as_bytes());
-    }
-}
-
-/// Removes a text of [`put_text`] from the front. The outer `None` if it is cut short or not a text.
-pub(crate) fn take_text<'a>(bytes: &mut &'a [u8]) -> Option<Option<&'a str>> {
-    match take(bytes)? {
-        [0] => Some(None),
-        [1] => Some(Some(std::str::from_utf8(take_part(bytes)?).ok()?)),
-        _ => None,
-    }
-}
-
-/// A value that is kept as bytes and may borrow them.
-pub trait Stored<'a>: Sized {
-    /// Returns the value as bytes, the same on every machine.
-    fn encode(&self) -> Vec<u8>;
-
-    /// Reads the bytes of [`Stored::encode`]. `None` for other bytes.
-    fn decode(bytes: &'a [u8]) -> Option<Self>;
-}
-
-/// Nothing: no bytes.
-impl Stored<'_> for () {
-    fn encode(&self) -> Vec<u8> {
-        Vec::new()
+    pub(crate) fn serialize<S: Serializer>(digest: &Digest, to: S) -> Result<S::Ok, S::Error> {
+        digest.as_bytes().serialize(to)
     }
 
-    fn decode(bytes: &[u8]) -> Option<Self> {
-        bytes.is_empty().then_some(())
+    pub(crate) fn deserialize<'a, D: Deserializer<'a>>(from: D) -> Result<Digest, D::Error> {
+        <[u8; 32]>::deserialize(from).map(Digest::from_bytes)
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use serde::Deserialize;
+
     use super::*;
 
-    /// By hand: 300 is 0b10_0101100.
+    #[derive(Debug, PartialEq, Serialize, Deserialize)]
+    struct Kept {
+        number: f64,
+        #[serde(deserialize_with = "read_list::<2, _, _>")]
+        pair: Vec<u32>,
+        #[serde(with = "digest")]
+        digest: Digest,
+    }
+
+    fn kept(pair: &[u32]) -> Vec<u8> {
+        let kept = Kept {
+            number: 0.1,
+            pair: pair.to_vec(),
+            digest: Digest::from_content(b"a"),
+        };
+        to_bytes(&kept).unwrap()
+    }
+
+    /// By hand: 8 bytes of a float, the length 2, 300 as 0b10_0101100, and 32 bytes.
     #[test]
-    fn numbers_come_back_and_small_ones_take_one_byte() {
-        for (number, written) in [(0, &[0][..]), (127, &[127]), (300, &[0xac, 2])] {
-            let mut bytes = Vec::new();
-            put_number(&mut bytes, number);
-            assert_eq!(bytes, written);
+    fn a_value_comes_back_and_cut_or_longer_bytes_do_not() {
+        let bytes = kept(&[7, 300]);
+        assert_eq!(bytes[..8], 0.1_f64.to_le_bytes());
+        assert_eq!(bytes[8..12], [2, 7, 0xac, 2]);
+        assert_eq!(bytes[12..], *Digest::from_content(b"a").as_bytes());
+        let read: Kept = from_bytes(&bytes).unwrap();
+        assert_eq!(to_bytes(&read).unwrap(), bytes);
+        for cut in 0..bytes.len() {
+            assert_eq!(from_bytes::<Kept>(&bytes[..cut]), None, "cut at {cut}");
         }
-        for number in [0, 1, 127, 128, 16_383, 16_384, u64::MAX - 1, u64::MAX] {
-            let mut bytes = Vec::new();
-            put_number(&mut bytes, number);
-            bytes.push(9);
-            let mut rest = bytes.as_slice();
-            assert_eq!((take_number(&mut rest), rest), (Some(number), &[9][..]));
-            assert_eq!(take_number(&mut &bytes[..bytes.len() - 2]), None, "{number} cut");
-        }
-        assert_eq!(take_number(&mut &[0xff; 10][..]), None, "above u64::MAX");
+        assert_eq!(from_bytes::<Kept>(&[bytes, vec![0]].concat()), None);
     }
 
     #[test]
-    fn texts_come_back_and_an_empty_one_is_not_an_absent_one() {
-        for text in [None, Some(""), Some("ZL0 é")] {
-            let mut bytes = Vec::new();
-            put_text(&mut bytes, text);
-            assert_eq!(take_text(&mut bytes.as_slice()), Some(text));
-            assert_eq!(take_text(&mut &bytes[..bytes.len() - 1]), None, "{text:?} cut");
+    fn a_list_of_another_length_is_refused() {
+        for pair in [&[][..], &[1], &[1, 2, 3]] {
+            assert_eq!(from_bytes::<Kept>(&kept(pair)), None, "{pair:?}");
         }
-        assert_eq!(take_text(&mut &[1, 1, 0xff][..]), None, "no UTF-8");
+        assert_eq!(from_bytes::<Vec<u64>>(&[0xff; 9]), None, "more values than bytes");
     }
 }

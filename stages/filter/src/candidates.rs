@@ -3,6 +3,8 @@
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
 
+use serde::{Deserialize, Serialize};
+
 use crate::descriptor::PixelSize;
 use crate::relation::RelationKeys;
 use crate::similarity::aspect_class;
@@ -17,7 +19,7 @@ pub(crate) enum Search {
 }
 
 /// What a photo is found by.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct PhotoKeys {
     /// Its size.
     pub(crate) size: PixelSize,

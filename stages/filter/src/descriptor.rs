@@ -2,8 +2,9 @@
 
 use marf_cache::Digest;
 use marf_scene::{Image, Srgb};
+use serde::{Deserialize, Serialize};
 
-use crate::bytes::take;
+use crate::bytes::digest;
 use crate::decoded::DecodedPhoto;
 use crate::hash::{self, SIDE};
 use crate::luma::luma;
@@ -18,7 +19,7 @@ const DARK: f64 = 4.0;
 
 /// A summary of a photo that recognises two photos of the same view. The compared images are a blob of their own, so
 /// that only those of candidates are read.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct ViewDescriptor {
     /// Size of the upright photo.
     pub(crate) size: PixelSize,
@@ -30,11 +31,12 @@ pub(crate) struct ViewDescriptor {
     /// Perceptual hashes, each once: of the brightness, then of each band.
     pub(crate) hashes: Vec<u64>,
     /// Digest of the gradient magnitudes by band, `CELLS * CELLS` bytes each. One band if the file has one.
+    #[serde(with = "digest")]
     pub(crate) planes: Digest,
 }
 
 /// Width and height of a photo, pixels.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct PixelSize {
     pub(crate) width: u32,
     pub(crate) height: u32,
@@ -68,60 +70,6 @@ impl ViewDescriptor {
         };
         (descriptor, planes)
     }
-
-    /// Returns the descriptor as bytes, all numbers little-endian.
-    pub(crate) fn encode(&self) -> Vec<u8> {
-        let mut bytes = Vec::with_capacity(57 + 8 * self.hashes.len());
-        self.size.put(&mut bytes);
-        bytes.extend(self.sharpness.to_le_bytes());
-        bytes.extend(self.colour.to_le_bytes());
-        put_hashes(&mut bytes, &self.hashes);
-        bytes.extend(self.planes.as_bytes());
-        bytes
-    }
-
-    /// Reads the bytes of [`ViewDescriptor::encode`]. `None` for other bytes.
-    pub(crate) fn decode(mut bytes: &[u8]) -> Option<Self> {
-        let descriptor = Self {
-            size: PixelSize::take(&mut bytes)?,
-            sharpness: f64::from_le_bytes(take(&mut bytes)?),
-            colour: f64::from_le_bytes(take(&mut bytes)?),
-            hashes: take_hashes(&mut bytes)?,
-            planes: Digest::from_bytes(take(&mut bytes)?),
-        };
-        bytes.is_empty().then_some(descriptor)
-    }
-}
-
-impl PixelSize {
-    /// Appends both sides, little-endian.
-    pub(crate) fn put(self, bytes: &mut Vec<u8>) {
-        bytes.extend(self.width.to_le_bytes());
-        bytes.extend(self.height.to_le_bytes());
-    }
-
-    /// Removes what [`PixelSize::put`] wrote from the front.
-    pub(crate) fn take(bytes: &mut &[u8]) -> Option<Self> {
-        Some(Self {
-            width: u32::from_le_bytes(take(bytes)?),
-            height: u32::from_le_bytes(take(bytes)?),
-        })
-    }
-}
-
-/// Appends hashes, at most 255, behind their number.
-pub(crate) fn put_hashes(bytes: &mut Vec<u8>, hashes: &[u64]) {
-    bytes.push(hashes.len() as u8);
-    hashes.iter().for_each(|hash| bytes.extend(hash.to_le_bytes()));
-}
-
-/// Removes the hashes of [`put_hashes`] from the front. `None` if they are cut short or empty.
-pub(crate) fn take_hashes(bytes: &mut &[u8]) -> Option<Vec<u64>> {
-    let [count] = take(bytes)?;
-    let hashes: Option<Vec<u64>> = (0..count)
-        .map(|_| Some(u64::from_le_bytes(take(bytes)?)))
-        .collect();
-    hashes.filter(|hashes| !hashes.is_empty())
 }
 
 /// The means of an image over `CELLS * CELLS` cells, for any aspect ratio.
@@ -236,8 +184,8 @@ fn eight_bits(sixteenths: u32) -> u8 {
 
 #[cfg(test)]
 mod tests {
-
     use super::*;
+    use crate::bytes::{from_bytes, to_bytes};
 
     fn descriptor(image: Image<Srgb>) -> ViewDescriptor {
         ViewDescriptor::from_photo(&DecodedPhoto::new(&image.into())).0
@@ -254,12 +202,12 @@ mod tests {
     #[test]
     fn a_descriptor_survives_its_bytes() {
         let descriptor = descriptor(hills());
-        let bytes = descriptor.encode();
-        assert_eq!(ViewDescriptor::decode(&bytes), Some(descriptor));
-        for cut in [0, 3, 24, 40, bytes.len() - 1] {
-            assert_eq!(ViewDescriptor::decode(&bytes[..cut]), None, "cut at {cut}");
+        let bytes = to_bytes(&descriptor).unwrap();
+        assert_eq!(from_bytes(&bytes), Some(descriptor));
+        for cut in 0..bytes.len() {
+            assert_eq!(from_bytes::<ViewDescriptor>(&bytes[..cut]), None, "cut at {cut}");
         }
-        assert_eq!(ViewDescriptor::decode(&[bytes, vec![7]].concat()), None);
+        assert_eq!(from_bytes::<ViewDescriptor>(&[bytes, vec![7]].concat()), None);
     }
 
     /// The bands of a gray photo are its brightness: one hash is kept of the four.
@@ -268,7 +216,6 @@ mod tests {
         let hills = hills();
         let gray = descriptor(Image::from_fn(200, 150, |x, y| [hills.at(x, y)[0]; 3]));
         assert_eq!(gray.hashes.len(), 1);
-        assert_eq!(take_hashes(&mut &[0_u8][..]), None, "no hash at all");
     }
 
     #[test]

@@ -7,13 +7,14 @@ mod rule;
 
 use marf_stage::{Define, Fold, FoldState, ParamError, Port, Stage, Table, Work};
 
+use crate::bytes::to_bytes;
 use crate::descriptor::ViewDescriptor;
 use crate::filter::check_range;
 #[cfg(test)]
 use crate::section::Guard;
 use crate::section::{Section, Surveyed};
 use crate::stage::{OUTPUTS, PORTS};
-use fold::KeptPhotos;
+use fold::DuplicateState;
 pub(crate) use rule::Duplicate;
 use rule::DuplicateParams;
 
@@ -53,25 +54,25 @@ impl Surveyed for Duplicate {
         measure: |ctx, photo| {
             let (descriptor, planes) = ViewDescriptor::from_photo(photo);
             ctx.put(&planes)?;
-            Ok(descriptor.encode())
+            to_bytes(&descriptor)
         },
     });
     #[cfg(test)]
     const GUARD: Guard = Guard {
-        measures: "3 9b0277c7e112",
-        decisions: "4 8a7685578a5e",
+        measures: "4 000000000000",
+        decisions: "5 8a7685578a5e",
     };
 }
 
 impl Fold for Duplicate {
     fn begin(&self) -> Box<dyn FoldState + '_> {
-        Box::new(KeptPhotos::new(self))
+        Box::new(DuplicateState::new(self))
     }
 }
 
 impl Duplicate {
     /// As [`Filter::MEASURE_VERSION`](crate::Filter::MEASURE_VERSION).
-    const MEASURE_VERSION: u32 = 3;
+    const MEASURE_VERSION: u32 = 4;
     /// As [`Filter::DECISION_VERSION`](crate::Filter::DECISION_VERSION).
     const DECISION_VERSION: u32 = 1;
 

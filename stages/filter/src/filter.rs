@@ -9,7 +9,7 @@ use schemars::JsonSchema;
 use serde::{Serialize, de::DeserializeOwned};
 
 use crate::by_hand::ByHand;
-use crate::bytes::{Stored, put_part, put_text, take_part, take_text};
+use crate::bytes::{from_bytes, to_bytes};
 use crate::decision::Decision;
 use crate::decoded::DecodedPhoto;
 use crate::facts::Facts;
@@ -35,10 +35,10 @@ pub trait Filter: Send + Sync + Sized + 'static {
     /// Thresholds and choice of rule. The doc comments of its fields are the help text.
     type Params: Serialize + DeserializeOwned + JsonSchema + Send + Sync + 'static;
     /// What is measured of a photo.
-    type Measure<'a>: Stored<'a>;
+    type Measure: Serialize + DeserializeOwned;
     /// The statistics that decisions compare the photos of an instrument with. `()` if a decision needs its photo
     /// alone.
-    type Context: for<'a> Stored<'a>;
+    type Context: Serialize + DeserializeOwned;
 
     /// Checks the thresholds.
     ///
@@ -59,7 +59,7 @@ pub trait Filter: Send + Sync + Sized + 'static {
     /// in `decide`. `None` if the facts are enough, with `()` as `Measure`.
     ///
     /// One decode serves all filters that lack a measure of a photo (`survey.rs`).
-    const MEASURE: Option<fn(&DecodedPhoto<'_>) -> Self::Measure<'static>>;
+    const MEASURE: Option<fn(&DecodedPhoto<'_>) -> Self::Measure>;
 
     /// Digests of the filter's answers on fixed photos, with the versions they belong to.
     #[cfg(test)]
@@ -67,10 +67,10 @@ pub trait Filter: Send + Sync + Sized + 'static {
 
     /// Returns the decision on a photo. `context` holds the statistics of its instrument, `None` without a
     /// comparison.
-    fn decide<'a>(
+    fn decide(
         params: &Self::Params,
         context: Option<&Self::Context>,
-        photo: &MeasuredPhoto<'a, Self::Measure<'a>>,
+        photo: &MeasuredPhoto<'_, Self::Measure>,
     ) -> Decision;
 }
 
@@ -103,15 +103,15 @@ pub(crate) fn check_range(key: &str, value: f64, low: f64, high: f64) -> Result<
 pub trait Pass<F: Filter>: Sync {
     /// Name of the pass, in the keys of its summaries.
     const NAME: &'static str;
-    /// All summaries together.
-    type Total: Default;
+    /// What is known of some photos, or of all.
+    type Total: Default + Serialize + DeserializeOwned;
 
-    /// Returns the summary of some photos: bytes, the same for any order of the photos. `before` is the result of the
-    /// previous pass, `None` in the first.
-    fn summarise<'a>(before: Option<&F::Context>, photos: &[&MeasuredPhoto<'a, F::Measure<'a>>]) -> Vec<u8>;
+    /// Returns the summary of some photos, the same for any order of the photos. `before` is the result of the previous pass,
+    /// `None` in the first.
+    fn summarise(before: Option<&F::Context>, photos: &[&MeasuredPhoto<'_, F::Measure>]) -> Self::Total;
 
-    /// Adds a summary to others, in any order. `None` if the bytes are not those of `summarise`.
-    fn add(total: &mut Self::Total, summary: &[u8]) -> Option<()>;
+    /// Adds a summary to others, in any order. `None` if they are more than can be counted.
+    fn add(total: &mut Self::Total, summary: Self::Total) -> Option<()>;
 
     /// Returns the result of the pass. `None` if the photos are too few to be compared with each other.
     ///
@@ -126,11 +126,14 @@ pub trait AnyPass<F: Filter>: Sync {
 
     /// Returns the summaries of some photos by instrument. `before` is `None` in the first pass. In a later one, an
     /// instrument that it lacks is left out.
-    fn summarise<'a>(
+    ///
+    /// # Errors
+    /// A summary that cannot be written.
+    fn summarise(
         &self,
         before: Option<&Contexts<F>>,
-        photos: &[MeasuredPhoto<'a, F::Measure<'a>>],
-    ) -> Vec<u8>;
+        photos: &[MeasuredPhoto<'_, F::Measure>],
+    ) -> Result<Vec<u8>, StageError>;
 
     /// Returns the result of the pass for each instrument.
     ///
@@ -149,24 +152,23 @@ impl<F: Filter, P: Pass<F>> AnyPass<F> for P {
         P::NAME
     }
 
-    fn summarise<'a>(
+    fn summarise(
         &self,
         before: Option<&Contexts<F>>,
-        photos: &[MeasuredPhoto<'a, F::Measure<'a>>],
-    ) -> Vec<u8> {
+        photos: &[MeasuredPhoto<'_, F::Measure>],
+    ) -> Result<Vec<u8>, StageError> {
         let mut groups = BTreeMap::<_, Vec<_>>::new();
         for photo in photos {
             groups.entry(photo.facts.instrument).or_default().push(photo);
         }
-        let mut bytes = Vec::new();
+        let mut summaries = BTreeMap::new();
         for (instrument, photos) in groups {
             let own = before.and_then(|before| before.get(instrument));
             if before.is_none() || own.is_some() {
-                put_text(&mut bytes, instrument);
-                put_part(&mut bytes, &P::summarise(own, &photos));
+                summaries.insert(instrument, P::summarise(own, &photos));
             }
         }
-        bytes
+        to_bytes(&summaries)
     }
 
     fn conclude(
@@ -177,10 +179,11 @@ impl<F: Filter, P: Pass<F>> AnyPass<F> for P {
     ) -> Result<Contexts<F>, StageError> {
         let mut totals = BTreeMap::<Option<String>, P::Total>::new();
         for summary in summaries {
-            let added = each_part(&summary?, |instrument, part| {
+            let parts: Option<BTreeMap<Option<String>, P::Total>> = from_bytes(&summary?);
+            for (instrument, part) in parts.ok_or_else(|| unreadable::<F>("summary"))? {
                 P::add(totals.entry(instrument).or_default(), part)
-            });
-            added.ok_or_else(|| unreadable::<F>("summary"))?;
+                    .ok_or_else(|| unreadable::<F>("summary"))?;
+            }
         }
         let mut before = before.map_or_else(BTreeMap::new, |before| before.0);
         let concluded = totals.into_iter().filter_map(|(instrument, total)| {
@@ -201,13 +204,14 @@ impl<F: Filter> Contexts<F> {
     }
 
     /// Returns the bytes, equal for equal contexts. Empty without instruments.
-    pub(crate) fn encode(&self) -> Vec<u8> {
-        let mut bytes = Vec::new();
-        for (instrument, context) in &self.0 {
-            put_text(&mut bytes, instrument.as_deref());
-            put_part(&mut bytes, &context.encode());
+    ///
+    /// # Errors
+    /// A context that cannot be written.
+    pub(crate) fn encode(&self) -> Result<Vec<u8>, StageError> {
+        if self.0.is_empty() {
+            return Ok(Vec::new());
         }
-        bytes
+        to_bytes(&self.0)
     }
 
     /// Reads what [`Contexts::encode`] returned.
@@ -215,24 +219,12 @@ impl<F: Filter> Contexts<F> {
     /// # Errors
     /// Other bytes.
     pub(crate) fn decode(bytes: &[u8]) -> Result<Self, StageError> {
-        let mut contexts = BTreeMap::new();
-        let read = each_part(bytes, |instrument, part| {
-            contexts.insert(instrument, F::Context::decode(part)?);
-            Some(())
-        });
-        read.ok_or_else(|| unreadable::<F>("context"))?;
+        if bytes.is_empty() {
+            return Ok(Self(BTreeMap::new()));
+        }
+        let contexts = from_bytes(bytes).ok_or_else(|| unreadable::<F>("context"))?;
         Ok(Self(contexts))
     }
-}
-
-/// Calls a function with each instrument and the bytes behind it. `None` if they are cut short or the function
-/// returns it.
-fn each_part(mut bytes: &[u8], mut found: impl FnMut(Option<String>, &[u8]) -> Option<()>) -> Option<()> {
-    while !bytes.is_empty() {
-        let instrument = take_text(&mut bytes)?;
-        found(instrument.map(str::to_owned), take_part(&mut bytes)?)?;
-    }
-    Some(())
 }
 
 fn unreadable<F: Filter>(what: &str) -> StageError {

@@ -6,7 +6,6 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::by_hand::ByHand;
-use crate::bytes::{Stored, put_number, take_number};
 use crate::decision::Decision;
 use crate::decoded::DecodedPhoto;
 use crate::facts::Facts;
@@ -78,7 +77,7 @@ impl Default for GrayscaleParams {
 
 /// Histogram of the spread of the pixels of a photo: the difference of their largest and smallest channel, enlarged where the
 /// photo is dark.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ChannelSpread {
     /// Bands stored in the file.
     bands: u8,
@@ -88,38 +87,14 @@ pub struct ChannelSpread {
     pixels: Vec<u32>,
 }
 
-/// One byte for the bands, one for the mosaic, then the counts.
-impl Stored<'_> for ChannelSpread {
-    fn encode(&self) -> Vec<u8> {
-        let mut bytes = vec![self.bands, self.mosaic_percent];
-        self.pixels
-            .iter()
-            .for_each(|count| put_number(&mut bytes, u64::from(*count)));
-        bytes
-    }
-
-    fn decode(bytes: &[u8]) -> Option<Self> {
-        let ([bands, mosaic_percent], mut rest) = bytes.split_first_chunk()?;
-        let mut pixels = Vec::new();
-        while !rest.is_empty() {
-            pixels.push(u32::try_from(take_number(&mut rest)?).ok()?);
-        }
-        (pixels.len() <= 256 && matches!(bands, 1 | 3)).then_some(Self {
-            bands: *bands,
-            mosaic_percent: *mosaic_percent,
-            pixels,
-        })
-    }
-}
-
 impl Filter for Grayscale {
     const NAME: &'static str = "grayscale";
     const ABOUT: &'static str = "rejects gray photos of colour cameras";
     const RELAX: &'static str = "`keep = \"all\"`";
-    const MEASURE_VERSION: u32 = 5;
+    const MEASURE_VERSION: u32 = 6;
     const DECISION_VERSION: u32 = 2;
     type Params = GrayscaleParams;
-    type Measure<'a> = ChannelSpread;
+    type Measure = ChannelSpread;
     type Context = ColoredPhotos;
     const MEASURE: Option<fn(&DecodedPhoto<'_>) -> ChannelSpread> = Some(|decoded| ChannelSpread {
         bands: decoded.photo.bands,
@@ -129,8 +104,8 @@ impl Filter for Grayscale {
 
     #[cfg(test)]
     const GUARD: Guard = Guard {
-        measures: "5 442fafc7cf42",
-        decisions: "7 d15bad30e447",
+        measures: "6 000000000000",
+        decisions: "8 d15bad30e447",
     };
 
     fn by_hand(params: &GrayscaleParams) -> &ByHand {
@@ -206,7 +181,7 @@ fn colored(facts: &Facts<'_>, measure: &ChannelSpread, camera: Option<&ColoredPh
 }
 
 /// How many photos of a camera have colour.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ColoredPhotos {
     photos: u64,
     colored: u64,
@@ -218,20 +193,6 @@ impl ColoredPhotos {
     }
 }
 
-impl Stored<'_> for ColoredPhotos {
-    fn encode(&self) -> Vec<u8> {
-        let mut bytes = Vec::new();
-        put_number(&mut bytes, self.photos);
-        put_number(&mut bytes, self.colored);
-        bytes
-    }
-
-    fn decode(mut bytes: &[u8]) -> Option<Self> {
-        let (photos, colored) = (take_number(&mut bytes)?, take_number(&mut bytes)?);
-        (bytes.is_empty() && colored <= photos).then_some(Self { photos, colored })
-    }
-}
-
 /// Counts the photos of a camera and those that have colour by the default limits: no parameter changes a summary.
 struct ColorsPass;
 
@@ -239,21 +200,19 @@ impl Pass<Grayscale> for ColorsPass {
     const NAME: &'static str = "colors";
     type Total = ColoredPhotos;
 
-    fn summarise(_: Option<&ColoredPhotos>, photos: &[&MeasuredPhoto<'_, ChannelSpread>]) -> Vec<u8> {
+    fn summarise(_: Option<&ColoredPhotos>, photos: &[&MeasuredPhoto<'_, ChannelSpread>]) -> ColoredPhotos {
         let has_color = |photo: &&&MeasuredPhoto<'_, ChannelSpread>| {
             photo.measure.bands > 1 && photo.measure.share_above(MIN_SPREAD) >= MIN_SHARE
         };
-        let counts = ColoredPhotos {
+        ColoredPhotos {
             photos: photos.len() as u64,
             colored: photos.iter().filter(has_color).count() as u64,
-        };
-        counts.encode()
+        }
     }
 
-    fn add(total: &mut ColoredPhotos, summary: &[u8]) -> Option<()> {
-        let counts = ColoredPhotos::decode(summary)?;
-        total.photos = total.photos.checked_add(counts.photos)?;
-        total.colored = total.colored.checked_add(counts.colored)?;
+    fn add(total: &mut ColoredPhotos, summary: ColoredPhotos) -> Option<()> {
+        total.photos = total.photos.checked_add(summary.photos)?;
+        total.colored = total.colored.checked_add(summary.colored)?;
         Some(())
     }
 

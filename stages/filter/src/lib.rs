@@ -42,7 +42,6 @@ extern crate self as marf_filter;
 mod common;
 
 pub use by_hand::ByHand;
-pub use bytes::Stored;
 pub use decision::{DECODE, Decision};
 pub use decoded::DecodedPhoto;
 pub use facts::Facts;

@@ -1,6 +1,7 @@
 //! How much a picture loses when it is blurred once more.
 
-use crate::bytes::{put_number, take_number};
+use serde::{Deserialize, Serialize};
+
 use crate::luma::{Luma, Plane};
 
 /// Rows of one band.
@@ -13,7 +14,7 @@ const MIN_BANDS: usize = 8;
 const REACH: usize = 4;
 
 /// Sums of squared second differences of a picture before and after one more blur, in squared steps of 1/256.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Octave {
     /// Number of pixels measured.
     pixels: u64,
@@ -32,27 +33,6 @@ impl Octave {
     /// Measures a picture at reduced size.
     pub(crate) fn from_plane(plane: &Plane) -> Self {
         Self::new(plane.width, plane.height, &plane.values)
-    }
-
-    /// Appends the five numbers.
-    pub(crate) fn put(&self, bytes: &mut Vec<u8>) {
-        let numbers = [
-            self.pixels,
-            self.before[0],
-            self.before[1],
-            self.after[0],
-            self.after[1],
-        ];
-        numbers.into_iter().for_each(|number| put_number(bytes, number));
-    }
-
-    /// Removes the bytes of [`Octave::put`] from the front. `None` if they are cut short.
-    pub(crate) fn take(bytes: &mut &[u8]) -> Option<Self> {
-        Some(Self {
-            pixels: take_number(bytes)?,
-            before: [take_number(bytes)?, take_number(bytes)?],
-            after: [take_number(bytes)?, take_number(bytes)?],
-        })
     }
 
     /// Measures bands of a picture of `[height * width]` values.

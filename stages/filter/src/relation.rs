@@ -3,6 +3,7 @@
 use marf_cache::{Digest, manifest::Row};
 use marf_pds::{Mars2020Name, ProductName, Scheme};
 use marf_scene::{CameraPrior, PhotoFacts};
+use serde::{Deserialize, Serialize};
 
 use crate::facts::Facts;
 
@@ -86,7 +87,7 @@ impl<'a> Relative<'a> {
 }
 
 /// Keys to find related photos by. Equal keys may also belong to photos that are not related.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct RelationKeys {
     /// Equal for versions of one exposure. `None` without a product name.
     pub(crate) exposure: Option<u32>,

@@ -7,7 +7,6 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::by_hand::ByHand;
-use crate::bytes::{Stored, put_number, take_number};
 use crate::decision::Decision;
 use crate::decoded::DecodedPhoto;
 use crate::facts::Facts;
@@ -56,9 +55,9 @@ impl Filter for Shape {
     const ABOUT: &'static str = "rejects thumbnails and photos that are too small";
     const RELAX: &'static str = "a lower `min_width` or `min_height`";
     const MEASURE_VERSION: u32 = 0;
-    const DECISION_VERSION: u32 = 2;
+    const DECISION_VERSION: u32 = 3;
     type Params = ShapeParams;
-    type Measure<'a> = ();
+    type Measure = ();
     type Context = UsualSizes;
     /// The size is a fact of the photo.
     const MEASURE: Option<fn(&DecodedPhoto<'_>)> = None;
@@ -66,7 +65,7 @@ impl Filter for Shape {
     #[cfg(test)]
     const GUARD: Guard = Guard {
         measures: "",
-        decisions: "2 fd64df115ca8",
+        decisions: "3 fd64df115ca8",
     };
 
     fn by_hand(params: &ShapeParams) -> &ByHand {
@@ -95,40 +94,12 @@ impl Filter for Shape {
 type Sides = (u32, u32);
 
 /// What the photos of one instrument are compared with.
+#[derive(Serialize, Deserialize)]
 pub struct UsualSizes {
     /// Lower median of the short sides, pixels.
     median_short: u32,
     /// The formats of the instrument with a short side that is too short for any other photo.
     short_formats: BTreeSet<Sides>,
-}
-
-/// The median, then the sides of each format.
-impl Stored<'_> for UsualSizes {
-    fn encode(&self) -> Vec<u8> {
-        let mut bytes = Vec::new();
-        put_number(&mut bytes, u64::from(self.median_short));
-        for (short, long) in &self.short_formats {
-            let sides = [u64::from(*short), u64::from(*long)];
-            sides.into_iter().for_each(|side| put_number(&mut bytes, side));
-        }
-        bytes
-    }
-
-    fn decode(mut bytes: &[u8]) -> Option<Self> {
-        let median_short = take_side(&mut bytes)?;
-        let mut short_formats = BTreeSet::new();
-        while !bytes.is_empty() {
-            short_formats.insert((take_side(&mut bytes)?, take_side(&mut bytes)?));
-        }
-        Some(Self {
-            median_short,
-            short_formats,
-        })
-    }
-}
-
-fn take_side(bytes: &mut &[u8]) -> Option<u32> {
-    take_number(bytes).and_then(|side| u32::try_from(side).ok())
 }
 
 /// The number of photos by size, without thumbnails: an archive may hold one for every photo.
@@ -138,27 +109,18 @@ impl Pass<Shape> for SizesPass {
     const NAME: &'static str = "sizes";
     type Total = BTreeMap<Sides, u64>;
 
-    /// Each size and its number.
-    fn summarise(_: Option<&UsualSizes>, photos: &[&MeasuredPhoto<'_, ()>]) -> Vec<u8> {
-        let mut sizes = BTreeMap::<Sides, u64>::new();
+    fn summarise(_: Option<&UsualSizes>, photos: &[&MeasuredPhoto<'_, ()>]) -> Self::Total {
+        let mut sizes = Self::Total::new();
         for photo in photos.iter().filter(|photo| !photo.facts.thumbnail) {
             *sizes.entry(sides(&photo.facts)).or_default() += 1;
         }
-        let mut bytes = Vec::new();
-        for ((short, long), count) in sizes {
-            let numbers = [u64::from(short), u64::from(long), count];
-            numbers
-                .into_iter()
-                .for_each(|number| put_number(&mut bytes, number));
-        }
-        bytes
+        sizes
     }
 
-    fn add(total: &mut Self::Total, mut summary: &[u8]) -> Option<()> {
-        while !summary.is_empty() {
-            let sides = (take_side(&mut summary)?, take_side(&mut summary)?);
-            let count = total.entry(sides).or_default();
-            *count = count.checked_add(take_number(&mut summary)?)?;
+    fn add(total: &mut Self::Total, summary: Self::Total) -> Option<()> {
+        for (sides, count) in summary {
+            let total = total.entry(sides).or_default();
+            *total = total.checked_add(count)?;
         }
         Some(())
     }

@@ -45,7 +45,7 @@ impl Filter for Size {
     const MEASURE_VERSION: u32 = 0;
     const DECISION_VERSION: u32 = 2;
     type Params = SizeParams;
-    type Measure<'a> = ();
+    type Measure = ();
     type Context = ();
     /// The size is a fact of the photo.
     const MEASURE: Option<fn(&DecodedPhoto<'_>)> = None;

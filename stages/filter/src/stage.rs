@@ -7,7 +7,7 @@ use marf_stage::{
     Work,
 };
 
-use crate::bytes::Stored;
+use crate::bytes::{from_bytes, to_bytes};
 use crate::decision::undecodable;
 use crate::facts::Facts;
 use crate::filter::{Contexts, Filter, MeasuredPhoto};
@@ -59,7 +59,9 @@ impl<F: Filter> Surveyed for FilterStage<F> {
                 name: F::NAME,
                 version: F::MEASURE_VERSION,
             },
-            measure: |_, photo| Ok(F::MEASURE.map_or_else(Vec::new, |measure| measure(photo).encode())),
+            measure: |_, photo| {
+                F::MEASURE.map_or_else(|| Ok(Vec::new()), |measure| to_bytes(&measure(photo)))
+            },
         }),
     };
     #[cfg(test)]
@@ -99,7 +101,7 @@ impl<F: Filter> Comparison for FilterStage<F> {
         for item in items {
             photos.extend(read::<F>(item)?.ok());
         }
-        Ok(F::passes(&self.params)[pass].summarise(before.as_ref(), &photos))
+        F::passes(&self.params)[pass].summarise(before.as_ref(), &photos)
     }
 
     fn context(
@@ -110,7 +112,7 @@ impl<F: Filter> Comparison for FilterStage<F> {
     ) -> Result<Vec<u8>, StageError> {
         let before = before::<F>(pass, context)?;
         let found = F::passes(&self.params)[pass].conclude(&self.params, before, summaries)?;
-        Ok(found.encode())
+        found.encode()
     }
 }
 
@@ -122,7 +124,7 @@ fn before<F: Filter>(pass: usize, context: &[u8]) -> Result<Option<Contexts<F>>,
 /// Reads a photo with its facts and its measure. The inner error is the verdict on one that could not be decoded.
 fn read<'a, F: Filter>(
     item: &Measured<'a>,
-) -> Result<Result<MeasuredPhoto<'a, F::Measure<'a>>, Verdict>, StageError> {
+) -> Result<Result<MeasuredPhoto<'a, F::Measure>, Verdict>, StageError> {
     let facts = Facts::from_row(item.row)?;
     Ok(match read_measure::<F>(item)? {
         Ok(measure) => Ok(MeasuredPhoto {
@@ -135,14 +137,13 @@ fn read<'a, F: Filter>(
 }
 
 /// Reads the measure of one filter. The inner error says why the photo could not be decoded.
-fn read_measure<'a, F: Filter>(item: &Measured<'a>) -> Result<Result<F::Measure<'a>, String>, StageError> {
+fn read_measure<F: Filter>(item: &Measured<'_>) -> Result<Result<F::Measure, String>, StageError> {
     let part = match F::MEASURE {
         None => Ok(item.measure),
         Some(_) => measured(item.measure, item.row)?,
     };
     let decode = |part| {
-        F::Measure::decode(part)
-            .ok_or_else(|| unreadable(item.row, format!("it is not of filter `{}`", F::NAME)))
+        from_bytes(part).ok_or_else(|| unreadable(item.row, format!("it is not of filter `{}`", F::NAME)))
     };
     part.map_or_else(|reason| Ok(Err(reason)), |part| decode(part).map(Ok))
 }

@@ -1,8 +1,6 @@
 //! Distributions of values as counts in bins, which merge exactly in any order, and their quantiles.
 
-use std::collections::BTreeMap;
-
-use crate::bytes::{put_number, take, take_number};
+use serde::{Deserialize, Serialize};
 
 /// Bins of equal width in the logarithm, nearly: those of numbers of equal exponent and equal first bits of the mantissa. A
 /// bin is found without a logarithm, whose last bit would differ from machine to machine.
@@ -29,55 +27,39 @@ impl LogBins {
     }
 }
 
-/// Appends the bins of values: the number of different bins, then each as its distance from the one before, doubled.
-/// If a bin has more than one value, 1 is added and the number of its values follows.
-pub(crate) fn put_bins(bytes: &mut Vec<u8>, mut bins: Vec<u32>) {
-    bins.sort_unstable();
-    let runs = bins.chunk_by(|a, b| a == b);
-    put_number(bytes, runs.clone().count() as u64);
-    let mut before = 0;
-    for run in runs {
-        put_number(bytes, 2 * u64::from(run[0] - before) + u64::from(run.len() > 1));
-        if run.len() > 1 {
-            put_number(bytes, run.len() as u64);
-        }
-        before = run[0];
-    }
-}
-
-/// Removes the bins of [`put_bins`] from the front and passes on each bin and the number of values in it, ascending.
-/// `None` if the bytes are cut short or something else.
-pub(crate) fn take_bins(bytes: &mut &[u8], mut found: impl FnMut(u32, u64) -> Option<()>) -> Option<()> {
-    let mut bin = 0;
-    for _ in 0..take_number(bytes)? {
-        let step = take_number(bytes)?;
-        bin = u32::try_from(step / 2)
-            .ok()
-            .and_then(|step| step.checked_add(bin))?;
-        let count = if step % 2 == 1 { take_number(bytes)? } else { 1 };
-        found(bin, count)?;
-    }
-    Some(())
-}
-
-/// The number of values in each bin that has any.
-#[derive(Debug, Default)]
-pub(crate) struct BinCounts(BTreeMap<u32, u64>);
+/// The bins that have values, ascending, each with their number. A list, since there are far fewer bins than values: once all are
+/// known, adding the bins of more photos moves nothing.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub(crate) struct BinCounts(Vec<(u32, u32)>);
 
 impl BinCounts {
-    /// Adds the bins of [`put_bins`] and removes them from the front. `None` as of [`take_bins`].
-    pub(crate) fn take(&mut self, bytes: &mut &[u8]) -> Option<()> {
-        take_bins(bytes, |bin, count| {
-            let total = self.0.entry(bin).or_default();
-            *total = total.checked_add(count)?;
-            Some(())
-        })
+    /// Counts values by their bins.
+    pub(crate) fn new(bins: impl Iterator<Item = u32>) -> Self {
+        let mut bins: Vec<u32> = bins.collect();
+        bins.sort_unstable();
+        let runs = bins.chunk_by(|a, b| a == b);
+        Self(runs.map(|run| (run[0], run.len() as u32)).collect())
+    }
+
+    /// Adds others. `None` if they are more than can be counted.
+    pub(crate) fn add(&mut self, others: &Self) -> Option<()> {
+        for (bin, count) in &others.0 {
+            match self.0.binary_search_by_key(bin, |(bin, _)| *bin) {
+                Ok(at) => self.0[at].1 = self.0[at].1.checked_add(*count)?,
+                Err(at) => self.0.insert(at, (*bin, *count)),
+            }
+        }
+        Some(())
+    }
+
+    /// Returns the bins that have values, ascending, each with their number.
+    pub(crate) fn iter(&self) -> impl Iterator<Item = (u32, u64)> + Clone {
+        self.0.iter().map(|(bin, count)| (*bin, u64::from(*count)))
     }
 
     /// Returns a quantile as [`quantile_without`] does.
     pub(crate) fn quantile_without(&self, quantile: Quantile, scale: LogBins) -> Steps {
-        let bins = self.0.iter().map(|(bin, count)| (*bin, *count));
-        quantile_without(bins, quantile, |bin| scale.middle(bin))
+        quantile_without(self.iter(), quantile, |bin| scale.middle(bin))
     }
 }
 
@@ -146,7 +128,7 @@ fn at_ranks(bins: impl Iterator<Item = (u32, u64)>, ranks: [u64; 3]) -> [u32; 3]
 }
 
 /// A number that depends on a bin: constant but for two steps at the most.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Steps {
     /// The values below the first step, from it on, from the second step on.
     values: [f64; 3],
@@ -195,30 +177,6 @@ impl Steps {
     pub(crate) fn map(&self, function: impl Fn(f64) -> f64) -> Self {
         Self::new(self.values.map(function), self.from)
     }
-
-    /// Appends the number of steps, the first value, and each step.
-    pub(crate) fn put(&self, bytes: &mut Vec<u8>) {
-        let steps = self.from.iter().zip(&self.values[1..]);
-        let steps = steps.filter(|(from, _)| **from != Self::NEVER);
-        put_number(bytes, steps.clone().count() as u64);
-        bytes.extend(self.values[0].to_le_bytes());
-        for (from, value) in steps {
-            put_number(bytes, u64::from(*from));
-            bytes.extend(value.to_le_bytes());
-        }
-    }
-
-    /// Removes the bytes of [`Steps::put`] from the front. `None` if they are cut short or something else.
-    pub(crate) fn take(bytes: &mut &[u8]) -> Option<Self> {
-        let count = take_number(bytes)?;
-        let mut steps = Self::constant(f64::from_le_bytes(take(bytes)?));
-        for at in 0..usize::try_from(count).ok()? {
-            *steps.from.get_mut(at)? = u32::try_from(take_number(bytes)?).ok()?;
-            let value = f64::from_le_bytes(take(bytes)?);
-            steps.values[at + 1..].fill(value);
-        }
-        Some(steps)
-    }
 }
 
 #[cfg(test)]
@@ -226,6 +184,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+    use crate::bytes::{from_bytes, to_bytes};
 
     const SCALE: LogBins = LogBins { bits: 6 };
 
@@ -247,11 +206,7 @@ mod tests {
     fn counts(parts: &[Vec<u32>]) -> BinCounts {
         let mut counts = BinCounts::default();
         for bins in parts {
-            let mut bytes = Vec::new();
-            put_bins(&mut bytes, bins.clone());
-            let mut rest = bytes.as_slice();
-            counts.take(&mut rest).unwrap();
-            assert!(rest.is_empty());
+            counts.add(&BinCounts::new(bins.iter().copied())).unwrap();
         }
         counts
     }
@@ -266,7 +221,7 @@ mod tests {
             let shifted: Vec<Vec<u32>> = vec![bins.iter().map(|bin| 1000 + bin).collect()];
             for (quantile, numerator, denominator) in [(Quantile::MEDIAN, 1, 2), (Quantile::UPPER_QUARTILE, 3, 4)] {
                 let steps = quantile_without(
-                    counts.0.iter().map(|(bin, count)| (*bin, *count)), quantile, |bin| SCALE.middle(1000 + bin));
+                    counts.iter(), quantile, |bin| SCALE.middle(1000 + bin));
                 let moved = super::tests::counts(&shifted).quantile_without(quantile, SCALE);
                 for (at, bin) in bins.iter().enumerate() {
                     let found = steps.at(Some(*bin));
@@ -296,12 +251,9 @@ mod tests {
                 prop_assert_eq!(steps.at(Some(bin)), f64::from(expected));
             }
             prop_assert_eq!(steps.at(None), f64::from(third));
-            let mut bytes = Vec::new();
-            steps.put(&mut bytes);
-            let mut rest = bytes.as_slice();
-            prop_assert_eq!(Steps::take(&mut rest), Some(steps));
-            prop_assert!(rest.is_empty());
-            prop_assert_eq!(Steps::take(&mut &bytes[..bytes.len() - 1]), None);
+            let bytes = to_bytes(&steps).unwrap();
+            prop_assert_eq!(from_bytes(&bytes), Some(steps));
+            prop_assert_eq!(from_bytes::<Steps>(&bytes[..bytes.len() - 1]), None);
             let same = steps.map(|_| 5.0);
             prop_assert_eq!(same, Steps::constant(5.0));
         }
@@ -361,19 +313,14 @@ mod tests {
     }
 
     #[test]
-    fn bins_cut_short_or_beyond_all_numbers_are_refused() {
-        let mut bytes = Vec::new();
-        put_bins(&mut bytes, vec![300, 7, 300, 300]);
-        assert_eq!(bytes, [2, 14, 0xcb, 4, 3]);
+    fn bins_are_counted_and_more_than_can_be_counted_are_refused() {
+        let mut counts = counts(&[vec![300, 7, 300], vec![], vec![8, 300]]);
+        assert_eq!(counts.0, [(7, 1), (8, 1), (300, 3)]);
+        let bytes = to_bytes(&counts).unwrap();
+        assert_eq!(bytes, [3, 7, 1, 8, 1, 0xac, 2, 3]);
         for cut in 0..bytes.len() {
-            assert_eq!(
-                take_bins(&mut &bytes[..cut], |_, _| Some(())),
-                None,
-                "cut at {cut}"
-            );
+            assert_eq!(from_bytes::<BinCounts>(&bytes[..cut]), None, "cut at {cut}");
         }
-        let mut beyond = vec![1];
-        put_number(&mut beyond, 2 * u64::from(u32::MAX) + 2);
-        assert_eq!(take_bins(&mut beyond.as_slice(), |_, _| Some(())), None);
+        assert_eq!(counts.add(&BinCounts(vec![(300, u32::MAX)])), None);
     }
 }

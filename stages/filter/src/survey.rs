@@ -5,6 +5,7 @@ use marf_scene::Photo;
 use marf_stage::{Ctx, Measure, StageDef, StageError, Table, define};
 
 use crate::blur::Blur;
+use crate::bytes::from_bytes;
 use crate::decoded::DecodedPhoto;
 use crate::descriptor::ViewDescriptor;
 use crate::duplicate::Duplicate;
@@ -124,7 +125,7 @@ impl Measure for Duplicate {
 
     /// Returns the gradient planes that a [`ViewDescriptor`] names.
     fn blobs(&self, measure: &[u8]) -> Vec<Digest> {
-        let descriptor = measure.get(1..).and_then(ViewDescriptor::decode);
+        let descriptor = measure.get(1..).and_then(from_bytes::<ViewDescriptor>);
         descriptor
             .map(|descriptor| descriptor.planes)
             .into_iter()

@@ -1,35 +1,30 @@
 //! The fold of `duplicate`: sol by sol, the best photos of each view are kept.
 
-use std::sync::Arc;
-
 use marf_cache::Digest;
 use marf_stage::{Ctx, Define, FoldState, Measured, StageError, Verdict};
 
 use super::nearest::Nearest;
 use super::photo::ComparedPhoto;
 use super::rule::{Duplicate, DuplicateRule};
-use crate::candidates::{Candidates, Search};
+use crate::bytes::to_bytes;
+use crate::candidates::Candidates;
 use crate::decision::Decision;
-use crate::kept::{Added, GroupPhotos, Reader};
+use crate::kept::{KeptPhotos, PlanesReader, read_added};
 use crate::similarity::same_aspect;
 
-/// Search keys of the photos kept so far. The data to compare a photo by is read when it is a candidate.
-pub(super) struct KeptPhotos<'a> {
+/// The photos kept so far, and the search for those that may show the view of another.
+pub(super) struct DuplicateState<'a> {
     duplicate: &'a Duplicate,
     candidates: Candidates,
-    /// The position of the first photo of each group, and the blob with its photos.
-    groups: Vec<(u32, Digest)>,
-    reader: Reader,
+    photos: KeptPhotos,
+    reader: PlanesReader,
 }
 
-impl FoldState for KeptPhotos<'_> {
+impl FoldState for DuplicateState<'_> {
     fn replay(&mut self, _: &Ctx<'_>, added: &[u8]) -> Result<(), StageError> {
-        for group in Added::read(added)? {
-            self.groups.push((self.candidates.len(), group.photos));
-            group
-                .keys
-                .iter()
-                .for_each(|(keys, _)| self.candidates.insert(keys));
+        for photo in read_added(added)? {
+            self.candidates.insert(&photo.keys);
+            self.photos.insert(&photo)?;
         }
         Ok(())
     }
@@ -56,7 +51,7 @@ impl FoldState for KeptPhotos<'_> {
             ctx.check()?;
             let decision = match duplicate.params.rule {
                 DuplicateRule::Confirmed => self.decide_confirmed(ctx, photo, &own)?,
-                DuplicateRule::Phash => self.decide_phash(ctx, photo, &own)?,
+                DuplicateRule::Phash => self.decide_phash(photo, &own)?,
             };
             let decision = duplicate
                 .params
@@ -69,12 +64,8 @@ impl FoldState for KeptPhotos<'_> {
             verdicts[at] = Some(decision.verdict(Duplicate::NAME, items[at].row, &photo.facts));
         }
         own.photos.sort_by_key(|photo| photo.id());
-        let kept: Vec<_> = own
-            .photos
-            .iter()
-            .map(|photo| (photo.kept(), photo.keys.clone()))
-            .collect();
-        let added = Added::write(ctx, &kept)?;
+        let kept: Vec<_> = own.photos.iter().map(|photo| photo.kept()).collect();
+        let added = to_bytes(&kept)?;
         self.replay(ctx, &added)?;
         // Every photo either has the verdict of the decoder or has been decided on, so `flatten` drops none.
         Ok((added, verdicts.into_iter().flatten().collect()))
@@ -82,10 +73,8 @@ impl FoldState for KeptPhotos<'_> {
 
     fn blobs(&self, added: &[u8]) -> Vec<Digest> {
         // Bytes that cannot be read are refused by `replay`.
-        let groups = Added::read(added).unwrap_or_default();
-        let named =
-            |group: Added| std::iter::once(group.photos).chain(group.keys.into_iter().map(|keys| keys.1));
-        groups.into_iter().flat_map(named).collect()
+        let photos = read_added(added).unwrap_or_default();
+        photos.iter().map(|photo| photo.planes).collect()
     }
 }
 
@@ -95,14 +84,14 @@ struct OwnSol<'a> {
     photos: Vec<&'a ComparedPhoto<'a>>,
 }
 
-impl<'a> KeptPhotos<'a> {
+impl<'a> DuplicateState<'a> {
     /// Returns no photos.
     pub(super) fn new(duplicate: &'a Duplicate) -> Self {
         Self {
             duplicate,
             candidates: Candidates::new(duplicate.search()),
-            groups: Vec::new(),
-            reader: Reader::new(),
+            photos: KeptPhotos::default(),
+            reader: PlanesReader::new(),
         }
     }
 
@@ -116,8 +105,7 @@ impl<'a> KeptPhotos<'a> {
     ) -> Result<Decision, StageError> {
         let mut nearest = Nearest::new(self.duplicate, photo);
         for position in self.candidates.find(&photo.keys) {
-            let (group, at) = self.earlier(ctx, position)?;
-            nearest.compare(ctx, &mut self.reader, &group.photo(at)?, None)?;
+            nearest.compare(ctx, &mut self.reader, &self.photos.photo(position)?, None)?;
         }
         for position in own.candidates.find(&photo.keys) {
             if let Some(other) = own.photos.get(position as usize) {
@@ -128,25 +116,16 @@ impl<'a> KeptPhotos<'a> {
     }
 
     /// Decides by the rule [`DuplicateRule::Phash`].
-    fn decide_phash(
-        &mut self,
-        ctx: &Ctx<'_>,
-        photo: &ComparedPhoto<'_>,
-        own: &OwnSol<'_>,
-    ) -> Result<Decision, StageError> {
+    fn decide_phash(&self, photo: &ComparedPhoto<'_>, own: &OwnSol<'_>) -> Result<Decision, StageError> {
         let (duplicate, size) = (self.duplicate, photo.keys.size);
         let mut nearest: Option<(u32, String)> = None;
-        let candidates = std::mem::replace(&mut self.candidates, Candidates::new(Search::Nearest));
-        let searched = candidates.find_nearest(&photo.keys, |bits, position| {
-            let (group, at) = self.earlier(ctx, position)?;
-            let other = group.photo(at)?;
-            if same_aspect(size, other.size) {
+        self.candidates.find_nearest(&photo.keys, |bits, position| {
+            let other = self.photos.photo(position)?;
+            if same_aspect(size, other.keys.size) {
                 nearest = Some((bits, other.id.to_owned()));
             }
             Ok::<_, StageError>(nearest.is_some())
-        });
-        self.candidates = candidates;
-        searched?;
+        })?;
         own.candidates.find_nearest(&photo.keys, |bits, position| {
             let other = own.photos.get(position as usize);
             let nearer = nearest.as_ref().is_none_or(|(least, _)| bits < *least);
@@ -158,13 +137,5 @@ impl<'a> KeptPhotos<'a> {
         })?;
         let decision = nearest.map(|(bits, id)| duplicate.compare_hashes(bits, &id));
         Ok(decision.unwrap_or_else(|| Decision::pass("")))
-    }
-
-    /// Returns the group of a position among the photos of earlier sols, and the place in it.
-    fn earlier(&mut self, ctx: &Ctx<'_>, position: u32) -> Result<(Arc<GroupPhotos>, usize), StageError> {
-        let after = self.groups.partition_point(|(first, _)| *first <= position);
-        let lost = || StageError::new(format!("no group holds photo {position}"));
-        let (first, digest) = self.groups[..after].last().ok_or_else(lost)?;
-        Ok((self.reader.group(ctx, digest)?, (position - first) as usize))
     }
 }

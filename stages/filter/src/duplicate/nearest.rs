@@ -8,7 +8,7 @@ use marf_stage::{Ctx, StageError};
 use super::photo::ComparedPhoto;
 use super::rule::{Duplicate, compared};
 use crate::decision::Decision;
-use crate::kept::{KeptPhoto, Reader};
+use crate::kept::{KeptPhoto, PlanesReader};
 use crate::relation::{Relation, Relative, relation_between};
 use crate::similarity::{Planes, correlation, hash_distance, same_aspect};
 
@@ -44,15 +44,15 @@ impl<'a> Nearest<'a> {
     pub(super) fn compare(
         &mut self,
         ctx: &Ctx<'_>,
-        reader: &mut Reader,
+        reader: &mut PlanesReader,
         other: &KeptPhoto<'_>,
         row: Option<&Row>,
     ) -> Result<(), StageError> {
-        if !same_aspect(self.photo.keys.size, other.size) {
+        if !same_aspect(self.photo.keys.size, other.keys.size) {
             return Ok(());
         }
         let params = &self.duplicate.params;
-        let bits = hash_distance(&self.photo.keys.hashes, &other.hashes);
+        let bits = hash_distance(&self.photo.keys.hashes, &other.keys.hashes);
         let relative = Relative {
             row,
             ..other.relative()
@@ -71,9 +71,9 @@ impl<'a> Nearest<'a> {
         }
         let own = match &self.planes {
             Some(planes) => planes,
-            None => self.planes.insert(reader.planes(ctx, &self.photo.planes)?),
+            None => self.planes.insert(reader.read(ctx, &self.photo.planes)?),
         };
-        let score = correlation(own, &*reader.planes(ctx, &other.planes)?);
+        let score = correlation(own, &*reader.read(ctx, &other.planes)?);
         let excess = score - limit;
         if self.found.as_ref().is_some_and(|(most, _)| excess <= *most) {
             return Ok(());

@@ -6,6 +6,7 @@ use marf_cache::{Digest, manifest::Row};
 use marf_stage::{Measured, StageError, Verdict};
 
 use crate::by_hand::ByHand;
+use crate::bytes::from_bytes;
 use crate::candidates::PhotoKeys;
 use crate::decision::undecodable;
 use crate::descriptor::ViewDescriptor;
@@ -37,7 +38,7 @@ impl<'a> ComparedPhoto<'a> {
     pub(super) fn read(item: &Measured<'a>, by_hand: &ByHand) -> Result<Result<Self, Verdict>, StageError> {
         let facts = Facts::from_row(item.row)?;
         let descriptor = match measured(item.measure, item.row)? {
-            Ok(descriptor) => ViewDescriptor::decode(descriptor),
+            Ok(descriptor) => from_bytes::<ViewDescriptor>(descriptor),
             Err(reason) => return Ok(Err(undecodable(item.row, &facts, reason))),
         };
         let descriptor = descriptor.ok_or_else(|| unreadable(item.row, "it is not a descriptor"))?;
@@ -72,8 +73,7 @@ impl<'a> ComparedPhoto<'a> {
             instrument: self.facts.instrument,
             filter: self.facts.filter,
             sol: self.facts.sol,
-            size: self.keys.size,
-            hashes: self.keys.hashes.clone(),
+            keys: self.keys.clone(),
             planes: self.planes,
         }
     }

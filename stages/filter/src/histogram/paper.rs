@@ -2,7 +2,6 @@
 
 use super::params::{Histogram, HistogramParams};
 use super::usual::{BRIGHTNESS_BINS, UsualBins, UsualHistogram};
-use crate::bytes::Stored;
 use crate::decision::Decision;
 use crate::filter::{MeasuredPhoto, Pass};
 use crate::tones::ToneHistograms;
@@ -17,19 +16,16 @@ impl Pass<Histogram> for SumsPass {
     const NAME: &'static str = "sums";
     type Total = UsualBins;
 
-    fn summarise<'a>(
-        _: Option<&UsualHistogram>,
-        photos: &[&MeasuredPhoto<'a, ToneHistograms<'a>>],
-    ) -> Vec<u8> {
+    fn summarise(_: Option<&UsualHistogram>, photos: &[&MeasuredPhoto<'_, ToneHistograms>]) -> UsualBins {
         let mut sums = UsualBins::default();
         photos
             .iter()
             .for_each(|photo| sums.count(normalised(&photo.measure)));
-        sums.encode()
+        sums
     }
 
-    fn add(total: &mut UsualBins, summary: &[u8]) -> Option<()> {
-        total.add(&UsualBins::decode(summary)?)
+    fn add(total: &mut UsualBins, summary: UsualBins) -> Option<()> {
+        total.add(&summary)
     }
 
     /// Fewer than three photos have no mean to be far from.
@@ -39,7 +35,7 @@ impl Pass<Histogram> for SumsPass {
 }
 
 /// Decides by the share of bins that are far from the mean of the other photos.
-pub(super) fn decide(params: &HistogramParams, usual: &UsualBins, tones: &ToneHistograms<'_>) -> Decision {
+pub(super) fn decide(params: &HistogramParams, usual: &UsualBins, tones: &ToneHistograms) -> Decision {
     let others = usual.photos.saturating_sub(1) as f64;
     let bins = normalised(tones).zip(&usual.sums);
     let far = bins.filter(|(share, (sum, squares))| {
@@ -51,12 +47,11 @@ pub(super) fn decide(params: &HistogramParams, usual: &UsualBins, tones: &ToneHi
 }
 
 /// Returns the bins of brightness as shares of all pixels, in units of 1 / [`SHARE`].
-fn normalised(tones: &ToneHistograms<'_>) -> impl Iterator<Item = u64> {
+fn normalised(tones: &ToneHistograms) -> impl Iterator<Item = u64> {
     let all = tones.pixels().max(1);
-    tones
-        .counts()
-        .take(BRIGHTNESS_BINS)
-        .map(move |count| u64::from(count) * SHARE / all)
+    tones.counts()[..BRIGHTNESS_BINS]
+        .iter()
+        .map(move |count| u64::from(*count) * SHARE / all)
 }
 
 /// Decides by the share of bins out of place.

@@ -3,12 +3,14 @@
 //! The first pass finds the medians of the cumulative shares of all bins and the quartiles of lost areas. The second
 //! finds the medians and quartiles of the distances to these medians.
 
+use serde::{Deserialize, Serialize};
+
 use super::params::{Histogram, HistogramParams};
 use super::usual::{LOST_AREAS, UsualHistogram, UsualTones};
-use crate::bytes::{put_number, take_number};
+use crate::bytes::read_list;
 use crate::decision::Decision;
 use crate::filter::{MeasuredPhoto, Pass};
-use crate::statistics::{BinCounts, LogBins, Quantile, Steps, put_bins, quantile_without, take_bins};
+use crate::statistics::{BinCounts, LogBins, Quantile, Steps, quantile_without};
 use crate::tones::{BINS, CHANNELS, ToneHistograms};
 
 /// Cumulative shares are counted in steps of 1 / 1,024: a distance, a sum over 256 bins, is an eighth of an 8-bit step off at the
@@ -22,11 +24,13 @@ const FINE: LogBins = LogBins { bits: 10 };
 pub(super) struct SharesPass;
 
 /// What [`SharesPass`] counts.
+#[derive(Serialize, Deserialize)]
 pub(super) struct Shares {
     photos: u64,
     lost: [BinCounts; LOST_AREAS.len()],
-    /// Photos by bin, then by share, 2 MB.
-    shares: Vec<[u32; SHARE_STEPS as usize + 1]>,
+    /// Photos by bin, then by share in steps of 1 / [`SHARE_STEPS`]: at most 4 MB.
+    #[serde(deserialize_with = "read_list::<BINS, _, _>")]
+    shares: Vec<BinCounts>,
 }
 
 impl Default for Shares {
@@ -34,7 +38,7 @@ impl Default for Shares {
         Self {
             photos: 0,
             lost: Default::default(),
-            shares: vec![[0; SHARE_STEPS as usize + 1]; BINS],
+            shares: vec![BinCounts::default(); BINS],
         }
     }
 }
@@ -43,40 +47,30 @@ impl Pass<Histogram> for SharesPass {
     const NAME: &'static str = "shares";
     type Total = Shares;
 
-    /// The number of photos, each kind of lost area, the cumulative share of each bin.
-    fn summarise<'a>(
-        _: Option<&UsualHistogram>,
-        photos: &[&MeasuredPhoto<'a, ToneHistograms<'a>>],
-    ) -> Vec<u8> {
-        let mut bytes = Vec::new();
-        put_number(&mut bytes, photos.len() as u64);
-        for area in LOST_AREAS {
-            let shares = photos
-                .iter()
-                .filter_map(|photo| FINE.bin((area.share)(&photo.measure)));
-            put_bins(&mut bytes, shares.collect());
-        }
+    fn summarise(_: Option<&UsualHistogram>, photos: &[&MeasuredPhoto<'_, ToneHistograms>]) -> Shares {
+        let lost = LOST_AREAS.map(|area| {
+            let shares = photos.iter().map(|photo| (area.share)(&photo.measure));
+            BinCounts::new(shares.filter_map(|share| FINE.bin(share)))
+        });
         let mut shares: Vec<_> = photos.iter().map(|photo| cumulative(&photo.measure)).collect();
-        for _ in 0..BINS {
+        let by_bin = (0..BINS).map(|_| {
             let next = shares.iter_mut().filter_map(Iterator::next);
-            put_bins(&mut bytes, next.map(|(_, share)| step_of(share)).collect());
+            BinCounts::new(next.map(|(_, share)| step_of(share)))
+        });
+        Shares {
+            photos: photos.len() as u64,
+            lost,
+            shares: by_bin.collect(),
         }
-        bytes
     }
 
-    fn add(total: &mut Shares, mut summary: &[u8]) -> Option<()> {
-        total.photos = total.photos.checked_add(take_number(&mut summary)?)?;
-        for lost in &mut total.lost {
-            lost.take(&mut summary)?;
+    fn add(total: &mut Shares, summary: Shares) -> Option<()> {
+        total.photos = total.photos.checked_add(summary.photos)?;
+        let totals = total.lost.iter_mut().chain(&mut total.shares);
+        for (total, summary) in totals.zip(summary.lost.iter().chain(&summary.shares)) {
+            total.add(summary)?;
         }
-        for shares in &mut total.shares {
-            take_bins(&mut summary, |step, count| {
-                let photos = shares.get_mut(step as usize)?;
-                *photos = photos.checked_add(u32::try_from(count).ok()?)?;
-                Some(())
-            })?;
-        }
-        summary.is_empty().then_some(())
+        Some(())
     }
 
     fn conclude(
@@ -87,17 +81,15 @@ impl Pass<Histogram> for SharesPass {
         if total.photos < u64::from(params.min_set) {
             return None;
         }
-        let median = |shares: &[u32]| {
-            let counts = (0..).zip(shares).filter(|(_, photos)| **photos > 0);
-            let counts = counts.map(|(step, photos)| (step, u64::from(*photos)));
-            quantile_without(counts, Quantile::MEDIAN, |step| {
+        let median = |shares: &BinCounts| {
+            quantile_without(shares.iter(), Quantile::MEDIAN, |step| {
                 f64::from(step) / f64::from(SHARE_STEPS)
             })
         };
         let quartile = |lost: BinCounts| lost.quantile_without(Quantile::UPPER_QUARTILE, FINE);
         Some(UsualHistogram::Robust(UsualTones {
             lost: total.lost.map(quartile),
-            medians: total.shares.iter().map(|shares| median(shares)).collect(),
+            medians: total.shares.iter().map(median).collect(),
             distances: None,
         }))
     }
@@ -110,11 +102,10 @@ impl Pass<Histogram> for DistancesPass {
     const NAME: &'static str = "distances";
     type Total = [BinCounts; CHANNELS.len()];
 
-    /// The distances of each channel.
-    fn summarise<'a>(
+    fn summarise(
         before: Option<&UsualHistogram>,
-        photos: &[&MeasuredPhoto<'a, ToneHistograms<'a>>],
-    ) -> Vec<u8> {
+        photos: &[&MeasuredPhoto<'_, ToneHistograms>],
+    ) -> Self::Total {
         let mut found = [const { Vec::new() }; CHANNELS.len()];
         if let Some(UsualHistogram::Robust(usual)) = before {
             for photo in photos {
@@ -124,16 +115,14 @@ impl Pass<Histogram> for DistancesPass {
                 }
             }
         }
-        let mut bytes = Vec::new();
-        found.into_iter().for_each(|bins| put_bins(&mut bytes, bins));
-        bytes
+        found.map(|bins| BinCounts::new(bins.into_iter()))
     }
 
-    fn add(total: &mut Self::Total, mut summary: &[u8]) -> Option<()> {
-        for counts in total {
-            counts.take(&mut summary)?;
+    fn add(total: &mut Self::Total, summary: Self::Total) -> Option<()> {
+        for (total, summary) in total.iter_mut().zip(&summary) {
+            total.add(summary)?;
         }
-        summary.is_empty().then_some(())
+        Some(())
     }
 
     fn conclude(
@@ -156,13 +145,13 @@ impl Pass<Histogram> for DistancesPass {
 }
 
 /// Returns the channel of each bin and the share of the pixels that are in it or in a lower bin of the channel, in [0, 1].
-fn cumulative(tones: &ToneHistograms<'_>) -> impl Iterator<Item = (usize, f64)> {
+fn cumulative(tones: &ToneHistograms) -> impl Iterator<Item = (usize, f64)> {
     let all = tones.pixels().max(1) as f64;
     let channels = (0..).zip(CHANNELS);
     let bins = channels.flat_map(|(channel, (_, bins, _))| (0..bins).map(move |bin| (channel, bin)));
     let mut below = 0_u64;
     bins.zip(tones.counts()).map(move |((channel, bin), count)| {
-        below = u64::from(count) + if bin == 0 { 0 } else { below };
+        below = u64::from(*count) + if bin == 0 { 0 } else { below };
         (channel, below as f64 / all)
     })
 }
@@ -174,7 +163,7 @@ fn step_of(share: f64) -> u32 {
 
 /// Returns the earth mover's distance of each channel to the median histogram of the other photos, in 8-bit steps. It
 /// is the mean over all pixels of the steps they would have to move.
-fn distances(tones: &ToneHistograms<'_>, medians: &[Steps]) -> [f64; CHANNELS.len()] {
+fn distances(tones: &ToneHistograms, medians: &[Steps]) -> [f64; CHANNELS.len()] {
     let mut distances = [0.0; CHANNELS.len()];
     for ((channel, share), median) in cumulative(tones).zip(medians) {
         let (_, _, width) = CHANNELS[channel];
@@ -187,7 +176,7 @@ fn distances(tones: &ToneHistograms<'_>, medians: &[Steps]) -> [f64; CHANNELS.le
 pub(super) fn decide(
     params: &HistogramParams,
     usual: Option<&UsualTones>,
-    tones: &ToneHistograms<'_>,
+    tones: &ToneHistograms,
 ) -> Decision {
     let lost = LOST_AREAS.iter().enumerate().map(|(at, area)| {
         let share = (area.share)(tones);
@@ -216,7 +205,7 @@ fn decide_lost_area(share: f64, limit: f64, what: &str) -> Decision {
 fn decide_distances(
     params: &HistogramParams,
     usual: &UsualTones,
-    tones: &ToneHistograms<'_>,
+    tones: &ToneHistograms,
 ) -> Option<[Decision; CHANNELS.len()]> {
     let quantiles = usual.distances.as_ref()?;
     let found = distances(tones, &usual.medians);

@@ -119,8 +119,8 @@ fn a_summary_that_was_damaged_is_an_error_that_names_the_filter() {
             panic!("{name} is a map");
         };
         let comparison = map.comparison().unwrap();
-        // An instrument, and a part of one byte that says more follow.
-        for damaged in [&b"\x02"[..], b"\0\x01", b"\0\x01\xff"] {
+        // More instruments than follow, one without a part, and one with a part that says more follow.
+        for damaged in [&b"\x02"[..], b"\x01\0", b"\x01\0\xff"] {
             let summary = Ok(damaged.into());
             let error = comparison
                 .context(0, &[], &mut [summary].into_iter())
