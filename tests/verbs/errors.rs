@@ -74,7 +74,6 @@ fn a_word_that_is_nearly_right_has_the_right_one_as_a_hint() {
         ("plan --set train.device=\"gpi\"", "gpu"),
         ("plan --set bootstrap.viewpoints=\"heldot\"", "heldout"),
         ("plan --set bootstrap.viewpoints=[\"train\",\"orbti\"]", "orbit"),
-        ("plan --set bootstrap.b=\"auot\"", "auto"),
         ("plan --device cpi", "cpu"),
         ("export mesh --out a.ply --color phtos", "photos"),
         ("render --out a --path flythruogh", "flythrough"),

@@ -183,7 +183,6 @@ pub(super) fn spread(names: Vec<String>) -> bootstrap::Metrics {
         unseen_share: 0.012,
         sky_share: 0.2,
         members: (0..5).map(member).collect(),
-        rounds: Vec::new(),
         out_of_bag: None,
         heldout: Some(bootstrap::HeldOut {
             mean: photo.clone(),

@@ -116,21 +116,10 @@ fn reliability(metrics: &Metrics) -> Markup {
     }
 }
 
-/// Shows how the number of members was chosen, and how well photos agree with the members that did not draw
-/// them.
+/// Shows how well photos agree with the members that did not draw them.
 fn members(metrics: &Metrics) -> Markup {
     let in_bag = |psnr: Option<f64>| psnr.map(|psnr| format!(", {} dB where they did", decibels(psnr)));
     html! {
-        @if !metrics.rounds.is_empty() {
-            p {
-                "Error of the order by number of members (AUSE), on small photos: "
-                @for (index, round) in metrics.rounds.iter().enumerate() {
-                    @if index > 0 { ", " }
-                    (round.b) " " (number(round.ause_mae))
-                }
-                "."
-            }
-        }
         @if let Some(out) = &metrics.out_of_bag {
             p {
                 (count(out.photos as usize, "photo")) " that some members did not draw: PSNR of these members "

@@ -5,7 +5,7 @@ mod metrics;
 use marf_field::{Device, Overrides, Quality};
 use marf_stage::ParamError;
 use schemars::JsonSchema;
-use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::{
     check::{check_field, check_scale, check_steps, check_within},
@@ -13,7 +13,7 @@ use crate::{
 };
 
 pub use metrics::{
-    Calibration, Coverage, HeldOut, Member, MemberFields, Metrics, OutOfBag, PhotoReport, Round,
+    Calibration, Coverage, HeldOut, Member, MemberFields, Metrics, OutOfBag, PhotoReport,
     SparsificationCurves, ViewReport,
 };
 
@@ -94,85 +94,12 @@ impl Default for ViewpointList {
     }
 }
 
-/// How many members are trained.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, JsonSchema)]
-#[schemars(with = "MembersWritten")]
-pub enum Members {
-    /// This number.
-    Count(u32),
-    /// Three, then two more at a time until the order of errors is as good as with two fewer.
-    Auto,
-}
-
-/// As they are written: a number, or `"auto"`.
-#[derive(Serialize, JsonSchema)]
-#[serde(untagged)]
-#[expect(dead_code, reason = "its schema alone is used")]
-enum MembersWritten {
-    Count(u32),
-    Auto(Auto),
-}
-
-#[derive(Serialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-#[expect(dead_code, reason = "its schema alone is used")]
-enum Auto {
-    Auto,
-}
-
-impl Serialize for Members {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        match self {
-            Self::Count(count) => serializer.serialize_u32(*count),
-            Self::Auto => serializer.serialize_str(AUTO),
-        }
-    }
-}
-
-impl<'de> Deserialize<'de> for Members {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct Written;
-        impl serde::de::Visitor<'_> for Written {
-            type Value = Members;
-
-            fn expecting(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-                formatter.write_str("a number of members, or `auto`")
-            }
-
-            fn visit_u64<E: serde::de::Error>(self, count: u64) -> Result<Members, E> {
-                let count = u32::try_from(count);
-                count
-                    .map(Members::Count)
-                    .map_err(|_| E::custom("that many members cannot be counted"))
-            }
-
-            fn visit_i64<E: serde::de::Error>(self, count: i64) -> Result<Members, E> {
-                let count = u64::try_from(count).map_err(|_| E::custom("fewer than no members"))?;
-                self.visit_u64(count)
-            }
-
-            fn visit_str<E: serde::de::Error>(self, word: &str) -> Result<Members, E> {
-                match word {
-                    AUTO => Ok(Members::Auto),
-                    _ => Err(E::custom(format!(
-                        "unknown variant `{word}`, expected a number of members, or `auto`"
-                    ))),
-                }
-            }
-        }
-        deserializer.deserialize_any(Written)
-    }
-}
-
-const AUTO: &str = "auto";
-
 /// Parameters of `bootstrap`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct BootstrapParams {
-    /// Retrainings: at least 2. Ranking pixels well takes five, intervals take ten. `auto` starts with three
-    /// and adds two at a time, up to 21, until AUSE moves by less than 0.01. `auto` needs held-out photos.
-    pub b: Members,
+    /// Retrainings: at least 2. Ranking pixels well takes five, intervals take ten. Going from 5 to 7 trains two more.
+    pub b: u32,
     /// What differs between members.
     pub mode: Mode,
     /// Seed of the first member. Each further member adds 1. With the seed of `training` the first member
@@ -202,7 +129,7 @@ pub struct BootstrapParams {
 impl Default for BootstrapParams {
     fn default() -> Self {
         Self {
-            b: Members::Count(5),
+            b: 5,
             mode: Mode::Seeds,
             seed: 0,
             quality: Quality::default(),
@@ -227,13 +154,12 @@ impl BootstrapParams {
     /// # Errors
     /// Names the key that is out of range.
     pub fn check(&self) -> Result<(), ParamError> {
-        if let Members::Count(count @ 0..2) = self.b {
+        if self.b < 2 {
+            let count = self.b;
             let message = format!("{count} member has no spread: at least 2, 5 for maps, 10 for intervals");
             return Err(ParamError::new("b", message));
         }
-        if let Members::Count(count) = self.b {
-            check_within("b", count, 2..=MAX_MEMBERS)?;
-        }
+        check_within("b", self.b, 2..=MAX_MEMBERS)?;
         check_within("map_frames", self.map_frames, 1..=MAX_FRAMES)?;
         let ViewpointList(viewpoints) = &self.viewpoints;
         for (index, kind) in viewpoints.iter().enumerate() {
@@ -274,24 +200,6 @@ mod tests {
             let params: BootstrapParams = serde_json::from_value(table).unwrap();
             let error = params.check().unwrap_err();
             assert_eq!(error.path, key, "{error:?}");
-        }
-    }
-
-    #[test]
-    fn members_are_a_number_or_auto() {
-        let members = |written: serde_json::Value| serde_json::from_value::<Members>(written);
-        for (written, expected) in [(json!(7), Members::Count(7)), (json!("auto"), Members::Auto)] {
-            assert_eq!(members(written.clone()).unwrap(), expected);
-            assert_eq!(serde_json::to_value(expected).unwrap(), written);
-        }
-        for (written, word) in [
-            (json!("many"), "a number of members, or `auto`"),
-            (json!(-1), "fewer than no"),
-            (json!(1_u64 << 40), "cannot be counted"),
-            (json!([]), "a number of members"),
-        ] {
-            let error = members(written).unwrap_err().to_string();
-            assert!(error.contains(word), "{error}");
         }
     }
 

@@ -135,7 +135,6 @@ mod tests {
             unseen_share: view.unseen_share,
             sky_share: view.sky_share,
             members: vec![member(0), member(1)],
-            rounds: Vec::new(),
             out_of_bag: None,
             heldout: None,
             views: vec![view],

@@ -36,9 +36,6 @@ pub struct Metrics {
     pub sky_share: f64,
     /// The members, in order.
     pub members: Vec<Member>,
-    /// How well fewer members ordered the errors. Only with `b = "auto"`.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub rounds: Vec<Round>,
     /// Photos compared with the members that did not draw them. Only in mode `photos`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub out_of_bag: Option<OutOfBag>,
@@ -46,15 +43,6 @@ pub struct Metrics {
     pub heldout: Option<HeldOut>,
     /// Every viewpoint.
     pub views: Vec<ViewReport>,
-}
-
-/// The first members of a bootstrap.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Round {
-    /// Number of members.
-    pub b: u32,
-    /// Mean AUSE by their standard deviation over the photos held out, shrunk to at most 160 pixels.
-    pub ause_mae: f64,
 }
 
 /// Photos trained on, shrunk to at most 160 pixels, compared with the mean of the members that did not draw them, and that did.

@@ -2,7 +2,6 @@
 //!
 //! Members are sorted pixel by pixel before they are summed, so no map depends on their order.
 
-mod auto;
 mod drawing;
 mod intervals;
 mod mapper;
@@ -19,11 +18,9 @@ mod study;
 mod viewpoints;
 mod visibility;
 
-use std::ops::Range;
-
 use marf_cache::Digest;
 use marf_schema::{
-    bootstrap::{BootstrapParams, MemberFields, Members, Metrics, Mode},
+    bootstrap::{BootstrapParams, MemberFields, Metrics, Mode},
     output::{MAPS, SCENE, WEIGHTS},
     train::{Setup, TrainParams},
     tune::BestParams,
@@ -59,16 +56,6 @@ stage! {
     device: device,
 }
 
-impl Bootstrap {
-    fn members(&self, members: Range<u32>, inputs: &Inputs) -> Result<Vec<NodeSpec>, StageError> {
-        let specs = members.map(|index| {
-            let train = member(&self.params, index);
-            NodeSpec::new(format!("member-{index:02}"), &train, inputs)
-        });
-        specs.collect()
-    }
-}
-
 impl Expand for Bootstrap {
     fn children(&self) -> Vec<ChildStage> {
         vec![ChildStage::new(&member(&self.params, 0))]
@@ -76,20 +63,11 @@ impl Expand for Bootstrap {
 
     fn expand(&self, ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Vec<NodeSpec>, StageError> {
         read_setup(ctx, inputs)?;
-        match self.params.b {
-            Members::Count(count) => self.members(0..count, inputs),
-            Members::Auto => self.members(0..auto::FIRST, inputs),
-        }
-    }
-
-    fn further(&self, ctx: &Ctx<'_>, inputs: &Inputs, done: &[Outputs]) -> Result<Vec<NodeSpec>, StageError> {
-        let count = done.len() as u32;
-        match self.params.b {
-            Members::Auto if !auto::is_enough(ctx, &self.params.device, inputs, done)? => {
-                self.members(count..count + auto::MORE, inputs)
-            }
-            _ => Ok(Vec::new()),
-        }
+        let specs = (0..self.params.b).map(|index| {
+            let train = member(&self.params, index);
+            NodeSpec::new(format!("member-{index:02}"), &train, inputs)
+        });
+        specs.collect()
     }
 
     fn reduce(&self, ctx: &Ctx<'_>, inputs: &Inputs, children: &[Outputs]) -> Result<Outputs, StageError> {

@@ -7,11 +7,14 @@ use marf_schema::{bootstrap::OutOfBag, train};
 use marf_stage::StageError;
 use serde::{Deserialize, Serialize};
 
-use super::{auto::SIDE_PX, normality::mean};
+use super::normality::mean;
 use crate::{
     TrainError, checkpoint::Journal, error::field_failed, photos::PhotoReader, photos::ScaledPhoto,
     split::NamedFrame,
 };
+
+/// Longest side of the photos that are compared, pixels.
+const SIDE_PX: u32 = 160;
 
 /// PSNR of one photo, dB.
 #[derive(Serialize, Deserialize)]

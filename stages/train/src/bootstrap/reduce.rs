@@ -1,11 +1,11 @@
 //! The reduction: members to maps, drawings and figures.
 
 use marf_cache::Digest;
-use marf_schema::bootstrap::{BootstrapParams, Members, Metrics, Mode};
+use marf_schema::bootstrap::{BootstrapParams, Metrics, Mode};
 use marf_stage::{Ctx, Inputs, Outputs, StageError, TypedOutputs};
 
 use super::{
-    auto::rounds, drawing::Scales, mapper::Mapper, out_of_bag::out_of_bag, reach::Reach, report::report,
+    drawing::Scales, mapper::Mapper, out_of_bag::out_of_bag, reach::Reach, report::report,
     retrainings::Retrainings, viewpoints::map_views, visibility::Witnesses,
 };
 use crate::{
@@ -38,10 +38,6 @@ pub(super) fn reduce(
 
     let studies = mapper.studies(&views, &scene)?;
     let report = Metrics {
-        rounds: match params.b {
-            Members::Auto => rounds(ctx, &params.device, inputs, outputs_of_members)?,
-            Members::Count(_) => Vec::new(),
-        },
         out_of_bag: match params.mode {
             Mode::Seeds => None,
             Mode::Photos => out_of_bag(identity, &members.metrics, &mapper.fields, &photos, &training)?,

@@ -37,7 +37,6 @@ pub(crate) fn report(mode: Mode, members: Vec<Member>, views: &[ViewStudy]) -> M
         unseen_share: all(&|view| view.report.unseen_share),
         sky_share: all(&|view| view.report.sky_share),
         heldout: held_out(views, &members),
-        rounds: Vec::new(),
         out_of_bag: None,
         members,
         views: views

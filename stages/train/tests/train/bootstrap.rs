@@ -4,7 +4,7 @@ use marf_cache::Digest;
 use marf_field::{Overrides, Trainer, View};
 use marf_scene::{Camera, Frame, Image, Photo, Point, Pose, Scene, Srgb, encode_png};
 use marf_schema::{
-    bootstrap::{BootstrapParams, Members, Metrics},
+    bootstrap::{BootstrapParams, Metrics},
     example, train,
 };
 use marf_stage::{Define, Document, Expand, Inputs, Outputs, TypedOutputs, harness::Harness};
@@ -357,42 +357,6 @@ fn what_all_members_get_wrong_alike_is_in_the_total() {
     assert!(total.1 > 1.5 * total.0, "plain, too fine: total {total:?}");
 }
 
-fn auto() -> Bootstrap {
-    Bootstrap::new(serde_json::from_value(json!({"b": "auto"})).unwrap()).unwrap()
-}
-
-#[test]
-fn auto_asks_for_two_more_until_they_change_nothing() {
-    let fixture = fixture(1);
-    let ctx = fixture.harness.ctx();
-    let first = auto().expand(&ctx, &fixture.inputs).unwrap();
-    assert_eq!(first.len(), 3);
-    let same = |count: usize| vec![fixture.members[0].clone(); count];
-    let more = auto().further(&ctx, &fixture.inputs, &same(3)).unwrap();
-    let names: Vec<&str> = more.iter().map(|node| node.name.as_str()).collect();
-    assert_eq!(names, ["member-03", "member-04"]);
-    assert_eq!(auto().further(&ctx, &fixture.inputs, &same(5)).unwrap(), vec![]);
-    let outputs = auto().reduce(&ctx, &fixture.inputs, &same(5)).unwrap();
-    let metrics = Metrics::decode(&fixture.harness.get(&outputs["metrics"]).unwrap()).unwrap();
-    let rounds: Vec<_> = metrics.rounds.iter().map(|round| round.b).collect();
-    assert_eq!(rounds, [3, 5]);
-    assert_eq!(metrics.rounds[0].ause_mae, metrics.rounds[1].ause_mae);
-    assert_eq!((metrics.b, metrics.members.len()), (5, 5));
-}
-
-#[test]
-fn auto_wants_photos_held_out_and_a_number_asks_once() {
-    let mut fixture = fixture(1);
-    let ctx = fixture.harness.ctx();
-    let counted = Bootstrap::new(serde_json::from_value(json!({"b": 3})).unwrap()).unwrap();
-    let members = vec![fixture.members[0].clone(); 3];
-    assert_eq!(counted.further(&ctx, &fixture.inputs, &members).unwrap(), vec![]);
-    fixture.members[0].retain(|name, _| !name.starts_with("photo/"));
-    let members = vec![fixture.members[0].clone(); 3];
-    let error = auto().further(&ctx, &fixture.inputs, &members).unwrap_err();
-    assert!(error.to_string().contains("no photo is held out"), "{error}");
-}
-
 #[test]
 fn photos_that_a_member_did_not_draw_test_it() {
     let mut fixture = fixture(2);
@@ -427,7 +391,7 @@ fn a_member_without_weights_is_named() {
     let mut fixture = fixture(2);
     fixture.members[1].remove("weights");
     let stage = Bootstrap::new(BootstrapParams {
-        b: Members::Count(2),
+        b: 2,
         ..BootstrapParams::default()
     })
     .unwrap();
