@@ -5,6 +5,15 @@
 //! [`constants`], the head or a uniform, and a test compares every field of every uniform by name, type and
 //! offset.
 
+/// Lays structs out as WGSL reads them.
+macro_rules! uniforms {
+    ($($item:item)*) => {$(
+        #[repr(C)]
+        #[derive(Debug, Clone, Copy, PartialEq, Default, bytemuck::Pod, bytemuck::Zeroable)]
+        $item
+    )*};
+}
+
 mod net_structs;
 mod nets;
 mod shader;
