@@ -10,7 +10,7 @@
 //           [FAULT_SLOTS].
 // Writes    `weights`, `mean`, `square` [entries] of Row, `count` [entries], `gradient` [entries] of Quanta to 0, from
 //           entry `base` on. Nothing where a fault is set or all quanta are 0. Only the gradient where the level is
-//           skipped. `main` also writes `average` [entries] of Row, each once, unless a fault is set.
+//           skipped. Where `keep` is below 1, also `average` [entries] of Row, each once, unless a fault is set.
 // Extremes  epsilon grows by a quantum: the least gradient moves a weight by half a rate at most. The count stays at
 //           2^32 - 1. Beyond the table of bias, the last one is used. A keep of 0 takes the weights except for a
 //           rounding.
@@ -20,7 +20,7 @@ struct Rates {
     decay: f32,
     beta1: f32,
     beta2: f32,
-    // Share of itself that the average keeps.
+    // Share of itself that the average keeps. 1 where it stays.
     keep: f32,
     pad0: f32,
     pad1: f32,
@@ -59,35 +59,22 @@ fn learn(level: LevelScale, at: u32) {
     weights[at] = weight - rates.rate * (first * correction.x) / root;
 }
 
-fn learn_rows(thread: u32, z: u32, lane: u32, follows: bool) {
-    if faulted() {
-        return;
-    }
-    let level = scales[part.level + z];
-    let first = (thread - lane) * ROWS + lane;
-    let end = min(first + 64u * ROWS, level.entries);
-    for (var row = first; row < end; row += 64u) {
-        let at = level.first - part.base + row;
-        learn(level, at);
-        if follows { average[at] += (1.0 - rates.keep) * (weights[at] - average[at]); }
-    }
-}
-
 @compute @workgroup_size(64)
 fn main(
     @builtin(global_invocation_id) id: vec3<u32>,
     @builtin(num_workgroups) groups: vec3<u32>,
     @builtin(local_invocation_index) lane: u32,
 ) {
-    learn_rows(flat(id, groups), id.z, lane, true);
-}
-
-// Where the averages are not due.
-@compute @workgroup_size(64)
-fn stay(
-    @builtin(global_invocation_id) id: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) lane: u32,
-) {
-    learn_rows(flat(id, groups), id.z, lane, false);
+    if faulted() {
+        return;
+    }
+    let thread = flat(id, groups);
+    let level = scales[part.level + id.z];
+    let first = (thread - lane) * ROWS + lane;
+    let end = min(first + 64u * ROWS, level.entries);
+    for (var row = first; row < end; row += 64u) {
+        let at = level.first - part.base + row;
+        learn(level, at);
+        if rates.keep < 1.0 { average[at] += (1.0 - rates.keep) * (weights[at] - average[at]); }
+    }
 }

@@ -10,9 +10,7 @@ use super::forward::{Kernels as Shared, Lanes};
 use super::light::{Aims, SlopeArrays};
 use super::nets::{Back, Rates as NetRates, Tensor};
 use super::record::{Recorder, Work};
-use super::tables::{
-    AdamArrays, AdamTable, Averages, Grid, ScaleArrays, Scales, Scatter, ScatterArrays, Slots, Sums,
-};
+use super::tables::{AdamArrays, AdamTable, Grid, ScaleArrays, Scales, Scatter, ScatterArrays, Slots, Sums};
 use super::weights::DeviceWeights;
 use marf_field::{Background, Config, Gain, GpuError};
 
@@ -48,10 +46,8 @@ pub struct Learning {
     exposing: Option<ExposurePasses>,
     /// The scales of the tables' gradients.
     pub scale: Work,
-    /// All weights, and their averages.
-    follow: Work,
-    /// All weights alone.
-    stay: Work,
+    /// All weights, and their averages where these are due.
+    moves: Work,
 }
 
 /// Kernels and arrays that are bound together.
@@ -103,22 +99,18 @@ impl Learning {
             back: bindings.losses()?.then(bindings.nets()?).then(bindings.tables()?),
             exposing,
             scale: bindings.scales()?,
-            follow: bindings.moves(Averages::Follow)?,
-            stay: bindings.moves(Averages::Stay)?,
+            moves: bindings.moves()?,
         })
     }
 
     /// Records a step behind the colours.
-    pub fn record(&self, recorder: &mut Recorder<'_>, rays: usize, averages: Averages) {
+    pub fn record(&self, recorder: &mut Recorder<'_>, rays: usize) {
         self.back.record_for(recorder, rays);
         if let Some(exposing) = &self.exposing {
             exposing.record_sums(recorder);
         }
         self.scale.record(recorder);
-        match averages {
-            Averages::Follow => self.follow.record(recorder),
-            Averages::Stay => self.stay.record(recorder),
-        }
+        self.moves.record(recorder);
         if let Some(exposing) = &self.exposing {
             exposing.record_learn(recorder);
         }
@@ -198,7 +190,7 @@ impl Bindings<'_> {
     }
 
     /// Returns the passes in which all weights take a step.
-    fn moves(self, averages: Averages) -> Result<Work, GpuError> {
+    fn moves(self) -> Result<Work, GpuError> {
         let (gpu, lanes, arrays) = (self.gpu, self.lanes, self.arrays);
         let batch = lanes.batch(gpu);
         let loss = arrays
@@ -220,7 +212,7 @@ impl Bindings<'_> {
             count: &arrays.tables.count,
             average: &self.average.tables,
         };
-        let tables = self.kernels.adam.bind(gpu, self.grid, trained, averages)?;
+        let tables = self.kernels.adam.bind(gpu, self.grid, trained)?;
         let rates = NetRates {
             pace: &arrays.pace,
             bias: &arrays.bias,

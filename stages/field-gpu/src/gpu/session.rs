@@ -19,7 +19,7 @@ use super::occupancy::{self, ProbeArrays, ProbeSchedule, Update};
 use super::rays::{DrawRays, observed};
 use super::record::{Recorder, Work};
 use super::submits::Submits;
-use super::tables::{Averages, Rise, rates};
+use super::tables::{Rise, rates};
 use super::totals::{LATE_FROM, add, fault, note_costs};
 use marf_field::FieldError;
 use marf_field::GpuError;
@@ -158,10 +158,8 @@ impl GpuSession {
         // Everything else that is written here is uploaded again.
         self.write_step(training, training.state.steps, 0);
         self.begin(training, 0);
-        for averages in [Averages::Follow, Averages::Stay] {
-            self.submits
-                .submit(&self.gpu, |recorder| self.record(recorder, 0, averages));
-        }
+        self.submits
+            .submit(&self.gpu, |recorder| self.record(recorder, 0));
     }
 
     /// Takes steps up to the next update of the occupancy, and reports those of the call before. Their costs
@@ -176,12 +174,8 @@ impl GpuSession {
         let submitted = Instant::now();
         for number in first..end {
             self.write_step(training, number, rays);
-            let averages = match training.kept_at(number) {
-                Some(_) => Averages::Follow,
-                None => Averages::Stay,
-            };
             self.submits
-                .submit(&self.gpu, |recorder| self.record(recorder, rays, averages));
+                .submit(&self.gpu, |recorder| self.record(recorder, rays));
         }
         let totals = self.gpu.copy_back(&self.held.arrays.ring);
         let (halvings, samples_per_ray) = (training.state.halvings, training.state.samples_per_ray);
@@ -298,9 +292,9 @@ impl GpuSession {
     }
 
     /// Records a step.
-    pub(super) fn record(&self, recorder: &mut Recorder<'_>, rays: usize, averages: Averages) {
+    pub(super) fn record(&self, recorder: &mut Recorder<'_>, rays: usize) {
         self.forward(recorder, rays);
-        self.learning.record(recorder, rays, averages);
+        self.learning.record(recorder, rays);
     }
 
     fn forward(&self, recorder: &mut Recorder<'_>, rays: usize) {

@@ -4,7 +4,6 @@ use std::sync::Arc;
 
 use super::record::Work;
 use super::session::GpuSession;
-use super::tables::Averages;
 use super::testing::{advance, gpu, on_gpu, own_gpu, settled, upload, worst};
 use super::totals::LATE_FROM;
 use marf_field::test_scene::{ball, psnr, small};
@@ -141,7 +140,7 @@ fn a_step_takes_20_dispatches_and_two_more_where_photos_have_exposures_whatever_
             };
             let mut training = Training::new(ball(4, 16), &[], &config, 7).unwrap();
             let session = GpuSession::new(&gpu, &mut training).unwrap();
-            let work = Work::recorded(|recorder| session.record(recorder, 1, Averages::Follow));
+            let work = Work::recorded(|recorder| session.record(recorder, 1));
             assert_eq!(work.len(), dispatches, "{gain:?}, {color_layers}");
         }
     }

@@ -11,7 +11,7 @@ mod grid;
 mod scales;
 mod scatter;
 
-pub use adam::{AdamArrays, AdamTable, Averages, rates};
+pub use adam::{AdamArrays, AdamTable, rates};
 pub use encode::{Encode, EncodeArrays};
 pub use grid::{Grid, Slots};
 pub use scales::{Rise, ScaleArrays, Scales, rescaling, start_scales};

@@ -26,19 +26,7 @@ pub fn rates(rate: f32, epsilon: f32, decay: f32, keep: f32) -> Rates {
 }
 
 /// One step of Adam over all tables, and their running average: twin of `cpu::adam::Adam` and `learn::blend`.
-pub struct AdamTable {
-    follow: Kernel,
-    stay: Kernel,
-}
-
-/// What running averages do in a step.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Averages {
-    /// They follow the weights.
-    Follow,
-    /// They are not looked at.
-    Stay,
-}
+pub struct AdamTable(Kernel);
 
 /// Arrays of [`AdamTable`].
 #[derive(Clone, Copy)]
@@ -72,27 +60,14 @@ impl AdamTable {
     /// A driver that does not compile it.
     pub fn new(gpu: &Gpu, features: usize, sums: Sums) -> Result<Self, GpuError> {
         let head = row_head(features as u32) + &sums.head(features) + &rows_head(ROWS);
-        Ok(Self {
-            follow: gpu.kernel(&ADAM_TABLE, &head)?,
-            stay: gpu.entry(&ADAM_TABLE, &head, "stay")?,
-        })
+        Ok(Self(gpu.kernel(&ADAM_TABLE, &head)?))
     }
 
     /// Binds it.
     ///
     /// # Errors
     /// Memory that was refused.
-    pub fn bind(
-        &self,
-        gpu: &Gpu,
-        grid: &Grid,
-        arrays: AdamArrays,
-        averages: Averages,
-    ) -> Result<Work, GpuError> {
-        let kernel = match averages {
-            Averages::Follow => &self.follow,
-            Averages::Stay => &self.stay,
-        };
+    pub fn bind(&self, gpu: &Gpu, grid: &Grid, arrays: AdamArrays) -> Result<Work, GpuError> {
         let bound = |levels: &_| {
             vec![
                 Part::from(arrays.rates),
@@ -107,7 +82,7 @@ impl AdamTable {
                 grid.bound(arrays.average, grid.features, levels),
             ]
         };
-        grid.bind(gpu, kernel, Slots::NONE, bound, threads)
+        grid.bind(gpu, &self.0, Slots::NONE, bound, threads)
     }
 }
 
@@ -163,7 +138,6 @@ mod tests {
         faults: Array<u32>,
         scales: Array<LevelScale>,
         work: Work,
-        staying: Work,
     }
 
     /// Counts of rows before the first step: none, more than the table of corrections, the greatest.
@@ -187,7 +161,6 @@ mod tests {
             faults: gpu.zeros("faults", 8).unwrap(),
             scales: gpu.filled("scales", &start_scales(grid)).unwrap(),
             work: Work::default(),
-            staying: Work::default(),
         };
         let arrays = AdamArrays {
             rates: &device.rates,
@@ -202,9 +175,7 @@ mod tests {
             average: &device.average,
         };
         let kernel = AdamTable::new(gpu, grid.features(), sums).unwrap();
-        let bind = |averages| kernel.bind(gpu, grid, arrays, averages).unwrap();
-        let works = [Averages::Follow, Averages::Stay].map(bind);
-        [device.work, device.staying] = works;
+        device.work = kernel.bind(gpu, grid, arrays).unwrap();
         device
     }
 
@@ -357,8 +328,7 @@ mod tests {
             let mut scales = start_scales(&grid);
             scales[1].skip = 1;
             gpu.write(&device.scales, 0, &scales);
-            let work = if keep < 1.0 { &device.work } else { &device.staying };
-            gpu.submit(|recorder| work.record(recorder));
+            gpu.submit(|recorder| device.work.record(recorder));
             let moved = gpu.read(&device.tables).unwrap();
             assert_eq!(moved == values, fault == 1);
             let mut expected = start.clone();

@@ -64,7 +64,7 @@ fn chained(features: usize, sums: Sums) {
     let followed = follow.bind(&gpu, &grid, followed);
     let work = work.then(followed.unwrap());
     let adam = AdamTable::new(&gpu, features, sums).unwrap();
-    let work = work.then(adam.bind(&gpu, &grid, trained, Averages::Stay).unwrap());
+    let work = work.then(adam.bind(&gpu, &grid, trained).unwrap());
     for _ in 0..STEPS {
         gpu.submit(|recorder| work.record(recorder));
     }
