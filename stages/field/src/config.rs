@@ -1,3 +1,5 @@
+use std::ops::RangeInclusive;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -209,8 +211,37 @@ impl Default for Config {
     }
 }
 
-/// A rule of a key: its name, its value, whether it keeps the rule, and the rule.
-type Rule = (&'static str, f64, bool, &'static str);
+/// A rule of a key.
+struct Rule {
+    key: &'static str,
+    value: f64,
+    is_kept: bool,
+    /// What is allowed.
+    range: String,
+}
+
+fn rule(key: &'static str, value: impl Into<f64>, is_kept: bool, range: &str) -> Rule {
+    Rule {
+        key,
+        value: value.into(),
+        is_kept,
+        range: range.to_owned(),
+    }
+}
+
+/// Returns the rule of a number in a range. An absent number keeps it.
+fn between(key: &'static str, value: Option<impl Into<f64>>, range: RangeInclusive<f64>) -> Rule {
+    let value = value.map(Into::into);
+    let is_kept = value.is_none_or(|value| range.contains(&value));
+    let text = format!("{} to {}", range.start(), range.end());
+    rule(key, value.unwrap_or_default(), is_kept, &text)
+}
+
+/// Returns the rule of the neurons of a hidden layer.
+fn width(key: &'static str, width: u32) -> Rule {
+    let is_kept = matches!(width, 16 | 32 | 64 | 128);
+    rule(key, width, is_kept, "16, 32, 64 or 128")
+}
 
 impl Config {
     /// Returns the full base configuration of instant-ngp (arXiv 2201.05989, table 1 and section 4), whatever the
@@ -235,207 +266,100 @@ impl Config {
     /// # Errors
     /// [`FieldError::Config`] names the key, the value and the range.
     pub fn check(&self) -> Result<(), FieldError> {
-        let rules = [
-            self.grid_rules(),
-            self.network_rules(),
-            self.rate_rules(),
-            self.reach_rules(),
-        ];
-        match rules.concat().into_iter().find(|(_, _, fine, _)| !fine) {
-            Some((key, value, _, range)) => Err(FieldError::Config { key, value, range }),
-            None => Ok(()),
+        let rules = self.ranges().into_iter().chain(self.other_rules());
+        for rule in rules {
+            if !rule.is_kept {
+                return Err(FieldError::Config {
+                    key: rule.key,
+                    value: rule.value,
+                    range: rule.range,
+                });
+            }
         }
+        Ok(())
     }
 
-    /// Returns the rules of the levels of the grid.
-    fn grid_rules(&self) -> Vec<Rule> {
-        vec![
-            (
-                "levels",
-                self.levels.map_or(0.0, f64::from),
-                self.levels.is_none_or(|levels| (1..=16).contains(&levels)),
-                "1 to 16",
-            ),
-            (
+    /// Returns the rules of numbers in a range.
+    fn ranges(&self) -> [Rule; 16] {
+        [
+            between("levels", self.levels, 1.0..=16.0),
+            between("log2_table", self.log2_table, 8.0..=24.0),
+            between("log2_table_shift", Some(self.log2_table_shift), -4.0..=4.0),
+            between("base_resolution", Some(self.base_resolution), 4.0..=512.0),
+            between("color_layers", Some(self.color_layers), 1.0..=3.0),
+            between("batch_samples", Some(self.batch_samples), 256.0..=1_048_576.0),
+            between("ray_samples", Some(self.ray_samples), 0.0..=4096.0),
+            between("final_rate", Some(self.final_rate), 1e-4..=1.0),
+            between("average", Some(self.average), 0.0..=0.9999),
+            between("min_step", Some(self.min_step), 1e-4..=0.5),
+            between("halvings", self.halvings, 0.0..=f64::from(MOST_HALVINGS)),
+            between("near", self.near, 1e-4..=10.0),
+            between("distortion", self.distortion, 0.0..=1.0),
+            between("table_decay", self.table_decay, 0.0..=1.0),
+            between("emptiness", Some(self.emptiness), 0.0..=0.1),
+            between("depth_weight", Some(self.depth_weight), 0.0..=1.0),
+        ]
+    }
+
+    /// Returns the rules that are not of one range.
+    fn other_rules(&self) -> [Rule; 12] {
+        let near = self.near.unwrap_or(2e-4);
+        [
+            rule(
                 "features",
-                f64::from(self.features),
+                self.features,
                 matches!(self.features, 2 | 4),
                 "2 or 4",
             ),
-            (
-                "log2_table",
-                self.log2_table.map_or(0.0, f64::from),
-                self.log2_table.is_none_or(|log2| (8..=24).contains(&log2)),
-                "8 to 24",
-            ),
-            (
-                "log2_table_shift",
-                f64::from(self.log2_table_shift),
-                (-4..=4).contains(&self.log2_table_shift),
-                "-4 to 4",
-            ),
-            (
+            rule(
                 "levels * features",
                 self.levels.map_or(0.0, f64::from) * f64::from(self.features),
                 self.levels
                     .is_none_or(|levels| levels.wrapping_mul(self.features).is_multiple_of(16)),
                 "a multiple of 16",
             ),
-            (
-                "base_resolution",
-                f64::from(self.base_resolution),
-                (4..=512).contains(&self.base_resolution),
-                "4 to 512",
-            ),
-            (
+            rule(
                 "finest_resolution",
-                self.finest_resolution.map_or(0.0, f64::from),
+                self.finest_resolution.unwrap_or_default(),
                 self.finest_resolution
                     .is_none_or(|finest| (self.base_resolution..=1 << 20).contains(&finest)),
                 "base_resolution to 1048576",
             ),
-            (
+            rule(
                 "finest_factor",
                 self.finest_factor,
                 (0.125..=8.0).contains(&self.finest_factor),
                 "1/8 to 8",
             ),
-        ]
-    }
-
-    /// Returns the rules of networks, batch and occupancy.
-    fn network_rules(&self) -> Vec<Rule> {
-        let widths = |width: u32| matches!(width, 16 | 32 | 64 | 128);
-        vec![
-            (
-                "density_width",
-                f64::from(self.density_width),
-                widths(self.density_width),
-                "16, 32, 64 or 128",
-            ),
-            (
-                "color_width",
-                f64::from(self.color_width),
-                widths(self.color_width),
-                "16, 32, 64 or 128",
-            ),
-            (
-                "color_layers",
-                f64::from(self.color_layers),
-                (1..=3).contains(&self.color_layers),
-                "1 to 3",
-            ),
-            (
-                "batch_samples",
-                f64::from(self.batch_samples),
-                (256..=1 << 20).contains(&self.batch_samples),
-                "256 to 1048576",
-            ),
-            (
-                "ray_samples",
-                f64::from(self.ray_samples),
-                self.ray_samples <= 4096,
-                "0 to 4096",
-            ),
-            (
+            width("density_width", self.density_width),
+            width("color_width", self.color_width),
+            rule(
                 "occupancy_resolution",
-                f64::from(self.occupancy_resolution),
+                self.occupancy_resolution,
                 (16..=256).contains(&self.occupancy_resolution)
                     && self.occupancy_resolution.is_multiple_of(4),
                 "16 to 256, a multiple of 4",
             ),
-        ]
-    }
-
-    /// Returns the rules of rates and steps along rays.
-    fn rate_rules(&self) -> Vec<Rule> {
-        vec![
-            (
+            rule(
                 "learning_rate",
                 self.learning_rate,
                 self.learning_rate > 0.0 && self.learning_rate <= 1.0,
                 "above 0, at most 1",
             ),
-            (
-                "final_rate",
-                self.final_rate,
-                (1e-4..=1.0).contains(&self.final_rate),
-                "0.0001 to 1",
-            ),
-            (
-                "average",
-                self.average,
-                (0.0..=0.9999).contains(&self.average),
-                "0 to 0.9999",
-            ),
-            (
+            rule(
                 "cone",
                 self.cone,
                 (1.0 / 1024.0..=0.25).contains(&self.cone),
                 "1/1024 to 1/4",
             ),
-            (
-                "min_step",
-                self.min_step,
-                (1e-4..=0.5).contains(&self.min_step),
-                "0.0001 to 0.5",
-            ),
-        ]
-    }
-
-    /// Returns the rules of how far rays reach and what the loss weighs.
-    fn reach_rules(&self) -> Vec<Rule> {
-        vec![
-            (
-                "halvings",
-                f64::from(self.halvings.unwrap_or_default()),
-                self.halvings.unwrap_or_default() <= MOST_HALVINGS,
-                "0 to 6",
-            ),
-            (
-                "near",
-                self.near.unwrap_or_default(),
-                self.near.is_none_or(|near| (1e-4..=10.0).contains(&near)),
-                "0.0001 to 10",
-            ),
-            (
+            rule(
                 "far",
                 self.far.unwrap_or_default(),
-                self.far
-                    .is_none_or(|far| far > self.near.unwrap_or(2e-4) && far <= 1e6),
+                self.far.is_none_or(|far| far > near && far <= 1e6),
                 "above `near`, at most 1000000",
             ),
-            ("steps", 0.0, self.steps != Some(0), "1 or more"),
-            (
-                "distortion",
-                self.distortion.unwrap_or_default(),
-                (0.0..=1.0).contains(&self.distortion.unwrap_or_default()),
-                "0 to 1",
-            ),
-            (
-                "table_decay",
-                self.table_decay.unwrap_or_default(),
-                (0.0..=1.0).contains(&self.table_decay.unwrap_or_default()),
-                "0 to 1",
-            ),
-            (
-                "emptiness",
-                self.emptiness,
-                (0.0..=0.1).contains(&self.emptiness),
-                "0 to 0.1",
-            ),
-            (
-                "depth_weight",
-                self.depth_weight,
-                (0.0..=1.0).contains(&self.depth_weight),
-                "0 to 1",
-            ),
-            (
-                "depth_steps",
-                self.depth_steps.map_or(0.0, f64::from),
-                self.depth_steps != Some(0),
-                "1 or more",
-            ),
+            rule("steps", 0.0, self.steps != Some(0), "1 or more"),
+            rule("depth_steps", 0.0, self.depth_steps != Some(0), "1 or more"),
         ]
     }
 }

@@ -14,7 +14,7 @@ pub enum FieldError {
         /// Its value.
         value: f64,
         /// What is allowed.
-        range: &'static str,
+        range: String,
     },
     /// Nothing to learn from.
     #[error("no views: a field needs at least one photo with a camera")]

@@ -128,7 +128,7 @@ impl Sizes {
         let finest = self.finest.value;
         if finest < config.base_resolution || finest > 1 << 20 {
             let value = f64::from(finest);
-            let range = "base_resolution to 1048576";
+            let range = "base_resolution to 1048576".to_owned();
             return Err(FieldError::Config {
                 key: "finest",
                 value,
@@ -137,7 +137,7 @@ impl Sizes {
         }
         let (near, far) = (self.near.value, self.far.value);
         if !(near > 0.0 && far > near && far.is_finite()) {
-            let range = "above 0 and below `far`";
+            let range = "above 0 and below `far`".to_owned();
             return Err(FieldError::Config {
                 key: "near",
                 value: near,
@@ -151,7 +151,7 @@ impl Sizes {
             ("table_decay", self.table_decay.value),
         ] {
             if !(0.0..=1.0).contains(&value) {
-                let range = "0 to 1";
+                let range = "0 to 1".to_owned();
                 return Err(FieldError::Config { key, value, range });
             }
         }
