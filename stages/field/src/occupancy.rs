@@ -17,9 +17,6 @@ pub const DECAY: f32 = 0.8;
 pub const UNKNOWN: f32 = 1e6;
 /// Cells are due by this times their number plus that of the update: neighbours in different ones. Odd.
 pub const SPREAD: u64 = 7;
-/// Cells around a sparse point that start occupied, to each side: in the inner box, and outside. Outside, a
-/// cell is larger than the matter in it, but points are few and far.
-const NEAR: [i64; 2] = [2, 4];
 /// Words of 64 cells that one task takes.
 const WORDS: usize = 256;
 
@@ -80,30 +77,6 @@ impl Occupancy {
             density: density.collect(),
             bits,
             refill: Refill::AtMean,
-        }
-    }
-
-    /// Returns a grid with the seen cells near the sparse points occupied, within 2 cells in the inner box and 4 outside.
-    ///
-    /// All other seen cells start empty and fill where they are found dense. Without points: as [`Self::full`].
-    pub fn near(side: u32, frame: &Frame, views: &[View], points: &[[f64; 3]]) -> Self {
-        let mut all = Self::full(side, frame, views);
-        if points.is_empty() {
-            return all;
-        }
-        let seen = std::mem::replace(&mut all.bits, Bits::new(side));
-        for point in points {
-            let inward = frame.inward(&nalgebra::Vector3::from(*point));
-            all.fill_around(&seen, inward.map(|value| value as f32));
-        }
-        for (cell, density) in all.density.iter_mut().enumerate() {
-            if *density >= 0.0 && !all.bits.holds(cell as u32) {
-                *density = 0.0;
-            }
-        }
-        Self {
-            refill: Refill::WhereItShows,
-            ..all
         }
     }
 
@@ -173,27 +146,6 @@ impl Occupancy {
             self.density[cell as usize]
         } else {
             0.0
-        }
-    }
-
-    /// Marks the seen cells around a point given in half sides.
-    fn fill_around(&mut self, seen: &Bits, point: [f32; 3]) {
-        let side = i64::from(self.bits.side);
-        let (at, shrink) = contract(point);
-        let reach = NEAR[usize::from(shrink < 1.0)];
-        let middle = at.map(|value| ((value * side as f32) as i64).min(side - 1));
-        let [xs, ys, zs] = middle.map(|middle| (middle - reach).max(0)..=(middle + reach).min(side - 1));
-        for z in zs {
-            for y in ys.clone() {
-                let row = (z * side + y) * side;
-                for cell in xs
-                    .clone()
-                    .map(|x| row + x)
-                    .filter(|cell| seen.holds(*cell as u32))
-                {
-                    self.bits.set(cell as usize);
-                }
-            }
         }
     }
 
@@ -315,33 +267,17 @@ mod tests {
         }
     }
 
-    fn near(points: &[[f64; 3]]) -> Occupancy {
-        Occupancy::near(32, &frame(), &views(), points)
-    }
-
-    fn occupied(occupancy: &Occupancy) -> u32 {
-        occupancy.bits.words.iter().map(|word| word.count_ones()).sum()
-    }
-
-    #[test]
-    fn a_point_occupies_5_cells_a_side_within_the_box_and_9_outside() {
-        let inside = near(&[[0.05, 0.05, 0.55]]);
-        assert_eq!(occupied(&inside), 125);
-        // Contracted 0.55 is 0.6375 of 32 cells: 20.4.
-        assert!(inside.bits.holds((20 * 32 + 16) * 32 + 16));
-        // At 4 half sides the contracted place is 0.9375, cell 30: the box ends a cell behind it.
-        assert_eq!(occupied(&near(&[[0.01, 0.01, 4.0]])), 9 * 9 * 6);
-    }
-
-    #[test]
-    fn a_point_that_no_camera_sees_leaves_all_empty_and_no_points_leave_all_seen() {
-        let full = Occupancy::full(32, &frame(), &views());
-        assert_eq!(near(&[]), full);
-        let empty = near(&[[0.9, 0.0, -0.9]]);
-        assert_eq!(occupied(&empty), 0);
-        assert_eq!(empty.seen_share(), full.seen_share());
-        // The border of the box is infinity and counts as seen: one layer of it.
-        assert!(occupied(&near(&[[0.0, 0.0, -1e300]])) <= 9 * 9 * 5);
+    /// Returns a grid whose seen cells were all found empty, and fill where their density shows.
+    fn empty() -> Occupancy {
+        let mut grid = Occupancy::full(32, &frame(), &views());
+        for density in grid.density.iter_mut().filter(|density| **density > 0.0) {
+            *density = 0.0;
+        }
+        Occupancy {
+            bits: Bits::new(32),
+            refill: Refill::WhereItShows,
+            ..grid
+        }
     }
 
     #[test]
@@ -351,7 +287,7 @@ mod tests {
             half_side: 0.25,
             ..frame()
         };
-        let mut one = Occupancy::near(32, &from, &views(), &[[0.9, 0.0, -0.9]]);
+        let mut one = empty();
         // The cell from 0 to 1/8 on x and y and from 1/2 to 5/8 on z.
         let cell = (20 * 32 + 16) * 32 + 16;
         one.bits.set(cell);
@@ -390,14 +326,14 @@ mod tests {
 
     #[test]
     fn an_empty_cell_fills_where_its_density_shows_and_not_at_the_mean() {
-        let mut occupancy = near(&[[0.05, 0.05, 0.55]]);
-        let empty = |occupancy: &Occupancy, from: usize| {
+        let mut occupancy = empty();
+        let seen = |from: usize| {
             (from..32_usize.pow(3))
                 .find(|cell| occupancy.density[*cell] == 0.0)
                 .unwrap()
         };
-        let thin = empty(&occupancy, 0);
-        let dense = empty(&occupancy, thin + 1);
+        let thin = seen(0);
+        let dense = seen(thin + 1);
         let probe = |cell: usize| Probe {
             cell: cell as u32,
             at: [0.5; 3],

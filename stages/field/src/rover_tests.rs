@@ -1,7 +1,7 @@
 //! Training on what rover photos bring: changing exposure and sparse points.
 
 use crate::test_scene::{ball, ball_view, small, trained};
-use crate::{Config, FieldError, Gain, Occupied, Trainer};
+use crate::{Config, FieldError, Gain, Trainer};
 
 #[test]
 fn gains_follow_the_exposure_and_keep_a_mean_of_zero() {
@@ -119,13 +119,11 @@ fn coat() -> Vec<[f64; 3]> {
 fn sparse_points_make_the_ball_opaque_sooner_and_leave_no_trace_where_they_are_off() {
     let pulled = Config {
         batch_samples: 4096,
-        occupied: Occupied::NearPoints,
         depth_weight: 3e-3,
         depth_steps: Some(200),
         ..small()
     };
     let plain = Config {
-        occupied: Occupied::Seen,
         depth_weight: 0.0,
         ..pulled.clone()
     };
@@ -146,7 +144,7 @@ fn sparse_points_make_the_ball_opaque_sooner_and_leave_no_trace_where_they_are_o
     // The ball is about 2 away. Matter within 2.5 steps of 0.2 counts as being at its points.
     let there = with.0 > without.0 + 0.1 && (1.4..2.7).contains(&with.1);
     assert!(there, "{with:?} {without:?}");
-    // No points: nothing to start from and nothing that pulls.
+    // No points: nothing pulls.
     let states = [&pulled, &plain].map(|config| trained(ball(3, 12), config, 3, 20).training.state);
     assert!(states[0] == states[1]);
 }
@@ -154,7 +152,6 @@ fn sparse_points_make_the_ball_opaque_sooner_and_leave_no_trace_where_they_are_o
 #[test]
 fn a_resumed_training_with_points_gives_the_same_bytes_and_refuses_other_points() {
     let config = Config {
-        occupied: Occupied::NearPoints,
         depth_weight: 3e-3,
         depth_steps: Some(30),
         ..small()

@@ -12,9 +12,7 @@ use crate::schedule::{Schedule, refit_step};
 use crate::state::State;
 use crate::views::{View, check_points, check_views, pixel_offsets};
 use crate::weights::Weights;
-use crate::{
-    Background, Config, Derived, Facts, FieldError, LevelFacts, Occupied, Quality, Sizes, background, size,
-};
+use crate::{Background, Config, Derived, Facts, FieldError, LevelFacts, Quality, Sizes, background, size};
 
 /// Largest share of its half side at which a box fitted to the matter replaces the old one: the field then
 /// restarts.
@@ -105,10 +103,7 @@ impl Training {
         }
         let march = sizes.steps(config, 0);
         let side = config.occupancy_resolution;
-        let occupancy = match config.occupied {
-            Occupied::Seen => Occupancy::full(side, &frame, &views),
-            Occupied::NearPoints => Occupancy::near(side, &frame, &views, points),
-        };
+        let occupancy = Occupancy::full(side, &frame, &views);
         let state = State::new(config, &views, weights, occupancy, march.count as f64);
         let pixels = pixel_offsets(&views);
         let observations = if config.depth_weight > 0.0 {

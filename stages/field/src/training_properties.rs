@@ -4,7 +4,7 @@
 use proptest::prelude::*;
 
 use crate::test_scene::{ball, ball_view, small};
-use crate::{Background, Config, FieldError, Gain, Occupied, Trainer, ViewDependence};
+use crate::{Background, Config, FieldError, Gain, Trainer, ViewDependence};
 
 /// Optimiser steps of a case: three updates of the occupancy, and the box is fitted after the second.
 const STEPS: u64 = 36;
@@ -59,13 +59,12 @@ prop_compose! {
         table_decay in prop::sample::select(vec![None, Some(0.0), Some(1.0)]),
         emptiness in prop::sample::select(vec![0.0, 3e-5, 0.1]),
         depth_weight in prop::sample::select(vec![0.0, 3e-3, 1.0]),
-        occupied in prop::sample::select(vec![Occupied::Seen, Occupied::NearPoints]),
         gain in prop::sample::select(vec![Gain::Off, Gain::PerPhoto, Gain::PerPhotoAndOffset]),
         background in prop::sample::select(vec![Background::Direction, Background::Black]),
         view_dependence in prop::sample::select(vec![ViewDependence::On, ViewDependence::Off]),
     ) -> Config {
         Config {
-            cone, min_step, distortion, table_decay, emptiness, depth_weight, occupied, gain, background, view_dependence, ..rates
+            cone, min_step, distortion, table_decay, emptiness, depth_weight, gain, background, view_dependence, ..rates
         }
     }
 }
