@@ -7,11 +7,9 @@ use marf_schema::calibrate::{CalibrateParams, Pairs};
 use marf_sfm::view_graph::{ComparedPair, PosedCamera, SharedCamera, View, focal_known, max_error_px};
 use marf_sfm_features::features::Features;
 use marf_sfm_features::matching::{MatchOptions, Samples, exhaustive, match_pair, most_similar, sequential};
-use marf_sfm_features::two_view::{
-    FocalKnown, VerifiedKind, VerifiedPair, VerifyOptions, ViewPoints, verify,
-};
+use marf_sfm_features::two_view::{FocalKnown, VerifiedPair, VerifyOptions, ViewPoints, verify};
 use marf_stage::{Ctx, StageError};
-use nalgebra::{Matrix3, Vector2, Vector3};
+use nalgebra::{Vector2, Vector3};
 use rayon::prelude::*;
 
 use super::pair_memos::{PairFunction, map_pairs};
@@ -58,6 +56,7 @@ pub(super) fn choose(
             samples: Samples::new(&found),
         };
         let matches = map_pairs(ctx, &names(features), &all, &similarity)?;
+        let matches: Vec<([usize; 2], usize)> = all.into_iter().zip(matches).collect();
         let similar = most_similar(count, &matches, RETRIEVED, MIN_RETRIEVAL_MATCHES);
         pairs.extend(similar.into_iter().map(|(a, b)| ordered(a, b)));
         pairs.extend(by_label(ctx, features)?);
@@ -131,7 +130,7 @@ struct Similarity<'a> {
 }
 
 impl PairFunction for Similarity<'_> {
-    type Output = ([usize; 2], usize);
+    type Output = usize;
     const NOTE: &'static str = "photos compared roughly";
 
     fn table(&self) -> Digest {
@@ -145,15 +144,7 @@ impl PairFunction for Similarity<'_> {
     }
 
     fn compute(&self, [a, b]: [usize; 2], _key: &Digest) -> Self::Output {
-        ([a, b], self.samples.matches(a, b))
-    }
-
-    fn pack(&self, found: &Self::Output) -> Vec<u8> {
-        (found.1 as u32).to_le_bytes().to_vec()
-    }
-
-    fn unpack(&self, photos: [usize; 2], row: &[u8]) -> Option<Self::Output> {
-        Some((photos, u32::from_le_bytes(row.try_into().ok()?) as usize))
+        self.samples.matches(a, b)
     }
 }
 
@@ -168,7 +159,11 @@ pub(super) struct Comparison<'a> {
 impl Comparison<'_> {
     /// Returns the verified matches of the pairs. Results of an earlier run are taken from the memos.
     pub(super) fn run(&self, ctx: &Ctx<'_>, pairs: &[[usize; 2]]) -> Result<Vec<ComparedPair>, StageError> {
-        map_pairs(ctx, &names(self.features), pairs, self)
+        let verified = map_pairs(ctx, &names(self.features), pairs, self)?;
+        let compared = pairs.iter().zip(verified);
+        Ok(compared
+            .map(|(&photos, verified)| ComparedPair { photos, verified })
+            .collect())
     }
 }
 
@@ -193,7 +188,7 @@ pub(super) fn photos_key(
 }
 
 impl PairFunction for Comparison<'_> {
-    type Output = ComparedPair;
+    type Output = VerifiedPair;
     const NOTE: &'static str = "pairs compared";
 
     fn table(&self) -> Digest {
@@ -213,7 +208,7 @@ impl PairFunction for Comparison<'_> {
         Digest::from_content(&serde_json::to_vec(&parts).unwrap_or_default())
     }
 
-    fn compute(&self, photos: [usize; 2], key: &Digest) -> ComparedPair {
+    fn compute(&self, photos: [usize; 2], key: &Digest) -> VerifiedPair {
         let [a, b] = photos;
         let (views, cameras) = (self.views, self.cameras);
         let matches = match_pair(
@@ -231,20 +226,7 @@ impl PairFunction for Comparison<'_> {
             min_inliers: self.params.min_matches,
             ..VerifyOptions::default()
         };
-        let verified = verify([&points(a), &points(b)], &matches, focal, &options, seed_of(key));
-        ComparedPair {
-            photos,
-            matches: matches.len() as u32,
-            verified,
-        }
-    }
-
-    fn pack(&self, found: &ComparedPair) -> Vec<u8> {
-        pack(found)
-    }
-
-    fn unpack(&self, photos: [usize; 2], row: &[u8]) -> Option<ComparedPair> {
-        unpack(photos, row)
+        verify([&points(a), &points(b)], &matches, focal, &options, seed_of(key))
     }
 }
 
@@ -257,79 +239,8 @@ pub(crate) fn seed_of(digest: &Digest) -> u64 {
         .fold(0, |seed, byte| seed << 8 | u64::from(*byte))
 }
 
-/// Returns a pair as bytes: kind, matches, three counts, F (or NaN), inliers, all little-endian.
-fn pack(one: &ComparedPair) -> Vec<u8> {
-    let verified = &one.verified;
-    let mut bytes = vec![verified.kind as u8];
-    for count in [
-        one.matches,
-        verified.fundamental_inliers,
-        verified.essential_inliers,
-        verified.homography_inliers,
-    ] {
-        bytes.extend(count.to_le_bytes());
-    }
-    let fundamental = verified
-        .fundamental
-        .unwrap_or_else(|| Matrix3::from_element(f64::NAN));
-    bytes.extend(fundamental.iter().flat_map(|value| value.to_le_bytes()));
-    bytes.extend(pack_inliers(&verified.inliers));
-    bytes
-}
-
-/// Returns inliers as bytes.
+/// Returns inliers as bytes. The seed of relative poses is taken from them, in the form that results were first computed with.
 pub(super) fn pack_inliers(inliers: &[[u32; 2]]) -> Vec<u8> {
     let indices = inliers.iter().flatten();
     indices.flat_map(|index| index.to_le_bytes()).collect()
-}
-
-/// Reads what [`pack_inliers`] wrote.
-pub(super) fn unpack_inliers(bytes: &[u8]) -> Option<Vec<[u32; 2]>> {
-    let (pairs, []) = bytes.as_chunks::<8>() else {
-        return None;
-    };
-    let pair = |&[a0, a1, a2, a3, b0, b1, b2, b3]: &[u8; 8]| {
-        [
-            u32::from_le_bytes([a0, a1, a2, a3]),
-            u32::from_le_bytes([b0, b1, b2, b3]),
-        ]
-    };
-    Some(pairs.iter().map(pair).collect())
-}
-
-/// Reads what [`pack`] wrote.
-fn unpack(photos: [usize; 2], row: &[u8]) -> Option<ComparedPair> {
-    let (&kind, rest) = row.split_first()?;
-    let (counts, rest) = rest.split_at_checked(16)?;
-    let (fundamental, rest) = rest.split_at_checked(72)?;
-    let (words, []) = counts.as_chunks::<4>() else {
-        return None;
-    };
-    let (numbers, []) = fundamental.as_chunks::<8>() else {
-        return None;
-    };
-    let counts: Vec<u32> = words.iter().map(|word| u32::from_le_bytes(*word)).collect();
-    let fundamental = Matrix3::from_iterator(numbers.iter().map(|number| f64::from_le_bytes(*number)));
-    let kinds = [
-        VerifiedKind::General,
-        VerifiedKind::Planar,
-        VerifiedKind::Stationary,
-        VerifiedKind::None,
-    ];
-    let kind = kinds.into_iter().find(|one| *one as u8 == kind)?;
-    Some(ComparedPair {
-        photos,
-        matches: counts[0],
-        verified: VerifiedPair {
-            inliers: unpack_inliers(rest)?,
-            fundamental: fundamental
-                .iter()
-                .all(|value| value.is_finite())
-                .then_some(fundamental),
-            fundamental_inliers: counts[1],
-            essential_inliers: counts[2],
-            homography_inliers: counts[3],
-            kind,
-        },
-    })
 }

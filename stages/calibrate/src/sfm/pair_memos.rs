@@ -11,16 +11,18 @@ use std::time::{Duration, Instant};
 use marf_cache::{Digest, digest_of};
 use marf_stage::{Ctx, StageError};
 use rayon::prelude::*;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
 
-const MAGIC: &[u8; 8] = b"marftab2";
+const MAGIC: &[u8; 8] = b"marftab3";
 
 /// Wall clock after which finished pairs are saved.
 const SAVE_EVERY: Duration = Duration::from_secs(10);
 
 /// A function of pairs of photos.
 pub(super) trait PairFunction: Sync {
-    /// What it returns.
-    type Output: Send;
+    /// What it returns and what is kept. It must not hold the places of photos, which differ from run to run.
+    type Output: Clone + Send + Serialize + DeserializeOwned;
     /// Progress for people.
     const NOTE: &'static str;
 
@@ -32,12 +34,6 @@ pub(super) trait PairFunction: Sync {
 
     /// Computes a pair with this key.
     fn compute(&self, photos: [usize; 2], key: &Digest) -> Self::Output;
-
-    /// Returns the bytes that are kept for a pair.
-    fn pack(&self, found: &Self::Output) -> Vec<u8>;
-
-    /// Reads the bytes of [`PairFunction::pack`]. `None` if they are anything else.
-    fn unpack(&self, photos: [usize; 2], row: &[u8]) -> Option<Self::Output>;
 }
 
 /// Returns the result of `work` for each pair, in order. Results of an earlier run are taken from the tables.
@@ -58,10 +54,9 @@ pub(super) fn map_pairs<W: PairFunction>(
         ctx.check()?;
         let (key, names) = (work.key(pair), pair.map(|photo| photos[photo]));
         let kept = locked(&tables).get(&names, &key);
-        let kept = kept.and_then(|row| work.unpack(pair, &row));
         let found = kept.unwrap_or_else(|| {
             let found = work.compute(pair, &key);
-            locked(&tables).insert(ctx, &names, &key, work.pack(&found));
+            locked(&tables).insert(ctx, &names, &key, found.clone());
             found
         });
         let so_far = done.fetch_add(1, Ordering::Relaxed) + 1;
@@ -74,27 +69,26 @@ pub(super) fn map_pairs<W: PairFunction>(
 }
 
 /// A lock that another thread left by a panic still holds whole rows.
-fn locked(tables: &Mutex<Tables>) -> std::sync::MutexGuard<'_, Tables> {
+fn locked<T>(tables: &Mutex<Tables<T>>) -> std::sync::MutexGuard<'_, Tables<T>> {
     tables.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
 }
 
 /// The tables of the photos of some pairs.
-struct Tables {
+struct Tables<T> {
     of: Digest,
-    by_photo: BTreeMap<Digest, Table>,
+    by_photo: BTreeMap<Digest, Table<T>>,
     saved_at: Instant,
 }
 
 /// The pairs of a photo by their keys.
-#[derive(Default)]
-struct Table {
-    rows: BTreeMap<[u8; 32], Vec<u8>>,
+struct Table<T> {
+    rows: BTreeMap<[u8; 32], T>,
     /// Whether an earlier run has left it.
     known: bool,
     changed: bool,
 }
 
-impl Tables {
+impl<T: Clone + Send + Serialize + DeserializeOwned> Tables<T> {
     /// Reads the tables of the photos of the pairs.
     fn load(ctx: &Ctx<'_>, of: Digest, photos: &[Digest], pairs: &[[usize; 2]]) -> Result<Self, StageError> {
         let mut names: Vec<Digest> = pairs.iter().flatten().map(|&photo| photos[photo]).collect();
@@ -122,23 +116,24 @@ impl Tables {
     }
 
     /// Returns a row from the table of either photo.
-    fn get(&self, photos: &[Digest; 2], key: &Digest) -> Option<Vec<u8>> {
+    fn get(&self, photos: &[Digest; 2], key: &Digest) -> Option<T> {
         let tables = photos.iter().filter_map(|photo| self.by_photo.get(photo));
         let mut rows = tables.filter_map(|table| table.rows.get(key.as_bytes()));
         rows.next().cloned()
     }
 
     /// Adds a row to the table of the photo that is new, else to that of the first, and saves now and then.
-    fn insert(&mut self, ctx: &Ctx<'_>, [first, second]: &[Digest; 2], key: &Digest, row: Vec<u8>) {
+    fn insert(&mut self, ctx: &Ctx<'_>, [first, second]: &[Digest; 2], key: &Digest, row: T) {
         let known = |photo: &Digest| self.by_photo.get(photo).is_some_and(|table| table.known);
         let home = if known(first) && !known(second) {
             second
         } else {
             first
         };
-        let table = self.by_photo.entry(*home).or_default();
-        table.rows.insert(*key.as_bytes(), row);
-        table.changed = true;
+        if let Some(table) = self.by_photo.get_mut(home) {
+            table.rows.insert(*key.as_bytes(), row);
+            table.changed = true;
+        }
         if self.saved_at.elapsed() >= SAVE_EVERY {
             self.save(ctx);
         }
@@ -156,25 +151,13 @@ impl Tables {
     }
 }
 
-fn encode(rows: &BTreeMap<[u8; 32], Vec<u8>>) -> Vec<u8> {
-    let mut bytes = MAGIC.to_vec();
-    for (key, row) in rows {
-        bytes.extend(key);
-        bytes.extend((row.len() as u32).to_le_bytes());
-        bytes.extend(row);
-    }
-    bytes
+fn encode<T: Serialize>(rows: &BTreeMap<[u8; 32], T>) -> Vec<u8> {
+    // Only lists of unknown length cannot be written, and rows have none. `decode` refuses empty bytes.
+    postcard::to_extend(rows, MAGIC.to_vec()).unwrap_or_default()
 }
 
-fn decode(bytes: &[u8]) -> Option<BTreeMap<[u8; 32], Vec<u8>>> {
-    let mut rest = bytes.strip_prefix(MAGIC)?;
-    let mut rows = BTreeMap::new();
-    while let Some((key, after)) = rest.split_first_chunk::<32>() {
-        let (length, after) = after.split_first_chunk::<4>()?;
-        let (row, after) = after.split_at_checked(u32::from_le_bytes(*length) as usize)?;
-        rows.insert(*key, row.to_vec());
-        rest = after;
-    }
+fn decode<T: DeserializeOwned>(bytes: &[u8]) -> Option<BTreeMap<[u8; 32], T>> {
+    let (rows, rest) = postcard::take_from_bytes(bytes.strip_prefix(MAGIC)?).ok()?;
     rest.is_empty().then_some(rows)
 }
 
@@ -206,14 +189,6 @@ mod tests {
             self.computed.fetch_add(1, Ordering::Relaxed);
             a + b
         }
-
-        fn pack(&self, found: &usize) -> Vec<u8> {
-            vec![*found as u8]
-        }
-
-        fn unpack(&self, _photos: [usize; 2], row: &[u8]) -> Option<usize> {
-            row.first().map(|sum| usize::from(*sum))
-        }
     }
 
     fn photos(count: usize) -> Vec<Digest> {
@@ -239,7 +214,7 @@ mod tests {
 
     fn table(harness: &Harness, photo: usize) -> Option<usize> {
         let key = digest_of(&(Sums::default().table(), photos(photo + 1)[photo]));
-        Some(decode(&Memos::load(harness, &key)?)?.len())
+        Some(decode::<usize>(&Memos::load(harness, &key)?)?.len())
     }
 
     #[test]

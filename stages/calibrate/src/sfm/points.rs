@@ -4,13 +4,13 @@ use marf_cache::{Digest, digest_of};
 use marf_scene::Camera;
 use marf_schema::calibrate::CalibrateParams;
 use marf_sfm::mapper::{MapOptions, MapperInput, Model, Tracks, triangulate};
-use marf_sfm::view_graph::{KnownView, Link, PosedCamera, SharedCamera, View, link_known};
-use marf_sfm_features::two_view::FocalKnown;
+use marf_sfm::view_graph::{KnownView, Link, PosedCamera, SharedCamera, View, relate_known};
+use marf_sfm_features::two_view::{FocalKnown, RelativePose};
 use marf_stage::{Ctx, Inputs, StageError};
 
 use super::assemble::tracks;
 use super::capture_order::capture_order;
-use super::compare::{choose, names, pack_inliers, unpack_inliers};
+use super::compare::{choose, names};
 use super::error::failed;
 use super::pair_memos::{PairFunction, map_pairs};
 use super::photo_features::{PhotoFeatures, photo_features};
@@ -54,7 +54,14 @@ pub(crate) fn points_of_known(
         features: &features,
         known: &known,
     };
-    let links = map_pairs(ctx, &names(&features), &pairs, &work)?;
+    let relative_poses = map_pairs(ctx, &names(&features), &pairs, &work)?;
+    let links = pairs.into_iter().zip(relative_poses);
+    let links: Vec<Link> = links
+        .map(|(photos, relative_pose)| Link {
+            photos,
+            relative_pose,
+        })
+        .collect();
     let (cameras, views) = own_cameras(&features, &known);
     let input = MapperInput {
         views: &views,
@@ -131,7 +138,7 @@ struct KnownPairs<'a> {
 }
 
 impl PairFunction for KnownPairs<'_> {
-    type Output = Link;
+    type Output = RelativePose;
     const NOTE: &'static str = "pairs compared";
 
     fn table(&self) -> Digest {
@@ -149,22 +156,12 @@ impl PairFunction for KnownPairs<'_> {
         Digest::from_content(&serde_json::to_vec(&parts).unwrap_or_default())
     }
 
-    fn compute(&self, photos: [usize; 2], _key: &Digest) -> Link {
+    fn compute(&self, photos: [usize; 2], _key: &Digest) -> RelativePose {
         let view = |photo: usize| KnownView {
             features: &self.features[photo].features,
             cam_from_world: &self.known[photo].cam_from_world,
             camera: &self.known[photo].camera,
         };
-        link_known(photos, photos.map(view))
-    }
-
-    fn pack(&self, found: &Link) -> Vec<u8> {
-        pack_inliers(&found.relative_pose.inliers)
-    }
-
-    fn unpack(&self, photos: [usize; 2], row: &[u8]) -> Option<Link> {
-        let inliers = unpack_inliers(row)?;
-        let poses = photos.map(|photo| self.known[photo].cam_from_world);
-        Some(Link::known(photos, poses.each_ref(), inliers))
+        relate_known(photos.map(view))
     }
 }

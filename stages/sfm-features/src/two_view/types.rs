@@ -2,6 +2,7 @@
 
 use marf_scene::{Camera, Pose};
 use nalgebra::{Matrix3, Vector2};
+use serde::{Deserialize, Serialize};
 
 /// Options of geometric verification.
 #[derive(Debug, Clone)]
@@ -46,7 +47,7 @@ pub enum FocalKnown {
 }
 
 /// Kind of geometry that explains the matches of a pair.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum VerifiedKind {
     /// A scene with depth.
     General,
@@ -59,24 +60,18 @@ pub enum VerifiedKind {
 }
 
 /// Matches of a pair of photos after geometric verification.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct VerifiedPair {
     /// Inlier matches in the given order, one for each pair of positions.
     pub inliers: Vec<[u32; 2]>,
     /// Fundamental matrix: x2ᵀ F x1 = 0 in undistorted pixels, unit norm.
     pub fundamental: Option<Matrix3<f64>>,
-    /// Inliers of the fundamental matrix.
-    pub fundamental_inliers: u32,
-    /// Inliers of the essential matrix.
-    pub essential_inliers: u32,
-    /// Inliers of the homography.
-    pub homography_inliers: u32,
     /// Kind of geometry.
     pub kind: VerifiedKind,
 }
 
 /// Kind of geometry that a relative pose was estimated from.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum RelativePoseKind {
     /// A scene with depth.
     General,
@@ -87,7 +82,7 @@ pub enum RelativePoseKind {
 }
 
 /// The relative pose of two photos.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct RelativePose {
     /// What it was estimated from.
     pub kind: RelativePoseKind,

@@ -135,9 +135,6 @@ fn conclude(correspondences: &Correspondences<'_>, models: &TwoViewModels, neede
             .as_ref()
             .filter(|_| keep)
             .map(|found| found.model),
-        fundamental_inliers: fundamental as u32,
-        essential_inliers: essential as u32,
-        homography_inliers: homography as u32,
         kind,
     }
 }

@@ -160,7 +160,6 @@ impl Synthetic {
                 let verified = verify([&points(a), &points(b)], &matches, self.start.focal, &options, 3);
                 compared.push(ComparedPair {
                     photos: [a, b],
-                    matches: matches.len() as u32,
                     verified,
                 });
             }

@@ -7,7 +7,7 @@ use marf_sfm_features::matching::{MatchOptions, match_pair};
 use marf_sfm_features::two_view::{RelativePose, RelativePoseKind};
 use nalgebra::Vector2;
 
-use super::view::{Link, max_error_px};
+use super::view::max_error_px;
 
 /// A photo whose camera and pose are known.
 #[derive(Debug, Clone, Copy)]
@@ -20,10 +20,11 @@ pub struct KnownView<'a> {
     pub cam_from_world: &'a Pose,
 }
 
-/// Returns the edge of two photos. It has those of their matches whose Sampson distance from the known epipolar
+/// Returns the relative pose of two photos. It has those of their matches whose Sampson distance from the known epipolar
 /// geometry is at most [`max_error_px`]. Photos of one centre have none.
-pub fn link_known(photos: [usize; 2], views: [KnownView<'_>; 2]) -> Link {
-    let essential = essential_of(&relative(views.map(|view| view.cam_from_world)));
+pub fn relate_known(views: [KnownView<'_>; 2]) -> RelativePose {
+    let cam2_from_cam1 = *views[1].cam_from_world * views[0].cam_from_world.inverse();
+    let essential = essential_of(&cam2_from_cam1);
     let noise2 = views.map(|view| (view.camera.fx_px * view.camera.fy_px).recip());
     let limit_px = max_error_px(views[0].camera).max(max_error_px(views[1].camera));
     let agrees = |features: &[u32; 2]| {
@@ -35,27 +36,13 @@ pub fn link_known(photos: [usize; 2], views: [KnownView<'_>; 2]) -> Link {
     };
     let mut inliers = match_pair(views[0].features, views[1].features, &MatchOptions::default());
     inliers.retain(agrees);
-    Link::known(photos, views.map(|view| view.cam_from_world), inliers)
-}
-
-impl Link {
-    /// Returns the edge of two photos, of these poses, with these matches.
-    pub fn known(photos: [usize; 2], cam_from_world: [&Pose; 2], inliers: Vec<[u32; 2]>) -> Self {
-        Self {
-            photos,
-            relative_pose: RelativePose {
-                kind: RelativePoseKind::General,
-                cam2_from_cam1: relative(cam_from_world),
-                inliers,
-                median_angle_rad: 0.0,
-                forward: 0.0,
-            },
-        }
+    RelativePose {
+        kind: RelativePoseKind::General,
+        cam2_from_cam1,
+        inliers,
+        median_angle_rad: 0.0,
+        forward: 0.0,
     }
-}
-
-fn relative([first, second]: [&Pose; 2]) -> Pose {
-    *second * first.inverse()
 }
 
 impl KnownView<'_> {
@@ -105,21 +92,20 @@ mod tests {
         let camera = Camera::pinhole(100, 100, 100.0);
         let first = features(&[[50.0, 20.0], [60.0, 40.0], [30.0, 60.0]]);
         let second = features(&[[40.0, 20.0], [50.0, 40.5], [20.0, 60.7]]);
-        let link = |pose: &Pose| {
+        let relate = |pose: &Pose| {
             let view = |features, cam_from_world| KnownView {
                 features,
                 camera: &camera,
                 cam_from_world,
             };
-            link_known([3, 5], [view(&first, &at(0.0)), view(&second, pose)])
+            relate_known([view(&first, &at(0.0)), view(&second, pose)])
         };
-        let found = link(&at(1.0));
-        assert_eq!(found.photos, [3, 5]);
-        assert_eq!(found.relative_pose.inliers, [[0, 0], [1, 1]]);
-        assert_eq!(found.relative_pose.cam2_from_cam1, at(1.0));
-        assert!(link(&at(0.0)).relative_pose.inliers.is_empty(), "one centre");
+        let found = relate(&at(1.0));
+        assert_eq!(found.inliers, [[0, 0], [1, 1]]);
+        assert_eq!(found.cam2_from_cam1, at(1.0));
+        assert!(relate(&at(0.0)).inliers.is_empty(), "one centre");
         for wrong in [f64::NAN, f64::INFINITY] {
-            assert!(link(&at(wrong)).relative_pose.inliers.is_empty(), "{wrong}");
+            assert!(relate(&at(wrong)).inliers.is_empty(), "{wrong}");
         }
     }
 }

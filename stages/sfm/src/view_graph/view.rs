@@ -47,8 +47,6 @@ pub struct Link {
 pub struct ComparedPair {
     /// Indices of the photos, the lower first.
     pub photos: [usize; 2],
-    /// Number of matches before verification.
-    pub matches: u32,
     /// The verified matches.
     pub verified: VerifiedPair,
 }
