@@ -203,10 +203,6 @@ fn the_weight_of_the_distortion_loss_follows_the_number_of_photos_and_what_point
             ([0.5; 2], "`distortion` says so")
         );
     }
-    let mut before = serde_json::to_value(sizes(&above(8), &plane(10))).unwrap();
-    before.as_object_mut().unwrap().remove("distortion").unwrap();
-    let read: Sizes = serde_json::from_value(before).unwrap();
-    assert_eq!(read.distortion.value, [1e-3; 2]);
     for weight in [-1e-9, 1.1, f64::NAN, f64::INFINITY] {
         let mut sizes = sizes(&above(8), &plane(10));
         sizes.distortion.value[1] = weight;
@@ -263,10 +259,7 @@ fn points_pull_for_half_of_the_steps_and_longer_where_photos_are_few() {
         with.contains("sparse points and 1,200 distances from pairs of them for"),
         "{with}"
     );
-    let mut before = serde_json::to_value(&said).unwrap();
-    before.as_object_mut().unwrap().remove("depth_steps").unwrap();
-    let mut read: Sizes = serde_json::from_value(before).unwrap();
-    assert_eq!(read.depth_steps.value, 1_000);
+    let mut read: Sizes = serde_json::from_value(serde_json::to_value(&said).unwrap()).unwrap();
     read.check(&config).unwrap();
     read.depth_steps.value = 0;
     let refused = read.check(&config).unwrap_err().to_string();
@@ -302,10 +295,7 @@ fn tables_are_pulled_to_zero_where_photos_are_few_and_overlap_little() {
     };
     let said = sizes_of(&above(8), &[], &config);
     assert_eq!(said.table_decay.value, 0.5);
-    let mut before = serde_json::to_value(&said).unwrap();
-    before.as_object_mut().unwrap().remove("table_decay").unwrap();
-    let mut read: Sizes = serde_json::from_value(before).unwrap();
-    assert_eq!(read.table_decay.value, 0.0);
+    let mut read: Sizes = serde_json::from_value(serde_json::to_value(&said).unwrap()).unwrap();
     read.check(&config).unwrap();
     for pull in [-1e-9, 1.1, f64::NAN, f64::INFINITY] {
         read.table_decay.value = pull;

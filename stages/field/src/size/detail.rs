@@ -19,11 +19,6 @@ const BLOCKS: usize = 2048;
 /// Points by which blocks are chosen, about.
 const POINTS: usize = 4096;
 
-/// Returns the detail of fields that do not store theirs: their tables had room for every pixel.
-pub(super) fn detail_before() -> Choice<f64> {
-    Choice::new(1.0, "not measured: all pixels count")
-}
-
 /// Returns how many numbers a pixel the surface takes in the photos, in (0, 1]: 1 where every pixel differs
 /// from its neighbours, 1/256 for a plain slope.
 ///

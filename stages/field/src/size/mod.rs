@@ -16,11 +16,9 @@ use crate::distances::Depths;
 use crate::frame::{FAR, Frame, MOST_FINEST};
 use crate::{Config, FieldError, View};
 pub use choice::Choice;
-use detail::{detail, detail_before};
+use detail::detail;
 use grid::{finest, levels, log2_table, scaled, surface_cells};
-use pulls::{
-    depth_steps, depth_steps_before, distortion, distortion_before, table_decay, table_decay_before,
-};
+use pulls::{depth_steps, distortion, table_decay};
 use rays::{NEAR, NEARER, far, halvings, near};
 
 /// The sizes of a field, as the scene or a key of the configuration decides them. The box is a [`Frame`].
@@ -38,7 +36,6 @@ pub struct Sizes {
     /// Cells of the finest level that the surface passes through.
     pub surface_cells: Choice<u64>,
     /// Share of them that its detail in the photos asks for: 1 where every pixel differs from its neighbours.
-    #[serde(default = "detail_before")]
     pub detail: Choice<f64>,
     /// Binary logarithm of the most entries of a level.
     pub log2_table: Choice<u32>,
@@ -46,13 +43,10 @@ pub struct Sizes {
     pub halvings: Choice<u32>,
     /// Weight of the distortion loss at the start and at the end of the training. Between, it follows the
     /// square of the share that is done.
-    #[serde(default = "distortion_before")]
     pub distortion: Choice<[f64; 2]>,
     /// Steps after which sparse points and distances of pixels no longer pull.
-    #[serde(default = "depth_steps_before")]
     pub depth_steps: Choice<u32>,
     /// Pull of the tables to zero at the start, see [`Config::table_decay`].
-    #[serde(default = "table_decay_before")]
     pub table_decay: Choice<f64>,
 }
 

@@ -18,11 +18,6 @@ const FEWEST_PHOTOS: usize = 9;
 const FEW_POINTS_A_PHOTO: usize = 50;
 const TABLE_DECAY_OF_FEWEST: f64 = 1e-5;
 
-/// Returns the weights of fields that do not store theirs: they were trained before it followed the photos.
-pub(super) fn distortion_before() -> Choice<[f64; 2]> {
-    Choice::new([1e-3; 2], "the same for all scenes")
-}
-
 /// Returns the weights of the distortion loss at the start and at the end.
 pub(super) fn distortion(config: &Config, photos: usize, has_points: bool) -> Choice<[f64; 2]> {
     if let Some(weight) = config.distortion {
@@ -41,12 +36,6 @@ pub(super) fn distortion(config: &Config, photos: usize, has_points: bool) -> Ch
     };
     let reason = format!("{why}: it grows from 0 with the square of the share of the training that is done");
     Choice::new(DISTORTION_OF_MANY, reason)
-}
-
-/// Returns the steps of fields that do not store theirs: they were trained before these followed the
-/// training.
-pub(super) fn depth_steps_before() -> Choice<u32> {
-    Choice::new(LONGEST_PULL, "the same for all scenes")
 }
 
 /// Returns the steps after which sparse points and distances of pixels no longer pull.
@@ -94,11 +83,6 @@ pub(super) fn depth_steps(config: &Config, views: &[View], points: usize) -> Cho
         ),
     };
     Choice::new(steps, reason)
-}
-
-/// Returns the pull of fields that do not store theirs: they were trained before there was one.
-pub(super) fn table_decay_before() -> Choice<f64> {
-    Choice::new(0.0, "none")
 }
 
 /// Returns the pull of the tables to zero at the start.
