@@ -107,7 +107,7 @@ impl<S: Survey> Define for Extract<S> {
     type Params = ExtractParams;
     const NAME: &'static str = "extract";
     const ABOUT: &'static str = "archives to photos with what their labels say of camera and place";
-    const VERSION: u32 = 8;
+    const VERSION: u32 = 9;
     const PORTS: &'static [Port] = &[];
     const OUTPUTS: &'static [&'static str] =
         &[marf_stage::PHOTOS, marf_stage::VERDICTS, marf_stage::COMPANIONS];

@@ -1,8 +1,9 @@
 //! Records of the raw-image feeds of Mars 2020 (nested JSON) and MSL (flat), one record per file.
 
+use marf_scene::Cahvor;
 use serde_json::Value;
 
-use crate::camera::{CameraError, RawEntrance, RawModel};
+use crate::camera::{CameraError, entrance};
 use crate::label::{BayerPhase, FramePose, Label, MAX_LABEL_BYTES};
 use crate::{sensor, values};
 
@@ -129,7 +130,7 @@ fn add_camera(record: &Record<'_>, label: &mut Label) {
         return;
     };
     match model(&components) {
-        Ok(raw) => label.set_camera(&raw),
+        Ok(model) => label.set_camera(&model),
         Err(error) => label.refuse_camera(&error),
     }
 }
@@ -150,36 +151,42 @@ fn frame(label: &mut Label) -> String {
 }
 
 /// Reads `(C);(A);(H);(V)`, `…;(O);(R)`, `…;(E)` with `type;parameter`.
-fn model(components: &str) -> Result<RawModel, CameraError> {
+fn model(components: &str) -> Result<Cahvor, CameraError> {
     let parts: Vec<&str> = components.split(';').map(str::trim).take(10).collect();
     let vector = |index: usize, name: &'static str| {
         let tuple = parts.get(index).and_then(|part| values::tuple::<3>(part));
         tuple.ok_or(CameraError::Number(name))
     };
-    let cahv = [vector(0, "C")?, vector(1, "A")?, vector(2, "H")?, vector(3, "V")?];
-    let distorted = || Ok(Some([vector(4, "O")?, vector(5, "R")?]));
-    let (distortion, entrance) = match parts.len() {
-        4 => (None, None),
-        6 => (distorted()?, None),
+    let cahv = Cahvor {
+        c: vector(0, "C")?,
+        a: vector(1, "A")?,
+        h: vector(2, "H")?,
+        v: vector(3, "V")?,
+        o: None,
+        r: None,
+        e: None,
+    };
+    let distorted = || {
+        Ok(Cahvor {
+            o: Some(vector(4, "O")?),
+            r: Some(vector(5, "R")?),
+            ..cahv
+        })
+    };
+    match parts.len() {
+        4 => Ok(cahv),
+        6 => distorted(),
         9 => {
             let kind = values::integer(parts[7]).ok_or(CameraError::Number("the type of the CAHVORE"))?;
             let parameter =
                 values::number(parts[8]).ok_or(CameraError::Number("the parameter of the CAHVORE"))?;
-            let terms = vector(6, "E")?;
-            let entrance = RawEntrance {
-                terms,
-                kind,
-                parameter,
-            };
-            (distorted()?, Some(entrance))
+            Ok(Cahvor {
+                e: Some(entrance(vector(6, "E")?, kind, parameter)?),
+                ..distorted()?
+            })
         }
-        _ => return Err(CameraError::Number("a model of 4, 6 or 9 components")),
-    };
-    Ok(RawModel {
-        cahv,
-        distortion,
-        entrance,
-    })
+        _ => Err(CameraError::Number("a model of 4, 6 or 9 components")),
+    }
 }
 
 #[cfg(test)]
@@ -246,6 +253,12 @@ mod tests {
                 label.notes
             );
         }
+        let unknown = with(&SIX.replacen("(1,0,0)", "(UNK,0,0)", 1));
+        assert!(
+            unknown.notes[0].ends_with("A is missing or no finite number"),
+            "{:?}",
+            unknown.notes
+        );
     }
 
     #[test]

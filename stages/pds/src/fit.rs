@@ -1,8 +1,7 @@
 //! Conversion of a label's camera to the pixels of the decoded photo.
 
-use marf_scene::CameraPrior;
+use marf_scene::{CameraPrior, Intrinsics};
 
-use crate::camera::{focal_px, rescaled};
 use crate::{Label, ProductName};
 
 /// Pixel of the detectors of Mastcam and Mastcam-Z, mm.
@@ -43,7 +42,7 @@ impl Label {
         notes.push(format!(
             "label's camera scaled from {label_width}x{label_height} pixels"
         ));
-        prior.model = rescaled(&prior.model, scale);
+        prior.model = prior.model.rescaled(scale);
         Some(prior)
     }
 }
@@ -64,7 +63,9 @@ fn undo_missing_average(
         _ => None,
     };
     let Some(lens_mm) = lens_mm else { return };
-    let (model_px, _) = focal_px(&prior.model);
+    let Ok(Intrinsics { hs: model_px, .. }) = prior.model.intrinsics() else {
+        return;
+    };
     let averaged = f64::from(label.averaged.max(1));
     let expected_px = lens_mm / MASTCAM_PIXEL_MM / averaged;
     let fits = |focal_px: f64| (focal_px / expected_px - 1.0).abs() <= FOCAL_TOLERANCE;
@@ -72,7 +73,7 @@ fn undo_missing_average(
         return;
     }
     if averaged > 1.0 && fits(model_px / averaged) {
-        prior.model = rescaled(&prior.model, 1.0 / averaged);
+        prior.model = prior.model.rescaled(1.0 / averaged);
         notes.push(format!(
             "label's camera is for whole pixels: reduced by {averaged} like the photo"
         ));
@@ -89,14 +90,14 @@ mod tests {
     use crate::label::FramePose;
 
     fn label() -> Label {
-        let raw = crate::camera::RawModel {
-            cahv: [
-                [0.0; 3],
-                [1.0, 0.0, 0.0],
-                [800.0, 4_600.0, 0.0],
-                [600.0, 0.0, 4_600.0],
-            ],
-            ..Default::default()
+        let model = marf_scene::Cahvor {
+            c: [0.0; 3],
+            a: [1.0, 0.0, 0.0],
+            h: [800.0, 4_600.0, 0.0],
+            v: [600.0, 0.0, 4_600.0],
+            o: None,
+            r: None,
+            e: None,
         };
         let mut label = Label {
             size: Some((1648, 1200)),
@@ -104,7 +105,7 @@ mod tests {
             ..Label::default()
         };
         label.set_place("SITE_FRAME".to_owned(), FramePose::IsSite, vec![1, 2, 3]);
-        label.set_camera(&raw);
+        label.set_camera(&model);
         label
     }
 
@@ -126,7 +127,7 @@ mod tests {
             };
             let mut notes = Vec::new();
             let prior = label.fit_camera(Some(&name), 1648, 1200, &mut notes).unwrap();
-            (focal_px(&prior.model).0, notes)
+            (prior.model.intrinsics().unwrap().hs, notes)
         };
         // 34 mm / 7.4 um = 4595 px.
         assert_eq!(with(1, Some(34.0)), (4_600.0, vec![]));

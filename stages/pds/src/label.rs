@@ -1,9 +1,7 @@
 //! The contents that all kinds of labels are read into.
 
-use marf_scene::{CameraPrior, Pose, RoverPlace, Sensor};
+use marf_scene::{Cahvor, CameraPrior, Pose, RoverPlace, Sensor};
 use nalgebra::{Matrix3, Vector3};
-
-use crate::camera::{self, CameraError, RawModel};
 
 /// Largest label that is read: real ones have at most 300 kB.
 pub const MAX_LABEL_BYTES: usize = 2 << 20;
@@ -186,11 +184,11 @@ impl Label {
 
     /// Sets the camera, or adds a note why it cannot be used. The place must have been set and the photo's size read
     /// before: the lens is checked up to its corners.
-    pub(crate) fn set_camera(&mut self, raw: &RawModel) {
-        let checked = camera::normalised(raw).and_then(|model| {
-            let (width, height) = self.size.unwrap_or((1, 1));
-            let checked = model.check_lens(width, height);
-            checked.map(|()| model).map_err(CameraError::Lens)
+    pub(crate) fn set_camera(&mut self, model: &Cahvor) {
+        let (width, height) = self.size.unwrap_or((1, 1));
+        let checked = model.normalised().and_then(|model| {
+            model.check_lens(width, height)?;
+            Ok(model)
         });
         match checked {
             Ok(model) => {
@@ -217,7 +215,7 @@ impl Label {
     }
 
     /// Notes that the label's camera cannot be used.
-    pub(crate) fn refuse_camera(&mut self, error: &CameraError) {
+    pub(crate) fn refuse_camera(&mut self, error: &dyn std::error::Error) {
         self.notes.push(format!("label has no usable camera: {error}"));
     }
 }
@@ -353,15 +351,14 @@ mod tests {
 
     #[test]
     fn a_lens_that_turns_over_inside_the_photo_is_no_camera() {
-        let raw = RawModel {
-            cahv: [
-                [0.0; 3],
-                [1.0, 0.0, 0.0],
-                [3500.0, 14_800.0, 0.0],
-                [600.0, 0.0, 14_800.0],
-            ],
-            distortion: Some([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]),
-            entrance: None,
+        let model = Cahvor {
+            c: [0.0; 3],
+            a: [1.0, 0.0, 0.0],
+            h: [3500.0, 14_800.0, 0.0],
+            v: [600.0, 0.0, 14_800.0],
+            o: Some([1.0, 0.0, 0.0]),
+            r: Some([0.0, -1.0, 0.0]),
+            e: None,
         };
         for (width, usable) in [(9000, true), (10_000, false)] {
             let mut label = Label {
@@ -369,7 +366,7 @@ mod tests {
                 ..Label::default()
             };
             label.set_place("SITE_FRAME".to_owned(), FramePose::IsSite, vec![1]);
-            label.set_camera(&raw);
+            label.set_camera(&model);
             assert_eq!(label.prior.is_some(), usable, "{:?}", label.notes);
             assert_eq!(
                 label.place.as_ref().map(|place| place.motion_counter.as_slice()),

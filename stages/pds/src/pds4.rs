@@ -8,10 +8,10 @@ mod mosaic;
 mod node;
 mod scaling;
 
-use marf_scene::RoverPlace;
+use marf_scene::{Cahvor, RoverPlace};
 use roxmltree::{Document, Node, ParsingOptions};
 
-use crate::camera::{CameraError, RawEntrance, RawModel};
+use crate::camera::{CameraError, entrance};
 use crate::label::{Derived, FramePose, Label, MAX_LABEL_BYTES, ordered_counter, same_place};
 use crate::values;
 pub use guard::TooMuchWork;
@@ -237,8 +237,8 @@ fn add_camera(lander: Node<'_, '_>, label: &mut Label) {
     let Some(parameters) = child(lander, GEOM, "Camera_Model_Parameters") else {
         return;
     };
-    let raw = match model(parameters) {
-        Ok(raw) => raw,
+    let model = match model(parameters) {
+        Ok(model) => model,
         Err(error) => return label.refuse_camera(&error),
     };
     let definitions: Vec<_> = children(lander, GEOM, "Coordinate_Space_Definition").collect();
@@ -253,11 +253,11 @@ fn add_camera(lander: Node<'_, '_>, label: &mut Label) {
     let pose = frame_pose(&reference, &definitions);
     let counter = counter(lander, &reference, &mut label.notes);
     label.set_place(reference.frame, pose, counter);
-    label.set_camera(&raw);
+    label.set_camera(&model);
 }
 
 /// Reads the model by the elements that are present: old dictionaries say CAHVORE above a CAHVOR.
-fn model(parameters: Node<'_, '_>) -> Result<RawModel, CameraError> {
+fn model(parameters: Node<'_, '_>) -> Result<Cahvor, CameraError> {
     let named = |name| child(parameters, GEOM, name);
     let says_cahvore = text_at(parameters, &[(GEOM, "model_type")]).as_deref() == Some("CAHVORE");
     if let Some(node) = named("CAHVORE_Model") {
@@ -266,45 +266,43 @@ fn model(parameters: Node<'_, '_>) -> Result<RawModel, CameraError> {
         let parameter = number_at(node, &[(GEOM, "cahvore_model_parameter")]);
         let parameter = parameter.or((kind != 3).then_some(0.0));
         let parameter = parameter.ok_or(CameraError::Number("cahvore_model_parameter"))?;
-        return Ok(RawModel {
-            entrance: Some(RawEntrance {
-                terms: vector(node, "Entrance_Terms", "c0 c1 c2", "E")?,
-                kind,
-                parameter,
-            }),
-            distortion: Some(distortion(node)?),
-            cahv: cahv(node)?,
+        let terms = vector(node, "Entrance_Terms", "c0 c1 c2", "E")?;
+        return Ok(Cahvor {
+            e: Some(entrance(terms, kind, parameter)?),
+            ..cahvor(node)?
         });
     }
     if says_cahvore {
         return Err(CameraError::Number("E of a CAHVORE"));
     }
-    let (node, distorted) = match (named("CAHVOR_Model"), named("CAHV_Model")) {
-        (Some(node), _) => (node, true),
-        (None, Some(node)) => (node, false),
-        (None, None) => return Err(CameraError::Number("a CAHV, CAHVOR or CAHVORE model")),
-    };
-    Ok(RawModel {
-        cahv: cahv(node)?,
-        distortion: distorted.then(|| distortion(node)).transpose()?,
-        entrance: None,
+    match (named("CAHVOR_Model"), named("CAHV_Model")) {
+        (Some(node), _) => cahvor(node),
+        (None, Some(node)) => cahv(node),
+        (None, None) => Err(CameraError::Number("a CAHV, CAHVOR or CAHVORE model")),
+    }
+}
+
+fn cahv(node: Node<'_, '_>) -> Result<Cahvor, CameraError> {
+    Ok(Cahvor {
+        c: vector(node, "Vector_Center", "x_position y_position z_position", "C")?,
+        a: vector(node, "Vector_Axis", "x_unit y_unit z_unit", "A")?,
+        h: vector(node, "Vector_Horizontal", "x_pixel y_pixel z_pixel", "H")?,
+        v: vector(node, "Vector_Vertical", "x_pixel y_pixel z_pixel", "V")?,
+        o: None,
+        r: None,
+        e: None,
     })
 }
 
-fn cahv(node: Node<'_, '_>) -> Result<[[f64; 3]; 4], CameraError> {
-    Ok([
-        vector(node, "Vector_Center", "x_position y_position z_position", "C")?,
-        vector(node, "Vector_Axis", "x_unit y_unit z_unit", "A")?,
-        vector(node, "Vector_Horizontal", "x_pixel y_pixel z_pixel", "H")?,
-        vector(node, "Vector_Vertical", "x_pixel y_pixel z_pixel", "V")?,
-    ])
-}
-
 /// Reads O under its new or its old name, and R.
-fn distortion(node: Node<'_, '_>) -> Result<[[f64; 3]; 2], CameraError> {
+fn cahvor(node: Node<'_, '_>) -> Result<Cahvor, CameraError> {
     let o = vector(node, "Vector_Optical", "x_unit y_unit z_unit", "O")
         .or_else(|_| vector(node, "Optical_Terms", "c0 c1 c2", "O"))?;
-    Ok([o, vector(node, "Radial_Terms", "c0 c1 c2", "R")?])
+    Ok(Cahvor {
+        o: Some(o),
+        r: Some(vector(node, "Radial_Terms", "c0 c1 c2", "R")?),
+        ..cahv(node)?
+    })
 }
 
 fn vector(

@@ -79,14 +79,18 @@ pub enum CahvorError {
         /// Its length.
         length: f64,
     },
-    /// A, H and V are linearly dependent, or the image is mirrored.
-    #[error("the camera model's A, H, V have the determinant {determinant}: flat or mirrored")]
+    /// A, H and V are nearly dependent, or the image is mirrored.
+    #[error(
+        "the camera model's A · (H x V) is {share:.3e} of the product of its focal lengths: flat or mirrored"
+    )]
     Degenerate {
-        /// A · (H x V), pixels².
-        determinant: f64,
+        /// A · (H x V) / (|A x H| |A x V|).
+        share: f64,
     },
-    /// The horizontal and the vertical focal length differ too much for a camera: detectors average up to 8 pixels.
-    #[error("the camera model's focal lengths are {hs} and {vs} px, further apart than a factor of 8")]
+    /// The horizontal and the vertical focal length are no camera's: detectors average up to 8 pixels.
+    #[error(
+        "the camera model's focal lengths are {hs} and {vs} px: below 1 px, or further apart than a factor of 8"
+    )]
     Anamorphic {
         /// Horizontal focal length, pixels.
         hs: f64,
@@ -145,8 +149,8 @@ impl Cahvor {
     /// Dividing A alone would move pixels by 0.01. Labels of 6 digits leave |A| - 1 near 8e-6.
     ///
     /// # Errors
-    /// Numbers that are not finite, |A| or |O| off 1 by more than 0.001, a flat or mirrored image plane, focal
-    /// lengths further apart than a factor of 8.
+    /// Numbers that are not finite, |A| or |O| off 1 by more than 0.001, focal lengths below 1 px or further apart than a
+    /// factor of 8, a nearly flat or mirrored image plane.
     pub fn normalised(&self) -> Result<Self, CahvorError> {
         self.check_finite()?;
         let length_a = unit_length('A', self.a)?;
@@ -221,23 +225,20 @@ impl Cahvor {
         }
     }
 
-    /// Checks that the image plane is neither flat nor mirrored, and the focal lengths alike.
+    /// Checks that the focal lengths are those of one camera, and the image plane is neither flat nor mirrored.
     fn check_shape(&self) -> Result<(), CahvorError> {
-        let determinant = self.determinant();
-        if determinant.is_nan() || determinant <= 0.0 {
-            return Err(CahvorError::Degenerate { determinant });
-        }
         let (a, h, v) = (vector(self.a), vector(self.h), vector(self.v));
         let (hs, vs) = (a.cross(&h).norm(), a.cross(&v).norm());
-        if hs.max(vs) > MAX_ASPECT * hs.min(vs) {
+        let (less, more) = (hs.min(vs), hs.max(vs));
+        if !(less >= 1.0 && more <= MAX_ASPECT * less) {
             return Err(CahvorError::Anamorphic { hs, vs });
         }
-        Ok(())
-    }
-
-    /// Returns A · (H x V), pixels² after normalising: positive unless the image is mirrored.
-    fn determinant(&self) -> f64 {
-        vector(self.a).dot(&vector(self.h).cross(&vector(self.v)))
+        let share = a.dot(&h.cross(&v)) / (hs * vs);
+        if share > 0.5 {
+            Ok(())
+        } else {
+            Err(CahvorError::Degenerate { share })
+        }
     }
 
     /// Returns whether the model is in effect a CAHV: no lens terms, or all of them zero.
@@ -344,12 +345,9 @@ impl Cahvor {
     /// Returns the intrinsics and the pose of the linear part. Call [`Cahvor::normalised`] first.
     ///
     /// # Errors
-    /// A flat or mirrored image plane.
+    /// Focal lengths that are not those of one camera, a flat or mirrored image plane.
     pub fn intrinsics(&self) -> Result<Intrinsics, CahvorError> {
-        let determinant = self.determinant();
-        if determinant.is_nan() || determinant <= 0.0 {
-            return Err(CahvorError::Degenerate { determinant });
-        }
+        self.check_shape()?;
         let (a, h, v) = (vector(self.a), vector(self.h), vector(self.v));
         let (hs, vs) = (a.cross(&h).norm(), a.cross(&v).norm());
         let (hc, vc) = (a.dot(&h), a.dot(&v));
@@ -367,34 +365,18 @@ impl Cahvor {
         })
     }
 
-    /// Returns the model of the photo enlarged by `factor`: x' = factor x.
+    /// Returns the model for a photo scaled by `scale`. Integer coordinates stay pixel centres.
+    ///
+    /// The pixel corner x + 0.5 scales, hence x' = s (x + 0.5) - 0.5, and H' = s H + (s - 1)/2 A.
     #[must_use]
-    pub fn scaled(&self, factor: f64) -> Self {
-        let scale = |vector: [f64; 3]| vector.map(|value| value * factor);
+    pub fn rescaled(&self, scale: f64) -> Self {
+        let shift = (scale - 1.0) / 2.0;
+        let carry = |rows: [f64; 3]| [0, 1, 2].map(|axis| scale * rows[axis] + shift * self.a[axis]);
         Self {
-            h: scale(self.h),
-            v: scale(self.v),
+            h: carry(self.h),
+            v: carry(self.v),
             ..*self
         }
-    }
-
-    /// Returns the model of the photo cut so that (x0, y0) becomes its first pixel: x' = x - x0.
-    #[must_use]
-    pub fn shifted(&self, x0: f64, y0: f64) -> Self {
-        let shift = |vector: [f64; 3], by: f64| [0, 1, 2].map(|axis| vector[axis] - by * self.a[axis]);
-        Self {
-            h: shift(self.h, x0),
-            v: shift(self.v, y0),
-            ..*self
-        }
-    }
-
-    /// Returns the model of the photo with `bin` x `bin` pixels made one: x' = (x - (bin - 1) / 2) / bin.
-    #[must_use]
-    pub fn binned(&self, bin: u32) -> Self {
-        let bin = f64::from(bin.max(1));
-        let middle = (bin - 1.0) / 2.0;
-        self.shifted(middle, middle).scaled(1.0 / bin)
     }
 
     /// Returns the same camera in another frame: C moves, A, H, V, O turn, R and E stay.

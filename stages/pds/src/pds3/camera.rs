@@ -1,9 +1,9 @@
 //! The camera of a label, and where the rover stood.
 
-use marf_scene::RoverPlace;
+use marf_scene::{Cahvor, EntrancePupil, RoverPlace};
 
 use super::keys::{identification, text};
-use crate::camera::{CameraError, RawEntrance, RawModel};
+use crate::camera::{self, CameraError};
 use crate::label::{Derived, FramePose, Label, ordered_counter, same_place};
 use crate::odl::{Group, Value};
 use crate::values;
@@ -25,7 +25,7 @@ pub(super) fn add(odl: &Group, label: &mut Label) {
         (Some(Ok(_)), None) => label
             .notes
             .push("label has no usable camera: its frame is not named".to_owned()),
-        (Some(Ok(raw)), Some(_)) => label.set_camera(&raw),
+        (Some(Ok(model)), Some(_)) => label.set_camera(&model),
     }
 }
 
@@ -62,7 +62,7 @@ fn rover_frame(odl: &Group) -> Option<String> {
     names.find(|name| name.starts_with("ROVER"))
 }
 
-fn model(group: &Group) -> Result<RawModel, CameraError> {
+fn model(group: &Group) -> Result<Cahvor, CameraError> {
     const KEYS: [&str; 7] = [
         "MODEL_COMPONENT_1",
         "MODEL_COMPONENT_2",
@@ -77,32 +77,41 @@ fn model(group: &Group) -> Result<RawModel, CameraError> {
         value.ok_or(CameraError::Number(letter))
     };
     let kind = text(group, "MODEL_TYPE").unwrap_or_default();
-    let cahv = [vector(0, "C")?, vector(1, "A")?, vector(2, "H")?, vector(3, "V")?];
-    let distorted = || Ok(Some([vector(4, "O")?, vector(5, "R")?]));
-    let (distortion, entrance) = match kind.as_str() {
-        "CAHV" => (None, None),
-        "CAHVOR" => (distorted()?, None),
-        "CAHVORE" => (distorted()?, Some(entrance(group, vector(6, "E")?)?)),
-        _ => return Err(CameraError::Number("a model type of CAHV, CAHVOR or CAHVORE")),
+    let cahv = Cahvor {
+        c: vector(0, "C")?,
+        a: vector(1, "A")?,
+        h: vector(2, "H")?,
+        v: vector(3, "V")?,
+        o: None,
+        r: None,
+        e: None,
     };
-    Ok(RawModel {
-        cahv,
-        distortion,
-        entrance,
-    })
+    let distorted = || {
+        Ok(Cahvor {
+            o: Some(vector(4, "O")?),
+            r: Some(vector(5, "R")?),
+            ..cahv
+        })
+    };
+    match kind.as_str() {
+        "CAHV" => Ok(cahv),
+        "CAHVOR" => distorted(),
+        "CAHVORE" => Ok(Cahvor {
+            e: Some(entrance(group, vector(6, "E")?)?),
+            ..distorted()?
+        }),
+        _ => Err(CameraError::Number("a model type of CAHV, CAHVOR or CAHVORE")),
+    }
 }
 
-/// Returns terms, type and parameter of a CAHVORE (components 7 to 9).
-fn entrance(group: &Group, terms: [f64; 3]) -> Result<RawEntrance, CameraError> {
+/// Returns the entrance pupil of a CAHVORE (components 7 to 9).
+fn entrance(group: &Group, terms: [f64; 3]) -> Result<EntrancePupil, CameraError> {
     let kind = group.text("MODEL_COMPONENT_8").and_then(values::integer);
     let kind = kind.ok_or(CameraError::Number("the type of the CAHVORE"))?;
     let parameter = group.text("MODEL_COMPONENT_9").and_then(values::number);
     let parameter = parameter.or((kind != 3).then_some(0.0));
-    Ok(RawEntrance {
-        terms,
-        kind,
-        parameter: parameter.ok_or(CameraError::Number("the parameter of the CAHVORE"))?,
-    })
+    let parameter = parameter.ok_or(CameraError::Number("the parameter of the CAHVORE"))?;
+    camera::entrance(terms, kind, parameter)
 }
 
 /// Returns the rover's counters by name. Without names, in the order of all labels: SITE, DRIVE, POSE, …

@@ -338,21 +338,48 @@ fn the_linear_part_taken_apart_projects_as_the_model_does() {
 }
 
 #[test]
-fn cutting_and_binning_move_pixels_as_said() {
+fn scaling_moves_pixels_as_said() {
     let model = mastcam_z().normalised().unwrap();
     let point =
         Vector3::from(model.c) + model.unproject(&Vector2::new(700.0, 500.0)).unwrap().direction * 9.0;
-    let cut = model.shifted(100.0, 40.0).project(&point).unwrap();
-    near(cut.as_slice(), &[600.0, 460.0], 1e-9, "cut");
     // Pixel 700 of a quarter: its centre 700.5 / 4 = 175.125 from the edge, 174.625 from the first centre.
-    let binned = model.binned(4).project(&point).unwrap();
-    near(binned.as_slice(), &[174.625, 124.625], 1e-9, "binned");
-    near(
-        model.scaled(2.0).project(&point).unwrap().as_slice(),
-        &[1400.0, 1000.0],
-        1e-9,
-        "scaled",
-    );
+    let binned = model.rescaled(0.25).project(&point).unwrap();
+    near(binned.as_slice(), &[174.625, 124.625], 1e-9, "binned by four");
+    let eighth = model.rescaled(0.125).project(&point).unwrap();
+    near(eighth.as_slice(), &[87.0625, 62.0625], 1e-9, "binned by eight");
+    let enlarged = model.rescaled(2.0).project(&point).unwrap();
+    near(enlarged.as_slice(), &[1400.5, 1000.5], 1e-9, "enlarged");
+}
+
+#[test]
+fn a_h_and_v_are_divided_together() {
+    let raw = Cahvor {
+        a: [1.0 + 8e-6, 0.0, 0.0],
+        o: Some([0.999_9, 0.009_999, 0.009_999]),
+        ..cahvor()
+    };
+    let model = raw.normalised().unwrap();
+    let length = |vector: [f64; 3]| Vector3::from(vector).norm();
+    assert!((length(model.a) - 1.0).abs() < 1e-15 && (length(model.o.unwrap()) - 1.0).abs() < 1e-15);
+    // The pixel of a point, (p.H)/(p.A), must not move.
+    let p = Vector3::new(5.0, 0.3, -0.2);
+    let column = |model: &Cahvor| p.dot(&Vector3::from(model.h)) / p.dot(&Vector3::from(model.a));
+    assert!((column(&model) - column(&raw)).abs() < 1e-9);
+    let focal_px = model.intrinsics().unwrap().hs;
+    assert!((focal_px - 14_800.0 / (1.0 + 8e-6)).abs() < 1e-9, "{focal_px}");
+}
+
+/// A camera whose lines were averaged in pairs, and one of a linearised product.
+#[test]
+fn unequal_focal_lengths_are_those_of_a_camera() {
+    for vertical_px in [7_400.0, 15_900.0, 29_600.0] {
+        let unequal = Cahvor {
+            v: [599.5, 0.0, vertical_px],
+            ..cahvor()
+        };
+        let k = unequal.normalised().unwrap().intrinsics().unwrap();
+        near(&[k.hs, k.vs], &[14_800.0, vertical_px], 1e-9, "focal lengths");
+    }
 }
 
 #[test]
@@ -412,6 +439,22 @@ fn a_bad_model_is_named_with_its_number() {
         ..cahvor()
     });
     assert!(wide.contains("200000 and 14800 px"), "{wide}");
+    let narrow = message(Cahvor {
+        h: [0.0; 3],
+        ..cahvor()
+    });
+    assert!(narrow.contains("below 1 px"), "{narrow}");
+    let tall = message(Cahvor {
+        v: [599.5, 0.0, 130_000.0],
+        ..cahvor()
+    });
+    assert!(tall.contains("14800 and 130000 px"), "{tall}");
+    // Axes at 26 degrees: sin 26 = 0.44.
+    let sheared = message(Cahvor {
+        v: [599.5, 13_300.0, 6_490.0],
+        ..cahvor()
+    });
+    assert!(sheared.contains("4.385e-1 of the product"), "{sheared}");
     assert_eq!(cahvor().project(&Vector3::repeat(f64::NAN)), None);
     assert_eq!(cahvor().unproject(&Vector2::repeat(f64::NAN)), None);
     assert_eq!(cahvore(0.6).project(&Vector3::repeat(f64::INFINITY)), None);
