@@ -335,7 +335,7 @@ def drill_hosts(drill, expected):
 
 
 def drill_exec(drill):
-    """Each result of the small demo, those of parts of nodes among them; what `marf exec` refuses is printed."""
+    """Each node of the small demo. Parts of nodes and what reads an archive are refused."""
     folder = drill.root / "demo"
     folder.mkdir()
     drill.run(folder, "init")
@@ -347,19 +347,21 @@ def drill_exec(drill):
     records = folder / "shared" / "records"
     keys = sorted(record.parent.name + record.name for record in records.glob("*/*"))
     print(f"the demo has {len(keys)} results", flush=True)
-    made, archives = 0, 0
+    made, parts, archives = 0, 0, 0
     for key in keys:
         with tempfile.TemporaryDirectory() as empty:
             words = [drill.marf, "exec", key, "--store", store, "--result", f"{empty}/result.json"]
             ran = subprocess.run(words, cwd=empty, capture_output=True, text=True, check=False)
         if ran.returncode == 10 and "which reads an archive" in ran.stderr:
             archives += 1
+        elif ran.returncode == 10 and "computes only with its node" in ran.stderr:
+            parts += 1
         elif ran.returncode or "another result" in ran.stderr:
             print(f"  {key[:12]}: {ran.returncode}: {ran.stderr.strip()}", flush=True)
             drill.expect(False, f"{key} was not made again")
         else:
             made += 1
-    print(f"{made} of {len(keys)} actions computed again, with the same digests; {archives} read an archive and are refused", flush=True)
+    print(f"{made} of {len(keys)} actions computed again, with the same digests; {parts} parts and {archives} that read an archive are refused", flush=True)
 
 
 def drill_pull(drill, photos):

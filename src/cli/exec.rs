@@ -1,4 +1,4 @@
-//! `marf exec`: actions, their inputs from a shared store and their results into it.
+//! `marf exec`: an action, its inputs from a shared store and its result into it.
 
 use std::path::PathBuf;
 
@@ -14,7 +14,7 @@ use crate::terminal::print_line;
 #[derive(Debug, Clone, Args)]
 #[command(after_help = AFTER_HELP)]
 pub struct ExecArgs {
-    /// File with one action a line, or the key of a result in the shared store, whose action is computed again
+    /// File with an action, or the key of a result in the shared store, whose action is computed again
     #[arg(value_name = "ACTION")]
     pub action: String,
     /// Address of the shared store: file:///FOLDER or s3://BUCKET/PREFIX
@@ -46,10 +46,8 @@ pub fn exec(args: ExecArgs, context: Context) -> Result<(), Error> {
     };
     let (result, scratch) = (args.result.as_deref(), args.scratch.as_deref());
     match marf_run::exec::exec(&context, &args.action, result, scratch)? {
-        ExecResult::Actions(actions, traffic) => {
-            for action in actions {
-                print_line(&format!("{} {}", action.stage, action.key()));
-            }
+        ExecResult::Action(action, traffic) => {
+            print_line(&format!("{} {}", action.stage, action.key()));
             print_line(&traffic_text(traffic));
         }
         ExecResult::Backend(backend) => backend.iter().for_each(|backend| print_line(backend)),

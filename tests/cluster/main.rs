@@ -9,7 +9,6 @@
 #[path = "../common/mod.rs"]
 mod common;
 mod exec;
-mod parts;
 mod pbs;
 
 use std::collections::BTreeMap;

@@ -17,7 +17,7 @@ use crate::{
     site::CPU,
 };
 
-/// A job's question instead of actions: which backend a device is on the machine of the job.
+/// A job's question instead of an action: which backend a device is on the machine of the job.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BackendQuestion {
@@ -62,11 +62,11 @@ impl Cluster {
             program: program.to_owned(),
             options: site.options.iter().chain(&site.gpu_options).cloned().collect(),
         };
-        let actions = question.encode();
+        let action = question.encode();
         let order = JobOrder {
             node: "the backend of jobs",
-            key: Digest::from_content(&actions),
-            actions,
+            key: Digest::from_content(&action),
+            action,
             needs: Needs {
                 cores: Threads::One,
                 gpu: true,

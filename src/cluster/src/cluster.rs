@@ -24,12 +24,6 @@ use crate::{
 /// Longest time until a wish to stop is heard.
 const LOOK_INTERVAL: Duration = Duration::from_millis(200);
 
-/// Results that are fetched at once: what comes is in memory until all of them are there.
-pub(crate) const KEYS_AT_ONCE: usize = 256;
-
-/// Longest fetch of results that are known.
-const FETCH_PATIENCE: Duration = Duration::from_secs(600);
-
 /// A batch system that computes the nodes of a run.
 pub struct Cluster {
     pub(crate) site: Site,
@@ -125,26 +119,6 @@ impl Cluster {
         Ok(())
     }
 
-    /// Fetches the existing results of keys from the shared store.
-    ///
-    /// # Errors
-    /// Returns an error if the shared store cannot be read, or if results have an untrusted writer: those of jobs would
-    /// not replace them.
-    pub(crate) fn fetch_known(&self, order: &Order<'_>, keys: &[Digest]) -> Result<(), RemoteError> {
-        let observer = Watcher(order.cancel);
-        for some in keys.chunks(KEYS_AT_ONCE) {
-            let skipped = self.remote.fetch(order.store, some, FETCH_PATIENCE, &observer)?;
-            for error in skipped {
-                match error {
-                    RemoteError::Untrusted { .. } => return Err(error),
-                    // Damaged or incomplete results are computed again.
-                    error => order.progress.warn(&error.to_string()),
-                }
-            }
-        }
-        Ok(())
-    }
-
     /// Fetches the result of an action from the shared store. Returns whether it exists.
     pub(crate) fn fetch(&self, order: &Order<'_>) -> Result<bool, StageError> {
         let fetched = self
@@ -167,18 +141,23 @@ impl Cluster {
         Ok(())
     }
 
-    /// Fetches results that jobs have reported. A file system of many machines may show them later than the report, or incomplete.
-    pub(crate) fn bring_told(&self, order: &Order<'_>, keys: &[Digest]) -> Result<(), StageError> {
+    /// Fetches the result that a job has reported. A file system of many machines may show it later than the report, or incomplete.
+    pub(crate) fn bring_told(&self, order: &Order<'_>) -> Result<(), StageError> {
         let told = Instant::now();
         loop {
-            let late = match self.remote.bring(order.store, keys, &Watcher(order.cancel)) {
+            let late = match self
+                .remote
+                .bring(order.store, &[order.key], &Watcher(order.cancel))
+            {
                 Ok(_) => return Ok(()),
                 Err(
                     late @ (RemoteError::Absent { .. }
                     | RemoteError::Missing { .. }
                     | RemoteError::Damaged { .. }),
                 ) => late,
-                Err(error) => return Err(remote_failed(order.node, "its result cannot be fetched", error)),
+                Err(error) => {
+                    return Err(remote_failed(order.node, "its result cannot be fetched", error));
+                }
             };
             if told.elapsed() >= self.patience() {
                 let what = format!(

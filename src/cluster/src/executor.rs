@@ -1,7 +1,7 @@
 //! The executor: each action that it takes is a job, from its submission to its result.
 
 use marf_cache::Action;
-use marf_engine::{Executor, Machine, Order, PartOrder};
+use marf_engine::{Executor, Machine, Order};
 use marf_stage::StageError;
 
 use crate::{cluster::Cluster, job::JobOrder, job_files::JobFiles};
@@ -24,18 +24,10 @@ impl Executor for Cluster {
         if !self.fetch(order)? {
             self.share(order)?;
             self.run(&JobOrder::new(order))?;
-            self.bring_told(order, &[order.key])?;
+            self.bring_told(order)?;
             self.note_shared(order)?;
         }
         JobFiles::new(&self.site.folder, &order.key).remove();
         Ok(())
-    }
-
-    fn takes_parts(&self, action: &Action, photos: u64) -> bool {
-        self.takes(action) && photos >= self.site.photos_per_task
-    }
-
-    fn execute_parts(&self, order: &Order<'_>, parts: &[PartOrder]) -> Result<(), StageError> {
-        self.run_parts(order, parts)
     }
 }

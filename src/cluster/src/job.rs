@@ -37,10 +37,10 @@ struct Job {
 pub(crate) struct JobOrder<'a> {
     /// What people call it: the name of a node.
     pub(crate) node: &'a str,
-    /// The digest of its actions.
+    /// The digest of its action.
     pub(crate) key: Digest,
-    /// The bytes of its actions.
-    pub(crate) actions: Vec<u8>,
+    /// The bytes of its action, or of a question.
+    pub(crate) action: Vec<u8>,
     pub(crate) needs: Needs,
     pub(crate) progress: &'a dyn Progress,
     pub(crate) cancel: &'a Cancel,
@@ -51,7 +51,7 @@ impl<'a> JobOrder<'a> {
         Self {
             node: order.node,
             key: order.key,
-            actions: order.action.encode(),
+            action: order.action.encode(),
             needs: order.needs,
             progress: order.progress,
             cancel: order.cancel,
@@ -162,7 +162,7 @@ impl Cluster {
     fn write(&self, order: &JobOrder<'_>, files: &JobFiles, memory_mb: u64) -> io::Result<()> {
         match fs::remove_file(&files.result) {
             Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
-            _ => fs::write(&files.action, &order.actions)?,
+            _ => fs::write(&files.action, &order.action)?,
         }
         let gpu = self.site.gpu_options.iter().filter(|_| order.needs.gpu);
         let options: Vec<String> = self.site.options.iter().chain(gpu).cloned().collect();

@@ -24,7 +24,6 @@ mod executor;
 mod job;
 mod job_files;
 mod job_result;
-mod parts;
 mod queue;
 mod script;
 mod site;

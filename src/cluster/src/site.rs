@@ -25,17 +25,12 @@ pub struct Site {
     pub trust: Vec<PathBuf>,
     /// Folder of scripts, results and logs, which the machines of the jobs see under the same path.
     pub folder: PathBuf,
-    /// Stages whose nodes, or the photos they measure, are jobs. All others are computed on the machine of
-    /// the run.
+    /// Stages whose nodes are jobs, if these work on a whole set. All others are computed on the machine of the run.
     #[serde(default = "default_stages")]
     pub stages: BTreeSet<String>,
-    /// Most jobs at once, including those that wait in the queue. The parts of a node may be as many jobs again.
+    /// Most jobs at once, including those that wait in the queue.
     #[serde(default = "default_max_jobs")]
     pub max_jobs: usize,
-    /// Least number of photos that a job of a filter measures. Fewer photos are measured on the machine of
-    /// the run.
-    #[serde(default = "default_photos_per_task")]
-    pub photos_per_task: u64,
     /// The program on the machines of the jobs [default: this one].
     #[serde(default)]
     pub marf: Option<PathBuf>,
@@ -73,21 +68,7 @@ pub struct Site {
 }
 
 fn default_stages() -> BTreeSet<String> {
-    let stages = [
-        "train",
-        "partial",
-        "size",
-        "shape",
-        "duplicate",
-        "grayscale",
-        "histogram",
-        "blur",
-    ];
-    stages.map(str::to_owned).into()
-}
-
-fn default_photos_per_task() -> u64 {
-    1_000
+    ["train", "partial"].map(str::to_owned).into()
 }
 
 fn default_max_jobs() -> usize {
@@ -220,7 +201,6 @@ impl Site {
         };
         positive("max_jobs", self.max_jobs > 0)?;
         positive("cores", self.cores > 0)?;
-        positive("photos_per_task", self.photos_per_task > 0)?;
         positive("memory_mb", self.memory_mb > 0)?;
         positive("minutes", self.minutes > 0)?;
         for (key, seconds) in [("poll_s", self.poll_s), ("patience_s", self.patience_s)] {
@@ -308,8 +288,7 @@ mod tests {
     fn a_site_needs_a_store_and_a_folder_and_has_defaults_for_the_rest() {
         let site = read(LEAST).unwrap();
         assert_eq!((site.max_jobs, site.cores, site.memory_mb), (100, 4, 4_000));
-        assert_eq!(site.stages.len(), 2 + 6, "both trainings, six filters");
-        assert_eq!(site.photos_per_task, 1_000);
+        assert_eq!(site.stages.len(), 2, "both trainings");
         assert_eq!(site.commands, Commands::default());
         assert!(
             read("[executor]\nstore = \"file:///s\"\n")

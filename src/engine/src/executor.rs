@@ -23,15 +23,6 @@ pub trait Executor: fmt::Debug + Send + Sync {
     /// # Errors
     /// The error of the other machine, or [`StageError::Cancelled`] if the user wants to stop.
     fn execute(&self, order: &Order<'_>) -> Result<(), StageError>;
-
-    /// Returns whether it takes parts of a node that measure this many photos. Other parts are computed here.
-    fn takes_parts(&self, action: &Action, photos: u64) -> bool;
-
-    /// Has parts of a node computed, and puts their records and every blob of them into the store. `order` is that of the node.
-    ///
-    /// # Errors
-    /// As [`Executor::execute`]. Parts that were computed before the error may be in the store.
-    fn execute_parts(&self, order: &Order<'_>, parts: &[PartOrder]) -> Result<(), StageError>;
 }
 
 /// The properties of another machine that decide which backend a stage has there.
@@ -51,7 +42,7 @@ pub(crate) fn backend_of(
     stage: &dyn Stage,
 ) -> Result<Option<String>, StageError> {
     let machine = match stage.work() {
-        // Of all others at most parts are computed elsewhere, and these have no backend.
+        // All others are computed here.
         Work::Set(_) => executor.and_then(|executor| executor.machine_of(name)),
         _ => None,
     };
@@ -61,18 +52,7 @@ pub(crate) fn backend_of(
     }
 }
 
-/// A part of a node to compute elsewhere.
-#[derive(Debug, Clone)]
-pub struct PartOrder {
-    /// The key of its result.
-    pub key: Digest,
-    /// The bytes of its action, which are not in the store.
-    pub action: Vec<u8>,
-    /// How many photos it is about.
-    pub photos: u64,
-}
-
-/// Other machines that compute a node or parts of it.
+/// Other machines that compute a node.
 pub(crate) struct OtherMachines<'a> {
     pub(crate) executor: &'a dyn Executor,
     pub(crate) needs: Needs,

@@ -31,7 +31,7 @@ mod work;
 pub use check::{Edge, GraphError, NodeShape, check};
 pub use command::{forget_folders, recorded_command, without_archive_folders};
 pub use event::{Event, Listener, SilentListener};
-pub use executor::{Executor, Machine, Order, PartOrder};
+pub use executor::{Executor, Machine, Order};
 pub use graph::{Graph, NodeDecl, NodeView};
 pub use key::{Change, action_at, changes, differences};
 pub use listing::Listings;

@@ -1,4 +1,4 @@
-//! Computes actions, with their inputs from a shared store and their results into it.
+//! Computes an action, with its inputs from a shared store and its result into it.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -24,18 +24,18 @@ const PROGRESS_INTERVAL: Duration = Duration::from_secs(2);
 /// What was computed.
 #[derive(Debug, Clone)]
 pub enum ExecResult {
-    /// The actions, whose results are in the shared store, and what that moved.
-    Actions(Vec<Action>, Traffic),
+    /// The action, whose result is in the shared store, and what that moved.
+    Action(Box<Action>, Traffic),
     /// The backend of a device of this machine. None for a CPU.
     Backend(Option<String>),
 }
 
-/// Computes actions, or answers which backend this machine has. `given` is a file with one action a line, or the key of a result in the
-/// shared store. The outcome is written to `result`. Checkpoints and fetched blobs are in a folder of the job below `scratch`, by default
+/// Computes an action, or answers which backend this machine has. `given` is a file with the action, or the key of a result in the shared
+/// store. The outcome is written to `result`. Checkpoints and fetched blobs are in a folder of the job below `scratch`, by default
 /// a temporary one. The folder of the job is kept until there is a result.
 ///
 /// # Errors
-/// A shared store that cannot be used, actions that cannot be computed here, a file that cannot be written.
+/// A shared store that cannot be used, an action that cannot be computed here, a file that cannot be written.
 pub fn exec(
     context: &Context,
     given: &str,
@@ -55,14 +55,14 @@ pub fn exec(
     let reader = Arc::new(Reader::new(Arc::clone(&remote), stop));
     let task = Task::read(given, reader.as_ref())?;
     let outcome = match &task.work {
-        Work::Actions(list) => {
+        Work::Action(action) => {
             let machine = Machine {
                 context,
                 result,
                 scratch,
                 remote: &remote,
             };
-            machine.compute(&task.key, list, reader)
+            machine.compute(action, reader)
         }
         Work::Backend(question) => backend_of(question),
     };
@@ -79,7 +79,7 @@ pub fn exec(
         .map(in_words)
         .for_each(context.warnings());
     Ok(match task.work {
-        Work::Actions(list) => ExecResult::Actions(list, remote.traffic()),
+        Work::Action(action) => ExecResult::Action(action, remote.traffic()),
         Work::Backend(_) => ExecResult::Backend(outcome.backend),
     })
 }
@@ -107,8 +107,8 @@ struct Task {
 
 /// The work of a job.
 enum Work {
-    /// Computes actions.
-    Actions(Vec<Action>),
+    /// Computes an action.
+    Action(Box<Action>),
     /// Answers a run that plans for this machine.
     Backend(BackendQuestion),
 }
@@ -172,13 +172,8 @@ impl Task {
             let work = Work::Backend(question);
             return Ok(Self { key, work });
         }
-        let lines = bytes.split(|byte| *byte == b'\n').filter(|line| !line.is_empty());
-        let list: Result<Vec<Action>, _> = lines.map(Action::decode).collect();
-        let list = list.map_err(|error| Error::usage(format!("{given}: {error}")))?;
-        if list.is_empty() {
-            return Err(Error::usage(format!("{given}: no action")));
-        }
-        let work = Work::Actions(list);
+        let action = Action::decode(&bytes).map_err(|error| Error::usage(format!("{given}: {error}")))?;
+        let work = Work::Action(Box::new(action));
         Ok(Self { key, work })
     }
 }
@@ -192,13 +187,8 @@ struct Machine<'a> {
 }
 
 impl Machine<'_> {
-    /// Computes the actions of a job one after the other and sends their results. Returns the conflicts with results that were there.
-    fn compute<R: Upstream + 'static>(
-        &self,
-        job: &Digest,
-        actions: &[Action],
-        reader: Arc<R>,
-    ) -> Result<Outcome, Error> {
+    /// Computes an action and sends its result. Returns the conflicts with results that were there.
+    fn compute<R: Upstream + 'static>(&self, action: &Action, reader: Arc<R>) -> Result<Outcome, Error> {
         let kept = self.scratch;
         let temporary = kept.is_none().then(tempfile::tempdir).transpose();
         let temporary = temporary.map_err(|error| Error::failed(error.to_string()))?;
@@ -206,12 +196,11 @@ impl Machine<'_> {
             .or(temporary.as_ref().map(|dir| dir.path()))
             .unwrap_or(Path::new("."));
         // The folder may hold other files of the user.
-        let own = dir.join(job.to_string());
+        let own = dir.join(action.key().to_string());
         let store = open_store(&own, &self.context.cancel)?.with_upstream(reader);
-        let made = actions.iter().map(|action| Ok(self.record(action, &store)?.key));
-        let keys: Vec<Digest> = made.collect::<Result<_, Error>>()?;
+        let key = self.record(action, &store)?.key;
         let stop = StopObserver(self.context.cancel.clone());
-        let sent = self.remote.send(&store, &keys, &[], &stop)?;
+        let sent = self.remote.send(&store, &[key], &[], &stop)?;
         drop(store);
         if let Some(dir) = kept {
             // A folder that cannot be removed only takes space.

@@ -11,7 +11,6 @@ use super::{
     error::ActionError,
     job::unix_seconds,
     options::Options,
-    part::{PartJob, part_of, pass_of},
     pool,
     scheduler::Scheduler,
     state::RunState,
@@ -21,10 +20,8 @@ use super::{
 use crate::{
     event::Listener,
     graph::Graph,
-    items::ShardLeaves,
     key::{differences, node_key},
     state_listener::EventsOnly,
-    work::{PASS, PartKind, part_key},
 };
 
 /// An action that this program on this machine computes under the same key.
@@ -32,8 +29,6 @@ pub struct ActionJob {
     graph: Graph,
     task: Task,
     key: Digest,
-    /// The part of its node that it is. None for the whole node.
-    part: Option<(PartKind, ShardLeaves)>,
 }
 
 impl ActionJob {
@@ -45,12 +40,11 @@ impl ActionJob {
     /// An action for which this program or this machine has another key.
     pub fn new(action: &Action, params: Value, table: &[StageDef]) -> Result<Self, ActionError> {
         let graph = Graph::new(Vec::new(), table)?;
-        let (task, part) = task_of(action, params, &graph)?;
+        let task = task_of(action, params, &graph)?;
         Ok(Self {
             graph,
             task,
             key: action.key(),
-            part,
         })
     }
 
@@ -67,17 +61,6 @@ impl ActionJob {
     ) -> Result<Record, ActionError> {
         let threads = threads(options.threads);
         let pool = pool(threads)?;
-        if let Some((kind, shard)) = self.part {
-            let part = PartJob {
-                task: &self.task,
-                kind,
-                shard,
-                store,
-                program: &options.program,
-                threads,
-            };
-            return pool.install(|| part.run(listener, cancel));
-        }
         let context = RunContext {
             graph: &self.graph,
             store,
@@ -105,13 +88,8 @@ impl ActionJob {
     }
 }
 
-/// Returns the task of an action, if this program on this machine computes the same key for it, and its part of the node. The part is None
-/// for the whole node.
-fn task_of(
-    action: &Action,
-    mut params: Value,
-    graph: &Graph,
-) -> Result<(Task, Option<(PartKind, ShardLeaves)>), ActionError> {
+/// Returns the task of an action, if this program on this machine computes the same key for it.
+fn task_of(action: &Action, params: Value, graph: &Graph) -> Result<Task, ActionError> {
     let stage = || action.stage.clone();
     let Some(def) = graph.table.get(action.stage.as_str()) else {
         return Err(ActionError::NoStage { stage: stage() });
@@ -120,9 +98,11 @@ fn task_of(
     if def.ports.is_empty() {
         return Err(ActionError::Source { stage: stage() });
     }
-    if pass_of(action).is_some() {
-        // A summary depends on no other parameter, so those that its stage has by default do.
-        params.as_object_mut().map(|params| params.remove(PASS));
+    if let Some(part) = &action.part {
+        return Err(ActionError::Part {
+            stage: stage(),
+            part: part.clone(),
+        });
     }
     let bound: Arc<dyn Stage> = (def.bind)(params)
         .map_err(|error| ActionError::Params {
@@ -130,22 +110,9 @@ fn task_of(
             message: error.to_string(),
         })?
         .into();
-    let part = match &action.part {
-        None => None,
-        Some(name) => {
-            let unknown = || ActionError::Part {
-                stage: stage(),
-                part: name.clone(),
-            };
-            Some(part_of(action, bound.as_ref()).ok_or_else(unknown)?)
-        }
-    };
     let inputs = Inputs(action.inputs.clone());
-    let mut key = node_key(&graph.table, None, def, bound.as_ref(), &inputs)
+    let key = node_key(&graph.table, None, def, bound.as_ref(), &inputs)
         .map_err(|error| ActionError::Failed(error.to_string()))?;
-    if let Some((kind, shard)) = &part {
-        key = part_key(&key.action, *kind, shard.shard, inputs.0.clone());
-    }
     let here = &key.action;
     let backend = |action: &Action| action.backend.clone().unwrap_or_else(|| "cpu".to_owned());
     if here.backend != action.backend {
@@ -169,9 +136,8 @@ fn task_of(
         listed: None,
         reason: String::new(),
     };
-    let task = Task {
+    Ok(Task {
         prepared: Some(prepared),
         ..Task::new(stage(), *def, bound, InputSource::Fixed(inputs))
-    };
-    Ok((task, part))
+    })
 }

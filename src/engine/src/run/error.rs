@@ -13,8 +13,8 @@ pub enum ActionError {
         /// Its name.
         stage: String,
     },
-    /// The action is of a part of a node that the stage does not have.
-    #[error("part `{part}` of stage `{stage}`, which this program does not make with these parameters")]
+    /// The action is of a part of a node.
+    #[error("part `{part}` of stage `{stage}`, which this program computes only with its node")]
     Part {
         /// Name of the stage.
         stage: String,

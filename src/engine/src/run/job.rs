@@ -44,7 +44,7 @@ pub(super) struct Job<'a> {
     pub(super) check: BlobCheck,
     pub(super) threads: usize,
     pub(super) began: Instant,
-    /// Other machines that may compute it or parts of it. Absent if all is computed here.
+    /// The other machines that compute it. Absent if it is computed here.
     pub(super) elsewhere: Option<OtherMachines<'a>>,
 }
 
@@ -104,9 +104,9 @@ impl Job<'_> {
                 device: self.device(),
             });
         }
-        match (&self.elsewhere, self.bound.work()) {
-            (Some(elsewhere), Work::Set(_)) => self.run_elsewhere(elsewhere),
-            _ => self.run(),
+        match &self.elsewhere {
+            Some(elsewhere) => self.run_elsewhere(elsewhere),
+            None => self.run(),
         }
     }
 
@@ -228,7 +228,6 @@ impl Job<'_> {
         };
         let run = StageRun {
             store: self.context.store,
-            node: &self.node,
             ctx,
             def: &self.def,
             stage,
@@ -237,7 +236,6 @@ impl Job<'_> {
             listed: self.prepared.listed.as_ref(),
             check: self.check,
             shared: self.context.shared,
-            elsewhere: self.elsewhere.as_ref(),
             metadata,
             warn: &|message| self.warn(message.to_owned()),
         };

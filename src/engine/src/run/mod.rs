@@ -5,7 +5,6 @@ mod context;
 mod error;
 mod job;
 mod options;
-mod part;
 mod prepare;
 mod recover;
 mod report;

@@ -217,12 +217,8 @@ impl<'a> Scheduler<'a> {
             Place::Elsewhere => 0,
         };
         self.free_permits -= permits;
-        if matches!(place, Place::Elsewhere) {
+        let elsewhere = if matches!(place, Place::Elsewhere) {
             self.elsewhere.insert(index);
-        }
-        let work = self.state.tasks[index].bound.work();
-        let has_parts = matches!(work, Work::Map(_) | Work::Fold(_));
-        let elsewhere = if has_parts || matches!(place, Place::Elsewhere) {
             self.elsewhere(index)
         } else {
             None

@@ -18,11 +18,7 @@ use super::{
     shards::{PartRequest, shard_parts},
     stage_run::{PartKind, StageRun},
 };
-use crate::{
-    errors::{contract_violation, store_error},
-    items::ShardLeaves,
-    key::Key,
-};
+use crate::{errors::store_error, items::ShardLeaves, key::Key};
 
 /// Name of the input of a part that is the context it looks at.
 const CONTEXT: &str = "context";
@@ -67,41 +63,6 @@ pub(super) fn part_inputs(shard: &ShardLeaves, context: &Context) -> BTreeMap<St
 /// Returns the summary that a record holds.
 pub(super) fn summary_of(record: &Record) -> Option<Digest> {
     record.outputs.get(SUMMARY).map(|output| output.digest)
-}
-
-/// Returns the context that a part looks at.
-pub(super) fn context_of(run: &StageRun<'_>) -> Result<Context, StageError> {
-    match run.inputs.optional(CONTEXT) {
-        None => Ok(Context::default()),
-        Some(digest) => Ok(Context::new(run.ctx.get(digest)?.to_vec())),
-    }
-}
-
-/// Summarises one shard for the pass of a name, as an action of its own.
-pub(super) fn summarise(
-    run: &StageRun<'_>,
-    map: &dyn Map,
-    name: &str,
-    shard: &ShardLeaves,
-) -> Result<(), StageError> {
-    let pass = map.comparison().and_then(|comparison| {
-        let index = comparison.passes().into_iter().position(|pass| pass == name)?;
-        Some((comparison, index))
-    });
-    let (comparison, index) = pass.ok_or_else(|| contract_violation(format!("it has no pass `{name}`")))?;
-    let before = context_of(run)?;
-    let (shard, _) = measure_shard(run, map, shard)?;
-    let pass = Pass {
-        run,
-        map,
-        comparison,
-        index,
-        before: &before,
-        made: AtomicU64::new(0),
-        measured: AtomicU64::new(0),
-    };
-    pass.summarise(run.key, &shard)?;
-    Ok(())
 }
 
 /// Runs all passes of a comparison.

@@ -7,9 +7,8 @@ use marf_cache::Digest;
 use marf_stage::{Ctx, Fold, FoldState, PHOTOS, StageError};
 
 use super::{
-    elsewhere::measure_elsewhere,
     map::store_decided,
-    measure::{MeasuredShard, RowProgress, measure, measure_shard, windows},
+    measure::{MeasuredShard, RowProgress, measure, windows},
     stage_run::{Counts, Part, PartKind, PartedOutputs, StageRun},
 };
 use crate::{
@@ -37,25 +36,6 @@ fn link(before: &Digest, added: &Digest) -> Vec<u8> {
     [*before.as_bytes(), *added.as_bytes()].concat()
 }
 
-/// Returns the additions of the steps of a chain, in their order, from its links.
-fn added_by(run: &StageRun<'_>, mut chain: Digest) -> Result<Vec<Digest>, StageError> {
-    let mut added = Vec::new();
-    while chain != start() {
-        run.ctx.check()?;
-        let link = run.ctx.get(&chain)?;
-        let ([before, last], []) = link.as_chunks::<32>() else {
-            return Err(contract_violation(format!(
-                "{} is not a link of a chain",
-                chain.short()
-            )));
-        };
-        added.push(Digest::from_bytes(*last));
-        chain = Digest::from_bytes(*before);
-    }
-    added.reverse();
-    Ok(added)
-}
-
 /// Returns the inputs of the step that folds a shard into the state after a chain of steps.
 pub(super) fn step_inputs(shard: &ShardLeaves, before: Digest) -> BTreeMap<String, Digest> {
     let before = (BEFORE.to_owned(), before);
@@ -81,8 +61,7 @@ pub(super) fn execute(run: &StageRun<'_>, fold: &dyn Fold) -> Result<PartedOutpu
         )?;
     }
     let total: u64 = shards[first..].iter().map(|shard| shard.rows()).sum();
-    let lacking: Vec<&ShardLeaves> = shards[first..].iter().collect();
-    let mut measured = measure_elsewhere(run, fold, &lacking)?;
+    let mut measured = 0;
     let mut progress = RowProgress::new(run, total);
     for window in windows(&shards[first..], |shard| shard.rows()) {
         let leaves: Vec<&ShardLeaves> = window.iter().collect();
@@ -102,21 +81,6 @@ pub(super) fn execute(run: &StageRun<'_>, fold: &dyn Fold) -> Result<PartedOutpu
         .zip(&steps.keys)
         .map(|(shard, key)| (shard.shard, *key));
     run.join(keys.collect(), steps.parts.into_iter().collect(), counts)
-}
-
-/// Folds one shard into the state that the chain before it left, as an action of its own.
-pub(super) fn step(run: &StageRun<'_>, fold: &dyn Fold, shard: &ShardLeaves) -> Result<(), StageError> {
-    let before = *run.inputs.required(BEFORE)?;
-    let mut state = fold.begin();
-    replay(run, state.as_mut(), added_by(run, before)?)?;
-    let (measured, _) = measure_shard(run, fold, shard)?;
-    let mut steps = Steps {
-        run,
-        keys: Vec::new(),
-        parts: Vec::new(),
-        before,
-    };
-    steps.fold(fold, state.as_mut(), shard, measured)
 }
 
 /// Brings a state to where the steps that added this left it.
@@ -180,7 +144,7 @@ impl Steps<'_> {
             (added, verdicts)
         };
         let added = ctx.put(&added)?;
-        // So that the next step can be computed from the store alone.
+        // The inputs of an action are in the store, and this is one of the next step.
         ctx.put(&link(&self.before, &added))?;
         let part = Part {
             added: Some(added),

@@ -4,8 +4,8 @@ use marf_stage::{Ctx, Map, PHOTOS, StageError, Verdict};
 use rayon::prelude::*;
 
 use super::{
-    compare::{ComparisonResult, compare, context_of, part_inputs},
-    measure::{MeasuredShard, measure_shard},
+    compare::{ComparisonResult, compare, part_inputs},
+    measure::MeasuredShard,
     shards::{PartRequest, shard_parts},
     stage_run::{Counts, Part, PartKind, PartedOutputs, StageRun},
 };
@@ -50,15 +50,6 @@ pub(super) fn execute(run: &StageRun<'_>, map: &dyn Map) -> Result<PartedOutputs
     keys.extend(requests.iter().map(PartRequest::shard_key));
     keys.sort_by_key(|(shard, _)| *shard);
     run.join(keys, decisions.parts.into_iter().collect(), counts)
-}
-
-/// Decides the rows of one shard, as an action of its own.
-pub(super) fn decide(run: &StageRun<'_>, map: &dyn Map, shard: &ShardLeaves) -> Result<(), StageError> {
-    let context = context_of(run)?;
-    let (shard, _) = measure_shard(run, map, shard)?;
-    let verdicts = map.decide(&context.bytes, &shard.items())?;
-    store_part(run, run.key, shard, verdicts)?;
-    Ok(())
 }
 
 /// Stores the verdicts on a shard and the rows they keep, as a part.

@@ -371,18 +371,6 @@ fn save(run: &StageRun<'_>, table: Table, shard: u32, measures: &MeasureTable) -
     Ok(())
 }
 
-/// Adds measures that another machine made to a table of their shard.
-pub(super) fn add_to_table(
-    run: &StageRun<'_>,
-    table: Table,
-    shard: u32,
-    measures: MeasureTable,
-) -> Result<(), StageError> {
-    let mut kept = load(run.store, table, shard)?.measures;
-    kept.0.extend(measures.0);
-    save(run, table, shard, &kept)
-}
-
 /// Adds measures that a source made of its rows to the tables of their shard. Returns the number of rows measured.
 pub(super) fn keep_fetched(
     run: &StageRun<'_>,

@@ -1,13 +1,11 @@
 //! The kinds of work: how a node is computed when its key is not in the store.
 
 mod compare;
-mod elsewhere;
 mod expand;
 mod extent;
 mod fold;
 mod map;
 mod measure;
-mod part;
 mod shards;
 mod source;
 mod stage_run;
@@ -18,10 +16,8 @@ use marf_stage::{NodeSpec, Outputs, StageError, Work};
 pub(crate) use expand::after_round;
 pub use extent::Extent;
 pub(crate) use extent::extent;
-pub(crate) use part::make_part;
 pub(crate) use stage_run::{
-    BlobCheck, Counts, PASS, PartKind, PartedOutputs, StageRun, needs_of, part_key, put_action, put_needs,
-    put_parts, with_lengths,
+    BlobCheck, Counts, PartedOutputs, StageRun, needs_of, put_action, put_needs, put_parts, with_lengths,
 };
 
 /// The result of a stage.

@@ -5,7 +5,6 @@ use marf_stage::{Measure, StageError};
 use rayon::prelude::*;
 
 use super::{
-    elsewhere::measure_elsewhere,
     measure::{MeasuredShard, RowProgress, measure, windows},
     stage_run::StageRun,
 };
@@ -53,9 +52,8 @@ pub(super) fn shard_parts<P: Send>(
         parts.push(find(&request.key.digest)?);
     }
     let missing: Vec<usize> = (0..requests.len()).filter(|&at| parts[at].is_none()).collect();
-    let lacking: Vec<&ShardLeaves> = missing.iter().map(|&at| requests[at].shard).collect();
-    let mut measured = measure_elsewhere(run, stage, &lacking)?;
-    let total: u64 = lacking.iter().map(|shard| shard.rows()).sum();
+    let mut measured = 0;
+    let total: u64 = missing.iter().map(|&at| requests[at].shard.rows()).sum();
     let mut progress = RowProgress::new(run, total);
     for window in windows(&missing, |&at| requests[at].shard.rows()) {
         run.ctx.check()?;

@@ -12,7 +12,6 @@ use serde_json::json;
 
 use crate::{
     errors::{contract_violation, store_error},
-    executor::OtherMachines,
     items::{read_refs, rows_of, write_refs, write_set},
     key::Key,
     listing::SourceListing,
@@ -39,8 +38,6 @@ pub(crate) enum BlobCheck {
 #[derive(Clone, Copy)]
 pub(crate) struct StageRun<'a> {
     pub(crate) store: &'a Store,
-    /// Name of the node.
-    pub(crate) node: &'a str,
     pub(crate) ctx: Ctx<'a>,
     pub(crate) def: &'a StageDef,
     pub(crate) stage: &'a dyn Stage,
@@ -51,8 +48,6 @@ pub(crate) struct StageRun<'a> {
     pub(crate) check: BlobCheck,
     /// Where results are shared with other machines.
     pub(crate) shared: Option<&'a dyn SharedResults>,
-    /// Other machines that may measure. None if all is measured here.
-    pub(crate) elsewhere: Option<&'a OtherMachines<'a>>,
     pub(crate) metadata: &'a RunMetadata,
     /// Warns the user.
     pub(crate) warn: &'a (dyn Fn(&str) + Sync),
@@ -69,12 +64,10 @@ pub(crate) enum PartKind {
     Decide,
     /// A step of a fold.
     Fold,
-    /// The measures of a shard, made on another machine.
-    Measure,
 }
 
 /// Parameter of a summary: the name of its pass.
-pub(crate) const PASS: &str = "pass";
+const PASS: &str = "pass";
 
 impl PartKind {
     /// Returns the name that the kind has in actions.
@@ -84,7 +77,6 @@ impl PartKind {
             Self::Summarise(_) => "summarise",
             Self::Decide => "decide",
             Self::Fold => "fold",
-            Self::Measure => "measure",
         }
     }
 }

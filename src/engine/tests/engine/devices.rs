@@ -6,8 +6,7 @@ use std::time::Duration;
 
 use marf_cache::{Action, Store};
 use marf_engine::{
-    Cancel, Executor, Graph, Machine, NodeDecl, Options, Order, Outcome, PartOrder, SilentListener,
-    action_at, run,
+    Cancel, Executor, Graph, Machine, NodeDecl, Options, Order, Outcome, SilentListener, action_at, run,
 };
 use marf_stage::{
     Ctx, Define, Inputs, Outputs, ParamError, Port, Set, Stage, StageError, Work, define, key_params,
@@ -130,14 +129,6 @@ impl Executor for Idle {
 
     fn execute(&self, order: &Order<'_>) -> Result<(), StageError> {
         Err(StageError::new(format!("gpu: {}", order.needs.gpu)))
-    }
-
-    fn takes_parts(&self, _action: &Action, _photos: u64) -> bool {
-        false
-    }
-
-    fn execute_parts(&self, _order: &Order<'_>, _parts: &[PartOrder]) -> Result<(), StageError> {
-        Ok(())
     }
 }
 

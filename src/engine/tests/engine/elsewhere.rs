@@ -12,17 +12,14 @@ use std::{
 
 use marf_cache::{Action, Digest, Record, Store, Upstream};
 use marf_engine::{
-    ActionError, ActionJob, Cancel, Executor, Graph, NodeState, Options, Order, Outcome, PartOrder,
-    SilentListener, action_at,
+    ActionError, ActionJob, Cancel, Executor, Graph, NodeState, Options, Order, Outcome, SilentListener,
+    action_at,
 };
 use marf_stage::StageError;
 use parking_lot::Mutex;
 use serde_json::{Value, json};
 
 use crate::common::*;
-
-/// Fewer photos than this are measured by the run.
-const LEAST_PHOTOS: u64 = 4;
 
 /// The blobs of another store.
 struct Blobs(Store);
@@ -105,21 +102,6 @@ impl Executor for Machine {
             .then_some(marf_engine::Machine { gpu })
     }
 
-    fn takes_parts(&self, action: &Action, photos: u64) -> bool {
-        self.takes(action) && photos >= LEAST_PHOTOS
-    }
-
-    fn execute_parts(&self, order: &Order<'_>, parts: &[PartOrder]) -> Result<(), StageError> {
-        for part in parts {
-            let action = Action::decode(&part.action).unwrap();
-            assert_eq!(action.key(), part.key);
-            self.bring(&action, order)?;
-        }
-        let computed = (order.node.to_owned(), parts.len());
-        self.computed.lock().push(computed);
-        Ok(())
-    }
-
     fn takes(&self, action: &Action) -> bool {
         self.stages.contains(&action.stage.as_str())
     }
@@ -183,7 +165,6 @@ fn nodes_computed_elsewhere_are_those_computed_here() {
     assert_eq!(
         names,
         [
-            "at_most",
             "many/member-00",
             "many/member-01",
             "many/member-02",
@@ -192,7 +173,6 @@ fn nodes_computed_elsewhere_are_those_computed_here() {
             "sum"
         ]
     );
-    assert_eq!(computed[0].1, 2, "the measures of two shards");
     assert_eq!(computed.last().unwrap().1, 3, "a sum may read of three results");
     assert_eq!(
         machine.most_busy.load(Ordering::SeqCst),
@@ -205,10 +185,9 @@ fn nodes_computed_elsewhere_are_those_computed_here() {
     assert_eq!(ran(&log), Vec::<String>::new());
 }
 
-/// Every result of a run that no archive is read for, each from the blobs of its store alone: nodes, summaries and decisions of shards, steps
-/// of folds.
+/// Every node of a run that no archive is read for, each from the blobs of its store alone. Parts of nodes are refused.
 #[test]
-fn each_part_of_a_node_is_computed_again_from_its_inputs_alone() {
+fn each_node_is_computed_again_from_its_inputs_alone() {
     let (number, fixture) = new_fixture();
     for shard in 1..=3 {
         fixture.put_shard(shard);
@@ -238,53 +217,21 @@ fn each_part_of_a_node_is_computed_again_from_its_inputs_alone() {
             assert!(matches!(made, Err(ActionError::Source { .. })), "{made:?}");
             continue;
         }
+        if let Some(part) = action.part {
+            assert!(matches!(made, Err(ActionError::Part { .. })), "{part}: {made:?}");
+            *computed.entry(part).or_default() += 1;
+            continue;
+        }
         let made = made.unwrap_or_else(|error| panic!("{action:?}: {error}"));
         assert_eq!(made.outputs, record.outputs, "{action:?}");
         assert_eq!(made.needs, record.needs, "{action:?}");
-        let part = action.part.unwrap_or_else(|| "whole".to_owned());
-        *computed.entry(part).or_default() += 1;
+        *computed.entry("whole".to_owned()).or_default() += 1;
     }
     let expected = [("decide", 6), ("fold", 3), ("summarise", 6), ("whole", 8)];
     assert_eq!(
         computed,
         BTreeMap::from(expected.map(|(part, count)| (part.to_owned(), count)))
     );
-}
-
-/// Measures made elsewhere are kept like those made here: a new shard alone is measured again, one that lacks few is measured
-/// here, and so are few photos.
-#[test]
-fn shards_are_measured_elsewhere_where_they_lack_most_measures() {
-    let (number, fixture) = new_fixture();
-    for shard in 1..=3 {
-        fixture.put_shard(shard);
-    }
-    let pipeline = TestPipeline::new(number);
-    let (folder, store) = fresh_store();
-    let machine = Arc::new(Machine::new(&folder, number, &["at_most", "distinct"]));
-    let run = || run_with(&pipeline.graph(), &store, &with(&machine), &Cancel::default());
-    let computed = || std::mem::take(&mut *machine.computed.lock());
-    let counts = |record: &marf_engine::RunRecord, node: &str| record.node(node).unwrap().counts["measured"];
-    let (record, _) = run();
-    assert_eq!(record.outcome, Outcome::Done);
-    assert_eq!(
-        computed(),
-        [("at_most".to_owned(), 3), ("distinct".to_owned(), 3)]
-    );
-    assert!(counts(&record, "at_most") >= 3);
-    let measured = fixture.take_measured() as u64;
-    assert_eq!(measured, counts(&record, "at_most") + counts(&record, "distinct"));
-
-    fixture.put_shard(4);
-    run();
-    assert_eq!(computed()[0], ("at_most".to_owned(), 1), "the new shard");
-    fixture.take_measured();
-
-    // One more photo in a shard of many.
-    fixture.put(4, "one-more", 2);
-    run();
-    assert_eq!(computed(), [] as [(String, usize); 0]);
-    assert_eq!(fixture.take_measured(), 2, "here, at both stages");
 }
 
 #[test]
