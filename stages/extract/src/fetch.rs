@@ -7,10 +7,10 @@ use marf_cache::{Digest, manifest::Row};
 use marf_pds::exif::{self, Lens};
 use marf_pds::{Label, raw};
 use marf_scene::{DecodeError, Photo, PhotoFacts, thumbnail};
-use marf_stage::{Ctx, Fetched, FetchedMeasure, StageError, Verdict};
+use marf_stage::{Ctx, Fetched, FetchedMeasure, OriginKind, StageError, Verdict};
 use rayon::prelude::*;
 
-use crate::archive::{ArchiveFile, Kind, ReadFile};
+use crate::archive::{ArchiveFile, ReadFile};
 use crate::products::{Product, Sorted, left, sort};
 use crate::survey::PhotoMeasures;
 
@@ -149,7 +149,7 @@ fn decode(product: &Product, file: &ArchiveFile, bytes: &[u8], limit_bytes: u64)
         product.name.as_ref(),
         product.label.as_ref().map(|label| &label.label),
     );
-    if file.kind == Kind::Raw {
+    if file.kind == OriginKind::Raw {
         let developed = raw::develop_within(name, bytes, beside, limit_bytes);
         let developed = developed.map_err(|error| with_key(&error, error.is_limit()))?;
         return Ok(Decoded {

@@ -5,10 +5,10 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use marf_cache::Digest;
 use marf_pds::{Label, ProductName, join_key};
-use marf_stage::{Ctx, StageError, Verdict};
+use marf_stage::{Ctx, OriginKind, StageError, Verdict};
 use rayon::prelude::*;
 
-use crate::archive::{ArchiveFile, Kind, ReadFile, extension, folder, read_label, stem};
+use crate::archive::{ArchiveFile, ReadFile, extension, folder, read_label, stem};
 
 /// A product: the files that may be its photo, best first, and its label.
 pub(crate) struct Product {
@@ -103,17 +103,18 @@ enum Place {
 }
 
 fn place(file: &ArchiveFile) -> Place {
-    match &file.kind {
-        Kind::Photo | Kind::Raw => match ProductName::read(stem(&file.name)) {
+    let reason = || file.reason.clone().unwrap_or_default();
+    match file.kind {
+        OriginKind::Photo | OriginKind::Raw => match ProductName::read(stem(&file.name)) {
             Some(name) => match name.no_photo() {
                 Some(reason) => Place::LeftOut("skipped", reason),
                 None => Place::Photo(join_key(&name.id)),
             },
             None => Place::Photo(format!("/{}", file.name)),
         },
-        Kind::Pds4 | Kind::Feed | Kind::Odl => Place::Label,
-        Kind::Other(reason) => Place::LeftOut("skipped", reason.clone()),
-        Kind::Unreadable(reason) => Place::LeftOut("decode", reason.clone()),
+        OriginKind::Pds4 | OriginKind::Feed | OriginKind::Odl => Place::Label,
+        OriginKind::Other => Place::LeftOut("skipped", reason()),
+        OriginKind::Unreadable => Place::LeftOut("decode", reason()),
     }
 }
 
@@ -132,7 +133,8 @@ fn labels(
     left_out: &mut Vec<Verdict>,
     read: &mut Vec<ReadFile>,
 ) -> Result<Labels, StageError> {
-    let is_label = |file: &ArchiveFile| matches!(file.kind, Kind::Pds4 | Kind::Feed | Kind::Odl);
+    let is_label =
+        |file: &ArchiveFile| matches!(file.kind, OriginKind::Pds4 | OriginKind::Feed | OriginKind::Odl);
     let label_files: Vec<&ArchiveFile> = files.iter().filter(|file| is_label(file)).collect();
     let outcomes: Result<Vec<_>, StageError> = label_files
         .into_par_iter()
@@ -162,7 +164,7 @@ fn one_label(ctx: &Ctx<'_>, file: &ArchiveFile) -> Result<(ReadFile, Result<Deta
     ctx.check()?;
     let bytes = file.read(ctx)?;
     let digest = ctx.put(&bytes)?;
-    let label = match read_label(&file.kind, &bytes) {
+    let label = match read_label(file.kind, &bytes) {
         Ok(label) => Ok(Detached {
             name: file.name.clone(),
             digest,
@@ -214,8 +216,8 @@ fn product(mut files: Vec<ArchiveFile>, labels: &mut Labels, left_out: &mut Vec<
 /// Sorts candidates: the newest version, raw pixels before pictures made of them, lossless before lossy, full size
 /// before pictures that a feed reduced (which have longer names).
 fn rank(file: &ArchiveFile) -> (Reverse<String>, u8, usize, String) {
-    let quality = match (&file.kind, extension(&file.name).as_str()) {
-        (Kind::Raw, _) => 0,
+    let quality = match (file.kind, extension(&file.name).as_str()) {
+        (OriginKind::Raw, _) => 0,
         (_, "png" | "tif" | "tiff" | "pnm" | "pgm" | "ppm") => 1,
         (_, "webp") => 2,
         (_, "jpg" | "jpeg") => 3,

@@ -1,25 +1,6 @@
 //! What a file is, by its name and first bytes.
 
-use serde::{Deserialize, Serialize};
-
-/// What a file is, by name and first bytes.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub(crate) enum Kind {
-    /// JPEG, PNG, WebP, GIF, TIFF or PNM, or a file that says it is a picture.
-    Photo,
-    /// A picture behind an attached label, or an array that a detached label describes.
-    Raw,
-    /// PDS4 label.
-    Pds4,
-    /// Record of a raw-image feed.
-    Feed,
-    /// PDS3 label without pixels.
-    Odl,
-    /// None of these, and why.
-    Other(String),
-    /// Cannot be read, and why.
-    Unreadable(String),
-}
+use marf_stage::OriginKind;
 
 /// Returns the folder part of a relative name, without the slash.
 pub(crate) fn folder(name: &str) -> &str {
@@ -95,14 +76,20 @@ fn is_pnm(bytes: &[u8]) -> bool {
 }
 
 /// Returns the kind of a file by its first bytes, else by its name.
-pub(crate) fn kind(name: &str, bytes: &[u8]) -> Kind {
+pub(crate) fn kind(name: &str, bytes: &[u8]) -> OriginKind {
+    kind_and_reason(name, bytes).0
+}
+
+/// Returns the kind of a file by its first bytes, else by its name, and why it is not taken if it is of no kind that is.
+pub(crate) fn kind_and_reason(name: &str, bytes: &[u8]) -> (OriginKind, Option<String>) {
+    let other = |reason: String| (OriginKind::Other, Some(reason));
     if let Some(reason) = left_by_a_system(name) {
-        return Kind::Other(reason.to_owned());
+        return other(reason.to_owned());
     }
     let extension = extension(name);
     if CAMERA_RAW.contains(&extension.as_str()) {
         // They are TIFFs, whose first page is a thumbnail.
-        return Kind::Other(format!(
+        return other(format!(
             "undeveloped pixels of a camera (`.{extension}`): save them as TIFF, PNG or JPEG"
         ));
     }
@@ -117,20 +104,22 @@ pub(crate) fn kind(name: &str, bytes: &[u8]) -> Kind {
         b"MM\0+",
     ];
     if magic.iter().any(|magic| bytes.starts_with(magic)) || is_pnm(bytes) {
-        return Kind::Photo;
+        return (OriginKind::Photo, None);
     }
-    match extension.as_str() {
+    let kind = match extension.as_str() {
         "jpg" | "jpeg" | "png" | "webp" | "gif" | "tif" | "tiff" | "pnm" | "pbm" | "pgm" | "ppm" | "pam"
-        | "bmp" | "jp2" | "j2k" | "jxl" | "heic" | "heif" | "avif" => Kind::Photo,
-        "img" | "vic" | "vicar" => Kind::Raw,
-        "xml" => Kind::Pds4,
-        "json" => Kind::Feed,
-        "lbl" => Kind::Odl,
-        "dat" if marf_pds::dat::is_compressed(bytes) => Kind::Raw,
-        "dat" => Kind::Other(
-            "no photo and no label: a `.dat` without the header of Mastcam, MAHLI or MARDI".into(),
-        ),
-        "" => Kind::Other("no photo and no label: unknown first bytes, no extension".into()),
-        other => Kind::Other(format!("no photo and no label: `.{other}`")),
-    }
+        | "bmp" | "jp2" | "j2k" | "jxl" | "heic" | "heif" | "avif" => OriginKind::Photo,
+        "img" | "vic" | "vicar" => OriginKind::Raw,
+        "xml" => OriginKind::Pds4,
+        "json" => OriginKind::Feed,
+        "lbl" => OriginKind::Odl,
+        "dat" if marf_pds::dat::is_compressed(bytes) => OriginKind::Raw,
+        "dat" => {
+            let reason = "no photo and no label: a `.dat` without the header of Mastcam, MAHLI or MARDI";
+            return other(reason.to_owned());
+        }
+        "" => return other("no photo and no label: unknown first bytes, no extension".to_owned()),
+        unknown => return other(format!("no photo and no label: `.{unknown}`")),
+    };
+    (kind, None)
 }

@@ -15,7 +15,7 @@ use marf_pds::{Label, ProductName, feed, pds4, raw};
 use marf_stage::{Cancel, Ctx, Files, Keep, Listing, Origin, OriginKind, StageError};
 use serde::{Deserialize, Serialize};
 
-pub(crate) use file_kind::{Kind, extension, folder, is_system_name, kind, stem};
+pub(crate) use file_kind::{extension, folder, is_system_name, kind, kind_and_reason, stem};
 
 /// An archive, ready to be read.
 pub(crate) trait ArchiveFiles: Send + Sync {
@@ -50,7 +50,9 @@ pub(crate) struct ArchiveFile {
     /// Name in the archive, relative, with `/`.
     pub name: String,
     /// Its kind.
-    pub kind: Kind,
+    pub kind: OriginKind,
+    /// Why it is not taken.
+    pub reason: Option<String>,
     /// Digest of its bytes, or of the reason why it cannot be read.
     pub digest: Digest,
     bytes: Bytes,
@@ -126,13 +128,14 @@ pub(crate) enum ReadError {
 impl ArchiveFile {
     /// Returns a file whose bytes are in memory, for archives that make their files.
     pub fn in_memory(name: String, bytes: Vec<u8>) -> Self {
-        let kind = kind(&name, &bytes);
+        let (kind, reason) = kind_and_reason(&name, &bytes);
         Self {
             digest: Digest::from_content(&bytes),
             bytes: Bytes::Memory(bytes.into()),
             fetched: None,
             name,
             kind,
+            reason,
         }
     }
 
@@ -141,6 +144,7 @@ impl ArchiveFile {
         Self {
             name,
             kind: known.kind,
+            reason: known.reason,
             digest: known.digest,
             bytes: Bytes::Local(file),
             fetched: None,
@@ -149,8 +153,10 @@ impl ArchiveFile {
 
     /// Returns a file whose bytes are in the store. Its kind follows from its name alone.
     pub fn stored(name: String, digest: Digest, fetched: FetchedFrom) -> Self {
+        let (kind, reason) = kind_and_reason(&name, &[]);
         Self {
-            kind: kind(&name, &[]),
+            kind,
+            reason,
             digest,
             bytes: Bytes::Stored,
             fetched: Some(fetched),
@@ -160,18 +166,9 @@ impl ArchiveFile {
 
     /// Returns a file as an earlier run recorded it. Its bytes are in the store if that run read it.
     pub fn recorded(origin: Origin) -> Self {
-        let reason = || origin.reason.clone().unwrap_or_default();
-        let kind = match origin.kind {
-            OriginKind::Photo => Kind::Photo,
-            OriginKind::Raw => Kind::Raw,
-            OriginKind::Pds4 => Kind::Pds4,
-            OriginKind::Feed => Kind::Feed,
-            OriginKind::Odl => Kind::Odl,
-            OriginKind::Other => Kind::Other(reason()),
-            OriginKind::Unreadable => Kind::Unreadable(reason()),
-        };
         Self {
-            kind,
+            kind: origin.kind,
+            reason: origin.reason,
             digest: origin.blake3,
             bytes: Bytes::Stored,
             fetched: origin.fetched.map(|time| FetchedFrom {
@@ -188,18 +185,8 @@ impl ArchiveFile {
             digest: Digest::from_content(reason.as_bytes()),
             bytes: Bytes::Memory(Arc::default()),
             fetched: None,
-            kind: Kind::Other(reason),
-            name,
-        }
-    }
-
-    /// Returns a file that is there and cannot be read.
-    pub fn unreadable(name: String, reason: String) -> Self {
-        Self {
-            digest: Digest::from_content(reason.as_bytes()),
-            bytes: Bytes::Memory(Arc::default()),
-            fetched: None,
-            kind: Kind::Unreadable(reason),
+            kind: OriginKind::Other,
+            reason: Some(reason),
             name,
         }
     }
@@ -254,25 +241,16 @@ impl ArchiveFile {
 
     /// Returns the origin of the file, stored next to the result. `read` is its content, if it was read.
     pub fn origin(&self, read: Option<&ReadFile>) -> Origin {
-        let (kind, reason) = match &self.kind {
-            Kind::Photo => (OriginKind::Photo, None),
-            Kind::Raw => (OriginKind::Raw, None),
-            Kind::Pds4 => (OriginKind::Pds4, None),
-            Kind::Feed => (OriginKind::Feed, None),
-            Kind::Odl => (OriginKind::Odl, None),
-            Kind::Other(reason) => (OriginKind::Other, Some(reason.clone())),
-            Kind::Unreadable(reason) => (OriginKind::Unreadable, Some(reason.clone())),
-        };
         let from = self.fetched.as_ref();
         Origin {
             file: self.name.clone(),
-            kind,
+            kind: self.kind,
             blake3: self.digest,
             bytes: read.map(|read| read.bytes),
             sha256: read.map(|read| read.sha256),
             url: from.and_then(|from| from.url.clone()),
             fetched: from.map(|from| from.time.clone()),
-            reason,
+            reason: self.reason.clone(),
         }
     }
 
@@ -290,7 +268,9 @@ const OTHER_BYTES: &str = "its bytes differ from those that were listed";
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Known {
     /// Its kind.
-    pub kind: Kind,
+    pub kind: OriginKind,
+    /// Why it is not taken.
+    pub reason: Option<String>,
     /// Digest of its bytes.
     pub digest: Digest,
     /// Sol, where the name or the file's own label has it.
@@ -304,11 +284,12 @@ impl Known {
     /// Why it cannot be read.
     pub fn read(name: &str, path: &std::path::Path, limit_bytes: u64) -> Result<Self, ReadError> {
         let bytes = read_path(path, limit_bytes)?;
-        let kind = kind(name, &bytes);
+        let (kind, reason) = kind_and_reason(name, &bytes);
         Ok(Self {
             digest: Digest::from_content(&bytes),
-            sol: own_sol(name, &kind, &bytes),
+            sol: own_sol(name, kind, &bytes),
             kind,
+            reason,
         })
     }
 }
@@ -317,11 +298,11 @@ impl Known {
 ///
 /// # Errors
 /// The reason why the bytes are not a label of that kind.
-pub(crate) fn read_label(kind: &Kind, bytes: &[u8]) -> Result<Label, String> {
+pub(crate) fn read_label(kind: OriginKind, bytes: &[u8]) -> Result<Label, String> {
     match kind {
-        Kind::Pds4 => pds4::read(bytes).map_err(|error| error.to_string()),
-        Kind::Feed => feed::read(bytes).map_err(|error| error.to_string()),
-        Kind::Odl | Kind::Raw => raw::head(bytes),
+        OriginKind::Pds4 => pds4::read(bytes).map_err(|error| error.to_string()),
+        OriginKind::Feed => feed::read(bytes).map_err(|error| error.to_string()),
+        OriginKind::Odl | OriginKind::Raw => raw::head(bytes),
         other => Err(format!("{other:?} is not a label")),
     }
 }
@@ -334,11 +315,13 @@ fn read_path(path: &std::path::Path, limit_bytes: u64) -> Result<Vec<u8>, ReadEr
 }
 
 /// Returns the sol by the name, or by the label that the file is or begins with.
-fn own_sol(name: &str, kind: &Kind, bytes: &[u8]) -> Option<u32> {
+fn own_sol(name: &str, kind: OriginKind, bytes: &[u8]) -> Option<u32> {
     ProductName::read(stem(name))
         .and_then(|product| product.sol)
         .or_else(|| match kind {
-            Kind::Pds4 | Kind::Feed | Kind::Odl | Kind::Raw => read_label(kind, bytes).ok()?.sol,
+            OriginKind::Pds4 | OriginKind::Feed | OriginKind::Odl | OriginKind::Raw => {
+                read_label(kind, bytes).ok()?.sol
+            }
             _ => None,
         })
 }

@@ -2,11 +2,11 @@
 
 use marf_pds::{Label, ProductName, join_key, raw};
 use marf_scene::Photo;
-use marf_stage::StageError;
+use marf_stage::{OriginKind, StageError};
 use md5::{Digest as _, Md5};
 
 use super::{Absence, Checkup, Question, Reading};
-use crate::archive::{Kind, extension, kind, read_label, stem};
+use crate::archive::{extension, kind, kind_and_reason, read_label, stem};
 use crate::remote::catalog::{ListedSol, RemoteFile};
 
 const LABEL: &str = "label";
@@ -33,7 +33,7 @@ impl Checkup<'_> {
             return Ok(());
         };
         let (beside, sol) = (label_of(listed, picture.name), listed.sol);
-        let is_raw = kind(picture.name, &[]) == Kind::Raw;
+        let is_raw = kind(picture.name, &[]) == OriginKind::Raw;
         let label = match beside {
             Some(file) => self.label(file, sol)?,
             // Raw pixels may begin with their label.
@@ -54,7 +54,7 @@ impl Checkup<'_> {
     fn label(&mut self, file: ListedFile<'_>, sol: u32) -> Result<Option<Label>, StageError> {
         let name = file.name;
         let read = |bytes: &[u8]| {
-            let label = read_label(&kind(name, &[]), bytes)?;
+            let label = read_label(kind(name, &[]), bytes)?;
             Ok(reading_of_label(label, name, sol))
         };
         match &file.remote.bytes {
@@ -143,17 +143,21 @@ fn reading_of_picture(
 ) -> Result<Reading<Option<Label>>, String> {
     let product = ProductName::read(stem(name));
     let in_file = |error: String| format!("`{name}`: {error}");
-    let (width, height, attached) = match kind(name, bytes) {
-        Kind::Raw => {
+    let (kind, reason) = kind_and_reason(name, bytes);
+    let (width, height, attached) = match kind {
+        OriginKind::Raw => {
             let developed = raw::develop(product.as_ref(), bytes, beside);
             let developed = developed.map_err(|error| in_file(error.to_string()))?;
             (developed.image.width, developed.image.height, developed.attached)
         }
-        Kind::Photo => {
+        OriginKind::Photo => {
             let photo = Photo::decode(bytes).map_err(|error| in_file(error.to_string()))?;
             (photo.image.width, photo.image.height, None)
         }
-        other => return Err(in_file(format!("it is not a picture: {other:?}"))),
+        other => {
+            let reason = reason.unwrap_or_else(|| format!("{other:?}"));
+            return Err(in_file(format!("it is not a picture: {reason}")));
+        }
     };
     let mut differs = Vec::new();
     if let Some(label) = beside.or(attached.as_ref()) {

@@ -5,13 +5,13 @@ use std::path::PathBuf;
 
 use marf_cache::Digest;
 use marf_pds::{ProductName, join_key};
-use marf_stage::{Ctx, Files, Keep, StageError};
+use marf_stage::{Ctx, Files, Keep, OriginKind, StageError};
 use rayon::prelude::*;
 
 use super::companions::{is_camera_file, is_mask};
 use super::table::Table;
 use super::walk::{WalkedFile, walk};
-use crate::archive::{ArchiveFile, Kind, Known, LocalFile, ReadError, extension, stem};
+use crate::archive::{ArchiveFile, Known, LocalFile, ReadError, extension, stem};
 use crate::stat::now_ns;
 
 /// Whether files are read though nothing says that they changed.
@@ -90,15 +90,12 @@ impl Survey {
 
     /// Whether a file may be a photo.
     pub fn is_photo(&self, index: u32) -> bool {
-        matches!(self.known(index).kind, Kind::Photo | Kind::Raw)
+        matches!(self.known(index).kind, OriginKind::Photo | OriginKind::Raw)
     }
 
     /// Returns a file by its number.
     pub fn file(&self, source: &Source, index: u32) -> ArchiveFile {
         let (name, known) = &self.files[index as usize];
-        if let Kind::Unreadable(reason) = &known.kind {
-            return ArchiveFile::unreadable(name.clone(), reason.clone());
-        }
         let file = LocalFile {
             path: source.root.join(name),
             keep: source.keep,
@@ -152,9 +149,9 @@ impl Survey {
     }
 
     fn is_companion(&self, index: u32) -> bool {
-        let (path, kind) = (self.name(index), &self.known(index).kind);
-        let is_mask = || *kind == Kind::Photo && is_mask(path, &|name| self.exists(name));
-        !matches!(kind, Kind::Unreadable(_)) && (is_camera_file(path) || is_mask())
+        let (path, kind) = (self.name(index), self.known(index).kind);
+        let is_mask = || kind == OriginKind::Photo && is_mask(path, &|name| self.exists(name));
+        kind != OriginKind::Unreadable && (is_camera_file(path) || is_mask())
     }
 
     fn product_key(&self, index: u32) -> String {
@@ -194,6 +191,7 @@ fn read(source: &Source, file: &WalkedFile) -> Known {
     read.unwrap_or_else(|reason| Known {
         digest: Digest::from_content(reason.as_bytes()),
         sol: ProductName::read(stem(name)).and_then(|product| product.sol),
-        kind: Kind::Unreadable(reason),
+        kind: OriginKind::Unreadable,
+        reason: Some(reason),
     })
 }

@@ -8,15 +8,16 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use marf_cache::Digest;
+use marf_stage::OriginKind;
 use serde::{Deserialize, Serialize};
 
 use super::walk::WalkedFile;
-use crate::archive::{Kind, Known};
+use crate::archive::Known;
 use crate::files::{read_checked, write_checked};
 use crate::stat::FileState;
 
 /// Raised when a table has another form or the kind of a file or its sol is decided in another way.
-const FORM: u32 = 5;
+const FORM: u32 = 6;
 
 /// Known files by name, each with its state.
 #[derive(Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -52,7 +53,7 @@ impl Table {
     pub fn new(files: &[WalkedFile], known: &[Known], began_ns: i64) -> Self {
         let rested = |(file, known): (&WalkedFile, &Known)| {
             let state = *file.state.as_ref().ok().filter(|state| state.rested(began_ns))?;
-            let readable = !matches!(known.kind, Kind::Unreadable(_));
+            let readable = known.kind != OriginKind::Unreadable;
             readable.then(|| (file.name.clone(), (state, known.clone())))
         };
         Self(files.iter().zip(known).filter_map(rested).collect())

@@ -4,12 +4,12 @@ use std::time::{Duration, SystemTime};
 
 use marf_cache::Digest;
 use marf_stage::harness::Harness;
-use marf_stage::{Ctx, Keep};
+use marf_stage::{Ctx, Keep, OriginKind};
 
 use super::survey::{Reading, Source, Survey};
 use super::table::Table;
 use super::walk::walk;
-use crate::archive::{Kind, Known};
+use crate::archive::Known;
 use crate::stat::now_ns;
 
 const DEPTH: usize = 32;
@@ -58,7 +58,8 @@ fn digests(survey: &Survey, root: &Path) -> Vec<(String, Digest)> {
 fn lie(ctx: &Ctx<'_>, root: &Path, began_ns: i64) {
     let files = walk(ctx, root, DEPTH).unwrap();
     let known = Known {
-        kind: Kind::Photo,
+        kind: OriginKind::Photo,
+        reason: None,
         digest: Digest::from_content(b"lie"),
         sol: Some(7),
     };
@@ -250,9 +251,7 @@ fn what_cannot_be_read_has_its_reason() {
         .values()
         .flatten()
         .filter_map(|index| match survey.file(&source(&root, Reading::All), *index) {
-            file if matches!(file.kind, Kind::Unreadable(_)) => {
-                Some(format!("{} {:?}", file.name, file.kind))
-            }
+            file if file.kind == OriginKind::Unreadable => Some(format!("{} {:?}", file.name, file.reason)),
             _ => None,
         })
         .collect();
