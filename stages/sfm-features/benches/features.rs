@@ -6,7 +6,7 @@ use std::hint::black_box;
 use criterion::{Criterion, criterion_group, criterion_main};
 use marf_scene::Image;
 use marf_sfm_features::features::{FeatureOptions, Features, Gray, Mask, extract};
-use marf_sfm_features::matching::{MatchOptions, match_pair};
+use marf_sfm_features::matching::match_pair;
 
 /// A photo of 1440 x 1920 with about as many features as a real one: value noise of several sizes.
 fn photo(shift: u32) -> Image<marf_scene::Srgb> {
@@ -35,7 +35,7 @@ fn working(photo: &Image<marf_scene::Srgb>) -> (Gray, Mask) {
 }
 
 fn features(working: &(Gray, Mask)) -> Features {
-    extract(&working.0, &working.1, &FeatureOptions::default())
+    extract(&working.0, &working.1, &FeatureOptions::default(), &|| false).unwrap_or_default()
 }
 
 fn benches(criterion: &mut Criterion) {
@@ -50,7 +50,7 @@ fn benches(criterion: &mut Criterion) {
         bench.iter(|| features(black_box(&shrunk)));
     });
     criterion.bench_function(&format!("match {found} x {others}"), |bench| {
-        bench.iter(|| match_pair(black_box(&a), &b, &MatchOptions::default()));
+        bench.iter(|| match_pair(black_box(&a), &b));
     });
 }
 

@@ -6,7 +6,7 @@ use marf_cache::{Digest, digest_of};
 use marf_schema::calibrate::{CalibrateParams, Pairs};
 use marf_sfm::view_graph::{ComparedPair, PosedCamera, SharedCamera, View, focal_known, max_error_px};
 use marf_sfm_features::features::Features;
-use marf_sfm_features::matching::{MatchOptions, Samples, exhaustive, match_pair, most_similar, sequential};
+use marf_sfm_features::matching::{Samples, exhaustive, match_pair, most_similar, sequential};
 use marf_sfm_features::two_view::{FocalKnown, VerifiedPair, VerifyOptions, ViewPoints, verify};
 use marf_stage::{Ctx, StageError};
 use nalgebra::{Vector2, Vector3};
@@ -211,11 +211,7 @@ impl PairFunction for Comparison<'_> {
     fn compute(&self, photos: [usize; 2], key: &Digest) -> VerifiedPair {
         let [a, b] = photos;
         let (views, cameras) = (self.views, self.cameras);
-        let matches = match_pair(
-            &self.features[a].features,
-            &self.features[b].features,
-            &MatchOptions::default(),
-        );
+        let matches = match_pair(&self.features[a].features, &self.features[b].features);
         let points = |photo: usize| ViewPoints {
             camera: &cameras[views[photo].camera].camera,
             pixels: &views[photo].pixels,
@@ -224,7 +220,6 @@ impl PairFunction for Comparison<'_> {
         let options = VerifyOptions {
             max_error_px: max_error_px(&cameras[views[a].camera].camera),
             min_inliers: self.params.min_matches,
-            ..VerifyOptions::default()
         };
         verify([&points(a), &points(b)], &matches, focal, &options, seed_of(key))
     }

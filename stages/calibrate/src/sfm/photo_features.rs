@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use marf_cache::{Digest, digest_of};
 use marf_scene::{Camera, Image, Pose, Srgb};
 use marf_schema::calibrate::{CalibrateParams, FirstOctaveParam};
-use marf_sfm_features::features::{FeatureOptions, Features, FirstOctave, Gray, Mask, extract_until};
+use marf_sfm_features::features::{FeatureOptions, Features, FirstOctave, Gray, Mask, extract};
 use marf_stage::{Ctx, Inputs, StageError};
 use nalgebra::Vector2;
 use rayon::prelude::*;
@@ -178,7 +178,7 @@ fn computed(
         .max(photo.height)
         .div_ceil(params.feature_side_px)
         .max(1);
-    let features = extract_until(
+    let features = extract(
         &Gray::from_photo(&photo, factor),
         &Mask::from_photo(&photo, factor, mask),
         &options(params),
@@ -214,7 +214,6 @@ fn options(params: &CalibrateParams) -> FeatureOptions {
             FirstOctaveParam::Native => FirstOctave::Native,
             FirstOctaveParam::Doubled => FirstOctave::Doubled,
         },
-        ..FeatureOptions::default()
     }
 }
 

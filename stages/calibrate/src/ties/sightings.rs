@@ -6,7 +6,7 @@ use marf_cache::digest_of;
 use marf_schema::calibrate::CalibrateParams;
 use marf_sfm::align::Sighting;
 use marf_sfm::view_graph::max_error_px;
-use marf_sfm_features::matching::{MatchOptions, match_pair};
+use marf_sfm_features::matching::match_pair;
 use marf_sfm_features::two_view::{FocalKnown, VerifiedKind, VerifyOptions, ViewPoints, verify};
 use marf_stage::{Ctx, StageError};
 use nalgebra::{Vector2, Vector3};
@@ -130,7 +130,7 @@ fn nearest(fallen: &[(Vector2<f64>, usize)], pixel: &Vector2<f64>) -> Option<usi
 /// Returns the points that verified matches of two photos join.
 fn joined(seen: [&PhotoPoints; 2], seed: u64) -> Vec<[ObservedPoint; 2]> {
     let [a, b] = seen;
-    let matches = match_pair(&a.found.features, &b.found.features, &MatchOptions::default());
+    let matches = match_pair(&a.found.features, &b.found.features);
     let views = seen.map(|one| ViewPoints {
         camera: &one.camera,
         pixels: &one.pixels,
@@ -138,7 +138,6 @@ fn joined(seen: [&PhotoPoints; 2], seed: u64) -> Vec<[ObservedPoint; 2]> {
     let options = VerifyOptions {
         max_error_px: max_error_px(&a.camera),
         min_inliers: CalibrateParams::default().min_matches,
-        ..VerifyOptions::default()
     };
     let seed = seed_of(&digest_of(&(seen.map(|one| one.found.row.found), seed)));
     let verified = verify(

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use marf_pds::{ProductName, pds4, raw};
 use marf_scene::{Cahvor, Photo};
 use marf_sfm_features::features::{FeatureOptions, Features, Gray, Mask, extract};
-use marf_sfm_features::matching::{MatchOptions, match_pair};
+use marf_sfm_features::matching::match_pair;
 use nalgebra::{Vector2, Vector3};
 
 use crate::common::shared;
@@ -83,7 +83,7 @@ fn eye(folder: &Path, product: &str) -> Eye {
     );
     Eye {
         model: prior.model.transformed(&prior.site_from_frame.unwrap()),
-        features: extract(&gray, &mask, &options),
+        features: extract(&gray, &mask, &options, &|| false).unwrap(),
         motion_counter: prior.motion_counter,
     }
 }
@@ -131,7 +131,7 @@ fn labels_alone_place_the_eyes_of_mastcam_z_as_measured_elsewhere() {
         let (left, right) = (eye(&folder, left), eye(&folder, right));
         let baseline = (Vector3::from(left.model.c) - Vector3::from(right.model.c)).norm();
         let focal = [&left, &right].map(|eye| eye.model.normalised().unwrap().intrinsics().unwrap().hs);
-        let matches = match_pair(&left.features, &right.features, &MatchOptions::default());
+        let matches = match_pair(&left.features, &right.features);
         let both: Vec<[f64; 2]> = matches
             .iter()
             .filter_map(|[a, b]| {

@@ -1,7 +1,7 @@
 //! Feature extraction: SIFT keypoints with RootSIFT descriptors.
 
 use super::describe;
-use super::extrema::{self, Thresholds};
+use super::extrema;
 use super::gradient::Gradient;
 use super::gray::Gray;
 use super::keypoint::{Descriptor, Features, Keypoint};
@@ -11,31 +11,27 @@ use super::pyramid::{FirstOctave, OctaveGrid, ScaleSpace};
 use super::ranking::{self, Candidate};
 use crate::simd::{self, InstructionSet, Kernel, Lanes};
 
-/// Thresholds and limits of feature extraction.
+/// Limits of feature extraction.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FeatureOptions {
     /// Largest number of features of a photo.
     pub max_features: u32,
     /// Size at which the search begins.
     pub first_octave: FirstOctave,
-    /// Smallest absolute difference of Gaussians at a keypoint, for luminance in [0, 1].
-    pub contrast: f32,
-    /// Largest ratio of the two principal curvatures at a keypoint (Lowe, section 4.1).
-    pub edge_ratio: f32,
 }
 
 impl Default for FeatureOptions {
-    /// COLMAP's thresholds (0.0067 = 0.02 / 3 layers), at the size that was enough for the reference photos.
+    /// At the size that was enough for the reference photos.
     fn default() -> Self {
         Self {
             max_features: 2048,
             first_octave: FirstOctave::Native,
-            contrast: 0.02 / 3.0,
-            edge_ratio: 10.0,
         }
     }
 }
 
+/// Smallest absolute difference of Gaussians at a keypoint, for luminance in [0, 1] (COLMAP: 0.02 / 3 layers).
+pub(super) const CONTRAST: f32 = 0.02 / 3.0;
 /// A photo with fewer features than this is searched again with a third of the contrast threshold.
 const FEW: usize = 500;
 
@@ -47,13 +43,9 @@ const FEW: usize = 500;
 /// bits. The photo is searched again with a third of the contrast threshold if fewer than 500 features are found.
 ///
 /// # Extremes
-/// No features if a side is under 16 px, a pixel is not in [0, 1] (NaN included), or the mask has another size.
-pub fn extract(gray: &Gray, mask: &Mask, options: &FeatureOptions) -> Features {
-    extract_until(gray, mask, options, &|| false).unwrap_or_default()
-}
-
-/// As [`extract`]. `None` if `stop`, which is polled at each octave and layer, returns true.
-pub fn extract_until(
+/// No features if a side is under 16 px, a pixel is not in [0, 1] (NaN included), or the mask has another size. `None` if
+/// `stop`, which is polled at each octave and layer, returns true.
+pub fn extract(
     gray: &Gray,
     mask: &Mask,
     options: &FeatureOptions,
@@ -62,7 +54,7 @@ pub fn extract_until(
     extract_on(InstructionSet::best(), gray, mask, options, stop)
 }
 
-/// [`extract_until`] on a given instruction set.
+/// [`extract`] on a given instruction set.
 pub(super) fn extract_on(
     set: InstructionSet,
     gray: &Gray,
@@ -80,38 +72,34 @@ pub(super) fn extract_on(
         options,
         stop,
     };
-    let features = extract_above(set, &photo, options.contrast)?;
+    let features = extract_above(set, &photo, CONTRAST)?;
     // A cap may leave one less than it allows.
     let few = FEW.min(options.max_features.saturating_sub(1) as usize);
     if features.keypoints.len() >= few {
         return Some(features);
     }
-    extract_above(set, &photo, options.contrast / 3.0)
+    extract_above(set, &photo, CONTRAST / 3.0)
 }
 
 /// A photo that is searched, with how and how long.
-struct Photo<'a> {
-    gray: &'a Gray,
-    mask: &'a Mask,
-    options: &'a FeatureOptions,
-    stop: &'a dyn Fn() -> bool,
+pub(super) struct Photo<'a> {
+    pub gray: &'a Gray,
+    pub mask: &'a Mask,
+    pub options: &'a FeatureOptions,
+    pub stop: &'a dyn Fn() -> bool,
 }
 
 /// Rank of the keypoint, keypoint, descriptor.
 type RankedFeature = (u32, Keypoint, Descriptor);
 
 /// Returns the features with at least the given contrast.
-fn extract_above(set: InstructionSet, photo: &Photo<'_>, contrast: f32) -> Option<Features> {
+pub(super) fn extract_above(set: InstructionSet, photo: &Photo<'_>, contrast: f32) -> Option<Features> {
     let &Photo {
         gray,
         mask,
         options,
         stop,
     } = photo;
-    let thresholds = Thresholds {
-        contrast,
-        edge_ratio: options.edge_ratio,
-    };
     let closed = ClosedPixels::new(mask);
     let mut scale_space = ScaleSpace::new(set, gray, options.first_octave);
     let (mut octaves, mut points) = (Vec::new(), Vec::new());
@@ -124,7 +112,7 @@ fn extract_above(set: InstructionSet, photo: &Photo<'_>, contrast: f32) -> Optio
             return None;
         }
         let grid = scale_space.grid;
-        let found = extrema::find(set, &scale_space, &thresholds).into_iter();
+        let found = extrema::find(set, &scale_space, contrast).into_iter();
         let open = found
             .filter(|found| closed.allows(grid.position_px(found.x, found.y), grid.step_px * found.sigma));
         let octave = octaves.len();

@@ -5,13 +5,6 @@ use nalgebra::{Matrix3, Vector3};
 use super::pyramid::{LAYERS, SIGMA, ScaleSpace};
 use crate::simd::{self, InstructionSet, Kernel, Lanes};
 
-/// Thresholds that an extremum must pass.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Thresholds {
-    pub contrast: f32,
-    pub edge_ratio: f32,
-}
-
 /// An extremum in pixels of its octave. (0, 0) is the centre of the first pixel.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Extremum {
@@ -24,6 +17,8 @@ pub(super) struct Extremum {
     pub response: f32,
 }
 
+/// Largest ratio of the two principal curvatures at a keypoint (Lowe 2004, section 4.1; COLMAP).
+const EDGE_RATIO: f64 = 10.0;
 /// Iterations of the quadratic fit.
 const STEPS: usize = 5;
 /// An offset larger than this moves the fit to the next sample. It is above 1/2, so that the fit does not alternate
@@ -32,19 +27,19 @@ const REACH: f64 = 0.6;
 /// Largest offset accepted in the last iteration, and between layers: 3 % more right matches than with [`REACH`].
 const LAST_REACH: f64 = 1.0;
 
-/// Returns the extrema of an octave, sorted by layer, row and column.
-pub(super) fn find(set: InstructionSet, scale_space: &ScaleSpace, thresholds: &Thresholds) -> Vec<Extremum> {
+/// Returns the extrema of an octave of at least this contrast, sorted by layer, row and column.
+pub(super) fn find(set: InstructionSet, scale_space: &ScaleSpace, contrast: f32) -> Vec<Extremum> {
     let candidates = simd::run(
         set,
         CandidateScan {
             scale_space,
             // The fit raises the response, hardly by more than a quarter.
-            threshold: 0.8 * thresholds.contrast,
+            threshold: 0.8 * contrast,
         },
     );
     let volume = DogVolume { scale_space };
     let strict = candidates.into_iter().filter(|&cell| volume.is_strict(cell));
-    let mut found: Vec<Extremum> = strict.filter_map(|cell| volume.fit(cell, thresholds)).collect();
+    let mut found: Vec<Extremum> = strict.filter_map(|cell| volume.fit(cell, contrast)).collect();
     found.sort_by_key(|point| point.cell);
     found.dedup_by_key(|point| point.cell);
     found
@@ -186,7 +181,7 @@ impl DogVolume<'_> {
 
     /// Returns the extremum of a quadratic fitted around a sample, moving to a neighbour in its layer where the extremum is
     /// nearer to that.
-    fn fit(&self, mut cell: [usize; 3], thresholds: &Thresholds) -> Option<Extremum> {
+    fn fit(&self, mut cell: [usize; 3], contrast: f32) -> Option<Extremum> {
         let ends = [
             0,
             self.scale_space.grid.height - 1,
@@ -198,7 +193,7 @@ impl DogVolume<'_> {
             let reach = if step < STEPS { REACH } else { LAST_REACH };
             if offset[1].abs() <= reach && offset[2].abs() <= reach {
                 let near = offset[0].abs() < LAST_REACH;
-                return near.then(|| self.accept(cell, &offset, &slope, &curvature, thresholds))?;
+                return near.then(|| self.accept(cell, &offset, &slope, &curvature, contrast))?;
             }
             for axis in [1, 2].into_iter().filter(|&axis| offset[axis].abs() > REACH) {
                 cell[axis] = cell[axis].wrapping_add_signed(offset[axis].signum() as isize);
@@ -239,17 +234,16 @@ impl DogVolume<'_> {
         offset: &Vector3<f64>,
         slope: &Vector3<f64>,
         curvature: &Matrix3<f64>,
-        thresholds: &Thresholds,
+        contrast: f32,
     ) -> Option<Extremum> {
         let response = (self.at(cell, [0; 3]) + 0.5 * slope.dot(offset)).abs();
         let trace = curvature[(1, 1)] + curvature[(2, 2)];
         let determinant = curvature[(1, 1)] * curvature[(2, 2)] - curvature[(1, 2)] * curvature[(1, 2)];
-        let ratio = f64::from(thresholds.edge_ratio);
-        // Lowe 2004, section 4.1. A saddle has a determinant below 0.
-        let is_edge = trace * trace * ratio >= (ratio + 1.0) * (ratio + 1.0) * determinant;
+        // A saddle has a determinant below 0.
+        let is_edge = trace * trace * EDGE_RATIO >= (EDGE_RATIO + 1.0) * (EDGE_RATIO + 1.0) * determinant;
         let [layer, row, column] = cell;
         let sigma = SIGMA * libm::exp2((layer as f64 + 1.0 + offset[0]) / LAYERS as f64);
-        let strong = response > f64::from(thresholds.contrast);
+        let strong = response > f64::from(contrast);
         (strong && !is_edge).then_some(Extremum {
             cell,
             x: (column as f64 + offset[2]) as f32,
@@ -262,6 +256,7 @@ impl DogVolume<'_> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::extract::CONTRAST;
     use super::super::gray::Gray;
     use super::super::pyramid::FirstOctave;
     use super::*;
@@ -282,15 +277,10 @@ mod tests {
         }
     }
 
-    const THRESHOLDS: Thresholds = Thresholds {
-        contrast: 0.02 / 3.0,
-        edge_ratio: 10.0,
-    };
-
     fn found(set: InstructionSet, gray: &Gray) -> Vec<Extremum> {
         let mut scale_space = ScaleSpace::new(set, gray, FirstOctave::Native);
         scale_space.fill(set);
-        find(set, &scale_space, &THRESHOLDS)
+        find(set, &scale_space, CONTRAST)
     }
 
     #[test]

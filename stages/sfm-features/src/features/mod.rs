@@ -15,7 +15,7 @@ mod orient;
 mod pyramid;
 mod ranking;
 
-pub use extract::{FeatureOptions, extract, extract_until};
+pub use extract::{FeatureOptions, extract};
 pub use gray::Gray;
 pub use keypoint::{Descriptor, Features, Keypoint};
 pub use mask::Mask;

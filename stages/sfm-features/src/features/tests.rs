@@ -1,6 +1,6 @@
 use marf_numeric::Rng;
 
-use super::extract::extract_on;
+use super::extract::{Photo, extract_above, extract_on};
 use super::*;
 use crate::simd::InstructionSet;
 
@@ -63,7 +63,11 @@ fn open(gray: &Gray) -> Mask {
 }
 
 fn extracted(gray: &Gray) -> Features {
-    extract(gray, &open(gray), &FeatureOptions::default())
+    searched(gray, &open(gray), &FeatureOptions::default())
+}
+
+fn searched(gray: &Gray, mask: &Mask, options: &FeatureOptions) -> Features {
+    extract(gray, mask, options, &|| false).unwrap()
 }
 
 fn turn(degrees: f64, zoom: f64) -> [f64; 4] {
@@ -73,7 +77,7 @@ fn turn(degrees: f64, zoom: f64) -> [f64; 4] {
 
 #[test]
 fn features_come_back_when_the_photo_is_turned_and_scaled() {
-    use crate::matching::{MatchOptions, match_pair};
+    use crate::matching::match_pair;
     let texture = Texture::new(1);
     let side = 240;
     let middle = f64::from(side) / 2.0;
@@ -92,7 +96,7 @@ fn features_come_back_when_the_photo_is_turned_and_scaled() {
     ] {
         let plane_from_photo = turn(degrees, zoom);
         let second = extracted(&texture.photo(side, plane_from_photo));
-        let pairs = match_pair(&first, &second, &MatchOptions::default());
+        let pairs = match_pair(&first, &second);
         let miss = |pair: &[u32; 2]| {
             let (from, to) = (
                 &first.keypoints[pair[0] as usize],
@@ -199,15 +203,21 @@ fn extremes_give_finite_features_or_none() {
     ];
     for gray in photos {
         for first_octave in [FirstOctave::Native, FirstOctave::Doubled] {
-            let features = extract(
-                &gray,
-                &open(&gray),
-                &FeatureOptions {
-                    first_octave,
-                    contrast: 1e-9,
-                    ..FeatureOptions::default()
-                },
-            );
+            let options = FeatureOptions {
+                first_octave,
+                ..FeatureOptions::default()
+            };
+            let photo = Photo {
+                gray: &gray,
+                mask: &open(&gray),
+                options: &options,
+                stop: &|| false,
+            };
+            let features = if gray.width.min(gray.height) < 16 {
+                searched(&gray, &open(&gray), &options)
+            } else {
+                extract_above(InstructionSet::best(), &photo, 1e-9).unwrap()
+            };
             let inside = |point: &Keypoint| {
                 let numbers = [point.x_px, point.y_px, point.scale_px, point.angle_rad];
                 let (width, height) = (gray.width as f32, gray.height as f32);
@@ -245,7 +255,7 @@ fn the_cap_holds_and_a_closed_half_stays_empty() {
             max_features,
             ..FeatureOptions::default()
         };
-        let count = extract(&gray, &open(&gray), &options).keypoints.len();
+        let count = searched(&gray, &open(&gray), &options).keypoints.len();
         assert!(
             count <= max_features as usize && count + 1 >= max_features as usize,
             "{max_features}: {count}"
@@ -255,7 +265,7 @@ fn the_cap_holds_and_a_closed_half_stays_empty() {
     (0..200 * 200)
         .filter(|index| index % 200 < 100)
         .for_each(|index| mask.open[index] = false);
-    let features = extract(&gray, &mask, &FeatureOptions::default());
+    let features = searched(&gray, &mask, &FeatureOptions::default());
     assert!(!features.keypoints.is_empty());
     assert!(
         features
@@ -265,7 +275,7 @@ fn the_cap_holds_and_a_closed_half_stays_empty() {
     );
     mask.width = 100;
     assert_eq!(
-        extract(&gray, &mask, &FeatureOptions::default()),
+        searched(&gray, &mask, &FeatureOptions::default()),
         Features::default()
     );
 }

@@ -4,24 +4,10 @@ use super::nearest::{ColumnBlocks, NearestTwo, nearest};
 use crate::features::Features;
 use crate::simd::InstructionSet;
 
-/// When two features match.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct MatchOptions {
-    /// Largest ratio of the angle to the nearest descriptor and that to the second nearest, in both directions.
-    pub max_ratio: f32,
-    /// Largest angle between descriptors, radians.
-    pub max_distance: f32,
-}
-
-impl Default for MatchOptions {
-    /// COLMAP's.
-    fn default() -> Self {
-        Self {
-            max_ratio: 0.8,
-            max_distance: 0.7,
-        }
-    }
-}
+/// Largest ratio of the angle to the nearest descriptor and that to the second nearest, in both directions (COLMAP).
+const MAX_RATIO: f32 = 0.8;
+/// Largest angle between descriptors that match (COLMAP).
+const MAX_ANGLE_RAD: f32 = 0.7;
 
 /// Returns the matches (index in a, index in b) of two photos, sorted by a: mutual nearest neighbours that pass the
 /// ratio test and the distance limit.
@@ -31,12 +17,11 @@ impl Default for MatchOptions {
 /// takes part in at most one match, that of the greatest dot product (ties: lower indices). A match names the first
 /// feature of its keypoints, so that a track through three photos is not cut where its matches used different
 /// orientations. The features of a keypoint must be neighbours in the list, as `extract` leaves them.
-pub fn match_pair(a: &Features, b: &Features, options: &MatchOptions) -> Vec<[u32; 2]> {
+pub fn match_pair(a: &Features, b: &Features) -> Vec<[u32; 2]> {
     let found = mutual(
         InstructionSet::best(),
         &a.descriptors,
         &ColumnBlocks::new(&b.descriptors),
-        options,
     );
     one_per_keypoint(found, &first_of_keypoint(a), &first_of_keypoint(b))
 }
@@ -45,26 +30,21 @@ pub fn match_pair(a: &Features, b: &Features, options: &MatchOptions) -> Vec<[u3
 type ScoredMatch = (i32, [u32; 2]);
 
 /// Returns the mutual nearest neighbours that pass the ratio test and the distance limit, sorted by a.
-pub(super) fn mutual(
-    set: InstructionSet,
-    a: &[[u8; 128]],
-    b: &ColumnBlocks,
-    options: &MatchOptions,
-) -> Vec<ScoredMatch> {
+pub(super) fn mutual(set: InstructionSet, a: &[[u8; 128]], b: &ColumnBlocks) -> Vec<ScoredMatch> {
     let (rows, columns) = nearest(set, a, b);
     let matches = rows.iter().zip(0_u32..).filter_map(|(row, index)| {
         let column = columns.get(row.index as usize)?;
-        let good = column.index == index && passes(row, options) && passes(column, options);
+        let good = column.index == index && passes(row) && passes(column);
         good.then_some((row.best, [index, row.index]))
     });
     matches.collect()
 }
 
 /// Whether the nearest descriptor passes the distance limit and the ratio test.
-fn passes(near: &NearestTwo, options: &MatchOptions) -> bool {
+fn passes(near: &NearestTwo) -> bool {
     let angle = |dot: i32| libm::acos((f64::from(dot) / f64::from(512 * 512)).min(1.0));
     let (first, second) = (angle(near.best), angle(near.second));
-    first <= f64::from(options.max_distance) && first < f64::from(options.max_ratio) * second
+    first <= f64::from(MAX_ANGLE_RAD) && first < f64::from(MAX_RATIO) * second
 }
 
 /// Returns for each feature the first feature of its keypoint: same position and scale.

@@ -6,7 +6,7 @@ mod match_pair;
 mod nearest;
 mod pairs;
 
-pub use match_pair::{MatchOptions, match_pair};
+pub use match_pair::match_pair;
 pub use pairs::{Samples, exhaustive, most_similar, sequential};
 
 #[cfg(test)]

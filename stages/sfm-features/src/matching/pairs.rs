@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use super::match_pair::{MatchOptions, mutual};
+use super::match_pair::mutual;
 use super::nearest::ColumnBlocks;
 use crate::features::{Descriptor, Features};
 use crate::simd::InstructionSet;
@@ -50,8 +50,8 @@ impl Samples {
 
     /// Returns the number of matches of two photos.
     pub fn matches(&self, first: usize, second: usize) -> usize {
-        let (set, options) = (InstructionSet::best(), MatchOptions::default());
-        mutual(set, &self.descriptors[first], &self.packed[second], &options).len()
+        let set = InstructionSet::best();
+        mutual(set, &self.descriptors[first], &self.packed[second]).len()
     }
 }
 

@@ -86,14 +86,10 @@ fn a_shuffled_copy_is_matched_and_the_other_way_round_too() {
     let mut b = descriptors(6, 30);
     b.extend(a.iter().rev());
     let (a, b) = (features(a), features(b));
-    let options = MatchOptions::default();
-    let pairs = match_pair(&a, &b, &options);
+    let pairs = match_pair(&a, &b);
     let expected: Vec<[u32; 2]> = (0..50).map(|index| [index, 79 - index]).collect();
     assert_eq!(pairs, expected);
-    let mut turned: Vec<[u32; 2]> = match_pair(&b, &a, &options)
-        .iter()
-        .map(|&[b, a]| [a, b])
-        .collect();
+    let mut turned: Vec<[u32; 2]> = match_pair(&b, &a).iter().map(|&[b, a]| [a, b]).collect();
     turned.sort_unstable();
     assert_eq!(turned, expected);
 }
@@ -102,14 +98,13 @@ fn a_shuffled_copy_is_matched_and_the_other_way_round_too() {
 fn an_ambiguous_or_far_or_missing_descriptor_has_no_match() {
     let a = features(descriptors(7, 1));
     let twice = features([a.descriptors.clone(), a.descriptors.clone()].concat());
-    let options = MatchOptions::default();
-    assert_eq!(match_pair(&a, &twice, &options), Vec::<[u32; 2]>::new());
-    assert_eq!(match_pair(&twice, &a, &options), Vec::<[u32; 2]>::new());
-    assert_eq!(match_pair(&a, &a, &options), [[0, 0]]);
+    assert_eq!(match_pair(&a, &twice), Vec::<[u32; 2]>::new());
+    assert_eq!(match_pair(&twice, &a), Vec::<[u32; 2]>::new());
+    assert_eq!(match_pair(&a, &a), [[0, 0]]);
     let black = features(vec![[0; 128]]);
-    assert!(match_pair(&black, &black, &options).is_empty());
-    assert!(match_pair(&a, &Features::default(), &options).is_empty());
-    assert!(match_pair(&Features::default(), &Features::default(), &options).is_empty());
+    assert!(match_pair(&black, &black).is_empty());
+    assert!(match_pair(&a, &Features::default()).is_empty());
+    assert!(match_pair(&Features::default(), &Features::default()).is_empty());
 }
 
 #[test]
@@ -119,12 +114,12 @@ fn a_keypoint_with_two_orientations_is_one_point() {
     a.keypoints[1] = a.keypoints[0];
     let mut b = a.clone();
     b.descriptors.swap(0, 1);
-    assert_eq!(match_pair(&a, &b, &MatchOptions::default()), [[0, 0], [2, 2]]);
+    assert_eq!(match_pair(&a, &b), [[0, 0], [2, 2]]);
     // Feature 1 alone matches: it is named by the first feature of its keypoint.
     b.descriptors[0] = [0; 128];
     b.descriptors[1] = [0; 128];
     b.descriptors[0] = a.descriptors[1];
-    assert_eq!(match_pair(&a, &b, &MatchOptions::default()), [[0, 0], [2, 2]]);
+    assert_eq!(match_pair(&a, &b), [[0, 0], [2, 2]]);
 }
 
 #[test]

@@ -10,6 +10,11 @@ use crate::estimators::{
     five_point, locally_optimised, ransac_homography, sampson2, scored_if_better, seven_point,
 };
 
+/// Largest number of samples of seven points. For five and four points it is a quarter.
+const MAX_SAMPLES: u32 = 2000;
+/// Wanted probability of one sample without outliers.
+const CONFIDENCE: f64 = 0.999;
+
 /// Damped steps of a refinement inside the search, and of the last one.
 const QUICK_STEPS: usize = 3;
 const LAST_STEPS: usize = 10;
@@ -67,8 +72,8 @@ pub(super) fn fit_models(
         .map(|[p, q]| [carried(&to_1, p), carried(&to_2, q)])
         .collect();
     let ransac = RansacOptions {
-        max_samples: options.max_samples,
-        confidence: options.confidence,
+        max_samples: MAX_SAMPLES,
+        confidence: CONFIDENCE,
         min_inliers,
     };
     let search = Search {

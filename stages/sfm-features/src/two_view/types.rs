@@ -11,21 +11,6 @@ pub struct VerifyOptions {
     pub max_error_px: f64,
     /// Smallest number of inliers of a verified pair. More are required if this number may agree by chance.
     pub min_inliers: u32,
-    /// Largest number of samples of seven points. For five and four points it is a quarter.
-    pub max_samples: u32,
-    /// Wanted probability of one sample without outliers.
-    pub confidence: f64,
-}
-
-impl Default for VerifyOptions {
-    fn default() -> Self {
-        Self {
-            max_error_px: 4.0,
-            min_inliers: 15,
-            max_samples: 2000,
-            confidence: 0.999,
-        }
-    }
 }
 
 /// The camera of a photo (its focal length may be a guess) and the positions of its features.

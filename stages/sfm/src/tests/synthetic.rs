@@ -155,7 +155,7 @@ impl Synthetic {
                 };
                 let options = VerifyOptions {
                     max_error_px: max_error_px(&self.camera),
-                    ..VerifyOptions::default()
+                    min_inliers: 15,
                 };
                 let verified = verify([&points(a), &points(b)], &matches, self.start.focal, &options, 3);
                 compared.push(ComparedPair {

@@ -3,7 +3,7 @@
 use marf_scene::{Camera, Pose};
 use marf_sfm_features::estimators::{essential_of, sampson2};
 use marf_sfm_features::features::Features;
-use marf_sfm_features::matching::{MatchOptions, match_pair};
+use marf_sfm_features::matching::match_pair;
 use marf_sfm_features::two_view::{RelativePose, RelativePoseKind};
 use nalgebra::Vector2;
 
@@ -34,7 +34,7 @@ pub fn relate_known(views: [KnownView<'_>; 2]) -> RelativePose {
         };
         sampson2(&essential, &[first, second], noise2) <= limit_px * limit_px
     };
-    let mut inliers = match_pair(views[0].features, views[1].features, &MatchOptions::default());
+    let mut inliers = match_pair(views[0].features, views[1].features);
     inliers.retain(agrees);
     RelativePose {
         kind: RelativePoseKind::General,

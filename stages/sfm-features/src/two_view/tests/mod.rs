@@ -15,8 +15,6 @@ mod verify;
 const OPTIONS: VerifyOptions = VerifyOptions {
     max_error_px: 4.0,
     min_inliers: 15,
-    max_samples: 2000,
-    confidence: 0.999,
 };
 
 fn camera() -> Camera {

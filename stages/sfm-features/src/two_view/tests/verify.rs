@@ -229,7 +229,6 @@ fn features_on_a_grid_lines_and_huge_numbers_never_panic_nor_give_nan() {
         let matches: Vec<[u32; 2]> = (0..count as u32).map(|i| [i, i]).collect();
         let options = VerifyOptions {
             min_inliers: 5,
-            max_samples: 200,
             ..OPTIONS
         };
         let found = super::super::verify([&a, &b], &matches, FocalKnown::Known, &options, seed);
