@@ -1,5 +1,7 @@
 //! How much a picture loses when it is blurred once more.
 
+use std::ops::Range;
+
 use serde::{Deserialize, Serialize};
 
 use crate::luma::{Luma, Plane};
@@ -27,16 +29,21 @@ pub(crate) struct Octave {
 impl Octave {
     /// Measures a picture at full size.
     pub(crate) fn from_luma(luma: &Luma) -> Self {
-        Self::new(luma.width, luma.height, &luma.values)
+        Self::new(luma.width, luma.height, |pixels| {
+            luma.values[pixels]
+                .iter()
+                .map(|value| u16::from(*value) << 8)
+                .collect()
+        })
     }
 
     /// Measures a picture at reduced size.
     pub(crate) fn from_plane(plane: &Plane) -> Self {
-        Self::new(plane.width, plane.height, &plane.values)
+        Self::new(plane.width, plane.height, |pixels| plane.values[pixels].to_vec())
     }
 
-    /// Measures bands of a picture of `[height * width]` values.
-    fn new<S: Sample>(width: usize, height: usize, values: &[S]) -> Self {
+    /// Measures bands of a picture. `values` returns a range of its `[height * width]` values.
+    fn new(width: usize, height: usize, values: impl Fn(Range<usize>) -> Vec<u16>) -> Self {
         let mut octave = Self::default();
         for (top, bottom) in bands(width, height) {
             let first = top.saturating_sub(REACH + 1);
@@ -45,7 +52,7 @@ impl Octave {
                 width,
                 height,
                 first,
-                rows: &values[first * width..last * width],
+                rows: values(first * width..last * width),
                 top,
                 bottom,
             });
@@ -54,7 +61,7 @@ impl Octave {
     }
 
     /// Adds the sums of one band.
-    fn add<S: Sample>(&mut self, band: &Band<'_, S>) {
+    fn add(&mut self, band: &Band) {
         self.pixels += ((band.bottom - band.top) * band.width) as u64;
         let first = band.top.saturating_sub(1);
         let last = (band.bottom + 1).min(band.height);
@@ -105,90 +112,55 @@ fn bands(width: usize, height: usize) -> Vec<(usize, usize)> {
         .collect()
 }
 
-/// A value of a picture: 8 bits at full size, steps of 1/256 at reduced size. Both give the same numbers, 8 bits in
-/// half the time.
-trait Sample: Copy + Default {
-    /// Writes the means of nine slices, each at least as long as `out`, weighted by the binomial of order 8, in steps of
-    /// 1/256.
-    fn blur(taps: [&[Self]; 2 * REACH + 1], out: &mut [u16]);
-
-    /// Returns the sum of the squared second differences of the first `count` values of three slices, element by element, in
-    /// squared steps of 1/256.
-    fn sum_of_squares(rows: [&[Self]; 3], count: usize) -> u64;
-}
-
-impl Sample for u8 {
-    // A function of its own, so that the compiler knows that `out` is none of the slices, and vectorises the loop.
-    #[inline(never)]
-    fn blur(taps: [&[Self]; 2 * REACH + 1], out: &mut [u16]) {
-        let [a, b, c, d, e, f, g, h, i] = taps.map(|tap| &tap[..out.len()]);
-        for (at, out) in out.iter_mut().enumerate() {
-            let pair = |near: &[u8], far: &[u8]| u16::from(near[at]) + u16::from(far[at]);
-            // The weights add up to 256, so that the sum is the mean in steps of 1/256: at most 65,280.
-            *out = 70 * u16::from(e[at]) + 56 * pair(d, f) + 28 * pair(c, g) + 8 * pair(b, h) + pair(a, i);
-        }
-    }
-
-    fn sum_of_squares(rows: [&[Self]; 3], count: usize) -> u64 {
-        let [before, here, after] = rows.map(|row| &row[..count]);
-        let mut sum = 0;
-        // 4096 squares of at most 510² stay below 2^31.
-        for first in (0..count).step_by(4096) {
-            let squares = (first..count.min(first + 4096)).map(|at| {
-                let difference = i16::from(before[at]) + i16::from(after[at]) - 2 * i16::from(here[at]);
-                i32::from(difference) * i32::from(difference)
-            });
-            sum += squares.sum::<i32>() as u64;
-        }
-        sum << 16
+/// Writes the means of nine slices, each at least as long as `out`, weighted by the binomial of order 8.
+///
+/// A function of its own, so that the compiler knows that `out` is none of the slices, and vectorises the loop.
+#[inline(never)]
+fn blur(taps: [&[u16]; 2 * REACH + 1], out: &mut [u16]) {
+    let [a, b, c, d, e, f, g, h, i] = taps.map(|tap| &tap[..out.len()]);
+    for (at, out) in out.iter_mut().enumerate() {
+        let pair = |near: &[u16], far: &[u16]| u32::from(near[at]) + u32::from(far[at]);
+        // The weights add up to 256.
+        let sum = 70 * u32::from(e[at]) + 56 * pair(d, f) + 28 * pair(c, g) + 8 * pair(b, h) + pair(a, i);
+        *out = ((sum + 128) >> 8) as u16;
     }
 }
 
-impl Sample for u16 {
-    #[inline(never)]
-    fn blur(taps: [&[Self]; 2 * REACH + 1], out: &mut [u16]) {
-        let [a, b, c, d, e, f, g, h, i] = taps.map(|tap| &tap[..out.len()]);
-        for (at, out) in out.iter_mut().enumerate() {
-            let pair = |near: &[u16], far: &[u16]| u32::from(near[at]) + u32::from(far[at]);
-            let sum = 70 * u32::from(e[at]) + 56 * pair(d, f) + 28 * pair(c, g) + 8 * pair(b, h) + pair(a, i);
-            *out = ((sum + 128) >> 8) as u16;
-        }
-    }
-
-    fn sum_of_squares(rows: [&[Self]; 3], count: usize) -> u64 {
-        let [before, here, after] = rows.map(|row| &row[..count]);
-        let squares = (0..count).map(|at| {
-            let difference = i32::from(before[at]) + i32::from(after[at]) - 2 * i32::from(here[at]);
-            let difference = u64::from(difference.unsigned_abs());
-            difference * difference
-        });
-        squares.sum()
-    }
+/// Returns the sum of the squared second differences of the first `count` values of three slices, element by element.
+fn sum_of_squares(rows: [&[u16]; 3], count: usize) -> u64 {
+    let [before, here, after] = rows.map(|row| &row[..count]);
+    let squares = (0..count).map(|at| {
+        let difference = i32::from(before[at]) + i32::from(after[at]) - 2 * i32::from(here[at]);
+        let difference = u64::from(difference.unsigned_abs());
+        difference * difference
+    });
+    squares.sum()
 }
 
 /// The rows of a band and those around it that its blur needs.
-struct Band<'a, S> {
+struct Band {
     width: usize,
     height: usize,
     /// Number of the first of `rows` in the picture.
     first: usize,
-    rows: &'a [S],
+    /// `[height * width]` values in steps of 1/256.
+    rows: Vec<u16>,
     top: usize,
     bottom: usize,
 }
 
-impl<S: Sample> Band<'_, S> {
+impl Band {
     /// Blurs rows `[from, to)` by the binomial of order 8 (1 8 28 56 70 56 28 8 1) along both axes. This is a
     /// Gaussian of sigma 1.41 in integers, the same on every machine. Edges of the picture repeat.
     fn blurred(&self, from: usize, to: usize) -> Vec<u16> {
         let mut along = vec![0; self.rows.len()];
-        let mut padded = vec![S::default(); self.width + 2 * REACH];
+        let mut padded = vec![0; self.width + 2 * REACH];
         let rows = self.rows.chunks_exact(self.width.max(1));
         for (row, along) in rows.zip(along.chunks_exact_mut(self.width.max(1))) {
             padded[..REACH].fill(row[0]);
             padded[REACH..REACH + self.width].copy_from_slice(row);
             padded[REACH + self.width..].fill(row[self.width - 1]);
-            S::blur(std::array::from_fn(|tap| &padded[tap..]), along);
+            blur(std::array::from_fn(|tap| &padded[tap..]), along);
         }
         let mut blurred = vec![0; (to - from) * self.width];
         for (y, out) in (from..to).zip(blurred.chunks_exact_mut(self.width.max(1))) {
@@ -196,7 +168,7 @@ impl<S: Sample> Band<'_, S> {
                 let near = (y + tap).saturating_sub(REACH).min(self.height - 1) - self.first;
                 &along[near * self.width..]
             });
-            u16::blur(taps, out);
+            blur(taps, out);
         }
         blurred
     }
@@ -206,14 +178,14 @@ impl<S: Sample> Band<'_, S> {
 /// below 3.
 ///
 /// At most 2^18 to 2^19 pixels of (4 * 65280)² fit in 56 bits. A picture of one very large band saturates.
-fn second_differences<S: Sample>(width: usize, rows: &[S]) -> [u64; 2] {
+fn second_differences(width: usize, rows: &[u16]) -> [u64; 2] {
     let mut sums = [0_u64; 2];
     let inner = width.saturating_sub(2);
-    let rows: Vec<&[S]> = rows.chunks_exact(width.max(1)).collect();
+    let rows: Vec<&[u16]> = rows.chunks_exact(width.max(1)).collect();
     for near in rows.windows(3) {
         let here = &near[1][..inner + width.min(2)];
-        let across = S::sum_of_squares([here, &here[width.min(1)..], &here[width.min(2)..]], inner);
-        let along = S::sum_of_squares([near[0], near[1], near[2]].map(|row| &row[width.min(1)..]), inner);
+        let across = sum_of_squares([here, &here[width.min(1)..], &here[width.min(2)..]], inner);
+        let along = sum_of_squares([near[0], near[1], near[2]].map(|row| &row[width.min(1)..]), inner);
         sums[0] = sums[0].saturating_add(across);
         sums[1] = sums[1].saturating_add(along);
     }
@@ -244,7 +216,7 @@ mod tests {
             width: 17,
             height: 17,
             first: 0,
-            rows: &point.values,
+            rows: point.values.iter().map(|value| u16::from(*value) << 8).collect(),
             top: 0,
             bottom: 17,
         };
