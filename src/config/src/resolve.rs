@@ -362,26 +362,24 @@ fn check_graph(nodes: &[Node], tables: &[Entry]) -> Result<(), ConfigError> {
         })
         .collect();
     marf_engine::check(&shapes).map_err(|error| {
-        let entry = tables.iter().find(|entry| entry.key == error.node());
-        let at = entry.map_or(Origin::Text(0..0), |entry| match error.key() {
+        let entry = tables.iter().find(|entry| entry.key == error.node);
+        let at = entry.map_or(Origin::Text(0..0), |entry| match &error.key {
             Some(key) => entry.value.place(key),
             None => entry.at.clone(),
         });
-        let hint = error.hint().map(str::to_owned).or_else(|| givers(&error, nodes));
+        let hint = error.hint.map(str::to_owned).or_else(|| givers(&error, nodes));
         ConfigError::at(at, error.to_string()).hint(hint)
     })
 }
 
 /// Returns the hint that names what gives the output that an input lacks: nodes of the pipeline, or else stages.
 fn givers(error: &GraphError, nodes: &[Node]) -> Option<String> {
-    let GraphError::NoSuchOutput {
-        node, key, output, ..
-    } = error
-    else {
-        return None;
-    };
-    let own = nodes.iter().find(|own| own.name == *node).map(|own| own.def.name);
-    let gives = |def: &StageDef| Some(def.name) != own && def.outputs.contains(&&**output);
+    let (key, output) = (error.key.as_ref()?, error.lacks.as_ref()?);
+    let own = nodes
+        .iter()
+        .find(|own| own.name == error.node)
+        .map(|own| own.def.name);
+    let gives = |def: &StageDef| Some(def.name) != own && def.outputs.contains(&output.as_str());
     let named: Vec<&str> = nodes
         .iter()
         .filter(|node| gives(&node.def))

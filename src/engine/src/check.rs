@@ -98,115 +98,48 @@ pub(crate) struct Topology {
 
 /// Why nodes do not form a graph.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum GraphError {
-    /// Two nodes of one name.
-    #[error("two nodes are named `{node}`")]
-    DuplicateNode {
-        /// The name.
-        node: String,
-    },
-    /// A key names a node that does not exist.
-    #[error("`{node}.{key}` names the node `{upstream}`, which does not exist. The nodes are {}", known.join(", "))]
-    UnknownUpstream {
-        /// The node with the key.
-        node: String,
-        /// The key.
-        key: String,
-        /// The unknown name.
-        upstream: String,
-        /// The names of all nodes.
-        known: Vec<String>,
-    },
-    /// A key that the stage lacks.
-    #[error("`{node}` has no input `{key}`. Its inputs are {}", known.join(", "))]
-    UnknownKey {
-        /// The node.
-        node: String,
-        /// The key.
-        key: String,
-        /// The keys of the stage.
-        known: Vec<String>,
-    },
-    /// A required input without an upstream node.
-    #[error("`{node}` needs `{key}`, the name of a node that gives `{output}`")]
-    NotConnected {
-        /// The node.
-        node: String,
-        /// The absent key.
-        key: String,
-        /// The output that the input needs.
-        output: String,
-    },
-    /// The upstream node lacks the output that an input needs.
-    #[error("`{key}` of `node.{node}` needs `{output}`, but `node.{upstream}` (stage `{stage}`) gives {}", outputs.join(", "))]
-    NoSuchOutput {
-        /// The node.
-        node: String,
-        /// The key.
-        key: Box<str>,
-        /// The upstream node.
-        upstream: Box<str>,
-        /// The stage of the upstream node.
-        stage: &'static str,
-        /// The output. An output of several parts ends with `/`.
-        output: Box<str>,
-        /// The outputs that the upstream node has.
-        outputs: &'static [&'static str],
-        /// What to write instead, if the input knows.
-        hint: Option<&'static str>,
-    },
-    /// Two upstream nodes for one input.
-    #[error("`{node}` gets `{input}` twice")]
-    Ambiguous {
-        /// The node.
-        node: String,
-        /// The key or input that occurs twice.
-        input: String,
-    },
-    /// Nodes that depend on each other.
-    #[error("the nodes form a cycle: {}", path.join(" -> "))]
-    Cycle {
-        /// The nodes of the cycle along the flow of data, the first one repeated at the end.
-        path: Vec<String>,
-    },
+#[error("{message}")]
+pub struct GraphError {
+    /// What is wrong.
+    pub message: String,
+    /// The node at fault. For a cycle, this is the first one.
+    pub node: String,
+    /// The key at fault, if the fault is that of one key of the node.
+    pub key: Option<String>,
+    /// A hint for the user, if the input at fault has one.
+    pub hint: Option<&'static str>,
+    /// The output that an upstream node should give. An output of several parts ends with `/`.
+    pub lacks: Option<String>,
 }
 
 impl GraphError {
-    /// Returns the name of the node at fault. For a cycle, this is the first one.
-    pub fn node(&self) -> &str {
-        match self {
-            Self::DuplicateNode { node }
-            | Self::UnknownUpstream { node, .. }
-            | Self::UnknownKey { node, .. }
-            | Self::NotConnected { node, .. }
-            | Self::NoSuchOutput { node, .. }
-            | Self::Ambiguous { node, .. } => node,
-            Self::Cycle { path } => path.first().map_or("", String::as_str),
+    fn new(node: &str, message: String) -> Self {
+        Self {
+            message,
+            node: node.to_owned(),
+            key: None,
+            hint: None,
+            lacks: None,
         }
     }
 
-    /// Returns a hint for the user, if the input at fault has one.
-    pub fn hint(&self) -> Option<&'static str> {
-        match self {
-            Self::NoSuchOutput { hint, .. } => *hint,
-            _ => None,
+    fn at_key(node: &str, key: &str, message: String) -> Self {
+        Self {
+            key: Some(key.to_owned()),
+            ..Self::new(node, message)
         }
     }
 
-    /// Returns the key at fault, if the fault is that of one key of the node.
-    pub fn key(&self) -> Option<&str> {
-        match self {
-            Self::UnknownUpstream { key, .. } | Self::UnknownKey { key, .. } => Some(key),
-            Self::NoSuchOutput { key, .. } => Some(key),
-            _ => None,
-        }
+    /// Two upstream nodes for one input.
+    fn ambiguous(node: &str, input: &str) -> Self {
+        Self::new(node, format!("`{node}` gets `{input}` twice"))
     }
 }
 
 /// Checks that nodes form a graph.
 ///
 /// # Errors
-/// The first fault, in the order of [`GraphError`].
+/// The first fault: of names, of edges, of outputs, of the order.
 pub fn check(nodes: &[NodeShape<'_>]) -> Result<(), GraphError> {
     topology(nodes).map(drop)
 }
@@ -229,9 +162,8 @@ fn index_by_name<'a>(nodes: &[NodeShape<'a>]) -> Result<BTreeMap<&'a str, usize>
     let mut names = BTreeMap::new();
     for (index, node) in nodes.iter().enumerate() {
         if names.insert(node.name, index).is_some() {
-            return Err(GraphError::DuplicateNode {
-                node: node.name.to_owned(),
-            });
+            let message = format!("two nodes are named `{}`", node.name);
+            return Err(GraphError::new(node.name, message));
         }
     }
     Ok(names)
@@ -246,11 +178,11 @@ fn check_edges(node: &NodeShape<'_>, names: &BTreeMap<&str, usize>) -> Result<()
     let mut required = node.stage.ports.iter().filter(|port| port.required);
     match required.find(|port| !is_connected(port)) {
         None => Ok(()),
-        Some(port) => Err(GraphError::NotConnected {
-            node: node.name.to_owned(),
-            key: port.key.to_owned(),
-            output: port.output.to_owned(),
-        }),
+        Some(port) => {
+            let (name, key, output) = (node.name, port.key, port.output);
+            let message = format!("`{name}` needs `{key}`, the name of a node that gives `{output}`");
+            Err(GraphError::new(name, message))
+        }
     }
 }
 
@@ -259,29 +191,28 @@ fn check_edge(
     Edge { key, upstream, .. }: &Edge,
     names: &BTreeMap<&str, usize>,
 ) -> Result<(), GraphError> {
+    let name = node.name;
     let keys: BTreeSet<&str> = node.stage.ports.iter().map(|port| port.key).collect();
     if !keys.contains(key.as_str()) {
-        return Err(GraphError::UnknownKey {
-            node: node.name.to_owned(),
-            key: key.to_owned(),
-            known: keys.into_iter().map(str::to_owned).collect(),
-        });
+        let known: Vec<&str> = keys.into_iter().collect();
+        let message = format!(
+            "`{name}` has no input `{key}`. Its inputs are {}",
+            known.join(", ")
+        );
+        return Err(GraphError::at_key(name, key, message));
     }
     let takes_many = node.stage.ports.iter().any(|port| port.key == key && port.many);
     let same = |other: &&Edge| other.key == *key && (!takes_many || other.upstream == *upstream);
     if node.edges.iter().filter(same).count() > 1 {
-        return Err(GraphError::Ambiguous {
-            node: node.name.to_owned(),
-            input: key.to_owned(),
-        });
+        return Err(GraphError::ambiguous(name, key));
     }
     if !names.contains_key(upstream.as_str()) {
-        return Err(GraphError::UnknownUpstream {
-            node: node.name.to_owned(),
-            key: key.to_owned(),
-            upstream: upstream.to_owned(),
-            known: names.keys().map(|&name| name.to_owned()).collect(),
-        });
+        let known: Vec<&str> = names.keys().copied().collect();
+        let message = format!(
+            "`{name}.{key}` names the node `{upstream}`, which does not exist. The nodes are {}",
+            known.join(", ")
+        );
+        return Err(GraphError::at_key(name, key, message));
     }
     Ok(())
 }
@@ -300,10 +231,7 @@ fn connections(
         for port in connected_ports(node, edge, &nodes[index])? {
             let input = port.input(&edge.upstream);
             if connections.iter().any(|other| other.input == input) {
-                return Err(GraphError::Ambiguous {
-                    node: node.name.to_owned(),
-                    input: input.into_owned(),
-                });
+                return Err(GraphError::ambiguous(node.name, &input));
             }
             connections.push(Connection {
                 input,
@@ -337,15 +265,22 @@ fn connected_ports<'a>(
     };
     match fault {
         None => Ok(found),
-        Some(port) => Err(GraphError::NoSuchOutput {
-            node: node.name.to_owned(),
-            key: edge.key.as_str().into(),
-            upstream: upstream.name.into(),
-            stage: upstream.stage.name,
-            output: wanted(port).into_boxed_str(),
-            outputs,
-            hint: port.hint,
-        }),
+        Some(port) => {
+            let output = wanted(port);
+            let message = format!(
+                "`{}` of `node.{}` needs `{output}`, but `node.{}` (stage `{}`) gives {}",
+                edge.key,
+                node.name,
+                upstream.name,
+                upstream.stage.name,
+                outputs.join(", ")
+            );
+            Err(GraphError {
+                hint: port.hint,
+                lacks: Some(output),
+                ..GraphError::at_key(node.name, &edge.key, message)
+            })
+        }
     }
 }
 
@@ -366,8 +301,9 @@ fn topological_order(
         }
     }
     if let Some(path) = shortest_cycle(&flow) {
-        let path = path.into_iter().map(|node| nodes[flow[node]].name.to_owned());
-        return Err(GraphError::Cycle { path: path.collect() });
+        let path: Vec<&str> = path.into_iter().map(|node| nodes[flow[node]].name).collect();
+        let message = format!("the nodes form a cycle: {}", path.join(" -> "));
+        return Err(GraphError::new(path[0], message));
     }
     Ok(in_order(&flow))
 }

@@ -70,7 +70,7 @@ impl Graph {
     /// Checks and sorts a graph. `table` holds every stage that a child may use.
     ///
     /// # Errors
-    /// The first fault, in the order of [`GraphError`].
+    /// The first fault: of names, of edges, of outputs, of the order.
     pub fn new(decls: Vec<NodeDecl>, table: &[StageDef]) -> Result<Self, GraphError> {
         let shapes: Vec<NodeShape<'_>> = decls.iter().map(NodeDecl::shape).collect();
         let Topology { order, connections } = topology(&shapes)?;
