@@ -1,7 +1,7 @@
 //! How two photos are related by their product names and labels, before any pixel is compared.
 
 use marf_cache::{Digest, manifest::Row};
-use marf_pds::{Mars2020Name, ProductName, Scheme};
+use marf_pds::{ProductName, Scheme};
 use marf_scene::{CameraPrior, PhotoFacts};
 use serde::{Deserialize, Serialize};
 
@@ -73,9 +73,10 @@ impl<'a> Relative<'a> {
 
     /// Returns the keys by which photos related to this one are found.
     pub(crate) fn keys(&self) -> RelationKeys {
-        let mars2020 = Mars2020Name::read(self.id)
-            .map(|_| [&self.id[..23], &self.id[27..48]].concat().to_ascii_lowercase());
-        let exposure = mars2020.or_else(|| other_exposure(self.id));
+        let exposure = ProductName::read_start(self.id).map(|name| match name.scheme {
+            Scheme::M2020 => name.exposure().to_ascii_lowercase(),
+            _ => name.exposure(),
+        });
         let exposure = exposure.map(|fields| key_of("exposure", &[&fields]));
         let camera = self.instrument.zip(self.filter).map(|(instrument, filter)| {
             let sol = self.sol.map_or_else(String::new, |sol| sol.to_string());
@@ -105,12 +106,9 @@ fn key_of(kind: &str, texts: &[&str]) -> u32 {
 
 /// Returns how two photos are related.
 pub(crate) fn relation_between(a: &Relative<'_>, b: &Relative<'_>) -> Relation {
-    let names = Mars2020Name::read(a.id).zip(Mars2020Name::read(b.id));
-    if names.is_some_and(|(a, b)| a.is_other_product_of_exposure(b)) {
-        return Relation::SameExposure;
-    }
-    let others = other_exposure(a.id).zip(other_exposure(b.id));
-    if others.is_some_and(|(first, second)| first == second) && !a.id.eq_ignore_ascii_case(b.id) {
+    let names = ProductName::read_start(a.id).zip(ProductName::read_start(b.id));
+    let same_exposure = |(a, b): &(ProductName, ProductName)| a.exposure() == b.exposure();
+    if names.as_ref().is_some_and(same_exposure) && !a.id.eq_ignore_ascii_case(b.id) {
         return Relation::SameExposure;
     }
     if !differ_in_filter(a, b) {
@@ -120,8 +118,10 @@ pub(crate) fn relation_between(a: &Relative<'_>, b: &Relative<'_>) -> Relation {
         .labelled()
         .zip(b.labelled())
         .and_then(|(a, b)| same_pointing(&a, &b));
-    let by_name = names
-        .map(|(a, b)| a.is_same_planned_pointing(b) && a.clock_s().abs_diff(b.clock_s()) <= MAX_INTERVAL_S);
+    let by_name = names.and_then(|(a, b)| {
+        let interval_s = a.clock_s()?.abs_diff(b.clock_s()?);
+        Some(a.planned_pointing() == b.planned_pointing() && interval_s <= MAX_INTERVAL_S)
+    });
     // A label holds the measured pointing, a name only the planned one.
     match by_label.or(by_name) {
         Some(true) => Relation::SamePointing,
@@ -135,12 +135,6 @@ pub(crate) fn relation_between(a: &Relative<'_>, b: &Relative<'_>) -> Relation {
 /// Calibrated radiance is first, so that the same kind of product is kept throughout the set.
 pub(crate) fn processing_rank(id: &str) -> u8 {
     ProductName::read(id).map_or(u8::MAX, |name| name.processing_rank())
-}
-
-/// Returns what the versions of an exposure share by name, of other missions than Mars 2020.
-fn other_exposure(id: &str) -> Option<String> {
-    let name = ProductName::read(id).filter(|name| name.scheme != Scheme::M2020)?;
-    Some(name.exposure())
 }
 
 /// Whether one camera took both photos on one sol through different filters, by the archive's facts.

@@ -33,5 +33,5 @@ pub mod values;
 mod vicar;
 
 pub use label::{BayerPhase, FileFacts, Label};
-pub use names::{Mars2020Name, ProductName, Scheme, join_key};
+pub use names::{ProductName, Scheme, join_key};
 pub use tone::WHITE_RADIANCE;

@@ -1,12 +1,12 @@
 //! Product names, for all missions: Mars 2020 (54 characters), MSL Mastcam, MAHLI and MARDI (30), and the
 //! engineering cameras of MSL (36) and MER (27). No other module splits a name.
 
-mod mars2020;
-
-pub use mars2020::Mars2020Name;
-
 use crate::values;
-use mars2020::{UNVERSIONED, VERSIONED};
+
+/// Length of a Mars 2020 name without its version.
+const UNVERSIONED: usize = 52;
+/// Length of a Mars 2020 name with its version.
+const VERSIONED: usize = 54;
 
 /// The fields of a product name.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -69,6 +69,11 @@ impl ProductName {
         Some(name)
     }
 
+    /// Reads the name that a text begins with. After a Mars 2020 name anything may follow, as in the file name of a copy.
+    pub fn read_start(text: &str) -> Option<Self> {
+        Self::read(text).or_else(|| Self::read(text.get(..UNVERSIONED)?))
+    }
+
     /// Whether the product is a frame of a video or of a stack of focus: one exposure, many products.
     pub fn is_of_series(&self) -> bool {
         SERIES.contains(&self.product_type.as_str())
@@ -96,6 +101,19 @@ impl ProductName {
             Scheme::MslEngineering => format!("{}{}", &id[..13], &id[17..35]),
             Scheme::Mer => format!("{}{}", &id[..11], &id[14..25]),
         }
+    }
+
+    /// Returns what exposures share that were planned with one pointing: instrument, sol, site, drive, sequence and camera
+    /// settings. Filter and clock may differ. `None` if names of the scheme do not say so.
+    pub fn planned_pointing(&self) -> Option<String> {
+        let id = self.id.to_ascii_uppercase();
+        (self.scheme == Scheme::M2020).then(|| format!("{}{}{}", &id[..2], &id[4..8], &id[27..48]))
+    }
+
+    /// Returns the spacecraft clock, whole seconds, of a Mars 2020 name.
+    pub fn clock_s(&self) -> Option<u64> {
+        let digits = Some(&self.id[9..19]).filter(|_| self.scheme == Scheme::M2020);
+        digits?.parse().ok()
     }
 
     /// Returns the camera with its eye and the clock. A photo shares them with everything that is computed from it, whatever its
@@ -193,12 +211,22 @@ fn letters_or_digits(text: &str) -> bool {
         .all(|byte| byte.is_ascii_alphanumeric() || byte == b'_')
 }
 
-/// Reads a name of 54 characters, or of 52 in feeds, which may append `_1200` and the like.
+/// Reads a name of 54 characters, or of 52 in feeds, which may append `_1200` and the like. Every field is at a fixed position
+/// (Mars 2020 Camera SIS, "File naming").
 fn mars2020(upper: &str) -> Option<ProductName> {
     let bytes = upper.as_bytes();
-    let fields = Mars2020Name::read(upper)?;
-    let strict =
-        letters_or_digits(upper) && bytes[0].is_ascii_alphabetic() && fields.downsampling().is_ascii_digit();
+    let shape = bytes.len() >= UNVERSIONED
+        && letters_or_digits(upper)
+        && bytes[0].is_ascii_alphabetic()
+        && bytes[8] == b'_'
+        && digits(&upper[9..19])
+        && bytes[19] == b'_'
+        && digits(&upper[20..23])
+        && matches!(bytes[27], b'T' | b'N')
+        && bytes[48].is_ascii_digit();
+    if !shape {
+        return None;
+    }
     let length = match upper.len() {
         UNVERSIONED => UNVERSIONED,
         _ if bytes[UNVERSIONED] == b'_' => UNVERSIONED,
@@ -206,16 +234,18 @@ fn mars2020(upper: &str) -> Option<ProductName> {
         _ if bytes.get(VERSIONED) == Some(&b'_') => VERSIONED,
         _ => return None,
     };
-    strict.then(|| ProductName {
+    // Letters in the four characters of the sol denote days on Earth.
+    let sol = &upper[4..8];
+    Some(ProductName {
         id: upper[..length].to_owned(),
         scheme: Scheme::M2020,
-        instrument: fields.instrument().to_owned(),
-        filter: values::known(fields.filter().trim_matches('_')),
-        sol: values::sol(fields.sol()).filter(|_| digits(fields.sol())),
-        thumbnail: fields.is_thumbnail(),
-        product_type: fields.product_type().to_owned(),
+        instrument: upper[..2].to_owned(),
+        filter: values::known(upper[2..3].trim_matches('_')),
+        sol: values::sol(sol).filter(|_| digits(sol)),
+        thumbnail: bytes[27] == b'T',
+        product_type: upper[23..26].to_owned(),
         version: upper[UNVERSIONED..length].to_owned(),
-        downsampling: 1 << u32::from(fields.downsampling() - b'0'),
+        downsampling: 1 << u32::from(bytes[48] - b'0'),
     })
 }
 
@@ -303,6 +333,27 @@ mod tests {
         let thumbnail = read("HSF_0649_0724570000_955ECM_T0370001HELI00002_000085J01");
         assert!(thumbnail.thumbnail && thumbnail.instrument == "HS");
         assert!(thumbnail.is_as_received() && !name.is_as_received());
+    }
+
+    #[test]
+    fn a_text_may_go_on_after_the_name() {
+        let name = "zl0_0709_0729888971_069RAD_N0332864ZCAM07114_0340LMA01";
+        let copy = format!("{name} (1).png");
+        let found = ProductName::read_start(&copy).unwrap();
+        assert_eq!(found.exposure(), read(name).exposure());
+        assert_eq!(
+            (found.clock_s(), found.product_type.as_str()),
+            (Some(729_888_971), "RAD")
+        );
+        for bad in [
+            "",
+            "ZL0",
+            &copy[1..],
+            &format!("é {name}"),
+            &copy.replacen("_N", "_X", 1),
+        ] {
+            assert!(ProductName::read_start(bad).is_none(), "{bad}");
+        }
     }
 
     #[test]

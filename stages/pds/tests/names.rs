@@ -8,7 +8,7 @@
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-use marf_pds::{Mars2020Name, ProductName, Scheme, join_key};
+use marf_pds::{ProductName, Scheme, join_key};
 use proptest::prelude::*;
 
 /// What must hold of any text.
@@ -29,20 +29,13 @@ fn check(text: &str) {
     );
     assert_eq!(join_key(&name.id), join_key(text), "{text}");
     if name.scheme == Scheme::M2020 {
-        // The filters read the same fields off the id.
-        let fields = Mars2020Name::read(&name.id).unwrap();
-        assert_eq!(
-            fields.instrument().to_ascii_uppercase(),
-            name.instrument,
+        // A copy's name goes on after the product's.
+        let copy = ProductName::read_start(&format!("{} (1).png", name.id)).unwrap();
+        assert_eq!(copy.exposure(), name.exposure(), "{text}");
+        assert!(
+            name.planned_pointing().is_some() && name.clock_s().is_some(),
             "{text}"
         );
-        assert_eq!(
-            fields.product_type().to_ascii_uppercase(),
-            name.product_type,
-            "{text}"
-        );
-        assert_eq!(fields.is_thumbnail(), name.thumbnail, "{text}");
-        assert!(!fields.is_other_product_of_exposure(fields) && fields.is_same_planned_pointing(fields));
     }
 }
 
@@ -78,14 +71,11 @@ fn names_of_the_real_data_have_the_properties() {
     assert!(known.len() > 30, "{known:?}");
     for a in &known {
         for b in &known {
-            let Some((first, second)) = Mars2020Name::read(a).zip(Mars2020Name::read(b)) else {
-                continue;
-            };
-            let other = first.is_other_product_of_exposure(second);
-            assert_eq!(other, second.is_other_product_of_exposure(first), "{a} {b}");
+            let [first, second] = [a, b].map(|stem| ProductName::read(stem).unwrap());
             // Products of one exposure were planned with one pointing, at one time.
-            let planned = first.is_same_planned_pointing(second) && first.clock_s() == second.clock_s();
-            assert!(!other || planned, "{a} {b}");
+            let planned =
+                first.planned_pointing() == second.planned_pointing() && first.clock_s() == second.clock_s();
+            assert!(first.exposure() != second.exposure() || planned, "{a} {b}");
         }
     }
 }
@@ -132,9 +122,9 @@ proptest! {
     ) {
         let of = |(kind, end): &(String, String), version: &str| format!("{head}{kind}{tail}{end}{version}");
         let names = [of(&first, &versions.0), of(&second, &versions.1)];
-        let read: Vec<Mars2020Name<'_>> = names.iter().map(|name| Mars2020Name::read(name).unwrap()).collect();
-        prop_assert_eq!(read[0].is_other_product_of_exposure(read[1]), names[0] != names[1]);
-        prop_assert!(read[0].is_same_planned_pointing(read[1]));
+        let read = names.each_ref().map(|name| ProductName::read(name).unwrap());
+        prop_assert_eq!(read[0].exposure(), read[1].exposure());
+        prop_assert_eq!(read[0].planned_pointing(), read[1].planned_pointing());
         // Versions of one product share its key, products of one exposure may differ in it.
         prop_assert_eq!(join_key(&of(&first, &versions.0)), join_key(&of(&first, &versions.1)));
     }
