@@ -337,11 +337,11 @@ fn ten_million_pixels_are_trained_on_and_ten_million_rays_rendered() {
         .bits
         .set(((middle * field.model.bits.side + middle) * field.model.bits.side + middle) as usize);
     let asked = std::cell::Cell::new(0);
-    let all = crate::render_in_bands(&field, &view.camera, &view.cam_from_world, |_, render| {
+    let all = crate::render_in_bands(&field, &view.camera, &view.cam_from_world, || {
         asked.set(asked.get() + 1);
-        render()
+        Ok::<_, FieldError>(())
     });
-    let all = all.unwrap();
+    let all = all.unwrap().unwrap();
     assert_eq!(
         (all.rgb.len(), all.opacity.len(), all.depth.len()),
         (10_000_000, 10_000_000, 10_000_000)

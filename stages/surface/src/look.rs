@@ -34,10 +34,8 @@ pub fn rendered(
     factor: u32,
 ) -> Result<RenderedView, StageError> {
     let camera = frame.camera.box_reduced(factor);
-    let render = render_in_bands(field, &camera, &frame.cam_from_world, |_, render| {
-        ctx.check()?;
-        Ok::<_, StageError>(render().map_err(SurfaceError::from)?)
-    })?;
+    let render = render_in_bands(field, &camera, &frame.cam_from_world, || ctx.check())?;
+    let render = render.map_err(SurfaceError::from)?;
     let pixels = render.depth.iter().zip(&render.opacity);
     let distance = pixels.map(|(depth, opacity)| {
         if *opacity > MIN_OPACITY {

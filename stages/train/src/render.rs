@@ -7,7 +7,6 @@ mod fields;
 mod layers;
 mod path;
 
-use marf_cache::digest_of;
 use marf_scene::{Scene, path::Viewpoint};
 use marf_schema::{
     bootstrap::MemberFields,
@@ -60,7 +59,7 @@ impl Set for Render {
         let fields = Fields::read(ctx, inputs, &self.params)?;
         let mut outputs = Outputs::new();
         outputs.put(ctx, &Poses(path::places(&path)))?;
-        let frames = self.frames(ctx, inputs, &scene, &fields, &path)?;
+        let frames = self.frames(ctx, &scene, &fields, &path)?;
         let drawing = Drawing::new(&scene, &self.params.outputs, &frames);
         let mut journal = Journal::new(ctx, "drawings", identity(self, inputs, ""));
         let mut film = Film::default();
@@ -90,12 +89,10 @@ impl Render {
     fn frames(
         &self,
         ctx: &Ctx<'_>,
-        inputs: &Inputs,
         scene: &Scene,
         fields: &Fields,
         path: &[Viewpoint],
     ) -> Result<Vec<Frame>, StageError> {
-        let identity = identity(self, inputs, "");
         let source = LayerSource {
             layers: &self.params.outputs,
             fields,
@@ -105,7 +102,7 @@ impl Render {
         for (index, place) in path.iter().enumerate() {
             let note = format!("picture {}", place.name);
             ctx.progress.at(index as u64, path.len() as u64, &note);
-            frames.push(source.frame(ctx, digest_of(&(identity, index as u64)), place)?);
+            frames.push(source.frame(ctx, place)?);
         }
         Ok(frames)
     }

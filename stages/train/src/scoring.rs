@@ -1,7 +1,7 @@
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
-use marf_cache::{Digest, digest_of};
+use marf_cache::Digest;
 use marf_field::{Field, Gain};
 use marf_scene::{Image, Srgb, TrainedPhotos, metrics};
 use marf_schema::{
@@ -71,8 +71,6 @@ struct PhotoJudgement {
 /// Compares a field with photos, one at a time. Photos that an unfinished run has compared are not rendered again.
 pub(crate) struct Judge<'a> {
     ctx: &'a Ctx<'a>,
-    /// Identity of the node and its field.
-    of: Digest,
     field: &'a Field,
     photos: &'a PhotoReader<'a>,
     journal: Journal<'a>,
@@ -83,7 +81,6 @@ impl<'a> Judge<'a> {
     pub fn new(ctx: &'a Ctx<'a>, of: Digest, field: &'a Field, photos: &'a PhotoReader<'a>) -> Self {
         Self {
             ctx,
-            of,
             field,
             photos,
             journal: Journal::new(ctx, "judging", of),
@@ -107,7 +104,7 @@ impl<'a> Judge<'a> {
             }
             let (named, began) = (&frames[index], Instant::now());
             self.at(views.len(), frames.len(), named);
-            let judged = self.judged(named, |judge| {
+            let judged = self.judged(|judge| {
                 let view = depth_view(judge.field, judge.photos, named.frame)?;
                 let mut judged = judge.stored(named)?;
                 judged.scores.nearest = trained.nearest(named.frame.into(), &view);
@@ -125,7 +122,7 @@ impl<'a> Judge<'a> {
         let mut views = Vec::with_capacity(frames.len());
         for (index, named) in frames.iter().enumerate() {
             self.at(index, frames.len(), named);
-            let judged = self.judged(named, |judge| {
+            let judged = self.judged(|judge| {
                 Ok(PhotoJudgement {
                     scores: compare_view(judge.field, named, &judge.photos.read(named.frame)?)?,
                     pictures: BTreeMap::new(),
@@ -156,12 +153,10 @@ impl<'a> Judge<'a> {
     /// Returns how a photo was judged before, or judges it.
     fn judged(
         &mut self,
-        named: &NamedFrame<'_>,
         judge: impl FnOnce(&PhotoJudge<'_>) -> Result<PhotoJudgement, StageError>,
     ) -> Result<PhotoJudgement, StageError> {
         let judging = PhotoJudge {
             ctx: self.ctx,
-            of: digest_of(&(self.of, &named.name)),
             field: self.field,
             photos: self.photos,
         };
@@ -186,7 +181,6 @@ fn known(ctx: &Ctx<'_>, bytes: &[u8]) -> Option<PhotoJudgement> {
 /// What a photo is judged with.
 struct PhotoJudge<'a> {
     ctx: &'a Ctx<'a>,
-    of: Digest,
     field: &'a Field,
     photos: &'a PhotoReader<'a>,
 }
@@ -196,7 +190,7 @@ impl PhotoJudge<'_> {
     fn stored(&self, named: &NamedFrame<'_>) -> Result<PhotoJudgement, StageError> {
         let photo = self.photos.read(named.frame)?;
         let pose = &named.frame.cam_from_world;
-        let render = render_view(self.ctx, self.of, self.field, &photo.camera, pose)?.to_image();
+        let render = render_view(self.ctx, self.field, &photo.camera, pose)?.to_image();
         let mut scores = compare(named, &render, &photo)?;
         if self.field.config().gain != Gain::Off {
             scores.psnr_affine =

@@ -3,7 +3,7 @@
 //! Viewpoints are visited twice, since scales and intervals follow from all of them. The maps of one viewpoint at a time are in memory.
 //! Those of the first pass are kept among the checkpoints for the second.
 
-use marf_cache::{Digest, digest_of};
+use marf_cache::Digest;
 use marf_field::{Field, Render};
 use marf_scene::{Scene, path::Viewpoint};
 use marf_schema::output::MAPS;
@@ -16,10 +16,7 @@ use super::{
     viewpoints::MapView,
     visibility::Witnesses,
 };
-use crate::{
-    checkpoint::Journal,
-    view::{self, render_view},
-};
+use crate::{checkpoint::Journal, view::render_view};
 
 /// Renders the fields of all members and maps where they disagree.
 pub(super) struct Mapper<'a> {
@@ -53,45 +50,29 @@ impl<'a> Mapper<'a> {
         }
     }
 
-    /// Returns the maps of viewpoint `index` of all.
-    fn maps(&self, index: u64, place: &Viewpoint) -> Result<Maps, StageError> {
-        let renders = self.render(index, place)?;
+    /// Returns the maps of a viewpoint.
+    fn maps(&self, place: &Viewpoint) -> Result<Maps, StageError> {
+        let renders = self.renders(place)?;
         maps(self.ctx, &renders, &|surfaces| {
             self.witnesses.visibilities(place, surfaces)
         })
     }
 
-    /// Returns the render of every member at viewpoint `index`.
-    fn render(&self, index: u64, place: &Viewpoint) -> Result<Vec<Render>, StageError> {
-        let identity = digest_of(&(self.identity, index));
-        let mut journal = Journal::new(self.ctx, "members", identity);
-        let (camera, pose) = (&place.camera, &place.cam_from_world);
-        let members = (0_u64..).zip(&self.fields).map(|(member, field)| {
-            journal.piece(
-                |bytes| view::unpack(bytes, camera.width, camera.height),
-                || {
-                    let member = digest_of(&(identity, member));
-                    let render = render_view(self.ctx, member, field, camera, pose)?;
-                    let bytes = view::pack(&render);
-                    Ok((render, bytes))
-                },
-            )
-        });
-        members.collect()
+    /// Returns the render of every member at a viewpoint.
+    fn renders(&self, place: &Viewpoint) -> Result<Vec<Render>, StageError> {
+        let fields = self.fields.iter();
+        fields
+            .map(|field| render_view(self.ctx, field, &place.camera, &place.cam_from_world))
+            .collect()
     }
 
     /// Returns the next maps of a journal over the viewpoints.
-    fn next_maps(
-        &self,
-        journal: &mut Journal<'_>,
-        index: u64,
-        place: &Viewpoint,
-    ) -> Result<Maps, StageError> {
+    fn next_maps(&self, journal: &mut Journal<'_>, place: &Viewpoint) -> Result<Maps, StageError> {
         let (width, height) = (place.camera.width, place.camera.height);
         journal.piece(
             |bytes| Maps::unpack(bytes, width, height),
             || {
-                let maps = self.maps(index, place)?;
+                let maps = self.maps(place)?;
                 let bytes = maps.pack();
                 Ok((maps, bytes))
             },
@@ -114,8 +95,8 @@ impl<'a> Mapper<'a> {
         let ctx = self.ctx;
         let mut journal = self.journal();
         let mut studies = Vec::with_capacity(views.len());
-        for (index, view) in (0..).zip(views) {
-            let maps = self.next_maps(&mut journal, index, &view.place)?;
+        for view in views {
+            let maps = self.next_maps(&mut journal, &view.place)?;
             let image = view.image(ctx)?;
             let truth = view.truth(image.as_ref());
             studies.push(study(&view.place, &maps, truth.as_ref(), &scene.points)?);
@@ -135,8 +116,8 @@ impl<'a> Mapper<'a> {
         let ctx = self.ctx;
         let mut known = self.journal();
         let mut journal = Journal::new(ctx, "drawings", self.identity);
-        for (index, view) in (0..).zip(views) {
-            let maps = self.next_maps(&mut known, index, &view.place)?;
+        for view in views {
+            let maps = self.next_maps(&mut known, &view.place)?;
             let of_view = journal.piece(
                 |bytes| {
                     let stored: Outputs = serde_json::from_slice(bytes).ok()?;

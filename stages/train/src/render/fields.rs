@@ -58,24 +58,18 @@ impl Fields {
         }
     }
 
-    /// Renders a viewpoint with the delivered field. `identity` identifies the fields and the viewpoint.
-    pub fn own(&self, ctx: &Ctx<'_>, identity: Digest, place: &Viewpoint) -> Result<Rendered, StageError> {
+    /// Renders a viewpoint with the delivered field.
+    pub fn own(&self, ctx: &Ctx<'_>, place: &Viewpoint) -> Result<Rendered, StageError> {
         let missing = || StageError::new("a field that is needed was not rendered");
         let field = self.own.as_ref().ok_or_else(missing)?;
-        render_view(ctx, identity, field, &place.camera, &place.cam_from_world)
+        render_view(ctx, field, &place.camera, &place.cam_from_world)
     }
 
     /// Renders a viewpoint with each of the retrainings.
-    pub fn members(
-        &self,
-        ctx: &Ctx<'_>,
-        identity: Digest,
-        place: &Viewpoint,
-    ) -> Result<Vec<Rendered>, StageError> {
-        let members = (0_u64..).zip(&self.members).map(|(index, field)| {
-            let member = digest_of(&(identity, index));
-            render_view(ctx, member, field, &place.camera, &place.cam_from_world)
-        });
-        members.collect()
+    pub fn members(&self, ctx: &Ctx<'_>, place: &Viewpoint) -> Result<Vec<Rendered>, StageError> {
+        let members = self.members.iter();
+        members
+            .map(|field| render_view(ctx, field, &place.camera, &place.cam_from_world))
+            .collect()
     }
 }

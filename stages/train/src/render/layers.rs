@@ -52,22 +52,21 @@ pub(super) struct LayerSource<'a> {
 
 impl LayerSource<'_> {
     /// Returns the layers of a viewpoint, kept as pictures. Kept layers of the same fields and camera are reused, the rest is rendered.
-    /// `identity` identifies the fields and the viewpoint.
     ///
     /// # Errors
     /// A field that cannot be rendered, a picture that cannot be stored.
-    pub fn frame(&self, ctx: &Ctx<'_>, identity: Digest, place: &Viewpoint) -> Result<Frame, StageError> {
+    pub fn frame(&self, ctx: &Ctx<'_>, place: &Viewpoint) -> Result<Frame, StageError> {
         let key = |layer: Layer| memo_key(layer, self.fields, place, self.metres_per_unit);
         let kept = self.layers.iter().map(|layer| {
             if let Some(kept) = known(ctx, &key(*layer)) {
                 return Ok(kept);
             }
             if *layer == Layer::Uncertainty {
-                let kept = uncertainty(ctx, &self.fields.members(ctx, identity, place)?)?;
+                let kept = uncertainty(ctx, &self.fields.members(ctx, place)?)?;
                 return keep(ctx, &key(*layer), kept);
             }
             // One render gives colour and depth. A later request for the other one reuses it.
-            let render = self.fields.own(ctx, identity, place)?;
+            let render = self.fields.own(ctx, place)?;
             let colour = keep(ctx, &key(Layer::Rgb), colours(ctx, &render)?)?;
             let depth = keep(
                 ctx,
