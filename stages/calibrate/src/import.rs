@@ -28,6 +28,7 @@ pub use colmap::{Model, read_colmap_binary, read_colmap_text, read_tracks};
 pub use distortion::{Distortion, Rational};
 pub use lens::{Focal, Lens};
 pub use transforms::{Transforms, names_in_transforms, read_transforms};
+pub(crate) use undistort::Undistorter;
 
 use crate::calibration::{Calibration, HeldOut, PlacedPhoto, up_of};
 use crate::export::TrackPoint;

@@ -1,4 +1,4 @@
-//! A photo of a lens that [`Camera`] does not have, as an ideal pinhole would have taken it.
+//! A photo of a lens as an ideal pinhole would have taken it.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -213,8 +213,19 @@ mod tests {
         }
     }
 
-    fn lenses() -> [Distortion; 3] {
+    /// Barrel and pincushion.
+    fn browns() -> [Distortion; 2] {
         [
+            Distortion::Brown([-0.25, 0.06, 0.002, -0.001]),
+            Distortion::Brown([0.12, -0.02, 0.0, 0.0]),
+        ]
+    }
+
+    fn lenses() -> [Distortion; 5] {
+        let [barrel, pincushion] = browns();
+        [
+            barrel,
+            pincushion,
             Distortion::Rational(Rational {
                 numerator: [-0.2, 0.04, -0.002, 0.0005],
                 denominator: [0.02, 0.001, 0.0],
@@ -272,6 +283,30 @@ mod tests {
                     );
                 }
             }
+        }
+    }
+
+    #[test]
+    fn no_pixel_is_invented_and_two_more_rows_or_columns_would_be() {
+        for lens in browns() {
+            let undistorter = Undistorter::new(Camera::pinhole(120, 90, 65.0), lens).unwrap();
+            let pinhole = undistorter.pinhole;
+            let inside = |x: f64, y: f64| {
+                let seen = undistorter.pixel(&direction(&pinhole, &Vector2::new(x, y)).xy());
+                seen.is_some_and(|seen| {
+                    (-1e-6..=120.0 + 1e-6).contains(&seen.x) && (-1e-6..=90.0 + 1e-6).contains(&seen.y)
+                })
+            };
+            let (width, height) = (f64::from(pinhole.width), f64::from(pinhole.height));
+            let rim = |length: f64| (0..=100).map(move |step| f64::from(step) / 100.0 * length);
+            for x in rim(width) {
+                assert!(inside(x, 0.0) && inside(x, height), "{lens:?} {x}");
+            }
+            for y in rim(height) {
+                assert!(inside(0.0, y) && inside(width, y), "{lens:?} {y}");
+            }
+            assert!(rim(height).any(|y| !inside(width + 2.0, y)), "{lens:?}");
+            assert!(rim(width).any(|x| !inside(x, height + 2.0)), "{lens:?}");
         }
     }
 

@@ -1,7 +1,5 @@
 //! `cameras`: a calibrated scene as a folder that other programs read unchanged.
 
-mod undistort;
-
 use std::collections::{BTreeMap, BTreeSet};
 
 use marf_cache::{Digest, manifest::Row};
@@ -15,10 +13,9 @@ use nalgebra::Vector2;
 use rayon::prelude::*;
 
 use crate::export::{Tracks, write_colmap, write_colmap_text, write_ply, write_transforms};
-use crate::import::read_tracks;
+use crate::import::{Distortion, Undistorter, read_tracks};
 use crate::mask_files::blackened;
 use crate::photos::{as_png, with_other_grid};
-use undistort::{ideal, undistort};
 
 /// Writes a calibrated scene as a folder: photos, masks, transforms.json, COLMAP's model as binary and text, points.
 ///
@@ -37,7 +34,7 @@ stage! {
     Set,
     Threads::All,
     about: "writes cameras and photos as a folder for nerfstudio, instant-ngp and COLMAP, optionally undistorted",
-    version: 3,
+    version: 4,
     ports: [
         Port::required("input", SCENE),
         Port::required("input", SPARSE_IMAGES),
@@ -183,17 +180,22 @@ fn moved(frame: &Frame, straight: &Frame, pixel: &[f64; 2]) -> Option<[f64; 2]> 
 fn straight_frame(ctx: &Ctx<'_>, frame: &Frame) -> Result<Frame, StageError> {
     ctx.check()?;
     let named = |what: String| StageError::new(format!("photo `{}`: {what}", frame.id));
-    let blind = |at: &str| {
-        let Camera { k1, k2, p1, p2, .. } = frame.camera;
-        named(format!(
-            "its lens (k1 {k1}, k2 {k2}, p1 {p1}, p2 {p2}) has no inverse {at}"
-        ))
-        .hint("export without `undistort`: the lens is in transforms.json then")
+    let refused = |problem: String| {
+        named(problem).hint("export without `undistort`: the lens is in transforms.json then")
     };
-    let pinhole = ideal(&frame.camera).ok_or_else(|| blind("at the rim"))?;
-    if pinhole == frame.camera {
+    let Camera { k1, k2, p1, p2, .. } = frame.camera;
+    let lens = [k1, k2, p1, p2];
+    if lens == [0.0; 4] {
         return Ok(frame.clone());
     }
+    let plain = Camera {
+        k1: 0.0,
+        k2: 0.0,
+        p1: 0.0,
+        p2: 0.0,
+        ..frame.camera
+    };
+    let undistorter = Undistorter::new(plain, Distortion::Brown(lens)).map_err(refused)?;
     let photo = Photo::decode_validated(&ctx.get(&frame.image)?).map_err(|error| named(error.to_string()))?;
     let size = (photo.image.width, photo.image.height);
     if size != (frame.camera.width, frame.camera.height) {
@@ -202,33 +204,35 @@ fn straight_frame(ctx: &Ctx<'_>, frame: &Frame) -> Result<Frame, StageError> {
             size.0, size.1
         )));
     }
-    let straight = with_other_grid(photo, |pixels| {
-        undistort(pixels, &frame.camera, &pinhole, ctx.cancel)
-    });
+    let straight = with_other_grid(photo, |pixels| undistorter.resample(pixels, ctx.cancel));
     let straight = straight.map_err(|pixel| match pixel {
-        Some(pixel) => blind(&format!("at {} {}", pixel.x, pixel.y)),
-        None => ctx.check().err().unwrap_or_else(|| named("stopped".to_owned())),
+        Some(at) => refused(format!("its lens does not show ({}, {})", at.x, at.y)),
+        None => StageError::Cancelled,
     })?;
     let png = straight.to_png().map_err(|error| named(error.to_string()))?;
     let digest: Digest = ctx.put(&png)?;
     Ok(Frame {
         file: as_png(&frame.file),
         image: digest,
-        mask: straight_mask(ctx, frame, &pinhole)?,
-        camera: pinhole,
+        mask: straight_mask(ctx, frame, &undistorter)?,
+        camera: undistorter.pinhole,
         error_px: None,
         ..frame.clone()
     })
 }
 
 /// Returns the mask of a frame as the pinhole has it, black where a part of it is.
-fn straight_mask(ctx: &Ctx<'_>, frame: &Frame, pinhole: &Camera) -> Result<Option<Digest>, StageError> {
+fn straight_mask(
+    ctx: &Ctx<'_>,
+    frame: &Frame,
+    undistorter: &Undistorter,
+) -> Result<Option<Digest>, StageError> {
     let Some(mask) = frame.mask else {
         return Ok(None);
     };
     let named = |what: String| StageError::new(format!("the mask of photo `{}`: {what}", frame.id));
     let mask = Photo::decode(&ctx.get(&mask)?).map_err(|error| named(error.to_string()))?;
-    let straight = undistort(&mask.image, &frame.camera, pinhole, ctx.cancel);
+    let straight = undistorter.resample(&mask.image, ctx.cancel);
     let mut straight = straight.map_err(|_| StageError::Cancelled)?;
     blackened(&mut straight);
     let png = encode_png(&straight).map_err(|error| named(error.to_string()))?;
