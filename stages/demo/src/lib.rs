@@ -42,7 +42,7 @@ use math::SrgbEncoder;
 use plan::{Product, View};
 use render::Shot;
 use tour::{Capture, Stop};
-use world::{Surface, World};
+use world::World;
 
 pub use error::DemoError;
 pub use plan::FlawKind;
@@ -110,20 +110,6 @@ pub struct Demo {
     /// The sol from which on its site is changed.
     change: Option<u32>,
     changed: OnceLock<World>,
-}
-
-/// Height from which [`Demo::from_above`] looks down, metres.
-const ABOVE_M: f64 = 20.0;
-
-/// The view from straight above a place.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Above {
-    /// Height of the ground or of the rock on it, metres.
-    pub height_m: f64,
-    /// Its light, linear RGB.
-    pub light: [f64; 3],
-    /// Whether it is in shadow.
-    pub is_shaded: bool,
 }
 
 /// Sites of all sols.
@@ -269,22 +255,6 @@ impl Demo {
             height: camera.height,
         };
         Ok(shot.photo(&SrgbEncoder::new()))
-    }
-
-    /// Returns the view from straight above a place (x and y in the site frame, metres) on a sol.
-    ///
-    /// # Errors
-    /// [`DemoError::Sol`].
-    pub fn from_above(&self, sol: u32, x_m: f64, y_m: f64) -> Result<Above, DemoError> {
-        check(sol)?;
-        // The landscape has x and y of the site frame, and z up.
-        let from = math::v3(x_m, y_m, ABOVE_M);
-        let seen = self.world_on(sol).trace(from, math::v3(0.0, 0.0, -1.0), 1e-4);
-        Ok(Above {
-            height_m: ABOVE_M - seen.range_m,
-            light: seen.light.array(),
-            is_shaded: matches!(seen.surface, Surface::ShadedGround | Surface::ShadedRock(_)),
-        })
     }
 
     fn is_changed(&self, sol: u32) -> bool {

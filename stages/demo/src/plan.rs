@@ -51,22 +51,6 @@ pub enum FlawKind {
 }
 
 impl FlawKind {
-    /// Returns the filters, one of them expected to reject it, the likeliest first. `decode` means extraction
-    /// itself.
-    pub const fn expected(self) -> &'static [&'static str] {
-        match self {
-            Self::Thumbnail => &["shape", "size"],
-            Self::MonoCopy => &["duplicate", "grayscale"],
-            Self::Mono | Self::EqualBands => &["grayscale"],
-            Self::NarrowBand(_) | Self::ExactCopy | Self::Reencoded => &["duplicate"],
-            Self::Defocus | Self::Motion => &["blur"],
-            Self::Noise => &["histogram", "blur"],
-            Self::ColourBlocks | Self::Deck => &["histogram"],
-            Self::Truncated => &["decode"],
-            Self::Dark => &["size"],
-        }
-    }
-
     /// Returns whether it is made from a photo of the landscape.
     pub(super) const fn shows_mars(self) -> bool {
         !matches!(self, Self::Noise | Self::ColourBlocks | Self::Deck | Self::Dark)
