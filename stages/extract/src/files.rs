@@ -3,45 +3,45 @@
 use std::collections::BTreeSet;
 use std::ffi::OsString;
 use std::fs::{self, File, OpenOptions};
-use std::io::{self, ErrorKind, Write};
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicU64, Ordering};
 
 use marf_cache::Digest;
 use marf_cache::file::{FileKind, Links, read, sync_folder};
+use tempfile::TempPath;
 
 /// End of the names of files that are not finished. They begin with a dot.
 const UNFINISHED: &str = ".new";
 
 /// Replaces a file. After a power cut it may be empty.
 pub(crate) fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    NewFile::write(path, bytes)?.finish()
+    Ok(unfinished(path, bytes)?.persist(path)?)
 }
 
 /// Files that are replaced together: after a power cut each holds its old bytes or its new ones.
 #[derive(Default)]
-pub(crate) struct Batch(Vec<NewFile>);
+pub(crate) struct Batch(Vec<(TempPath, PathBuf)>);
 
 impl Batch {
     /// Writes the new bytes of a file next to it.
     pub fn add(&mut self, path: &Path, bytes: &[u8]) -> io::Result<()> {
-        self.0.push(NewFile::write(path, bytes)?);
+        self.0.push((unfinished(path, bytes)?, path.to_owned()));
         Ok(())
     }
 
     /// Replaces the old bytes by the new ones, once all are on the disk.
     pub fn finish(self) -> io::Result<()> {
-        for new in &self.0 {
+        for (new, _) in &self.0 {
             // Opened for writing: some systems flush nothing through a handle that only reads.
-            OpenOptions::new().append(true).open(&new.path)?.sync_all()?;
+            OpenOptions::new().append(true).open(new)?.sync_all()?;
         }
         let folders: BTreeSet<PathBuf> = self
             .0
             .iter()
-            .filter_map(|new| Some(new.target.parent()?.to_owned()))
+            .filter_map(|(_, target)| Some(target.parent()?.to_owned()))
             .collect();
-        for new in self.0 {
-            new.finish()?;
+        for (new, target) in self.0 {
+            new.persist(target)?;
         }
         folders.iter().try_for_each(|folder| sync_folder(folder))
     }
@@ -84,58 +84,18 @@ pub(crate) fn write_checked(path: &Path, mut bytes: Vec<u8>) {
     drop(folder.and_then(|()| replace(path, &bytes)));
 }
 
-/// A file under a name of its own, which takes the place of another when it is finished and is removed if not.
-struct NewFile {
-    path: PathBuf,
-    target: PathBuf,
-    finished: bool,
-}
-
-impl NewFile {
-    fn write(target: &Path, bytes: &[u8]) -> io::Result<Self> {
-        let (path, mut file) = unfinished(target)?;
-        let new = Self {
-            path,
-            target: target.to_owned(),
-            finished: false,
-        };
-        file.write_all(bytes)?;
-        Ok(new)
-    }
-
-    fn finish(mut self) -> io::Result<()> {
-        fs::rename(&self.path, &self.target)?;
-        self.finished = true;
-        Ok(())
-    }
-}
-
-impl Drop for NewFile {
-    fn drop(&mut self) {
-        if !self.finished {
-            drop(fs::remove_file(&self.path));
-        }
-    }
-}
-
-/// Creates an empty file that is to take the place of another.
-fn unfinished(target: &Path) -> io::Result<(PathBuf, File)> {
-    loop {
-        let path = unfinished_path(target);
-        match OpenOptions::new().write(true).create_new(true).open(&path) {
-            // Of a process of this number on another machine, or one that died.
-            Err(error) if error.kind() == ErrorKind::AlreadyExists => {}
-            outcome => return Ok((path, outcome?)),
-        }
-    }
-}
-
-/// Returns a path in the same folder that this process has not used yet.
-pub(crate) fn unfinished_path(target: &Path) -> PathBuf {
-    static NUMBER: AtomicU64 = AtomicU64::new(0);
+/// Writes bytes under a name of their own, in the folder of the file whose place they are to take. They are removed if they do
+/// not.
+fn unfinished(target: &Path, bytes: &[u8]) -> io::Result<TempPath> {
     let name = target.file_name().unwrap_or_default().to_string_lossy();
-    let number = NUMBER.fetch_add(1, Ordering::Relaxed);
-    target.with_file_name(format!(".{name}.{}-{number}{UNFINISHED}", std::process::id()))
+    let mut file = tempfile::Builder::new()
+        .prefix(&format!(".{name}."))
+        .suffix(UNFINISHED)
+        // Not by `tempfile_in`: other people may read the file as the umask says.
+        .make_in(target.parent().unwrap_or(target), |path| File::create_new(path))?;
+    file.as_file_mut().write_all(bytes)?;
+    // A batch may be of more files than a process may have open.
+    Ok(file.into_temp_path())
 }
 
 #[cfg(test)]
