@@ -2,6 +2,8 @@
 
 use std::ops::{Add, Mul, Sub};
 
+use marf_numeric::linear_light;
+
 /// Three numbers: a point or direction in metres, or linear RGB.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct V3 {
@@ -219,7 +221,7 @@ pub struct SrgbEncoder {
 impl SrgbEncoder {
     pub fn new() -> Self {
         let thresholds: Vec<f64> = (0..255)
-            .map(|v| linear_of((f64::from(v) + 0.5) / 255.0))
+            .map(|v| linear_light((f64::from(v) + 0.5) / 255.0))
             .collect();
         let code_of = |light: f64| thresholds.partition_point(|&least| least <= light) as u8;
         let coarse = (0..=4096).map(|i| code_of(f64::from(i) / 4096.0)).collect();
@@ -240,21 +242,6 @@ impl SrgbEncoder {
     }
 }
 
-/// Returns the linear light of an sRGB value: x^2.4 as x² · x^0.4, the fifth root by Newton's method.
-pub fn linear_of(srgb: f64) -> f64 {
-    if srgb <= 0.040_45 {
-        return srgb / 12.92;
-    }
-    let base = (srgb + 0.055) / 1.055;
-    let square = base * base;
-    let mut root = 1.0;
-    for _ in 0..60 {
-        let fourth = root * root * root * root;
-        root -= (root * fourth - square) / (5.0 * fourth);
-    }
-    square * root
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -273,11 +260,11 @@ mod tests {
     fn every_8_bit_value_survives_light_and_back() {
         let display = SrgbEncoder::new();
         for value in 0..=255_u8 {
-            let light = linear_of(f64::from(value) / 255.0);
+            let light = linear_light(f64::from(value) / 255.0);
             assert_eq!(display.code_of(light), value, "light {light}");
         }
         assert_eq!((display.code_of(-1.0), display.code_of(9.0)), (0, 255));
-        assert!((linear_of(0.5) - 0.214_041_140_482).abs() < 1e-9);
+        assert!((linear_light(0.5) - 0.214_041_140_482).abs() < 1e-9);
     }
 
     #[test]

@@ -2,6 +2,8 @@
 
 use std::sync::OnceLock;
 
+use marf_numeric::linear_light;
+
 /// Spectral radiance that becomes white, W / (m2 sr nm).
 ///
 /// Half the radiance of a white surface under the mean sun of Mars at 550 nm. It is above that of the brightest dust,
@@ -20,27 +22,7 @@ pub fn code(light: f32) -> u8 {
 /// Returns the light at which code k - 1 becomes k, for k = 1..=255.
 fn thresholds() -> &'static [f32; 255] {
     static TABLE: OnceLock<[f32; 255]> = OnceLock::new();
-    TABLE.get_or_init(|| std::array::from_fn(|index| linear((index as f64 + 0.5) / 255.0) as f32))
-}
-
-/// Returns the light of an sRGB value (IEC 61966-2-1): c / 12.92, or ((c + 0.055) / 1.055)^2.4.
-fn linear(code: f64) -> f64 {
-    if code <= 0.04045 {
-        return code / 12.92;
-    }
-    let base = (code + 0.055) / 1.055;
-    let square = base * base;
-    square * fifth_root(square) // x^2.4 = x^2 (x^2)^(1/5)
-}
-
-/// Returns the fifth root of a value in (0, 1] by Newton's method from above: monotonic, 60 steps reach the last bit.
-fn fifth_root(value: f64) -> f64 {
-    let mut root = 1.0;
-    for _ in 0..60 {
-        let fourth = root * root * root * root;
-        root -= (fourth * root - value) / (5.0 * fourth);
-    }
-    root
+    TABLE.get_or_init(|| std::array::from_fn(|index| linear_light((index as f64 + 0.5) / 255.0) as f32))
 }
 
 #[cfg(test)]
@@ -59,23 +41,6 @@ mod tests {
             (0.5, 188),
         ] {
             assert_eq!(code(light), expected, "{light}");
-        }
-    }
-
-    #[test]
-    fn the_curve_agrees_with_the_power_function() {
-        for step in 0..=1000 {
-            let value = f64::from(step) / 1000.0;
-            let exact = if value <= 0.04045 {
-                value / 12.92
-            } else {
-                ((value + 0.055) / 1.055).powf(2.4)
-            };
-            assert!(
-                (linear(value) - exact).abs() < 1e-14,
-                "{value}: {} {exact}",
-                linear(value)
-            );
         }
     }
 

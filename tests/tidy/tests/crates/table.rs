@@ -34,7 +34,7 @@ pub const CRATES: [Crate; 36] = [
         tests_use: &["marf-cache"],
         ..row("stages/video", "marf-video", &["marf-scene"])
     },
-    row("stages/pds", "marf-pds", &["marf-scene"]),
+    row("stages/pds", "marf-pds", &["marf-numeric", "marf-scene"]),
     row(
         "stages/demo",
         "marf-demo",
