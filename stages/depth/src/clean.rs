@@ -1,5 +1,7 @@
 //! Removal of small islands, and a surface without holes for the next level.
 
+use marf_numeric::visit_parts;
+
 use crate::raster::Raster;
 use crate::winner::NONE;
 
@@ -8,40 +10,17 @@ const SAME_SURFACE: f32 = 1.0;
 
 /// Removes connected parts of fewer than `least` pixels.
 pub(crate) fn remove_islands(disparity: &mut Raster<f32>, least: usize) {
-    let (width, height) = (disparity.width, disparity.height);
-    let mut seen = vec![false; disparity.values.len()];
-    let mut part = Vec::new();
-    for start in 0..disparity.values.len() {
-        if seen[start] || disparity.values[start] == NONE {
-            continue;
-        }
-        part.clear();
-        part.push(start);
-        seen[start] = true;
-        let mut next = 0;
-        while next < part.len() {
-            let at = part[next];
-            next += 1;
-            let (x, y) = (at % width, at / width);
-            let neighbours = [
-                (x > 0, at.wrapping_sub(1)),
-                (x + 1 < width, at + 1),
-                (y > 0, at.wrapping_sub(width)),
-                (y + 1 < height, at + width),
-            ];
-            for (inside, to) in neighbours {
-                if inside && !seen[to] && (disparity.values[to] - disparity.values[at]).abs() <= SAME_SURFACE
-                {
-                    seen[to] = true;
-                    part.push(to);
-                }
-            }
-        }
+    let values = &disparity.values;
+    let is_known: Vec<bool> = values.iter().map(|value| *value != NONE).collect();
+    let is_joined = |a: usize, b: usize| (values[a] - values[b]).abs() <= SAME_SURFACE;
+    let mut islands = Vec::new();
+    visit_parts(&is_known, disparity.width, is_joined, |part| {
         if part.len() < least {
-            for &at in &part {
-                disparity.values[at] = NONE;
-            }
+            islands.extend_from_slice(part);
         }
+    });
+    for pixel in islands {
+        disparity.values[pixel] = NONE;
     }
 }
 

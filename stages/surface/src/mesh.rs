@@ -1,5 +1,6 @@
 //! A mesh or a cloud with what the views say of each vertex.
 
+use marf_numeric::lowest_joined;
 use marf_scene::{Observer, seen_at};
 use marf_stage::Cancel;
 use nalgebra::Vector3;
@@ -142,13 +143,15 @@ impl Mesh {
         let vertices = &self.vertices;
         let is_whole = |vertex: &u32| is_kept(&vertices[*vertex as usize]);
         self.triangles.retain(|triangle| triangle.iter().all(is_whole));
-        let piece = pieces(vertices.len(), &self.triangles);
+        let edges = self.triangles.iter().flat_map(|[a, b, c]| [[a, b], [b, c]]);
+        let edges = edges.map(|edge| edge.map(|vertex| *vertex as usize));
+        let piece = lowest_joined(vertices.len(), edges);
         let mut size = vec![0_usize; vertices.len()];
         for triangle in &self.triangles {
-            size[piece[triangle[0] as usize] as usize] += 1;
+            size[piece[triangle[0] as usize]] += 1;
         }
         self.triangles
-            .retain(|triangle| size[piece[triangle[0] as usize] as usize] >= least);
+            .retain(|triangle| size[piece[triangle[0] as usize]] >= least);
         self.compacted()
     }
 
@@ -189,31 +192,6 @@ fn normals(surface: &Triangles) -> Vec<Vector3<f64>> {
     sums.iter()
         .map(|sum| sum.try_normalize(0.0).unwrap_or_default())
         .collect()
-}
-
-/// Returns for each vertex the lowest vertex of its piece.
-fn pieces(vertices: usize, triangles: &[[u32; 3]]) -> Vec<u32> {
-    let mut parent: Vec<u32> = (0..vertices as u32).collect();
-    for triangle in triangles {
-        let [a, b, c] = triangle.map(|vertex| root(&mut parent, vertex));
-        let lowest = a.min(b).min(c);
-        for vertex in [a, b, c] {
-            parent[vertex as usize] = lowest;
-        }
-    }
-    (0..vertices as u32)
-        .map(|vertex| root(&mut parent, vertex))
-        .collect()
-}
-
-fn root(parent: &mut [u32], mut vertex: u32) -> u32 {
-    while parent[vertex as usize] != vertex {
-        // Halves the way for the next look.
-        let above = parent[parent[vertex as usize] as usize];
-        parent[vertex as usize] = above;
-        vertex = above;
-    }
-    vertex
 }
 
 #[cfg(test)]

@@ -5,7 +5,7 @@
 //! found by structure that persists over a set of pictures (Dekel et al., CVPR 2017). The area that such edges enclose is added, so that a
 //! plain deck is found by its rim.
 
-use marf_numeric::lower_median;
+use marf_numeric::{lower_median, visit_parts};
 
 /// Half the side of a window, pixels: windows of 7 x 7.
 const HALF_WINDOW: usize = 3;
@@ -278,35 +278,17 @@ pub(crate) fn grown_by(is_in: &[bool], width: usize, reach: usize) -> Vec<bool> 
 
 /// Returns the pixels that are in, without the connected parts (by sides) that are dropped.
 fn without(is_in: &[bool], width: usize, is_dropped: impl Fn(&[usize]) -> bool) -> Vec<bool> {
-    let mut left = is_in.to_vec();
-    let mut kept = vec![false; is_in.len()];
-    for start in 0..is_in.len() {
-        if !left[start] {
-            continue;
-        }
-        left[start] = false;
-        let mut part = vec![start];
-        let mut next = 0;
-        while let Some(pixel) = part.get(next).copied() {
-            next += 1;
-            let column = pixel % width;
-            let beside = [
-                (column > 0).then(|| pixel - 1),
-                (column + 1 < width).then_some(pixel + 1),
-                pixel.checked_sub(width),
-                Some(pixel + width).filter(|below| *below < is_in.len()),
-            ];
-            for pixel in beside.into_iter().flatten() {
-                if left[pixel] {
-                    left[pixel] = false;
-                    part.push(pixel);
-                }
+    let mut kept = is_in.to_vec();
+    visit_parts(
+        is_in,
+        width,
+        |_, _| true,
+        |part| {
+            if is_dropped(part) {
+                part.iter().for_each(|pixel| kept[*pixel] = false);
             }
-        }
-        if !is_dropped(&part) {
-            part.iter().for_each(|pixel| kept[*pixel] = true);
-        }
-    }
+        },
+    );
     kept
 }
 

@@ -1,6 +1,8 @@
 //! Photos grouped by what they show.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
+
+use marf_numeric::lowest_joined;
 
 use super::group::Group;
 use crate::photos::{InputPhoto, without_extension};
@@ -63,25 +65,17 @@ pub(super) fn join(
 
 /// Returns photos that overlaps among them link, directly or through others. Each part is sorted, parts by their first photo in `order`.
 fn connected(order: &[usize], overlaps: &[Overlap]) -> Vec<Vec<usize>> {
-    let mut part_of: BTreeMap<usize, usize> = order.iter().map(|photo| (*photo, *photo)).collect();
-    fn root(part_of: &BTreeMap<usize, usize>, mut photo: usize) -> usize {
-        while part_of[&photo] != photo {
-            photo = part_of[&photo];
-        }
-        photo
-    }
-    for Overlap { photos: [a, b], .. } in overlaps {
-        if part_of.contains_key(a) && part_of.contains_key(b) {
-            let (a, b) = (root(&part_of, *a), root(&part_of, *b));
-            part_of.insert(a.max(b), a.min(b));
-        }
-    }
+    let count = order.iter().max().map_or(0, |last| last + 1);
+    let open: BTreeSet<&usize> = order.iter().collect();
+    let pairs = overlaps.iter().map(|overlap| overlap.photos);
+    let pairs = pairs.filter(|pair| pair.iter().all(|photo| open.contains(photo)));
+    let part_of = lowest_joined(count, pairs);
     let mut parts: Vec<(usize, Vec<usize>)> = Vec::new();
     for photo in order {
-        let root = root(&part_of, *photo);
-        match parts.iter_mut().find(|(of, _)| *of == root) {
+        let first = part_of[*photo];
+        match parts.iter_mut().find(|(of, _)| *of == first) {
             Some((_, members)) => members.push(*photo),
-            None => parts.push((root, vec![*photo])),
+            None => parts.push((first, vec![*photo])),
         }
     }
     parts

@@ -1,5 +1,6 @@
 //! Which pixels may hold features.
 
+use marf_numeric::visit_parts;
 use marf_scene::{Image, Srgb};
 
 /// Which pixels may hold features, one flag for each pixel of the working size.
@@ -31,7 +32,16 @@ impl Mask {
         let black = boxes(photo, factor, |channel| channel == 0);
         let saturated = boxes(photo, factor, |channel| channel >= SATURATED);
         for kind in [black, saturated] {
-            close_areas(kind, width as usize, &mut open);
+            visit_parts(
+                &kind,
+                width as usize,
+                |_, _| true,
+                |area| {
+                    if area.len() >= AREA {
+                        area.iter().for_each(|&pixel| open[pixel] = false);
+                    }
+                },
+            );
         }
         if let Some(file) = file.filter(|file| file.width > 0 && file.height > 0) {
             close_file(file, width, height, &mut open);
@@ -60,37 +70,6 @@ fn boxes(photo: &Image<Srgb>, factor: u32, is: impl Fn(u8) -> bool) -> Vec<bool>
         }
     }
     all
-}
-
-/// Closes the connected areas of flagged pixels that are large enough.
-fn close_areas(mut left: Vec<bool>, width: usize, open: &mut [bool]) {
-    let mut area = Vec::new();
-    for start in 0..left.len() {
-        if !std::mem::take(&mut left[start]) {
-            continue;
-        }
-        area.clear();
-        area.push(start);
-        let mut next = 0;
-        while let Some(&pixel) = area.get(next) {
-            next += 1;
-            let column = pixel % width;
-            let sides = [
-                (column > 0).then(|| pixel - 1),
-                (column + 1 < width).then_some(pixel + 1),
-                pixel.checked_sub(width),
-                Some(pixel + width),
-            ];
-            for side in sides.into_iter().flatten() {
-                if left.get_mut(side).is_some_and(std::mem::take) {
-                    area.push(side);
-                }
-            }
-        }
-        if area.len() >= AREA {
-            area.iter().for_each(|&pixel| open[pixel] = false);
-        }
-    }
 }
 
 /// Closes the black parts of a mask file.

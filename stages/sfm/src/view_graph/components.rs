@@ -2,22 +2,13 @@
 
 use std::collections::BTreeMap;
 
+use marf_numeric::lowest_joined;
+
 use super::view::Link;
 
 /// Returns the rank of each photo's connected component: 0 is the largest, ties by first photo.
 pub fn components(count: usize, links: &[Link]) -> Vec<usize> {
-    let mut root: Vec<usize> = (0..count).collect();
-    fn find(root: &[usize], mut photo: usize) -> usize {
-        while root[photo] != photo {
-            photo = root[photo];
-        }
-        photo
-    }
-    for link in links {
-        let [a, b] = link.photos.map(|photo| find(&root, photo));
-        root[a.max(b)] = a.min(b);
-    }
-    let roots: Vec<usize> = (0..count).map(|photo| find(&root, photo)).collect();
+    let roots = lowest_joined(count, links.iter().map(|link| link.photos));
     let mut sizes: BTreeMap<usize, usize> = BTreeMap::new();
     roots
         .iter()
