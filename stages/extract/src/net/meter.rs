@@ -1,4 +1,4 @@
-//! Bytes, rate and remaining time as a short note for a progress bar.
+//! Bytes and rate as a short note for a progress bar, which has the remaining time.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -7,13 +7,10 @@ use marf_stage::format;
 
 /// Span over which the rate is taken.
 const WINDOW: Duration = Duration::from_secs(20);
-/// Time after which the remaining time is estimated.
-const FIRST_GUESS: Duration = Duration::from_secs(3);
 
 /// Measures the rate of downloads. The caller passes the time.
 #[derive(Debug)]
 pub(crate) struct Meter {
-    total: u64,
     seen: VecDeque<Seen>,
 }
 
@@ -24,21 +21,19 @@ struct Seen {
 }
 
 impl Meter {
-    /// Begins at time 0 with `total` files to download.
-    pub(crate) fn new(total: u64) -> Self {
+    /// Begins at time 0.
+    pub(crate) fn new() -> Self {
         let begin = Seen {
             at: Duration::ZERO,
             bytes: 0,
         };
         Self {
-            total,
             seen: VecDeque::from([begin]),
         }
     }
 
-    /// Returns the note when `done` files and `bytes` have come by `at`, since the beginning, as
-    /// `84.0 MB, 3.1 MB/s, 4 min 00 s left`. The estimate counts files, since no archive announces bytes.
-    pub(crate) fn note(&mut self, at: Duration, done: u64, bytes: u64) -> String {
+    /// Returns the note when `bytes` have come by `at`, since the beginning, as `84.0 MB, 3.1 MB/s`.
+    pub(crate) fn note(&mut self, at: Duration, bytes: u64) -> String {
         self.seen.push_back(Seen { at, bytes });
         // The first one stays the youngest that is at least a window old.
         while self
@@ -55,19 +50,7 @@ impl Meter {
             let rate = bytes.saturating_sub(first.bytes) as f64 / span.as_secs_f64();
             note.push_str(&format!(", {}/s", format::size(rate as u64)));
         }
-        if let Some(left) = self.left(at, done) {
-            note.push_str(&format!(", {} left", format::duration(left)));
-        }
         note
-    }
-
-    /// Returns the seconds that the rest takes at the mean rate so far.
-    fn left(&self, at: Duration, done: u64) -> Option<f64> {
-        let rest = self.total.saturating_sub(done);
-        if done == 0 || rest == 0 || at < FIRST_GUESS {
-            return None;
-        }
-        Some(at.as_secs_f64() * rest as f64 / done as f64)
     }
 }
 
@@ -76,41 +59,35 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_note_tells_bytes_rate_and_rest() {
+    fn a_note_tells_bytes_and_rate() {
         let seconds = Duration::from_secs;
-        let mut meter = Meter::new(100);
-        assert_eq!(meter.note(Duration::ZERO, 0, 0), "0 bytes");
-        assert_eq!(meter.note(seconds(1), 1, 500_000), "500.0 KB, 500.0 KB/s");
-        assert_eq!(
-            meter.note(seconds(10), 4, 31_000_000),
-            "31.0 MB, 3.1 MB/s, 4 min 00 s left"
-        );
-        assert_eq!(meter.note(seconds(40), 100, 31_000_000), "31.0 MB, 0 bytes/s");
+        let mut meter = Meter::new();
+        assert_eq!(meter.note(Duration::ZERO, 0), "0 bytes");
+        assert_eq!(meter.note(seconds(1), 500_000), "500.0 KB, 500.0 KB/s");
+        assert_eq!(meter.note(seconds(10), 31_000_000), "31.0 MB, 3.1 MB/s");
+        assert_eq!(meter.note(seconds(40), 31_000_000), "31.0 MB, 0 bytes/s");
     }
 
     #[test]
     fn the_rate_is_of_the_last_window() {
-        let mut meter = Meter::new(1_000);
+        let mut meter = Meter::new();
         for second in 0..=100 {
             let bytes = if second <= 50 {
                 0
             } else {
                 (second - 50) * 2_000_000
             };
-            let note = meter.note(Duration::from_secs(second), second, bytes);
-            assert!(second < 80 || note.contains(", 2.0 MB/s, "), "{second}: {note}");
+            let note = meter.note(Duration::from_secs(second), bytes);
+            assert!(second < 80 || note.ends_with(", 2.0 MB/s"), "{second}: {note}");
         }
         assert!(meter.seen.len() < 30, "{}", meter.seen.len());
     }
 
     #[test]
     fn numbers_that_run_backwards_are_no_panic() {
-        let mut meter = Meter::new(0);
-        meter.note(Duration::from_secs(9), 9, 9);
-        meter.note(Duration::from_secs(1), 3, 1);
-        assert_eq!(
-            meter.note(Duration::MAX, u64::MAX, u64::MAX),
-            "18446744.1 TB, 1 byte/s"
-        );
+        let mut meter = Meter::new();
+        meter.note(Duration::from_secs(9), 9);
+        meter.note(Duration::from_secs(1), 1);
+        assert_eq!(meter.note(Duration::MAX, u64::MAX), "18446744.1 TB, 1 byte/s");
     }
 }

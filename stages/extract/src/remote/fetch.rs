@@ -172,7 +172,7 @@ impl Sol<'_> {
 
     fn download(&mut self, wanted: &[(&String, &RemoteFile)]) -> Result<Vec<Failure>, StageError> {
         let wants: Vec<Download> = wanted.iter().map(|(name, file)| self.want(name, file)).collect();
-        let (mut failures, mut meter, began) = (Vec::new(), Meter::new(wanted.len() as u64), Instant::now());
+        let (mut failures, mut meter, began) = (Vec::new(), Meter::new(), Instant::now());
         let (mut done, mut bytes) = (0, 0);
         let client = self.archive.client()?;
         client.get_all(self.ctx.cancel, &wants, &mut |index, answer| {
@@ -202,7 +202,7 @@ impl Sol<'_> {
                     cause,
                 });
             }
-            let note = meter.note(began.elapsed(), done, bytes);
+            let note = meter.note(began.elapsed(), bytes);
             let traffic = client.traffic();
             let note = format!(
                 "sol {}, {note}, {} requests, {} tried again",
