@@ -46,7 +46,7 @@ pub fn read(bytes: &[u8]) -> Result<Label, FeedError> {
         sol: record.text("sol").and_then(|sol| values::sol(&sol)),
         instrument: record.text("instrument"),
         filter: record.text("filter_name"),
-        thumbnail: record.thumbnail(),
+        thumbnail: is_thumbnail(&json),
         averaged: 1,
         sensor: sensor::of_instrument(&record.host(), &record.text("instrument").unwrap_or_default()),
         size: record.size(),
@@ -57,32 +57,42 @@ pub fn read(bytes: &[u8]) -> Result<Label, FeedError> {
     Ok(label)
 }
 
+/// Returns a known value of a record as text: one at the top, or under `camera` or `extended`.
+pub fn field(record: &Value, key: &str) -> Option<String> {
+    let places = [Some(record), record.get("camera"), record.get("extended")];
+    places
+        .into_iter()
+        .flatten()
+        .find_map(|place| text(place.get(key)?))
+}
+
+/// Returns a known value as text.
+pub fn text(value: &Value) -> Option<String> {
+    match value {
+        Value::String(text) => values::known(text),
+        Value::Number(number) => Some(number.to_string()),
+        Value::Bool(truth) => Some(truth.to_string()),
+        _ => None,
+    }
+}
+
+/// Whether a record calls its photo a thumbnail.
+pub fn is_thumbnail(record: &Value) -> bool {
+    let is = |key, word: &str| field(record, key).is_some_and(|text| text.eq_ignore_ascii_case(word));
+    is("sample_type", "thumbnail") || is("is_thumbnail", "true")
+}
+
 struct Record<'a>(&'a Value);
 
 impl Record<'_> {
-    /// A known value at the top, or under `camera` or `extended`, as text.
     fn text(&self, key: &str) -> Option<String> {
-        let places = [Some(self.0), self.0.get("camera"), self.0.get("extended")];
-        places
-            .into_iter()
-            .flatten()
-            .find_map(|place| match place.get(key)? {
-                Value::String(text) => values::known(text),
-                Value::Number(number) => Some(number.to_string()),
-                Value::Bool(truth) => Some(truth.to_string()),
-                _ => None,
-            })
+        field(self.0, key)
     }
 
     /// Records of Mars 2020 are nested, those of MSL are flat.
     fn host(&self) -> String {
         let host = self.0.get("camera").map_or("MSL", |_| "M20");
         host.to_owned()
-    }
-
-    fn thumbnail(&self) -> bool {
-        let is = |key: &str, word: &str| self.text(key).is_some_and(|text| text.eq_ignore_ascii_case(word));
-        is("sample_type", "thumbnail") || is("is_thumbnail", "true")
     }
 
     fn size(&self) -> Option<(u32, u32)> {

@@ -10,13 +10,14 @@ mod records;
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use marf_pds::feed::{field, is_thumbnail, text};
 use marf_stage::{ParamError, StageError};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::Value;
 
 use self::question::{FeedPages, Newest};
-use self::records::{field, id_of, sol_of, text};
+use self::records::{id_of, sol_of};
 use super::mission::{Instrument, Mission};
 use crate::archive::ArchiveFiles;
 use crate::archive::access::{Remote, RemoteContext};
@@ -265,9 +266,7 @@ impl Feed {
         if !self.instruments.contains(&instrument.as_str()) {
             return Err(format!("of another camera ({})", instrument.escape_default()));
         }
-        let is =
-            |key: &str, word: &str| field(record, key).is_some_and(|text| text.eq_ignore_ascii_case(word));
-        if is("sample_type", "thumbnail") || is("is_thumbnail", "true") {
+        if is_thumbnail(record) {
             return Err("thumbnail".to_owned());
         }
         if self.form == Form::Msl

@@ -1,11 +1,11 @@
 //! Questions to a feed, page by page.
 
 use marf_cache::Digest;
+use marf_pds::feed::text;
 use marf_pds::values;
 use marf_stage::{Ctx, StageError};
 use serde_json::Value;
 
-use super::records::text;
 use crate::net::{Answer, Client, Download};
 use crate::remote::crawl::urls;
 

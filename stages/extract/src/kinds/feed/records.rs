@@ -1,5 +1,6 @@
 //! Values of a record.
 
+use marf_pds::feed::field;
 use marf_pds::values;
 use serde_json::Value;
 
@@ -13,23 +14,4 @@ pub(super) fn id_of(record: &Value) -> Option<String> {
     let id = field(record, "imageid")?;
     let plain = |byte: u8| byte.is_ascii_alphanumeric() || byte == b'_' || byte == b'-';
     (id.len() <= 80 && id.bytes().all(plain)).then_some(id)
-}
-
-/// Returns a known value at the top, or under `camera` or `extended`.
-pub(super) fn field(record: &Value, key: &str) -> Option<String> {
-    let places = [Some(record), record.get("camera"), record.get("extended")];
-    places
-        .into_iter()
-        .flatten()
-        .find_map(|place| place.get(key).and_then(text))
-}
-
-/// Returns a known value as text.
-pub(super) fn text(value: &Value) -> Option<String> {
-    match value {
-        Value::String(text) => values::known(text),
-        Value::Number(number) => Some(number.to_string()),
-        Value::Bool(truth) => Some(truth.to_string()),
-        _ => None,
-    }
 }
