@@ -1,16 +1,16 @@
 //! The blocking interface: many downloads, few connections, one caller.
 
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
 use std::sync::Arc;
-use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use marf_stage::{Cancel, StageError};
 use reqwest::redirect::Policy;
 use rustls::{ClientConfig, RootCertStore};
 use rustls_platform_verifier::BuilderVerifierExt;
 use tokio::runtime::{Builder, Runtime};
-use tokio::task::JoinHandle;
+use tokio::task::{Id, JoinSet};
+use tokio::time::timeout;
 
 use super::error::broken;
 use super::limiter::HostLimiters;
@@ -79,16 +79,10 @@ impl Client {
         distinct_parts(downloads)?;
         let runtime = self.runtime.as_ref().ok_or_else(|| StageError::from(lost()))?;
         let mut batch = Batch::new(&self.shared, runtime, downloads);
-        batch.fill();
         while !batch.under_way.is_empty() {
             go_on(cancel)?;
-            match batch.reports.recv_timeout(CHECK) {
-                Ok((index, answer)) => {
-                    batch.ended(index);
-                    done(index, answer)?;
-                }
-                Err(RecvTimeoutError::Timeout) => {}
-                Err(RecvTimeoutError::Disconnected) => return Err(lost().into()),
+            if let Some((index, answer)) = batch.next_ended() {
+                done(index, answer)?;
             }
         }
         go_on(cancel)
@@ -116,20 +110,19 @@ fn go_on(cancel: &Cancel) -> Result<(), StageError> {
     Ok(())
 }
 
-type Reported = (usize, Result<Answer, NetError>);
-
 /// One call of `get_all`: waiting downloads by the host of their first request, and running downloads.
 struct Batch<'a> {
     shared: &'a Arc<Shared>,
     runtime: &'a Runtime,
     downloads: &'a [Download],
     waiting: BTreeMap<String, VecDeque<usize>>,
-    under_way: BTreeMap<usize, (String, JoinHandle<()>)>,
-    reporter: Option<Sender<Reported>>,
-    reports: Receiver<Reported>,
+    under_way: JoinSet<Result<Answer, NetError>>,
+    /// Host and number of the running downloads.
+    places: HashMap<Id, (String, usize)>,
 }
 
 impl<'a> Batch<'a> {
+    /// Starts as many downloads as each host may have at once.
     fn new(shared: &'a Arc<Shared>, runtime: &'a Runtime, downloads: &'a [Download]) -> Self {
         let mut waiting: BTreeMap<String, VecDeque<usize>> = BTreeMap::new();
         for (index, download) in downloads.iter().enumerate() {
@@ -137,93 +130,53 @@ impl<'a> Batch<'a> {
             let host = origin.map_or_else(String::new, |origin| origin.authority());
             waiting.entry(host).or_default().push_back(index);
         }
-        let (reporter, reports) = mpsc::channel();
-        Self {
+        let hosts: Vec<String> = waiting.keys().cloned().collect();
+        let mut batch = Self {
             shared,
             runtime,
             downloads,
             waiting,
-            under_way: BTreeMap::new(),
-            reporter: Some(reporter),
-            reports,
-        }
-    }
-
-    /// Starts as many downloads as each host may have at once.
-    fn fill(&mut self) {
-        let hosts: Vec<String> = self.waiting.keys().cloned().collect();
+            under_way: JoinSet::new(),
+            places: HashMap::new(),
+        };
         for host in hosts {
-            (0..self.shared.settings.per_host.max(1)).for_each(|_| self.start(&host));
+            (0..shared.settings.per_host.max(1)).for_each(|_| batch.start(&host));
         }
+        batch
     }
 
     /// Starts the next download of a host, if there is one.
     fn start(&mut self, host: &str) {
-        let next = self.waiting.get_mut(host).and_then(VecDeque::pop_front);
-        let (Some(index), Some(reporter)) = (next, &self.reporter) else {
+        let Some(index) = self.waiting.get_mut(host).and_then(VecDeque::pop_front) else {
             return;
         };
         let (shared, download) = (Arc::clone(self.shared), self.downloads[index].clone());
-        let report = Report {
-            index,
-            url: download.urls.first().map_or_else(String::new, shown),
-            reporter: Some(reporter.clone()),
-        };
-        let task = self.runtime.spawn(async move {
-            let answer = shared.download(&download).await;
-            report.send(answer);
-        });
-        self.under_way.insert(index, (host.to_owned(), task));
+        let running = async move { shared.download(&download).await };
+        let task = self.under_way.spawn_on(running, self.runtime.handle());
+        self.places.insert(task.id(), (host.to_owned(), index));
     }
 
-    fn ended(&mut self, index: usize) {
-        if let Some((host, _)) = self.under_way.remove(&index) {
-            self.start(&host);
-        }
+    /// Waits, for a moment, until a download ends, and starts the next one of its host.
+    fn next_ended(&mut self) -> Option<(usize, Result<Answer, NetError>)> {
+        let ended = async { timeout(CHECK, self.under_way.join_next_with_id()).await };
+        let (id, answer) = match self.runtime.block_on(ended).ok()?? {
+            Ok((id, answer)) => (id, Some(answer)),
+            Err(panicked) => (panicked.id(), None),
+        };
+        let (host, index) = self.places.remove(&id)?;
+        self.start(&host);
+        let url = || self.downloads[index].urls.first().map_or_else(String::new, shown);
+        let answer = answer.unwrap_or_else(|| Err(NetError { url: url(), ..lost() }));
+        Some((index, answer))
     }
 }
 
 /// Stops running downloads and waits, for a while, until their parts are finished.
 impl Drop for Batch<'_> {
     fn drop(&mut self) {
-        self.under_way.values().for_each(|(_, task)| task.abort());
-        self.reporter = None;
-        let began = Instant::now();
-        while let Some(left) = GRACE.checked_sub(began.elapsed()) {
-            if let Err(RecvTimeoutError::Disconnected | RecvTimeoutError::Timeout) =
-                self.reports.recv_timeout(left)
-            {
-                break;
-            }
-        }
-    }
-}
-
-/// Reports to the caller how one download ended, also where its task panicked.
-struct Report {
-    index: usize,
-    url: String,
-    reporter: Option<Sender<Reported>>,
-}
-
-impl Report {
-    fn send(mut self, answer: Result<Answer, NetError>) {
-        if let Some(reporter) = self.reporter.take() {
-            // The caller may have stopped listening.
-            let _ = reporter.send((self.index, answer));
-        }
-    }
-}
-
-impl Drop for Report {
-    fn drop(&mut self) {
-        if let Some(reporter) = self.reporter.take() {
-            let error = NetError {
-                url: std::mem::take(&mut self.url),
-                ..lost()
-            };
-            let _ = reporter.send((self.index, Err(error)));
-        }
+        let stopped = async { timeout(GRACE, self.under_way.shutdown()).await };
+        // What has not finished by then is still stopped.
+        let _ = self.runtime.block_on(stopped);
     }
 }
 
