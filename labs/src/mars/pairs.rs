@@ -66,10 +66,6 @@ fn random_point(rng: &mut Rng, known: &Known, reach_m: f64) -> Option<Vector3<f6
 
 /// Returns the pixel of a camera that shows a place of the world.
 fn pixel(frame: &Frame, place: &Vector3<f64>) -> Option<[u32; 2]> {
-    let pixel = frame.camera.project(&frame.cam_from_world.point(place))?;
-    let side = |value: f64, most: u32| (value >= 0.0 && value < f64::from(most)).then_some(value as u32);
-    Some([
-        side(pixel.x, frame.camera.width)?,
-        side(pixel.y, frame.camera.height)?,
-    ])
+    let pixel = frame.camera.project_inside(&frame.cam_from_world.point(place))?;
+    Some([pixel.x as u32, pixel.y as u32])
 }

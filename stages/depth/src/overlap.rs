@@ -129,12 +129,9 @@ fn sightings(view: &PosedCamera, points: &[Vector3<f64>]) -> Vec<Sighting> {
         camera,
         cam_from_world,
     } = view;
-    let (width, height) = (f64::from(camera.width), f64::from(camera.height));
     let sighting = |(index, point): (usize, &Vector3<f64>)| {
         let seen = cam_from_world.point(point);
-        let pixel = camera.project(&seen)?;
-        let inside = pixel.x >= 0.0 && pixel.y >= 0.0 && pixel.x < width && pixel.y < height;
-        inside.then(|| Sighting {
+        camera.project_inside(&seen).map(|_| Sighting {
             point: index as u32,
             scale: camera.fx_px / seen.z,
         })

@@ -125,10 +125,8 @@ pub fn observations(
 /// Returns pixel and distance of a point inside a photo.
 fn project(view: &View, point: &[f64; 3]) -> Option<(Vector2<f64>, f64)> {
     let at = view.cam_from_world.point(&Vector3::from(*point));
-    let pixel = view.camera.project(&at)?;
-    let (width, height) = (f64::from(view.camera.width), f64::from(view.camera.height));
-    let inside = pixel.x >= 0.0 && pixel.y >= 0.0 && pixel.x < width && pixel.y < height;
-    inside.then(|| (pixel, at.norm()))
+    let pixel = view.camera.project_inside(&at)?;
+    Some((pixel, at.norm()))
 }
 
 /// Drops points behind a nearer point in the same or a neighbouring square.

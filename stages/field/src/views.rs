@@ -38,10 +38,8 @@ impl View {
 
     /// Returns the pixel that shows the place of a point of the world, as column and row.
     pub fn pixel_of(&self, point: &Vector3<f64>) -> Option<[u32; 2]> {
-        let pixel = self.camera.project(&self.cam_from_world.point(point))?;
-        let (width, height) = (f64::from(self.camera.width), f64::from(self.camera.height));
-        let inside = pixel.x >= 0.0 && pixel.y >= 0.0 && pixel.x < width && pixel.y < height;
-        inside.then_some([pixel.x as u32, pixel.y as u32])
+        let pixel = self.camera.project_inside(&self.cam_from_world.point(point))?;
+        Some([pixel.x as u32, pixel.y as u32])
     }
 }
 

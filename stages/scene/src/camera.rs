@@ -77,6 +77,14 @@ impl Camera {
         ))
     }
 
+    /// Returns the pixel of [`Camera::project`] if it is inside the photo.
+    pub fn project_inside(&self, point: &Vector3<f64>) -> Option<Vector2<f64>> {
+        let pixel = self.project(point)?;
+        let (width, height) = (f64::from(self.width), f64::from(self.height));
+        let inside = pixel.x >= 0.0 && pixel.y >= 0.0 && pixel.x < width && pixel.y < height;
+        inside.then_some(pixel)
+    }
+
     /// Returns the viewing direction (z = 1) of a pixel, or `None` where the distortion has no inverse.
     pub fn unproject(&self, pixel: &Vector2<f64>) -> Option<Vector3<f64>> {
         let target = Vector2::new(
@@ -242,6 +250,20 @@ mod tests {
         // k1 .0943, k2 -.1314 fold at r = 1.21.
         assert!(rover().project(&Vector3::new(1.19, 0.0, 1.0)).is_some());
         assert_eq!(rover().project(&Vector3::new(1.23, 0.0, 1.0)), None);
+    }
+
+    #[test]
+    fn a_pixel_inside_is_on_the_photo_with_its_first_edges_and_without_its_last() {
+        let camera = Camera::pinhole(8, 6, 2.0);
+        let inside = |x: f64, y: f64| {
+            let point = Vector3::new((x - camera.cx_px) / 2.0, (y - camera.cy_px) / 2.0, 1.0);
+            camera.project_inside(&point).map(|pixel| [pixel.x, pixel.y])
+        };
+        assert_eq!(inside(0.0, 0.0), Some([0.0, 0.0]));
+        assert_eq!(inside(7.5, 5.5), Some([7.5, 5.5]));
+        for (x, y) in [(8.0, 3.0), (4.0, 6.0), (-0.5, 3.0), (4.0, -0.5)] {
+            assert_eq!(inside(x, y), None, "{x}, {y}");
+        }
     }
 
     #[test]

@@ -17,11 +17,7 @@ pub(crate) type Posed<'a> = (&'a Camera, &'a Pose);
 /// Returns whether a photo of the camera shows a point of the world, whatever may be between.
 pub(crate) fn shows(posed: Posed<'_>, point: &Vector3<f64>) -> bool {
     let (camera, cam_from_world) = posed;
-    let Some(pixel) = camera.project(&cam_from_world.point(point)) else {
-        return false;
-    };
-    let (width, height) = (f64::from(camera.width), f64::from(camera.height));
-    pixel.x >= 0.0 && pixel.y >= 0.0 && pixel.x < width && pixel.y < height
+    camera.project_inside(&cam_from_world.point(point)).is_some()
 }
 
 /// Returns the typical distance from a camera to what it shows, world units, above 0.

@@ -110,10 +110,7 @@ pub(crate) fn view_overlap(first: &PosedCamera, second: &PosedCamera) -> usize {
             ))
         })
     });
-    let inside = |pixel: Vector2<f64>| {
-        (0.0..f64::from(other.width)).contains(&pixel.x) && (0.0..f64::from(other.height)).contains(&pixel.y)
-    };
-    let sees = |point: Vector3<f64>| other.project(&other_from_cam.point(&point)).is_some_and(inside);
+    let sees = |point: Vector3<f64>| other.project_inside(&other_from_cam.point(&point)).is_some();
     rays.map(|ray| {
         RANGES_M
             .iter()

@@ -258,12 +258,8 @@ fn visible(place: &Viewpoint, points: &[Point]) -> Vec<(usize, f64)> {
 }
 
 fn pixel_of(camera: &marf_scene::Camera, cam_from_world: &Pose, point: &Vector3<f64>) -> Option<(u32, u32)> {
-    let pixel = camera.project(&cam_from_world.point(point))?;
-    let inside = pixel.x >= 0.0
-        && pixel.y >= 0.0
-        && pixel.x < f64::from(camera.width)
-        && pixel.y < f64::from(camera.height);
-    inside.then_some((pixel.x as u32, pixel.y as u32))
+    let pixel = camera.project_inside(&cam_from_world.point(point))?;
+    Some((pixel.x as u32, pixel.y as u32))
 }
 
 #[cfg(test)]
