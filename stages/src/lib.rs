@@ -5,23 +5,11 @@ use std::sync::LazyLock;
 pub use marf_extract::{
     ArchiveDef, Check, CheckState, CheckedArchive, PinnedProduct, UnreadableLock, pinned_products,
 };
-use marf_extract::{MeasurePhoto, Survey};
-use marf_stage::{StageDef, Table, define};
-
-/// The measures of the filters, made of photos while extract decodes them.
-struct FilterMeasures;
-
-impl Survey for FilterMeasures {
-    fn tables() -> Vec<Table> {
-        marf_filter::tables()
-    }
-
-    const MEASURE: MeasurePhoto = marf_filter::measure_photo;
-}
+use marf_stage::{StageDef, define};
 
 /// Every stage, in the order in which a pipeline usually has them.
 static STAGES: LazyLock<Vec<StageDef>> = LazyLock::new(|| {
-    let mut stages = vec![define::<marf_extract::Extract<FilterMeasures>>()];
+    let mut stages = vec![define::<marf_extract::Extract>()];
     stages.extend_from_slice(marf_filter::STAGES);
     stages.extend([
         define::<marf_calibrate::SplitByPlace>(),

@@ -7,12 +7,11 @@ use marf_cache::{Digest, manifest::Row};
 use marf_pds::exif::{self, Lens};
 use marf_pds::{Label, raw};
 use marf_scene::{DecodeError, Photo, PhotoFacts, thumbnail};
-use marf_stage::{Ctx, Fetched, FetchedMeasure, OriginKind, StageError, Verdict};
+use marf_stage::{Ctx, Fetched, FetchedMeasure, OriginKind, StageError, Table, Verdict};
 use rayon::prelude::*;
 
 use crate::archive::{ArchiveFile, ReadFile};
 use crate::products::{Product, Sorted, left, sort};
-use crate::survey::PhotoMeasures;
 
 /// Smallest image that gets a thumbnail, in bytes. A smaller one is shown as it is.
 const MIN_THUMBNAIL_BYTES: usize = 64 << 10;
@@ -26,7 +25,7 @@ pub(crate) fn fetch(
     ctx: &Ctx<'_>,
     files: &[ArchiveFile],
     shard: u32,
-    wanted: &PhotoMeasures,
+    wanted: &[Table],
     limit_bytes: u64,
 ) -> Result<Fetched, StageError> {
     let Sorted {
@@ -79,7 +78,7 @@ fn one_product(
     ctx: &Ctx<'_>,
     product: &Product,
     shard: u32,
-    wanted: &PhotoMeasures,
+    wanted: &[Table],
     limit_bytes: u64,
 ) -> Result<Outcome, StageError> {
     let mut outcome = Outcome::default();
@@ -115,11 +114,10 @@ fn measures(
     ctx: &Ctx<'_>,
     product: &Product,
     photo: &Photo,
-    wanted: &PhotoMeasures,
+    wanted: &[Table],
 ) -> Result<Vec<FetchedMeasure>, StageError> {
-    let measured = (wanted.measure)(ctx, photo, &wanted.tables)?;
+    let measured = marf_filter::measure_photo(ctx, photo, wanted)?;
     let named = wanted
-        .tables
         .iter()
         .zip(measured)
         .map(|(table, measure)| FetchedMeasure {

@@ -11,8 +11,7 @@
 //! net/      the HTTP client
 //! check/    whether an archive on a server is still as the readers expect, asked through checked.rs
 //! recorded.rs  an archive as an earlier run recorded it
-//! fetch.rs  from the files of a shard to rows, verdicts and measures
-//! survey.rs measures of photos while they are decoded
+//! fetch.rs  from the files of a shard to rows, verdicts and measures of the filters
 //! ```
 
 mod archive;
@@ -28,12 +27,9 @@ mod products;
 mod recorded;
 mod remote;
 mod stat;
-mod survey;
-
-use std::marker::PhantomData;
 
 use marf_stage::{
-    ArchiveContext, Ctx, Define, Fetched, Files, Listing, ParamError, Port, Source, Stage, StageError,
+    ArchiveContext, Ctx, Define, Fetched, Files, Listing, ParamError, Port, Source, Stage, StageError, Table,
     Threads, Work,
 };
 
@@ -43,19 +39,18 @@ pub use checked::CheckedArchive;
 pub use kinds::ARCHIVES;
 pub use params::{ArchiveTable, ExtractParams};
 pub use remote::{PinnedProduct, UnreadableLock, pinned_products};
-pub use survey::{MeasurePhoto, NoSurvey, Survey};
 
 /// Brings photos in from an archive.
 ///
 /// Outputs `photos`, `verdicts` and `companions`. The rows of `photos` are [`marf_scene::PhotoFacts`]. Blob `image`
 /// is the one that every later stage decodes, `raw` has the original bytes where they differ, `label` those of the
-/// label, and `thumbnail` a small JPEG of an image of 64 KiB and more. The survey `S` takes the measures of
-/// [`ArchiveContext::measures`] from the decode that checks the photo. It changes no row.
-pub struct Extract<S = NoSurvey> {
+/// label, and `thumbnail` a small JPEG of an image of 64 KiB and more. The measures of filters that
+/// [`ArchiveContext::measures`] names are made from the decode that checks the photo. They change no row.
+pub struct Extract {
     archive: Box<dyn archive::ArchiveFiles>,
     reading: Reading,
-    measures: survey::PhotoMeasures,
-    survey: PhantomData<fn() -> S>,
+    /// The tables of the filters that are filled.
+    measures: Vec<Table>,
 }
 
 /// The parameters that enter the key. The archive's do not: their effect is in the fingerprints of its shards.
@@ -65,7 +60,7 @@ struct Reading {
     max_decoded_mb: u64,
 }
 
-impl<S: Survey> Stage for Extract<S> {
+impl Stage for Extract {
     fn params(&self) -> serde_json::Value {
         marf_stage::key_params(&self.reading, &[])
     }
@@ -79,7 +74,7 @@ impl<S: Survey> Stage for Extract<S> {
     }
 }
 
-impl<S: Survey> Source for Extract<S> {
+impl Source for Extract {
     fn list(&self, ctx: &Ctx<'_>) -> Result<Listing, StageError> {
         self.archive.list(ctx)
     }
@@ -103,7 +98,7 @@ impl<S: Survey> Source for Extract<S> {
     }
 }
 
-impl<S: Survey> Define for Extract<S> {
+impl Define for Extract {
     type Params = ExtractParams;
     const NAME: &'static str = "extract";
     const ABOUT: &'static str = "archives to photos with what their labels say of camera and place";
@@ -121,7 +116,8 @@ impl<S: Survey> Define for Extract<S> {
             let path = format!("archive.{}", error.path);
             ParamError::new(path.trim_end_matches('.'), error.message)
         };
-        let measures = survey::PhotoMeasures::new::<S>(&context.measures);
+        let mut measures = marf_filter::tables();
+        measures.retain(|table| context.measures.contains(table));
         let archive: Box<dyn archive::ArchiveFiles> = match context.recorded {
             Some(recorded) => Box::new(recorded::Recorded(recorded)),
             None => params.archive.open(context).map_err(of_archive)?,
@@ -133,7 +129,6 @@ impl<S: Survey> Define for Extract<S> {
                 max_decoded_mb: params.max_decoded_mb,
             },
             measures,
-            survey: PhantomData,
         })
     }
 }

@@ -7,36 +7,10 @@
 
 mod common;
 
-use common::{bring, folder, source};
-use marf_extract::{Extract, MeasurePhoto, Survey};
+use common::{bring, folder, source, stage_in};
+use marf_filter::{measure_photo, tables};
 use marf_scene::{Image, Photo, Srgb, encode_png};
-use marf_stage::{ArchiveContext, Fetched, Table, define, harness::Harness};
-
-const SIZES: Table = Table {
-    name: "sizes",
-    version: 2,
-};
-const BANDS: Table = Table {
-    name: "bands",
-    version: 1,
-};
-
-/// Measures width and height, and bands.
-struct Facts;
-
-impl Survey for Facts {
-    fn tables() -> Vec<Table> {
-        vec![SIZES, BANDS]
-    }
-
-    const MEASURE: MeasurePhoto = |_, photo, wanted| {
-        let measure = |table: &Table| match *table {
-            SIZES => vec![photo.image.width as u8, photo.image.height as u8],
-            _ => vec![photo.bands],
-        };
-        Ok(wanted.iter().map(measure).collect())
-    };
-}
+use marf_stage::{ArchiveContext, Fetched, Table, harness::Harness};
 
 fn noise(width: u32, height: u32) -> Image<Srgb> {
     Image::from_fn(width, height, |x, y| {
@@ -50,8 +24,7 @@ fn fetched(folder: serde_json::Value, measures: Vec<Table>) -> Fetched {
         measures,
         ..ArchiveContext::default()
     };
-    let stage =
-        (define::<Extract<Facts>>().bind_archive)(serde_json::json!({ "archive": folder }), context).unwrap();
+    let stage = stage_in(folder, context).unwrap();
     let harness = Harness::default();
     let source = source(stage.as_ref());
     let listing = source.list(&harness.ctx()).unwrap();
@@ -80,21 +53,28 @@ fn wanted_measures_come_with_every_photo_and_no_others() {
         found.sort();
         found
     };
-    let given = |id: &str, table, measure: &[u8]| (id.to_owned(), table, measure.to_vec());
+    let harness = Harness::default();
+    let expected = |tables: &[Table]| {
+        let mut expected = Vec::new();
+        for (name, width) in [("a.png", 40), ("b.png", 50)] {
+            let photo = Photo::from(noise(width, 30));
+            let measures = measure_photo(&harness.ctx(), &photo, tables).unwrap();
+            let named = tables.iter().zip(measures);
+            expected.extend(named.map(|(table, measure)| (name.to_owned(), table.name, measure)));
+        }
+        expected.sort();
+        expected
+    };
     assert_eq!(wanted(Vec::new()), []);
-    let old = Table { version: 1, ..SIZES };
+    let all = tables();
+    let old = Table {
+        version: all[0].version - 1,
+        ..all[0]
+    };
     assert_eq!(wanted(vec![old]), [], "a version that nobody fills");
-    assert_eq!(
-        wanted(vec![BANDS]),
-        [given("a.png", "bands", &[3]), given("b.png", "bands", &[3])]
-    );
-    let both = [
-        given("a.png", "bands", &[3]),
-        given("a.png", "sizes", &[40, 30]),
-        given("b.png", "bands", &[3]),
-        given("b.png", "sizes", &[50, 30]),
-    ];
-    assert_eq!(wanted(vec![SIZES, BANDS]), both);
+    assert_eq!(wanted(vec![all[1]]), expected(&[all[1]]));
+    assert_eq!(wanted(vec![all[2], all[0]]), expected(&[all[0], all[2]]));
+    assert_eq!(wanted(all.clone()), expected(&all));
 }
 
 /// 64 KiB and more: a picture of noise of 400 x 100 has 120 KB as PNG.

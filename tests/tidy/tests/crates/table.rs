@@ -70,19 +70,26 @@ pub const CRATES: [Crate; 36] = [
         "marf-sfm",
         &["marf-numeric", "marf-scene", "marf-sfm-features"],
     ),
-    Crate {
-        tests_use: &["marf-loopback"],
-        ..row(
-            "stages/extract",
-            "marf-extract",
-            &["marf-cache", "marf-stage", "marf-scene", "marf-pds", "marf-demo"],
-        )
-    },
     row(
         "stages/filter",
         "marf-filter",
         &["marf-cache", "marf-stage", "marf-scene", "marf-pds"],
     ),
+    Crate {
+        tests_use: &["marf-loopback"],
+        ..row(
+            "stages/extract",
+            "marf-extract",
+            &[
+                "marf-cache",
+                "marf-stage",
+                "marf-scene",
+                "marf-pds",
+                "marf-demo",
+                "marf-filter",
+            ],
+        )
+    },
     Crate {
         tests_use: &["marf-pds", "marf-demo"],
         ..row(
