@@ -2,17 +2,17 @@
 
 use std::sync::OnceLock;
 
-use marf_engine::{Event, Listener as _};
+use marf_engine::Event;
 use marf_run::{Feedback, RunFeedback};
 
-use super::progress::{JsonLines, Progress};
+use super::progress::{JsonLines, for_stderr};
 use crate::terminal::eprint_line;
 
 /// Prints warnings, notes and progress.
 pub struct Terminal {
     form: Form,
     /// Progress of a transfer, once one has begun.
-    transfer: OnceLock<Progress>,
+    transfer: OnceLock<Box<dyn RunFeedback>>,
 }
 
 /// How progress is printed.
@@ -52,23 +52,21 @@ impl Feedback for Terminal {
     }
 
     fn follow(&self, run: &str) -> Box<dyn RunFeedback> {
-        Box::new(match self.form {
-            Form::Text => Progress::for_stderr(),
-            Form::JsonLines => Progress::Json(JsonLines::new(run.to_owned())),
-        })
+        match self.form {
+            Form::Text => for_stderr(),
+            Form::JsonLines => Box::new(JsonLines::new(run.to_owned())),
+        }
     }
 
     fn on_transfer(&self, name: &str, moved: marf_remote::Progress) {
         if self.form == Form::JsonLines {
             return;
         }
-        self.transfer
-            .get_or_init(Progress::for_stderr)
-            .on_event(&Event::Progress {
-                node: name.to_owned(),
-                done: moved.done_bytes / 1_000,
-                total: moved.total_bytes / 1_000,
-                note: "KB".to_owned(),
-            });
+        self.transfer.get_or_init(for_stderr).on_event(&Event::Progress {
+            node: name.to_owned(),
+            done: moved.done_bytes / 1_000,
+            total: moved.total_bytes / 1_000,
+            note: "KB".to_owned(),
+        });
     }
 }

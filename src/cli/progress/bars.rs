@@ -5,7 +5,10 @@ use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
 use marf_engine::{Event, Listener};
 use marf_progress::{RunProgress, sentence};
 use marf_report::visible;
+use marf_run::RunFeedback;
 use parking_lot::Mutex;
+
+use super::print_devices;
 
 /// A bar for each running node, finished nodes as lines above them.
 #[derive(Default)]
@@ -17,24 +20,6 @@ pub struct Bars {
 }
 
 impl Bars {
-    /// Shows how far the whole run is.
-    pub fn on_run_progress(&self, standing: &RunProgress) {
-        let whole = self.whole.get_or_init(|| {
-            let bar = self
-                .all
-                .add(ProgressBar::new(standing.nodes as u64))
-                .with_prefix("run");
-            let style = ProgressStyle::with_template("{prefix:<22} {bar:28} {elapsed:>4} so far, {msg}");
-            bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
-            bar
-        });
-        whole.set_position(standing.over as u64);
-        whole.set_message(visible(&standing.text()).into_owned());
-        if standing.over == standing.nodes {
-            whole.finish_and_clear();
-        }
-    }
-
     fn bar(&self, node: &str, total: u64) -> ProgressBar {
         let mut running = self.running.lock();
         let make = || {
@@ -57,6 +42,29 @@ impl Bars {
         if let Some(bar) = running.remove(node) {
             bar.finish_and_clear();
             self.all.remove(&bar);
+        }
+    }
+}
+
+impl RunFeedback for Bars {
+    fn on_devices(&self, devices: &str) {
+        print_devices(devices);
+    }
+
+    fn on_run_progress(&self, standing: &RunProgress) {
+        let whole = self.whole.get_or_init(|| {
+            let bar = self
+                .all
+                .add(ProgressBar::new(standing.nodes as u64))
+                .with_prefix("run");
+            let style = ProgressStyle::with_template("{prefix:<22} {bar:28} {elapsed:>4} so far, {msg}");
+            bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
+            bar
+        });
+        whole.set_position(standing.over as u64);
+        whole.set_message(visible(&standing.text()).into_owned());
+        if standing.over == standing.nodes {
+            whole.finish_and_clear();
         }
     }
 }

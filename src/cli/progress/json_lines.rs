@@ -1,5 +1,6 @@
 use marf_engine::{Event, Listener};
 use marf_progress::Line;
+use marf_run::RunFeedback;
 
 use crate::terminal::print_document;
 
@@ -14,6 +15,8 @@ impl JsonLines {
         Self { run }
     }
 }
+
+impl RunFeedback for JsonLines {}
 
 impl Listener for JsonLines {
     fn on_event(&self, event: &Event) {

@@ -4,8 +4,10 @@ use std::time::{Duration, Instant};
 use marf_engine::{Event, Listener};
 use marf_progress::format::duration;
 use marf_progress::{RunProgress, sentence};
+use marf_run::RunFeedback;
 use parking_lot::Mutex;
 
+use super::print_devices;
 use crate::terminal::eprint_line;
 
 /// Least time between two progress lines of one node.
@@ -28,16 +30,6 @@ struct PieceOfWork {
 }
 
 impl Lines {
-    /// Prints how far the whole run is, every ten seconds, from ten seconds after its start.
-    pub fn on_run_progress(&self, standing: &RunProgress) {
-        let now = Instant::now();
-        let mut last = self.last_standing.lock();
-        if now - *last.get_or_insert(now) >= EVERY {
-            *last = Some(now);
-            eprint_line(&format!("run     {}", standing.text()));
-        }
-    }
-
     /// Returns the remaining time of the node's work, if its next line is due. Another total is another piece of work, whose time is
     /// measured from its own start.
     fn due(&self, node: &str, done: u64, total: u64) -> Option<String> {
@@ -63,6 +55,22 @@ impl Lines {
                 duration(spent * left as f64 / did as f64)
             }
         })
+    }
+}
+
+impl RunFeedback for Lines {
+    fn on_devices(&self, devices: &str) {
+        print_devices(devices);
+    }
+
+    /// Prints how far the whole run is, every ten seconds, from ten seconds after its start.
+    fn on_run_progress(&self, standing: &RunProgress) {
+        let now = Instant::now();
+        let mut last = self.last_standing.lock();
+        if now - *last.get_or_insert(now) >= EVERY {
+            *last = Some(now);
+            eprint_line(&format!("run     {}", standing.text()));
+        }
     }
 }
 
