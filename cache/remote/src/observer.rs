@@ -19,6 +19,15 @@ pub trait Observer: Sync {
     fn is_stopped(&self) -> bool;
 }
 
+/// Whether the user wants to stop, of work whose progress nobody follows.
+impl<F: Fn() -> bool + Sync> Observer for F {
+    fn on_progress(&self, _progress: Progress) {}
+
+    fn is_stopped(&self) -> bool {
+        self()
+    }
+}
+
 /// Adds up bytes for an observer.
 pub(crate) struct Meter<'a> {
     observer: &'a dyn Observer,

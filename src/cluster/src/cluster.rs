@@ -11,7 +11,7 @@ use std::{
 
 use marf_cache::{Digest, Store, StoreError};
 use marf_engine::{Needs, Order};
-use marf_remote::{Observer, Progress, Remote, RemoteError};
+use marf_remote::{Remote, RemoteError};
 use marf_stage::{Cancel, StageError};
 use parking_lot::Mutex;
 
@@ -73,10 +73,7 @@ impl Cluster {
         site.commands
             .list(cancel)
             .map_err(|said| SiteError::Silent { said })?;
-        fs::create_dir_all(&site.folder).map_err(|source| SiteError::Read {
-            path: site.folder.clone(),
-            source,
-        })?;
+        fs::create_dir_all(&site.folder).map_err(|error| SiteError::invalid(&site.folder, error))?;
         Ok(Self {
             script: site.script()?,
             marf: site.marf.clone().unwrap_or(program),
@@ -112,7 +109,7 @@ impl Cluster {
         order.progress.at(0, 0, "inputs go to the shared store");
         let pushed = self
             .remote
-            .send(order.store, &new, &blobs, &Watcher(order.cancel));
+            .send(order.store, &new, &blobs, &|| order.cancel.is_set());
         pushed.map_err(|error| remote_failed(order.node, "inputs cannot be shared", error))?;
         shared.keys.extend(new);
         shared.blobs.extend(outputs.into_iter().chain(foreign));
@@ -123,7 +120,7 @@ impl Cluster {
     pub(crate) fn fetch(&self, order: &Order<'_>) -> Result<bool, StageError> {
         let fetched = self
             .remote
-            .bring(order.store, &[order.key], &Watcher(order.cancel));
+            .bring(order.store, &[order.key], &|| order.cancel.is_set());
         match fetched {
             Ok(_) => self.note_shared(order).map(|()| true),
             Err(RemoteError::Absent { .. } | RemoteError::Missing { .. }) => Ok(false),
@@ -147,7 +144,7 @@ impl Cluster {
         loop {
             let late = match self
                 .remote
-                .bring(order.store, &[order.key], &Watcher(order.cancel))
+                .bring(order.store, &[order.key], &|| order.cancel.is_set())
             {
                 Ok(_) => return Ok(()),
                 Err(
@@ -155,9 +152,7 @@ impl Cluster {
                     | RemoteError::Missing { .. }
                     | RemoteError::Damaged { .. }),
                 ) => late,
-                Err(error) => {
-                    return Err(remote_failed(order.node, "its result cannot be fetched", error));
-                }
+                Err(error) => return Err(remote_failed(order.node, "its result cannot be fetched", error)),
             };
             if told.elapsed() >= self.patience() {
                 let what = format!(
@@ -207,15 +202,4 @@ fn outputs_of(store: &Store, keys: &[Digest]) -> Result<BTreeSet<Digest>, StoreE
         outputs.extend(of_record.map(|output| output.digest));
     }
     Ok(outputs)
-}
-
-/// Stops the work on a shared store when the user wants to stop.
-pub(crate) struct Watcher<'a>(pub(crate) &'a Cancel);
-
-impl Observer for Watcher<'_> {
-    fn on_progress(&self, _progress: Progress) {}
-
-    fn is_stopped(&self) -> bool {
-        self.0.is_set()
-    }
 }

@@ -15,116 +15,73 @@ pub(crate) const CPU: &str = "cpu";
 
 /// A batch system and how it is used.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(default, deny_unknown_fields)]
 pub struct Site {
     /// Address of the shared store (`file:///FOLDER`, `s3://BUCKET/PREFIX`), as the machines of the jobs see it.
     pub store: String,
     /// Files with the public keys of trusted writers. If empty, everybody is trusted. Jobs sign with the key
     /// of their user, if there is one.
-    #[serde(default)]
     pub trust: Vec<PathBuf>,
     /// Folder of scripts, results and logs, which the machines of the jobs see under the same path.
     pub folder: PathBuf,
     /// Stages whose nodes are jobs, if these work on a whole set. All others are computed on the machine of the run.
-    #[serde(default = "default_stages")]
     pub stages: BTreeSet<String>,
     /// Most jobs at once, including those that wait in the queue.
-    #[serde(default = "default_max_jobs")]
     pub max_jobs: usize,
     /// The program on the machines of the jobs [default: this one].
-    #[serde(default)]
     pub marf: Option<PathBuf>,
     /// Cores of a job whose stage can use more than one.
-    #[serde(default = "default_cores")]
     pub cores: usize,
     /// Memory of a job whose node never ran, MB. One that ran gets half as much again as it took.
-    #[serde(default = "default_memory_mb")]
     pub memory_mb: u64,
     /// Longest time of a job, minutes. A job that is stopped goes on from its checkpoint.
-    #[serde(default = "default_minutes")]
     pub minutes: u64,
     /// Further options of every job, a line of the script each (`--partition=long`).
-    #[serde(default)]
     pub options: Vec<String>,
     /// On what jobs train: `cpu`, `gpu`, or `gpu:NAME`. A node with `device = "cpu"` trains on the CPU everywhere.
-    #[serde(default = "default_device")]
     pub device: String,
     /// Further options of jobs on a GPU.
-    #[serde(default = "default_gpu_options")]
     pub gpu_options: Vec<String>,
     /// Seconds between two looks at the queue and at the files of jobs.
-    #[serde(default = "default_poll_s")]
     pub poll_s: f64,
     /// Seconds for which a job may be in neither the queue nor its folder before it counts as lost: a shared file system lags.
-    #[serde(default = "default_patience_s")]
     pub patience_s: f64,
     /// File with another script of jobs, for other batch systems, with the placeholders of `script.rs`. A line with `{options}` is repeated for
     /// each further option.
-    #[serde(default)]
     pub template: Option<PathBuf>,
     /// Commands of the batch system.
-    #[serde(default)]
     pub commands: Commands,
 }
 
-fn default_stages() -> BTreeSet<String> {
-    ["train", "partial"].map(str::to_owned).into()
-}
-
-fn default_max_jobs() -> usize {
-    100
-}
-
-fn default_cores() -> usize {
-    4
-}
-
-fn default_memory_mb() -> u64 {
-    4_000
-}
-
-fn default_minutes() -> u64 {
-    240
-}
-
-fn default_device() -> String {
-    CPU.to_owned()
-}
-
-fn default_gpu_options() -> Vec<String> {
-    vec!["--gres=gpu:1".to_owned()]
-}
-
-fn default_poll_s() -> f64 {
-    5.0
-}
-
-fn default_patience_s() -> f64 {
-    60.0
+impl Default for Site {
+    fn default() -> Self {
+        Self {
+            store: String::new(),
+            trust: Vec::new(),
+            folder: PathBuf::new(),
+            stages: ["train", "partial"].map(str::to_owned).into(),
+            max_jobs: 100,
+            marf: None,
+            cores: 4,
+            memory_mb: 4_000,
+            minutes: 240,
+            options: Vec::new(),
+            device: CPU.to_owned(),
+            gpu_options: vec!["--gres=gpu:1".to_owned()],
+            poll_s: 5.0,
+            patience_s: 60.0,
+            template: None,
+            commands: Commands::default(),
+        }
+    }
 }
 
 /// A site file that cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum SiteError {
-    /// It cannot be read.
-    #[error("{path}: {source}", path = path.display())]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// Why not.
-        source: std::io::Error,
-    },
-    /// A template that makes no script of a job.
+    /// It, or a file that it names, cannot be read, or holds what no site can have.
     #[error("{path}: {message}", path = path.display())]
-    Template {
-        /// The file.
-        path: PathBuf,
-        /// What it lacks.
-        message: String,
-    },
-    /// It is not the TOML of a site.
-    #[error("{path}: {message}", path = path.display())]
-    Syntax {
+    Invalid {
         /// The file.
         path: PathBuf,
         /// Where and what.
@@ -136,16 +93,16 @@ pub enum SiteError {
         /// What it says.
         said: String,
     },
-    /// A value that no site can have.
-    #[error("{path}: executor.{key}: {message}", path = path.display())]
-    Value {
-        /// The file.
-        path: PathBuf,
-        /// The key.
-        key: &'static str,
-        /// Why not.
-        message: String,
-    },
+}
+
+impl SiteError {
+    /// Returns the error of a file.
+    pub(crate) fn invalid(path: &Path, message: impl ToString) -> Self {
+        Self::Invalid {
+            path: path.to_owned(),
+            message: message.to_string(),
+        }
+    }
 }
 
 /// Longest wait: a year.
@@ -164,13 +121,7 @@ impl Site {
     /// # Errors
     /// Returns an error if the file is absent or not a site file, or has an invalid value.
     pub fn read(path: &Path) -> Result<Self, SiteError> {
-        let read = |path: &Path| {
-            file::read_text(path, FileKind::Settings, Links::Followed).map_err(|source| SiteError::Read {
-                path: path.to_owned(),
-                source,
-            })
-        };
-        Self::from_text(&read(path)?, path)
+        Self::from_text(&read_text(path)?, path)
     }
 
     /// Reads the text of a site file. Errors name the path.
@@ -178,16 +129,12 @@ impl Site {
     /// # Errors
     /// As [`Site::read`].
     pub fn from_text(text: &str, path: &Path) -> Result<Self, SiteError> {
-        let settings: File = toml::from_str(text).map_err(|error| SiteError::Syntax {
-            path: path.to_owned(),
-            message: error.to_string().trim_end().to_owned(),
-        })?;
-        let site = settings.executor;
-        site.check().map_err(|(key, message)| SiteError::Value {
-            path: path.to_owned(),
-            key,
-            message,
-        })?;
+        let settings: Result<File, _> = toml::from_str(text);
+        let site = settings
+            .map_err(|error| SiteError::invalid(path, error.to_string().trim_end()))?
+            .executor;
+        site.check()
+            .map_err(|(key, message)| SiteError::invalid(path, format!("executor.{key}: {message}")))?;
         Ok(site)
     }
 
@@ -199,6 +146,12 @@ impl Site {
                 Err((key, "a number above 0 is needed".to_owned()))
             }
         };
+        if self.store.is_empty() {
+            return Err(("store", "the address of the shared store is missing".to_owned()));
+        }
+        if self.folder.as_os_str().is_empty() {
+            return Err(("folder", "a folder that all machines see is missing".to_owned()));
+        }
         positive("max_jobs", self.max_jobs > 0)?;
         positive("cores", self.cores > 0)?;
         positive("memory_mb", self.memory_mb > 0)?;
@@ -253,21 +206,18 @@ impl Site {
         let Some(path) = &self.template else {
             return Ok(script::SLURM.to_owned());
         };
-        let template =
-            file::read_text(path, FileKind::Settings, Links::Followed).map_err(|source| SiteError::Read {
-                path: path.clone(),
-                source,
-            })?;
+        let template = read_text(path)?;
         let of_gpu = self.gpu_options.iter().filter(|_| self.device != CPU);
         let options: Vec<String> = self.options.iter().chain(of_gpu).cloned().collect();
-        match script::check(&template, &options) {
-            Ok(()) => Ok(template),
-            Err(message) => Err(SiteError::Template {
-                path: path.clone(),
-                message,
-            }),
-        }
+        script::check(&template, &options).map_err(|message| SiteError::invalid(path, message))?;
+        Ok(template)
     }
+}
+
+/// Reads a file of settings.
+fn read_text(path: &Path) -> Result<String, SiteError> {
+    file::read_text(path, FileKind::Settings, Links::Followed)
+        .map_err(|error| SiteError::invalid(path, error))
 }
 
 #[cfg(test)]
@@ -293,7 +243,7 @@ mod tests {
         assert!(
             read("[executor]\nstore = \"file:///s\"\n")
                 .unwrap_err()
-                .contains("missing field `folder`")
+                .contains("executor.folder: a folder that all machines see is missing")
         );
     }
 

@@ -7,9 +7,9 @@ use std::time::{Duration, Instant};
 use marf_cache::file::{self, FileKind, Links};
 use marf_cache::{Action, Conflict, Digest, Record, Store, Upstream};
 use marf_cluster::{BackendQuestion, Fault, JobProgress, JobResult};
-use marf_engine::{ActionError, ActionJob, Cancel, Event, Listener, Options};
+use marf_engine::{ActionError, ActionJob, Event, Listener, Options};
 use marf_field::{Device, DeviceError};
-use marf_remote::{Observer, Patience, Reader, Remote, Traffic, in_words};
+use marf_remote::{Patience, Reader, Remote, Traffic, in_words};
 use parking_lot::Mutex;
 
 use crate::context::{Context, RunFeedback, open_store};
@@ -47,12 +47,9 @@ pub fn exec(
         Patience::Patient,
         trust(&[], context.signing)?,
     )?;
-    let remote = Arc::new(match index_folder() {
-        Some(folder) => remote.keeping_indexes(&folder),
-        None => remote,
-    });
-    let stop = StopObserver(context.cancel.clone());
-    let reader = Arc::new(Reader::new(Arc::clone(&remote), stop));
+    let remote = Arc::new(remote);
+    let cancel = context.cancel.clone();
+    let reader = Arc::new(Reader::new(Arc::clone(&remote), move || cancel.is_set()));
     let task = Task::read(given, reader.as_ref())?;
     let outcome = match &task.work {
         Work::Action(action) => {
@@ -135,17 +132,6 @@ fn backend_of(question: &BackendQuestion) -> Result<Outcome, Error> {
     })
 }
 
-/// Returns the folder where jobs of this machine keep the indexes of packs, in the cache folder of the user. None without a cache folder.
-fn index_folder() -> Option<PathBuf> {
-    let folder = |name: &str| {
-        std::env::var_os(name)
-            .filter(|path| !path.is_empty())
-            .map(PathBuf::from)
-    };
-    let cache = folder("XDG_CACHE_HOME").or_else(|| Some(folder("HOME")?.join(".cache")));
-    Some(cache?.join("marf/indexes"))
-}
-
 /// Returns the address of the shared store.
 fn address(context: &Context) -> Result<String, Error> {
     let given = context.store.as_ref().and_then(|store| store.to_str());
@@ -199,7 +185,7 @@ impl Machine<'_> {
         let own = dir.join(action.key().to_string());
         let store = open_store(&own, &self.context.cancel)?.with_upstream(reader);
         let key = self.record(action, &store)?.key;
-        let stop = StopObserver(self.context.cancel.clone());
+        let stop = || self.context.cancel.is_set();
         let sent = self.remote.send(&store, &[key], &[], &stop)?;
         drop(store);
         if let Some(dir) = kept {
@@ -316,16 +302,5 @@ impl Listener for ActionListener {
                 hint: hint.clone(),
             });
         }
-    }
-}
-
-/// Reports to a shared store whether the user wants to stop.
-struct StopObserver(Cancel);
-
-impl Observer for StopObserver {
-    fn on_progress(&self, _progress: marf_remote::Progress) {}
-
-    fn is_stopped(&self) -> bool {
-        self.0.is_set()
     }
 }
