@@ -2,7 +2,7 @@
 
 use marf_config::nearest::did_you_mean;
 use marf_config::{GlobalOptions, load};
-use marf_stage::{Access, ArchiveContext, LOCK_FILE, StageError};
+use marf_stage::{Access, ArchiveContext, LOCK_FILE};
 use marf_stages::{ArchiveDef, CheckedArchive, archives};
 pub use marf_stages::{Check, CheckState};
 use serde::Serialize;
@@ -86,11 +86,7 @@ fn checks(context: &Context, name: &str, table: Value) -> Result<Vec<Check>, Err
     };
     let archive = CheckedArchive::new(table, surroundings)
         .map_err(|error| Error::usage(format!("archive.{name}.{}: {}", error.path, error.message)))?;
-    archive.check(&context.cancel).map_err(|error| match error {
-        StageError::Cancelled => Error::Interrupted,
-        StageError::Failed { message, cause, hint } => Error::Failed(Diagnostic { message, cause, hint }),
-        StageError::Blob(error) => Error::failed(error.message),
-    })
+    Ok(archive.check(&context.cancel)?)
 }
 
 fn nothing_to_ask(context: &Context, name: Option<&str>) -> Error {

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use marf_cluster::{Cluster, Site, SiteError};
 use marf_engine::Executor;
 use marf_remote::{Patience, Remote};
-use marf_stage::{Progress, StageError};
+use marf_stage::Progress;
 use parking_lot::Mutex;
 
 use crate::context::{Context, Feedback};
@@ -52,18 +52,8 @@ pub fn executor(context: &Context, site: Option<&Path>) -> Result<Option<Arc<dyn
         }
     };
     let mut cluster = Cluster::new(site, remote, program, &context.cancel).map_err(unanswered)?;
-    cluster
-        .ask_backend(PROGRAM, &progress, &context.cancel)
-        .map_err(failed)?;
+    cluster.ask_backend(PROGRAM, &progress, &context.cancel)?;
     Ok(Some(Arc::new(cluster)))
-}
-
-fn failed(error: StageError) -> Error {
-    match error {
-        StageError::Cancelled => Error::Interrupted,
-        StageError::Failed { message, cause, hint } => Error::Failed(Diagnostic { message, cause, hint }),
-        StageError::Blob(error) => Error::failed(error.message),
-    }
 }
 
 /// Reports the state of the job that asks for the backend of the others, each time that it changes.

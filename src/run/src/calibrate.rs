@@ -7,7 +7,6 @@ use marf_engine::RunRecord;
 use marf_scene::Scene;
 use marf_schema::calibrate::{CalibrateParams, Metrics};
 use marf_schema::cameras::CamerasParams;
-use marf_schema::output;
 use marf_stage::{Document, Params};
 
 use crate::context::Context;
@@ -15,7 +14,7 @@ use crate::error::{Diagnostic, Error};
 use crate::execute::{execute, options};
 use crate::export::cameras;
 use crate::folder::{self, PhotoFolder};
-use crate::session::{Session, digest, node_named};
+use crate::session::{Session, digest, node_named, read_scene};
 use crate::{copies, files, outputs};
 
 /// A folder whose cameras are wanted.
@@ -56,10 +55,9 @@ pub fn calibrate(context: &Context, request: &CalibrateRequest) -> Result<Calibr
         .map_err(for_this_verb)?;
     let written = write(&session.store, &record, request)?;
     let node = node_named(&record, CalibrateParams::STAGE)?;
-    let scene = Scene::decode(&session.output(node, output::SCENE)?);
     Ok(CalibrateResult {
         metrics: session.document(node)?,
-        scene: scene.map_err(|error| Error::failed(error.to_string()))?,
+        scene: read_scene(&session.store, node)?,
         written,
     })
 }

@@ -242,8 +242,7 @@ fn is_of_photo(name: &str) -> bool {
 }
 
 fn seconds(session: &Session, node: &NodeRun) -> f64 {
-    let made = node.key.and_then(|key| session.store.record(&key).ok().flatten());
-    made.map_or(node.seconds, |record| record.metadata.seconds)
+    session.metadata(node).map_or(node.seconds, |made| made.seconds)
 }
 
 #[cfg(test)]

@@ -7,10 +7,10 @@ use marf_config::scenes::{node_of, scene_of};
 use marf_depth::score::{Comparison, LabelledDepths, ScoreError, View};
 use marf_engine::{NodeRun, RunRecord};
 use marf_pds::{Label, ProductName, pds4, ranges};
-use marf_scene::{Frame, Scene};
+use marf_scene::Frame;
 use marf_schema::calibrate::CalibrateParams;
 use marf_schema::depth::{Agreement, DepthParams, Metrics, OctaveAgreement};
-use marf_schema::output::{INVERSE_DEPTH, SCENE, SIGMA};
+use marf_schema::output::{INVERSE_DEPTH, SIGMA};
 use marf_stage::{Document, Params};
 use serde::Serialize;
 use walkdir::WalkDir;
@@ -18,7 +18,7 @@ use walkdir::WalkDir;
 use crate::error::{Diagnostic, Error};
 use crate::files;
 use crate::photos::{self, PhotoLine};
-use crate::session::{Session, node_named};
+use crate::session::{Session, node_named, read_scene};
 
 /// Depths against all products of a folder.
 #[derive(Debug, Clone, Serialize)]
@@ -201,8 +201,7 @@ fn read_photos<'a>(
         ));
     }
     let calibrate = calibrate_of(record, node)?;
-    let scene = Scene::decode(&session.output(calibrate, SCENE)?)
-        .map_err(|error| Error::failed(format!("scene of `{}`: {error}", calibrate.name)))?;
+    let scene = read_scene(&session.store, calibrate)?;
     let photos = metrics.photos.into_iter().filter_map(|photo| {
         Some(ComparedPhoto {
             line: lines.iter().find(|line| line.product == photo.id)?,

@@ -7,6 +7,7 @@ use marf_engine::{EngineError, GraphError};
 use marf_export::ExportError;
 use marf_model::RunError;
 use marf_remote::RemoteError;
+use marf_stage::StageError;
 use marf_view::ViewError;
 use serde::Serialize;
 
@@ -189,6 +190,16 @@ impl From<RunError> for Error {
             RunError::Store(error) => error.into(),
             RunError::Run(error) => error.into(),
             error => Self::failed(error.to_string()),
+        }
+    }
+}
+
+impl From<StageError> for Error {
+    fn from(error: StageError) -> Self {
+        match error {
+            StageError::Cancelled => Self::Interrupted,
+            StageError::Failed { message, cause, hint } => Self::Failed(Diagnostic { message, cause, hint }),
+            StageError::Blob(error) => Self::failed(error.message),
         }
     }
 }

@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use marf_cache::{Digest, Store};
+use marf_cache::{Digest, RunMetadata, Store};
 use marf_config::scenes::ByScene;
 use marf_config::{self as config, PipelineDocument, SharedStore};
 use marf_engine::{
@@ -11,7 +11,9 @@ use marf_engine::{
     without_archive_folders,
 };
 use marf_model::select::Subject;
+use marf_scene::Scene;
 use marf_schema::bootstrap;
+use marf_schema::output::SCENE;
 use marf_schema::scenes::Scenes;
 use marf_stage::{Document, Verdict};
 
@@ -222,6 +224,12 @@ impl Session {
         Ok(self.store.get(&digest(node, name)?)?)
     }
 
+    /// Returns the metadata of the run that made a node's result. None if the store has lost it.
+    pub fn metadata(&self, node: &NodeRun) -> Option<RunMetadata> {
+        let record = self.store.record(&node.key?).ok().flatten();
+        record.map(|record| record.metadata)
+    }
+
     /// Reads the verdicts of a node, by shard and id.
     ///
     /// # Errors
@@ -308,6 +316,15 @@ pub fn bootstraps_of<'r>(run: &'r RunRecord, trained: &str) -> impl Iterator<Ite
         reads && node.stage == bootstrap::Metrics::STAGE
     };
     run.nodes.iter().filter(retrains)
+}
+
+/// Reads the scene of a node.
+///
+/// # Errors
+/// An output that the node or the store does not have, or that is not a scene.
+pub fn read_scene(store: &Store, node: &NodeRun) -> Result<Scene, Error> {
+    let scene = Scene::decode(&store.get(&digest(node, SCENE)?)?);
+    scene.map_err(|error| Error::failed(format!("{SCENE} of `{}`: {error}", node.name)))
 }
 
 /// Returns the digest of an output of a node.

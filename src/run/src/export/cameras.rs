@@ -4,9 +4,8 @@ use std::path::PathBuf;
 
 use marf_cache::Digest;
 use marf_engine::{NodeRun, Purpose};
-use marf_scene::Scene;
 use marf_schema::cameras::CamerasParams;
-use marf_schema::output::{CAMERAS, MASKS, POINTS, SCENE, SPARSE};
+use marf_schema::output::{CAMERAS, MASKS, POINTS, SPARSE};
 use marf_stage::Params;
 use serde::Serialize;
 use serde_json::json;
@@ -16,7 +15,7 @@ use crate::context::Context;
 use crate::derived::{AddedNode, DerivedRun, run_nodes};
 use crate::error::Error;
 use crate::outputs;
-use crate::session::{digest, node_named};
+use crate::session::{node_named, read_scene};
 
 /// The file that names photos and cameras.
 pub const TRANSFORMS: &str = "transforms.json";
@@ -56,8 +55,7 @@ pub struct CamerasResult {
 pub fn export(context: &Context, request: &CamerasRequest) -> Result<CamerasResult, Error> {
     let store = context.existing_store()?;
     let run = RunChoice::new(context, &store, request.run)?.with_result(&request.node)?;
-    let scene = Scene::decode(&store.get(&digest(node_named(&run, &request.node)?, SCENE)?)?);
-    let scene = scene.map_err(|error| Error::failed(error.to_string()))?;
+    let scene = read_scene(&store, node_named(&run, &request.node)?)?;
     let added = AddedNode {
         name: format!("cameras-of-{}", request.node),
         table: json!({"uses": CamerasParams::STAGE, "input": request.node, "undistort": request.undistort}),

@@ -1,7 +1,7 @@
 //! Runs a point and takes its figures.
 
 use marf_cache::{Digest, digest_of};
-use marf_engine::{NodeRun, Options, RunRecord};
+use marf_engine::{Options, RunRecord};
 use marf_report::trade::{Point, PointRun};
 use marf_schema::calibrate;
 use marf_schema::output::WEIGHTS;
@@ -70,7 +70,7 @@ fn figures(session: &Session, record: &RunRecord, base: &Base, seed: u64) -> Res
         .transpose()?;
     let totals = placed.map(|metrics| metrics.totals);
     let calibrate_s = calibrated.map_or(0.0, |node| node.seconds);
-    let made = made(session, train);
+    let made = session.metadata(train).unwrap_or_default();
     let before_s = made.parts_s.get(BEFORE_STOP).copied().unwrap_or_default();
     Ok(PointRun {
         seed,
@@ -94,10 +94,4 @@ fn figures(session: &Session, record: &RunRecord, base: &Base, seed: u64) -> Res
 fn judged_by(metrics: &Metrics) -> Digest {
     let ids: Vec<String> = metrics.scores.views.iter().map(|view| view.id.clone()).collect();
     digest_of(&ids)
-}
-
-/// Returns the metadata of the run that made a node's result.
-fn made(session: &Session, node: &NodeRun) -> marf_cache::RunMetadata {
-    let record = node.key.and_then(|key| session.store.record(&key).ok().flatten());
-    record.map(|record| record.metadata).unwrap_or_default()
 }
