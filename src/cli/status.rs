@@ -72,14 +72,14 @@ fn running_text(programs: &[RunningProgram]) -> Option<Vec<String>> {
 fn heading(program: &RunningProgram) -> Vec<String> {
     let standing = program.standing.as_ref();
     let far = standing.map(|standing| format!("{}, after {}", standing.text(), duration(standing.seconds)));
-    let head = format!("`{}` runs: {}", program.pipeline, program.command);
+    let head = format!("`{}` runs: {}", program.start.pipeline, program.start.command);
     [head].into_iter().chain(far).collect()
 }
 
 /// Returns the page of a program: one line a node, children only while they run.
 fn page(program: &RunningProgram) -> Vec<String> {
     let mut lines = heading(program);
-    for name in &program.order {
+    for name in &program.start.nodes {
         let node = program.nodes.get(name);
         if name.contains('/') && node.is_none_or(|node| node.word != "running") {
             continue;
@@ -99,7 +99,7 @@ fn awaited(program: &RunningProgram, name: &str) -> String {
         let node = program.nodes.get(*name);
         node.is_none_or(|node| node.word == "running")
     };
-    let upstream = program.upstream.get(name).into_iter().flatten();
+    let upstream = program.start.upstream.get(name).into_iter().flatten();
     let open: Vec<&str> = upstream.filter(is_open).map(String::as_str).collect();
     if open.is_empty() {
         return String::new();

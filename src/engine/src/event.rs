@@ -9,13 +9,13 @@ use marf_cache::Output;
 use marf_stage::Progress;
 use parking_lot::Mutex;
 use schemars::JsonSchema;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// Shortest time between two progress events of a node, except the last one.
 const PROGRESS_INTERVAL: Duration = Duration::from_millis(100);
 
 /// Something that happened to a node. A child of an expanded node is named `parent/child`.
-#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "event", rename_all = "snake_case")]
 pub enum Event {
     /// It begins to run.

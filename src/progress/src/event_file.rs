@@ -10,7 +10,7 @@ use marf_cache::Store;
 use marf_cache::file::{Links, open};
 use marf_engine::{Event, Listener, RunSource};
 use parking_lot::Mutex;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::estimate::RunProgress;
 use super::json::Line;
@@ -38,34 +38,40 @@ struct State {
     last_progress: HashMap<String, Instant>,
 }
 
-/// The first line.
-#[derive(Debug, Serialize)]
-pub struct RunStart<'a> {
-    /// Always `began`.
-    pub event: &'static str,
-    /// Name of the run.
-    pub run: &'a str,
-    /// Name of the pipeline.
-    pub pipeline: &'a str,
-    /// What it is a run of.
-    pub source: &'a RunSource,
-    /// The command as typed.
-    pub command: &'a str,
-    /// The nodes, producers first.
-    pub nodes: &'a [&'a str],
-    /// Inputs of each node, by name. Nodes without inputs are left out.
-    pub upstream: BTreeMap<&'a str, Vec<&'a str>>,
+/// A line of the file.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+#[serde(tag = "event", rename_all = "snake_case")]
+pub enum EventLine {
+    /// The first.
+    Began(RunStart),
+    /// How far the whole run is.
+    Standing {
+        /// In numbers.
+        #[serde(flatten)]
+        standing: RunProgress,
+        /// The same in words.
+        text: String,
+    },
+    /// An event, which is written as a [`Line`].
+    #[serde(untagged)]
+    Event(Event),
 }
 
-/// A line on how far the whole run is.
-#[derive(Debug, Serialize)]
-struct RunProgressLine<'a> {
-    /// Always `standing`.
-    event: &'static str,
-    #[serde(flatten)]
-    standing: &'a RunProgress,
-    /// The same in words.
-    text: String,
+/// The start of a run.
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
+pub struct RunStart {
+    /// Name of the run.
+    pub run: String,
+    /// Name of the pipeline.
+    pub pipeline: String,
+    /// What it is a run of.
+    pub source: RunSource,
+    /// The command as typed.
+    pub command: String,
+    /// The nodes, producers first.
+    pub nodes: Vec<String>,
+    /// Inputs of each node, by name. Nodes without inputs are left out.
+    pub upstream: BTreeMap<String, Vec<String>>,
 }
 
 impl EventFile {
@@ -73,16 +79,17 @@ impl EventFile {
     ///
     /// # Errors
     /// A folder that cannot be written.
-    pub fn create(folder: &Path, began: &RunStart<'_>) -> io::Result<Self> {
+    pub fn create(folder: &Path, start: RunStart) -> io::Result<Self> {
         std::fs::create_dir_all(folder)?;
         remove_dead(folder);
-        let path = folder.join(format!("{}.jsonl", began.run));
+        let run = start.run.clone();
+        let path = folder.join(format!("{run}.jsonl"));
         let mut file = File::create(&path)?;
-        writeln!(file, "{}", serde_json::to_string(began)?)?;
+        writeln!(file, "{}", serde_json::to_string(&EventLine::Began(start))?)?;
         let lock = File::create(path.with_extension("lock"))?;
         lock.lock()?;
         Ok(Self {
-            run: began.run.to_owned(),
+            run,
             path,
             lock: Some(lock),
             state: Mutex::new(State {
@@ -96,10 +103,9 @@ impl EventFile {
 impl EventFile {
     /// Adds how far the whole run is.
     pub fn on_run_progress(&self, standing: &RunProgress) {
-        let line = RunProgressLine {
-            event: "standing",
+        let line = EventLine::Standing {
             text: standing.text(),
-            standing,
+            standing: standing.clone(),
         };
         if let Ok(line) = serde_json::to_string(&line) {
             let _ = self.state.lock().file.write_all(format!("{line}\n").as_bytes());
@@ -165,23 +171,19 @@ fn remove(path: &Path) {
 mod tests {
     use super::*;
 
-    fn began<'a>(run: &'a str, nodes: &'a [&'a str]) -> RunStart<'a> {
-        static SOURCE: RunSource = RunSource::Pipeline { file: String::new() };
+    fn began(run: &str) -> RunStart {
         RunStart {
-            event: "began",
-            run,
-            pipeline: "demo",
-            source: &SOURCE,
-            command: "marf run",
-            nodes,
-            upstream: BTreeMap::new(),
+            run: run.to_owned(),
+            pipeline: "demo".to_owned(),
+            command: "marf run".to_owned(),
+            ..RunStart::default()
         }
     }
 
     #[test]
     fn events_are_lines_with_little_progress_and_nothing_stays_at_the_end() {
         let dir = tempfile::tempdir().unwrap();
-        let events = EventFile::create(dir.path(), &began("0a", &["extract"])).unwrap();
+        let events = EventFile::create(dir.path(), began("0a")).unwrap();
         for done in 1..=100 {
             events.on_event(&Event::Progress {
                 node: "extract".to_owned(),
@@ -209,8 +211,8 @@ mod tests {
         for name in ["dead.jsonl", "dead.lock"] {
             std::fs::write(dir.path().join(name), "").unwrap();
         }
-        let _running = EventFile::create(dir.path(), &began("0a", &[])).unwrap();
-        let _next = EventFile::create(dir.path(), &began("0b", &[])).unwrap();
+        let _running = EventFile::create(dir.path(), began("0a")).unwrap();
+        let _next = EventFile::create(dir.path(), began("0b")).unwrap();
         let there = |name: &str| dir.path().join(name).exists();
         assert!(!there("dead.jsonl") && !there("dead.lock") && there("0a.jsonl") && there("0b.lock"));
     }

@@ -8,6 +8,6 @@ mod text;
 pub use marf_stage::format;
 
 pub use estimate::{Estimate, NodeTimes, RunProgress};
-pub use event_file::{EventFile, RunStart, event_folder};
+pub use event_file::{EventFile, EventLine, RunStart, event_folder};
 pub use json::{Line, event_schema};
 pub use text::sentence;

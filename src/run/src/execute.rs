@@ -96,7 +96,7 @@ pub fn execute_with(session: &Session, options: &Options, extras: &Extras<'_>) -
     let shared = Shared::open(session)?;
     let options = Options {
         source: session.source.clone(),
-        build: program::build(&session.store, context.commit),
+        build: program::build(context.commit),
         shared: shared.clone().map(|shared| shared as Arc<dyn SharedResults>),
         ..options.clone()
     };
@@ -183,16 +183,16 @@ fn event_file(session: &Session, options: &Options) -> Option<EventFile> {
     if session.store.is_read_only() {
         return None;
     }
-    let began = RunStart {
-        event: "began",
-        run: &options.id,
-        pipeline: &session.name,
-        source: &session.source,
-        command: &options.command,
-        nodes: &nodes_to_run(session, options),
+    let nodes = nodes_to_run(session, options);
+    let start = RunStart {
+        run: options.id.clone(),
+        pipeline: session.name.clone(),
+        source: session.source.clone(),
+        command: options.command.clone(),
+        nodes: nodes.into_iter().map(str::to_owned).collect(),
         upstream: upstream(session),
     };
-    let created = EventFile::create(&event_folder(&session.store), &began);
+    let created = EventFile::create(&event_folder(&session.store), start);
     created
         .map_err(|error| {
             session
@@ -213,22 +213,19 @@ fn nodes_to_run<'s>(session: &'s Session, options: &Options) -> Vec<&'s str> {
     // Consumers first: the producers of a node come before it in `names`.
     for name in names.iter().rev() {
         if needed.contains(name) {
-            needed.extend(upstream.get(name).into_iter().flatten().copied());
+            needed.extend(upstream.get(*name).into_iter().flatten().map(String::as_str));
         }
     }
     names.into_iter().filter(|name| needed.contains(name)).collect()
 }
 
 /// Returns the nodes that each node reads, by name.
-fn upstream(session: &Session) -> BTreeMap<&str, Vec<&str>> {
+fn upstream(session: &Session) -> BTreeMap<String, Vec<String>> {
     let reads = session.graph.nodes().map(|node| {
-        let names = node.edges.iter().map(|edge| edge.upstream.as_str());
+        let names: BTreeSet<&String> = node.edges.iter().map(|edge| &edge.upstream).collect();
         (
-            node.name,
-            names
-                .collect::<BTreeSet<&str>>()
-                .into_iter()
-                .collect::<Vec<&str>>(),
+            node.name.to_owned(),
+            names.into_iter().cloned().collect::<Vec<_>>(),
         )
     });
     reads.filter(|(_, names)| !names.is_empty()).collect()

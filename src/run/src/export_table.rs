@@ -19,16 +19,10 @@ pub struct ExportTable {
     out: PathBuf,
     /// Root of the run that the files are of.
     run: Option<Digest>,
-    /// Where the tables are kept.
-    dir: PathBuf,
-    /// Tables by folder, read on first use. While a set of verdicts is the same, its thousands of files are not looked at.
-    tables: BTreeMap<PathBuf, FolderTable>,
-}
-
-/// What was written to the files and folders of one folder, by name.
-#[derive(Debug, Default)]
-struct FolderTable {
-    entries: BTreeMap<String, Entry>,
+    /// Where the table is kept.
+    file: PathBuf,
+    /// What was written to files and folders, by path. While a set of verdicts is the same, its thousands of files are not looked at.
+    entries: BTreeMap<PathBuf, Entry>,
     is_changed: bool,
 }
 
@@ -44,11 +38,16 @@ impl ExportTable {
     /// with the root `run` of their run, if their format has a place for it.
     pub fn load(store: &Store, out: &Path, run: Option<Digest>) -> Self {
         let whole = std::path::absolute(out).unwrap_or_else(|_| out.to_owned());
+        let name = Digest::from_content(whole.as_os_str().as_encoded_bytes());
+        let file = store.scratch().join("exports").join(format!("{name}.json"));
+        let json = read(&file, FileKind::State, Links::Followed).ok();
+        let entries = json.and_then(|json| serde_json::from_slice(&json).ok());
         Self {
             out: out.to_owned(),
             run,
-            dir: store.scratch().join("exports").join(name_of(&whole)),
-            tables: BTreeMap::new(),
+            file,
+            entries: entries.unwrap_or_default(),
+            is_changed: false,
         }
     }
 
@@ -73,16 +72,6 @@ impl ExportTable {
         Ok(())
     }
 
-    /// Returns whether a folder was written from this set, and no file of it was added or removed since.
-    pub fn has_folder(&mut self, folder: &Path, root: &Digest) -> bool {
-        self.has(folder, root)
-    }
-
-    /// Notes that all files of a folder are those of this set.
-    pub fn note_folder(&mut self, folder: &Path, root: &Digest) {
-        self.note(folder, root);
-    }
-
     /// Removes the files of a folder that this table lists, that nobody has changed since, and that are not among `names`.
     ///
     /// # Errors
@@ -96,88 +85,46 @@ impl ExportTable {
     /// # Errors
     /// A file that cannot be removed.
     pub fn remove(&mut self, folder: &Path, unwanted: impl Fn(&str) -> bool) -> Result<(), Error> {
-        let path = self.out.join(folder);
-        let table = self.table(folder);
-        let old: Vec<(String, FileState)> = table
-            .entries
-            .iter()
-            .filter(|(name, _)| unwanted(name))
-            .map(|(name, entry)| (name.clone(), entry.state))
-            .collect();
-        for (name, state) in old {
-            if state_of(&path.join(&name)) == Some(state) {
-                files::remove(&path.join(&name))?;
+        let is_old = |file: &Path| {
+            let name = file.file_name().and_then(|name| name.to_str());
+            file.parent() == Some(folder) && name.is_some_and(&unwanted)
+        };
+        let listed = self.entries.keys().filter(|file| is_old(file));
+        for file in listed.cloned().collect::<Vec<PathBuf>>() {
+            let path = self.out.join(&file);
+            if self.entries.get(&file).map(|entry| entry.state) == state_of(&path) {
+                files::remove(&path)?;
             }
-            table.entries.remove(&name);
-            table.is_changed = true;
+            self.entries.remove(&file);
+            self.is_changed = true;
         }
         Ok(())
     }
 
-    /// Returns the table of a folder, read at first use.
-    fn table(&mut self, folder: &Path) -> &mut FolderTable {
-        let read = || FolderTable::read(&table_path(&self.dir, folder));
-        self.tables.entry(folder.to_owned()).or_insert_with(read)
+    /// Returns whether these bytes were written to a file, and it has not changed since. Or whether a folder was written from this set, and no
+    /// file of it was added or removed since.
+    pub fn has(&self, path: &Path, digest: &Digest) -> bool {
+        let known = self.entries.get(path).filter(|entry| entry.digest == *digest);
+        known.is_some_and(|entry| Some(entry.state) == state_of(&self.out.join(path)))
     }
 
-    fn has(&mut self, file: &Path, digest: &Digest) -> bool {
-        let Some((folder, name)) = split(file) else {
-            return false;
-        };
-        let known = self
-            .table(folder)
-            .entries
-            .get(name)
-            .filter(|entry| entry.digest == *digest);
-        let state = known.map(|entry| entry.state);
-        state.is_some() && state == state_of(&self.out.join(file))
-    }
-
-    fn note(&mut self, file: &Path, digest: &Digest) {
-        if let Some((folder, name)) = split(file)
-            && let Some(state) = state_of(&self.out.join(file))
-        {
+    /// Notes that a file has these bytes, or that all files of a folder are those of this set.
+    pub fn note(&mut self, path: &Path, digest: &Digest) {
+        if let Some(state) = state_of(&self.out.join(path)) {
             let digest = *digest;
-            let table = self.table(folder);
-            table.entries.insert(name.to_owned(), Entry { digest, state });
-            table.is_changed = true;
+            self.entries.insert(path.to_owned(), Entry { digest, state });
+            self.is_changed = true;
         }
     }
 
-    /// Stores the tables. A table that cannot be stored only costs time.
+    /// Stores the table. A table that cannot be stored only costs time.
     pub fn save(&self) {
-        for (folder, table) in self.tables.iter().filter(|(_, table)| table.is_changed) {
-            if let Ok(json) = serde_json::to_vec(&table.entries) {
-                let _ = files::write(&table_path(&self.dir, folder), &json);
-            }
+        if self.is_changed
+            && let Ok(json) = serde_json::to_vec(&self.entries)
+        {
+            let _ = files::write(&self.file, &json);
         }
     }
-}
-
-impl FolderTable {
-    /// Reads a table. A missing or damaged table is empty.
-    fn read(path: &Path) -> Self {
-        let json = read(path, FileKind::State, Links::Followed).ok();
-        let entries = json.and_then(|json| serde_json::from_slice(&json).ok());
-        Self {
-            entries: entries.unwrap_or_default(),
-            is_changed: false,
-        }
-    }
-}
-
-fn table_path(dir: &Path, folder: &Path) -> PathBuf {
-    dir.join(format!("{}.json", name_of(folder)))
-}
-
-/// Returns the name of the folder for the tables of a path.
-fn name_of(path: &Path) -> String {
-    Digest::from_content(path.as_os_str().as_encoded_bytes()).to_string()
-}
-
-/// Returns the folder and the name of a file. None for a name that is not UTF-8.
-fn split(file: &Path) -> Option<(&Path, &str)> {
-    Some((file.parent()?, file.file_name()?.to_str()?))
 }
 
 #[cfg(test)]
@@ -221,15 +168,13 @@ mod tests {
         let (folder, root) = (Path::new("v"), Digest::from_content(b"root"));
         write(&mut table, "v/1", "one");
         write(&mut table, "v/2", "two");
-        table.note_folder(folder, &root);
-        assert!(
-            table.has_folder(folder, &root) && !table.has_folder(folder, &Digest::from_content(b"other"))
-        );
+        table.note(folder, &root);
+        assert!(table.has(folder, &root) && !table.has(folder, &Digest::from_content(b"other")));
         table
             .keep_only(folder, &BTreeSet::from(["2".to_owned()]))
             .unwrap();
         assert!(!dir.path().join("v/1").exists() && dir.path().join("v/2").exists());
-        assert!(!table.has_folder(folder, &root));
+        assert!(!table.has(folder, &root));
     }
 
     #[test]

@@ -155,7 +155,7 @@ fn write_verdicts(
     root: &Digest,
     mut get: impl FnMut(&Digest) -> Result<std::sync::Arc<[u8]>, Fault>,
 ) -> Result<(), Fault> {
-    if table.has_folder(folder, root) {
+    if table.has(folder, root) {
         return Ok(());
     }
     let mut names = BTreeSet::new();
@@ -171,7 +171,7 @@ fn write_verdicts(
         names.insert(name);
     }
     table.keep_only(folder, &names)?;
-    table.note_folder(folder, root);
+    table.note(folder, root);
     Ok(())
 }
 

@@ -3,12 +3,11 @@
 use std::collections::BTreeMap;
 
 use marf_cache::Store;
-use marf_engine::{RunRecord, RunSource};
+use marf_engine::{Event, RunRecord};
 use marf_model::select;
 use marf_progress::format::duration;
-use marf_progress::{RunProgress, event_folder};
+use marf_progress::{EventLine, RunProgress, RunStart, event_folder};
 use marf_view::lines_of_running;
-use serde::Deserialize;
 
 use crate::choice::subject;
 use crate::context::Context;
@@ -22,14 +21,14 @@ use crate::scenes::parent_of;
 pub fn running(context: &Context, store: &Store) -> Result<Vec<RunningProgram>, Error> {
     let subject = subject(context, store)?;
     let mut programs = programs(&lines_of_running(&event_folder(store)));
-    programs.retain(|program| subject.covers(&program.source, &program.pipeline));
+    programs.retain(|program| subject.covers(&program.start.source, &program.start.pipeline));
     Ok(programs)
 }
 
 /// Returns the programs that have left these lines and run a pipeline.
 pub fn programs(lines: &[Vec<String>]) -> Vec<RunningProgram> {
     let all = lines.iter().filter_map(|lines| RunningProgram::read(lines));
-    all.filter(|program| !program.source.is_derived()).collect()
+    all.filter(|program| !program.start.source.is_derived()).collect()
 }
 
 /// Returns the newest run of the pipeline, in any state.
@@ -47,60 +46,13 @@ pub fn newest_run(context: &Context, store: &Store) -> Result<RunRecord, Error> 
     })
 }
 
-/// A line that a running program has written, with the fields that are shown.
-#[derive(Deserialize)]
-#[serde(tag = "event", rename_all = "snake_case")]
-enum Line {
-    Began {
-        pipeline: String,
-        source: RunSource,
-        command: String,
-        nodes: Vec<String>,
-        upstream: BTreeMap<String, Vec<String>>,
-    },
-    Standing(RunProgress),
-    WillRun {
-        node: String,
-    },
-    Reused {
-        node: String,
-    },
-    Progress {
-        node: String,
-        done: u64,
-        total: u64,
-        note: String,
-    },
-    Finished {
-        node: String,
-        seconds: f64,
-    },
-    Failed {
-        node: String,
-        message: String,
-    },
-    Skipped {
-        node: String,
-        reason: String,
-    },
-    Warning {},
-}
-
 /// A running program, from its lines.
 #[derive(Default)]
 pub struct RunningProgram {
-    /// Name of its pipeline.
-    pub pipeline: String,
-    /// The source of its run.
-    pub source: RunSource,
-    /// The command as typed.
-    pub command: String,
-    /// The nodes with their children below them, in the order in which they are shown.
-    pub order: Vec<String>,
+    /// Its first line. The nodes have their children below them, in the order in which they are shown.
+    pub start: RunStart,
     /// The state of each node. A waiting node has none.
     pub nodes: BTreeMap<String, NodeProgress>,
-    /// The nodes that each node reads, by name.
-    pub upstream: BTreeMap<String, Vec<String>>,
     /// How far the whole run is, once it is known.
     pub standing: Option<RunProgress>,
 }
@@ -120,28 +72,25 @@ impl RunningProgram {
         // A line of a newer version is passed over.
         let known = lines.iter().filter_map(|line| serde_json::from_str(line).ok());
         known.for_each(|line| running.take(line));
-        (!running.command.is_empty()).then_some(running)
+        (!running.start.command.is_empty()).then_some(running)
     }
 
-    fn take(&mut self, line: Line) {
-        match line {
-            Line::Began {
-                pipeline,
-                source,
-                command,
-                nodes,
-                upstream,
-            } => {
-                self.pipeline = pipeline;
-                self.source = source;
-                self.command = command;
-                self.order = nodes;
-                self.upstream = upstream;
+    fn take(&mut self, line: EventLine) {
+        let event = match line {
+            EventLine::Began(start) => {
+                self.start = start;
+                return;
             }
-            Line::Standing(standing) => self.standing = Some(standing),
-            Line::WillRun { node } => self.set(node, "running", String::new()),
-            Line::Reused { node } => self.set(node, "reused", String::new()),
-            Line::Progress {
+            EventLine::Standing { standing, .. } => {
+                self.standing = Some(standing);
+                return;
+            }
+            EventLine::Event(event) => event,
+        };
+        match event {
+            Event::WillRun { node, .. } => self.set(node, "running", String::new()),
+            Event::Reused { node, .. } => self.set(node, "reused", String::new()),
+            Event::Progress {
                 node,
                 done,
                 total,
@@ -154,19 +103,25 @@ impl RunningProgram {
                 };
                 self.set(node, "running", at);
             }
-            Line::Finished { node, seconds } => self.set(node, "ran", duration(seconds)),
-            Line::Failed { node, message } => self.set(node, "failed", message),
-            Line::Skipped { node, reason } => self.set(node, "skipped", reason),
-            Line::Warning {} => {}
+            Event::Finished { node, seconds, .. } => self.set(node, "ran", duration(seconds)),
+            Event::Failed { node, message, .. } => self.set(node, "failed", message),
+            Event::Skipped { node, reason } => self.set(node, "skipped", reason),
+            Event::Warning { .. } => {}
         }
     }
 
     fn set(&mut self, node: String, word: &'static str, note: String) {
-        if !self.nodes.contains_key(&node) && !self.order.contains(&node) {
+        if !self.nodes.contains_key(&node) && !self.start.nodes.contains(&node) {
             let parent = parent_of(&node).to_owned();
-            let place = self.order.iter().rposition(|name| parent_of(name) == parent);
-            self.order
-                .insert(place.map_or(self.order.len(), |place| place + 1), node.clone());
+            let place = self
+                .start
+                .nodes
+                .iter()
+                .rposition(|name| parent_of(name) == parent);
+            self.start.nodes.insert(
+                place.map_or(self.start.nodes.len(), |place| place + 1),
+                node.clone(),
+            );
         }
         self.nodes.insert(node, NodeProgress { word, note });
     }
