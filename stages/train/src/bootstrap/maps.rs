@@ -8,7 +8,7 @@ use crate::{depth_views::MIN_OPACITY, view::floats};
 /// Spread of the members at one viewpoint, all `[height * width]`, rows from the top.
 ///
 /// Colours are sRGB in [0, 1]. Gray is (R + G + B) / 3 of a member's render.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub(crate) struct Maps {
     /// Pixels a row.
     pub width: u32,
@@ -139,7 +139,11 @@ pub(crate) fn maps(
     }
     ctx.check()?;
     let visibilities = visibilities(&surfaces);
-    let mut maps = Maps::with_capacity(width, height, count);
+    let mut maps = Maps {
+        width,
+        height,
+        ..Maps::default()
+    };
     for (pixel, visibility) in visibilities.iter().enumerate() {
         if pixel % width as usize == 0 {
             ctx.check()?;
@@ -237,26 +241,6 @@ impl Maps {
             photo_distance: take(1).to_vec(),
             incidence_deg: take(1).to_vec(),
         })
-    }
-
-    fn with_capacity(width: u32, height: u32, count: usize) -> Self {
-        Self {
-            width,
-            height,
-            mean: Vec::with_capacity(count),
-            gray: Vec::with_capacity(count),
-            std: Vec::with_capacity(count),
-            std_paper: Vec::with_capacity(count),
-            rgb_std: Vec::with_capacity(count),
-            unseen: Vec::with_capacity(count),
-            residual: Vec::with_capacity(count),
-            total: Vec::with_capacity(count),
-            depth: Vec::with_capacity(count),
-            depth_std: Vec::with_capacity(count),
-            photos: Vec::with_capacity(count),
-            photo_distance: Vec::with_capacity(count),
-            incidence_deg: Vec::with_capacity(count),
-        }
     }
 
     fn push(
