@@ -5,12 +5,13 @@ use std::time::{Duration, Instant};
 
 use marf_cache::{Digest, digest_of};
 use marf_stage::{Ctx, Define, Inputs, StageError};
+use serde::{Serialize, de::DeserializeOwned};
 
 /// Wall clock between two checkpoints: what a killed run loses at most. It decides when a state is saved, never what.
 pub(crate) const SAVE_EVERY: Duration = Duration::from_secs(10);
 
 /// Begins every part. Its number is raised when a state is written or used otherwise.
-const MAGIC: &[u8; 8] = b"marfckp1";
+const MAGIC: &[u8; 8] = b"marfckp2";
 
 /// Returns the identity of a node's checkpoints: stage, version, parameters, backend, inputs, and `more` that its work depends on.
 pub(crate) fn identity<S: Define>(stage: &S, inputs: &Inputs, more: &str) -> Digest {
@@ -67,6 +68,27 @@ impl<'a> Journal<'a> {
         }
     }
 
+    /// Returns the next piece, which `make` makes unless an earlier run has saved it and `is_whole` takes it.
+    ///
+    /// Numbers come back to the bit. Types that leave out fields cannot be read back: see [`Journal::piece`].
+    ///
+    /// # Errors
+    /// As [`Journal::piece`].
+    pub fn piece_of<T: Serialize + DeserializeOwned>(
+        &mut self,
+        is_whole: impl Fn(&T) -> bool,
+        make: impl FnOnce() -> Result<T, StageError>,
+    ) -> Result<T, StageError> {
+        self.piece(
+            |bytes| postcard::from_bytes(bytes).ok().filter(&is_whole),
+            || {
+                let piece = make()?;
+                let bytes = postcard::to_allocvec(&piece);
+                Ok((piece, bytes.map_err(|error| StageError::new(error.to_string()))?))
+            },
+        )
+    }
+
     /// Returns the next piece. If an earlier run has saved it, `read` decodes its bytes. If there are none or `read` refuses them, `make`
     /// computes the piece and its bytes.
     ///
@@ -111,7 +133,7 @@ impl<'a> Journal<'a> {
     /// Returns the pieces of the next part from the one that is due on.
     fn next_part(&mut self) -> Option<VecDeque<Vec<u8>>> {
         let state = load(self.ctx, &self.part(), &self.of)?;
-        let (first, mut pieces) = unpack(&state)?;
+        let (first, mut pieces) = postcard::from_bytes::<(u64, VecDeque<Vec<u8>>)>(&state).ok()?;
         let behind = usize::try_from(self.count.checked_sub(first)?).ok()?;
         self.parts += 1;
         pieces.drain(..behind.min(pieces.len()));
@@ -139,35 +161,14 @@ impl<'a> Journal<'a> {
     fn save(&mut self) {
         if !self.fresh.is_empty() {
             let first = self.count - self.fresh.len() as u64;
-            save(self.ctx, &self.part(), &self.of, &pack(first, &self.fresh));
+            // Bytes in memory: it cannot fail.
+            let state = postcard::to_allocvec(&(first, &self.fresh)).unwrap_or_default();
+            save(self.ctx, &self.part(), &self.of, &state);
             self.parts += 1;
             self.fresh.clear();
         }
         self.saved_at = Instant::now();
     }
-}
-
-/// The number of the first piece, then each piece with its length, all numbers u64 LE.
-fn pack(first: u64, pieces: &[Vec<u8>]) -> Vec<u8> {
-    let mut bytes = first.to_le_bytes().to_vec();
-    for piece in pieces {
-        bytes.extend((piece.len() as u64).to_le_bytes());
-        bytes.extend(piece);
-    }
-    bytes
-}
-
-/// Reads the bytes of [`pack`]. `None` if they are anything else.
-fn unpack(bytes: &[u8]) -> Option<(u64, VecDeque<Vec<u8>>)> {
-    let (first, mut rest) = bytes.split_first_chunk::<8>()?;
-    let mut pieces = VecDeque::new();
-    while let Some((length, after)) = rest.split_first_chunk::<8>() {
-        let length = usize::try_from(u64::from_le_bytes(*length)).ok()?;
-        let (piece, after) = after.split_at_checked(length)?;
-        pieces.push_back(piece.to_vec());
-        rest = after;
-    }
-    rest.is_empty().then(|| (u64::from_le_bytes(*first), pieces))
 }
 
 #[cfg(test)]
@@ -236,9 +237,9 @@ mod tests {
                     .len()
             })
             .collect();
-        // Magic, digest, number of the first piece and length of the one piece.
+        // Magic, digest, number of the first piece, number of pieces and length of the one piece.
         let bytes: Vec<usize> = (1..=usize::from(PIECES))
-            .map(|piece| 8 + 32 + 8 + 8 + piece)
+            .map(|piece| 8 + 32 + 1 + 1 + 1 + piece)
             .collect();
         assert_eq!(parts, bytes);
         assert!(run(&harness, "a", PIECES, NEVER, &all).is_empty());

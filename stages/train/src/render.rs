@@ -66,13 +66,9 @@ impl Set for Render {
         for (index, (frame, place)) in frames.iter().zip(&path).enumerate() {
             let note = format!("drawing {}", place.name);
             ctx.progress.at(index as u64, path.len() as u64, &note);
-            let drawn = journal.piece(
-                |bytes| FramePictures::unpack(ctx, bytes),
-                || {
-                    let drawn = drawing.draw(ctx, frame, place, index + 1)?;
-                    let bytes = drawn.pack()?;
-                    Ok((drawn, bytes))
-                },
+            let drawn = journal.piece_of(
+                |drawn: &FramePictures| drawn.are_stored(ctx),
+                || drawing.draw(ctx, frame, place, index + 1),
             )?;
             outputs.extend(drawn.outputs);
             film.0.push(drawn.film);

@@ -15,10 +15,3 @@ pub(crate) fn render_view(
 ) -> Result<Render, StageError> {
     render_in_bands(field, camera, cam_from_world, || ctx.check())?.map_err(field_failed)
 }
-
-/// Reads f32 LE. `None` if a number is incomplete.
-pub(crate) fn floats(bytes: &[u8]) -> Option<Vec<f32>> {
-    let (numbers, rest) = bytes.as_chunks::<4>();
-    rest.is_empty()
-        .then(|| numbers.iter().map(|number| f32::from_le_bytes(*number)).collect())
-}

@@ -69,14 +69,7 @@ impl<'a> Mapper<'a> {
     /// Returns the next maps of a journal over the viewpoints.
     fn next_maps(&self, journal: &mut Journal<'_>, place: &Viewpoint) -> Result<Maps, StageError> {
         let (width, height) = (place.camera.width, place.camera.height);
-        journal.piece(
-            |bytes| Maps::unpack(bytes, width, height),
-            || {
-                let maps = self.maps(place)?;
-                let bytes = maps.pack();
-                Ok((maps, bytes))
-            },
-        )
+        journal.piece_of(|maps: &Maps| maps.are_whole(width, height), || self.maps(place))
     }
 
     fn journal(&self) -> Journal<'a> {
@@ -118,12 +111,8 @@ impl<'a> Mapper<'a> {
         let mut journal = Journal::new(ctx, "drawings", self.identity);
         for view in views {
             let maps = self.next_maps(&mut known, &view.place)?;
-            let of_view = journal.piece(
-                |bytes| {
-                    let stored: Outputs = serde_json::from_slice(bytes).ok()?;
-                    let whole = stored.values().all(|digest| ctx.blobs.contains(digest));
-                    whole.then_some(stored)
-                },
+            let of_view = journal.piece_of(
+                |stored: &Outputs| stored.values().all(|digest| ctx.blobs.contains(digest)),
                 || {
                     let mut stored = Outputs::new();
                     let image = view.image(ctx)?;
@@ -132,8 +121,7 @@ impl<'a> Mapper<'a> {
                     if let Some(photo) = &view.photo {
                         stored.insert(format!("{MAPS}{}-photo.png", view.place.name), photo.digest);
                     }
-                    let bytes = serde_json::to_vec(&stored);
-                    Ok((stored, bytes.map_err(|error| StageError::new(error.to_string()))?))
+                    Ok(stored)
                 },
             )?;
             outputs.extend(of_view);

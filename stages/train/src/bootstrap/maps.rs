@@ -1,14 +1,15 @@
 use marf_field::Render;
 use marf_scene::{Image, Srgb};
 use marf_stage::{Ctx, StageError};
+use serde::{Deserialize, Serialize};
 
 use super::intervals::{locally, widened};
-use crate::{depth_views::MIN_OPACITY, view::floats};
+use crate::depth_views::MIN_OPACITY;
 
 /// Spread of the members at one viewpoint, all `[height * width]`, rows from the top.
 ///
 /// Colours are sRGB in [0, 1]. Gray is (R + G + B) / 3 of a member's render.
-#[derive(Debug, Clone, Default, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Maps {
     /// Pixels a row.
     pub width: u32,
@@ -162,8 +163,6 @@ pub(crate) fn gray(rgb: &[f32; 3]) -> f64 {
 }
 
 impl Maps {
-    /// Number of values a pixel.
-    const VALUES: usize = 17;
     /// Of [`Maps::unseen`]: more than half of the pixel was seen.
     const HALF_SEEN: f32 = 0.25;
 
@@ -190,14 +189,13 @@ impl Maps {
         self.unseen[pixel] < Self::HALF_SEEN
     }
 
-    /// All values as f32 LE, map by map in the order of the fields.
-    pub fn pack(&self) -> Vec<u8> {
-        let maps = [
-            self.mean.as_flattened(),
+    /// Returns whether all maps are of a viewpoint of that width and height.
+    pub fn are_whole(&self, width: u32, height: u32) -> bool {
+        let colours = [&self.mean, &self.rgb_std].map(Vec::len);
+        let values = [
             &self.gray,
             &self.std,
             &self.std_paper,
-            self.rgb_std.as_flattened(),
             &self.unseen,
             &self.residual,
             &self.total,
@@ -207,40 +205,9 @@ impl Maps {
             &self.photo_distance,
             &self.incidence_deg,
         ];
-        let values = maps.into_iter().flatten();
-        values.flat_map(|value| value.to_le_bytes()).collect()
-    }
-
-    /// Reads the bytes of [`Maps::pack`] for a viewpoint of that width and height. `None` if they are anything else.
-    pub fn unpack(bytes: &[u8], width: u32, height: u32) -> Option<Self> {
-        let values = floats(bytes)?;
+        let mut pixels = values.map(Vec::len).into_iter().chain(colours);
         let count = width as usize * height as usize;
-        if values.len() != Self::VALUES * count {
-            return None;
-        }
-        let mut rest = values.as_slice();
-        let mut take = |numbers: usize| {
-            let (taken, after) = rest.split_at(numbers * count);
-            rest = after;
-            taken
-        };
-        Some(Self {
-            width,
-            height,
-            mean: take(3).as_chunks::<3>().0.to_vec(),
-            gray: take(1).to_vec(),
-            std: take(1).to_vec(),
-            std_paper: take(1).to_vec(),
-            rgb_std: take(3).as_chunks::<3>().0.to_vec(),
-            unseen: take(1).to_vec(),
-            residual: take(1).to_vec(),
-            total: take(1).to_vec(),
-            depth: take(1).to_vec(),
-            depth_std: take(1).to_vec(),
-            photos: take(1).to_vec(),
-            photo_distance: take(1).to_vec(),
-            incidence_deg: take(1).to_vec(),
-        })
+        (self.width, self.height) == (width, height) && pixels.all(|pixels| pixels == count)
     }
 
     fn push(
@@ -351,13 +318,17 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn maps_come_back_to_the_bit_and_those_of_another_size_do_not() {
-        let maps = maps_of(&example());
-        let bytes = maps.pack();
-        assert_eq!(Maps::unpack(&bytes, 4, 1), Some(maps));
-        for (bytes, width) in [(&bytes[..], 5), (&bytes[1..], 4), (&bytes[..0], 4)] {
-            assert_eq!(Maps::unpack(bytes, width, 1), None, "{width}");
-        }
+    fn maps_come_back_to_the_bit_and_those_of_another_size_are_not_whole() {
+        let mut maps = maps_of(&example());
+        maps.depth[0] = f32::MIN_POSITIVE / 2.0;
+        maps.gray[1] = -0.0;
+        let bytes = postcard::to_allocvec(&maps).unwrap();
+        let mut read: Maps = postcard::from_bytes(&bytes).unwrap();
+        assert_eq!(postcard::to_allocvec(&read).unwrap(), bytes);
+        assert!(read == maps && read.are_whole(4, 1));
+        assert!(!read.are_whole(5, 1) && !read.are_whole(2, 2));
+        read.incidence_deg.pop();
+        assert!(!read.are_whole(4, 1));
     }
 
     /// Asserts six decimals, as the example is printed. f32 renders leave 1e-7.

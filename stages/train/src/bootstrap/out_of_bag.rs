@@ -42,8 +42,8 @@ pub(super) fn out_of_bag(
     for (index, named) in training.iter().enumerate() {
         let note = format!("out of bag: {}", named.name);
         ctx.progress.at(index as u64, training.len() as u64, &note);
-        compared.push(journal.piece(
-            |bytes| serde_json::from_slice::<BagScores>(bytes).ok(),
+        compared.push(journal.piece_of(
+            |_| true,
             || {
                 let photo = photos.read(named.frame)?.without_falloff().thinned_to(SIDE_PX);
                 let mean_of = |drew: bool| {
@@ -53,15 +53,10 @@ pub(super) fn out_of_bag(
                         .filter(|(member, _)| member.has_drawn(&named.frame.id) == drew);
                     mean_psnr(named, &photo, chosen.map(|(_, field)| field))
                 };
-                let compared = BagScores {
+                Ok(BagScores {
                     out_of_bag: mean_of(false)?,
                     in_bag: mean_of(true)?,
-                };
-                let bytes = serde_json::to_vec(&compared);
-                Ok((
-                    compared,
-                    bytes.map_err(|error| StageError::new(error.to_string()))?,
-                ))
+                })
             },
         )?);
     }

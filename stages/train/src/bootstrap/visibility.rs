@@ -13,7 +13,6 @@ use crate::{
     error::field_failed,
     photos::PhotoReader,
     split::NamedFrame,
-    view::floats,
 };
 
 /// Longest side at which depths of the photos are rendered, pixels: what hides a point is known to one of these.
@@ -49,13 +48,9 @@ impl Witnesses {
             ctx.progress.at(index as u64, frames.len() as u64, &note);
             let sample = Sample::new(&named.frame.camera.box_reduced(photos.scale));
             let pixels = sample.camera.width as usize * sample.camera.height as usize;
-            let mut values = journal.piece(
-                |bytes| floats(bytes).filter(|values| values.len() == 2 * pixels),
-                || {
-                    let values = sample.distances_and_errors(field, photos, named)?;
-                    let bytes = values.iter().flat_map(|value| value.to_le_bytes()).collect();
-                    Ok((values, bytes))
-                },
+            let mut values: Vec<f32> = journal.piece_of(
+                |values: &Vec<f32>| values.len() == 2 * pixels,
+                || sample.distances_and_errors(field, photos, named),
             )?;
             let (distance, error) = values.split_at_mut(pixels);
             let hidden = photos.hidden_at(named.frame, photos.scale * sample.every)?;

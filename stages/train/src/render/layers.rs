@@ -267,17 +267,10 @@ pub(super) struct FramePictures {
 }
 
 impl FramePictures {
-    /// Returns the bytes of a journal.
-    pub fn pack(&self) -> Result<Vec<u8>, StageError> {
-        serde_json::to_vec(self).map_err(|error| StageError::new(error.to_string()))
-    }
-
-    /// Reads the bytes of [`FramePictures::pack`]. `None` if a picture is not stored any more.
-    pub fn unpack(ctx: &Ctx<'_>, bytes: &[u8]) -> Option<Self> {
-        let drawn: Self = serde_json::from_slice(bytes).ok()?;
+    /// Returns whether all pictures are still stored.
+    pub fn are_stored(&self, ctx: &Ctx<'_>) -> bool {
         let is_stored = |picture: &Digest| ctx.blobs.contains(picture);
-        let is_whole = drawn.outputs.values().all(is_stored) && is_stored(&drawn.film);
-        is_whole.then_some(drawn)
+        self.outputs.values().all(is_stored) && is_stored(&self.film)
     }
 }
 
