@@ -1,5 +1,6 @@
 //! Synthetic photos, the same for the same numbers, and a pipeline that they pass.
 
+use marf_numeric::{GOLDEN, mix};
 use marf_scene::{Image, Srgb, encode_jpeg};
 
 use crate::output::Result;
@@ -42,12 +43,9 @@ pub fn picture(seed: u64, width: u32, height: u32, shade: Shade) -> Result<Vec<u
     Ok(encode_jpeg(&image, QUALITY)?)
 }
 
-/// Returns a random number of a pair (SplitMix64, Steele et al. 2014).
+/// Returns a random number of a pair.
 pub fn random(a: u64, b: u64) -> u64 {
-    let mut z = a
-        .wrapping_mul(0x9e37_79b9_7f4a_7c15)
-        .wrapping_add(b.wrapping_mul(0xd1b5_4a32_d192_ed03));
-    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    z ^ (z >> 31)
+    mix(a
+        .wrapping_mul(GOLDEN)
+        .wrapping_add(b.wrapping_mul(0xd1b5_4a32_d192_ed03)))
 }

@@ -4,6 +4,7 @@
 
 use std::{fs, path::Path};
 
+use marf_numeric::upper_median;
 use marf_scene::picture::png16::read_quantity;
 use marf_schema::depth::{Metrics, PairMetrics, PhotoMetrics};
 use marf_stage::Document;
@@ -41,17 +42,13 @@ impl Score {
         self.error_shares.extend(other.error_shares);
     }
 
-    fn print(mut self) -> Result {
-        let median = |values: &mut Vec<f64>| {
-            values.sort_by(f64::total_cmp);
-            values.get(values.len() / 2).copied()
-        };
+    fn print(self) -> Result {
         let share = |count: usize, all: usize| count as f64 / all.max(1) as f64;
         print_json(&json!({
             "covisible": self.covisible,
             "valid_share": share(self.valid, self.covisible),
-            "median_error_px": median(&mut self.errors_px),
-            "median_error_share": median(&mut self.error_shares),
+            "median_error_px": upper_median(self.errors_px),
+            "median_error_share": upper_median(self.error_shares),
             "wrong_share": share(self.wrong, self.valid),
             "within_1_sigma": share(self.within[0], self.valid),
             "within_2_sigma": share(self.within[1], self.valid),

@@ -1,11 +1,11 @@
 //! Distances from cameras to the sparse points they see, and how wide a pixel is there.
 
-use marf_numeric::grouped;
+use marf_numeric::{grouped, quantile};
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use crate::View;
-use crate::frame::{ENOUGH_POINTS, FAR, Frame, percentile};
+use crate::frame::{ENOUGH_POINTS, FAR, Frame};
 
 /// A point counts as near if this share of the points is nearer, as far if this share is farther: outliers.
 const OUTLIERS: f64 = 0.01;
@@ -46,7 +46,7 @@ impl Depths {
             });
             seen.collect::<Vec<_>>()
         });
-        let (mut depths, mut footprints): (Vec<f64>, Vec<f64>) =
+        let (depths, footprints): (Vec<f64>, Vec<f64>) =
             seen.collect::<Vec<_>>().into_iter().flatten().unzip();
         if depths.is_empty() {
             return Err(format!(
@@ -54,8 +54,9 @@ impl Depths {
                 grouped(points.len() as u64)
             ));
         }
-        let [nearest, farthest] = [OUTLIERS, 1.0 - OUTLIERS].map(|share| percentile(&mut depths, share));
-        let footprints = [SHARP, 0.5].map(|share| percentile(&mut footprints, share));
+        let share_of = |values: &[f64], share| quantile(values.iter().copied(), share).unwrap_or_default();
+        let [nearest, farthest] = [OUTLIERS, 1.0 - OUTLIERS].map(|share| share_of(&depths, share));
+        let footprints = [SHARP, 0.5].map(|share| share_of(&footprints, share));
         let away = views.iter().map(|view| {
             let centre = frame.inward(&view.cam_from_world.centre());
             centre.iter().fold(0.0_f64, |most, x| most.max(x.abs()))

@@ -6,8 +6,9 @@ use crate::cpu::math::exp;
 use crate::depth::{Pull, SHARE};
 use crate::exposure::{Exposure, ROW};
 use crate::frame::RayStart;
-use crate::rng::{Purpose, Rng};
+use crate::rng::{Purpose, random_numbers};
 use crate::training::Training;
+use marf_numeric::Rng;
 
 /// How often a pixel is drawn again where a mask hides it. A ray that is still hidden then teaches nothing.
 /// In photos half hidden these are 0.4 %.
@@ -69,15 +70,15 @@ impl Training {
 
     /// Draws ray number `ray` of the next step. `exposures` are those of the photos.
     pub fn target(&self, ray: u64, exposures: &[Exposure]) -> Target {
-        let mut rng = Rng::new(self.seed, Purpose::Rays, self.state.steps, ray);
+        let mut rng = random_numbers(self.seed, Purpose::Rays, self.state.steps, ray);
         let (pixel, pull) = self.aim(ray, &mut rng);
         let (index, kept) = self.place_of(pixel);
         let view = &self.views[index];
         let (centre, rgb) = view.image.at(kept);
         let start = || self.frame.ray(&view.camera, &self.world_from_cams[index], centre);
-        let jitter = rng.unit();
+        let jitter = rng.unit_f32();
         let behind = view.image.share_behind(kept).map(|share| Behind {
-            rgb: [(); 3].map(|()| rng.unit()),
+            rgb: [(); 3].map(|()| rng.unit_f32()),
             share,
         });
         Target {

@@ -1,5 +1,6 @@
 //! The box of a scene: the place of its origin, its size, and the size of its finest cells.
 
+use marf_numeric::{quantile, upper_median};
 use marf_scene::{Camera, Pose};
 use nalgebra::{Matrix3, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
@@ -96,25 +97,13 @@ impl Frame {
     }
 }
 
-/// Returns the median (the upper one of two), 0 for none.
-fn median(values: &mut [f64]) -> f64 {
-    percentile(values, 0.5)
-}
-
-/// Returns the value below which this share of the values is, the upper one of two. 0 for none.
-pub fn percentile(values: &mut [f64], share: f64) -> f64 {
-    values.sort_by(f64::total_cmp);
-    let index = ((values.len() as f64 * share) as usize).min(values.len().saturating_sub(1));
-    values.get(index).copied().unwrap_or(0.0)
-}
-
 fn from_points(views: &[View], points: &[[f64; 3]]) -> Option<Frame> {
     if points.len() < ENOUGH_POINTS {
         return None;
     }
     let (origin, half_side) = box_of(points);
     let depths = views.iter().map(|view| seen_depth(view, points));
-    let depth = median(&mut depths.filter(|depth| *depth > 0.0).collect::<Vec<_>>());
+    let depth = upper_median(depths.filter(|depth| *depth > 0.0)).unwrap_or_default();
     (half_side > 0.0 && depth > 0.0).then(|| Frame {
         origin,
         half_side,
@@ -128,13 +117,13 @@ fn from_points(views: &[View], points: &[[f64; 3]]) -> Option<Frame> {
 
 /// Returns the median of points, and the 80th percentile of their distance from it in the maximum norm.
 pub fn box_of(points: &[[f64; 3]]) -> ([f64; 3], f64) {
-    let origin = [0, 1, 2].map(|axis| median(&mut points.iter().map(|p| p[axis]).collect::<Vec<_>>()));
+    let origin = [0, 1, 2].map(|axis| upper_median(points.iter().map(|p| p[axis])).unwrap_or_default());
     let reach = |p: &[f64; 3]| {
         (0..3)
             .map(|axis| (p[axis] - origin[axis]).abs())
             .fold(0.0, f64::max)
     };
-    let half_side = percentile(&mut points.iter().map(reach).collect::<Vec<_>>(), 0.8);
+    let half_side = quantile(points.iter().map(reach), 0.8).unwrap_or_default();
     (origin, half_side)
 }
 
@@ -143,7 +132,7 @@ fn seen_depth(view: &View, points: &[[f64; 3]]) -> f64 {
     let depths = points
         .iter()
         .filter_map(|point| view.distance_of(&Vector3::from(*point)));
-    median(&mut depths.collect::<Vec<_>>())
+    upper_median(depths).unwrap_or_default()
 }
 
 fn from_axes(views: &[View], centres: &[Vector3<f64>]) -> Option<Frame> {
@@ -155,13 +144,13 @@ fn from_axes(views: &[View], centres: &[Vector3<f64>]) -> Option<Frame> {
         right += across * centre;
     }
     let focus = system.try_inverse()? * right;
-    let mut distances: Vec<_> = centres.iter().map(|centre| (focus - centre).norm()).collect();
+    let distances = centres.iter().map(|centre| (focus - centre).norm());
     let in_front = views
         .iter()
         .filter(|view| view.cam_from_world.point(&focus).z > 0.0)
         .count();
     let extent = extent(centres);
-    let distance = median(&mut distances);
+    let distance = upper_median(distances).unwrap_or_default();
     // Axes that meet much farther away than the cameras are apart are nearly parallel.
     let meets = in_front * 3 > views.len() * 2 && distance < 4.0 * extent && distance > 0.0;
     meets.then(|| Frame {
@@ -183,7 +172,7 @@ fn from_baseline(centres: &[Vector3<f64>]) -> Frame {
             .filter(|apart| *apart > 1e-9);
         apart.min_by(f64::total_cmp)
     });
-    let baseline = median(&mut nearest.collect::<Vec<_>>());
+    let baseline = upper_median(nearest).unwrap_or_default();
     let origin = centres.iter().sum::<Vector3<f64>>() / centres.len().max(1) as f64;
     let half_side = (BASELINES * baseline).max(1.25 * extent(centres));
     let (half_side, reason) = if half_side > 0.0 {

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use crate::View;
 use crate::cpu::space::{Bits, contract, expand};
 use crate::frame::Frame;
-use crate::rng::{Purpose, Rng};
+use crate::rng::{Purpose, random_numbers};
 use crate::seen::seen_cells;
 
 /// A cell counts as occupied if a step of the shortest length in it has at least this optical depth, or the
@@ -177,9 +177,9 @@ impl Occupancy {
     /// Draws the point at which a cell is looked at.
     fn probe(&self, seed: u64, round: u64, cell: u32) -> Probe {
         let side = self.bits.side;
-        let mut rng = Rng::new(seed, Purpose::Occupancy, round, u64::from(cell));
+        let mut rng = random_numbers(seed, Purpose::Occupancy, round, u64::from(cell));
         let corner = [cell % side, cell / side % side, cell / side / side];
-        let at = corner.map(|corner| (corner as f32 + rng.unit()) / side as f32);
+        let at = corner.map(|corner| (corner as f32 + rng.unit_f32()) / side as f32);
         Probe { cell, at }
     }
 

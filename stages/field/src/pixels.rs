@@ -2,7 +2,7 @@
 
 use marf_scene::{Image, Srgb};
 
-use crate::rng::{Purpose, Rng};
+use crate::rng::{Purpose, random_numbers};
 
 /// The pixels of a photo that can be drawn in training.
 ///
@@ -68,7 +68,7 @@ impl Pixels {
 
     /// Draws one pixel of every run. `hidden` is empty or has one for every pixel.
     fn drawn(image: Image<Srgb>, hidden: &[bool], run: u32, seed: u64, photo: u64) -> Self {
-        let mut rng = Rng::new(seed, Purpose::Thinning, 0, photo);
+        let mut rng = random_numbers(seed, Purpose::Thinning, 0, photo);
         let runs = image.pixels.chunks(run as usize).enumerate();
         let draw = |(index, pixels): (usize, &[[u8; 3]])| {
             let first = index * run as usize;

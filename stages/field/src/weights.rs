@@ -4,7 +4,7 @@ use crate::cpu::encode::Shape;
 use crate::cpu::math::root;
 use crate::cpu::net::Net;
 use crate::cpu::simd::{LANES, flat, flat_mut};
-use crate::rng::{Purpose, Rng};
+use crate::rng::{Purpose, random_numbers};
 use crate::{Background, Config, Sizes, ViewDependence, sh};
 
 /// Outputs of the density network: the raw density and 15 numbers for the colour network.
@@ -88,14 +88,15 @@ impl Weights {
     /// Draws start values: tables in +-1e-4, networks by Glorot. The background starts gray.
     pub fn randomise(&mut self, seed: u64) {
         for (level, table) in self.tables.iter_mut().enumerate() {
-            let mut rng = Rng::new(seed, Purpose::Tables, 0, level as u64);
+            let mut rng = random_numbers(seed, Purpose::Tables, 0, level as u64);
             for value in table {
-                *value = 1e-4 * 2.0_f32.mul_add(rng.unit(), -1.0);
+                *value = 1e-4 * 2.0_f32.mul_add(rng.unit_f32(), -1.0);
             }
         }
         self.density
-            .randomise(&mut Rng::new(seed, Purpose::Networks, 0, 0));
-        self.color.randomise(&mut Rng::new(seed, Purpose::Networks, 0, 1));
+            .randomise(&mut random_numbers(seed, Purpose::Networks, 0, 0));
+        self.color
+            .randomise(&mut random_numbers(seed, Purpose::Networks, 0, 1));
     }
 
     /// Returns every tensor with its name, in a fixed order.

@@ -12,10 +12,11 @@ use marf_field::cpu::adam::Bias;
 use marf_field::cpu::simd::InstructionSet;
 use marf_field::exposure::Exposure;
 use marf_field::learn::learn_exposures;
-use marf_field::rng::{Purpose, Rng};
+use marf_field::rng::{Purpose, random_numbers};
 use marf_field::test_scene::{ball_view, small};
 use marf_field::training::Training;
 use marf_field::{Config, Gain};
+use marf_numeric::Rng;
 
 /// Of a gain after ten steps of 1e-3: sums of slopes and the mean are added in another order.
 const GAIN: f32 = 1e-6;
@@ -95,7 +96,7 @@ impl Scene {
 
 /// Slopes of about `size`. The last view has no ray.
 fn random_rays(count: usize, views: usize, rng: &mut Rng) -> Vec<(u32, Exposure)> {
-    let mut number = || (rng.unit() - 0.4) * 1e-3;
+    let mut number = || (rng.unit_f32() - 0.4) * 1e-3;
     let slopes: Vec<_> = (0..count)
         .map(|_| Exposure {
             gain: [0; 3].map(|_| number()),
@@ -119,7 +120,7 @@ fn exposures_learn_what_the_cpu_learns() {
     let Some(gpu) = gpu("exposures_learn_what_the_cpu_learns") else {
         return;
     };
-    let mut rng = Rng::new(1, Purpose::Rays, 0, 0);
+    let mut rng = random_numbers(1, Purpose::Rays, 0, 0);
     for (views, gain) in [
         (1, Gain::PerPhoto),
         (5, Gain::PerPhoto),
@@ -170,7 +171,7 @@ fn an_exposure_that_runs_away_is_a_fault_and_nothing_is_learnt() {
     let Some(gpu) = gpu("an_exposure_that_runs_away_is_a_fault_and_nothing_is_learnt") else {
         return;
     };
-    let mut rng = Rng::new(2, Purpose::Rays, 0, 0);
+    let mut rng = random_numbers(2, Purpose::Rays, 0, 0);
     let fault = vec![0, 0, 0, 0, 0, 0, 1, 0];
     for bad in [f32::NAN, f32::INFINITY, -1.2e9, f32::from_bits(0xffc0_0001)] {
         let mut rays = random_rays(200, 4, &mut rng);

@@ -13,7 +13,8 @@ use super::testing::gpu;
 use marf_field::cpu::march::{self, Samples, Steps};
 use marf_field::cpu::simd::{InstructionSet, Run};
 use marf_field::cpu::space::Bits;
-use marf_field::rng::{Purpose, Rng};
+use marf_field::rng::{Purpose, random_numbers};
+use marf_numeric::Rng;
 
 /// For a position in the unit box, a share of steps, and t and delta by their size: two units in the last
 /// place for the division that WGSL leaves to the driver, two for the products.
@@ -180,7 +181,7 @@ fn apart(found: &[[f32; 6]], expected: &[[f32; 6]], what: &str) -> f32 {
 
 fn unit(rng: &mut Rng) -> [f32; 3] {
     loop {
-        let v = [0; 3].map(|_| rng.unit() * 2.0 - 1.0);
+        let v = [0; 3].map(|_| rng.unit_f32() * 2.0 - 1.0);
         let norm = v.iter().map(|x| x * x).sum::<f32>().sqrt();
         if (0.1..1.0).contains(&norm) {
             return v.map(|x| x / norm);
@@ -195,9 +196,9 @@ const SIDE: u32 = 16;
 /// cell that a driver's rounding might put it on the other side.
 fn random_rays(count: usize, steps: &Steps, rng: &mut Rng) -> Vec<Ray> {
     let mut drawn = |index: usize| {
-        let ([x, y, z], from) = (unit(rng), [0; 3].map(|_| rng.unit() * 3.0 - 1.5));
+        let ([x, y, z], from) = (unit(rng), [0; 3].map(|_| rng.unit_f32() * 3.0 - 1.5));
         let there = f32::from(index % 9 != 4);
-        [[from[0], from[1], from[2], rng.unit()], [x, y, z, there]]
+        [[from[0], from[1], from[2], rng.unit_f32()], [x, y, z, there]]
     };
     let is_clear = |ray: &Ray| {
         let places = on_the_cpu(steps, &full(SIDE), *ray);
@@ -236,7 +237,7 @@ fn a_walk_finds_the_samples_of_the_cpu_and_leaves_the_rest_alone() {
     let Some(gpu) = gpu("a_walk_finds_the_samples_of_the_cpu_and_leaves_the_rest_alone") else {
         return;
     };
-    let mut rng = Rng::new(1, Purpose::Rays, 0, 0);
+    let mut rng = random_numbers(1, Purpose::Rays, 0, 0);
     let steps = Steps::new(0.05, 512.0, 0.03, 0.06);
     let (rays, bits) = (random_rays(150, &steps, &mut rng), random_bits(SIDE, &mut rng));
     assert_ne!(steps.count % 16, 0);
@@ -272,7 +273,7 @@ fn a_driver_that_is_off_by_some_units_in_the_last_place_finds_the_same_samples()
     let Some(gpu) = gpu(name) else {
         return;
     };
-    let mut rng = Rng::new(2, Purpose::Rays, 0, 0);
+    let mut rng = random_numbers(2, Purpose::Rays, 0, 0);
     let steps = Steps::new(0.05, 512.0, 0.03, 0.06);
     let (rays, bits) = (random_rays(4000, &steps, &mut rng), random_bits(SIDE, &mut rng));
     let expected: Vec<_> = rays.iter().map(|ray| on_the_cpu(&steps, &bits, *ray)).collect();
@@ -345,7 +346,7 @@ fn what_is_written_never_leaves_its_span() {
     let Some(gpu) = gpu("what_is_written_never_leaves_its_span") else {
         return;
     };
-    let mut rng = Rng::new(5, Purpose::Rays, 0, 0);
+    let mut rng = random_numbers(5, Purpose::Rays, 0, 0);
     let steps = Steps::new(0.05, 64.0, 0.03, 0.06);
     let rays = random_rays(70, &steps, &mut rng);
     // Between counting and writing every cell fills, or empties.
@@ -379,7 +380,7 @@ fn rays_from_the_first_that_does_not_fit_on_are_clipped() {
     let Some(gpu) = gpu("rays_from_the_first_that_does_not_fit_on_are_clipped") else {
         return;
     };
-    let mut rng = Rng::new(2, Purpose::Rays, 0, 0);
+    let mut rng = random_numbers(2, Purpose::Rays, 0, 0);
     let steps = Steps::new(0.05, 512.0, 0.03, 0.06);
     let (rays, bits) = (random_rays(100, &steps, &mut rng), random_bits(SIDE, &mut rng));
     let expected: Vec<_> = rays.iter().map(|ray| on_the_cpu(&steps, &bits, *ray)).collect();
@@ -399,7 +400,7 @@ fn a_picture_in_rounds_finds_every_sample_although_few_fit_at_once() {
     let Some(gpu) = gpu("a_picture_in_rounds_finds_every_sample_although_few_fit_at_once") else {
         return;
     };
-    let mut rng = Rng::new(3, Purpose::Rays, 0, 0);
+    let mut rng = random_numbers(3, Purpose::Rays, 0, 0);
     let steps = Steps::new(0.05, 64.0, 0.03, 0.06);
     let (rays, bits) = (random_rays(80, &steps, &mut rng), random_bits(SIDE, &mut rng));
     let scene = Scene::new(&gpu, &rays, 512, &steps, &bits);

@@ -10,7 +10,7 @@ use super::rays::{DrawRays, Photos, Progress, RayArrays, ViewRays, camera, obser
 use super::testing::{aim, gpu, own_gpu};
 use marf_field::draw::Target;
 use marf_field::frame::{Frame, RayStart};
-use marf_field::rng::{Purpose, Rng};
+use marf_field::rng::{Purpose, random_numbers};
 use marf_field::test_scene::small;
 use marf_field::training::Training;
 use marf_field::{Config, GpuError, PixelDistance, Pixels, View};
@@ -48,7 +48,7 @@ fn asked() -> Vec<[u64; 4]> {
         asked.push([one, two, two, one]);
         asked.push([two, one, two, one]);
     }
-    let mut rng = Rng::new(5, Purpose::Rays, 0, 0);
+    let mut rng = random_numbers(5, Purpose::Rays, 0, 0);
     asked.extend((0..2000).map(|k| [rng.bits(), rng.bits() >> (k % 64), k, rng.bits() >> (k % 61)]));
     asked
 }
@@ -75,10 +75,10 @@ fn streams_of_random_numbers_are_equal_bit_for_bit() {
             2 => Purpose::Rays,
             _ => Purpose::Occupancy,
         };
-        let mut rng = Rng::new(seed, purpose, step, index);
+        let mut rng = random_numbers(seed, purpose, step, index);
         let bits = halves(rng.bits());
         let below = halves(rng.below(n));
-        let expected = [bits, below, [rng.unit().to_bits(), 0], halves(rng.bits())];
+        let expected = [bits, below, [rng.unit_f32().to_bits(), 0], halves(rng.bits())];
         assert_eq!(*found, expected, "{seed} {step} {index} {n}");
     }
 }
@@ -232,7 +232,7 @@ fn drawn(gpu: &Gpu, training: &Training, rays: usize) -> RayArrays {
 
 /// The centre of the pixel that a ray was drawn for.
 fn drawn_pixel(training: &Training, ray: u64, target: &Target) -> [f64; 2] {
-    let mut rng = Rng::new(training.seed, Purpose::Rays, training.state.steps, ray);
+    let mut rng = random_numbers(training.seed, Purpose::Rays, training.state.steps, ray);
     let (pixel, _) = training.aim(ray, &mut rng);
     let view = target.view as usize;
     training.views[view]

@@ -6,7 +6,7 @@ use super::Gpu;
 use super::march::{SampleArrays, Scan, ScanArrays, kept_walk, whole_walk};
 use super::testing::gpu;
 use marf_field::cpu::march::Steps;
-use marf_field::rng::{Purpose, Rng};
+use marf_field::rng::{Purpose, random_numbers};
 
 /// Scans amounts into a capacity and returns spans and counts, which held 7s.
 fn scanned(
@@ -44,7 +44,7 @@ fn a_scan_of_any_number_of_rays_is_a_running_sum() {
         return;
     };
     let scan = Scan::new(&gpu).unwrap();
-    let mut rng = Rng::new(4, Purpose::Rays, 0, 0);
+    let mut rng = random_numbers(4, Purpose::Rays, 0, 0);
     for count in [0, 1, 2, 255, 256, 257, 5000, 100_000] {
         let amounts: Vec<u32> = (0..count).map(|_| rng.below(40) as u32).collect();
         let total: u32 = amounts.iter().sum();

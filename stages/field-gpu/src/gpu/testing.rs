@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::Gpu;
 use marf_field::draw::Target;
-use marf_field::rng::{Purpose, Rng};
+use marf_field::rng::{Purpose, random_numbers};
 use marf_field::training::Training;
 use marf_field::{Config, Device, FieldError, GpuError, Step, Trainer, View};
 
@@ -93,6 +93,6 @@ pub fn worst(found: &[f32], expected: &[f32]) -> (f32, usize) {
 
 /// Returns random numbers in [-1, 1).
 pub fn numbers(len: usize, stream: u64) -> Vec<f32> {
-    let mut rng = Rng::new(13, Purpose::Rays, 0, stream);
-    (0..len).map(|_| rng.unit() * 2.0 - 1.0).collect()
+    let mut rng = random_numbers(13, Purpose::Rays, 0, stream);
+    (0..len).map(|_| rng.unit_f32() * 2.0 - 1.0).collect()
 }

@@ -159,15 +159,15 @@ impl Clearance {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::rng::{Purpose, Rng};
+    use crate::rng::{Purpose, random_numbers};
 
     #[test]
     fn a_cell_is_as_far_from_matter_as_the_nearest_that_holds_some() {
-        let mut rng = Rng::new(3, Purpose::Occupancy, 0, 0);
+        let mut rng = random_numbers(3, Purpose::Occupancy, 0, 0);
         for (side, share) in [(16, 0.01), (20, 0.002), (64, 1e-4), (36, 0.0), (16, 1.0)] {
             let mut bits = Bits::new(side);
             let all = side.pow(3);
-            let held: Vec<u32> = (0..all).filter(|_| rng.unit() < share).collect();
+            let held: Vec<u32> = (0..all).filter(|_| rng.unit_f32() < share).collect();
             held.iter().for_each(|cell| bits.set(*cell as usize));
             let coarse = |cell: u32| [cell % side, cell / side % side, cell / side / side].map(|at| at / 2);
             let clearance = Clearance::new(&bits);

@@ -5,14 +5,14 @@ use super::encode::{Lookup, Points, Scatter, Shape};
 use super::math::{exp, one_minus_exp_neg};
 use super::net::{Net, Slopes};
 use super::simd::{Block, InstructionSet, LANES, Run, Stripe, flat, flat_mut};
-use crate::rng::{Purpose, Rng};
+use crate::rng::{Purpose, random_numbers};
 
 /// f32 sums of some tens of terms against f64: 24 bits less rounding of each term.
 const F32_TOLERANCE: f64 = 2e-5;
 
 fn random(len: usize, stream: u64) -> Vec<f32> {
-    let mut rng = Rng::new(5, Purpose::Networks, 0, stream);
-    (0..len).map(|_| rng.unit() * 2.0 - 1.0).collect()
+    let mut rng = random_numbers(5, Purpose::Networks, 0, stream);
+    (0..len).map(|_| rng.unit_f32() * 2.0 - 1.0).collect()
 }
 
 /// The slope of `f` in coordinate `index`.
@@ -207,7 +207,7 @@ fn net_loss(net: &Net, rows: usize, d: &[f32], at: &[f64]) -> f64 {
 fn a_network_sends_back_the_slopes_of_the_f64_twin() {
     let rows = 16;
     let mut net = Net::new(&[16, 32, 32, 16]);
-    net.randomise(&mut Rng::new(3, Purpose::Networks, 0, 9));
+    net.randomise(&mut random_numbers(3, Purpose::Networks, 0, 9));
     let mut input = vec![Block::default(); rows];
     flat_mut(&mut input).copy_from_slice(&random(rows * LANES, 4));
     let mut d = vec![Block::default(); rows];

@@ -215,7 +215,7 @@ impl Samples {
 mod tests {
     use super::*;
     use crate::cpu::simd::{InstructionSet, Run};
-    use crate::rng::{Purpose, Rng};
+    use crate::rng::{Purpose, random_numbers};
 
     fn full(side: u32) -> Bits {
         let mut bits = Bits::new(side);
@@ -304,7 +304,7 @@ mod tests {
 
     #[test]
     fn a_walk_past_empty_space_finds_what_a_walk_through_it_finds() {
-        let mut rng = Rng::new(5, Purpose::Rays, 0, 1);
+        let mut rng = random_numbers(5, Purpose::Rays, 0, 1);
         let (mut found_any, mut found_none) = (0, 0);
         for (near, shortest, cone, share) in [
             (0.05, 0.002, 0.001, 1e-3),
@@ -315,17 +315,17 @@ mod tests {
         ] {
             let (steps, mut bits) = (Steps::new(near, 400.0, shortest, cone), Bits::new(32));
             for cell in 0..32_usize.pow(3) {
-                if rng.unit() < share {
+                if rng.unit_f32() < share {
                     bits.set(cell);
                 }
             }
             let clearance = Clearance::new(&bits);
             for (level, _) in InstructionSet::all().into_iter().cycle().zip(0..100) {
                 let reach = [0.5, 3.0, 40.0, 300.0][rng.below(4) as usize];
-                let mut number = |size: f32| size * (2.0 * rng.unit() - 1.0);
+                let mut number = |size: f32| size * (2.0 * rng.unit_f32() - 1.0);
                 let (origin, toward) = ([0; 3].map(|_| number(reach)), [0; 3].map(|_| number(1.0)));
                 let norm = toward.iter().map(|axis| axis * axis).sum::<f32>().sqrt();
-                let (direction, jitter) = (toward.map(|axis| axis / norm), rng.unit());
+                let (direction, jitter) = (toward.map(|axis| axis / norm), rng.unit_f32());
                 let [all, past] = [None, Some(&clearance)].map(|clearance| {
                     let mut samples = Samples::default();
                     let end = level.run(March {

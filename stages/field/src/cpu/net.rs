@@ -2,7 +2,7 @@
 
 use super::gemm::{After, Outer, Product};
 use super::simd::{Block, InstructionSet, LANES, Run, flat, flat_mut};
-use crate::rng::Rng;
+use marf_numeric::Rng;
 
 /// One layer. Both widths are multiples of 16.
 #[derive(Clone, Debug, PartialEq)]
@@ -81,7 +81,7 @@ impl Net {
         for layer in &mut self.layers {
             let limit = (6.0 / (layer.inputs + layer.outputs) as f32).sqrt();
             for weight in flat_mut(&mut layer.weights) {
-                *weight = limit * 2.0_f32.mul_add(rng.unit(), -1.0);
+                *weight = limit * 2.0_f32.mul_add(rng.unit_f32(), -1.0);
             }
             layer.refresh();
         }

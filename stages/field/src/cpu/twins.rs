@@ -7,11 +7,11 @@ use super::gemm::{After, Outer, Product};
 use super::march::{March, Samples, Steps};
 use super::simd::{Block, InstructionSet, Isa, Kernel, LANES, Plain, Run, Stripe, flat, flat_mut};
 use super::space::Bits;
-use crate::rng::{Purpose, Rng};
+use crate::rng::{Purpose, random_numbers};
 
 pub fn numbers(len: usize, stream: u64) -> Vec<f32> {
-    let mut rng = Rng::new(11, Purpose::Rays, 0, stream);
-    (0..len).map(|_| rng.unit() * 2.0 - 1.0).collect()
+    let mut rng = random_numbers(11, Purpose::Rays, 0, stream);
+    (0..len).map(|_| rng.unit_f32() * 2.0 - 1.0).collect()
 }
 
 pub fn blocks(len: usize, stream: u64) -> Vec<Block> {

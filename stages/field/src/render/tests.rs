@@ -11,7 +11,7 @@ use crate::cpu::simd::{InstructionSet, Run};
 use crate::cpu::space::Bits;
 use crate::frame::RayStart;
 use crate::model::Model;
-use crate::rng::{Purpose, Rng};
+use crate::rng::{Purpose, random_numbers};
 use crate::sh;
 use crate::shade::{Shade, Span};
 use crate::test_scene::{ball, ball_view, small, trained};
@@ -118,19 +118,19 @@ fn a_picture_stays_45_db_from_the_exact_one() {
 #[test]
 fn a_walk_near_matter_finds_what_a_walk_over_all_steps_finds() {
     let steps = Steps::new(0.05, 400.0, 0.02, 0.02);
-    let mut rng = Rng::new(5, Purpose::Rays, 0, 0);
+    let mut rng = random_numbers(5, Purpose::Rays, 0, 0);
     let (mut near_steps, mut rays) = (0, 0);
     for share in [0.0, 1e-4, 1e-3, 1e-2, 1.0] {
         let mut bits = Bits::new(32);
         for cell in 0..32_usize.pow(3) {
-            if rng.unit() < share {
+            if rng.unit_f32() < share {
                 bits.set(cell);
             }
         }
         let clearance = Clearance::new(&bits);
         for _ in 0..60 {
             let reach = [0.5, 3.0, 40.0][rng.below(3) as usize];
-            let mut number = |size: f32| size * (2.0 * rng.unit() - 1.0);
+            let mut number = |size: f32| size * (2.0 * rng.unit_f32() - 1.0);
             let origin = [0; 3].map(|_| number(reach));
             let middle = [0; 3].map(|_| number(1.0));
             let bundle: Vec<RayStart> = (0..5)

@@ -162,7 +162,7 @@ mod tests {
 
     use super::*;
     use crate::pixels::Pixels;
-    use crate::rng::{Purpose, Rng};
+    use crate::rng::{Purpose, random_numbers};
 
     const FOCAL_PX: f64 = 100.0;
 
@@ -194,7 +194,7 @@ mod tests {
     }
 
     fn noise(column: u32, row: u32) -> u8 {
-        Rng::new(1, Purpose::Thinning, column.into(), row.into()).below(256) as u8
+        random_numbers(1, Purpose::Thinning, column.into(), row.into()).below(256) as u8
     }
 
     #[test]

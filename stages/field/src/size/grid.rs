@@ -1,13 +1,13 @@
 //! Cells, levels and table of the grid.
 
-use marf_numeric::grouped;
+use marf_numeric::{grouped, upper_median};
 use nalgebra::Vector3;
 
 use super::choice::Choice;
 use crate::cpu::math::root;
 use crate::cpu::space::contract;
 use crate::distances::{Depths, SHARP};
-use crate::frame::{Frame, MOST_FINEST, percentile};
+use crate::frame::{Frame, MOST_FINEST};
 use crate::{Config, View};
 
 /// A level may have this many times the cells a side of the one below. The trilinear corners fill the octave.
@@ -65,8 +65,7 @@ fn finest_asked(
             ),
         ),
         Err(why) => {
-            let mut focals: Vec<f64> = views.iter().map(|view| view.camera.fx_px).collect();
-            let focal_px = percentile(&mut focals, 0.5);
+            let focal_px = upper_median(views.iter().map(|view| view.camera.fx_px)).unwrap_or_default();
             let depth = frame.depth / frame.half_side;
             let reason = format!(
                 "{why}: a pixel is {:.6} half sides wide at the distance {depth:.4} (focal length {focal_px:.0} px)",

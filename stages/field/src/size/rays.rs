@@ -1,9 +1,11 @@
 //! Where along a ray a field is looked at: from where, how far, in steps of what length.
 
+use marf_numeric::upper_median;
+
 use super::choice::Choice;
 use crate::config::MOST_HALVINGS;
 use crate::distances::Depths;
-use crate::frame::{FAR, percentile};
+use crate::frame::FAR;
 use crate::{Config, View};
 
 /// Distance of the first sample where nothing is known, half sides.
@@ -62,8 +64,7 @@ pub(super) fn halvings(config: &Config, views: &[View]) -> Choice<u32> {
     if let Some(halvings) = config.halvings {
         return Choice::said(halvings, "halvings");
     }
-    let mut focals: Vec<f64> = views.iter().map(|view| view.camera.fx_px).collect();
-    let focal_px = percentile(&mut focals, 0.5);
+    let focal_px = upper_median(views.iter().map(|view| view.camera.fx_px)).unwrap_or_default();
     let pixels = config.cone * focal_px;
     let length = |halvings: u32| pixels * 0.5_f64.powi(halvings as i32);
     let enough = (0..MOST_HALVINGS).find(|halvings| length(*halvings) <= PIXELS_A_STEP);

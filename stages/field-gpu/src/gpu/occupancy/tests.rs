@@ -2,7 +2,7 @@ use super::*;
 use crate::gpu::testing::gpu;
 use marf_field::cpu::math::exp;
 use marf_field::occupancy::Probe;
-use marf_field::rng::Rng;
+use marf_field::rng::random_numbers;
 use marf_shaders::counts;
 
 const SEED: u64 = 0xfedc_ba98_7654_3210;
@@ -13,7 +13,7 @@ const NEAR: f32 = 1e-5;
 
 /// Densities of all kinds, random bits.
 fn grid(side: u32, refill: Refill) -> Occupancy {
-    let mut rng = Rng::new(3, Purpose::Rays, 0, u64::from(side));
+    let mut rng = random_numbers(3, Purpose::Rays, 0, u64::from(side));
     let mut bits = Bits::new(side);
     let cells = (0..side.pow(3) as usize).map(|cell| {
         let kind = rng.below(8);
@@ -24,7 +24,7 @@ fn grid(side: u32, refill: Refill) -> Occupancy {
             0 | 1 => -1.0,
             2 => UNKNOWN,
             3 => 0.0,
-            _ => 0.5 * rng.unit(),
+            _ => 0.5 * rng.unit_f32(),
         }
     });
     let density = cells.collect();
@@ -37,8 +37,8 @@ fn grid(side: u32, refill: Refill) -> Occupancy {
 
 /// Raw densities of a pass, some of them no numbers.
 fn raw(capacity: usize, stream: u64) -> Vec<f32> {
-    let mut rng = Rng::new(4, Purpose::Rays, 1, stream);
-    let mut raw: Vec<f32> = (0..capacity).map(|_| 8.0 * rng.unit() - 4.0).collect();
+    let mut rng = random_numbers(4, Purpose::Rays, 1, stream);
+    let mut raw: Vec<f32> = (0..capacity).map(|_| 8.0 * rng.unit_f32() - 4.0).collect();
     let extremes = [
         f32::NAN,
         f32::INFINITY,
