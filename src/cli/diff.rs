@@ -1,7 +1,6 @@
 //! `marf diff`: what changed between two runs, node by node.
 
 use clap::Args;
-use marf_run::diff::RunNames;
 use marf_run::{Context, Error};
 
 use super::options::RecordArgs;
@@ -25,20 +24,15 @@ pub fn diff(args: DiffArgs, context: Context) -> Result<(), Error> {
     if args.record.json {
         return print_json(&diff);
     }
-    let names = RunNames {
-        first: format!("run {}", args.first),
-        second: format!("run {}", args.second),
-    };
+    let [first, second] = [args.first, args.second].map(|number| format!("run {number}"));
     for node in &diff.nodes {
-        print_line(&node.heading(&names));
+        print_line(&node.heading(&first, &second));
         print_lines(node.lines().iter().map(|line| format!("  {line}")));
     }
     print_line(&format!(
-        "{} of {} nodes differ between {} and {} (--json lists everything)",
+        "{} of {} nodes differ between {first} and {second} (--json lists everything)",
         diff.nodes.len(),
-        diff.of_nodes,
-        names.first,
-        names.second
+        diff.of_nodes
     ));
     Ok(())
 }

@@ -1,9 +1,8 @@
 use clap::Args;
-use marf_engine::{Extent, Needs, PlanState, PlannedNode};
+use marf_engine::{Extent, PlanState, PlannedNode};
 use marf_progress::format::{count, duration};
 use marf_run::plan::WhyRequest;
 use marf_run::{Context, Error};
-use serde::Serialize;
 
 use super::options::{PipelineArgs, SelectionArgs};
 use super::output::print_json;
@@ -36,35 +35,11 @@ pub struct WhyArgs {
     pipeline: PipelineArgs,
 }
 
-/// A node, as `--json` prints it.
-#[derive(Debug, Serialize)]
-struct Row<'a> {
-    node: &'a str,
-    reason: &'a str,
-    state: PlanState,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    extent: Option<Extent>,
-    needs: Needs,
-}
-
-impl<'a> Row<'a> {
-    fn new(planned: &'a PlannedNode) -> Self {
-        Self {
-            node: &planned.node,
-            reason: &planned.reason,
-            state: planned.state,
-            extent: planned.extent,
-            needs: planned.needs,
-        }
-    }
-}
-
 /// `marf plan`: the state of every node and the first thing that changed.
 pub fn plan(args: PlanArgs, context: Context) -> Result<(), Error> {
     let nodes = marf_run::plan::plan(&args.pipeline.context(context), &args.selection.into())?;
     if args.json {
-        let rows: Vec<Row<'_>> = nodes.iter().map(Row::new).collect();
-        return print_json(&rows);
+        return print_json(&nodes);
     }
     for node in &nodes {
         print_line(&line(node));

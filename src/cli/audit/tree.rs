@@ -8,7 +8,7 @@ use marf_progress::format::{count, duration, size};
 use marf_provenance::find::{Maker, Place};
 use marf_provenance::verify::Verified;
 use marf_run::audit::identity::Identity;
-use marf_run::audit::{AuditReport, Changed, Detail, Origin, ProductLine, Products, Step};
+use marf_run::audit::{AuditReport, Changed, Detail, Origin, Product, Products, Step};
 
 use super::{sentence, uses};
 
@@ -344,7 +344,7 @@ fn add_products(text: &mut Vec<String>, source: &Products, indent: &str) {
     let photos = count(source.photos as usize, "photo");
     line!(text, "{indent}{photos} of {}:", count(source.sols, "sol"));
     for product in &source.listed {
-        line!(text, "{indent}  {} of sol {}", product.id, product.sol);
+        line!(text, "{indent}  {} of sol {}", product.id, product.shard);
         for (role, digest) in &product.blobs {
             line!(
                 text,
@@ -362,8 +362,8 @@ fn add_products(text: &mut Vec<String>, source: &Products, indent: &str) {
 }
 
 /// Returns the origin of a blob of a product, as the end of a line. It is empty for a blob that was made here.
-fn file_of(product: &ProductLine, role: &str) -> String {
-    let Some(file) = product.files.get(role) else {
+fn file_of(product: &Product, role: &str) -> String {
+    let Some(file) = product.origins.get(role) else {
         return String::new();
     };
     let sha256 = file

@@ -28,14 +28,6 @@ pub enum RunError {
         /// Its key.
         key: Digest,
     },
-    /// A node has no output of this name.
-    #[error("`{node}` has no output `{output}`")]
-    NoOutput {
-        /// The node.
-        node: String,
-        /// The output.
-        output: String,
-    },
 }
 
 impl RunError {
@@ -44,7 +36,7 @@ impl RunError {
         match self {
             Self::Store(error) => error.lost().is_some(),
             Self::NoRecord { .. } => true,
-            Self::Run(_) | Self::Malformed { .. } | Self::NoOutput { .. } => false,
+            Self::Run(_) | Self::Malformed { .. } => false,
         }
     }
 }

@@ -7,6 +7,7 @@ use marf_cache::{
     manifest::{Leaf, LeafRef, Root},
 };
 use marf_stage::{Origin, PHOTOS};
+use serde::Serialize;
 
 use crate::error::RunError;
 
@@ -20,17 +21,20 @@ pub struct SourcePart {
 }
 
 /// A photo with its label, as it was read from an archive.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Product {
     /// The product id, or the name of the file.
     pub id: String,
     /// The sol that it was listed under, or 0 without one.
+    #[serde(rename = "sol")]
     pub shard: u32,
     /// Digests of its blobs by role: `image`, and where there are `raw`, `label`, `thumbnail`.
     pub blobs: BTreeMap<String, Digest>,
     /// What later stages know of it, as JSON (`marf_scene::PhotoFacts`).
+    #[serde(skip)]
     pub facts: serde_json::Value,
     /// The files that its blobs are, by role. A blob that was made of another has none.
+    #[serde(rename = "files")]
     pub origins: BTreeMap<String, Origin>,
 }
 

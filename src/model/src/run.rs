@@ -287,9 +287,9 @@ impl RunNode {
     /// An output that the node does not have.
     pub fn output(&self, name: &str) -> Result<Digest, RunError> {
         let output = self.run.outputs.get(name);
-        let output = output.ok_or_else(|| RunError::NoOutput {
-            node: self.run.name.clone(),
-            output: name.to_owned(),
+        let output = output.ok_or_else(|| RunError::Malformed {
+            what: format!("`{}`", self.run.name),
+            message: format!("it has no output `{name}`"),
         })?;
         Ok(output.digest)
     }

@@ -154,20 +154,6 @@ fn is_whole(store: &Store, run: &RunRecord) -> bool {
     nodes.is_some_and(|nodes| !nodes.is_empty() && nodes.keys().all(is_good))
 }
 
-/// Returns the runs that were made from a run, oldest first.
-///
-/// # Errors
-/// As [`newest`].
-pub fn attached(store: &Store, run: &RunRecord, warn: impl Fn(String)) -> Result<Vec<RunRecord>, RunError> {
-    let is_attached = |other: &RunRecord| match other.source {
-        RunSource::Derived { from, .. } => from.is_some() && from == run.root,
-        _ => false,
-    };
-    let mut runs = marf_engine::runs(store, warn)?;
-    runs.retain(is_attached);
-    Ok(runs)
-}
-
 /// Returns the newest wanted run for a purpose that was made from a run of the same pipeline. Where the run that it was made from is gone, the
 /// name of the pipeline decides.
 ///

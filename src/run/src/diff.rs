@@ -25,15 +25,6 @@ pub struct RunDiff {
     pub of_nodes: usize,
 }
 
-/// How two runs are called in a text.
-#[derive(Debug, Clone)]
-pub struct RunNames {
-    /// The first.
-    pub first: String,
-    /// The second.
-    pub second: String,
-}
-
 /// Compares two runs by their numbers.
 ///
 /// # Errors
@@ -116,8 +107,8 @@ fn pictures(store: &Store, diff: &NodeDiff) -> impl Iterator<Item = Picture> {
 pub const MOST: usize = 8;
 
 impl NodeChanges {
-    /// Returns the node and how much of it differs.
-    pub fn heading(&self, runs: &RunNames) -> String {
+    /// Returns the node and how much of it differs. `first` and `second` are what the runs are called.
+    pub fn heading(&self, first: &str, second: &str) -> String {
         let diff = &self.diff;
         let products = &diff.products;
         let counts = [
@@ -129,8 +120,8 @@ impl NodeChanges {
         let counts = counts.iter().filter(|(count, _)| *count > 0);
         let counts: Vec<String> = counts.map(|(count, what)| format!("{count} {what}")).collect();
         let what = match diff.presence {
-            Presence::First => format!("in {} alone", runs.first),
-            Presence::Second => format!("in {} alone", runs.second),
+            Presence::First => format!("in {first} alone"),
+            Presence::Second => format!("in {second} alone"),
             Presence::Both if counts.is_empty() => "the outputs are equal".to_owned(),
             Presence::Both => counts.join(", "),
         };

@@ -14,7 +14,7 @@ use marf_report::{ChangedNode, Changes, EmbeddedView, LinkedPage, LiveParts, Rep
 use serde_json::Value;
 
 use crate::context::Context;
-use crate::diff::{self, RunNames};
+use crate::diff;
 use crate::documents::{self, Documents};
 use crate::error::Error;
 use crate::report_memos::StoreMemos;
@@ -271,12 +271,9 @@ fn changes(
         Ok(run)
     };
     let nodes = diff::compare(&shown(before)?, &shown(record.clone())?, diff::MOST)?;
-    let runs = RunNames {
-        first: format!("run {since}"),
-        second: "this run".to_owned(),
-    };
+    let earlier = format!("run {since}");
     let changed = |node: &diff::NodeChanges| ChangedNode {
-        heading: node.heading(&runs),
+        heading: node.heading(&earlier, "this run"),
         lines: node.lines(),
     };
     Ok(Some(Changes {

@@ -5,24 +5,9 @@ use marf_cache::manifest::{Leaf, ManifestError, Root, Row};
 
 use crate::{Ctx, StageError};
 
-/// Why a set of photos cannot be read.
-enum SetError {
-    Stage(StageError),
-    Manifest(ManifestError),
-}
-
-impl From<ManifestError> for SetError {
+impl From<ManifestError> for StageError {
     fn from(error: ManifestError) -> Self {
-        Self::Manifest(error)
-    }
-}
-
-impl From<SetError> for StageError {
-    fn from(error: SetError) -> Self {
-        match error {
-            SetError::Stage(error) => error,
-            SetError::Manifest(error) => Self::new(format!("the set of photos: {error}")),
-        }
+        Self::new(format!("the set of photos: {error}"))
     }
 }
 
@@ -31,10 +16,10 @@ impl From<SetError> for StageError {
 /// # Errors
 /// A set that is lost or damaged.
 pub fn rows_of(ctx: &Ctx<'_>, set: &Digest) -> Result<Vec<(u32, Row)>, StageError> {
-    let root = Root::read(set, |digest| ctx.get(digest).map_err(SetError::Stage))?;
+    let root = Root::read(set, |digest| ctx.get(digest).map_err(StageError::from))?;
     let mut rows = Vec::new();
     for leaf in &root.leaves {
-        let read = Leaf::decode(&ctx.get(&leaf.leaf)?).map_err(SetError::Manifest)?;
+        let read = Leaf::decode(&ctx.get(&leaf.leaf)?)?;
         rows.extend(read.rows.into_iter().map(|row| (leaf.shard, row)));
     }
     Ok(rows)

@@ -112,11 +112,12 @@ fn a_step_its_products_and_their_changes_have_their_numbers() {
         node: "extract".to_owned(),
         photos: 5,
         sols: 2,
-        listed: vec![ProductLine {
+        listed: vec![Product {
             id: "A".to_owned(),
-            sol: 7,
+            shard: 7,
             blobs: [("image".to_owned(), digest())].into(),
-            files: Default::default(),
+            facts: json!({}),
+            origins: Default::default(),
         }],
         lost_sols: vec![9],
     };
@@ -132,11 +133,12 @@ fn a_step_its_products_and_their_changes_have_their_numbers() {
     let origin = |url: serde_json::Value| {
         let file = json!({"file": "A.png", "kind": "photo", "blake3": digest(), "bytes": 3000, "url": url,
                           "fetched": "2026-01-02T03:04:05Z"});
-        let line = ProductLine {
+        let line = Product {
             id: "A".to_owned(),
-            sol: 7,
+            shard: 7,
             blobs: [("image".to_owned(), digest())].into(),
-            files: [("image".to_owned(), serde_json::from_value(file).unwrap())].into(),
+            facts: json!({}),
+            origins: [("image".to_owned(), serde_json::from_value(file).unwrap())].into(),
         };
         file_of(&line, "image")
     };

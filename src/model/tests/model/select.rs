@@ -2,7 +2,7 @@ use std::collections::BTreeMap;
 
 use marf_cache::{Digest, Output, Store};
 use marf_engine::{NodeRun, NodeState, Outcome, Purpose, RUN_FORMAT, RunRecord, RunSource, document};
-use marf_model::select::{Selected, Subject, attached, newest, newest_derived, newest_whole, newest_with};
+use marf_model::select::{Selected, Subject, newest, newest_derived, newest_whole, newest_with};
 use proptest::prelude::*;
 
 use super::common::fresh_store;
@@ -148,11 +148,6 @@ fn what_is_made_from_a_run_is_attached_to_it_and_stands_for_nothing() {
         newest(&store, &Subject::Any, no_warning).unwrap().as_ref(),
         Some(&twin)
     );
-    assert_eq!(
-        attached(&store, &run, no_warning).unwrap(),
-        [export.clone(), trade.clone()]
-    );
-    assert_eq!(attached(&store, &twin, no_warning).unwrap(), []);
     let of = |run: &RunRecord, purpose: Purpose| {
         newest_derived(&store, run, purpose, no_warning, |_| true).unwrap()
     };

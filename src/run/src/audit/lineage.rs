@@ -116,23 +116,10 @@ pub struct Products {
     /// How many sols they are of.
     pub sols: usize,
     /// The first ones, or all.
-    pub listed: Vec<ProductLine>,
+    pub listed: Vec<Product>,
     /// Sols whose products are lost.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub lost_sols: Vec<u32>,
-}
-
-/// A product.
-#[derive(Debug, Serialize)]
-pub struct ProductLine {
-    /// Its id.
-    pub id: String,
-    /// Its sol.
-    pub sol: u32,
-    /// Digests of its blobs by role.
-    pub blobs: BTreeMap<String, Digest>,
-    /// The files of the archive that they are, by role.
-    pub files: BTreeMap<String, marf_stage::Origin>,
 }
 
 impl Origin {
@@ -260,18 +247,9 @@ fn read_by(store: &Store, source: &RunNode, most: usize) -> Result<Products, Run
             None => read.lost_sols.push(part.shard),
             Some(products) => {
                 let room = most - read.listed.len();
-                read.listed.extend(products.into_iter().take(room).map(line));
+                read.listed.extend(products.into_iter().take(room));
             }
         }
     }
     Ok(read)
-}
-
-fn line(product: Product) -> ProductLine {
-    ProductLine {
-        id: product.id,
-        sol: product.shard,
-        blobs: product.blobs,
-        files: product.origins,
-    }
 }

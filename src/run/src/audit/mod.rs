@@ -11,4 +11,5 @@ pub use changed::Changed;
 pub use file::{AuditReport, AuditRequest, audit, is_whole};
 pub use from::{ProductUses, uses};
 pub use in_crate::{CrateTrace, trace};
-pub use lineage::{Detail, Origin, PhotoCount, ProductLine, Products, Step, StepInput};
+pub use lineage::{Detail, Origin, PhotoCount, Products, Step, StepInput};
+pub use marf_model::product::Product;
