@@ -5,7 +5,7 @@ use marf_engine::document;
 use marf_progress::format::duration;
 use marf_run::fit::{FitRequest, FitScores, FitTime, JudgedAt};
 use marf_run::{Context, Error};
-use marf_schema::train::Target;
+use marf_schema::train::{Budget, Target};
 
 use super::options::{DeviceArg, FolderArgs};
 use super::output::print_json;
@@ -19,10 +19,10 @@ pub struct FitArgs {
     pub dir: PathBuf,
     /// Training times, e.g. `10s,60s,5m`, without decoding and scoring
     #[arg(long, value_name = "TIMES", default_value = "60s", value_delimiter = ',')]
-    pub budget: Vec<String>,
+    pub budget: Vec<Budget>,
     /// Total time instead, e.g. `5m`, for decoding, training, scoring and pictures, without folds
     #[arg(long, value_name = "TIME", conflicts_with = "budget")]
-    pub within: Option<String>,
+    pub within: Option<Budget>,
     /// Stop at this PSNR on validation photos, dB
     #[arg(long, value_name = "DB")]
     pub target: Option<f64>,
@@ -78,24 +78,25 @@ const NEXT: &str = "next: `marf view` shows the field in 3-D, `marf export mesh 
                     a pipeline for photos that change";
 
 fn print_scores(name: &str, scores: &FitScores) {
+    let (time, metrics) = (&scores.time, &scores.time.metrics);
     print_line(&format!(
         "{name:>6}  PSNR {:.2} dB  SSIM {:.3}  {} steps in {}, {:.2} M samples/s, {} in all, {} expected",
-        scores.psnr,
-        scores.ssim.unwrap_or(f64::NAN),
-        scores.steps,
-        duration(scores.seconds.train_seconds),
+        metrics.scores.psnr,
+        metrics.scores.ssim.unwrap_or(f64::NAN),
+        metrics.steps,
+        duration(time.seconds.train_seconds),
         scores.samples_per_s / 1e6,
-        duration(scores.seconds.seconds),
-        duration(scores.seconds.expected_seconds),
+        duration(time.seconds.seconds),
+        duration(time.seconds.expected_seconds),
     ));
     print_line(&format!(
         "        {}",
-        judged_text(&scores.judged, scores.views.len())
+        judged_text(&scores.judged, metrics.scores.views.len())
     ));
-    if let Some(target) = &scores.target {
-        print_line(&format!("        {}", target_text(target, scores.psnr)));
+    if let Some(target) = &metrics.target {
+        print_line(&format!("        {}", target_text(target, metrics.scores.psnr)));
     }
-    if let Some(folds) = &scores.folds {
+    if let Some(folds) = &time.folds {
         print_line(&format!(
             "        each of the {} photos judged by a field trained without it, {} of {} steps: PSNR {:.2} dB",
             folds.scores.views.len(),

@@ -11,14 +11,14 @@ mod photos;
 use std::path::PathBuf;
 use std::time::Instant;
 
-use clap::Args;
+use clap::{Args, ValueEnum};
 use marf_cache::Digest;
 use marf_engine::{Cancel, Options};
 use marf_field::{Config, DepthSource, Device, OpenSizes, Overrides, Pilot, Trainer, steps_in};
 use marf_run::execute::{execute, options};
 use marf_run::folder::PhotoFolder;
 use marf_run::session::{Session, node_named};
-use marf_run::{Error, budget, files};
+use marf_run::{Error, files};
 use marf_scene::{Scene, encode_png, metrics};
 use marf_schema::calibrate::CalibrateParams;
 use marf_schema::output;
@@ -46,17 +46,30 @@ pub struct TrainArgs {
         long,
         value_name = "SECONDS",
         default_value = "10,60,300",
-        value_delimiter = ','
+        value_delimiter = ',',
+        value_parser = clap::value_parser!(u32).range(1..)
     )]
-    seconds: Vec<String>,
+    seconds: Vec<u32>,
     /// Steps instead of seconds, ascending: the same weights every time, to compare keys of the field
     #[arg(long, value_name = "STEPS", value_delimiter = ',', conflicts_with = "seconds")]
     steps: Vec<u64>,
     /// Folder for `<seconds>s/<name>.png` or `<steps>steps/<name>.png`
     #[arg(long, value_name = "DIR", default_value = "bench")]
     out: PathBuf,
+    /// What counts as time
+    #[arg(long, value_enum, default_value_t = Clock::Wall)]
+    clock: Clock,
     #[command(flatten)]
     options: TrainingOptions,
+}
+
+/// Clocks of `train`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Clock {
+    /// Wall clock
+    Wall,
+    /// Processor time over the number of threads, for a machine that does other work too
+    Cpu,
 }
 
 /// Keys of `train` that count. The seconds come from the command line.
@@ -74,7 +87,7 @@ struct Keys {
 /// # Errors
 /// A folder without photos or cameras, keys that do not count here, a device that fails, the wish to stop.
 pub fn train(args: &TrainArgs, cancel: &Cancel) -> Result {
-    let budgets = budgets(args)?;
+    let budgets = budgets(args);
     let context = args.options.context(cancel);
     let session = Session::implicit(
         &context,
@@ -98,6 +111,7 @@ pub fn train(args: &TrainArgs, cancel: &Cancel) -> Result {
         args,
         cancel,
         keys,
+        threads: pool.current_num_threads(),
         photos,
         points: scene.points.iter().map(|point| point.position).collect(),
     };
@@ -106,18 +120,16 @@ pub fn train(args: &TrainArgs, cancel: &Cancel) -> Result {
     Ok(())
 }
 
-fn budgets(args: &TrainArgs) -> Result<Vec<Budget>> {
+fn budgets(args: &TrainArgs) -> Vec<Budget> {
     let mut budgets = Vec::new();
     if args.steps.is_empty() {
-        for text in &args.seconds {
-            budgets.push(Budget::Seconds(budget::whole_seconds(text)?));
-        }
+        budgets.extend(args.seconds.iter().copied().map(Budget::Seconds));
     } else {
         budgets.extend(args.steps.iter().map(|steps| Budget::Steps((*steps).max(1))));
     }
     budgets.sort_unstable();
     budgets.dedup();
-    Ok(budgets)
+    budgets
 }
 
 fn keys(session: &Session) -> Result<Keys> {
@@ -145,6 +157,7 @@ struct Bench<'a> {
     args: &'a TrainArgs,
     cancel: &'a Cancel,
     keys: Keys,
+    threads: usize,
     photos: Photos,
     points: Vec<[f64; 3]>,
 }
@@ -218,10 +231,10 @@ impl Bench<'_> {
             let most = match budget {
                 Budget::Seconds(seconds) => {
                     let left_s = f64::from(seconds) - used_s;
-                    if trainer.steps() > 0 && effort.wall_s >= left_s {
+                    if trainer.steps() > 0 && self.seconds(&effort) >= left_s {
                         break;
                     }
-                    let share = effort.wall_s / left_s.max(f64::MIN_POSITIVE);
+                    let share = self.seconds(&effort) / left_s.max(f64::MIN_POSITIVE);
                     if share >= planned {
                         trainer.plan((trainer.steps() as f64 / share) as u64);
                         planned += PLANNED_EVERY;
@@ -238,6 +251,13 @@ impl Bench<'_> {
         let last = effort.timed(|| trainer.settle())?;
         effort.add(&last);
         Ok((trainer, effort))
+    }
+
+    fn seconds(&self, effort: &Effort) -> f64 {
+        match self.args.clock {
+            Clock::Wall => effort.wall_s,
+            Clock::Cpu => effort.cpu_s / self.threads as f64,
+        }
     }
 
     /// Renders and scores the test views as of now.
@@ -260,17 +280,18 @@ impl Bench<'_> {
             ssim.extend(metrics::ssim(&render, &test.photo, &[]));
             files::write(&folder.join(format!("{}.png", test.name)), &encode_png(&render)?)?;
         }
+        let clock = self.seconds(effort);
         Ok(Line {
             budget,
-            clock: effort.wall_s,
+            clock,
             paced_s: 0.0,
             cpu_s: effort.cpu_s,
             steps: trainer.steps(),
             batch_samples: field.config().batch_samples,
             log2_table: field.facts().sizes.log2_table.value,
             checkpoint: Digest::from_content(&trainer.save()?),
-            rays_per_s: effort.rays as f64 / effort.wall_s,
-            samples_per_s: effort.samples as f64 / effort.wall_s,
+            rays_per_s: effort.rays as f64 / clock,
+            samples_per_s: effort.samples as f64 / clock,
             rss_mb: peak_mb(),
             psnr: mean(&psnr).unwrap_or_default(),
             psnr_paper: mean(&paper),

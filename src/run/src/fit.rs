@@ -9,8 +9,7 @@ use marf_scene::{Photo, encode_png, picture::side_by_side};
 use marf_schema::calibrate::{self, CalibrateParams};
 use marf_schema::folds::{self, FoldsParams};
 use marf_schema::output;
-use marf_schema::scores::PhotoScores;
-use marf_schema::train::{Metrics, Target, TrainParams};
+use marf_schema::train::{Budget, Metrics, TrainParams};
 use marf_stage::Params;
 use serde::Serialize;
 
@@ -21,7 +20,7 @@ use crate::execute::{Extras, execute_with, options};
 use crate::folder::{self, PhotoFolder};
 use crate::live_report::LiveReport;
 use crate::session::{Session, node_named};
-use crate::{budget, files, outputs, report};
+use crate::{files, outputs, report};
 
 /// Folder of the pictures of a time that show a photo and its render.
 const COMPARED: &str = "compared";
@@ -51,23 +50,25 @@ pub struct FitRequest {
 #[derive(Debug, Clone)]
 pub enum FitTime {
     /// Trials and steps, each time on its own.
-    Budgets(Vec<String>),
+    Budgets(Vec<Budget>),
     /// The whole wait.
-    Within(String),
+    Within(Budget),
 }
 
 /// What metrics.json holds of one time.
 #[derive(Debug, Clone, Serialize)]
-struct TimeMetrics {
+pub struct TimeMetrics {
     /// Key of the training, by which other runs have it too.
-    key: Digest,
+    pub key: Digest,
+    /// How long it took.
     #[serde(flatten)]
-    seconds: Seconds,
+    pub seconds: Seconds,
+    /// The metrics of the training.
     #[serde(flatten)]
-    metrics: Metrics,
+    pub metrics: Metrics,
     /// A scene of few photos, judged on all of them.
     #[serde(skip_serializing_if = "Option::is_none")]
-    folds: Option<folds::Judged>,
+    pub folds: Option<folds::Judged>,
 }
 
 /// How long a training took when it was made.
@@ -99,50 +100,33 @@ pub struct JudgedAt {
 /// Scores of one time, with the time and memory that it took on this machine.
 #[derive(Debug, Serialize)]
 pub struct FitScores {
-    /// Mean PSNR of the held-out photos, dB.
-    pub psnr: f64,
-    /// The same as the paper computes it.
-    pub psnr_paper: Option<f64>,
-    /// Mean SSIM of the held-out photos.
-    pub ssim: Option<f64>,
-    /// Optimiser steps.
-    pub steps: u64,
+    /// What metrics.json holds of it.
+    #[serde(flatten)]
+    pub time: TimeMetrics,
     /// Rays a second.
     pub rays_per_s: f64,
     /// Samples a second.
     pub samples_per_s: f64,
-    /// How long it took.
-    #[serde(flatten)]
-    pub seconds: Seconds,
     /// Largest memory, MB.
     pub peak_mb: u64,
-    /// How the target went, if there was one.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub target: Option<Target>,
     /// At which size photos were judged, and where they are next to their renders.
     pub judged: JudgedAt,
-    /// Scores by photo.
-    pub views: Vec<PhotoScores>,
-    /// A scene of few photos, judged on all of them.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub folds: Option<folds::Judged>,
 }
 
 /// Trains for each time and renders the held-out views. The times follow one after the other, so that each has the whole machine.
 ///
 /// # Errors
-/// A time that is not valid, a folder that cannot be read or written, a run that fails.
+/// A folder that cannot be read or written, a run that fails.
 pub fn fit(context: &Context, request: &FitRequest) -> Result<BTreeMap<String, FitScores>, Error> {
     let times = match &request.time {
         FitTime::Budgets(budgets) => budgets.as_slice(),
         FitTime::Within(within) => std::slice::from_ref(within),
     };
-    let times = times.iter().map(|text| budget::whole_seconds(text));
     let photos = PhotoFolder::new(&request.dir)?;
     let (mut fitted, mut scores) = (BTreeMap::new(), BTreeMap::new());
-    for seconds in times.collect::<Result<Vec<_>, _>>()? {
-        let name = format!("{seconds}s");
-        let session = Session::implicit(context, &pipeline(&photos, request, seconds), "fit", &request.dir)?;
+    for time in times {
+        let name = time.to_string();
+        let session = Session::implicit(context, &pipeline(&photos, request, *time), "fit", &request.dir)?;
         let live = LiveReport::new(&session, &request.out);
         let extras = Extras {
             documents: &|record| documents(&session, record, &name, &fitted),
@@ -164,13 +148,14 @@ pub fn fit(context: &Context, request: &FitRequest) -> Result<BTreeMap<String, F
         ));
         write(&session.store, &record, &request.out, &name)?;
         let folder = request.out.join(&name).join(COMPARED);
-        scores.insert(name.clone(), scores_of(&session, &record, folder)?);
-        fitted.insert(name, metrics_of(&session, &record)?);
+        let metrics = metrics_of(&session, &record)?;
+        scores.insert(name.clone(), scores_of(&session, &record, &metrics, folder)?);
+        fitted.insert(name, metrics);
     }
     Ok(scores)
 }
 
-fn pipeline(photos: &PhotoFolder, request: &FitRequest, seconds: u32) -> String {
+fn pipeline(photos: &PhotoFolder, request: &FitRequest, time: Budget) -> String {
     let memory = request.memory.as_ref().map_or_else(String::new, |size| {
         format!("memory = {}\n", toml::Value::String(size.clone()))
     });
@@ -188,7 +173,7 @@ fn pipeline(photos: &PhotoFolder, request: &FitRequest, seconds: u32) -> String 
         format!("[node.bootstrap]\ninput = \"calibrate\"\ntraining = \"train\"\nb = {count}\n")
     });
     format!(
-        "{}{length} = \"{seconds}s\"\nseed = {}\nfit = \"{}\"\n{memory}{target}{folds}{bootstrap}",
+        "{}{length} = \"{time}\"\nseed = {}\nfit = \"{}\"\n{memory}{target}{folds}{bootstrap}",
         photos.training("fit"),
         request.seed,
         request.fit
@@ -274,38 +259,32 @@ fn write_compared(store: &Store, node: &NodeRun, folder: &Path) -> Result<BTreeS
 }
 
 /// Returns the scores of a training with the time and memory that it took on this machine. Photos and renders go into the folder.
-fn scores_of(session: &Session, record: &RunRecord, folder: PathBuf) -> Result<FitScores, Error> {
+fn scores_of(
+    session: &Session,
+    record: &RunRecord,
+    time: &TimeMetrics,
+    folder: PathBuf,
+) -> Result<FitScores, Error> {
     let node = node_named(record, TrainParams::STAGE)?;
-    let metrics: Metrics = session.document(node)?;
-    let made = node.key.and_then(|key| session.store.record(&key).ok().flatten());
-    let peak_mb = made.map_or(0, |record| record.metadata.peak_mb);
-    let seconds = seconds_of(session, node);
-    let rate = |count: u64| count as f64 / seconds.train_seconds.max(1e-9);
+    let metrics = &time.metrics;
+    let rate = |count: u64| count as f64 / time.seconds.train_seconds.max(1e-9);
     Ok(FitScores {
-        psnr: metrics.scores.psnr,
-        psnr_paper: metrics.scores.psnr_paper,
-        ssim: metrics.scores.ssim,
-        steps: metrics.steps,
         rays_per_s: rate(metrics.rays),
         samples_per_s: rate(metrics.samples),
-        seconds,
-        peak_mb,
-        target: metrics.target,
+        peak_mb: session.metadata(node).map_or(0, |made| made.peak_mb),
         judged: JudgedAt {
             held_out_photos: metrics.held_out_photos,
             scale: metrics.judged_scale.unwrap_or(metrics.scale),
             sizes_px: write_compared(&session.store, node, &folder)?,
             pictures: folder,
         },
-        views: metrics.scores.views,
-        folds: folds_of(session, record)?,
+        time: time.clone(),
     })
 }
 
 /// Returns the times of a training when it was computed. Parts are 0 if an earlier version computed it and stored no times of parts.
 fn seconds_of(session: &Session, node: &NodeRun) -> Seconds {
-    let record = node.key.and_then(|key| session.store.record(&key).ok().flatten());
-    let parts = record.map(|record| record.metadata.parts_s).unwrap_or_default();
+    let parts = session.metadata(node).unwrap_or_default().parts_s;
     let part = |name: &str| parts.get(name).copied().unwrap_or_default();
     Seconds {
         train_seconds: part("training"),

@@ -5,7 +5,6 @@
 pub mod archive;
 pub mod audit;
 mod batch_system;
-pub mod budget;
 pub mod cache;
 pub mod calibrate;
 pub mod choice;

@@ -1,20 +1,14 @@
 use std::{fmt, str::FromStr, time::Duration};
 
-use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Training time, written as `60s`, `5m`, `1.5h` or `800ms`: whole milliseconds, above zero.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(try_from = "String", into = "String")]
+#[schemars(with = "String", extend("pattern" = "^[0-9.]+ *(ms|s|m|min|h)$"))]
 pub struct Budget {
     milliseconds: u64,
-}
-
-/// A text that is not a budget.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("`{text}` is not a time: write `60s`, `5m`, `1h` or `800ms`")]
-pub struct ParseBudgetError {
-    text: String,
 }
 
 impl Budget {
@@ -33,12 +27,10 @@ impl Budget {
 }
 
 impl FromStr for Budget {
-    type Err = ParseBudgetError;
+    type Err = String;
 
     fn from_str(text: &str) -> Result<Self, Self::Err> {
-        let fail = || ParseBudgetError {
-            text: text.to_owned(),
-        };
+        let fail = || format!("`{text}` is not a time: write `60s`, `5m`, `1h` or `800ms`");
         let trimmed = text.trim();
         let unit_at = trimmed
             .find(|letter: char| !(letter.is_ascii_digit() || letter == '.'))
@@ -72,7 +64,7 @@ impl fmt::Display for Budget {
 }
 
 impl TryFrom<String> for Budget {
-    type Error = ParseBudgetError;
+    type Error = String;
 
     fn try_from(text: String) -> Result<Self, Self::Error> {
         text.parse()
@@ -82,20 +74,6 @@ impl TryFrom<String> for Budget {
 impl From<Budget> for String {
     fn from(budget: Budget) -> Self {
         budget.to_string()
-    }
-}
-
-impl JsonSchema for Budget {
-    fn schema_name() -> std::borrow::Cow<'static, str> {
-        "Budget".into()
-    }
-
-    fn json_schema(_: &mut SchemaGenerator) -> Schema {
-        json_schema!({
-            "type": "string",
-            "pattern": "^[0-9.]+ *(ms|s|m|min|h)$",
-            "description": "A time to train for: `60s`, `5m`, `1.5h`, `800ms`."
-        })
     }
 }
 
@@ -137,7 +115,7 @@ mod tests {
             "99999999h",
             "NaNs",
         ] {
-            let error = text.parse::<Budget>().unwrap_err().to_string();
+            let error = text.parse::<Budget>().unwrap_err();
             assert!(
                 error.contains(&format!("`{text}`")) && error.contains("`60s`"),
                 "{error}"

@@ -1,23 +1,16 @@
 use std::{fmt, str::FromStr};
 
-use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Memory that a training may take, written as `2GB` or `800MB`: whole megabytes of 10^6 bytes.
-///
-/// An absolute number instead of a share of the machine's memory, as it decides which pixels of the photos
-/// are kept.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+// An absolute number instead of a share of the machine's memory, as it decides which pixels of the photos
+// are kept.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(try_from = "String", into = "String")]
+#[schemars(with = "String", extend("pattern" = "^[0-9.]+ *(MB|GB)$"))]
 pub struct Memory {
     megabytes: u64,
-}
-
-/// A text that is not an amount of memory.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("`{text}` is not an amount of memory: write `2GB` or `800MB`, from 1MB to 1000000GB")]
-pub struct ParseMemoryError {
-    text: String,
 }
 
 impl Default for Memory {
@@ -34,12 +27,11 @@ impl Memory {
 }
 
 impl FromStr for Memory {
-    type Err = ParseMemoryError;
+    type Err = String;
 
     fn from_str(text: &str) -> Result<Self, Self::Err> {
-        let fail = || ParseMemoryError {
-            text: text.to_owned(),
-        };
+        let fail =
+            || format!("`{text}` is not an amount of memory: write `2GB` or `800MB`, from 1MB to 1000000GB");
         let trimmed = text.trim();
         let scaled = |unit: &str, scale: f64| Some((trimmed.strip_suffix(unit)?, scale));
         let (number, scale) = scaled("GB", 1e3).or_else(|| scaled("MB", 1.0)).ok_or_else(fail)?;
@@ -64,7 +56,7 @@ impl fmt::Display for Memory {
 }
 
 impl TryFrom<String> for Memory {
-    type Error = ParseMemoryError;
+    type Error = String;
 
     fn try_from(text: String) -> Result<Self, Self::Error> {
         text.parse()
@@ -74,20 +66,6 @@ impl TryFrom<String> for Memory {
 impl From<Memory> for String {
     fn from(memory: Memory) -> Self {
         memory.to_string()
-    }
-}
-
-impl JsonSchema for Memory {
-    fn schema_name() -> std::borrow::Cow<'static, str> {
-        "Memory".into()
-    }
-
-    fn json_schema(_: &mut SchemaGenerator) -> Schema {
-        json_schema!({
-            "type": "string",
-            "pattern": "^[0-9.]+ *(MB|GB)$",
-            "description": "Memory that a training may take: `2GB`, `800MB`."
-        })
     }
 }
 
@@ -114,7 +92,7 @@ mod tests {
         for text in [
             "", "2", "GB", "-1GB", "0MB", "2TB", "nanGB", "infGB", "9e9GB", "2 gigs",
         ] {
-            let error = text.parse::<Memory>().unwrap_err().to_string();
+            let error = text.parse::<Memory>().unwrap_err();
             assert!(
                 error.contains(&format!("`{text}`")) && error.contains("`2GB`"),
                 "{error}"

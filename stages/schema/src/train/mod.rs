@@ -10,8 +10,8 @@ use serde::{Deserialize, Serialize};
 use crate::check::{check_field, check_scale, check_share, check_steps};
 
 pub use crate::{
-    budget::{Budget, ParseBudgetError},
-    memory::{Memory, ParseMemoryError},
+    budget::Budget,
+    memory::Memory,
     target::{Forecast, Target},
 };
 pub use metrics::{Curve, CurvePoint, Metrics, OnTraining, Setup, WarmStart};
