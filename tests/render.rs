@@ -157,23 +157,16 @@ fn the_poses_of_one_render_are_the_bookmarks_of_the_next() {
         (&json!(4), &json!(20))
     );
     assert!(dir.join("b/video.mp4").exists());
-    let of_file = [
-        "--field",
-        "out/train/weights.safetensors",
-        "--path",
-        "a/poses.json",
-        "--out",
-        "c",
-    ];
-    let same = render(dir, &of_file).exits(0);
+    let copied = ["--path", "a/poses.json", "--out", "c"];
+    let same = render(dir, &copied).exits(0);
     assert_eq!(
         same.done(),
         Vec::<&str>::new(),
-        "the field of the file is that of the node"
+        "another folder gets the same pictures"
     );
     // The last run has rendered colours alone. An earlier one has the bootstrap of this field.
     let more = ["--output", "uncertainty", "--width", "16"];
-    render(dir, &[&of_file[..], &more].concat()).exits(0);
+    render(dir, &[&copied[..], &more].concat()).exits(0);
     assert!(dir.join("c/uncertainty/0003.png").exists() && !dir.join("c/rgb/0003.png").exists());
 }
 
@@ -181,7 +174,6 @@ fn the_poses_of_one_render_are_the_bookmarks_of_the_next() {
 fn what_cannot_be_rendered_is_one_error_with_the_way_out() {
     let dir = bootstrapped();
     std::fs::write(dir.join("empty.json"), "[]").unwrap();
-    std::fs::write(dir.join("strange.safetensors"), "x").unwrap();
     let refused = |args: &[&str], word: &str| {
         let ran = marf(dir, &[&["render", "--out", "refused"], args].concat()).exits(2);
         assert!(ran.stderr.contains(word), "{args:?}: {}", ran.stderr);
@@ -189,10 +181,9 @@ fn what_cannot_be_rendered_is_one_error_with_the_way_out() {
     refused(&["--path", "orbti"], "did you mean `orbit`?");
     refused(&["--path", "empty.json"], "it holds no bookmark");
     refused(&["--output", "normals"], "`rgb`, `depth`, `uncertainty`");
-    refused(&["--width", "0"], "at least 1");
+    refused(&["--width", "0"], "0 is not within 1 to 4096");
     refused(&["--scale", "0"], "Take a factor above 0");
     refused(&["--quantizer", "60"], "12 to 51");
-    refused(&["--field", "strange.safetensors"], "gave this field");
     refused(&["blur"], "`blur` of run 2 gives no trained field");
     refused(
         &["--path", "nowhere.json"],

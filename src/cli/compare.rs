@@ -8,6 +8,7 @@ use marf_progress::format::count;
 use marf_run::compare::{CompareRequest, REPORT};
 use marf_run::{Context, Diagnostic, Error};
 use marf_schema::changes::{Change, ChangesParams, ChangesReport};
+use marf_stage::Sols;
 
 use super::options::{ResultArgs, word};
 use super::output::print_json;
@@ -24,8 +25,8 @@ pub struct CompareArgs {
     #[arg(value_name = "SCENE")]
     pub scene: Option<String>,
     /// Sols of the earlier photos, then those of the later photos: `--sols 1..=2 --sols 8..=9`
-    #[arg(long, value_name = "SOLS", required = true)]
-    pub sols: Vec<String>,
+    #[arg(long, value_name = "SOLS", required = true, value_parser = Sols::parse)]
+    pub sols: Vec<Sols>,
     /// Folder to write
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
@@ -65,14 +66,17 @@ pub fn compare(args: CompareArgs, context: Context) -> Result<(), Error> {
     };
     let request = CompareRequest {
         scene: args.scene,
-        before: before.clone(),
-        after: after.clone(),
         out: args.out,
         run: args.run,
-        quality: args.quality,
-        steps: args.steps,
-        members: args.members,
-        cell: args.cell,
+        params: ChangesParams {
+            before: before.clone(),
+            after: after.clone(),
+            b: args.members,
+            quality: args.quality,
+            steps: args.steps,
+            cell: args.cell,
+            ..ChangesParams::default()
+        },
     };
     let result = marf_run::compare::compare(&args.results.context(context), &request)?;
     if args.results.json {

@@ -20,9 +20,6 @@ pub struct RenderArgs {
     /// Node with a trained field
     #[arg(value_name = "NODE", default_value = "train")]
     pub node: String,
-    /// File of a field that a run of the store wrote, e.g. out/train/weights.safetensors
-    #[arg(long, value_name = "FILE", conflicts_with = "node")]
-    pub field: Option<PathBuf>,
     /// Number of the run [default: the newest one that has the node]
     #[arg(long, value_name = "NUMBER")]
     pub run: Option<u64>,
@@ -74,7 +71,6 @@ pub struct SizeArgs {
 pub fn render(args: RenderArgs, context: Context) -> Result<(), Error> {
     let request = RenderRequest {
         node: args.node,
-        field: args.field,
         run: args.run,
         path: args.path,
         outputs: args.output,

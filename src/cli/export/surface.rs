@@ -6,7 +6,7 @@ use clap::Args;
 use marf_progress::format::{count, number};
 use marf_run::export::{SurfaceKind, SurfaceRequest, export_surface};
 use marf_run::{Context, Error};
-use marf_schema::surface::{ColorBy, SplatPsnr, SplatReport, SpreadOf, SurfaceReport};
+use marf_schema::surface::{ColorBy, SplatPsnr, SplatReport, SpreadOf, SurfaceParams, SurfaceReport};
 
 use crate::cli::options::{ResultArgs, word};
 use crate::cli::output::print_json;
@@ -18,9 +18,6 @@ pub struct SurfaceArgs {
     /// Node with a trained field
     #[arg(value_name = "NODE", default_value = "train")]
     pub node: String,
-    /// File of a field that a run of the store wrote, e.g. out/train/weights.safetensors
-    #[arg(long, value_name = "FILE", conflicts_with = "node")]
-    pub field: Option<PathBuf>,
     /// File or folder to write
     #[arg(long, value_name = "PATH")]
     pub out: PathBuf,
@@ -65,18 +62,27 @@ impl SurfaceArgs {
     /// # Errors
     /// Those of [`export_surface`].
     pub fn export(self, kind: SurfaceKind, pictures: Option<PathBuf>, context: Context) -> Result<(), Error> {
+        // Splats are for looking at, not for measuring, so one photo is enough.
+        let least_photos = self.least_photos.unwrap_or(match kind {
+            SurfaceKind::Splats => 1,
+            _ => SurfaceParams::default().least_photos,
+        });
         let request = SurfaceRequest {
             kind,
             node: self.node,
-            field: self.field,
             out: self.out,
             run: self.run,
-            cell: self.cell,
-            reach: self.reach,
-            least_photos: self.least_photos,
-            most_spread: self.most_spread,
-            color: self.color,
-            map_cell: self.map_cell,
+            params: SurfaceParams {
+                cell: self.cell,
+                reach: self.reach,
+                least_photos,
+                most_spread: self.most_spread,
+                color: self.color,
+                map_cell: self.map_cell,
+                depth: kind == SurfaceKind::Depth,
+                splats: kind == SurfaceKind::Splats,
+                ..SurfaceParams::default()
+            },
             pictures,
         };
         let result = export_surface(&self.results.context(context), &request)?;

@@ -87,16 +87,6 @@ impl<'a> RunChoice<'a> {
         })
     }
 
-    /// Returns the runs of any pipeline, or the one of a number.
-    pub fn any(context: &'a Context, store: &'a Store, number: Option<u64>) -> Self {
-        Self {
-            context,
-            store,
-            subject: Subject::Any,
-            number,
-        }
-    }
-
     /// Returns the newest run for which `has` is true, or the run of the number. `without` is the error of a run for which it is false.
     /// Derived runs are only chosen by their number.
     ///

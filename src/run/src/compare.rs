@@ -1,24 +1,23 @@
 //! Changes at a place between two times.
 
-use std::collections::BTreeSet;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use marf_cache::Digest;
 use marf_config::scenes::scene_of;
 use marf_engine::{NodeRun, Purpose, RunRecord};
-use marf_field::Quality;
 use marf_schema::calibrate;
 use marf_schema::changes::{ChangesParams, ChangesReport};
 use marf_schema::output::CHANGE_MAPS;
-use marf_stage::{Document, Params};
+use marf_stage::Document;
 use serde::Serialize;
-use serde_json::{Map, Value, json};
+use serde_json::{Value, json};
 
 use crate::choice::RunChoice;
 use crate::context::Context;
-use crate::derived::{AddedNode, DerivedRun, run_nodes};
+use crate::derived::{AddedNode, DerivedRun, run_nodes, table_of};
 use crate::error::{Diagnostic, Error};
-use crate::export_table::ExportTable;
+use crate::outputs;
 use crate::session::{Session, digest, node_named};
 
 /// The report among the files.
@@ -29,22 +28,12 @@ pub const REPORT: &str = "changes.json";
 pub struct CompareRequest {
     /// The scene, where the photos are split by place.
     pub scene: Option<String>,
-    /// Sols of the earlier photos.
-    pub before: String,
-    /// Sols of the later photos.
-    pub after: String,
     /// Folder to write.
     pub out: PathBuf,
     /// Number of the run. None for the last one that has the scene.
     pub run: Option<u64>,
-    /// How much time a training may take.
-    pub quality: Quality,
-    /// Optimiser steps of a training, instead of those of its quality.
-    pub steps: Option<u64>,
-    /// Trainings of each time, at least 2.
-    pub members: u32,
-    /// Width of a cell of the map, metres. None for as fine as the photos allow.
-    pub cell: Option<f64>,
+    /// The two times, and how they are compared.
+    pub params: ChangesParams,
 }
 
 /// The changes, and the files that show them.
@@ -138,38 +127,23 @@ fn table(request: &CompareRequest, calibrated: &NodeRun) -> Result<Value, Error>
         Some(part) => format!("{}/{part}", edge.upstream),
         None => edge.upstream.clone(),
     };
-    let mut table = Map::from_iter([
-        ("uses".to_owned(), json!(ChangesParams::STAGE)),
-        ("input".to_owned(), json!(calibrated.name)),
-        ("photos".to_owned(), json!(photos)),
-        ("before".to_owned(), json!(request.before)),
-        ("after".to_owned(), json!(request.after)),
-        ("quality".to_owned(), json!(request.quality)),
-        ("b".to_owned(), json!(request.members)),
-    ]);
-    table.extend(request.steps.map(|steps| ("steps".to_owned(), json!(steps))));
-    table.extend(request.cell.map(|cell| ("cell".to_owned(), json!(cell))));
+    let mut table = table_of(&request.params)?;
+    table.insert("input".to_owned(), json!(calibrated.name));
+    table.insert("photos".to_owned(), json!(photos));
     Ok(Value::Object(table))
 }
 
 fn write(session: &Session, record: &RunRecord, node: &NodeRun, out: &Path) -> Result<Vec<PathBuf>, Error> {
-    let mut table = ExportTable::load(&session.store, out, record.root);
-    let written = write_all(session, &mut table, node);
-    table.save();
-    Ok(written?.into_iter().map(|file| out.join(file)).collect())
-}
-
-fn write_all(session: &Session, table: &mut ExportTable, node: &NodeRun) -> Result<BTreeSet<PathBuf>, Error> {
-    let mut files: Vec<(PathBuf, Digest)> =
-        vec![(PathBuf::from(REPORT), digest(node, ChangesReport::OUTPUT)?)];
-    let maps = node.outputs.iter().filter_map(|(name, output)| {
-        let file = name.strip_prefix(CHANGE_MAPS)?;
-        Some((PathBuf::from(file), output.digest))
-    });
-    files.extend(maps);
-    for (file, digest) in &files {
+    let outputs = node.outputs.iter();
+    let maps = outputs.filter_map(|(name, output)| Some((name.strip_prefix(CHANGE_MAPS)?, output.digest)));
+    let mut files: BTreeMap<&str, Digest> = maps.collect();
+    files.insert(REPORT, digest(node, ChangesReport::OUTPUT)?);
+    let mut written = Vec::new();
+    for (file, digest) in files {
         session.check()?;
-        table.write(file, digest, || Ok::<_, Error>(session.store.get(digest)?))?;
+        let path = out.join(file);
+        outputs::one(&session.store, record, &digest, &path)?;
+        written.push(path);
     }
-    Ok(files.into_iter().map(|(file, _)| file).collect())
+    Ok(written)
 }

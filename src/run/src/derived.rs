@@ -7,7 +7,8 @@ use marf_config::{GlobalOptions, PipelineDocument, check_tree};
 use marf_engine::{NodeRun, Options, Purpose, RunRecord, RunSource, action_at, differences};
 use marf_model::Run;
 use marf_provenance::replay::recorded;
-use serde_json::{Value, json};
+use marf_stage::Params;
+use serde_json::{Map, Value, json};
 
 use crate::context::Context;
 use crate::documents::resolved;
@@ -22,6 +23,24 @@ pub struct AddedNode {
     pub name: String,
     /// Its table, as pipeline.toml would have it.
     pub table: Value,
+}
+
+/// Returns the table of a node with these parameters. Keys that have their default are left out, so that options of the command line hold for
+/// them.
+///
+/// # Errors
+/// Parameters that JSON cannot hold.
+pub fn table_of<P: Params + Default>(params: &P) -> Result<Map<String, Value>, Error> {
+    let json = |params: &P| serde_json::to_value(params).map_err(|error| Error::failed(error.to_string()));
+    let defaults = json(&P::default())?;
+    let given = json(params)?;
+    let given = given.as_object().into_iter().flatten();
+    let other = given.filter(|(key, value)| defaults.get(key) != Some(value));
+    let uses = ("uses".to_owned(), json!(P::STAGE));
+    Ok(other
+        .map(|(key, value)| (key.clone(), value.clone()))
+        .chain([uses])
+        .collect())
 }
 
 /// A run of added nodes, and the session that it was made in.

@@ -21,7 +21,6 @@ pub mod exec;
 pub mod execute;
 pub mod export;
 mod export_table;
-mod field_file;
 mod file_state;
 pub mod files;
 pub mod filter;

@@ -6,22 +6,18 @@ use std::sync::Arc;
 use marf_cache::Store;
 use marf_engine::{NodeRun, Purpose, RunRecord, run_of};
 use marf_model::select;
-use marf_scene::Scene;
-use marf_schema::output::{
-    DEPTH, MESH_GLB, MESH_PLY, POINTS, SCENE, SPLAT_VIEWS, SPLATS, SURFACE_MAPS, WEIGHTS,
-};
+use marf_schema::output::{DEPTH, MESH_GLB, MESH_PLY, POINTS, SPLAT_VIEWS, SPLATS, SURFACE_MAPS, WEIGHTS};
 use marf_schema::surface::{ColorBy, SurfaceParams, SurfaceReport};
 use marf_stage::Params;
 use serde::Serialize;
-use serde_json::{Map, Value, json};
+use serde_json::{Value, json};
 
-use crate::choice::{RunChoice, has_result, without};
+use crate::choice::{RunChoice, has_result};
 use crate::context::Context;
-use crate::derived::{AddedNode, DerivedRun, run_nodes};
+use crate::derived::{AddedNode, DerivedRun, run_nodes, table_of};
 use crate::error::{Diagnostic, Error};
-use crate::field_file::{FieldMaker, made_by};
 use crate::outputs;
-use crate::session::{bootstraps_of, digest, node_named};
+use crate::session::{bootstraps_of, digest, node_named, read_scene};
 
 /// A surface to export.
 #[derive(Debug, Clone)]
@@ -30,24 +26,12 @@ pub struct SurfaceRequest {
     pub kind: SurfaceKind,
     /// A node with a trained field.
     pub node: String,
-    /// The field in this file instead.
-    pub field: Option<PathBuf>,
     /// File or folder to write.
     pub out: PathBuf,
     /// Number of the run. None for the last one that has the node.
     pub run: Option<u64>,
-    /// Distance between samples, metres (units of the scene where it has no scale).
-    pub cell: Option<f64>,
-    /// Largest distance from a photo, as `cell`.
-    pub reach: Option<f64>,
-    /// Photos that must show a point.
-    pub least_photos: Option<u32>,
-    /// Largest difference between the views at a point, as `cell`.
-    pub most_spread: Option<f64>,
-    /// What mesh and points are coloured by.
-    pub color: ColorBy,
-    /// Width of a pixel of a map, metres.
-    pub map_cell: Option<f64>,
+    /// How the surface is taken.
+    pub params: SurfaceParams,
     /// Of splats, a folder for pictures of them and of the field.
     pub pictures: Option<PathBuf>,
 }
@@ -86,7 +70,7 @@ pub enum SurfaceKind {
 /// A run without the field, a surface that the scene does not have, a place that cannot be written.
 pub fn export(context: &Context, request: &SurfaceRequest) -> Result<SurfaceResult, Error> {
     let kind = request.kind;
-    if kind == SurfaceKind::Splats && request.color != ColorBy::default() {
+    if kind == SurfaceKind::Splats && request.params.color != ColorBy::default() {
         return Err(Error::usage(
             "splats show the colours of the photos. `export mesh` and `export points` show uncertainty"
                 .to_owned(),
@@ -94,9 +78,9 @@ pub fn export(context: &Context, request: &SurfaceRequest) -> Result<SurfaceResu
     }
     check_ending(kind, &request.out)?;
     let store = context.existing_store()?;
-    let (trained, run) = trained(context, &store, request)?;
-    check_map(kind, &store, node_named(&run, &trained)?)?;
-    let (name, table) = (surface_of(&trained), table(request, &run, &trained));
+    let run = run_of_field(context, &store, request)?;
+    check_map(kind, &store, node_named(&run, &request.node)?)?;
+    let (name, table) = (surface_of(&request.node), table(request, &run)?);
     let DerivedRun { session, record } = made(context, store, &run, table)?;
     let node = node_named(&record, &name)?;
     let surface: SurfaceReport = session.document(node)?;
@@ -153,8 +137,7 @@ fn check_map(kind: SurfaceKind, store: &Store, trained: &NodeRun) -> Result<(), 
         SurfaceKind::Orthophoto => "the orthophoto",
         _ => return Ok(()),
     };
-    let scene = Scene::decode(&store.get(&digest(trained, SCENE)?)?);
-    let scene = scene.map_err(|error| Error::failed(format!("{SCENE} of `{}`: {error}", trained.name)))?;
+    let scene = read_scene(store, trained)?;
     let why = match (scene.metres_per_unit, scene.up) {
         (None, _) => "the scene has no scale, so lengths in metres are unknown",
         (_, None) => "the scene does not know where up is",
@@ -190,32 +173,22 @@ fn check_surface(context: &Context, kind: SurfaceKind, report: &SurfaceReport) -
     Ok(())
 }
 
-/// Returns the node whose field is exported, and a run that has it.
-fn trained(context: &Context, store: &Store, request: &SurfaceRequest) -> Result<(String, RunRecord), Error> {
+/// Returns the run whose field is exported.
+fn run_of_field(context: &Context, store: &Store, request: &SurfaceRequest) -> Result<RunRecord, Error> {
     let retrained = |run: &RunRecord, node: &str| bootstraps_of(run, node).any(|node| node.state.is_good());
-    if let Some(file) = &request.field {
-        let FieldMaker { node, runs } = made_by(context, store, file, request.run)?;
-        // A run that has retrained the field shows more than one that reused it.
-        let has = |run: &RunRecord| runs.contains(&run.number);
-        let both = |run: &RunRecord| has(run) && retrained(run, &node);
-        let missing = |run: &RunRecord| without(run, &node);
-        let choice = RunChoice::any(context, store, request.run);
-        let run = choice.newest_with(both, missing);
-        let run = run.or_else(|_| choice.newest_with(has, missing))?;
-        return Ok((node, run));
-    }
-    let node = request.node.clone();
+    let node = &request.node;
     let choice = RunChoice::new(context, store, request.run)?;
-    let run = choice.with_result(&node)?;
-    if request.run.is_some() || !has_members(request.kind) || retrained(&run, &node) {
-        return Ok((node, run));
+    let run = choice.with_result(node)?;
+    if request.run.is_some() || !has_members(request.kind) || retrained(&run, node) {
+        return Ok(run);
     }
     // Uncertainty needs a bootstrap. The bootstrap of an older field is only used for an export with uncertainty.
-    let weights = |run: &RunRecord| Some(run.node(&node)?.outputs.get(WEIGHTS)?.digest);
-    let is_same = |other: &RunRecord| request.color != ColorBy::default() || weights(other) == weights(&run);
-    let both = |run: &RunRecord| has_result(run, &node) && is_same(run) && retrained(run, &node);
+    let weights = |run: &RunRecord| Some(run.node(node)?.outputs.get(WEIGHTS)?.digest);
+    let is_same =
+        |other: &RunRecord| request.params.color != ColorBy::default() || weights(other) == weights(&run);
+    let both = |run: &RunRecord| has_result(run, node) && is_same(run) && retrained(run, node);
     let with_members = select::newest_with(store, &choice.subject, context.warnings(), both)?;
-    Ok((node, with_members.unwrap_or(run)))
+    Ok(with_members.unwrap_or(run))
 }
 
 /// Returns whether an export shows how far the retrainings of a bootstrap differ.
@@ -246,41 +219,14 @@ fn check_ending(kind: SurfaceKind, out: &Path) -> Result<(), Error> {
 }
 
 /// Returns the table of the node, as pipeline.toml would have it.
-fn table(request: &SurfaceRequest, run: &RunRecord, trained: &str) -> Value {
-    let kind = request.kind;
-    let mut table = Map::from_iter([
-        ("uses".to_owned(), json!(SurfaceParams::STAGE)),
-        ("input".to_owned(), json!(trained)),
-    ]);
-    let lengths = [
-        ("cell", request.cell),
-        ("reach", request.reach),
-        ("most_spread", request.most_spread),
-        ("map_cell", request.map_cell),
-    ];
-    let lengths = lengths
-        .into_iter()
-        .filter_map(|(key, length)| Some((key, json!(length?))));
-    // Splats are for looking at, not for measuring, so one photo is enough.
-    let least_photos = request
-        .least_photos
-        .or((kind == SurfaceKind::Splats).then_some(1));
-    let count = least_photos.map(|count| ("least_photos", json!(count)));
-    let members = bootstraps_of(run, trained).find(|node| has_members(kind) && node.state.is_good());
-    let members = members.map(|node| ("members", json!(node.name)));
-    let color = (request.color != ColorBy::default()).then_some(("color", json!(request.color)));
-    let depth = (kind == SurfaceKind::Depth).then_some(("depth", json!(true)));
-    let splats = (kind == SurfaceKind::Splats).then_some(("splats", json!(true)));
-    table.extend(
-        lengths
-            .chain(count)
-            .chain(depth)
-            .chain(splats)
-            .chain(members)
-            .chain(color)
-            .map(|(key, value)| (key.to_owned(), value)),
-    );
-    Value::Object(table)
+fn table(request: &SurfaceRequest, run: &RunRecord) -> Result<Value, Error> {
+    let mut table = table_of(&request.params)?;
+    table.insert("input".to_owned(), json!(request.node));
+    let mut members = bootstraps_of(run, &request.node).filter(|node| node.state.is_good());
+    if let Some(node) = members.next().filter(|_| has_members(request.kind)) {
+        table.insert("members".to_owned(), json!(node.name));
+    }
+    Ok(Value::Object(table))
 }
 
 /// Returns the outputs to write, and where to.

@@ -17,21 +17,18 @@ use serde_json::{Map, Value, json};
 
 use super::path::{self, CameraPath};
 use super::size::SizeRequest;
-use crate::choice::{RunChoice, has_result, without};
+use crate::choice::{RunChoice, has_result};
 use crate::context::Context;
 use crate::derived::{AddedNode, DerivedRun, run_nodes};
 use crate::error::{Diagnostic, Error};
 use crate::export_table::ExportTable;
-use crate::field_file::{self, FieldMaker};
-use crate::session::{Session, bootstraps_of, digest, node_named};
+use crate::session::{Session, bootstraps_of, digest, node_named, read_scene};
 
 /// A field to render, and how.
 #[derive(Debug, Clone)]
 pub struct RenderRequest {
     /// A node with a trained field.
     pub node: String,
-    /// The field in this file instead.
-    pub field: Option<PathBuf>,
     /// Number of the run. None for the last one that has the node.
     pub run: Option<u64>,
     /// The camera path: a word, or a file of bookmarks.
@@ -89,19 +86,8 @@ pub const FILM: &str = "video.mp4";
 pub fn render(context: &Context, request: &RenderRequest) -> Result<RenderResult, Error> {
     let bookmarks = path::read(&request.path, request.frames)?;
     let store = context.existing_store()?;
-    let field = match &request.field {
-        Some(file) => field_file::made_by(context, &store, file, request.run)?,
-        None => FieldMaker {
-            node: request.node.clone(),
-            runs: Vec::new(),
-        },
-    };
-    let choice = match &request.field {
-        Some(_) => RunChoice::any(context, &store, request.run),
-        None => RunChoice::new(context, &store, request.run)?,
-    };
-    let run = run_of(&choice, request, &field)?;
-    let trained = &field.node;
+    let run = run_of(&RunChoice::new(context, &store, request.run)?, request)?;
+    let trained = &request.node;
     let scene = scene_of(&store, &run, trained)?;
     if let Some(other) = bookmarks.of_other_scene(&digest(node_named(&run, trained)?, SCENE)?) {
         context.warn(other);
@@ -133,16 +119,14 @@ pub fn render(context: &Context, request: &RenderRequest) -> Result<RenderResult
     })
 }
 
-/// Returns the run whose field is rendered: one of the runs of the field file, if there is one, and with a bootstrap for uncertainty.
-fn run_of(choice: &RunChoice<'_>, request: &RenderRequest, field: &FieldMaker) -> Result<RunRecord, Error> {
-    let (trained, runs) = (field.node.as_str(), &field.runs);
-    let has_field =
-        |run: &RunRecord| has_result(run, trained) && (runs.is_empty() || runs.contains(&run.number));
-    let run = choice.newest_with(has_field, |run| without(run, trained))?;
+/// Returns the run whose field is rendered, with a bootstrap for uncertainty.
+fn run_of(choice: &RunChoice<'_>, request: &RenderRequest) -> Result<RunRecord, Error> {
+    let trained = request.node.as_str();
+    let run = choice.with_result(trained)?;
     if !request.outputs.contains(&Layer::Uncertainty) {
         return Ok(run);
     }
-    let has = |run: &RunRecord| has_field(run) && bootstrap_of(run, trained).is_some();
+    let has = |run: &RunRecord| has_result(run, trained) && bootstrap_of(run, trained).is_some();
     choice.newest_with(has, |run| {
         let message = format!(
             "run {} has no bootstrap of `{trained}`, and the uncertainty is how far its retrainings differ",
@@ -168,8 +152,7 @@ fn scene_of(store: &Store, run: &RunRecord, trained: &str) -> Result<Scene, Erro
             Diagnostic::new(message).hint("name a node of the stage `train`"),
         ));
     }
-    let scene = Scene::decode(&store.get(&digest(node, SCENE)?)?);
-    scene.map_err(|error| Error::failed(error.to_string()))
+    read_scene(store, node)
 }
 
 /// Returns the table of the node that renders, as pipeline.toml would have it.
