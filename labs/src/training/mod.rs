@@ -11,7 +11,7 @@ mod photos;
 use std::path::PathBuf;
 use std::time::Instant;
 
-use clap::{Args, ValueEnum};
+use clap::Args;
 use marf_cache::Digest;
 use marf_engine::{Cancel, Options};
 use marf_field::{Config, DepthSource, Device, OpenSizes, Overrides, Pilot, Trainer, steps_in};
@@ -56,20 +56,8 @@ pub struct TrainArgs {
     /// Folder for `<seconds>s/<name>.png` or `<steps>steps/<name>.png`
     #[arg(long, value_name = "DIR", default_value = "bench")]
     out: PathBuf,
-    /// What counts as time
-    #[arg(long, value_enum, default_value_t = Clock::Wall)]
-    clock: Clock,
     #[command(flatten)]
     options: TrainingOptions,
-}
-
-/// Clocks of `train`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum Clock {
-    /// Wall clock
-    Wall,
-    /// Processor time over the number of threads, for a machine that does other work too
-    Cpu,
 }
 
 /// Keys of `train` that count. The seconds come from the command line.
@@ -111,7 +99,6 @@ pub fn train(args: &TrainArgs, cancel: &Cancel) -> Result {
         args,
         cancel,
         keys,
-        threads: pool.current_num_threads(),
         photos,
         points: scene.points.iter().map(|point| point.position).collect(),
     };
@@ -157,7 +144,6 @@ struct Bench<'a> {
     args: &'a TrainArgs,
     cancel: &'a Cancel,
     keys: Keys,
-    threads: usize,
     photos: Photos,
     points: Vec<[f64; 3]>,
 }
@@ -231,10 +217,10 @@ impl Bench<'_> {
             let most = match budget {
                 Budget::Seconds(seconds) => {
                     let left_s = f64::from(seconds) - used_s;
-                    if trainer.steps() > 0 && self.seconds(&effort) >= left_s {
+                    if trainer.steps() > 0 && effort.wall_s >= left_s {
                         break;
                     }
-                    let share = self.seconds(&effort) / left_s.max(f64::MIN_POSITIVE);
+                    let share = effort.wall_s / left_s.max(f64::MIN_POSITIVE);
                     if share >= planned {
                         trainer.plan((trainer.steps() as f64 / share) as u64);
                         planned += PLANNED_EVERY;
@@ -251,13 +237,6 @@ impl Bench<'_> {
         let last = effort.timed(|| trainer.settle())?;
         effort.add(&last);
         Ok((trainer, effort))
-    }
-
-    fn seconds(&self, effort: &Effort) -> f64 {
-        match self.args.clock {
-            Clock::Wall => effort.wall_s,
-            Clock::Cpu => effort.cpu_s / self.threads as f64,
-        }
     }
 
     /// Renders and scores the test views as of now.
@@ -280,18 +259,17 @@ impl Bench<'_> {
             ssim.extend(metrics::ssim(&render, &test.photo, &[]));
             files::write(&folder.join(format!("{}.png", test.name)), &encode_png(&render)?)?;
         }
-        let clock = self.seconds(effort);
         Ok(Line {
             budget,
-            clock,
+            clock: effort.wall_s,
             paced_s: 0.0,
             cpu_s: effort.cpu_s,
             steps: trainer.steps(),
             batch_samples: field.config().batch_samples,
             log2_table: field.facts().sizes.log2_table.value,
             checkpoint: Digest::from_content(&trainer.save()?),
-            rays_per_s: effort.rays as f64 / clock,
-            samples_per_s: effort.samples as f64 / clock,
+            rays_per_s: effort.rays as f64 / effort.wall_s,
+            samples_per_s: effort.samples as f64 / effort.wall_s,
             rss_mb: peak_mb(),
             psnr: mean(&psnr).unwrap_or_default(),
             psnr_paper: mean(&paper),
