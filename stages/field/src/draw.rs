@@ -1,5 +1,6 @@
 //! The rays of a training step: which pixels they run through, drawn at random.
 
+use marf_numeric::Rng;
 use rayon::prelude::*;
 
 use crate::cpu::math::exp;
@@ -8,7 +9,6 @@ use crate::exposure::{Exposure, ROW};
 use crate::frame::RayStart;
 use crate::rng::{Purpose, random_numbers};
 use crate::training::Training;
-use marf_numeric::Rng;
 
 /// How often a pixel is drawn again where a mask hides it. A ray that is still hidden then teaches nothing.
 /// In photos half hidden these are 0.4 %.
