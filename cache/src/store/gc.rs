@@ -127,10 +127,12 @@ impl Store {
         mark_leases(self, &mut marker, plan.grace)?;
         let mut report = GcReport::default();
         for run in &plan.runs {
-            marker.begin();
+            let before = plan.max_bytes.map(|most| (most, marker.clone()));
             mark_roots(&mut marker, run)?;
-            if plan.max_bytes.is_some_and(|most| marker.bytes() > most) {
-                marker.take_back();
+            if let Some((most, before)) = before
+                && marker.bytes() > most
+            {
+                marker = before;
                 break;
             }
             report.runs_kept += 1;

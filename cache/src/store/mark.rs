@@ -28,19 +28,14 @@ enum Walk {
     Parts,
 }
 
+#[derive(Clone)]
 enum Task {
     Key { key: Digest, owner: Digest, role: Role },
     Set { root: Digest, owner: Digest, walk: Walk },
 }
 
-/// A step that can be taken back.
-enum Step {
-    Mark(usize),
-    Extra(Kind, Digest),
-    Walked(Digest, Walk),
-}
-
 /// A memo with its maker. `memo` and `blob` are numbers of the census.
+#[derive(Clone)]
 struct MemoRow {
     maker: [u8; PREFIX],
     memo: u32,
@@ -48,6 +43,7 @@ struct MemoRow {
 }
 
 /// Marks on a census.
+#[derive(Clone)]
 pub(super) struct Marker<'a> {
     objects: &'a Objects,
     census: &'a Census,
@@ -57,7 +53,6 @@ pub(super) struct Marker<'a> {
     walked: HashSet<(Digest, Walk)>,
     memos: Vec<MemoRow>,
     tasks: Vec<Task>,
-    steps: Option<Vec<Step>>,
     missing: Vec<MissingObject>,
     listed: HashSet<(Kind, Digest)>,
     bytes: u64,
@@ -74,7 +69,6 @@ impl<'a> Marker<'a> {
             walked: HashSet::new(),
             memos: Vec::new(),
             tasks: Vec::new(),
-            steps: None,
             missing: Vec::new(),
             listed: HashSet::new(),
             bytes: 0,
@@ -139,35 +133,7 @@ impl<'a> Marker<'a> {
             *word |= 1 << (number % 64);
         }
         self.bytes += self.census.bytes(number);
-        self.note(Step::Mark(number));
         true
-    }
-
-    fn note(&mut self, step: Step) {
-        if let Some(steps) = &mut self.steps {
-            steps.push(step);
-        }
-    }
-
-    /// Marks from here on can be taken back.
-    pub(super) fn begin(&mut self) {
-        self.steps = Some(Vec::new());
-    }
-
-    /// Takes back all marks since [`Marker::begin`].
-    pub(super) fn take_back(&mut self) {
-        for step in self.steps.take().unwrap_or_default() {
-            match step {
-                Step::Mark(number) => {
-                    if let Some(word) = self.marks.get_mut(number / 64) {
-                        *word &= !(1 << (number % 64));
-                    }
-                    self.bytes -= self.census.bytes(number);
-                }
-                Step::Extra(kind, id) => drop(self.extra.remove(&(kind, id))),
-                Step::Walked(root, walk) => drop(self.walked.remove(&(root, walk))),
-            }
-        }
     }
 
     /// Marks an object. Returns whether it is new, or `None` if it is not in the store.
@@ -186,7 +152,6 @@ impl<'a> Marker<'a> {
             return Ok(None);
         }
         self.extra.insert((kind, *id));
-        self.note(Step::Extra(kind, *id));
         Ok(Some(true))
     }
 
@@ -201,11 +166,7 @@ impl<'a> Marker<'a> {
 
     /// Notes that what a set or leaf names is followed. Returns whether it was not before.
     fn walk(&mut self, digest: &Digest, walk: Walk) -> bool {
-        let is_new = self.walked.insert((*digest, walk));
-        if is_new {
-            self.note(Step::Walked(*digest, walk));
-        }
-        is_new
+        self.walked.insert((*digest, walk))
     }
 
     /// Lists an object that is missing, once, as what it was first found to be named.
