@@ -60,8 +60,6 @@ pub(super) trait Operations: Send + Sync {
     fn reflink(&self, from: &Path, to: &Path) -> io::Result<()>;
     /// Makes a symbolic link to a file.
     fn reference(&self, target: &Path, link: &Path) -> io::Result<()>;
-    /// Returns the file that a symbolic link points to.
-    fn target(&self, link: &Path) -> io::Result<PathBuf>;
     /// Takes away the permission to write a file.
     fn seal(&self, path: &Path) -> io::Result<()>;
     /// Flushes the bytes of a file to the disk.
@@ -119,10 +117,6 @@ impl Operations for Disk {
         return std::os::unix::fs::symlink(target, link);
         #[cfg(windows)]
         return std::os::windows::fs::symlink_file(target, link);
-    }
-
-    fn target(&self, link: &Path) -> io::Result<PathBuf> {
-        fs::read_link(link)
     }
 
     fn seal(&self, path: &Path) -> io::Result<()> {
@@ -268,11 +262,6 @@ impl Files {
         self.0
             .reference(target, link)
             .map_err(StoreError::io("link to", target))
-    }
-
-    /// Returns the file that a link points to, or `None` if it is not a link.
-    pub(super) fn target(&self, link: &Path) -> Option<PathBuf> {
-        self.0.target(link).ok()
     }
 
     /// Takes away the permission to write a file.

@@ -93,11 +93,6 @@ impl Store {
         Ok((digest, read))
     }
 
-    /// Returns the path of the file outside the store that holds the bytes of a blob, if they are outside.
-    pub fn reference(&self, digest: &Digest) -> Option<PathBuf> {
-        self.objects.files.target(&self.objects.loose_path(digest))
-    }
-
     fn read_within(&self, limit: Limit<'_>) -> Result<Arc<[u8]>, StoreError> {
         // One byte more than allowed, so that a file that grew is noticed and never read whole.
         let most = usize::try_from(limit.max_bytes.saturating_add(1)).unwrap_or(usize::MAX);

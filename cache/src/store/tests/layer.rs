@@ -198,11 +198,6 @@ impl Operations for Faulty {
         Ok(())
     }
 
-    fn target(&self, link: &Path) -> io::Result<PathBuf> {
-        self.call()?;
-        Disk.target(link)
-    }
-
     fn seal(&self, path: &Path) -> io::Result<()> {
         self.call()?;
         Disk.seal(path)
