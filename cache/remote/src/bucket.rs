@@ -24,7 +24,6 @@ use tokio::{sync::Mutex, time::timeout};
 use crate::{
     address::{Address, Patience},
     error::{RemoteError, cause_of},
-    kept_indexes::KeptIndexes,
     names,
     pack::{Catalogue, Pack},
     threads::{FOLDER_PATIENCE, folder_patience, unblocked},
@@ -61,8 +60,6 @@ pub(crate) struct Bucket {
     objects: Box<dyn ObjectStore>,
     /// The folder that it is, if it is one.
     folder: Option<PathBuf>,
-    /// Folder for indexes of its packs that outlives this process. `None` keeps them in memory only.
-    pub(crate) kept_indexes: Option<KeptIndexes>,
     /// Known packs and their entries.
     pub(crate) catalogue: Mutex<Catalogue>,
     requests: AtomicU64,
@@ -83,7 +80,6 @@ impl Bucket {
                 Address::Folder(folder) => Some(folder),
                 Address::S3 { .. } => None,
             },
-            kept_indexes: None,
             catalogue: Mutex::default(),
             requests: AtomicU64::new(0),
             sent_bytes: AtomicU64::new(0),

@@ -9,7 +9,7 @@ use crate::{
     bucket::Bucket,
     error::RemoteError,
     names,
-    pack::{Catalogue, Entry, decode_index, encode_index},
+    pack::{Catalogue, Entry, decode_index},
 };
 
 /// Indexes that are fetched at once.
@@ -51,32 +51,15 @@ async fn refresh(bucket: &Bucket, catalogue: &mut Catalogue) -> Result<(), Remot
         .iter()
         .filter_map(|object| names::pack_of_index(&object.name));
     let packs: BTreeSet<Digest> = packs.collect();
-    bucket.kept_indexes.iter().for_each(|kept| kept.prune(&packs));
     let new = packs.difference(&known).copied();
     let mut indexes: Vec<(Digest, Vec<Entry>)> = stream::iter(new)
-        .map(|pack| async move { Ok::<_, RemoteError>((pack, kept_index(bucket, &pack).await?)) })
+        .map(|pack| async move { Ok::<_, RemoteError>((pack, index(bucket, &pack).await?)) })
         .buffer_unordered(IN_FLIGHT)
         .try_collect()
         .await?;
     indexes.sort_unstable();
     catalogue.add(indexes);
     Ok(())
-}
-
-/// As [`index`], from where indexes are kept if it is there.
-async fn kept_index(bucket: &Bucket, pack: &Digest) -> Result<Vec<Entry>, RemoteError> {
-    let Some(kept) = &bucket.kept_indexes else {
-        return index(bucket, pack).await;
-    };
-    if let Some(entries) = kept.read(pack).and_then(|bytes| decode_index(&bytes)) {
-        return Ok(entries);
-    }
-    let entries = index(bucket, pack).await?;
-    // One that a collection has just removed has no entries.
-    if !entries.is_empty() {
-        kept.keep(pack, &encode_index(&entries));
-    }
-    Ok(entries)
 }
 
 /// Returns the entries of an index, or an empty list if a collection has removed it since it was listed.

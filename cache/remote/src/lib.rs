@@ -40,7 +40,6 @@ mod fsck;
 pub mod fuzzing;
 mod gc;
 mod inventory;
-mod kept_indexes;
 mod lease;
 mod names;
 mod observer;

@@ -2,7 +2,6 @@
 
 use std::{
     future::Future,
-    path::Path,
     pin::pin,
     sync::atomic::{AtomicBool, Ordering},
     time::Duration,
@@ -18,7 +17,6 @@ use crate::{
     error::RemoteError,
     fsck::{self, FsckOptions, RemoteFsckReport},
     gc::{self, GcOptions, RemoteGcReport},
-    kept_indexes::KeptIndexes,
     lease::{Kind, Lease},
     names,
     observer::Observer,
@@ -68,13 +66,6 @@ impl Remote {
             is_checked: AtomicBool::new(false),
             threads,
         })
-    }
-
-    /// Returns it with a folder of this machine in which indexes of packs are kept for the next program that opens it.
-    #[must_use]
-    pub fn keeping_indexes(mut self, folder: &Path) -> Self {
-        self.bucket.kept_indexes = Some(KeptIndexes::new(folder, &self.bucket.place));
-        self
     }
 
     /// Returns its address.
