@@ -82,6 +82,13 @@ pub enum ManifestError {
     },
 }
 
+/// For readers whose errors are texts for people.
+impl From<ManifestError> for String {
+    fn from(error: ManifestError) -> Self {
+        error.to_string()
+    }
+}
+
 impl Leaf {
     /// Sorts rows into a leaf. Every id may occur once.
     ///

@@ -2,7 +2,6 @@
 
 use std::path::PathBuf;
 
-use marf_cache::{ActionError, Digest, manifest::ManifestError};
 use marf_engine::RecordError;
 use marf_model::RunError;
 
@@ -23,32 +22,9 @@ pub enum ExportError {
         /// Outcome of the run.
         outcome: String,
     },
-    /// An object that the store does not give.
-    #[error("{what} (object {}) cannot be read: {cause}", digest.short())]
-    Object {
-        /// The object.
-        digest: Digest,
-        /// Description, for people.
-        what: String,
-        /// The error of the store.
-        cause: String,
-    },
-    /// A set that is none.
-    #[error("{what} cannot be read: {cause}")]
-    BadSet {
-        /// Description, for people.
-        what: String,
-        /// The error of the reader.
-        cause: ManifestError,
-    },
-    /// The bytes under a key are not an action.
-    #[error("the action of `{node}` cannot be read: {cause}")]
-    BadAction {
-        /// The node.
-        node: String,
-        /// The error of the reader.
-        cause: ActionError,
-    },
+    /// An object that the store does not give, or that is not what the run says.
+    #[error("{0}")]
+    Unreadable(String),
     /// A photo that the run did not look at.
     #[error("the run has no photo `{id}`")]
     UnknownItem {
@@ -84,9 +60,7 @@ impl ExportError {
             Self::Unfinished { .. } => {
                 Some("finish it with `marf run`, or choose a finished run from `marf log`")
             }
-            Self::Object { .. } | Self::BadSet { .. } | Self::BadAction { .. } => {
-                Some("make lost results again with `marf run`, then export the new run")
-            }
+            Self::Unreadable(_) => Some("make lost results again with `marf run`, then export the new run"),
             Self::UnknownItem { .. } => Some("`marf photos` lists the names of all photos"),
             Self::UnknownNode { .. } => Some("`marf status` lists the nodes"),
             Self::Exists { .. } => Some("remove it, or name another folder"),

@@ -9,7 +9,7 @@ use marf_stage::{COMPANIONS, PHOTOS, VERDICTS};
 
 use super::file::{ACTIONS, Content, File, OBJECTS, Purpose, RUN_ROOT, is_plain};
 use super::objects::{object, read_action, reader};
-use super::sets::leaves;
+use super::sets::{leaves, unreadable};
 use crate::error::ExportError;
 
 /// All that goes into a crate.
@@ -221,10 +221,7 @@ impl Contents {
     fn add_companions(&mut self, run: &Run<'_>, digest: &Digest, title: &str) -> Result<(), ExportError> {
         let bytes = object(run, digest, || title.to_owned())?;
         let files: BTreeMap<String, Digest> =
-            serde_json::from_slice(&bytes).map_err(|error| ExportError::BadSet {
-                what: title.to_owned(),
-                cause: error.into(),
-            })?;
+            serde_json::from_slice(&bytes).map_err(|error| unreadable(title, error))?;
         for (name, digest) in files {
             let path = format!("companions/{name}");
             self.add(path, format!("companion file `{name}`"), digest, Purpose::Data);

@@ -17,9 +17,11 @@ pub(crate) fn read_action(run: &Run<'_>, node: &RunNode) -> Result<Action, Expor
         outcome: format!("`{}` has none", node.run.name),
     })?;
     let bytes = object(run, &key, || format!("the action of `{}`", node.run.name))?;
-    Action::decode(&bytes).map_err(|cause| ExportError::BadAction {
-        node: node.run.name.clone(),
-        cause,
+    Action::decode(&bytes).map_err(|cause| {
+        ExportError::Unreadable(format!(
+            "the action of `{}` cannot be read: {cause}",
+            node.run.name
+        ))
     })
 }
 
@@ -29,10 +31,9 @@ pub(crate) fn object(
     digest: &Digest,
     what: impl FnOnce() -> String,
 ) -> Result<Arc<[u8]>, ExportError> {
-    run.store().get(digest).map_err(|error| ExportError::Object {
-        digest: *digest,
-        what: what(),
-        cause: error.to_string(),
+    run.store().get(digest).map_err(|error| {
+        let (what, object) = (what(), digest.short());
+        ExportError::Unreadable(format!("{what} (object {object}) cannot be read: {error}"))
     })
 }
 

@@ -1,10 +1,10 @@
 //! Sets of photos and verdicts, whose readers' errors get a name.
 
-use std::sync::Arc;
+use std::{fmt, sync::Arc};
 
 use marf_cache::{
     Digest,
-    manifest::{LeafRef, ManifestError, Row},
+    manifest::{LeafRef, Row},
 };
 use marf_engine::sets;
 use marf_stage::Verdict;
@@ -12,24 +12,12 @@ use marf_stage::Verdict;
 use super::objects::ReadObject;
 use crate::error::ExportError;
 
-/// Why a set cannot be read.
-enum Fault {
-    Object(Digest, String),
-    Malformed(ManifestError),
-}
-
-impl From<ManifestError> for Fault {
-    fn from(error: ManifestError) -> Self {
-        Self::Malformed(error)
-    }
-}
-
 /// Returns the leaves of a set, in order. `what` names it in errors.
 ///
 /// # Errors
 /// An object that cannot be read, or is not a set.
 pub fn leaves(root: &Digest, read: &ReadObject<'_>, what: &str) -> Result<Vec<LeafRef>, ExportError> {
-    named(what, sets::leaves(root, getter(read)))
+    sets::leaves(root, part_of(read)).map_err(|error| unreadable(what, error))
 }
 
 /// Returns the rows of a set, shard by shard, sorted by id in each.
@@ -37,7 +25,7 @@ pub fn leaves(root: &Digest, read: &ReadObject<'_>, what: &str) -> Result<Vec<Le
 /// # Errors
 /// As [`leaves`].
 pub fn rows(root: &Digest, read: &ReadObject<'_>, what: &str) -> Result<Vec<Row>, ExportError> {
-    named(what, sets::rows(root, getter(read)))
+    sets::rows(root, part_of(read)).map_err(|error| unreadable(what, error))
 }
 
 /// Returns the verdicts of a set of verdicts, in its order.
@@ -45,23 +33,15 @@ pub fn rows(root: &Digest, read: &ReadObject<'_>, what: &str) -> Result<Vec<Row>
 /// # Errors
 /// As [`leaves`].
 pub fn verdicts(root: &Digest, read: &ReadObject<'_>, what: &str) -> Result<Vec<Verdict>, ExportError> {
-    named(what, sets::verdicts(root, getter(read)))
+    sets::verdicts(root, part_of(read)).map_err(|error| unreadable(what, error))
 }
 
-fn getter(read: &ReadObject<'_>) -> impl FnMut(&Digest) -> Result<Arc<[u8]>, Fault> {
-    |digest| read(digest).map_err(|cause| Fault::Object(*digest, cause))
+/// Returns a reader of the objects of a set.
+fn part_of(read: &ReadObject<'_>) -> impl FnMut(&Digest) -> Result<Arc<[u8]>, String> {
+    |digest| read(digest).map_err(|cause| format!("object {}: {cause}", digest.short()))
 }
 
-fn named<T>(what: &str, read: Result<T, Fault>) -> Result<T, ExportError> {
-    read.map_err(|fault| match fault {
-        Fault::Object(digest, cause) => ExportError::Object {
-            digest,
-            what: format!("a part of {what}"),
-            cause,
-        },
-        Fault::Malformed(cause) => ExportError::BadSet {
-            what: what.to_owned(),
-            cause,
-        },
-    })
+/// Returns the error of something that cannot be read.
+pub(super) fn unreadable(what: &str, error: impl fmt::Display) -> ExportError {
+    ExportError::Unreadable(format!("{what} cannot be read: {error}"))
 }
