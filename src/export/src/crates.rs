@@ -12,8 +12,7 @@ use crate::bag::{BagWriter, FileDigest, MANIFEST};
 use crate::contents::{Content, Contents, File, OBJECTS, Photos, Purpose, contents, object};
 use crate::dsse::Envelope;
 use crate::error::ExportError;
-use crate::graph::{Described, GraphInput, METADATA, PREVIEW, graph, root_name};
-use crate::preview::preview;
+use crate::graph::{Described, GraphInput, METADATA, graph, root_name};
 use crate::run::check_finished;
 use crate::statement::{Subject, statement_on_run};
 use marf_keys::SigningKey;
@@ -127,7 +126,6 @@ fn write_bag(
     let mut metadata = serde_json::to_vec_pretty(&graph).unwrap_or_default();
     metadata.push(b'\n');
     bag.add(METADATA, &metadata).map_err(&failed)?;
-    bag.add(PREVIEW, preview(&graph).as_bytes()).map_err(&failed)?;
     let manifest = bag.seal().map_err(&failed)?;
     if let Some(key) = options.key {
         let subjects = [

@@ -22,7 +22,7 @@ use serde_json::{Value, json};
 pub(crate) use actions::{action_id, value_text};
 use context::Context;
 pub(crate) use entity::{ids, references};
-pub use input::{CRATE_FORMAT, CRATE_PROFILE, Described, GraphInput, METADATA, PREVIEW, root_name};
+pub use input::{CRATE_FORMAT, CRATE_PROFILE, Described, GraphInput, METADATA, root_name};
 pub(crate) use tools::tool_id;
 
 /// Returns the graph of a run. Equal runs give equal bytes.

@@ -18,7 +18,6 @@ mod crates;
 pub mod dsse;
 mod error;
 mod graph;
-mod preview;
 mod run;
 mod statement;
 mod time;

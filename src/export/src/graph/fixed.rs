@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 use super::actions::{action_id, item_id};
 use super::context::Context;
 use super::entity::{Entity, FORMAL_PARAMETER, LANGUAGE, PROGRAM};
-use super::input::{CRATE_FORMAT, CRATE_PROFILE, METADATA, PREVIEW, root_name};
+use super::input::{CRATE_FORMAT, CRATE_PROFILE, METADATA, root_name};
 use crate::contents::OBJECTS;
 use crate::time::{end_of, known_time};
 
@@ -20,7 +20,7 @@ const RUN_PROFILES: [(&str, &str); 3] = [
 const LICENSE: &str = "#license";
 
 pub(super) fn entities(context: &Context<'_>) -> Vec<Value> {
-    let mut entities = vec![descriptor(), root(context), preview()];
+    let mut entities = vec![descriptor(), root(context)];
     entities.extend(profiles());
     entities.push(license(context.input.license));
     entities.extend([program(context), language()]);
@@ -73,14 +73,6 @@ fn root(context: &Context<'_>) -> Value {
                 .chain(actions)
                 .chain(items),
         )
-        .into_value()
-}
-
-fn preview() -> Value {
-    Entity::new(PREVIEW, "CreativeWork")
-        .with("name", "This crate as a page")
-        .with("encodingFormat", "text/html")
-        .with_ids("about", ["./"])
         .into_value()
 }
 

@@ -8,8 +8,6 @@ use crate::contents::{Contents, File};
 
 /// Name of the graph's file in the payload.
 pub const METADATA: &str = "ro-crate-metadata.json";
-/// Name of the page for people in the payload.
-pub const PREVIEW: &str = "ro-crate-preview.html";
 /// Version of the form of our crates. A newer one is refused.
 pub const CRATE_FORMAT: u32 = 1;
 /// Prefix of [`CRATE_FORMAT`] in the id of the profile of our crates.

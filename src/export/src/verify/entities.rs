@@ -7,7 +7,10 @@ use marf_cache::Digest;
 use super::open::{OpenCrate, text};
 use crate::contents::OBJECTS;
 use crate::crates::name_of;
-use crate::graph::{METADATA, PREVIEW, references};
+use crate::graph::{METADATA, references};
+
+/// A page for people that crates had until 0.2.0. The graph names it, but does not describe it as a file.
+const PREVIEW: &str = "ro-crate-preview.html";
 
 /// Returns the faults: duplicate ids, references to nothing, files with other digests than given, files that
 /// the graph does not describe.

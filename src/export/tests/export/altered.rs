@@ -59,7 +59,6 @@ fn one_bit_in_any_kind_of_file_is_found() {
             "outputs",
             "pipeline.toml",
             "ro-crate-metadata.json",
-            "ro-crate-preview.html",
             "run.json",
             "tagmanifest-sha256.txt",
         ]
