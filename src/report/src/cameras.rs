@@ -78,7 +78,7 @@ fn metrics(page: &Page<'_>, node: &RunNode) -> Markup {
     match page.document::<calibrate::Metrics>(node) {
         Ok(metrics) => html! {
             (figures(&of_calibration(&metrics)))
-            details { summary { "all metrics of the calibration" } (json::fields(&metrics)) }
+            (json::folded("all metrics of the calibration", &metrics))
         },
         Err(missing) => html! { (missing) },
     }

@@ -34,7 +34,7 @@ fn training(page: &Page<'_>, node: &RunNode) -> Markup {
         html! {
             (figures(&of_training(&metrics)))
             (sizes::shown(&metrics.field))
-            details { summary { "all metrics" } (json::fields(&train::Metrics { scores, ..metrics })) }
+            (json::folded("all metrics", &train::Metrics { scores, ..metrics }))
         }
     };
     page.document(node).map_or_else(sentence, shown)
@@ -69,7 +69,7 @@ fn evaluation(page: &Page<'_>, node: &RunNode) -> Markup {
         let scores = without_views(&metrics.scores);
         html! {
             (figures(&of_evaluation(&metrics)))
-            details { summary { "all metrics" } (json::fields(&evaluate::Metrics { scores, ..metrics })) }
+            (json::folded("all metrics", &evaluate::Metrics { scores, ..metrics }))
         }
     };
     page.document(node).map_or_else(sentence, shown)

@@ -112,7 +112,7 @@ fn reliability(metrics: &Metrics) -> Markup {
         }
         @if let Some(held_out) = &metrics.heldout { (intervals(held_out)) (curves(held_out)) }
         (members(metrics))
-        details { summary { "all metrics" } (json::fields(&alone)) }
+        (json::folded("all metrics", &alone))
     }
 }
 

@@ -5,6 +5,7 @@ use marf_model::RunNode;
 use maud::{Markup, html};
 
 use super::format::{count, duration};
+use super::json;
 use super::page::Page;
 use super::report::{FAILED, Report, SKIPPED, STATES, WAITING, stage, state, state_of_all};
 
@@ -165,8 +166,7 @@ fn time(node: &RunNode) -> String {
 fn params(report: &Report<'_>, node: &RunNode) -> Markup {
     let params = report.params.get(&node.run.name);
     let params = params.filter(|params| params.as_object().is_none_or(|table| !table.is_empty()));
-    let text = params.map(|params| serde_json::to_string_pretty(params).unwrap_or_default());
-    html! { @if let Some(text) = text { details { summary { "parameters" } pre { (text) } } } }
+    html! { @if let Some(params) = params { (json::folded("parameters", params)) } }
 }
 
 /// Up to four outputs in sight, more are folded away.

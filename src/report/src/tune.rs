@@ -3,13 +3,12 @@
 use marf_model::RunNode;
 use marf_schema::tune::{BestParams, Scatter, Trial, Trials};
 use maud::{Markup, html};
-use serde_json::Value;
 
 use super::format::{decibels, number, similarity};
 use super::json;
 use super::page::Page;
 
-/// Columns before the parameters, in the order of [`scores`].
+/// Columns before that of the parameters, in the order of [`scores`].
 const SCORES: [&str; 6] = ["trial", "rank", "steps", "psnr", "psnr_paper", "ssim"];
 
 /// The table of trials of every node that has one.
@@ -32,7 +31,7 @@ fn of_node(page: &Page<'_>, node: &RunNode) -> Markup {
             Err(missing) => (missing),
         }
         @match page.document::<BestParams>(node) {
-            Ok(params) => details { summary { "chosen parameters" } (json::fields(&params)) },
+            Ok(params) => (json::folded("chosen parameters", &params)),
             Err(missing) => (missing),
         }
     }
@@ -40,28 +39,23 @@ fn of_node(page: &Page<'_>, node: &RunNode) -> Markup {
 
 /// By rank.
 fn table(trials: &[Trial], chosen: u32) -> Markup {
-    let mut sorted: Vec<(&Trial, Value)> = trials
-        .iter()
-        .map(|trial| (trial, json::value(&trial.params)))
-        .collect();
-    let params: Vec<Value> = sorted.iter().map(|(_, params)| params.clone()).collect();
-    sorted.sort_by_key(|(trial, _)| trial.rank);
-    let columns = json::columns(&params);
+    let mut sorted: Vec<&Trial> = trials.iter().collect();
+    sorted.sort_by_key(|trial| trial.rank);
     html! {
         div.scroll {
             table {
                 thead { tr {
                     th {}
                     @for name in SCORES { th.number { (name) } }
-                    @for column in &columns { (json::head(&params, column, column)) }
+                    th { "parameters" }
                 } }
                 tbody {
-                    @for (trial, params) in sorted {
+                    @for trial in sorted {
                         @let is_chosen = trial.trial == chosen;
                         tr.best[is_chosen] {
                             td { @if is_chosen { strong { "chosen" } } }
                             @for score in scores(trial) { td.number { (score) } }
-                            @for column in &columns { (json::cell(&params, column)) }
+                            td { code { (serde_json::to_string(&trial.params).unwrap_or_default()) } }
                         }
                     }
                 }

@@ -38,17 +38,6 @@ pub fn length(value: f64) -> String {
     number(if value.abs() < 1e-6 { 0.0 } else { value })
 }
 
-/// A number of a known kind: decibels have two decimals, so that columns of them line up.
-pub fn figure(key: &str, value: f64) -> String {
-    let name = key.rsplit('.').next().unwrap_or(key);
-    match name {
-        _ if !value.is_finite() => number(value),
-        "psnr" | "psnr_paper" | "psnr_members_mean" => decibels(value),
-        "ssim" => similarity(value),
-        _ => number(value),
-    }
-}
-
 /// Decibels with two decimals.
 pub fn decibels(value: f64) -> String {
     format!("{value:.2}")
