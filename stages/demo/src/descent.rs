@@ -7,7 +7,7 @@ use super::{
     Demo, DemoError, DemoFile, IsCancelled,
     ground::OUTCROP,
     lens::Lens,
-    math::{DEGREE, SrgbEncoder, sin_cos, v3},
+    math::{DEGREE, SrgbEncoder, Vector, sin_cos, v3},
     render::Shot,
     truth::pinhole_of,
 };
@@ -78,7 +78,7 @@ impl Demo {
         let ground = v3(x, y, -self.world(1).height(x, y));
         let eye = ground + v3(ASIDE * above * cos, ASIDE * above * sin, -above);
         let forward = (ground - eye).unit();
-        let right = forward.cross(v3(-sin, cos, 0.0)).unit();
+        let right = forward.cross(&v3(-sin, cos, 0.0)).unit();
         let size_px = [self.options.width_px, self.options.height_px];
         let focal_px = FOCAL_WIDTHS * f64::from(size_px[0]);
         Lens {

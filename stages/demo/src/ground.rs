@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use super::{
-    math::{V3, noise2, sin_cos, smoothstep, v3},
+    math::{V3, Vector, noise2, sin_cos, smoothstep, v3},
     rocks::{Ray, Rock},
 };
 

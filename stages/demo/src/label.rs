@@ -215,7 +215,7 @@ fn space(frame: &str, indices: &str) -> String {
 
 /// Returns a number with nine decimals: a nanometre, and far below a pixel.
 fn vector(element: &str, v: V3, names: [&str; 3], unit: &str) -> String {
-    let parts = names.iter().zip(v.array());
+    let parts = names.iter().zip(&v);
     let parts: String = parts
         .map(|(name, number)| format!("<geom:{name}{unit}>{number:.9}</geom:{name}>"))
         .collect();

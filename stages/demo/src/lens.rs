@@ -2,7 +2,7 @@
 
 use marf_scene::{Cahvor, Camera, Pose};
 
-use super::math::{V3, v3};
+use super::math::{V3, Vector, v3};
 
 /// A CAHVOR camera. Integer pixel = pixel centre, 0-based.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -22,7 +22,7 @@ const OPTICAL_TILT: (f64, f64) = (0.006, -0.004);
 impl Lens {
     /// Returns a camera at `c` that looks along `forward`, with `right` along its rows.
     pub fn new(c: V3, forward: V3, right: V3, size_px: [u32; 2], focal_px: f64) -> Self {
-        let down = forward.cross(right);
+        let down = forward.cross(&right);
         let centre = |side: u32| (f64::from(side) - 1.0) / 2.0;
         // The principal point is off centre, as that of every real camera.
         let (hc, vc) = (
@@ -41,15 +41,11 @@ impl Lens {
 
     /// Returns an ideal pinhole without the camera's distortion.
     pub fn pinhole(cam_from_site: &Pose, camera: &Camera) -> Self {
-        let axis = |row: usize| {
-            let row = cam_from_site.rotation.row(row);
-            v3(row[0], row[1], row[2])
-        };
+        let axis = |row: usize| cam_from_site.rotation.row(row).transpose();
         let (right, down, forward) = (axis(0), axis(1), axis(2));
-        let centre = cam_from_site.centre();
         // Pixels of the camera begin at their corner, those of the lens at their centre.
         Self {
-            c: v3(centre.x, centre.y, centre.z),
+            c: cam_from_site.centre(),
             a: forward,
             h: right * camera.fx_px + forward * (camera.cx_px - 0.5),
             v: down * camera.fy_px + forward * (camera.cy_px - 0.5),
@@ -62,27 +58,27 @@ impl Lens {
     #[cfg(test)]
     pub fn project(&self, point: V3) -> Option<(f64, f64)> {
         let p = point - self.c;
-        let along = p.dot(self.o);
+        let along = p.dot(&self.o);
         if along <= 0.0 {
             return None;
         }
         let off = p - self.o * along;
-        let tau = off.dot(off) / (along * along);
+        let tau = off.dot(&off) / (along * along);
         let mu = self.r[0] + tau * (self.r[1] + tau * self.r[2]);
         let p = p + off * mu;
-        let depth = p.dot(self.a);
-        (depth > 0.0).then(|| (p.dot(self.h) / depth, p.dot(self.v) / depth))
+        let depth = p.dot(&self.a);
+        (depth > 0.0).then(|| (p.dot(&self.h) / depth, p.dot(&self.v) / depth))
     }
 
     /// Returns the unit direction behind a pixel.
     pub fn ray(&self, x: f64, y: f64) -> V3 {
-        let d = (self.v - self.a * y).cross(self.h - self.a * x);
-        let d = if self.a.dot(self.v.cross(self.h)) < 0.0 {
+        let d = (self.v - self.a * y).cross(&(self.h - self.a * x));
+        let d = if self.a.dot(&self.v.cross(&self.h)) < 0.0 {
             d * -1.0
         } else {
             d
         };
-        let along = d.dot(self.o);
+        let along = d.dot(&self.o);
         let off = d - self.o * along;
         let seen = off.norm() / along;
         if seen < 1e-12 {
@@ -127,11 +123,11 @@ impl Lens {
 
     pub fn cahvor(&self) -> Cahvor {
         Cahvor {
-            c: self.c.array(),
-            a: self.a.array(),
-            h: self.h.array(),
-            v: self.v.array(),
-            o: Some(self.o.array()),
+            c: self.c.into(),
+            a: self.a.into(),
+            h: self.h.into(),
+            v: self.v.into(),
+            o: Some(self.o.into()),
             r: Some(self.r),
             e: None,
         }
@@ -217,8 +213,8 @@ mod tests {
     fn a_pinhole_sees_what_its_camera_sees() {
         let turn = Quaternion::about(v3(0.6, 0.0, 0.8), 0.7).columns();
         let cam_from_site = Pose {
-            rotation: nalgebra::Matrix3::from_columns(&turn.map(|column| column.array().into())),
-            translation: nalgebra::Vector3::new(0.3, -1.2, 2.0),
+            rotation: nalgebra::Matrix3::from_columns(&turn),
+            translation: v3(0.3, -1.2, 2.0),
         };
         let camera = Camera {
             fy_px: 300.0,
@@ -226,9 +222,8 @@ mod tests {
             ..Camera::pinhole(64, 48, 200.0)
         };
         let lens = Lens::pinhole(&cam_from_site, &camera);
-        let at = cam_from_site.centre()
-            + cam_from_site.rotation.transpose() * nalgebra::Vector3::new(0.2, -0.1, 5.0);
-        let (x, y) = lens.project(v3(at.x, at.y, at.z)).unwrap();
+        let at = cam_from_site.centre() + cam_from_site.rotation.transpose() * v3(0.2, -0.1, 5.0);
+        let (x, y) = lens.project(at).unwrap();
         // 10 + 200 * 0.2 / 5 and 24 + 300 * -0.1 / 5, less half a pixel.
         assert!((x - 17.5).abs() < 1e-12 && (y - 17.5).abs() < 1e-12, "{x} {y}");
     }

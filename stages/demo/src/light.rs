@@ -2,7 +2,7 @@
 
 use super::{
     ground::GroundPoint,
-    math::{V3, cell_bits, mix32, noise2, noise3, smoothstep, split_floor, v3},
+    math::{V3, Vector, cell_bits, mix32, noise2, noise3, smoothstep, split_floor, v3},
     rocks::Rock,
 };
 
@@ -29,10 +29,10 @@ pub struct Material {
 
 /// Returns the light that a surface reflects.
 pub fn lit(material: &Material, sun_share: f64, open: f64) -> V3 {
-    let facing = material.normal.dot(TO_SUN).max(0.0) * sun_share;
+    let facing = material.normal.dot(&TO_SUN).max(0.0) * sun_share;
     let up = 0.5 + 0.5 * material.normal.z;
     let light = SUN * facing + SKY_LIGHT * (open * up) + BOUNCE * (open * (1.0 - up) + 0.04);
-    material.albedo.times(light)
+    material.albedo.component_mul(&light)
 }
 
 /// Returns the light of the sky, with hills on the horizon.
@@ -41,7 +41,7 @@ pub fn sky(along: V3, salt: u32) -> V3 {
     let (east, north) = (along.x / level, along.y / level);
     let rise = along.z / level;
     let high = smoothstep(-0.05, 0.9, rise);
-    let near_sun = along.dot(TO_SUN).max(0.0);
+    let near_sun = along.dot(&TO_SUN).max(0.0);
     let glow = near_sun * near_sun * near_sun * near_sun;
     let mut light = HORIZON.mix(ZENITH, high) + v3(0.16, 0.13, 0.10) * (glow * glow);
     light = light + v3(0.05, 0.035, 0.02) * smoothstep(0.12, 0.0, rise);
@@ -170,7 +170,7 @@ pub fn rock_material(rock: &Rock, point: V3, normal: V3, footprint_m: f64, salt:
     let number = |k: u32| f64::from(mix32(rock.salt ^ k) >> 8) / 16_777_216.0;
     let local = rock.local(point - rock.centre) + v3(number(1), number(2), number(3)) * 50.0;
     let fresh = v3(0.150, 0.122, 0.100).mix(v3(0.265, 0.190, 0.125), number(4));
-    let (mut tone, mut bump, mut size) = (0.0, V3::default(), 0.21);
+    let (mut tone, mut bump, mut size) = (0.0, V3::zeros(), 0.21);
     for octave in 0..6_u32 {
         let share = held(size, footprint_m);
         if share <= 0.0 || (octave < 2 && rock.half.x < size * 0.4) {
@@ -186,7 +186,7 @@ pub fn rock_material(rock: &Rock, point: V3, normal: V3, footprint_m: f64, salt:
     }
     let pit = smoothstep(0.26, 0.42, -tone);
     let tilt = rock.world(bump);
-    let normal = (normal - (tilt - normal * tilt.dot(normal))).unit();
+    let normal = (normal - (tilt - normal * tilt.dot(&normal))).unit();
     let coat = smoothstep(0.35, 0.95, normal.z + 1.1 * tone) * (0.35 + 0.5 * number(5));
     let stain = smoothstep(0.22, 0.0, point.z - rock.ground_z) * 0.45;
     let albedo = fresh.mix(DUST, coat.max(stain)) * ((1.0 + tone) * (1.0 - 0.4 * pit));

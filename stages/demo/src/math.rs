@@ -1,80 +1,30 @@
 //! Mathematics with the same bits on every machine: only + - * / sqrt and floor, no libm.
 
-use std::ops::{Add, Mul, Sub};
-
 use marf_numeric::linear_light;
 
 /// Three numbers: a point or direction in metres, or linear RGB.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct V3 {
-    pub x: f64,
-    pub y: f64,
-    pub z: f64,
-}
+pub type V3 = nalgebra::Vector3<f64>;
 
 pub const fn v3(x: f64, y: f64, z: f64) -> V3 {
-    V3 { x, y, z }
+    V3::new(x, y, z)
 }
 
-impl V3 {
-    pub fn dot(self, other: V3) -> f64 {
-        self.x * other.x + self.y * other.y + self.z * other.z
+/// What nalgebra's vectors lack.
+pub trait Vector {
+    /// Returns the direction, by a product with 1 / norm. nalgebra's `normalize` divides, which gives other bits.
+    fn unit(self) -> Self;
+
+    /// Returns the value at a share of the way to another.
+    fn mix(self, other: Self, share: f64) -> Self;
+}
+
+impl Vector for V3 {
+    fn unit(self) -> Self {
+        self * (1.0 / self.dot(&self).sqrt())
     }
 
-    pub fn cross(self, other: V3) -> V3 {
-        v3(
-            self.y * other.z - self.z * other.y,
-            self.z * other.x - self.x * other.z,
-            self.x * other.y - self.y * other.x,
-        )
-    }
-
-    /// Returns the product by component: light times albedo.
-    pub fn times(self, other: V3) -> V3 {
-        v3(self.x * other.x, self.y * other.y, self.z * other.z)
-    }
-
-    pub fn norm(self) -> f64 {
-        self.dot(self).sqrt()
-    }
-
-    pub fn unit(self) -> V3 {
-        self * (1.0 / self.norm())
-    }
-
-    pub fn array(self) -> [f64; 3] {
-        [self.x, self.y, self.z]
-    }
-
-    pub fn mix(self, other: V3, share: f64) -> V3 {
+    fn mix(self, other: Self, share: f64) -> Self {
         self * (1.0 - share) + other * share
-    }
-}
-
-impl From<[f64; 3]> for V3 {
-    fn from(a: [f64; 3]) -> Self {
-        v3(a[0], a[1], a[2])
-    }
-}
-
-impl Add for V3 {
-    type Output = V3;
-    fn add(self, other: V3) -> V3 {
-        v3(self.x + other.x, self.y + other.y, self.z + other.z)
-    }
-}
-
-impl Sub for V3 {
-    type Output = V3;
-    fn sub(self, other: V3) -> V3 {
-        v3(self.x - other.x, self.y - other.y, self.z - other.z)
-    }
-}
-
-impl Mul<f64> for V3 {
-    type Output = V3;
-    fn mul(self, scale: f64) -> V3 {
-        v3(self.x * scale, self.y * scale, self.z * scale)
     }
 }
 

@@ -83,7 +83,7 @@ impl Shot<'_> {
     fn trace(&self, x: f64, y: f64) -> RaySample {
         let (from, along) = self.ray(x, y);
         self.world
-            .trace(from, along, 1.0 / self.lens.h.cross(self.lens.a).norm())
+            .trace(from, along, 1.0 / self.lens.h.cross(&self.lens.a).norm())
     }
 
     /// Traces a pixel's ray. z is up in the world and down in the site.

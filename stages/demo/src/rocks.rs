@@ -1,6 +1,6 @@
 //! Rocks: convex polyhedra in a bounding volume hierarchy.
 
-use super::math::{Rng, V3, sin_cos, v3};
+use super::math::{Rng, V3, Vector, sin_cos, v3};
 
 /// Planes that cut the corners of a shape, in addition to the six of its box.
 const CUTS: usize = 18;
@@ -90,8 +90,8 @@ impl Ray {
         Self {
             from,
             along,
-            start: from.array().map(|number| number as f32),
-            inverse: along.array().map(inverse),
+            start: from.map(|number| number as f32).into(),
+            inverse: along.map(inverse).into(),
         }
     }
 
@@ -117,10 +117,10 @@ impl Rock {
         let (sin, cos) = sin_cos(place.yaw_rad);
         let up = v3(place.tilt.0, place.tilt.1, 1.0).unit();
         let heading = v3(cos, sin, 0.0);
-        let x = (heading - up * heading.dot(up)).unit();
+        let x = (heading - up * heading.dot(&up)).unit();
         Self {
             centre: place.centre,
-            rows: [x, up.cross(x), up],
+            rows: [x, up.cross(&x), up],
             half: place.half,
             inverse_half: v3(1.0 / place.half.x, 1.0 / place.half.y, 1.0 / place.half.z),
             shape,
@@ -131,7 +131,7 @@ impl Rock {
 
     /// Returns a world vector in the rock's axes, metres.
     pub fn local(&self, p: V3) -> V3 {
-        v3(self.rows[0].dot(p), self.rows[1].dot(p), self.rows[2].dot(p))
+        v3(self.rows[0].dot(&p), self.rows[1].dot(&p), self.rows[2].dot(&p))
     }
 
     pub fn world(&self, p: V3) -> V3 {
@@ -203,7 +203,7 @@ impl Shape {
     fn normal(&self, p: V3, wear: f64) -> V3 {
         let gap = |i: usize| self.reach[i] - (self.nx[i] * p.x + self.ny[i] * p.y + self.nz[i] * p.z);
         let least = (0..PLANES).map(gap).fold(f64::INFINITY, f64::min);
-        (0..PLANES).fold(V3::default(), |sum, i| {
+        (0..PLANES).fold(V3::zeros(), |sum, i| {
             let weight = (1.0 - (gap(i) - least) / wear).max(0.0);
             sum + v3(self.nx[i], self.ny[i], self.nz[i]) * (weight * weight)
         })
@@ -263,9 +263,9 @@ impl Rocks {
 
     fn normal(&self, index: usize, point: V3) -> V3 {
         let rock = &self.all[index];
-        let local = rock.local(point - rock.centre).times(rock.inverse_half);
+        let local = rock.local(point - rock.centre).component_mul(&rock.inverse_half);
         let normal = self.shapes[rock.shape].normal(local, 0.10);
-        rock.world(normal.times(rock.inverse_half)).unit()
+        rock.world(normal.component_mul(&rock.inverse_half)).unit()
     }
 
     /// Calls `hit` for intersections before the limit it last returned. `None` ends the traversal.
@@ -302,8 +302,10 @@ impl Rocks {
 
     fn enter(&self, index: usize, ray: &Ray, limit: f64) -> Option<f64> {
         let rock = &self.all[index];
-        let from = rock.local(ray.from - rock.centre).times(rock.inverse_half);
-        let along = rock.local(ray.along).times(rock.inverse_half);
+        let from = rock
+            .local(ray.from - rock.centre)
+            .component_mul(&rock.inverse_half);
+        let along = rock.local(ray.along).component_mul(&rock.inverse_half);
         self.shapes[rock.shape].enter(from, along, limit)
     }
 }
@@ -330,8 +332,8 @@ fn grow(nodes: &mut Vec<Node>, all: &mut [Rock], from: usize, to: usize) {
     let along_x = high.x - low.x > high.y - low.y;
     let at = nodes.len();
     nodes.push(Node {
-        low: (low - slack).array().map(|number| number as f32),
-        high: (high + slack).array().map(|number| number as f32),
+        low: (low - slack).map(|number| number as f32).into(),
+        high: (high + slack).map(|number| number as f32).into(),
         next: from as u32,
         kind: Kind::Leaf,
     });
@@ -396,7 +398,7 @@ mod tests {
             let from = v3(rng.within(-6.0, 6.0), rng.within(-6.0, 6.0), 2.0);
             let ray = Ray::new(from, v3(0.0, 0.6, -0.8));
             if let Some(hit) = rocks.first(&ray, 1e9) {
-                assert!(hit.normal.dot(ray.along) < 0.35, "{:?}", hit.normal);
+                assert!(hit.normal.dot(&ray.along) < 0.35, "{:?}", hit.normal);
                 assert!((hit.normal.norm() - 1.0).abs() < 1e-12);
             }
         }

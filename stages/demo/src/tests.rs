@@ -348,7 +348,7 @@ fn the_pinhole_sees_what_the_lens_sees_at_its_axis() {
         let lens = lens(&photo.site_model);
         let point = lens.c + lens.o * 6.0;
         let (x, y) = lens.project(point).unwrap();
-        let in_camera = photo.cam_from_site.point(&nalgebra::Vector3::from(point.array()));
+        let in_camera = photo.cam_from_site.point(&point);
         let pixel = photo.pinhole.project(&in_camera).unwrap();
         assert!(
             (pixel.x - x - 0.5).abs() < 1e-9 && (pixel.y - y - 0.5).abs() < 1e-9,
@@ -411,7 +411,7 @@ impl Above {
         let seen = demo.world_on(sol).trace(from, down, 1e-4);
         Self {
             height_m: from_m - seen.range_m,
-            light: seen.light.array(),
+            light: seen.light.into(),
             is_shaded: matches!(
                 seen.surface,
                 world::Surface::ShadedGround | world::Surface::ShadedRock(_)

@@ -187,7 +187,7 @@ pub fn take(stop: &Stop, pointing: &Pointing, eye: Eye, size_px: [u32; 2], seed:
     // The direction from the mast to the outcrop, in the rover frame.
     let head = rotate(&columns, MAST) + place;
     let to = v3(OUTCROP[0], OUTCROP[1], head.z) - head;
-    let azimuth = angle(columns[0].dot(to), columns[1].dot(to)) + pointing.pan_deg * DEGREE;
+    let azimuth = angle(columns[0].dot(&to), columns[1].dot(&to)) + pointing.pan_deg * DEGREE;
     let mast = Quaternion::about(v3(0.0, 0.0, 1.0), azimuth)
         .after(Quaternion::about(v3(0.0, 1.0, 0.0), pointing.tilt_deg * DEGREE));
     let [forward, right, down] = mast.columns();

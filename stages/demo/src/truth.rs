@@ -1,10 +1,11 @@
 //! Ground truth: for tests and for people, never read by the pipeline.
 
 use marf_scene::{Cahvor, Camera, Pose};
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Matrix3;
 
 use super::{
     lens::{Lens, RoverPose},
+    math::Vector,
     plan::FlawKind,
 };
 
@@ -57,32 +58,28 @@ pub struct RangeMap {
 }
 
 pub fn pose_of(rover: &RoverPose) -> Pose {
-    let columns = rover
-        .attitude
-        .columns()
-        .map(|column| Vector3::from(column.array()));
     Pose {
-        rotation: Matrix3::from_columns(&columns),
-        translation: Vector3::from(rover.place.array()),
+        rotation: Matrix3::from_columns(&rover.attitude.columns()),
+        translation: rover.place,
     }
 }
 
 /// Returns the pinhole of a lens whose rows and columns are perpendicular, as those of the demo's lenses are.
 pub fn pinhole_of(lens: &Lens, width: u32, height: u32) -> (Pose, Camera) {
     let (right, down) = (
-        lens.a.cross(lens.h).cross(lens.a),
-        lens.a.cross(lens.v).cross(lens.a),
+        lens.a.cross(&lens.h).cross(&lens.a),
+        lens.a.cross(&lens.v).cross(&lens.a),
     );
-    let rows = [right.unit(), down.unit(), lens.a].map(|row| Vector3::from(row.array()).transpose());
+    let rows = [right.unit(), down.unit(), lens.a].map(|row| row.transpose());
     let rotation = Matrix3::from_rows(&rows);
     let camera = Camera {
         fx_px: right.norm(),
         fy_px: down.norm(),
-        cx_px: lens.a.dot(lens.h) + 0.5,
-        cy_px: lens.a.dot(lens.v) + 0.5,
+        cx_px: lens.a.dot(&lens.h) + 0.5,
+        cy_px: lens.a.dot(&lens.v) + 0.5,
         ..Camera::pinhole(width, height, 1.0)
     };
-    let translation = -(rotation * Vector3::from(lens.c.array()));
+    let translation = -(rotation * lens.c);
     (
         Pose {
             rotation,

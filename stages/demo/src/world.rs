@@ -115,12 +115,12 @@ impl World {
     fn sand(&self, ray: &Ray, range_m: f64, pixel_rad: f64) -> RaySample {
         let p = ray.at(range_m);
         let point = self.ground.point(p.x, p.y);
-        let facing = -ray.along.dot(ground::normal_of(point.slope.0, point.slope.1));
+        let facing = -ray.along.dot(&ground::normal_of(point.slope.0, point.slope.1));
         // A pixel's footprint is elongated: the geometric mean of its sides keeps detail without aliasing.
         let footprint_m = range_m * pixel_rad / facing.clamp(0.06, 1.0).sqrt();
         let mut material = light::ground_material(p.x, p.y, &point, footprint_m, self.salt);
         if self.is_changed && is_bared(p.x, p.y) {
-            material.albedo = material.albedo.times(BARED);
+            material.albedo = material.albedo.component_mul(&BARED);
         }
         // Only rocks cast shadows: the ground is less steep than the sun is high.
         let to_sun = Ray::new(p + v3(0.0, 0.0, 0.004), TO_SUN);
@@ -141,7 +141,7 @@ impl World {
         let rock = &self.rocks.all[hit.rock];
         let p = ray.at(hit.t);
         let material = light::rock_material(rock, p, hit.normal, hit.t * pixel_rad, self.salt);
-        let turned_away = hit.normal.dot(TO_SUN) <= 0.0;
+        let turned_away = hit.normal.dot(&TO_SUN) <= 0.0;
         let to_sun = Ray::new(p + hit.normal * 0.003, TO_SUN);
         let shaded = !turned_away && hit.t < SHADOWS_M && self.rocks.shade_rock(&to_sun, SHADOW_M);
         let light = light::lit(

@@ -4,7 +4,7 @@ use super::{lens, small, sol_1};
 use crate::{
     FlawKind,
     lens::{Lens, Quaternion},
-    math::{self, V3},
+    math::{self, V3, Vector},
 };
 
 /// Reads numbers of a label by the namespace-free names, as the real labels have them.
@@ -55,10 +55,10 @@ fn labels_tell_a_pose_that_is_a_little_off() {
         assert!((0.02..0.3).contains(&turned), "{}: {turned} degrees", photo.file);
         assert!((0.001..0.05).contains(&moved), "{}: {moved} m", photo.file);
         // The label states the lens exactly, up to its digits.
-        let focal = |lens: &Lens| lens.a.cross(lens.h).norm();
+        let focal = |lens: &Lens| lens.a.cross(&lens.h).norm();
         assert!((focal(&site) - focal(&truth)).abs() < 1e-5, "{}", photo.file);
         assert!(
-            (site.a.dot(site.h) - truth.a.dot(truth.h)).abs() < 1e-5,
+            (site.a.dot(&site.h) - truth.a.dot(&truth.h)).abs() < 1e-5,
             "{}",
             photo.file
         );
