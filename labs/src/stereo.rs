@@ -225,6 +225,15 @@ pub fn stereo(args: &StereoArgs, cancel: &Cancel) -> Result {
         go_on(cancel)?;
         let [left, right, file] = pair.files.map(|file| args.dir.join(file));
         let (left, right) = (Picture::new(grey(&left)?), Picture::new(grey(&right)?));
+        let sizes = [&left, &right].map(|picture| [picture.grey.width, picture.grey.height]);
+        if sizes[0] != sizes[1] {
+            let [[width, height], [other_width, other_height]] = sizes;
+            return Err(format!(
+                "{}: the left picture has {width} x {height} pixels, the right one {other_width} x {other_height}",
+                pair.name
+            )
+            .into());
+        }
         let truth = truth(&file, pair.scale)?;
         let search = Search {
             first: 0,

@@ -55,56 +55,18 @@ impl Disparities {
     }
 }
 
-/// Why a pair has no disparities.
+/// The left picture seems to be the right one.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
-pub enum MatchError {
-    /// A picture has no pixel.
-    #[error("a picture of {width} x {height} pixels cannot be matched")]
-    Empty {
-        /// Pixels in a row.
-        width: usize,
-        /// Rows.
-        height: usize,
-    },
-    /// The pictures differ in size.
-    #[error(
-        "the left picture has {left_width} x {left_height} pixels, the right one {right_width} x {right_height}"
-    )]
-    SizesDiffer {
-        /// Pixels in a row of the left picture.
-        left_width: usize,
-        /// Rows of the left picture.
-        left_height: usize,
-        /// Pixels in a row of the right picture.
-        right_width: usize,
-        /// Rows of the right picture.
-        right_height: usize,
-    },
-    /// No disparity to try, or more than fit.
-    #[error(
-        "{count} disparities from {first} cannot be tried: the limit is 1 to {MAX_DISPARITIES}, within +-{MAX_DISPARITIES}"
-    )]
-    Search {
-        /// The smallest disparity.
-        first: i32,
-        /// How many.
-        count: usize,
-    },
-    /// The left picture seems to be the right one.
-    #[error(
-        "{:.1} % of the pixels match as given and {:.1} % with left and right exchanged. Exchange the pictures",
-        100.0 * given, 100.0 * exchanged
-    )]
-    Swapped {
-        /// Share of pixels with a disparity, in [0, 1].
-        given: f64,
-        /// The same with left and right exchanged, at a coarser level.
-        exchanged: f64,
-    },
+#[error(
+    "{:.1} % of the pixels match as given and {:.1} % with left and right exchanged. Exchange the pictures",
+    100.0 * given, 100.0 * exchanged
+)]
+pub struct Swapped {
+    /// Share of pixels with a disparity, in [0, 1].
+    pub given: f64,
+    /// The same with left and right exchanged, at a coarser level.
+    pub exchanged: f64,
 }
-
-/// The most disparities of a search, and the largest disparity.
-pub const MAX_DISPARITIES: usize = 8192;
 
 /// Below this share of matches, the exchanged pair is tried. Chance gives a swapped pair up to a quarter.
 const FEW_MATCHES: f64 = 0.35;
@@ -125,9 +87,11 @@ const TRIAL_PIXELS: usize = 1 << 17;
 /// match each other: mask them before. A pair without any match is not an error.
 ///
 /// # Errors
-/// Returns an error if the pictures differ in size or have no pixel, if the search is empty or too large, or if hardly
-/// anything matches until left and right are exchanged.
-pub fn match_pair(left: &Picture, right: &Picture, search: Search) -> Result<Disparities, MatchError> {
+/// Hardly anything matches until left and right are exchanged.
+///
+/// # Panics
+/// If the pictures differ in size or have no pixel, or if the search is empty or too large: a mistake of the caller.
+pub fn match_pair(left: &Picture, right: &Picture, search: Search) -> Result<Disparities, Swapped> {
     match_pair_on(InstructionSet::best(), left, right, search)
 }
 
@@ -136,40 +100,26 @@ pub(crate) fn match_pair_on(
     left: &Picture,
     right: &Picture,
     search: Search,
-) -> Result<Disparities, MatchError> {
-    check(left, right, search)?;
+) -> Result<Disparities, Swapped> {
+    let size = [left.grey.width, left.grey.height];
+    assert_eq!(
+        size,
+        [right.grey.width, right.grey.height],
+        "pictures that differ in size"
+    );
+    assert!(!size.contains(&0), "pictures without pixels");
+    assert!(search.is_within_limits(), "{search:?}");
     let pair = [left, right];
     let matched = levels::coarse_to_fine(set, pair, search);
     let given = known_share(&matched);
     if given < FEW_MATCHES {
         let exchanged = exchanged_share(set, pair, search);
         if exchanged >= MANY_MATCHES.max(2.0 * given) {
-            return Err(MatchError::Swapped { given, exchanged });
+            return Err(Swapped { given, exchanged });
         }
     }
     let planes = refine::refine(set, pair, matched.clone());
     Ok(classify(planes, &matched))
-}
-
-fn check(left: &Picture, right: &Picture, search: Search) -> Result<(), MatchError> {
-    let (width, height) = (left.grey.width, left.grey.height);
-    if (width, height) != (right.grey.width, right.grey.height) {
-        return Err(MatchError::SizesDiffer {
-            left_width: width,
-            left_height: height,
-            right_width: right.grey.width,
-            right_height: right.grey.height,
-        });
-    }
-    if width == 0 || height == 0 {
-        return Err(MatchError::Empty { width, height });
-    }
-    let Search { first, count } = search;
-    let first_fits = first.unsigned_abs() as usize <= MAX_DISPARITIES;
-    if count == 0 || count > MAX_DISPARITIES || !first_fits {
-        return Err(MatchError::Search { first, count });
-    }
-    Ok(())
 }
 
 /// Returns the share of pixels with a disparity when left and right are exchanged.

@@ -2,7 +2,7 @@
 
 use thiserror::Error;
 
-use crate::disparities::MatchError;
+use crate::disparities::Swapped;
 use crate::kept::MatchedPair;
 use crate::raster::Picture;
 
@@ -21,7 +21,7 @@ pub(crate) enum PairFault {
     )]
     Hidden { eye: &'static str, share: f64 },
     #[error(transparent)]
-    Match(#[from] MatchError),
+    Swapped(#[from] Swapped),
     #[error("{:.1} % of the pixels match: the photos show too little texture, or not the same", 100.0 * share)]
     FewMatches { share: f64 },
     #[error(

@@ -57,9 +57,9 @@ mod winner;
 mod write;
 
 pub use cloud_distance::{CloudDistance, PointCloud, Ray};
-pub use disparities::{Class, Disparities, MAX_DISPARITIES, MatchError, match_pair};
+pub use disparities::{Class, Disparities, Swapped, match_pair};
 pub use raster::{Picture, Raster};
 pub use rectify::{Eye, LEAST_ANGLE_DEG, PosedCamera, Rectified, RectifyError};
-pub use search::Search;
+pub use search::{MAX_DISPARITIES, Search};
 pub use stage::MakeDepth;
 pub use targets::{DistanceSample, TargetDetail, distances};

@@ -5,10 +5,9 @@ use marf_scene::Scene;
 use rayon::prelude::*;
 use thiserror::Error;
 
-use crate::disparities::MAX_DISPARITIES;
 use crate::overlap::{FEWEST, Overlap, Surface, are_twins};
 use crate::rectify::{PosedCamera, Rectified, RectifyError};
-use crate::search::Search;
+use crate::search::{MAX_DISPARITIES, Search};
 
 /// Most points of a pair.
 const MOST_OF_PAIR: usize = 512;
@@ -218,10 +217,11 @@ fn search(rectified: &Rectified, disparities: Vec<f64>) -> Option<Search> {
     let high = (NEARER * most + MARGIN_PX).min(low + width);
     let first = ((low + far).floor() as i32).div_euclid(STEP) * STEP;
     let last = ((high + far).ceil() as i32).div_euclid(STEP) * STEP + STEP - 1;
-    Some(Search {
+    let search = Search {
         first,
         count: ((last - first + 1) as usize).min(MAX_DISPARITIES),
-    })
+    };
+    search.is_within_limits().then_some(search)
 }
 
 #[cfg(test)]

@@ -2,6 +2,9 @@
 
 use crate::cost::BLOCK;
 
+/// The most disparities of a search, and the largest first disparity.
+pub const MAX_DISPARITIES: usize = 8192;
+
 /// Disparities to be tried.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Search {
@@ -12,6 +15,11 @@ pub struct Search {
 }
 
 impl Search {
+    /// Whether there is a disparity to try, and no more than fit.
+    pub(crate) fn is_within_limits(self) -> bool {
+        (1..=MAX_DISPARITIES).contains(&self.count) && self.first.unsigned_abs() as usize <= MAX_DISPARITIES
+    }
+
     pub(crate) fn last(self) -> i32 {
         self.first + self.count as i32 - 1
     }
