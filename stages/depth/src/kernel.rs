@@ -1,8 +1,6 @@
 //! Loops that are compiled once for each instruction set.
 
-#[cfg(target_arch = "x86_64")]
-use marf_numeric::{Avx2, Avx512};
-use marf_numeric::{Dispatch, InstructionSet, Plain};
+use marf_numeric::InstructionSet;
 
 /// A computation that is compiled once for each instruction set.
 ///
@@ -17,28 +15,7 @@ pub(crate) trait Kernel {
 
 /// Runs a kernel on an instruction set.
 pub(crate) fn run<K: Kernel>(set: InstructionSet, kernel: K) -> K::Output {
-    set.dispatch(Compiled(kernel))
+    set.dispatch(Dispatched(kernel))
 }
 
-struct Compiled<K>(K);
-
-impl<K: Kernel> Dispatch for Compiled<K> {
-    type Output = K::Output;
-
-    #[inline(always)]
-    fn plain(self, _: Plain) -> K::Output {
-        self.0.run()
-    }
-
-    #[cfg(target_arch = "x86_64")]
-    #[inline(always)]
-    fn avx2(self, _: Avx2) -> K::Output {
-        self.0.run()
-    }
-
-    #[cfg(target_arch = "x86_64")]
-    #[inline(always)]
-    fn avx512(self, _: Avx512) -> K::Output {
-        self.0.run()
-    }
-}
+marf_numeric::dispatch_kernels!(Kernel, |kernel, _| kernel.run());

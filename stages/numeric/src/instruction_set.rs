@@ -49,6 +49,42 @@ pub trait Dispatch {
     fn avx512(self, token: Avx512) -> Self::Output;
 }
 
+/// Declares `Dispatched(kernel)`, a [`Dispatch`] that runs a kernel of a trait on every instruction set in the same way.
+///
+/// The trait has an associated type `Output`. `dispatch_kernels!(Kernel, |kernel, token| kernel.run(token))` calls a
+/// method with the token of the set.
+#[macro_export]
+macro_rules! dispatch_kernels {
+    ($kernel:ident, |$work:ident, $token:tt| $run:expr) => {
+        /// A kernel on the set whose token it gets.
+        struct Dispatched<K>(K);
+
+        impl<K: $kernel> $crate::Dispatch for Dispatched<K> {
+            type Output = K::Output;
+
+            #[inline(always)]
+            fn plain(self, $token: $crate::Plain) -> K::Output {
+                let Self($work) = self;
+                $run
+            }
+
+            #[cfg(target_arch = "x86_64")]
+            #[inline(always)]
+            fn avx2(self, $token: $crate::Avx2) -> K::Output {
+                let Self($work) = self;
+                $run
+            }
+
+            #[cfg(target_arch = "x86_64")]
+            #[inline(always)]
+            fn avx512(self, $token: $crate::Avx512) -> K::Output {
+                let Self($work) = self;
+                $run
+            }
+        }
+    };
+}
+
 impl InstructionSet {
     /// Returns every set of this machine, the slowest first.
     pub fn all() -> Vec<Self> {

@@ -8,9 +8,9 @@
 use std::arch::x86_64::*;
 
 pub(crate) use marf_numeric::InstructionSet;
+use marf_numeric::Plain;
 #[cfg(target_arch = "x86_64")]
 use marf_numeric::{Avx2, Avx512};
-use marf_numeric::{Dispatch, Plain};
 
 /// Descriptors in a block of rows.
 pub(crate) const ROWS: usize = 8;
@@ -96,32 +96,10 @@ pub(crate) trait Kernel {
 
 /// Runs a kernel on an instruction set.
 pub(crate) fn run<K: Kernel>(set: InstructionSet, kernel: K) -> K::Output {
-    set.dispatch(OnLanes(kernel))
+    set.dispatch(Dispatched(kernel))
 }
 
-/// Hands a kernel the token of the instruction set as its lanes.
-struct OnLanes<K>(K);
-
-impl<K: Kernel> Dispatch for OnLanes<K> {
-    type Output = K::Output;
-
-    #[inline(always)]
-    fn plain(self, token: Plain) -> K::Output {
-        self.0.run(token)
-    }
-
-    #[cfg(target_arch = "x86_64")]
-    #[inline(always)]
-    fn avx2(self, token: Avx2) -> K::Output {
-        self.0.run(token)
-    }
-
-    #[cfg(target_arch = "x86_64")]
-    #[inline(always)]
-    fn avx512(self, token: Avx512) -> K::Output {
-        self.0.run(token)
-    }
-}
+marf_numeric::dispatch_kernels!(Kernel, |kernel, token| kernel.run(token));
 
 impl Lanes for Plain {
     #[inline(always)]

@@ -2,9 +2,7 @@
 
 use std::marker::PhantomData;
 
-#[cfg(target_arch = "x86_64")]
-use marf_numeric::{Avx2, Avx512};
-use marf_numeric::{Dispatch, InstructionSet, Plain};
+use marf_numeric::InstructionSet;
 
 /// Lanes of one vector, on every set.
 pub const LANES: usize = 16;
@@ -170,26 +168,4 @@ impl Run for InstructionSet {
     }
 }
 
-/// A kernel on the set whose token it gets.
-struct Dispatched<K>(K);
-
-impl<K: Kernel> Dispatch for Dispatched<K> {
-    type Output = K::Output;
-
-    #[inline(always)]
-    fn plain(self, token: Plain) -> K::Output {
-        self.0.run(token)
-    }
-
-    #[cfg(target_arch = "x86_64")]
-    #[inline(always)]
-    fn avx2(self, token: Avx2) -> K::Output {
-        self.0.run(token)
-    }
-
-    #[cfg(target_arch = "x86_64")]
-    #[inline(always)]
-    fn avx512(self, token: Avx512) -> K::Output {
-        self.0.run(token)
-    }
-}
+marf_numeric::dispatch_kernels!(Kernel, |kernel, token| kernel.run(token));
