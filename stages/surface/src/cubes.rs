@@ -207,6 +207,31 @@ mod tests {
     use std::collections::BTreeMap;
 
     use super::*;
+    use crate::volume::{SAMPLES, sample_place};
+
+    impl Volume {
+        /// Samples a function on all blocks of a box of `blocks` blocks a side, the first at the origin of the
+        /// grid. The function returns NaN where it is unknown, else the signed distance in cells, positive
+        /// outside.
+        fn sampled(cell: f64, blocks: [u32; 3], value: impl Fn(Vector3<f64>) -> f32) -> Self {
+            let [nx, ny, nz] = blocks.map(|side| side as i32);
+            let mut places: Vec<Place> = Vec::new();
+            for x in 0..nx {
+                for y in 0..ny {
+                    places.extend((0..nz).map(|z| [x, y, z]));
+                }
+            }
+            let of_block = |place: &Place| {
+                let mut samples = [f32::NAN; SAMPLES];
+                for (index, sample) in samples.iter_mut().enumerate() {
+                    *sample = value(position(cell, sample_place(place, index)));
+                }
+                samples
+            };
+            let blocks = places.iter().map(of_block).collect();
+            Self::from_blocks(cell, places, blocks)
+        }
+    }
 
     /// Counts how often each edge is run through from its first vertex to its second.
     fn edges(triangles: &[[u32; 3]]) -> BTreeMap<(u32, u32), u32> {

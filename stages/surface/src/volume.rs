@@ -73,29 +73,8 @@ impl Volume {
         Ok(Self::from_blocks(layout.cell, places, blocks))
     }
 
-    /// Samples a function on all blocks of a box of `blocks` blocks a side, the first at the origin of the
-    /// grid. The function returns NaN where it is unknown, else the signed distance in cells, positive
-    /// outside.
-    pub fn sampled(cell: f64, blocks: [u32; 3], value: impl Fn(Vector3<f64>) -> f32) -> Self {
-        let [nx, ny, nz] = blocks.map(|side| side as i32);
-        let mut places: Vec<Place> = Vec::new();
-        for x in 0..nx {
-            for y in 0..ny {
-                places.extend((0..nz).map(|z| [x, y, z]));
-            }
-        }
-        let of_block = |place: &Place| {
-            let mut samples = [f32::NAN; SAMPLES];
-            for (index, sample) in samples.iter_mut().enumerate() {
-                *sample = value(position(cell, sample_place(place, index)));
-            }
-            samples
-        };
-        let blocks = places.iter().map(of_block).collect();
-        Self::from_blocks(cell, places, blocks)
-    }
-
-    fn from_blocks(cell: f64, places: Vec<Place>, blocks: Vec<[f32; SAMPLES]>) -> Self {
+    /// Returns the volume of blocks of samples at these places, which are sorted.
+    pub(crate) fn from_blocks(cell: f64, places: Vec<Place>, blocks: Vec<[f32; SAMPLES]>) -> Self {
         let numbered = places.iter().enumerate();
         Self {
             cell,
@@ -157,7 +136,7 @@ pub fn position(cell: f64, place: Place) -> Vector3<f64> {
     Vector3::from(place.map(f64::from)) * cell
 }
 
-fn sample_place(block: &Place, index: usize) -> Place {
+pub(crate) fn sample_place(block: &Place, index: usize) -> Place {
     let step = [index % SIDE, index / SIDE % SIDE, index / SIDE / SIDE];
     [0, 1, 2].map(|axis| block[axis] * SIDE as i32 + step[axis] as i32)
 }
