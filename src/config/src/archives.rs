@@ -8,8 +8,9 @@ use serde_json::{Map, Value as Json, json};
 
 use super::error::ConfigError;
 use super::options::GlobalOptions;
+use super::place::placed;
 use super::syntax::{Entry, SyntaxNode};
-use crate::nearest::{did_you_mean, near_word};
+use crate::nearest::did_you_mean;
 
 /// Key that names the kind of an archive.
 const KIND: &str = "kind";
@@ -80,12 +81,7 @@ impl<'a> Archives<'a> {
 
 /// Puts a stage's error about the archive it reads at the key of the archive's table. `path` is below the table.
 pub(super) fn param_error(table: &Entry, path: &str, error: &ParamError) -> ConfigError {
-    let (at, key) = match path {
-        "" => (table.at.clone(), String::new()),
-        path => (table.value.place(path), format!(".{path}")),
-    };
-    let message = format!("archive.{}{key}: {}", table.key, error.message);
-    ConfigError::at(at, message).hint(near_word(&error.message))
+    placed(&format!("archive.{}", table.key), table, path, &error.message)
 }
 
 fn kind_of(table: &Entry) -> Result<&'static ArchiveDef, ConfigError> {

@@ -8,6 +8,7 @@ mod error;
 mod manual_lists;
 pub mod nearest;
 mod options;
+mod place;
 mod resolve;
 pub mod scenes;
 mod schema;

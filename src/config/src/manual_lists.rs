@@ -2,17 +2,27 @@
 
 use std::collections::HashSet;
 
+use schemars::JsonSchema;
+use serde::Deserialize;
 use serde_json::{Map, Value as Json, json};
 
 use super::error::ConfigError;
-use super::syntax::{Entry, SyntaxNode, Value};
-use crate::nearest::did_you_mean;
+use super::place::read;
+use super::syntax::SyntaxNode;
 
 /// The tables, each with one key `ids`. They are also the keys of a filter's `by_hand`.
 pub(super) const LISTS: [&str; 2] = ["keep", "reject"];
 /// The parameter of filters that takes the lists.
 pub(super) const PARAM: &str = "by_hand";
-const IDS: &str = "ids";
+
+/// One of the tables.
+#[derive(Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+struct PhotoList {
+    /// Product ids, or file names as the archive has them.
+    #[serde(default)]
+    ids: Vec<String>,
+}
 
 /// Returns the lists as `{"keep": [...], "reject": [...]}`, or `None` if the pipeline has neither.
 ///
@@ -21,8 +31,10 @@ const IDS: &str = "ids";
 pub(super) fn lists(root: &SyntaxNode) -> Result<Option<Map<String, Json>>, ConfigError> {
     let mut lists = Map::new();
     for name in LISTS {
-        if let Some(entry) = root.entry(name) {
-            lists.insert(name.to_owned(), Json::Array(names(entry)?));
+        if let Some(table) = root.entry(name) {
+            let shape = format!("write it as `[{name}]` with `ids = [\"product id or file name\", …]`");
+            let PhotoList { ids } = read(table, &shape)?;
+            lists.insert(name.to_owned(), json!(ids));
         }
     }
     let [keep, reject] = LISTS.map(|name| lists.get(name).and_then(Json::as_array).into_iter().flatten());
@@ -33,30 +45,6 @@ pub(super) fn lists(root: &SyntaxNode) -> Result<Option<Map<String, Json>>, Conf
         return Err(ConfigError::at(root.place("reject.ids"), message).hint(hint));
     }
     Ok((!lists.is_empty()).then_some(lists))
-}
-
-fn names(table: &Entry) -> Result<Vec<Json>, ConfigError> {
-    let name = &table.key;
-    let shape = || format!("write it as `[{name}]` with `{IDS} = [\"product id or file name\", …]`");
-    let refuse = |at: &SyntaxNode| {
-        ConfigError::at(at.at.clone(), format!("`{name}` is not a list of photos")).hint(Some(shape()))
-    };
-    let entries = table.value.entries().ok_or_else(|| refuse(&table.value))?;
-    let mut all = Vec::new();
-    for entry in entries {
-        if entry.key != IDS {
-            let message = format!("unknown key `{}` in `[{name}]`", entry.key);
-            let hint = did_you_mean(&entry.key, [IDS]).or_else(|| Some(shape()));
-            return Err(ConfigError::at(entry.at.clone(), message).hint(hint));
-        }
-        let Value::Array(items) = &entry.value.value else {
-            return Err(refuse(&entry.value));
-        };
-        for item in items {
-            all.push(Json::from(item.text().ok_or_else(|| refuse(item))?));
-        }
-    }
-    Ok(all)
 }
 
 /// Returns list and name of every entry in the parameters of a filter.
@@ -83,16 +71,11 @@ pub(super) fn add_to(params: &mut Map<String, Json>, lists: &Map<String, Json>) 
 
 /// Returns the schema of one of the tables.
 pub(super) fn schema(what: &str) -> Json {
-    json!({
-        "type": "object",
-        "additionalProperties": false,
-        "description": format!("Photos that every filter {what}, whatever it measures. Recorded in its key and as the verdict's reason."),
-        "properties": {IDS: {
-            "type": "array",
-            "items": {"type": "string"},
-            "description": "Product ids, or file names as the archive has them.",
-        }},
-    })
+    let mut schema = marf_stage::schema_of::<PhotoList>().to_value();
+    schema["description"] = json!(format!(
+        "Photos that every filter {what}, whatever it measures. Recorded in its key and as the verdict's reason."
+    ));
+    schema
 }
 
 #[cfg(test)]
@@ -122,9 +105,9 @@ mod tests {
     #[test]
     fn what_is_no_list_of_names_is_refused_at_its_place() {
         for (text, at, says) in [
-            ("[keep]\nid = [\"a\"]\n", "id = ", "did you mean `ids`?"),
+            ("[keep]\nid = [\"a\"]\n", "[\"a\"]", "did you mean `ids`?"),
             ("[keep]\nids = \"a\"\n", "\"a\"", "product id"),
-            ("[keep]\nids = [\"a\", 3]\n", "3]", "product id"),
+            ("[keep]\nids = [\"a\", 3]\n", "[\"a\", 3]", "product id"),
             (
                 "[keep]\nids = [\"a\"]\n[reject]\nids = [\"a\"]\n",
                 "[\"a\"]",

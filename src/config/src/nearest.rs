@@ -18,7 +18,7 @@ pub fn did_you_mean<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) ->
 /// Returns "did you mean `x`?" for a message about a word that is not one of some known words, each in backticks: those of serde and of
 /// [`marf_field::Device`]. None for other messages, and if no known word is near.
 pub fn near_word(message: &str) -> Option<String> {
-    let lists = ["unknown variant `", "` is not a device: "];
+    let lists = ["unknown variant `", "unknown field `", "` is not a device: "];
     if !lists.iter().any(|list| message.contains(list)) {
         return None;
     }

@@ -13,9 +13,10 @@ use super::archives::{self, Archives};
 use super::error::{ConfigError, Origin};
 use super::manual_lists;
 use super::options::GlobalOptions;
+use super::place::placed;
 use super::store::{self, SharedStore};
 use super::syntax::{Entry, SyntaxNode, Value};
-use crate::nearest::{did_you_mean, near_word};
+use crate::nearest::did_you_mean;
 
 /// A checked pipeline.
 pub struct Pipeline {
@@ -337,18 +338,7 @@ fn param_error(entry: &Entry, archive: Option<&Entry>, error: &ParamError) -> Co
     if let (Some(table), Some(path)) = (archive, in_archive) {
         return archives::param_error(table, path.trim_start_matches('.'), error);
     }
-    let at = if error.path.is_empty() {
-        entry.at.clone()
-    } else {
-        entry.value.place(&error.path)
-    };
-    let key = if error.path.is_empty() {
-        String::new()
-    } else {
-        format!(".{}", error.path)
-    };
-    let message = format!("node.{}{key}: {}", entry.key, error.message);
-    ConfigError::at(at, message).hint(near_word(&error.message))
+    placed(&format!("node.{}", entry.key), entry, &error.path, &error.message)
 }
 
 /// Checks that the nodes form a graph. An error has the place of the key or the node at fault.

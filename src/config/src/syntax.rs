@@ -244,9 +244,9 @@ impl SyntaxNode {
         self.entries()?.iter().find(|entry| entry.key == key)
     }
 
-    /// Returns the place of a dotted path, or of its longest existing part.
+    /// Returns the place of a dotted path, or of its longest existing part. That of an item of a list is its list.
     pub fn place(&self, path: &str) -> Origin {
-        let (first, rest) = path.split_once('.').unwrap_or((path, ""));
+        let (first, rest) = path.split_once(['.', '[']).unwrap_or((path, ""));
         match self.entry(first) {
             Some(entry) if rest.is_empty() => entry.value.at.clone(),
             Some(entry) => entry.value.place(rest),
