@@ -90,25 +90,22 @@ impl ActionJob {
 
 /// Returns the task of an action, if this program on this machine computes the same key for it.
 fn task_of(action: &Action, params: Value, graph: &Graph) -> Result<Task, ActionError> {
-    let stage = || action.stage.clone();
+    let stage = &action.stage;
+    let elsewhere = |message: String| Err(ActionError::Elsewhere(message));
     let Some(def) = graph.table.get(action.stage.as_str()) else {
-        return Err(ActionError::NoStage { stage: stage() });
+        return elsewhere(format!("stage `{stage}`, which this program does not have"));
     };
     // Nothing else has no inputs.
     if def.ports.is_empty() {
-        return Err(ActionError::Source { stage: stage() });
+        return Err(ActionError::Source { stage: stage.clone() });
     }
     if let Some(part) = &action.part {
-        return Err(ActionError::Part {
-            stage: stage(),
-            part: part.clone(),
-        });
+        return elsewhere(format!(
+            "part `{part}` of stage `{stage}`, which this program computes only with its node"
+        ));
     }
     let bound: Arc<dyn Stage> = (def.bind)(params)
-        .map_err(|error| ActionError::Params {
-            stage: stage(),
-            message: error.to_string(),
-        })?
+        .map_err(|error| ActionError::Elsewhere(format!("stage `{stage}`: {error}")))?
         .into();
     let inputs = Inputs(action.inputs.clone());
     let key = node_key(&graph.table, None, def, bound.as_ref(), &inputs)
@@ -116,19 +113,16 @@ fn task_of(action: &Action, params: Value, graph: &Graph) -> Result<Task, Action
     let here = &key.action;
     let backend = |action: &Action| action.backend.clone().unwrap_or_else(|| "cpu".to_owned());
     if here.backend != action.backend {
-        return Err(ActionError::Backend {
-            stage: stage(),
-            wanted: backend(action),
-            here: backend(here),
-        });
+        let (wanted, here) = (backend(action), backend(here));
+        return elsewhere(format!("stage `{stage}` on {wanted}, and here is {here}"));
     }
     if key.digest != action.key() {
         let differences = differences(action, here);
-        return Err(ActionError::Key {
-            stage: stage(),
-            difference: differences.first().map(ToString::to_string).unwrap_or_default(),
-            key: key.digest,
-        });
+        let difference = differences.first().map(ToString::to_string).unwrap_or_default();
+        return elsewhere(format!(
+            "stage `{stage}` of another marf: {difference}. This program would give it the key {}",
+            key.digest.short()
+        ));
     }
     let prepared = RunInputs {
         key,
@@ -138,6 +132,6 @@ fn task_of(action: &Action, params: Value, graph: &Graph) -> Result<Task, Action
     };
     Ok(Task {
         prepared: Some(prepared),
-        ..Task::new(stage(), *def, bound, InputSource::Fixed(inputs))
+        ..Task::new(stage.clone(), *def, bound, InputSource::Fixed(inputs))
     })
 }
