@@ -39,7 +39,7 @@ pub use marf_cache::LISTING;
 pub use marf_stage::Cancel;
 pub use needs::Needs;
 pub use photo_changes::photo_changes;
-pub use plan::{PlanOptions, PlanState, PlannedNode, plan, plan_beside, why};
+pub use plan::{PlanOptions, PlanState, PlannedNode, plan, why};
 pub use record::{
     Build, EngineError, NodeInput, NodeRun, NodeState, Outcome, OutputName, RUN_FORMAT, RecordError,
     RunRecord, document, last_run, last_run_where, run_of, runs,

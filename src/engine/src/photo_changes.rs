@@ -25,13 +25,13 @@ pub fn photo_changes(
     graph: &Graph,
     store: &Store,
     last: Option<&RunRecord>,
-    options: &PlanOptions,
+    options: &PlanOptions<'_>,
     node: &str,
 ) -> Result<Vec<Change>, EngineError> {
     let index = graph
         .index(node)
         .ok_or_else(|| EngineError::unknown(graph, node))?;
-    let known = plan_all(graph, store, last, options, None)?;
+    let known = plan_all(graph, store, last, options)?;
     let index = nearest_known(graph, &known, index);
     let Some(record) = last_record(store, last, &graph.nodes[index].name)? else {
         return Ok(Vec::new());

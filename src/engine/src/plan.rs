@@ -72,13 +72,15 @@ impl PlanState {
     }
 }
 
-/// How sources are listed for a plan.
+/// How a run is planned.
 #[derive(Debug, Clone, Default)]
-pub struct PlanOptions {
+pub struct PlanOptions<'a> {
     /// Threads for listings, by default all cores.
     pub threads: Option<NonZero<usize>>,
     /// Set when the user wants to stop.
     pub cancel: Cancel,
+    /// From where the run fetches results that its store lacks.
+    pub shared: Option<&'a dyn SharedResults>,
 }
 
 /// Returns the plan of a run, in topological order. `last` is the last run of this pipeline.
@@ -89,23 +91,9 @@ pub fn plan(
     graph: &Graph,
     store: &Store,
     last: Option<&RunRecord>,
-    options: &PlanOptions,
+    options: &PlanOptions<'_>,
 ) -> Result<Vec<PlannedNode>, EngineError> {
-    plan_beside(graph, store, last, options, None)
-}
-
-/// As [`plan`], of a run that fetches the results that its store lacks from a shared store.
-///
-/// # Errors
-/// As [`plan`].
-pub fn plan_beside(
-    graph: &Graph,
-    store: &Store,
-    last: Option<&RunRecord>,
-    options: &PlanOptions,
-    shared: Option<&dyn SharedResults>,
-) -> Result<Vec<PlannedNode>, EngineError> {
-    let known = plan_all(graph, store, last, options, shared)?.into_iter();
+    let known = plan_all(graph, store, last, options)?.into_iter();
     Ok(known.map(|known| known.node).collect())
 }
 
@@ -114,11 +102,10 @@ pub(crate) fn plan_all(
     graph: &Graph,
     store: &Store,
     last: Option<&RunRecord>,
-    options: &PlanOptions,
-    shared: Option<&dyn SharedResults>,
+    options: &PlanOptions<'_>,
 ) -> Result<Vec<NodePreview>, EngineError> {
     let planner = Planner {
-        shared,
+        shared: options.shared,
         graph,
         store,
         last,
@@ -296,7 +283,7 @@ pub fn why(
     graph: &Graph,
     store: &Store,
     last: Option<&RunRecord>,
-    options: &PlanOptions,
+    options: &PlanOptions<'_>,
     node: &str,
 ) -> Result<PlannedNode, EngineError> {
     let planned = plan(graph, store, last, options)?.into_iter();

@@ -1,6 +1,6 @@
 //! The actions of a run, planned without running it, and their reasons.
 
-use marf_engine::{PlanOptions, PlannedNode, SharedResults};
+use marf_engine::{PlanOptions, PlannedNode};
 use marf_schema::scenes::Scenes;
 use marf_stage::Document;
 
@@ -18,19 +18,22 @@ pub fn plan(context: &Context, selection: &Selection) -> Result<Vec<PlannedNode>
     let session = known(Session::open(context)?)?;
     let last = session.last()?;
     let shared = Shared::open(&session)?;
-    let shared = shared.as_deref().map(|shared| shared as &dyn SharedResults);
-    let (graph, store) = (&session.graph, &session.store);
-    let mut nodes = marf_engine::plan_beside(graph, store, last.as_ref(), &options(context), shared)?;
+    let options = PlanOptions {
+        shared: shared.as_deref().map(|shared| shared as _),
+        ..options(context)
+    };
+    let mut nodes = marf_engine::plan(&session.graph, &session.store, last.as_ref(), &options)?;
     let selected = scenes::selected(&session, selection)?;
     let chosen = session.graph.select(&selected.to, &selected.from)?;
     nodes.retain(|node| chosen.contains(&node.node));
     Ok(nodes)
 }
 
-fn options(context: &Context) -> PlanOptions {
+fn options(context: &Context) -> PlanOptions<'_> {
     PlanOptions {
         threads: context.threads,
         cancel: context.cancel.clone(),
+        shared: None,
     }
 }
 

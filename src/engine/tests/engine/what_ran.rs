@@ -241,7 +241,7 @@ fn every_photo_that_was_added_edited_or_removed_is_named() {
 fn a_plan_ends_when_the_user_stops_it_while_a_source_is_listed() {
     let (_dir, store, pipeline, fixture, first) = after_first_run();
     let (graph, last) = (pipeline.graph(), Some(&first));
-    let asked = |question: &dyn Fn(&PlanOptions) -> Option<EngineError>| {
+    let asked = |question: &dyn Fn(&PlanOptions<'_>) -> Option<EngineError>| {
         let options = PlanOptions::default();
         let cancel = options.cancel.clone();
         *fixture.at_list.lock() = Some(std::sync::Arc::new(move || cancel.set()));
