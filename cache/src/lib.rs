@@ -17,6 +17,6 @@ pub use digest::{Digest, ParseDigestError, Sha256, Sha256Reader};
 pub use json::canonical_json;
 pub use store::{
     Belongings, Closure, Conflict, Fault, FsckOptions, FsckReport, GcPlan, GcReport, LostDocument,
-    MissingObject, Output, ReadShare, Record, Role, Roots, RunMetadata, SetError, StageStat, Store,
-    StoreError, StoreStat, Upstream, digest_list, read_digest_list,
+    MissingObject, Output, ReadShare, Record, Roots, RunMetadata, SetError, StageStat, Store, StoreError,
+    StoreStat, Upstream, digest_list, read_digest_list,
 };

@@ -6,7 +6,7 @@ use super::{
     census::{Census, PREFIX, prefix},
     commit,
     error::StoreError,
-    missing::{MissingObject, Role},
+    missing::MissingObject,
     objects::Objects,
     pack::Kind,
     read_digest_list,
@@ -30,8 +30,16 @@ enum Walk {
 
 #[derive(Clone)]
 enum Task {
-    Key { key: Digest, owner: Digest, role: Role },
-    Set { root: Digest, owner: Digest, walk: Walk },
+    Key {
+        key: Digest,
+        owner: Digest,
+        role: &'static str,
+    },
+    Set {
+        root: Digest,
+        owner: Digest,
+        walk: Walk,
+    },
 }
 
 /// A memo with its maker. `memo` and `blob` are numbers of the census.
@@ -156,10 +164,10 @@ impl<'a> Marker<'a> {
     }
 
     /// Marks a blob, and lists it where it is missing. Returns whether it is there.
-    fn blob(&mut self, digest: &Digest, role: Role, owner: &Digest) -> Result<bool, StoreError> {
+    fn blob(&mut self, digest: &Digest, role: &'static str, owner: &Digest) -> Result<bool, StoreError> {
         let is_there = self.visit(Kind::Blob, digest)?.is_some();
         if !is_there {
-            self.miss(digest, role, owner);
+            self.miss(Kind::Blob, digest, role, owner);
         }
         Ok(is_there)
     }
@@ -170,11 +178,7 @@ impl<'a> Marker<'a> {
     }
 
     /// Lists an object that is missing, once, as what it was first found to be named.
-    fn miss(&mut self, digest: &Digest, role: Role, owner: &Digest) {
-        let kind = match role {
-            Role::Record | Role::Part | Role::Child => Kind::Record,
-            _ => Kind::Blob,
-        };
+    fn miss(&mut self, kind: Kind, digest: &Digest, role: &'static str, owner: &Digest) {
         if self.listed.insert((kind, *digest)) {
             self.missing.push(MissingObject {
                 digest: *digest,
@@ -188,13 +192,13 @@ impl<'a> Marker<'a> {
     fn read(
         &mut self,
         digest: &Digest,
-        role: Role,
+        role: &'static str,
         owner: &Digest,
     ) -> Result<Option<std::sync::Arc<[u8]>>, StoreError> {
         match self.objects.get(digest) {
             Ok(bytes) => Ok(Some(bytes)),
             Err(error) if error.lost().is_some() => {
-                self.miss(digest, role, owner);
+                self.miss(Kind::Blob, digest, role, owner);
                 Ok(None)
             }
             Err(error) => Err(error),
@@ -206,7 +210,7 @@ impl<'a> Marker<'a> {
         self.tasks.push(Task::Key {
             key: *key,
             owner: *key,
-            role: Role::Record,
+            role: "record",
         });
         self.run()
     }
@@ -227,7 +231,7 @@ impl<'a> Marker<'a> {
 
     /// Marks a blob and, if it is a set, all it consists of.
     pub(super) fn root_blob(&mut self, digest: &Digest) -> Result<(), StoreError> {
-        self.blob(digest, Role::Root, digest)?;
+        self.blob(digest, "document or set", digest)?;
         self.tasks.push(Task::Set {
             root: *digest,
             owner: *digest,
@@ -259,7 +263,7 @@ impl<'a> Marker<'a> {
         Ok(())
     }
 
-    fn follow_key(&mut self, key: &Digest, owner: &Digest, role: Role) -> Result<(), StoreError> {
+    fn follow_key(&mut self, key: &Digest, owner: &Digest, role: &'static str) -> Result<(), StoreError> {
         let visited = self.visit(Kind::Record, key)?;
         if visited == Some(false) {
             return Ok(());
@@ -269,7 +273,7 @@ impl<'a> Marker<'a> {
             None => None,
         };
         let Some(record) = record else {
-            self.miss(key, role, owner);
+            self.miss(Kind::Record, key, role, owner);
             return Ok(());
         };
         self.mark_memos(key);
@@ -292,15 +296,15 @@ impl<'a> Marker<'a> {
 
     fn follow_action(&mut self, key: &Digest) -> Result<(), StoreError> {
         // A process may use the action as a blob: a mark on it does not show that its inputs are marked.
-        self.blob(key, Role::Action, key)?;
-        let bytes = self.read(key, Role::Action, key)?;
+        self.blob(key, "action", key)?;
+        let bytes = self.read(key, "action", key)?;
         let action = bytes.and_then(|bytes| Action::decode(&bytes).ok());
         for (name, input) in action.iter().flat_map(|action| &action.inputs) {
             let is_missing = self.visit(Kind::Blob, input)?.is_none();
             // A chain of steps begins with the digest of nothing, which nobody stores.
             let is_outside = name == FINGERPRINT || *input == Digest::from_content(&[]);
             if is_missing && !is_outside {
-                self.miss(input, Role::Input, key);
+                self.miss(Kind::Blob, input, "input", key);
             }
             let walk = if name == LISTING {
                 Walk::Input
@@ -319,7 +323,7 @@ impl<'a> Marker<'a> {
     fn follow_record(&mut self, record: &Record) -> Result<(), StoreError> {
         let key = &record.key;
         for output in record.outputs.values() {
-            self.blob(&output.digest, Role::Output, key)?;
+            self.blob(&output.digest, "output", key)?;
             self.tasks.push(Task::Set {
                 root: output.digest,
                 owner: *key,
@@ -327,15 +331,15 @@ impl<'a> Marker<'a> {
             });
         }
         if let Some(list) = record.needs {
-            self.blob(&list, Role::Needs, key)?;
-            let bytes = self.read(&list, Role::Needs, key)?;
+            self.blob(&list, "list of needs", key)?;
+            let bytes = self.read(&list, "list of needs", key)?;
             let needs = bytes.and_then(|bytes| read_digest_list(&bytes));
             for digest in needs.unwrap_or_default() {
-                self.blob(&digest, Role::Need, key)?;
+                self.blob(&digest, "stored beside the outputs", key)?;
             }
         }
         if let Some(parts) = record.parts {
-            self.blob(&parts, Role::Parts, key)?;
+            self.blob(&parts, "list of parts", key)?;
             self.tasks.push(Task::Set {
                 root: parts,
                 owner: *key,
@@ -345,7 +349,7 @@ impl<'a> Marker<'a> {
         self.tasks.extend(record.children.values().map(|child| Task::Key {
             key: *child,
             owner: *key,
-            role: Role::Child,
+            role: "record of a child",
         }));
         Ok(())
     }
@@ -355,13 +359,13 @@ impl<'a> Marker<'a> {
         if !self.objects.is_set(root)? || !self.walk(root, walk) {
             return Ok(());
         }
-        let Some(bytes) = self.read(root, Role::Root, owner)? else {
+        let Some(bytes) = self.read(root, "document or set", owner)? else {
             return Ok(());
         };
         // Bytes that begin as a set but are not a set name nothing.
         for block in Root::blocks(&bytes).unwrap_or_default() {
-            self.blob(&block.digest, Role::Block, root)?;
-            let Some(bytes) = self.read(&block.digest, Role::Block, root)? else {
+            self.blob(&block.digest, "block of a set", root)?;
+            let Some(bytes) = self.read(&block.digest, "block of a set", root)? else {
                 continue;
             };
             for leaf in Root::decode_leaves(&bytes).unwrap_or_default() {
@@ -384,22 +388,22 @@ impl<'a> Marker<'a> {
                 self.tasks.push(Task::Key {
                     key: *digest,
                     owner: *owner,
-                    role: Role::Part,
+                    role: "record of a part",
                 });
                 return Ok(());
             }
-            Walk::Output => self.blob(digest, Role::Leaf, root)?,
+            Walk::Output => self.blob(digest, "sol of a set", root)?,
             Walk::Input => self.visit(Kind::Blob, digest)?.is_some(),
         };
         // As with an action, a mark on a leaf does not show that its rows are marked.
         if !is_there || !self.objects.is_leaf(digest)? || !self.walk(digest, walk) {
             return Ok(());
         }
-        let bytes = self.read(digest, Role::Leaf, root)?;
+        let bytes = self.read(digest, "sol of a set", root)?;
         let rows = bytes.and_then(|bytes| Leaf::decode(&bytes).ok());
         for row in rows.iter().flat_map(|leaf| &leaf.rows) {
             for blob in row.blobs.values() {
-                self.blob(blob, Role::Row, digest)?;
+                self.blob(blob, "product", digest)?;
             }
         }
         Ok(())

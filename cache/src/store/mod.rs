@@ -103,7 +103,7 @@ pub use closure::Closure;
 pub use error::StoreError;
 pub use fsck::{Fault, FsckOptions, FsckReport, LostDocument};
 pub use gc::{GcPlan, GcReport, Roots};
-pub use missing::{MissingObject, Role};
+pub use missing::MissingObject;
 pub use read_share::ReadShare;
 pub use record::{Conflict, Output, Record, RunMetadata, StoreStat, digest_list, read_digest_list};
 pub use sets::SetError;

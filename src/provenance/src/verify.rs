@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use marf_cache::{Digest, FsckOptions, FsckReport, MissingObject, ReadShare, Role, Sha256, Store};
+use marf_cache::{Digest, FsckOptions, FsckReport, MissingObject, ReadShare, Sha256, Store};
 use marf_model::{Run, RunError, RunNode, product::origins, unless_lost};
 use serde::Serialize;
 
@@ -131,26 +131,8 @@ fn named(nodes: &[&RunNode], missing: &MissingObject) -> Lost {
     let node = nodes.iter().find(|node| node.run.key == Some(missing.named_by));
     Lost {
         digest: missing.digest,
-        role: role(missing.role),
+        role: missing.role,
         of: node.map_or_else(|| missing.named_by.short(), |node| node.run.name.clone()),
-    }
-}
-
-fn role(role: Role) -> &'static str {
-    match role {
-        Role::Record => "record",
-        Role::Action => "action",
-        Role::Input => "input",
-        Role::Output => "output",
-        Role::Needs => "list of needs",
-        Role::Need => "stored beside the outputs",
-        Role::Parts => "list of parts",
-        Role::Part => "record of a part",
-        Role::Child => "record of a child",
-        Role::Root => "document or set",
-        Role::Block => "block of a set",
-        Role::Leaf => "sol of a set",
-        Role::Row => "product",
     }
 }
 
