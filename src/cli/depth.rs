@@ -195,6 +195,10 @@ fn table(scene: &SceneDepth) -> Vec<String> {
         "",
         format!("{with_depth} of {} photos have any", metrics.photos.len()),
     ));
+    if metrics.sky_share > 0.0 {
+        let sky = format!("{} of the pixels, without a depth", percent(metrics.sky_share));
+        rows.push(("sky", sky));
+    }
     rows.extend(metrics.median_sigma_share.map(|share| {
         let sigma = format!("{} of the distance in the median", percent(share));
         ("sigma", sigma)

@@ -46,6 +46,7 @@ fn of_node(page: &Page<'_>, node: &RunNode) -> Markup {
                 ", and one standard deviation is " (percent(sigma)) " of the distance in the median"
             }
             "."
+            @if metrics.sky_share > 0.0 { " " (percent(metrics.sky_share)) " of the pixels show sky, which has none." }
         }
         @if metrics.unit == "metres" { (agreement::body(page, node)) }
         @if let Some((digest, title)) = shown {

@@ -197,7 +197,7 @@ fn a_part_of_a_set_that_is_gone_is_named_with_its_set() {
 fn depths_and_changes_have_the_numbers_of_their_documents() {
     let mut store = fixture::Store::default();
     let depth: marf_schema::depth::Metrics = serde_json::from_value(serde_json::json!({
-        "unit": "metres", "photos": [], "pairs": [], "refused": {}, "share": 0.6251, "confirmed_share": 0.25,
+        "unit": "metres", "photos": [], "pairs": [], "refused": {}, "share": 0.6251, "confirmed_share": 0.25, "sky_share": 0.2,
         "median_sigma_share": 0.0125, "points": 7, "cell": 0.1, "map": null, "missing": {},
     }))
     .unwrap();
@@ -220,7 +220,7 @@ fn depths_and_changes_have_the_numbers_of_their_documents() {
         &html,
         &[
             "<strong>62.5 %</strong> of the pixels a depth, two pairs confirm 25.0 % of all, and one standard deviation is 1.2 % of the \
-             distance in the median.",
+             distance in the median. 20.0 % of the pixels show sky, which has none.",
             "Before: 4 photos of sols 1, 2, PSNR 23.46 dB. After: 1 photo of sols 8, 9, PSNR 23.46 dB. Both show 6.5 m²: \
              <strong>0.75 m² changed</strong>, 0.25 m² undecided.",
             "Where nothing changed, 90 % of the cells (0.05 m) differ by less than 0.034 m. The two times lie 0.012 m apart in height",

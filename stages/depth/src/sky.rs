@@ -14,9 +14,10 @@ use crate::winner::NONE;
 
 /// Surfaces hide what is below them in columns of this many pixels.
 const COLUMN_PX: f64 = 4.0;
-/// Sky is smoother than this share of what the median pixel with a depth shows, or than so many steps of 255.
+/// Sky is smoother than this share of what the median pixel with a depth shows, or than so many steps of 255: a step of a photo is stretched to
+/// 4 at most.
 const SMOOTH_SHARE: f32 = 0.5;
-const SMOOTH_STEPS: f32 = 3.0;
+const SMOOTH_STEPS: f32 = 5.0;
 /// Smaller parts are no sky, shares of the photo.
 const LEAST_SHARE: f64 = 0.01;
 
@@ -62,7 +63,7 @@ impl Headings {
 /// Gives the pixels of a photo that show sky their class.
 ///
 /// Sky has no depth, is above the horizon and above every depth of its column, and is smooth: the brightness of the pixels around varies by at
-/// most half of what it does around the median pixel with a depth, or by 3 steps of 255. Parts smaller than 1 % of the photo do not count.
+/// most half of what it does around the median pixel with a depth, or by 5 steps of 255. Parts smaller than 1 % of the photo do not count.
 ///
 /// # Extremes
 /// A photo without depths has no sky: nothing says how smooth ground is. Far hills without texture, in haze, pass for sky.

@@ -187,6 +187,7 @@ impl Products {
             unit: self.frame.unit().to_owned(),
             share: share(&|photo| photo.share),
             confirmed_share: share(&|photo| photo.confirmed_share),
+            sky_share: share(&|photo| photo.sky_share),
             median_sigma_share: upper_median(self.photos.iter().filter_map(|photo| photo.median_sigma_share)),
             pairs: matched,
             refused,
