@@ -64,7 +64,7 @@ impl KeptPhotos {
     pub(crate) fn photo(&self, position: u32) -> Result<KeptPhoto<'_>, StageError> {
         let bytes = self.0.get(position as usize);
         let photo = bytes.and_then(|bytes| from_bytes(bytes));
-        photo.ok_or_else(|| StageError::new(format!("no photo is kept at {position}")))
+        photo.ok_or_else(unreadable)
     }
 }
 
@@ -73,7 +73,11 @@ impl KeptPhotos {
 /// # Errors
 /// Bytes that are not those of photos.
 pub(crate) fn read_added(added: &[u8]) -> Result<Vec<KeptPhoto<'_>>, StageError> {
-    from_bytes(added).ok_or_else(|| damaged("photos kept of a sol cannot be read".to_owned()))
+    from_bytes(added).ok_or_else(unreadable)
+}
+
+fn unreadable() -> StageError {
+    damaged("photos kept of a sol cannot be read".to_owned())
 }
 
 /// Most bytes of planes that are held: those of 500 photos of three bands.
