@@ -8,7 +8,7 @@ use marf_report::visible;
 use marf_run::RunFeedback;
 use parking_lot::Mutex;
 
-use super::print_devices;
+use crate::terminal::eprint_line;
 
 /// A bar for each running node, finished nodes as lines above them.
 #[derive(Default)]
@@ -48,7 +48,7 @@ impl Bars {
 
 impl RunFeedback for Bars {
     fn on_devices(&self, devices: &str) {
-        print_devices(devices);
+        eprint_line(&format!("device  {devices}"));
     }
 
     fn on_run_progress(&self, standing: &RunProgress) {

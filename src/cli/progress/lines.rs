@@ -7,7 +7,6 @@ use marf_progress::{RunProgress, sentence};
 use marf_run::RunFeedback;
 use parking_lot::Mutex;
 
-use super::print_devices;
 use crate::terminal::eprint_line;
 
 /// Least time between two progress lines of one node.
@@ -60,7 +59,7 @@ impl Lines {
 
 impl RunFeedback for Lines {
     fn on_devices(&self, devices: &str) {
-        print_devices(devices);
+        eprint_line(&format!("device  {devices}"));
     }
 
     /// Prints how far the whole run is, every ten seconds, from ten seconds after its start.

@@ -12,8 +12,6 @@ use bars::Bars;
 pub use json_lines::JsonLines;
 use lines::Lines;
 
-use crate::terminal::eprint_line;
-
 /// Returns bars if stderr is a terminal, plain lines otherwise.
 pub fn for_stderr() -> Box<dyn RunFeedback> {
     if std::io::stderr().is_terminal() {
@@ -21,9 +19,4 @@ pub fn for_stderr() -> Box<dyn RunFeedback> {
     } else {
         Box::new(Lines::default())
     }
-}
-
-/// Prints the devices of a run.
-fn print_devices(devices: &str) {
-    eprint_line(&format!("device  {devices}"));
 }
