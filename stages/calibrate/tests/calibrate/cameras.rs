@@ -121,8 +121,9 @@ fn without_distortion_a_point_is_seen_where_the_pinhole_shows_it() {
         );
         let photo = photo.unwrap().image;
         assert_eq!((photo.width, photo.height), (width, height), "{}", view.file);
-        // A barrel: what was bent inwards is stretched, so that the picture has more pixels at the same scale.
-        assert!(width > 64 && height > 48, "{width} x {height}");
+        // A barrel: what was bent inwards is stretched, so that the picture has more whole pixels at the same scale: less than
+        // one above and below.
+        assert!(width > 64 && height >= 48, "{width} x {height}");
         // The observation moves with the picture: it is still about half a pixel off.
         let error_px = view.error_px.unwrap();
         assert!((0.45..0.6).contains(&error_px), "{}: {error_px}", view.file);
