@@ -45,20 +45,7 @@ pub(crate) fn leaf_name(index: usize) -> String {
 
 /// Reads a set.
 pub(crate) fn read_set(ctx: &Ctx<'_>, root: &Digest) -> Result<Root, StageError> {
-    /// A blob that cannot be read, or is not a manifest.
-    enum Fault {
-        Stage(StageError),
-        Manifest(ManifestError),
-    }
-    impl From<ManifestError> for Fault {
-        fn from(error: ManifestError) -> Self {
-            Self::Manifest(error)
-        }
-    }
-    Root::read(root, |digest| ctx.get(digest).map_err(Fault::Stage)).map_err(|fault| match fault {
-        Fault::Stage(error) => error,
-        Fault::Manifest(error) => unreadable("set", root, &error),
-    })
+    Root::read(root, |digest| ctx.get(digest))
 }
 
 /// Stores a set.
