@@ -96,7 +96,7 @@ pub fn execute_with(session: &Session, options: &Options, extras: &Extras<'_>) -
     let shared = Shared::open(session)?;
     let options = Options {
         source: session.source.clone(),
-        build: program::build(context.commit),
+        build: program::build(&session.store, context.commit),
         shared: shared.clone().map(|shared| shared as Arc<dyn SharedResults>),
         ..options.clone()
     };
