@@ -11,6 +11,7 @@ use axum::middleware::{self, Next};
 use axum::response::sse::{KeepAlive, Sse};
 use axum::response::{IntoResponse as _, Response};
 use axum::routing::{get, post};
+use futures_util::{StreamExt as _, stream};
 use marf_cache::Digest;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -25,7 +26,7 @@ use crate::frames::{FrameError, Shown, View};
 use crate::measure::{distance, pick};
 use crate::site::Site;
 use crate::splats::{SplatState, pack, splats_of_points};
-use crate::stream::Received;
+use crate::stream::received;
 
 /// Most bytes of a request: a view has some hundred.
 const MOST_BODY_BYTES: usize = 16 << 10;
@@ -172,7 +173,7 @@ async fn scene_page(State(site): State<Arc<Site>>, Path(name): Path<String>) -> 
 }
 
 async fn events(State(site): State<Arc<Site>>) -> Response {
-    let stream = Received::new(follow(Arc::clone(&site.source)));
+    let stream = received(follow(Arc::clone(&site.source)));
     Sse::new(stream).keep_alive(KeepAlive::default()).into_response()
 }
 
@@ -283,7 +284,10 @@ async fn frames(State(site): State<Arc<Site>>, body: Bytes) -> Response {
     let mut frames = site.renderer.frames(request.viewer, field, request.view, shown);
     // The first picture decides the status: a failed render is answered as text.
     match frames.recv().await {
-        Some(Ok(first)) => answer(BYTES, Body::from_stream(Received::after(Ok(first), frames))),
+        Some(Ok(first)) => {
+            let all = stream::iter([Ok(first)]).chain(received(frames));
+            answer(BYTES, Body::from_stream(all))
+        }
         Some(Err(error)) => refusal(StatusCode::UNPROCESSABLE_ENTITY, &error.to_string()),
         None => refusal(StatusCode::CONFLICT, "a newer view is wanted"),
     }
