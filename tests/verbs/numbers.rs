@@ -133,7 +133,10 @@ fn verbs_on_a_folder_print_the_numbers_of_their_files() {
     ));
     depth.says(&format!("{with_depth} of 4 photos have any"));
     if depth.float("/sky_share") > 0.0 {
-        depth.says(&format!("{} of the pixels, without a depth", percent("/sky_share")));
+        depth.says(&format!(
+            "{} of the pixels, without a depth",
+            percent("/sky_share")
+        ));
     }
     let pictures = walkdir::WalkDir::new(dir.join("depths"))
         .into_iter()

@@ -146,6 +146,44 @@ mod tests {
     }
 
     #[test]
+    fn places_of_distances_decide_the_box_where_sparse_points_are_too_few() {
+        let mut views = ball(6, 16);
+        for view in &mut views {
+            let distances = (0..16).map(|row| PixelDistance {
+                pixel: [7, row],
+                distance: if row < 4 { f32::INFINITY } else { 2.0 },
+                sigma: 0.0,
+            });
+            view.distances = distances.collect();
+        }
+        let shown = |view: &View| {
+            view.distances
+                .iter()
+                .filter_map(|one| view.place_of(one))
+                .collect::<Vec<_>>()
+        };
+        let places: Vec<[f64; 3]> = views.iter().flat_map(shown).collect();
+        assert_eq!(places.len(), 6 * 12);
+        for (place, view) in places.iter().step_by(12).zip(&views) {
+            let away = (Vector3::from(*place) - view.cam_from_world.centre()).norm();
+            assert!((away - 2.0).abs() < 1e-12, "{away}");
+            assert_eq!(view.pixel_of(&Vector3::from(*place)), Some([7, 4]));
+        }
+        let by_distances = Training::new(views.clone(), &[], &small(), 0).unwrap();
+        let by_points = Training::new(ball(6, 16), &places, &small(), 0).unwrap();
+        assert_eq!(by_distances.refit_step, None);
+        assert_eq!(by_distances.sizes.near, by_points.sizes.near);
+        let [found, expected] = [by_distances, by_points].map(|training| training.frame);
+        assert_eq!(
+            (found.origin, found.half_side),
+            (expected.origin, expected.half_side)
+        );
+        let said =
+            "pairs of photos show distances, whose places count as sparse points: 80 % of 72 sparse points";
+        assert!(found.reason.starts_with(said), "{}", found.reason);
+    }
+
+    #[test]
     fn a_box_or_a_size_that_cannot_be_used_is_refused() {
         let refused = |change: fn(&mut Derived)| {
             let mut derived = derived();

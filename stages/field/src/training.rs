@@ -17,6 +17,8 @@ use crate::{Background, Config, Derived, Facts, FieldError, LevelFacts, Quality,
 /// Largest share of its half side at which a box fitted to the matter replaces the old one: the field then
 /// restarts.
 const SMALLER: f64 = 0.75;
+/// Most places of distances that decide a box. More give the same percentiles.
+const MOST_SHOWN: usize = 1 << 14;
 
 /// A training: photos, settings, what was derived from them, and the state.
 pub struct Training {
@@ -55,7 +57,8 @@ pub struct Training {
 }
 
 impl Training {
-    /// Returns a training at step 0. `points` are sparse surface points in the world and may be empty.
+    /// Returns a training at step 0. `points` are sparse surface points in the world and may be empty: with fewer than 32, places that
+    /// distances of pixels show decide box and sizes.
     ///
     /// # Errors
     /// See [`FieldError`]: no views, sizes that differ, cameras that are not finite, a key out of range.
@@ -66,12 +69,25 @@ impl Training {
         seed: u64,
     ) -> Result<Self, FieldError> {
         check(&views, points, config)?;
-        let frame = Frame::derive(&views, points);
+        let shown = if points.len() < ENOUGH_POINTS {
+            shown_places(&views)
+        } else {
+            Vec::new()
+        };
+        let is_shown = shown.len() >= ENOUGH_POINTS;
+        let surface = if is_shown { shown.as_slice() } else { points };
+        let mut frame = Frame::derive(&views, surface);
+        if is_shown {
+            frame.reason = format!(
+                "pairs of photos show distances, whose places count as sparse points: {}",
+                frame.reason
+            );
+        }
         frame.check(&views)?;
-        let sizes = size::derive(&views, points, config, &frame);
+        let sizes = size::derive(&views, surface, config, &frame);
         let derived = Derived::new(&frame, &sizes);
         Ok(Self {
-            refit_step: refit_step(config, points),
+            refit_step: refit_step(config, surface),
             ..Self::within(views, points, config, seed, &derived)
         })
     }
@@ -221,6 +237,16 @@ impl Training {
                 .count() as u64,
         }
     }
+}
+
+/// Returns places in the world that distances of pixels show, spread over the photos.
+fn shown_places(views: &[View]) -> Vec<[f64; 3]> {
+    let all: usize = views.iter().map(|view| view.distances.len()).sum();
+    let stride = all.div_ceil(MOST_SHOWN).max(1);
+    let each = views
+        .iter()
+        .flat_map(|view| view.distances.iter().map(|one| view.place_of(one)));
+    each.step_by(stride).flatten().collect()
 }
 
 /// Returns the configuration with the background that pictures show: black where every photo is transparent somewhere, which then says

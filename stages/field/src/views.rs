@@ -1,5 +1,5 @@
 use marf_scene::{Camera, Pose};
-use nalgebra::Vector3;
+use nalgebra::{Vector2, Vector3};
 
 use crate::{FieldError, Pixels};
 
@@ -34,6 +34,15 @@ impl View {
     pub fn distance_of(&self, point: &Vector3<f64>) -> Option<f64> {
         self.pixel_of(point)?;
         Some(self.cam_from_world.point(point).norm())
+    }
+
+    /// Returns the place in the world that a distance shows. `None` for sky, and where the lens has no inverse.
+    pub fn place_of(&self, shown: &PixelDistance) -> Option<[f64; 3]> {
+        let [column, row] = shown.pixel.map(f64::from);
+        let ray = self.camera.unproject(&Vector2::new(column + 0.5, row + 0.5))?;
+        let seen = ray.normalize() * f64::from(shown.distance);
+        let place = self.cam_from_world.inverse().point(&seen);
+        shown.distance.is_finite().then(|| place.into())
     }
 
     /// Returns the pixel that shows the place of a point of the world, as column and row.
