@@ -212,19 +212,7 @@ fn table(scene: &SceneDepth) -> Vec<String> {
             metrics.unit
         ),
     ));
-    match &metrics.map {
-        Some(map) => rows.push((
-            "map",
-            format!(
-                "{} x {} pixels of {} m, {} with a height",
-                map.columns,
-                map.rows,
-                number(map.pixel_m),
-                percent(map.covered_share)
-            ),
-        )),
-        None => rows.extend(metrics.missing.values().map(|why| ("map", why.clone()))),
-    }
+    rows.extend(maps(metrics).into_iter().map(|map| ("map", map)));
     rows.push(("took", duration(*seconds)));
     rows.push((
         "wrote",
@@ -237,6 +225,20 @@ fn table(scene: &SceneDepth) -> Vec<String> {
     rows.extend(written.iter().map(|path| ("", path.display().to_string())));
     let line = |(what, value): &(&str, String)| format!("{what:<12} {value}");
     rows.iter().map(line).collect()
+}
+
+/// Returns the size of the height map, or why there is none.
+fn maps(metrics: &Metrics) -> Vec<String> {
+    let Some(map) = &metrics.map else {
+        return metrics.missing.values().cloned().collect();
+    };
+    vec![format!(
+        "{} x {} pixels of {} m, {:.1} % with a height",
+        map.columns,
+        map.rows,
+        number(map.pixel_m),
+        100.0 * map.covered_share
+    )]
 }
 
 #[cfg(test)]
@@ -252,7 +254,7 @@ mod tests {
         let cameras = json!({"method": "import", "totals": totals, "photos": [], "missing": [], "up": null, "tie": null});
         let map = json!({"columns": 40, "rows": 30, "pixel_m": 0.05, "lowest_m": 0.0, "interval_m": 0.001, "first_m": [0.0, 0.0],
                          "axes": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], "origin": "x", "covered_share": 0.625});
-        let metrics = json!({"unit": "metres", "photos": [], "pairs": [], "refused": {"few": 2}, "share": 0.5, "confirmed_share": 0.25,
+        let metrics = json!({"unit": "metres", "photos": [], "pairs": [], "refused": {"few": 2}, "share": 0.5, "confirmed_share": 0.25, "sky_share": 0.2,
                              "median_sigma_share": 0.0125, "points": 9, "cell": 0.1, "map": map, "missing": {}});
         let scene = SceneDepth {
             name: None,
@@ -270,6 +272,7 @@ mod tests {
         let lines = super::lines(&result);
         for line in [
             "cameras      import, 3 of 4 photos placed",
+            "sky          20.0 % of the pixels, without a depth",
             "pairs        0 matched, 2 refused",
             "depths       50.0 % of the pixels, 25.0 % confirmed by two pairs",
             "sigma        1.2 % of the distance in the median",

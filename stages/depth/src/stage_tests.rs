@@ -271,7 +271,7 @@ fn pictures_say_what_their_values_are() {
     let class = png(&outputs, "class");
     assert!(has_text(
         &class,
-        "0 none, 1 one pair, 2 confirmed by two, 3 next to an edge, 4 none: pairs differ"
+        "0 none, 1 one pair, 2 confirmed by two, 3 next to an edge, 4 none: pairs differ, 5 none: sky"
     ));
     let mut counts = [0_u32; 5];
     for value in classes(&class) {

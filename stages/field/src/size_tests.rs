@@ -259,6 +259,16 @@ fn points_pull_for_half_of_the_steps_and_longer_where_photos_are_few() {
         with.contains("sparse points and 1,200 distances from pairs of them for"),
         "{with}"
     );
+    let sky = PixelDistance {
+        distance: f32::INFINITY,
+        ..distance
+    };
+    views[3].distances = vec![sky; 1100];
+    let with_sky = sizes_of(&views, &[], &pairs).depth_steps.reason;
+    assert!(
+        with_sky.contains("1,200 distances from pairs of them and 1,100 pixels of sky for"),
+        "{with_sky}"
+    );
     let mut read: Sizes = serde_json::from_value(serde_json::to_value(&said).unwrap()).unwrap();
     read.check(&config).unwrap();
     read.depth_steps.value = 0;
