@@ -93,6 +93,8 @@ mod tests {
         for pair in [&[][..], &[1], &[1, 2, 3]] {
             assert_eq!(from_bytes::<Kept>(&kept(pair)), None, "{pair:?}");
         }
-        assert_eq!(from_bytes::<Vec<u64>>(&[0xff; 9]), None, "more values than bytes");
+        // 4,294,967,295 values, and two of them.
+        let lying = [0xff, 0xff, 0xff, 0xff, 0x0f, 1, 2];
+        assert_eq!(from_bytes::<Vec<u64>>(&lying), None);
     }
 }

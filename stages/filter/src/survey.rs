@@ -125,8 +125,9 @@ impl Measure for Duplicate {
 
     /// Returns the gradient planes that a [`ViewDescriptor`] names.
     fn blobs(&self, measure: &[u8]) -> Vec<Digest> {
-        let descriptor = measure.get(1..).and_then(from_bytes::<ViewDescriptor>);
-        descriptor
+        let measured = measure.strip_prefix(&[MEASURED]);
+        measured
+            .and_then(from_bytes::<ViewDescriptor>)
             .map(|descriptor| descriptor.planes)
             .into_iter()
             .collect()
