@@ -28,6 +28,7 @@ pub(crate) struct Matching<'a> {
     scene: &'a Scene,
     pub photos: Photos<'a>,
     pub views: Vec<PosedCamera>,
+    /// Of scenes in metres: others may be rooms, whose plain walls are no sky.
     up: Option<Vector3<f64>>,
     pub pairs: Pairs,
     /// One for each chosen pair.
@@ -49,12 +50,13 @@ impl<'a> Matching<'a> {
         let views = photos.views();
         let pairs = choose(scene, &views, neighbours as usize);
         let outcomes = match_all(ctx, scene, &mut photos, &pairs)?;
+        let frame = ExportFrame::new(scene);
         Ok(Self {
             ctx,
             scene,
             photos,
             views,
-            up: ExportFrame::new(scene).up,
+            up: frame.metres_per_unit.and(frame.up),
             pairs,
             outcomes,
         })
@@ -83,7 +85,9 @@ impl<'a> Matching<'a> {
         let views = views.collect::<Result<Vec<_>, _>>()?;
         let view = self.views[photo];
         let mut depth = merge(view.camera, &views);
-        if let Some(up) = &self.up {
+        if let Some(up) = &self.up
+            && !views.is_empty()
+        {
             let picture = &self.photos.get(photo)?.picture;
             sky::mark(&mut depth, picture, &view.cam_from_world, up);
         }

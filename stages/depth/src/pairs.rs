@@ -65,7 +65,9 @@ pub(crate) enum Refusal {
     Behind,
     #[error("no row of the rectified photos shows the same")]
     NoCommonRow,
-    #[error("the points that both photos show are behind a rectified camera")]
+    #[error(
+        "the points that both photos show are behind a rectified camera, or more than {MAX_DISPARITIES} pixels apart in the two"
+    )]
     NoRange,
     #[error("the photos are not of the two eyes of one mast, and labels alone place others too coarsely")]
     NotTwins,

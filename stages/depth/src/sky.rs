@@ -66,7 +66,8 @@ impl Headings {
 /// most half of what it does around the median pixel with a depth, or by 5 steps of 255. Parts smaller than 1 % of the photo do not count.
 ///
 /// # Extremes
-/// A photo without depths has no sky: nothing says how smooth ground is. Far hills without texture, in haze, pass for sky.
+/// A photo without depths has no sky: nothing says how smooth ground is. Far hills without texture, in haze, pass for sky, and so would a
+/// plain wall.
 pub(crate) fn mark(depth: &mut PhotoDepth, picture: &Picture, cam_from_world: &Pose, up: &Vector3<f64>) {
     let Some(headings) = Headings::new(cam_from_world, up, depth.camera.fx_px) else {
         return;
@@ -214,7 +215,7 @@ mod tests {
         assert!(found[..41].iter().all(|count| *count == 0), "{found:?}");
         assert_eq!(found[45], WIDTH);
         // A plain strip of one row is 0.8 % of the photo.
-        for (index, grey) in picture.grey.values[..(HORIZON - 2) * WIDTH]
+        for (index, grey) in picture.grey.values[..(HORIZON - 3) * WIDTH]
             .iter_mut()
             .enumerate()
         {

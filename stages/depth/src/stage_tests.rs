@@ -273,7 +273,7 @@ fn pictures_say_what_their_values_are() {
         &class,
         "0 none, 1 one pair, 2 confirmed by two, 3 next to an edge, 4 none: pairs differ, 5 none: sky"
     ));
-    let mut counts = [0_u32; 5];
+    let mut counts = [0_u32; 6];
     for value in classes(&class) {
         counts[usize::from(value)] += 1;
     }
@@ -281,6 +281,7 @@ fn pictures_say_what_their_values_are() {
     assert_eq!(of_all(counts[2]), metrics.photos[0].confirmed_share);
     assert_eq!(of_all(counts[1] + counts[2] + counts[3]), metrics.photos[0].share);
     assert_eq!(of_all(counts[4]), metrics.photos[0].differing_share);
+    assert_eq!(of_all(counts[5]), metrics.photos[0].sky_share);
     assert!(has_text(&png(&outputs, "inverse-depth"), "1/metre"));
     // Without a scale the unit is that of the scene: 2 m before.
     let largest = |outputs: &Outputs| {

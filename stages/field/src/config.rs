@@ -33,7 +33,7 @@ pub enum DepthSource {
     /// Sparse points.
     #[default]
     Points,
-    /// Sparse points, and distances of pixels from pairs of the photos trained on.
+    /// Sparse points, and distances of pixels from pairs of the photos trained on. Pixels of sky keep their rays empty.
     Pairs,
 }
 
@@ -112,11 +112,11 @@ pub struct Config {
     /// it. Rounded down to a multiple of 16. 0: never. Absent: an eighth of `steps`, 64 to 512, where they
     /// are 256 or more. Not used if 32 sparse points or more decide the box.
     pub refit_steps: Option<u32>,
-    /// Distance of the first sample, as a share of the box's half side, in [1e-4, 10]. Absent: from the
-    /// sparse points.
+    /// Distance of the first sample, as a share of the box's half side, in [1e-4, 10]. Absent: from sparse
+    /// points, or from the distances of pairs.
     pub near: Option<f64>,
     /// Distance of the last sample, as a share of the box's half side, larger than `near`, at most 1e6.
-    /// Absent: from the sparse points.
+    /// Absent: from sparse points, or from the distances of pairs.
     pub far: Option<f64>,
     /// Planned steps of the training: a table is not larger than they fill, and the step size and the length
     /// of steps along rays end with it. Absent: not known. Schedules then behave as with 4,000 steps.

@@ -1,4 +1,4 @@
-//! Sparse points, and distances of pixels, pull the matter of a ray to where a camera sees them. Sky empties its rays.
+//! Sparse points, and distances of pixels, pull the matter of a ray to where a camera sees them. Sky keeps its rays empty.
 
 use marf_scene::Camera;
 use nalgebra::{Vector2, Vector3};
@@ -110,7 +110,7 @@ pub fn observations(
         let dense = view.distances.iter().filter_map(|one| {
             let [column, row] = one.pixel.map(u64::from);
             let half_sides = |length: f32| (f64::from(length) / frame.half_side) as f32;
-            let is_seen = |t: &f32| *t == f32::INFINITY || place(steps, *t).is_some();
+            let is_seen = |t: &f32| one.distance == f32::INFINITY || place(steps, *t).is_some();
             Some(Observation {
                 pixel: first + view.image.kept(column, row)?,
                 t: Some(half_sides(one.distance)).filter(is_seen)?,

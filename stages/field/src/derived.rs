@@ -170,8 +170,19 @@ mod tests {
             assert_eq!(view.pixel_of(&Vector3::from(*place)), Some([7, 4]));
         }
         let by_distances = Training::new(views.clone(), &[], &small(), 0).unwrap();
+        // They lie closely, and say nothing of how well photos overlap.
+        let decay = &by_distances.sizes.table_decay.reason;
+        assert!(decay.contains("0 sparse points"), "{decay}");
+        // One photo of six says too little.
+        for view in &mut views[1..] {
+            view.distances.clear();
+        }
+        let by_axes = Training::new(views, &[], &small(), 0).unwrap();
+        assert_eq!(
+            by_axes.frame,
+            Training::new(ball(6, 16), &[], &small(), 0).unwrap().frame
+        );
         let by_points = Training::new(ball(6, 16), &places, &small(), 0).unwrap();
-        assert_eq!(by_distances.refit_step, None);
         assert_eq!(by_distances.sizes.near, by_points.sizes.near);
         let [found, expected] = [by_distances, by_points].map(|training| training.frame);
         assert_eq!(

@@ -55,6 +55,18 @@ impl Frame {
         found.unwrap_or_else(|| from_baseline(&centres))
     }
 
+    /// Derives the box from places that distances of pixels show, as from sparse points. `None` if they are too few, or at one place.
+    pub fn around_shown(views: &[View], places: &[[f64; 3]]) -> Option<Self> {
+        let frame = from_points(views, places)?;
+        Some(Self {
+            reason: format!(
+                "pairs of photos show distances, whose places count as sparse points: {}",
+                frame.reason
+            ),
+            ..frame
+        })
+    }
+
     /// Checks that f32 can distinguish the place of every camera in the box from others.
     ///
     /// # Errors

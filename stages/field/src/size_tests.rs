@@ -32,7 +32,7 @@ pub fn plane(count: u32) -> Vec<[f64; 3]> {
 
 pub fn sizes_of(views: &[View], points: &[[f64; 3]], config: &Config) -> Sizes {
     let frame = Frame::derive(views, points);
-    let sizes = derive(views, points, config, &frame);
+    let sizes = derive(views, points, points.len(), config, &frame);
     sizes
         .check(config)
         .unwrap_or_else(|error| panic!("{error}: {sizes:?}"));

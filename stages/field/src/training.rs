@@ -58,7 +58,7 @@ pub struct Training {
 
 impl Training {
     /// Returns a training at step 0. `points` are sparse surface points in the world and may be empty: with fewer than 32, places that
-    /// distances of pixels show decide box and sizes.
+    /// distances in half of the photos show decide box and sizes.
     ///
     /// # Errors
     /// See [`FieldError`]: no views, sizes that differ, cameras that are not finite, a key out of range.
@@ -74,20 +74,15 @@ impl Training {
         } else {
             Vec::new()
         };
-        let is_shown = shown.len() >= ENOUGH_POINTS;
-        let surface = if is_shown { shown.as_slice() } else { points };
-        let mut frame = Frame::derive(&views, surface);
-        if is_shown {
-            frame.reason = format!(
-                "pairs of photos show distances, whose places count as sparse points: {}",
-                frame.reason
-            );
-        }
+        let (frame, surface) = match Frame::around_shown(&views, &shown) {
+            Some(frame) => (frame, shown.as_slice()),
+            None => (Frame::derive(&views, points), points),
+        };
         frame.check(&views)?;
-        let sizes = size::derive(&views, surface, config, &frame);
+        let sizes = size::derive(&views, surface, points.len(), config, &frame);
         let derived = Derived::new(&frame, &sizes);
         Ok(Self {
-            refit_step: refit_step(config, surface),
+            refit_step: refit_step(config, points),
             ..Self::within(views, points, config, seed, &derived)
         })
     }
@@ -161,7 +156,7 @@ impl Training {
         if frame.half_side > SMALLER * self.frame.half_side || frame.check(&self.views).is_err() {
             return false;
         }
-        let sizes = size::derive(&self.views, points, &self.config, &frame);
+        let sizes = size::derive(&self.views, points, points.len(), &self.config, &frame);
         let occupancy = self.state.occupancy.moved(&self.frame, &frame, &self.views);
         let mut placed = self.placed(&sizes, occupancy);
         placed.weights.randomise(self.seed);
@@ -239,10 +234,15 @@ impl Training {
     }
 }
 
-/// Returns places in the world that distances of pixels show, spread over the photos.
+/// Returns places in the world that distances of pixels show, spread over the photos. None if less than half of the photos have any.
 fn shown_places(views: &[View]) -> Vec<[f64; 3]> {
+    let has_any = |view: &&View| view.distances.iter().any(|one| one.distance.is_finite());
+    if 2 * views.iter().filter(has_any).count() < views.len() {
+        return Vec::new();
+    }
     let all: usize = views.iter().map(|view| view.distances.len()).sum();
-    let stride = all.div_ceil(MOST_SHOWN).max(1);
+    // Odd, so that it takes all columns of a lattice in turn.
+    let stride = all.div_ceil(MOST_SHOWN) | 1;
     let each = views
         .iter()
         .flat_map(|view| view.distances.iter().map(|one| view.place_of(one)));

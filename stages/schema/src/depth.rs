@@ -66,7 +66,7 @@ pub struct Metrics {
     pub share: f64,
     /// Share of all pixels whose depth two pairs agree on.
     pub confirmed_share: f64,
-    /// Share of all pixels that show sky, which has no depth. 0 if up is not known.
+    /// Share of all pixels that show sky, which has no depth. 0 if metres and up are not known.
     #[serde(default)]
     pub sky_share: f64,
     /// Median over the photos of their median standard deviation, as a share of the depth.
@@ -100,7 +100,7 @@ pub struct PhotoMetrics {
     pub confirmed_share: f64,
     /// Share of its pixels whose pairs differ, which have no depth.
     pub differing_share: f64,
-    /// Share of its pixels that show sky. 0 if up is not known.
+    /// Share of its pixels that show sky. 0 if metres and up are not known.
     #[serde(default)]
     pub sky_share: f64,
     /// Median standard deviation, as a share of the depth.

@@ -52,9 +52,10 @@ pub struct Sizes {
 
 /// Derives all sizes. A key that is set wins over the scene.
 ///
-/// `points`: sparse surface points, world units. Fewer than 32, or points that no camera sees, count as none.
+/// `points`: points of surfaces, world units. Fewer than 32, or points that no camera sees, count as none. `sparse`: how many of them were
+/// matched one by one. Those of distances lie closely and say nothing of how well photos overlap.
 /// `frame`: the box of both. Every number is finite, `near` is below `far`, whatever the points are.
-pub fn derive(views: &[View], points: &[[f64; 3]], config: &Config, frame: &Frame) -> Sizes {
+pub fn derive(views: &[View], points: &[[f64; 3]], sparse: usize, config: &Config, frame: &Frame) -> Sizes {
     let depths = Depths::seen(views, points, frame);
     let finest = finest(config, &depths, frame, views);
     let surface = if depths.is_ok() { points } else { &[] };
@@ -67,8 +68,8 @@ pub fn derive(views: &[View], points: &[[f64; 3]], config: &Config, frame: &Fram
         log2_table: log2_table(config, surface_cells.value, detail.value),
         halvings: halvings(config, views),
         distortion: distortion(config, views.len(), depths.is_ok()),
-        depth_steps: depth_steps(config, views, points.len()),
-        table_decay: table_decay(config, views.len(), points.len()),
+        depth_steps: depth_steps(config, views, sparse),
+        table_decay: table_decay(config, views.len(), sparse),
         finest,
         surface_cells,
         detail,

@@ -65,7 +65,9 @@ pub(super) fn depth_steps(config: &Config, views: &[View], points: usize) -> Cho
     }
     let most = grouped(LONGEST_PULL);
     let (steps, reason) = match config.steps {
-        _ if points == 0 && distances == 0 => (LONGEST_PULL, "there are no sparse points".to_owned()),
+        _ if points == 0 && distances == 0 && sky == 0 => {
+            (LONGEST_PULL, "there are no sparse points".to_owned())
+        }
         _ if photos < FEW_PHOTOS => (
             LONGEST_PULL,
             format!("{photos} photos to train on, fewer than {FEW_PHOTOS}, need {what} for {most} steps"),
