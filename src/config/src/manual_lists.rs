@@ -107,6 +107,12 @@ mod tests {
         for (text, at, says) in [
             ("[keep]\nid = [\"a\"]\n", "[\"a\"]", "did you mean `ids`?"),
             ("[keep]\nids = \"a\"\n", "\"a\"", "product id"),
+            ("keep = []\n", "keep = []", "write it as `[keep]`"),
+            (
+                "keep = [\"a.jpg\"]\n",
+                "keep = [\"a.jpg\"]",
+                "write it as `[keep]`",
+            ),
             ("[keep]\nids = [\"a\", 3]\n", "[\"a\", 3]", "product id"),
             (
                 "[keep]\nids = [\"a\"]\n[reject]\nids = [\"a\"]\n",

@@ -19,8 +19,13 @@ pub(super) fn placed(owner: &str, table: &Entry, path: &str, message: &str) -> C
 /// Reads a table of the whole pipeline. `shape` is the hint of an error without a nearer one.
 ///
 /// # Errors
-/// A key that is unknown or whose value has another type.
+/// Anything but a table, and a key that is unknown or whose value has another type.
 pub(super) fn read<T: DeserializeOwned>(table: &Entry, shape: &str) -> Result<T, ConfigError> {
+    // serde would read the fields of a struct from a list, too.
+    if table.value.entries().is_none() {
+        let message = format!("`{}` is not a table", table.key);
+        return Err(ConfigError::at(table.at.clone(), message).hint(Some(shape.to_owned())));
+    }
     from_json(table.value.json()).map_err(|error: ParamError| {
         let error = placed(&table.key, table, &error.path, &error.message);
         let hint = error.hint.clone().or_else(|| Some(shape.to_owned()));
