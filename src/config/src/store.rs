@@ -26,9 +26,8 @@ pub struct SharedStore {
     #[schemars(range(min = 0, max = 1))]
     pub verify_share: f64,
     /// Files with the public keys (Ed25519, PEM) of trusted writers. Without it everybody is trusted.
-    #[serde(default)]
     #[schemars(length(min = 1))]
-    pub trust: Vec<PathBuf>,
+    pub trust: Option<Vec<PathBuf>>,
 }
 
 /// Returns the shared store, or `None` if the pipeline has no shared store.
@@ -52,18 +51,20 @@ pub(super) fn shared(root: &SyntaxNode, base: &Path) -> Result<Option<SharedStor
     if !(0.0..=1.0).contains(&store.verify_share) {
         return refuse("verify_share", "a number from 0 to 1 is needed");
     }
-    if table.value.entry("trust").is_some() && store.trust.is_empty() {
+    if store.trust.as_ref().is_some_and(Vec::is_empty) {
         return refuse("trust", "at least one file with public keys is needed");
     }
-    for file in &mut store.trust {
+    for file in store.trust.iter_mut().flatten() {
         *file = base.join(&*file);
     }
     Ok(Some(store))
 }
 
-/// Returns the schema of the table.
+/// Returns the schema of the table. An empty table is accepted, and shares nothing.
 pub(super) fn schema() -> Json {
-    marf_stage::schema_of::<SharedStore>().to_value()
+    let mut schema = marf_stage::schema_of::<SharedStore>();
+    schema.remove("required");
+    schema.to_value()
 }
 
 #[cfg(test)]
@@ -101,12 +102,29 @@ mod tests {
     }
 
     #[test]
+    fn what_is_not_a_table_is_refused() {
+        for bad in ["[\"s3://b/p\"]", "[]", "3"] {
+            let root = crate::syntax::parse(&format!("store = {bad}")).unwrap();
+            let error = super::shared(&root, Path::new("")).unwrap_err();
+            assert_eq!(error.message, "`store` is not a table", "{bad}");
+            assert!(
+                error
+                    .hint
+                    .unwrap()
+                    .starts_with("write it as `[store]` with `remote"),
+                "{bad}"
+            );
+        }
+    }
+
+    #[test]
     fn trusted_keys_are_files_beside_the_pipeline() {
         let with = |line: &str| shared(&format!("remote = \"file:///s\"\n{line}"));
         let trust = with("trust = [\"a.pem\", \"/keys/b.pem\"]")
             .unwrap()
             .unwrap()
-            .trust;
+            .trust
+            .unwrap();
         assert_eq!(trust, [Path::new("a.pem"), Path::new("/keys/b.pem")]);
         for bad in ["[]", "\"a.pem\"", "[1]"] {
             let message = with(&format!("trust = {bad}")).unwrap_err();

@@ -51,7 +51,7 @@ impl Shared {
         let remote = Remote::open(
             &shared.url,
             Patience::Impatient,
-            trust(&shared.trust, context.signing)?,
+            trust(shared.trust.as_deref().unwrap_or_default(), context.signing)?,
         );
         let opened = remote.and_then(|remote| {
             let (share, store) = (shared.verify_share, session.store.dir());

@@ -211,6 +211,27 @@ fn what_a_kind_of_archive_does_not_read_is_not_valid() {
     }
 }
 
+/// The schema and the program agree on the table of the shared store.
+#[test]
+fn a_shared_store_has_a_remote_or_no_key_and_names_at_least_one_trusted_key() {
+    let remote = "remote = 'file:///shared'";
+    for (store, is_valid) in [
+        ("[store]".to_owned(), true),
+        (format!("[store]\n{remote}"), true),
+        (format!("[store]\n{remote}\ntrust = ['a.pem']"), true),
+        (format!("[store]\n{remote}\ntrust = []"), false),
+        (format!("store = {{ {remote}, trust = [] }}"), false),
+        ("store = ['s3://b/p']".to_owned(), false),
+        ("store = 3".to_owned(), false),
+    ] {
+        let text = format!("{store}\n[archive.demo]\nkind = 'demo'\n[node.extract]\narchive = 'demo'\n");
+        let complaints = refused(&text);
+        assert_eq!(complaints.is_empty(), is_valid, "{text}: {complaints:?}");
+        let checked = check(&text, &[], &GlobalOptions::default(), Path::new(""));
+        assert_eq!(checked.is_ok(), is_valid, "{text}: {:?}", checked.err());
+    }
+}
+
 #[test]
 fn what_a_stage_does_not_read_is_not_valid() {
     let refused = refused("[node.size]\ninput = 'extract'\nmin_byte = 3\n");

@@ -176,7 +176,10 @@ fn open(context: &Context, url: Option<&str>) -> Result<Remote, Error> {
             .pipeline
             .shared
     };
-    let (configured, writers) = shared.map(|shared| (shared.url, shared.trust)).unzip();
+    let (configured, writers) = match shared {
+        Some(shared) => (Some(shared.url), shared.trust),
+        None => (None, None),
+    };
     let url = url.map(str::to_owned).or(configured).ok_or_else(|| {
         Error::Usage(Diagnostic::new("no shared store is named").hint(
             "name one with --remote, or in pipeline.toml: `[store]` with `remote = \"s3://BUCKET/PREFIX\"`",
