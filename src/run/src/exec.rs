@@ -153,12 +153,14 @@ impl Task {
             Err(_) => file::read(Path::new(given), FileKind::Document, Links::Followed)
                 .map_err(|error| Error::usage(format!("{given}: {error}")))?,
         };
-        let key = Digest::from_content(&bytes);
-        if let Some(question) = BackendQuestion::decode(&bytes) {
+        // A file that jq or an editor wrote ends with a newline, which is not part of the task.
+        let bytes = bytes.trim_ascii_end();
+        let key = Digest::from_content(bytes);
+        if let Some(question) = BackendQuestion::decode(bytes) {
             let work = Work::Backend(question);
             return Ok(Self { key, work });
         }
-        let action = Action::decode(&bytes).map_err(|error| Error::usage(format!("{given}: {error}")))?;
+        let action = Action::decode(bytes).map_err(|error| Error::usage(format!("{given}: {error}")))?;
         let work = Work::Action(Box::new(action));
         Ok(Self { key, work })
     }
@@ -237,6 +239,10 @@ fn action_error(error: ActionError) -> Error {
         error @ ActionError::Source { .. } => Error::Elsewhere(
             Diagnostic::new(format!("the action is of {error}"))
                 .hint("`marf replay` fetches again, with the pipeline and its archive"),
+        ),
+        error @ ActionError::Part { .. } => Error::Elsewhere(
+            Diagnostic::new(format!("the action is of {error}"))
+                .hint("give the key of its node, or use `marf run`"),
         ),
         error => Error::Elsewhere(
             Diagnostic::new(format!("the action is of {error}"))

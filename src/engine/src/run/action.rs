@@ -100,9 +100,10 @@ fn task_of(action: &Action, params: Value, graph: &Graph) -> Result<Task, Action
         return Err(ActionError::Source { stage: stage.clone() });
     }
     if let Some(part) = &action.part {
-        return elsewhere(format!(
-            "part `{part}` of stage `{stage}`, which this program computes only with its node"
-        ));
+        return Err(ActionError::Part {
+            part: part.clone(),
+            stage: stage.clone(),
+        });
     }
     let bound: Arc<dyn Stage> = (def.bind)(params)
         .map_err(|error| ActionError::Elsewhere(format!("stage `{stage}`: {error}")))?

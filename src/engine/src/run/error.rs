@@ -13,6 +13,14 @@ pub enum ActionError {
         /// Name of the stage.
         stage: String,
     },
+    /// A part of a node, which is computed with its node.
+    #[error("part `{part}` of stage `{stage}`, which this program computes only with its node")]
+    Part {
+        /// Name of the part.
+        part: String,
+        /// Name of the stage.
+        stage: String,
+    },
     /// This program on this machine computes something else, or nothing, under the key.
     #[error("{0}")]
     Elsewhere(String),
