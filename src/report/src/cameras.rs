@@ -78,9 +78,19 @@ fn metrics(page: &Page<'_>, node: &RunNode) -> Markup {
     match page.document::<calibrate::Metrics>(node) {
         Ok(metrics) => html! {
             (figures(&of_calibration(&metrics)))
-            (json::folded("all metrics of the calibration", &metrics))
+            (json::folded("all metrics of the calibration", &without_photos(metrics)))
         },
         Err(missing) => html! { (missing) },
+    }
+}
+
+/// The sums alone: the lists have an entry for each photo, megabytes of a large run.
+fn without_photos(metrics: calibrate::Metrics) -> calibrate::Metrics {
+    calibrate::Metrics {
+        photos: Vec::new(),
+        missing: Vec::new(),
+        stereo_pairs: Vec::new(),
+        ..metrics
     }
 }
 

@@ -30,11 +30,15 @@ pub(super) fn body(page: &Page<'_>) -> Markup {
 
 fn training(page: &Page<'_>, node: &RunNode) -> Markup {
     let shown = |metrics: train::Metrics| {
-        let scores = without_views(&metrics.scores);
+        let alone = train::Metrics {
+            scores: without_views(&metrics.scores),
+            drawn: None, // as many ids as photos
+            ..metrics.clone()
+        };
         html! {
             (figures(&of_training(&metrics)))
             (sizes::shown(&metrics.field))
-            (json::folded("all metrics", &train::Metrics { scores, ..metrics }))
+            (json::folded("all metrics", &alone))
         }
     };
     page.document(node).map_or_else(sentence, shown)

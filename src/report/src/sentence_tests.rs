@@ -373,6 +373,47 @@ fn a_scene_without_scale_has_a_bar_in_its_own_units() {
     );
 }
 
+/// Documents list each photo, which is megabytes of thousands. The page has pictures and drawings of them, and sums.
+#[test]
+fn folded_metrics_have_no_list_of_photos() {
+    let mut store = fixture::Store::default();
+    let mut metrics = super::fixture_documents::calibration("import", 1000, 0.4);
+    let photo = metrics.photos[0].clone();
+    metrics.photos = (0..1000)
+        .map(|index| marf_schema::calibrate::PhotoMetrics {
+            id: format!("listed-{index}"),
+            ..photo.clone()
+        })
+        .collect();
+    metrics.missing = vec![marf_schema::calibrate::Missing {
+        file: "listed-elsewhere".to_owned(),
+        reason: String::new(),
+    }];
+    metrics.stereo_pairs = vec![marf_schema::rigs::StereoPair {
+        photos: ["listed-left", "listed-right"].map(str::to_owned),
+        angle_deg: 0.1,
+        distance_m: 0.01,
+        verdict: marf_schema::rigs::Verdict::Rigid,
+    }];
+    let outputs = [(
+        marf_schema::output::SCENE,
+        store.put(&fixture::scene().encode().unwrap()),
+    )];
+    let placed = [store.document(&metrics)];
+    let mut reached = training(marf_schema::example::scores());
+    reached.drawn = Some(metrics.photos.iter().map(|photo| photo.id.clone()).collect());
+    let trained = [store.document(&reached), store.document(&Curve(Vec::new()))];
+    let html = store.report(&[
+        giving(giving(node("calibrate", &[]), outputs), placed),
+        giving(node("train", &["calibrate"]), trained),
+    ]);
+    for summary in ["all metrics of the calibration", "all metrics"] {
+        let (_, text) = html.split_once(&format!("<summary>{summary}</summary>")).unwrap();
+        let text = text.split_once("</details>").unwrap().0;
+        assert!(!text.contains("listed-"), "{summary}: {text}");
+    }
+}
+
 #[test]
 fn lost_photos_have_their_advice_and_metrics_are_whole() {
     let lost = |reason: &str| {
