@@ -73,6 +73,15 @@ fn numbers(page: &str, before: &str) -> Vec<f64> {
     digits.filter_map(|digits| digits.parse().ok()).collect()
 }
 
+/// Returns the folded JSON of a part of a page, right after its summary. Its texts keep their other escapes.
+fn folded(page: &str, summary: &str) -> serde_json::Value {
+    let before = format!("<summary>{summary}</summary><pre>");
+    let (_, after) = page.split_once(&before).expect(&before);
+    let (escaped, _) = after.split_once("</pre>").unwrap();
+    let json = escaped.replace("&quot;", "\"");
+    serde_json::from_str(&json).unwrap_or_else(|error| panic!("{summary}: {error}: {json}"))
+}
+
 /// Compares the numbers of a report that stand at several places.
 fn numbers_that_stand_twice_agree(page: &str) {
     let first = |before: &str| {
@@ -81,7 +90,11 @@ fn numbers_that_stand_twice_agree(page: &str) {
             .first()
             .unwrap_or_else(|| panic!("no number after `{before}`"))
     };
-    let cell = |key: &str| first(&format!("<th scope=\"row\">{key}</th><td class=\"number\">"));
+    let section = |id: &str| page.split_once(&format!("<section id=\"{id}\">")).unwrap().1;
+    let totals = folded(section("cameras"), "all metrics of the calibration")["totals"].take();
+    let total = |key: &str| totals[key].as_f64().unwrap();
+    // The first training of the page, as that of the figures.
+    let trained = folded(section("training"), "all metrics");
     let figure = |name: &str| first(&format!("<dt>{name}</dt><dd>"));
     let rows = page.matches("<td class=\"who\">").count() as f64;
     assert_eq!(
@@ -119,21 +132,19 @@ fn numbers_that_stand_twice_agree(page: &str) {
         given = Some(kept);
     }
     let kept = given.unwrap();
-    let gallery = page.split("<section id=\"kept\">").nth(1).unwrap();
-    assert_eq!(numbers(gallery, "<p>")[0], kept, "photos kept");
-    assert_eq!(cell("totals.photos"), kept, "photos that calibration was given");
+    assert_eq!(numbers(section("kept"), "<p>")[0], kept, "photos kept");
+    assert_eq!(total("photos"), kept, "photos that calibration was given");
 
-    let cameras = page.split("<section id=\"cameras\">").nth(1).unwrap();
-    let [placed, held_out] = ["</h3><p>", "cameras, "].map(|before| numbers(cameras, before)[0]);
+    let [placed, held_out] = ["</h3><p>", "cameras, "].map(|before| numbers(section("cameras"), before)[0]);
     assert_eq!(
-        [figure("photos placed"), cell("totals.registered")],
+        [figure("photos placed"), total("registered")],
         [placed; 2],
         "placed"
     );
     let training = [
         figure("photos held out"),
-        cell("held_out_photos"),
-        cell("totals.held_out"),
+        trained["held_out_photos"].as_f64().unwrap(),
+        total("held_out"),
     ];
     assert_eq!(training, [held_out; 3], "held out");
     assert_eq!(
@@ -141,8 +152,13 @@ fn numbers_that_stand_twice_agree(page: &str) {
         placed,
         "trained on and held out"
     );
-    for (name, key) in [("PSNR", "psnr"), ("SSIM", "ssim")] {
-        assert_eq!(figure(name), cell(key), "{name}");
+    for (name, key, decimals) in [("PSNR", "psnr", 2), ("SSIM", "ssim", 3)] {
+        let [figure, value] = [figure(name), trained[key].as_f64().unwrap()];
+        assert_eq!(
+            format!("{figure:.decimals$}"),
+            format!("{value:.decimals$}"),
+            "{name}"
+        );
     }
 }
 
