@@ -91,6 +91,22 @@ fn every_kind_of_a_surface_is_the_format_of_its_ending() {
 }
 
 #[test]
+fn an_explicit_default_and_an_omitted_option_give_one_key() {
+    let dir = trained();
+    let line = "--cell 0.2 --most-spread 5";
+    let first = export(dir, &format!("points train --out a.ply {line}")).exits(0);
+    assert_eq!(first.done(), ["surface-of-train"], "{}", first.stderr);
+    // Two is the default of the first, photos that of the second.
+    let explicit = format!("points train --out b.ply {line} --least-photos 2 --color photos");
+    let again = export(dir, &explicit).exits(0);
+    assert_eq!(again.done(), [""; 0], "{}", again.stderr);
+    let [a, b] = ["a.ply", "b.ply"].map(|file| std::fs::read(dir.join(file)).unwrap());
+    assert!(a == b, "{} and {} bytes", a.len(), b.len());
+    let made = marf(dir, &["audit", "b.ply"]).exits(0).stdout;
+    assert!(made.contains("surface-of-train"), "{made}");
+}
+
+#[test]
 fn depths_are_a_folder_with_a_picture_for_each_photo_trained_on() {
     let dir = trained();
     let said = export(dir, "depth --out depth").exits(0).stdout;
