@@ -1,4 +1,4 @@
-//! Sky: what is smooth, above the horizon and above every surface of a photo, and has no depth.
+//! Sky: what is smooth, above the horizon and above every surface and edge of a photo, and has no depth.
 
 use std::collections::BTreeMap;
 
@@ -20,6 +20,8 @@ const SMOOTH_SHARE: f32 = 0.5;
 const SMOOTH_STEPS: f32 = 5.0;
 /// Smaller parts are no sky, shares of the photo.
 const LEAST_SHARE: f64 = 0.01;
+/// Rough parts of at least so many pixels end the sky. A hot pixel makes nine pixels rough.
+const LEAST_ROUGH: usize = 32;
 
 /// Directions of a photo's pixels as a traveller sees them: along its heading, and upwards.
 struct Headings {
@@ -62,12 +64,13 @@ impl Headings {
 
 /// Gives the pixels of a photo that show sky their class.
 ///
-/// Sky has no depth, is above the horizon and above every depth of its column, and is smooth: the brightness of the pixels around varies by at
-/// most half of what it does around the median pixel with a depth, or by 5 steps of 255. Parts smaller than 1 % of the photo do not count.
+/// Sky is smooth: the brightness of the pixels around varies by at most half of what it does around the median pixel with a depth, or by 5
+/// steps of 255. It has no depth, and is above the horizon and above every depth and every rough part of its column, such as the outline of a
+/// hill. Parts smaller than 1 % of the photo do not count.
 ///
 /// # Extremes
-/// A photo without depths has no sky: nothing says how smooth ground is. Far hills without texture, in haze, pass for sky, and so would a
-/// plain wall.
+/// A photo without depths has no sky: nothing says how smooth ground is. Hills whose outline is lost in haze pass for sky, and so would a plain
+/// wall.
 pub(crate) fn mark(depth: &mut PhotoDepth, picture: &Picture, cam_from_world: &Pose, up: &Vector3<f64>) {
     let Some(headings) = Headings::new(cam_from_world, up, depth.camera.fx_px) else {
         return;
@@ -76,32 +79,45 @@ pub(crate) fn mark(depth: &mut PhotoDepth, picture: &Picture, cam_from_world: &P
     let bearings: Vec<Option<Bearing>> = (0..pixels)
         .map(|index| {
             let at = Vector2::new((index % width) as f64 + 0.5, (index / width) as f64 + 0.5);
-            headings.bearing(&depth.camera.unproject(&at)?)
+            let bearing = headings.bearing(&depth.camera.unproject(&at)?);
+            bearing.filter(|bearing| bearing.rise > 0.0)
         })
         .collect();
     let known = || (0..pixels).filter(|index| depth.inverse[*index] > 0.0);
-    let mut skyline: BTreeMap<i64, f64> = BTreeMap::new();
-    for bearing in known().filter_map(|index| bearings[index]) {
-        let highest = skyline.entry(bearing.column).or_default();
-        *highest = highest.max(bearing.rise);
-    }
     let Some(texture) = upper_median(known().map(|index| f64::from(contrast(&picture.grey, index)))) else {
         return;
     };
     let smooth = SMOOTH_STEPS.max(SMOOTH_SHARE * texture as f32);
-    let is_sky = |index: usize| {
-        let is_above = bearings[index]
-            .is_some_and(|Bearing { column, rise }| rise > skyline.get(&column).copied().unwrap_or(0.0));
-        let is_open = depth.class[index] == Class::None && picture.usable.values[index];
-        is_open && is_above && f32::from(contrast(&picture.grey, index)) <= smooth
-    };
-    let mut parts = Raster::like(&picture.grey, NONE);
-    for index in (0..pixels).filter(|index| is_sky(*index)) {
-        parts.values[index] = 0.0;
+    let mut open = Raster::like(&picture.grey, NONE);
+    let mut rough = open.clone();
+    for index in (0..pixels).filter(|index| bearings[*index].is_some() && picture.usable.values[*index]) {
+        if f32::from(contrast(&picture.grey, index)) > smooth {
+            rough.values[index] = 0.0;
+        } else if depth.class[index] == Class::None {
+            open.values[index] = 0.0;
+        }
     }
-    clean::remove_islands(&mut parts, (LEAST_SHARE * pixels as f64).ceil() as usize);
-    for (class, part) in depth.class.iter_mut().zip(parts.values) {
-        if part != NONE {
+    clean::remove_islands(&mut rough, LEAST_ROUGH);
+    let mut skyline: BTreeMap<i64, f64> = BTreeMap::new();
+    for index in 0..pixels {
+        let Some(Bearing { column, rise }) = bearings[index] else {
+            continue;
+        };
+        if depth.inverse[index] > 0.0 || rough.values[index] != NONE {
+            let highest = skyline.entry(column).or_default();
+            *highest = highest.max(rise);
+        }
+    }
+    for (open, bearing) in open.values.iter_mut().zip(&bearings) {
+        let is_hidden =
+            |Bearing { column, rise }: &Bearing| skyline.get(column).is_some_and(|line| rise < line);
+        if bearing.as_ref().is_some_and(is_hidden) {
+            *open = NONE;
+        }
+    }
+    clean::remove_islands(&mut open, (LEAST_SHARE * pixels as f64).ceil() as usize);
+    for (class, open) in depth.class.iter_mut().zip(open.values) {
+        if open != NONE {
             *class = Class::Sky;
         }
     }
@@ -205,20 +221,40 @@ mod tests {
     }
 
     #[test]
+    fn what_an_outline_hides_is_not_sky_and_a_hot_pixel_hides_nothing() {
+        let (depth, mut picture) = level();
+        // The outline of a plain hill without depth.
+        for column in 80..WIDTH {
+            picture.grey.values[20 * WIDTH + column] = 120;
+        }
+        picture.grey.values[10 * WIDTH + 40] = 255;
+        let found = sky_by_row(depth, &picture, UP);
+        assert_eq!(found[5], WIDTH);
+        // The hot pixel and the two beside it.
+        assert_eq!(found[10], WIDTH - 3);
+        let left = found[40];
+        assert!((76..=80).contains(&left), "{left}");
+    }
+
+    #[test]
     fn what_is_masked_rough_or_small_is_not_sky() {
         let (depth, mut picture) = level();
         picture.usable.values[..20 * WIDTH].fill(false);
-        for (index, grey) in picture.grey.values[..40 * WIDTH].iter_mut().enumerate() {
-            *grey += 70 * ((index + index / WIDTH) % 2) as u8;
-        }
         let found = sky_by_row(depth.clone(), &picture, UP);
-        assert!(found[..41].iter().all(|count| *count == 0), "{found:?}");
+        assert!(found[..20].iter().all(|count| *count == 0), "{found:?}");
         assert_eq!(found[45], WIDTH);
-        // A plain strip of one row is 0.8 % of the photo.
-        for (index, grey) in picture.grey.values[..(HORIZON - 3) * WIDTH]
-            .iter_mut()
-            .enumerate()
-        {
+        // A row is 0.8 % of the photo, two are 1.7 %.
+        for (rows, expected) in [(1, 0), (2, WIDTH)] {
+            picture.usable.values[..HORIZON * WIDTH].fill(false);
+            picture.usable.values[30 * WIDTH..(30 + rows) * WIDTH].fill(true);
+            assert_eq!(
+                sky_by_row(depth.clone(), &picture, UP)[30],
+                expected,
+                "{rows} rows"
+            );
+        }
+        let (depth, mut picture) = level();
+        for (index, grey) in picture.grey.values[..40 * WIDTH].iter_mut().enumerate() {
             *grey = 80 + 70 * ((index + index / WIDTH) % 2) as u8;
         }
         assert_eq!(sky_by_row(depth, &picture, UP), vec![0; 2 * HORIZON]);
