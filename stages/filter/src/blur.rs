@@ -103,7 +103,7 @@ impl Filter for Blur {
 
     #[cfg(test)]
     const GUARD: Guard = Guard {
-        measures: "4 000000000000",
+        measures: "4 d6843f961313",
         decisions: "5 d26ff894355b",
     };
 

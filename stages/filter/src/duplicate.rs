@@ -59,7 +59,7 @@ impl Surveyed for Duplicate {
     });
     #[cfg(test)]
     const GUARD: Guard = Guard {
-        measures: "4 000000000000",
+        measures: "4 92a2e5b74dcb",
         decisions: "5 8a7685578a5e",
     };
 }

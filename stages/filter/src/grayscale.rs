@@ -104,7 +104,7 @@ impl Filter for Grayscale {
 
     #[cfg(test)]
     const GUARD: Guard = Guard {
-        measures: "6 000000000000",
+        measures: "6 97ff2f5ba869",
         decisions: "8 d15bad30e447",
     };
 

@@ -33,7 +33,7 @@ impl Filter for Histogram {
 
     #[cfg(test)]
     const GUARD: Guard = Guard {
-        measures: "4 000000000000",
+        measures: "4 1095ef887208",
         decisions: "5 d80c6297095b",
     };
 

@@ -347,9 +347,9 @@ fn blur_rejects_smear_along_either_axis_and_noise() {
     }
 }
 
-/// A measure as `blur` keeps it: the variance, then five numbers of one size: pixels, sums before and after the blur.
+/// A measure as `blur` keeps it: the variance, then five numbers of the first of three sizes: pixels, sums before and after the blur.
 fn kept_sharpness(numbers: [u8; 5]) -> Vec<u8> {
-    [&[1], &1.0_f64.to_le_bytes()[..], &numbers].concat()
+    [&[1], &1.0_f64.to_le_bytes()[..], &[1], &numbers, &[0, 0]].concat()
 }
 
 /// By hand: ratios of 2, 3, 4, 5 and 8. Without the 8 the median is 3.5, and 0.55 of it is 1.9. With `min_set` five
