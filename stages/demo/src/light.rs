@@ -44,7 +44,7 @@ pub fn sky(along: V3, salt: u32) -> V3 {
     let near_sun = along.dot(&TO_SUN).max(0.0);
     let glow = near_sun * near_sun * near_sun * near_sun;
     let mut light = HORIZON.mix(ZENITH, high) + v3(0.16, 0.13, 0.10) * (glow * glow);
-    light = light + v3(0.05, 0.035, 0.02) * smoothstep(0.12, 0.0, rise);
+    light += v3(0.05, 0.035, 0.02) * smoothstep(0.12, 0.0, rise);
     for (ridge, tallness, haze) in [(0, 0.050, 0.80), (1, 0.028, 0.62)] {
         let outline =
             |scale: f64, k: u32| noise2(east * scale + 5.0, north * scale, salt ^ (71 + 8 * ridge + k)).0;
@@ -97,7 +97,7 @@ pub fn ground_material(x: f64, y: f64, point: &GroundPoint, footprint_m: f64, sa
         tone += share * (0.050 + 0.035 * rough) * value;
         size *= 0.52;
     }
-    albedo = albedo * (1.0 + tone);
+    albedo *= 1.0 + tone;
     let mut material = Material {
         albedo,
         normal: super::ground::normal_of(slope_x, slope_y),
@@ -181,7 +181,7 @@ pub fn rock_material(rock: &Rock, point: V3, normal: V3, footprint_m: f64, salt:
         let p = v3(local.x / size, local.y / size, local.z * 1.7 / size);
         let (value, slope) = noise3(p, salt ^ (120 + octave));
         tone += share * 0.13 * value;
-        bump = bump + slope * (share * 0.17);
+        bump += slope * (share * 0.17);
         size *= 0.5;
     }
     let pit = smoothstep(0.26, 0.42, -tone);

@@ -99,8 +99,8 @@ pub(crate) fn mark(depth: &mut PhotoDepth, picture: &Picture, cam_from_world: &P
     }
     clean::remove_islands(&mut rough, LEAST_ROUGH);
     let mut skyline: BTreeMap<i64, f64> = BTreeMap::new();
-    for index in 0..pixels {
-        let Some(Bearing { column, rise }) = bearings[index] else {
+    for (index, bearing) in bearings.iter().enumerate() {
+        let Some(Bearing { column, rise }) = *bearing else {
             continue;
         };
         if depth.inverse[index] > 0.0 || rough.values[index] != NONE {

@@ -328,7 +328,7 @@ mod tests {
             }
             left *= (-tau).exp();
         }
-        there += if at == SKY { left } else { 0.0 };
+        there += if at > 1.0 { left } else { 0.0 };
         -0.7 * there.ln()
     }
 

@@ -263,7 +263,7 @@ fn points_pull_for_half_of_the_steps_and_longer_where_photos_are_few() {
         distance: f32::INFINITY,
         ..distance
     };
-    views[3].distances = vec![sky; 1100];
+    views[1].distances = vec![sky; 1100];
     let with_sky = sizes_of(&views, &[], &pairs).depth_steps.reason;
     assert!(
         with_sky.contains("1,200 distances from pairs of them and 1,100 pixels of sky for"),

@@ -16,7 +16,7 @@ impl From<ManifestError> for StageError {
 /// # Errors
 /// A set that is lost or damaged.
 pub fn rows_of(ctx: &Ctx<'_>, set: &Digest) -> Result<Vec<(u32, Row)>, StageError> {
-    let root = Root::read(set, |digest| ctx.get(digest).map_err(StageError::from))?;
+    let root = Root::read(set, |digest| ctx.get(digest))?;
     let mut rows = Vec::new();
     for leaf in &root.leaves {
         let read = Leaf::decode(&ctx.get(&leaf.leaf)?)?;
