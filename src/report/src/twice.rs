@@ -27,8 +27,12 @@ fn an_interval_covers_in_its_text_what_it_covers_in_its_chart_and_in_its_table()
         let in_chart = format!("<title>{line} stated share, % 90, errors inside, % ");
         let shown = number_after(cells[column], "");
         assert_eq!(shown, number_after(&html, &in_chart), "{line}");
-        let cell = format!("heldout.{key}.coverage90</th><td class=\"number\">");
-        let share: f64 = number_after(&html, &cell).parse().unwrap();
+        // In the folded JSON, in which quotes are escaped.
+        let heldout = html.split_once("&quot;heldout&quot;: {").unwrap().1;
+        let calibration = heldout.split_once(&format!("&quot;{key}&quot;: {{")).unwrap().1;
+        let share: f64 = number_after(calibration, "&quot;coverage90&quot;: ")
+            .parse()
+            .unwrap();
         assert!(
             (100.0 * share - shown.parse::<f64>().unwrap()).abs() < 1e-9,
             "{share} {shown}"

@@ -214,9 +214,9 @@ mod tests {
         let mut turned_in = one.clone();
         turned_in["cam_from_world"][0][0] = json!(2.0);
         for (table, key, word) in [
-            (json!({"frames": 0}), "frames", "at least 1"),
-            (json!({"width": 4097}), "width", "more than 4096"),
-            (json!({"height": 0}), "height", "at least 1"),
+            (json!({"frames": 0}), "frames", "0 is not within 1 to 10000"),
+            (json!({"width": 4097}), "width", "4097 is not within 1 to 4096"),
+            (json!({"height": 0}), "height", "0 is not within 1 to 4096"),
             (json!({"outputs": []}), "outputs", "the list is empty"),
             (json!({"outputs": ["depth", "depth"]}), "outputs", "twice"),
             (json!({"path": "stills"}), "keyframes", "`stills` needs one"),
