@@ -97,7 +97,9 @@ fn score(known: &KnownScene, metrics: &Metrics, index: usize, dir: &Path) -> Res
     let mut score = Score::default();
     for (pixel, (inverse, sigma)) in inverse.iter().zip(&sigma).enumerate() {
         let (column, row) = (pixel as u32 % photo.size_px[0], pixel as u32 / photo.size_px[0]);
-        let place = truth.point(column * factor + factor / 2, row * factor + factor / 2, REACH_M);
+        let ray = camera.unproject(&Vector2::new(f64::from(column) + 0.5, f64::from(row) + 0.5));
+        let ray = ray.ok_or("a pixel without a ray")?;
+        let place = truth.point_along(&ray, REACH_M);
         let Some(place) = place.filter(|place| partners.iter().any(|partner| shows(partner, place))) else {
             continue;
         };
@@ -106,8 +108,6 @@ fn score(known: &KnownScene, metrics: &Metrics, index: usize, dir: &Path) -> Res
             continue;
         }
         score.valid += 1;
-        let ray = camera.unproject(&Vector2::new(f64::from(column) + 0.5, f64::from(row) + 0.5));
-        let ray = ray.ok_or("a pixel without a ray")?;
         // Along the axis, as the picture has it.
         let true_inverse = ray.norm() / (place - truth.photo.cam_from_site.centre()).norm();
         let (inverse, sigma) = (f64::from(*inverse), f64::from(*sigma));

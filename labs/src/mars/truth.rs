@@ -8,6 +8,9 @@ use nalgebra::{Matrix3, Vector2, Vector3};
 
 use crate::output::Result;
 
+/// Pixels are found by a point this far along their ray, metres.
+const ON_THE_WAY_M: f64 = 10.0;
+
 /// A true photo with its ranges.
 pub struct Known {
     pub photo: TruePhoto,
@@ -44,6 +47,19 @@ impl Known {
         let pixel = Vector2::new(f64::from(column), f64::from(row));
         let ray = self.photo.site_model.unproject(&pixel)?;
         (range_m <= reach_m && range_m.is_finite()).then(|| ray.origin + ray.direction * range_m)
+    }
+
+    /// As [`Known::point`], along a ray of the axes of the camera. Pictures of a scene are without the distortion of the photo.
+    pub fn point_along(&self, ray: &Vector3<f64>, reach_m: f64) -> Option<Vector3<f64>> {
+        let site_from_cam = self.photo.cam_from_site.inverse();
+        let pixel = self
+            .photo
+            .site_model
+            .project(&site_from_cam.point(&(ray.normalize() * ON_THE_WAY_M)))?;
+        let (column, row) = (pixel.x.round(), pixel.y.round());
+        let (width, height) = (f64::from(self.ranges.width), f64::from(self.ranges.height));
+        let inside = column >= 0.0 && row >= 0.0 && column < width && row < height;
+        inside.then(|| self.point(column as u32, row as u32, reach_m))?
     }
 
     fn range_m(&self, column: u32, row: u32) -> f64 {
