@@ -50,6 +50,7 @@ impl Known {
     }
 
     /// As [`Known::point`], along a ray of the axes of the camera. Pictures of a scene are without the distortion of the photo.
+    /// The pixel is off by as much as the lens of the scene is, about one.
     pub fn point_along(&self, ray: &Vector3<f64>, reach_m: f64) -> Option<Vector3<f64>> {
         let site_from_cam = self.photo.cam_from_site.inverse();
         let pixel = self
