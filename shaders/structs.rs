@@ -55,7 +55,7 @@ uniforms! {
         pub number: [u32; 2],
         /// Kept pixels of all photos.
         pub pixels: u32,
-        /// Pixels that see a sparse point. 0 where none pulls, or no longer.
+        /// Pixels with a sparse point, a distance or sky. 0 where none pulls, or no longer.
         pub observations: u32,
         /// One ray in this many goes to an observation.
         pub share: u32,

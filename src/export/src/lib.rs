@@ -3,7 +3,7 @@
 //! ```text
 //! run.rs        what a run must have to be exported
 //! contents/     objects of the store that are included
-//! graph/        what ran on what, as JSON-LD (RO-Crate 1.1, Provenance Run Crate 0.5), and as a page for people
+//! graph/        what ran on what, as JSON-LD (RO-Crate 1.1, Provenance Run Crate 0.5)
 //! bag/          BagIt bags: every file with its SHA-256
 //! crates.rs     all of that in one folder
 //! statement.rs  in-toto statements with SLSA provenance (dsse.rs signs them, key.rs reads keys)

@@ -45,7 +45,7 @@ pub struct Training {
     pub refit_step: Option<u64>,
     /// Digest of photos, cameras, poses, points that pull, and the box at first: checkpoints of another training have another.
     pub fingerprint: u64,
-    /// Observations of the sparse points in the views. Empty where they do not pull.
+    /// Sparse points, distances and sky in the views. Empty where they do not pull.
     pub observations: Vec<Observation>,
     /// Corrections of the moments by step count.
     pub bias: Bias,
