@@ -34,6 +34,11 @@ fn the_browser_draws_splats_as_our_rasteriser_does() {
         await new Promise((resolve) => setTimeout(resolve, 200)); } })()";
     let count = page.value(splats);
     assert!(count.as_u64().is_some_and(|count| count > 1000), "{count}");
+    assert_eq!(
+        page.value("document.getElementById('live-state').textContent"),
+        json!("Nothing runs in this store."),
+        "splats of a page are no run of the user"
+    );
     // The same splats, from the store that the page has put them in, next to the field's pictures.
     let printed = marf(
         dir.path(),

@@ -57,6 +57,11 @@ pub trait Feedback: Send + Sync {
     /// Returns the receiver of the events of a run. `run` is its name.
     fn follow(&self, run: &str) -> Box<dyn RunFeedback>;
 
+    /// Returns whether a run leaves its events in the store, for `marf view` and `marf status`.
+    fn is_public(&self) -> bool {
+        true
+    }
+
     /// Receives how much of a transfer is done.
     fn on_transfer(&self, _name: &str, _moved: marf_remote::Progress) {}
 }

@@ -178,9 +178,10 @@ fn add_documents(
     Ok(())
 }
 
-/// Starts the file that `marf view` follows. None in a store that cannot be written: the run continues without it.
+/// Starts the file that `marf view` follows. None for a run that is not public, and in a store that cannot be written: the run
+/// continues without it.
 fn event_file(session: &Session, options: &Options) -> Option<EventFile> {
-    if session.store.is_read_only() {
+    if session.store.is_read_only() || !session.context.feedback.is_public() {
         return None;
     }
     let nodes = nodes_to_run(session, options);

@@ -189,6 +189,11 @@ impl Feedback for SplatFeedback {
     fn follow(&self, _run: &str) -> Box<dyn RunFeedback> {
         Box::new(SplatListener(Arc::clone(&self.progress)))
     }
+
+    /// The page that asks shows their progress itself, and would take them for a run of the user.
+    fn is_public(&self) -> bool {
+        false
+    }
 }
 
 /// Keeps the last progress of the node that makes splats.
