@@ -3,6 +3,7 @@
 mod depth;
 mod descent;
 mod hardware;
+mod heights;
 mod maps;
 mod pairs;
 mod pictures;
@@ -81,7 +82,8 @@ pub enum MarsProgram {
         /// The mesh or cloud
         ply: PathBuf,
     },
-    /// Compare the depths of `depth` with the true ones, on ground within 20 m that a photo and a partner show: one JSON line
+    /// Compare the depths of `depth` with the true ones, on ground within 20 m that a photo and a partner show, and its heights with those of
+    /// all ground within 10 m of a photo that shows it: one JSON line
     TrueStereo {
         /// scene.json of the calibration, of photos as the archive has them
         scene: PathBuf,

@@ -1,4 +1,4 @@
-//! `true-stereo`: the depths of `depth` next to the truth.
+//! `true-stereo`: the depths of `depth`, and its height map, next to the truth.
 //!
 //! Covisible ground is what at least one partner of the photo's pairs shows too, at most 20 m away.
 
@@ -9,7 +9,7 @@ use marf_scene::picture::png16::read_quantity;
 use marf_schema::depth::{Metrics, PairMetrics, PhotoMetrics};
 use marf_stage::Document;
 use nalgebra::{Vector2, Vector3};
-use serde_json::json;
+use serde_json::{Value, json};
 
 use super::truth::{Known, KnownScene};
 use crate::output::{Result, print_json};
@@ -42,7 +42,7 @@ impl Score {
         self.error_shares.extend(other.error_shares);
     }
 
-    fn print(self) -> Result {
+    fn print(self, heights: Option<Value>) -> Result {
         let share = |count: usize, all: usize| count as f64 / all.max(1) as f64;
         print_json(&json!({
             "covisible": self.covisible,
@@ -52,6 +52,7 @@ impl Score {
             "wrong_share": share(self.wrong, self.valid),
             "within_1_sigma": share(self.within[0], self.valid),
             "within_2_sigma": share(self.within[1], self.valid),
+            "heights": heights,
         }))
     }
 }
@@ -70,7 +71,12 @@ pub fn stereo(scene: &Path, dir: &Path) -> Result {
     for index in 0..metrics.photos.len() {
         all.add(score(&known, &metrics, index, dir)?);
     }
-    all.print()
+    let heights = metrics.map.as_ref();
+    all.print(
+        heights
+            .map(|map| super::heights::heights(&known, map, dir))
+            .transpose()?,
+    )
 }
 
 fn score(known: &KnownScene, metrics: &Metrics, index: usize, dir: &Path) -> Result<Score> {
@@ -89,17 +95,24 @@ fn score(known: &KnownScene, metrics: &Metrics, index: usize, dir: &Path) -> Res
         values("sigma", "sigma")?,
     );
     let frame = &known.scene.frames[index];
-    let factor = frame.camera.width / photo.size_px[0];
-    let camera = frame.camera.box_reduced(factor);
+    let camera = frame.camera.box_reduced(frame.camera.width / photo.size_px[0]);
     let truth = &known.photos[index];
+    let mut pinhole = truth.pinhole()?;
+    pinhole.camera = pinhole
+        .camera
+        .box_reduced(pinhole.camera.width / photo.size_px[0]);
+    if [pinhole.camera.width, pinhole.camera.height] != photo.size_px {
+        return Err(format!("{}: not the pixels of its label's pinhole", photo.name).into());
+    }
     let baselines: Vec<f64> = pairs_of(metrics, photo).map(|pair| pair.baseline).collect();
-    let baseline_m = baselines.iter().sum::<f64>() / baselines.len() as f64;
+    let scale = known.alignment().scale();
+    let baseline_m = scale * baselines.iter().sum::<f64>() / baselines.len() as f64;
     let mut score = Score::default();
     for (pixel, (inverse, sigma)) in inverse.iter().zip(&sigma).enumerate() {
         let (column, row) = (pixel as u32 % photo.size_px[0], pixel as u32 / photo.size_px[0]);
-        let ray = camera.unproject(&Vector2::new(f64::from(column) + 0.5, f64::from(row) + 0.5));
-        let ray = ray.ok_or("a pixel without a ray")?;
-        let place = truth.point_along(&ray, REACH_M);
+        let pixel = Vector2::new(f64::from(column) + 0.5, f64::from(row) + 0.5);
+        let ray = camera.unproject(&pixel).ok_or("a pixel without a ray")?;
+        let place = truth.point_of_pinhole(&pinhole, &pixel, REACH_M);
         let Some(place) = place.filter(|place| partners.iter().any(|partner| shows(partner, place))) else {
             continue;
         };
@@ -110,7 +123,8 @@ fn score(known: &KnownScene, metrics: &Metrics, index: usize, dir: &Path) -> Res
         score.valid += 1;
         // Along the axis, as the picture has it.
         let true_inverse = ray.norm() / (place - truth.photo.cam_from_site.centre()).norm();
-        let (inverse, sigma) = (f64::from(*inverse), f64::from(*sigma));
+        // The scale of the calibration is no error of the depths.
+        let (inverse, sigma) = (f64::from(*inverse) / scale, f64::from(*sigma) / scale);
         let error = (inverse - true_inverse).abs();
         score.errors_px.push(error * camera.fx_px * baseline_m);
         score.error_shares.push(error / true_inverse);

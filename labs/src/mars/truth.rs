@@ -3,7 +3,7 @@
 use std::{fs, path::Path};
 
 use marf_demo::{Demo, DemoOptions, RangeMap, TruePhoto};
-use marf_scene::{Pose, Scene};
+use marf_scene::{Pinhole, Pose, Scene};
 use nalgebra::{Matrix3, Vector2, Vector3};
 
 use crate::output::Result;
@@ -49,14 +49,26 @@ impl Known {
         (range_m <= reach_m && range_m.is_finite()).then(|| ray.origin + ray.direction * range_m)
     }
 
-    /// As [`Known::point`], along a ray of the axes of the camera. Pictures of a scene are without the distortion of the photo.
-    /// The pixel is off by as much as the lens of the scene is, about one.
-    pub fn point_along(&self, ray: &Vector3<f64>, reach_m: f64) -> Option<Vector3<f64>> {
-        let site_from_cam = self.photo.cam_from_site.inverse();
+    /// Returns the pinhole for which `calibrate` resamples this photo, with its pose in the site.
+    pub fn pinhole(&self) -> Result<Pinhole> {
+        let (width, height) = (self.ranges.width, self.ranges.height);
+        let exact = self.photo.site_model.exact_pinhole(width, height)?;
+        Ok(exact.map_or_else(|| self.photo.site_model.linearised(width, height), Ok)?)
+    }
+
+    /// As [`Known::point`], of a pixel of the photo that a [pinhole](Self::pinhole) took.
+    pub fn point_of_pinhole(
+        &self,
+        pinhole: &Pinhole,
+        pixel: &Vector2<f64>,
+        reach_m: f64,
+    ) -> Option<Vector3<f64>> {
+        let site_from_cam = pinhole.cam_from_frame.inverse();
+        let ray = pinhole.camera.unproject(pixel)?.normalize();
         let pixel = self
             .photo
             .site_model
-            .project(&site_from_cam.point(&(ray.normalize() * ON_THE_WAY_M)))?;
+            .project(&site_from_cam.point(&(ray * ON_THE_WAY_M)))?;
         let (column, row) = (pixel.x.round(), pixel.y.round());
         let (width, height) = (f64::from(self.ranges.width), f64::from(self.ranges.height));
         let inside = column >= 0.0 && row >= 0.0 && column < width && row < height;
@@ -151,10 +163,14 @@ impl Similarity {
         self.scaled * place + self.shift
     }
 
+    /// Metres per unit of the world.
+    pub fn scale(&self) -> f64 {
+        self.scaled.determinant().cbrt()
+    }
+
     /// Returns the pose in the site of a camera of the world.
     pub fn pose(&self, cam_from_world: &Pose) -> Pose {
-        let scale = self.scaled.determinant().cbrt();
-        let rotation = cam_from_world.rotation * (self.scaled / scale).transpose();
+        let rotation = cam_from_world.rotation * (self.scaled / self.scale()).transpose();
         Pose {
             rotation,
             translation: -(rotation * self.point(&cam_from_world.centre())),
