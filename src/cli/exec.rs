@@ -36,7 +36,7 @@ const AFTER_HELP: &str = "\
 `marf run --on slurm` writes actions and submits jobs that call this verb. ACTION may also be the question of a run which backend its \
 jobs have. Only inputs that are read are fetched. An existing result stays and is compared with the new one.
 Exit codes: 0 the result is in the shared store, 1 it could not be computed, 10 another version of marf or another machine must compute \
-it, 130 stopped at a checkpoint.";
+it, or it is a part of a node, 130 stopped at a checkpoint.";
 
 /// `marf exec`: computes an action, and prints its outcome.
 pub fn exec(args: ExecArgs, context: Context) -> Result<(), Error> {

@@ -18,8 +18,10 @@ const LEAST_OVERLAP: f64 = 0.3;
 const LEAST_DEG: f64 = 0.3;
 /// Above this angle photos look too different.
 const MOST_DEG: f64 = 30.0;
-/// The best angle.
-const BEST_DEG: f64 = 8.0;
+/// The best angle of a photo's first pair. More narrow photos look alike, so that nearly every pixel is matched.
+const FIRST_DEG: f64 = 4.0;
+/// The best angle of its other pairs, whose depths are the more exact ones.
+const OTHERS_DEG: f64 = 8.0;
 /// The largest ratio of the sizes at which photos show the same.
 const MOST_SCALE: f64 = 3.5;
 
@@ -49,7 +51,15 @@ pub(crate) struct Pair {
     pub angle_deg: f64,
     /// Share of the points of the photo with fewer that both show.
     pub overlap: f64,
-    score: f64,
+    /// The smaller of the two scales at which the photos show the same, as a share of the other.
+    alike: f64,
+}
+
+impl Pair {
+    /// Returns how well a pair suits, of which this angle is the best.
+    fn score(&self, best_deg: f64) -> f64 {
+        self.overlap * self.alike * (self.angle_deg / best_deg).min(best_deg / self.angle_deg)
+    }
 }
 
 /// Why overlapping photos are not matched.
@@ -89,7 +99,7 @@ pub(crate) struct RefusedPair {
 /// Chooses pairs of photos: for each at most `neighbours`, the best first.
 ///
 /// A pair is judged by the points in view of both cameras, whatever may hide them: their share, the angle between the rays to
-/// them, best 8 degrees, and the ratio of scales. The range of disparities is that of the points, widened. Of cameras that labels alone place,
+/// them, best 4 degrees for the first pair of a photo and 8 for the others, and the ratio of scales. The range of disparities is that of the points, widened. Of cameras that labels alone place,
 /// twins are matched and nothing else, because errors of other poses are as large as the baselines.
 pub(crate) fn choose(scene: &Scene, views: &[PosedCamera], neighbours: usize) -> Pairs {
     let surface = Surface::new(scene, views);
@@ -116,18 +126,11 @@ pub(crate) fn choose(scene: &Scene, views: &[PosedCamera], neighbours: usize) ->
             }
         }
     }
-    // Stable: of equal scores the pair of the first photos.
-    candidates.sort_by(|a, b| b.score.total_cmp(&a.score));
     let mut counts = vec![0; views.len()];
-    let (mut chosen, rest): (Vec<Pair>, Vec<Pair>) = candidates.into_iter().partition(|pair| {
-        let free = pair.photos.iter().all(|&photo| counts[photo] < neighbours);
-        if free {
-            pair.photos.iter().for_each(|&photo| counts[photo] += 1);
-        }
-        free
-    });
+    let mut chosen = take_best(&mut candidates, FIRST_DEG, neighbours.min(1), &mut counts);
+    chosen.extend(take_best(&mut candidates, OTHERS_DEG, neighbours, &mut counts));
     // A photo whose neighbours have enough pairs still gets its best one.
-    for pair in rest {
+    for pair in candidates {
         let counts_of = || pair.photos.iter().map(|&photo| counts[photo]);
         if counts_of().any(|count| count == 0) && counts_of().all(|count| count < MOST_PAIRS) {
             pair.photos.iter().for_each(|&photo| counts[photo] += 1);
@@ -141,6 +144,20 @@ pub(crate) fn choose(scene: &Scene, views: &[PosedCamera], neighbours: usize) ->
     let order = |pair: &Pair| (pair.photos[0].min(pair.photos[1]), pair.photos);
     chosen.sort_by_key(order);
     Pairs { chosen, refused }
+}
+
+/// Takes pairs of photos that have fewer than `most`, the best first, and counts them.
+fn take_best(candidates: &mut Vec<Pair>, best_deg: f64, most: usize, counts: &mut [usize]) -> Vec<Pair> {
+    // Stable: of equal scores the pair of the first photos.
+    candidates.sort_by(|a, b| b.score(best_deg).total_cmp(&a.score(best_deg)));
+    let is_free = |pair: &mut Pair| {
+        let free = pair.photos.iter().all(|&photo| counts[photo] < most);
+        if free {
+            pair.photos.iter().for_each(|&photo| counts[photo] += 1);
+        }
+        free
+    };
+    candidates.extract_if(.., is_free).collect()
 }
 
 /// Judges two photos that overlap.
@@ -199,7 +216,7 @@ fn judge(
         search,
         angle_deg,
         overlap: overlap.share,
-        score: overlap.share * alike * (angle_deg / BEST_DEG).min(BEST_DEG / angle_deg),
+        alike,
     })
 }
 
@@ -279,20 +296,35 @@ mod tests {
     }
 
     #[test]
-    fn the_pair_nearest_to_eight_degrees_is_chosen_and_the_left_photo_comes_first() {
-        // 8 degrees at a distance of 10 are a baseline of 1.4.
-        let pairs = chosen(&[[1.4, 0.0, 0.0], [0.0, 0.0, 0.0], [0.3, 0.0, 0.0]], 1);
+    fn the_pair_nearest_to_four_degrees_comes_first_and_the_left_photo_before_the_right_one() {
+        // 4 degrees at a distance of 10 are a baseline of 0.7.
+        let pairs = chosen(&[[0.7, 0.0, 0.0], [0.0, 0.0, 0.0], [2.1, 0.0, 0.0]], 1);
         assert_eq!(pairs.chosen[0].photos, [1, 0]);
         assert!(
-            (pairs.chosen[0].angle_deg - 8.0).abs() < 0.5,
+            (pairs.chosen[0].angle_deg - 4.0).abs() < 0.3,
             "{}",
             pairs.chosen[0].angle_deg
         );
-        // 200 px x 1.4 / 10 = 28 px, and the range holds it and infinity.
+        // 200 px x 0.7 / 10 = 14 px, and the range holds it and infinity.
         let Search { first, count } = pairs.chosen[0].search;
-        assert!(first <= 0 && first + count as i32 > 42, "{first} {count}");
+        assert!(first <= 0 && first + count as i32 > 21, "{first} {count}");
         // The third photo has no free neighbour, and still gets one.
         assert_eq!(pairs.chosen.len(), 2);
+    }
+
+    #[test]
+    fn the_second_pair_of_a_photo_is_the_one_nearest_to_eight_degrees() {
+        // From the first photo 4, 6 and 8 degrees.
+        let places = [0.0, 0.7, 1.05, 1.4].map(|x| [x, 0.0, 0.0]);
+        let pairs = chosen(&places, 2);
+        let mut of_first: Vec<f64> = pairs
+            .chosen
+            .iter()
+            .filter(|pair| pair.photos.contains(&0))
+            .map(|pair| pair.angle_deg.round())
+            .collect();
+        of_first.sort_by(f64::total_cmp);
+        assert_eq!(of_first, [4.0, 8.0]);
     }
 
     #[test]

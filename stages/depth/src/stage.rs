@@ -36,7 +36,7 @@ stage! {
     Set,
     Threads::All,
     about: "makes depths, points, a height map and an orthophoto from pairs of photos, without a field",
-    version: 6,
+    version: 7,
     ports: [Port::required("input", SCENE)],
     outputs: [
         Metrics::OUTPUT,

@@ -50,18 +50,15 @@ pub(super) fn depth_steps(config: &Config, views: &[View], points: usize) -> Cho
     let all = || views.iter().flat_map(|view| &view.distances);
     let distances = all().filter(|one| one.distance.is_finite()).count();
     let sky = all().count() - distances;
-    let mut what = match (config.depth_source, distances) {
-        (DepthSource::Points, _) => "sparse points".to_owned(),
-        (DepthSource::Pairs, 0) => "sparse points (no pair of them shows distances)".to_owned(),
-        (DepthSource::Pairs, count) => {
-            format!(
-                "sparse points and {} distances from pairs of them",
-                grouped(count as u64)
-            )
-        }
-    };
-    if sky > 0 {
-        what += &format!(" and {} pixels of sky", grouped(sky as u64));
+    let counted = |count: usize, what: &str| (count > 0).then(|| format!("{} {what}", grouped(count as u64)));
+    let what = [
+        (points > 0).then(|| "sparse points".to_owned()),
+        counted(distances, "distances from pairs of them"),
+        counted(sky, "pixels of sky"),
+    ];
+    let mut what = what.into_iter().flatten().collect::<Vec<_>>().join(" and ");
+    if config.depth_source == DepthSource::Pairs && distances == 0 {
+        what += " (no pair of them shows distances)";
     }
     let most = grouped(LONGEST_PULL);
     let (steps, reason) = match config.steps {

@@ -26,7 +26,7 @@ stage! {
     Set,
     Threads::All,
     about: "trains the first steps of a training, from which `train` continues",
-    version: 16,
+    version: 17,
     ports: [
         Port::required("input", SCENE),
         Port::optional("params", BestParams::OUTPUT),

@@ -29,7 +29,7 @@ stage! {
     Set,
     Threads::All,
     about: "trains a radiance field and measures it on held-out photos",
-    version: 24,
+    version: 25,
     ports: [
         Port::required("input", SCENE),
         Port::optional("params", BestParams::OUTPUT),
