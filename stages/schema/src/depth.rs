@@ -23,7 +23,8 @@ pub struct DepthParams {
     /// Longest side of the pictures that are matched, pixels. Photos are shrunk to it by whole factors. 8192 takes the
     /// photos as they are, and about 16 times as long.
     pub side_px: u32,
-    /// Pairs that a photo takes part in, at most.
+    /// Pairs that a photo takes part in, at most. The first is of about 4 degrees and finds nearly every pixel, the others are of 8 and more
+    /// exact.
     pub neighbours: u32,
     /// Width of a pixel of height map and orthophoto, metres. Default: the distance between the points.
     pub map_cell: Option<f64>,
