@@ -97,14 +97,7 @@ fn score(known: &KnownScene, metrics: &Metrics, index: usize, dir: &Path) -> Res
     let frame = &known.scene.frames[index];
     let camera = frame.camera.box_reduced(frame.camera.width / photo.size_px[0]);
     let truth = &known.photos[index];
-    let mut pinhole = truth.pinhole()?;
-    pinhole.camera = pinhole
-        .camera
-        .box_reduced(pinhole.camera.width / photo.size_px[0]);
-    if [pinhole.camera.width, pinhole.camera.height] != photo.size_px {
-        return Err(format!("{}: not the pixels of its label's pinhole", photo.name).into());
-    }
-    let baselines: Vec<f64> = pairs_of(metrics, photo).map(|pair| pair.baseline).collect();
+    let pinhole = truth.pinhole_of_width(photo.size_px[0])?;
     let scale = known.alignment().scale();
     let baseline_m = scale * baselines.iter().sum::<f64>() / baselines.len() as f64;
     let mut score = Score::default();

@@ -49,14 +49,20 @@ impl Known {
         (range_m <= reach_m && range_m.is_finite()).then(|| ray.origin + ray.direction * range_m)
     }
 
-    /// Returns the pinhole for which `calibrate` resamples this photo, with its pose in the site.
-    pub fn pinhole(&self) -> Result<Pinhole> {
-        let (width, height) = (self.ranges.width, self.ranges.height);
-        let exact = self.photo.site_model.exact_pinhole(width, height)?;
-        Ok(exact.map_or_else(|| self.photo.site_model.linearised(width, height), Ok)?)
+    /// Returns the pinhole for which `calibrate` resamples this photo, with its pose in the site, for a picture reduced to this width.
+    pub fn pinhole_of_width(&self, width: u32) -> Result<Pinhole> {
+        let (model, size) = (&self.photo.site_model, [self.ranges.width, self.ranges.height]);
+        let exact = model.exact_pinhole(size[0], size[1])?;
+        let mut pinhole = exact.map_or_else(|| model.linearised(size[0], size[1]), Ok)?;
+        pinhole.camera = pinhole.camera.box_reduced(pinhole.camera.width / width);
+        if pinhole.camera.width == width {
+            Ok(pinhole)
+        } else {
+            Err(format!("{}: not the pixels of its label's pinhole", self.photo.file).into())
+        }
     }
 
-    /// As [`Known::point`], of a pixel of the photo that a [pinhole](Self::pinhole) took.
+    /// As [`Known::point`], of a pixel of the photo that a [pinhole](Self::pinhole_of_width) took.
     pub fn point_of_pinhole(
         &self,
         pinhole: &Pinhole,

@@ -298,7 +298,7 @@ mod tests {
     #[test]
     fn the_pair_nearest_to_four_degrees_comes_first_and_the_left_photo_before_the_right_one() {
         // 4 degrees at a distance of 10 are a baseline of 0.7.
-        let pairs = chosen(&[[0.7, 0.0, 0.0], [0.0, 0.0, 0.0], [2.1, 0.0, 0.0]], 1);
+        let pairs = chosen(&[[0.7, 0.0, 0.0], [0.0, 0.0, 0.0], [-1.4, 0.0, 0.0]], 1);
         assert_eq!(pairs.chosen[0].photos, [1, 0]);
         assert!(
             (pairs.chosen[0].angle_deg - 4.0).abs() < 0.3,
@@ -315,7 +315,7 @@ mod tests {
     #[test]
     fn the_second_pair_of_a_photo_is_the_one_nearest_to_eight_degrees() {
         // From the first photo 4, 6 and 8 degrees.
-        let places = [0.0, 0.7, 1.05, 1.4].map(|x| [x, 0.0, 0.0]);
+        let places = [0.0, 0.7, 1.05, -1.4].map(|x| [x, 0.0, 0.0]);
         let pairs = chosen(&places, 2);
         let mut of_first: Vec<f64> = pairs
             .chosen

@@ -309,7 +309,7 @@ fn the_answers_belong_to_the_versions() {
     assert_eq!(
         found,
         [
-            ("train", 24, "e7b9ef6539f5"),
+            ("train", 25, "e7b9ef6539f5"),
             ("evaluate", 6, "7b90545a05fa"),
             ("render", 8, "aeaf49f3cc34")
         ]
