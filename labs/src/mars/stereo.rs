@@ -98,6 +98,7 @@ fn score(known: &KnownScene, metrics: &Metrics, index: usize, dir: &Path) -> Res
     let camera = frame.camera.box_reduced(frame.camera.width / photo.size_px[0]);
     let truth = &known.photos[index];
     let pinhole = truth.pinhole_of_width(photo.size_px[0])?;
+    let baselines: Vec<f64> = pairs_of(metrics, photo).map(|pair| pair.baseline).collect();
     let scale = known.alignment().scale();
     let baseline_m = scale * baselines.iter().sum::<f64>() / baselines.len() as f64;
     let mut score = Score::default();
