@@ -17,11 +17,7 @@ pub fn luma(pixel: [u8; 3]) -> u8 {
 }
 
 pub fn mapped(image: &Image<Srgb>, change: impl Fn([u8; 3]) -> [u8; 3]) -> Image<Srgb> {
-    Image {
-        width: image.width,
-        height: image.height,
-        pixels: image.pixels.iter().map(|&pixel| change(pixel)).collect(),
-    }
+    Image::from_fn(image.width, image.height, |x, y| change(image.at(x, y)))
 }
 
 /// Returns the photo as through a narrow filter: one band, tinted as browse products are.

@@ -233,10 +233,8 @@ impl Lattice {
         let (x, y) = (rock.centre.x - OUTCROP[0], rock.centre.y - OUTCROP[1]);
         for row in index(y - reach)..=index(y + reach) {
             for column in index(x - reach)..=index(x + reach) {
-                let (dx, dy) = (
-                    (column as f64 - middle) * step_m - x,
-                    (row as f64 - middle) * step_m - y,
-                );
+                let dx = (column as f64 - middle) * step_m - x;
+                let dy = (row as f64 - middle) * step_m - y;
                 let off = rock.local(v3(dx, dy, 0.0));
                 let (u, v) = (off.x / rock.half.x, off.y / rock.half.y);
                 let near = smoothstep(2.2, 0.8, (u * u + v * v).sqrt());
@@ -280,10 +278,8 @@ impl Grid {
     fn spot(&self, x: f64, y: f64) -> Spot {
         let Lattice { side, step_m } = self.lattice;
         let last = (side - 1) as f64 - 1e-6;
-        let (u, v) = (
-            ((x + self.half_m()) / step_m).clamp(0.0, last),
-            ((y + self.half_m()) / step_m).clamp(0.0, last),
-        );
+        let u = ((x + self.half_m()) / step_m).clamp(0.0, last);
+        let v = ((y + self.half_m()) / step_m).clamp(0.0, last);
         let (i, j) = (u as usize, v as usize);
         Spot {
             index: j * side + i,

@@ -25,10 +25,8 @@ impl Lens {
         let down = forward.cross(&right);
         let centre = |side: u32| (f64::from(side) - 1.0) / 2.0;
         // The principal point is off centre, as that of every real camera.
-        let (hc, vc) = (
-            centre(size_px[0]) + 0.008 * focal_px,
-            centre(size_px[1]) - 0.005 * focal_px,
-        );
+        let hc = centre(size_px[0]) + 0.008 * focal_px;
+        let vc = centre(size_px[1]) - 0.005 * focal_px;
         Self {
             c,
             a: forward,
@@ -57,17 +55,8 @@ impl Lens {
     /// Returns the pixel of a point. `None` behind the camera.
     #[cfg(test)]
     pub fn project(&self, point: V3) -> Option<(f64, f64)> {
-        let p = point - self.c;
-        let along = p.dot(&self.o);
-        if along <= 0.0 {
-            return None;
-        }
-        let off = p - self.o * along;
-        let tau = off.dot(&off) / (along * along);
-        let mu = self.r[0] + tau * (self.r[1] + tau * self.r[2]);
-        let p = p + off * mu;
-        let depth = p.dot(&self.a);
-        (depth > 0.0).then(|| (p.dot(&self.h) / depth, p.dot(&self.v) / depth))
+        let pixel = self.cahvor().project(&point)?;
+        Some((pixel.x, pixel.y))
     }
 
     /// Returns the unit direction behind a pixel.

@@ -35,20 +35,11 @@ pub fn sin_cos(angle_rad: f64) -> (f64, f64) {
     let quarters = (angle_rad / std::f64::consts::FRAC_PI_2 + 0.5).floor();
     let a = angle_rad - quarters * std::f64::consts::FRAC_PI_2;
     let a2 = a * a;
-    let sin = a
-        * (1.0
-            - a2 / 6.0
-                * (1.0
-                    - a2 / 20.0
-                        * (1.0 - a2 / 42.0 * (1.0 - a2 / 72.0 * (1.0 - a2 / 110.0 * (1.0 - a2 / 156.0))))));
-    let cos = 1.0
-        - a2 / 2.0
-            * (1.0
-                - a2 / 12.0
-                    * (1.0
-                        - a2 / 30.0
-                            * (1.0
-                                - a2 / 56.0 * (1.0 - a2 / 90.0 * (1.0 - a2 / 132.0 * (1.0 - a2 / 182.0))))));
+    // 1 - a2/d1 (1 - a2/d2 (1 - ...)), from the innermost bracket.
+    let around = |inner: f64, divisor: &f64| 1.0 - a2 / divisor * inner;
+    let series = |divisors: &[f64]| divisors.iter().rfold(1.0, around);
+    let sin = a * series(&[6.0, 20.0, 42.0, 72.0, 110.0, 156.0]);
+    let cos = series(&[2.0, 12.0, 30.0, 56.0, 90.0, 132.0, 182.0]);
     match quarters as i64 & 3 {
         0 => (sin, cos),
         1 => (cos, -sin),
@@ -74,15 +65,11 @@ pub fn mix32(mut h: u32) -> u32 {
 
 /// Returns the random number in [0, 1) of a lattice cell.
 pub fn cell(x: i64, y: i64, salt: u32) -> f64 {
-    unit_of(cell_bits(x, y, salt))
+    f64::from(cell_bits(x, y, salt)) * (1.0 / 4_294_967_296.0)
 }
 
 pub fn cell_bits(x: i64, y: i64, salt: u32) -> u32 {
     mix32((x as u32).wrapping_mul(0x9e37_79b1) ^ (y as u32).wrapping_mul(0x85eb_ca77).rotate_left(13) ^ salt)
-}
-
-fn unit_of(bits: u32) -> f64 {
-    f64::from(bits) * (1.0 / 4_294_967_296.0)
 }
 
 /// A stream of random numbers.

@@ -29,26 +29,18 @@ pub struct Shot<'a> {
 impl Shot<'_> {
     /// Renders the photo, rows in parallel. Every pixel is a function of its position alone.
     pub fn photo(&self, encoder: &SrgbEncoder) -> Image<Srgb> {
-        let width = self.width as usize;
-        let first: Vec<RaySample> = self.each(|x, y| self.trace(x, y));
-        let light: Vec<V3> = (0..first.len())
-            .into_par_iter()
-            .map(|index| {
-                if !self.is_edge(&first, index) {
-                    return first[index].light;
-                }
-                let (x, y) = ((index % width) as f64, (index / width) as f64);
-                let corners = CORNERS.iter().map(|(dx, dy)| self.trace(x + dx, y + dy).light);
-                corners.fold(first[index].light, |sum, light| sum + light) * 0.2
-            })
-            .collect();
-        let pixels = (0..light.len()).into_par_iter();
+        let first: Vec<RaySample> = self.each(|_, x, y| self.trace(x, y));
+        let light = self.each(|index, x, y| {
+            if !self.is_edge(&first, index) {
+                return first[index].light;
+            }
+            let corners = CORNERS.iter().map(|(dx, dy)| self.trace(x + dx, y + dy).light);
+            corners.fold(first[index].light, |sum, light| sum + light) * 0.2
+        });
         Image {
             width: self.width,
             height: self.height,
-            pixels: pixels
-                .map(|index| encoder.rgb(self.spread(&light, index)))
-                .collect(),
+            pixels: self.each(|index, _, _| encoder.rgb(self.spread(&light, index))),
         }
     }
 
@@ -66,17 +58,18 @@ impl Shot<'_> {
 
     /// Returns the distance from the camera's centre along each pixel's ray, metres. Infinite for the sky.
     pub fn ranges_m(&self) -> Vec<f32> {
-        self.each(|x, y| {
+        self.each(|_, x, y| {
             let (from, along) = self.ray(x, y);
             self.world.range_m(from, along) as f32
         })
     }
 
-    fn each<T: Send>(&self, pixel: impl Fn(f64, f64) -> T + Sync) -> Vec<T> {
+    /// Returns the values of a function of each pixel's index, column and row.
+    fn each<T: Send>(&self, pixel: impl Fn(usize, f64, f64) -> T + Sync) -> Vec<T> {
         let width = self.width as usize;
         (0..width * self.height as usize)
             .into_par_iter()
-            .map(|index| pixel((index % width) as f64, (index / width) as f64))
+            .map(|index| pixel(index, (index % width) as f64, (index / width) as f64))
             .collect()
     }
 
@@ -93,20 +86,16 @@ impl Shot<'_> {
     }
 
     fn is_edge(&self, samples: &[RaySample], index: usize) -> bool {
-        let (width, here) = (self.width as usize, &samples[index]);
-        let mut neighbours = [None; 4];
-        if !index.is_multiple_of(width) {
-            neighbours[0] = Some(index - 1);
-        }
-        if index % width + 1 < width {
-            neighbours[1] = Some(index + 1);
-        }
-        neighbours[2] = index.checked_sub(width);
-        neighbours[3] = Some(index + width).filter(|&below| below < samples.len());
-        neighbours
-            .into_iter()
-            .flatten()
-            .any(|other| differs(here, &samples[other]))
+        let width = self.width as usize;
+        let column = index % width;
+        let neighbours = [
+            (column > 0).then(|| index - 1),
+            (column + 1 < width).then_some(index + 1),
+            index.checked_sub(width),
+            Some(index + width).filter(|&below| below < samples.len()),
+        ];
+        let mut neighbours = neighbours.into_iter().flatten();
+        neighbours.any(|other| differs(&samples[index], &samples[other]))
     }
 }
 
@@ -115,5 +104,6 @@ fn differs(here: &RaySample, there: &RaySample) -> bool {
         // The outline of the hills.
         return (here.light - there.light).norm() > 0.03;
     }
-    here.surface != there.surface || (here.range_m - there.range_m).abs() > EDGE * here.range_m
+    (here.surface, here.is_shaded) != (there.surface, there.is_shaded)
+        || (here.range_m - there.range_m).abs() > EDGE * here.range_m
 }

@@ -140,12 +140,8 @@ impl Rock {
 
     /// Returns the half extents of its bounding box along the world's axes.
     fn reach(&self) -> V3 {
-        let along = |pick: fn(V3) -> f64| {
-            pick(self.rows[0]).abs() * self.half.x
-                + pick(self.rows[1]).abs() * self.half.y
-                + pick(self.rows[2]).abs() * self.half.z
-        };
-        v3(along(|row| row.x), along(|row| row.y), along(|row| row.z))
+        let [x, y, z] = self.rows.map(|row| row.abs());
+        x * self.half.x + y * self.half.y + z * self.half.z
     }
 }
 
@@ -157,11 +153,10 @@ impl Shape {
             nz: [0.0; PLANES],
             reach: [1.0; PLANES],
         };
-        for i in 0..3 {
-            let axis = [&mut shape.nx, &mut shape.ny, &mut shape.nz];
-            axis[i][2 * i] = 1.0;
-            let axis = [&mut shape.nx, &mut shape.ny, &mut shape.nz];
-            axis[i][2 * i + 1] = -1.0;
+        let axes = [&mut shape.nx, &mut shape.ny, &mut shape.nz];
+        for (i, axis) in axes.into_iter().enumerate() {
+            axis[2 * i] = 1.0;
+            axis[2 * i + 1] = -1.0;
         }
         for i in 6..PLANES {
             let mut normal = rng.direction();

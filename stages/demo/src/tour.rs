@@ -1,5 +1,7 @@
 //! The rover's stops, where its cameras point, and the erroneous poses that labels state.
 
+use std::f64::consts::PI;
+
 use super::{
     ground::OUTCROP,
     lens::{Lens, Quaternion, RoverPose, rotate},
@@ -55,12 +57,8 @@ pub fn stops(world: &World, seed: u64, sol: u32) -> Vec<Stop> {
             let bearing = (205.0 + 18.0 * f64::from(step % 20) + 7.0 * lap + rng.within(-2.0, 2.0)) * DEGREE;
             let radius = 4.9 + 0.45 * lap + rng.within(-0.35, 0.35);
             let (sin, cos) = sin_cos(bearing);
-            stop(
-                world,
-                &mut rng,
-                20 + step * 3,
-                [OUTCROP[0] + radius * cos, OUTCROP[1] + radius * sin],
-            )
+            let at = [OUTCROP[0] + radius * cos, OUTCROP[1] + radius * sin];
+            stop(world, &mut rng, 20 + step * 3, at)
         })
         .collect()
 }
@@ -71,23 +69,21 @@ fn stop(world: &World, rng: &mut Rng, drive: u32, [x, y]: [f64; 2]) -> Stop {
     let facing = angle(dx, dy) + rng.within(-14.0, 14.0) * DEGREE;
     let (slope_x, slope_y) = world.slope(x, y);
     let (sin, cos) = sin_cos(facing);
-    let (pitch, roll) = (
-        (slope_x * cos + slope_y * sin) / 1.8,
-        -(slope_y * cos - slope_x * sin) / 1.8,
-    );
+    let pitch = (slope_x * cos + slope_y * sin) / 1.8;
+    let roll = -(slope_y * cos - slope_x * sin) / 1.8;
     let attitude = Quaternion::about(v3(0.0, 0.0, 1.0), facing)
         .after(Quaternion::about(v3(0.0, 1.0, 0.0), pitch))
         .after(Quaternion::about(v3(1.0, 0.0, 0.0), roll));
     let place = v3(x, y, -world.height(x, y));
     let slip = v3(rng.normal() * 0.010, rng.normal() * 0.010, rng.normal() * 0.006);
-    let labelled = tilted(rng, 0.06).after(attitude);
+    let labelled = RoverPose {
+        attitude: tilted(rng, 0.06).after(attitude),
+        place: place + slip,
+    };
     Stop {
         drive,
         site_from_rover: RoverPose { attitude, place },
-        labelled: RoverPose {
-            attitude: labelled,
-            place: place + slip,
-        },
+        labelled,
     }
 }
 
@@ -100,11 +96,7 @@ fn tilted(rng: &mut Rng, degrees: f64) -> Quaternion {
 fn angle(x: f64, y: f64) -> f64 {
     let r = (x * x + y * y).sqrt();
     if x < 0.0 {
-        let half = if y < 0.0 {
-            -std::f64::consts::PI
-        } else {
-            std::f64::consts::PI
-        };
+        let half = if y < 0.0 { -PI } else { PI };
         return half - angle(-x, y);
     }
     let mut t = y / (r + x);
@@ -195,10 +187,8 @@ pub fn take(stop: &Stop, pointing: &Pointing, eye: Eye, size_px: [u32; 2], seed:
     let centre = MAST + forward * 0.06 + right * (side * BASELINE_M) + down * 0.02;
     let rover = Lens::new(centre, forward, right, size_px, focal_px(size_px[0]));
     // Backlash of the mast's joints: the same for both eyes.
-    let mut rng = Rng::new(
-        seed,
-        0x706f_696e_7400 + u64::from(stop.drive) * 65_536 + u64::from(pointing.rsm),
-    );
+    let stream = 0x706f_696e_7400 + u64::from(stop.drive) * 65_536 + u64::from(pointing.rsm);
+    let mut rng = Rng::new(seed, stream);
     let backlash = tilted(&mut rng, 0.08).columns();
     let about_head = MAST - rotate(&backlash, MAST);
     Capture {

@@ -66,10 +66,8 @@ pub fn pose_of(rover: &RoverPose) -> Pose {
 
 /// Returns the pinhole of a lens whose rows and columns are perpendicular, as those of the demo's lenses are.
 pub fn pinhole_of(lens: &Lens, width: u32, height: u32) -> (Pose, Camera) {
-    let (right, down) = (
-        lens.a.cross(&lens.h).cross(&lens.a),
-        lens.a.cross(&lens.v).cross(&lens.a),
-    );
+    let right = lens.a.cross(&lens.h).cross(&lens.a);
+    let down = lens.a.cross(&lens.v).cross(&lens.a);
     let rows = [right.unit(), down.unit(), lens.a].map(|row| row.transpose());
     let rotation = Matrix3::from_rows(&rows);
     let camera = Camera {
@@ -79,12 +77,9 @@ pub fn pinhole_of(lens: &Lens, width: u32, height: u32) -> (Pose, Camera) {
         cy_px: lens.a.dot(&lens.v) + 0.5,
         ..Camera::pinhole(width, height, 1.0)
     };
-    let translation = -(rotation * lens.c);
-    (
-        Pose {
-            rotation,
-            translation,
-        },
-        camera,
-    )
+    let pose = Pose {
+        rotation,
+        translation: -(rotation * lens.c),
+    };
+    (pose, camera)
 }

@@ -1,5 +1,7 @@
 //! The landscape: ground and rocks, and what a ray sees of them.
 
+use std::f64::consts::TAU;
+
 use super::{
     ground::{self, FAR, Ground, OUTCROP},
     light::{self, TO_SUN},
@@ -7,7 +9,6 @@ use super::{
     rocks::{Place, Ray, Rocks},
 };
 
-const TURN: f64 = 2.0 * std::f64::consts::PI;
 /// Distance beyond which shadows are smaller than a pixel, metres.
 const SHADOWS_M: f64 = 120.0;
 /// Longest shadow, metres along the sunlight.
@@ -38,23 +39,21 @@ pub struct RaySample {
     pub light: V3,
     /// Metres along the ray. Infinite for the sky.
     pub range_m: f64,
-    /// The surface. There is an edge where neighbours differ.
+    /// The surface. There is an edge where neighbours differ in it or in its light.
     pub surface: Surface,
+    /// Whether the surface is in a cast shadow.
+    pub is_shaded: bool,
 }
 
-/// A kind of surface, and whether the sun reaches it.
+/// A kind of surface.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Surface {
     /// Sky or far hills.
     Sky,
-    /// Sunlit ground.
+    /// Sand, dust and small stones.
     Ground,
-    /// Ground in a cast shadow.
-    ShadedGround,
-    /// A sunlit rock, by index.
+    /// A rock, by index.
     Rock(usize),
-    /// A rock in a cast shadow.
-    ShadedRock(usize),
 }
 
 impl World {
@@ -100,6 +99,7 @@ impl World {
                 light: light::sky(along, self.salt),
                 range_m: f64::INFINITY,
                 surface: Surface::Sky,
+                is_shaded: false,
             },
         }
     }
@@ -124,16 +124,13 @@ impl World {
         }
         // Only rocks cast shadows: the ground is less steep than the sun is high.
         let to_sun = Ray::new(p + v3(0.0, 0.0, 0.004), TO_SUN);
-        let shaded = range_m < SHADOWS_M && self.rocks.shade_ground(&to_sun, SHADOW_M);
-        let light = light::lit(&material, if shaded { 0.0 } else { 1.0 }, point.open);
+        let is_shaded = range_m < SHADOWS_M && self.rocks.shade_ground(&to_sun, SHADOW_M);
+        let light = light::lit(&material, f64::from(!is_shaded), point.open);
         RaySample {
             light: light::hazed(light, range_m),
             range_m,
-            surface: if shaded {
-                Surface::ShadedGround
-            } else {
-                Surface::Ground
-            },
+            surface: Surface::Ground,
+            is_shaded,
         }
     }
 
@@ -143,20 +140,13 @@ impl World {
         let material = light::rock_material(rock, p, hit.normal, hit.t * pixel_rad, self.salt);
         let turned_away = hit.normal.dot(&TO_SUN) <= 0.0;
         let to_sun = Ray::new(p + hit.normal * 0.003, TO_SUN);
-        let shaded = !turned_away && hit.t < SHADOWS_M && self.rocks.shade_rock(&to_sun, SHADOW_M);
-        let light = light::lit(
-            &material,
-            if shaded { 0.0 } else { 1.0 },
-            light::rock_openness(rock, p),
-        );
+        let is_shaded = !turned_away && hit.t < SHADOWS_M && self.rocks.shade_rock(&to_sun, SHADOW_M);
+        let light = light::lit(&material, f64::from(!is_shaded), light::rock_openness(rock, p));
         RaySample {
             light: light::hazed(light, hit.t),
             range_m: hit.t,
-            surface: if shaded {
-                Surface::ShadedRock(hit.rock)
-            } else {
-                Surface::Rock(hit.rock)
-            },
+            surface: Surface::Rock(hit.rock),
+            is_shaded,
         }
     }
 }
@@ -209,7 +199,7 @@ fn power_law(rng: &mut Rng, least_m: f64, most_m: f64) -> f64 {
 
 fn disc(rng: &mut Rng, from_m: f64, to_m: f64) -> [f64; 2] {
     let radius = rng.within(from_m * from_m, to_m * to_m).sqrt();
-    let (sin, cos) = sin_cos(rng.within(0.0, TURN));
+    let (sin, cos) = sin_cos(rng.within(0.0, TAU));
     [OUTCROP[0] + radius * cos, OUTCROP[1] + radius * sin]
 }
 
@@ -260,7 +250,7 @@ fn place(rng: &mut Rng, at: [f64; 2], half: V3, bury: f64, salt: u32) -> Place {
     Place {
         centre: v3(at[0], at[1], ground_z + half.z * (1.0 - 2.0 * bury)),
         half,
-        yaw_rad: rng.within(0.0, TURN),
+        yaw_rad: rng.within(0.0, TAU),
         tilt: (0.0, 0.0),
         ground_z,
     }

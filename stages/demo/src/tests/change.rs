@@ -22,10 +22,7 @@ impl Above {
         Self {
             height_m: from_m - seen.range_m,
             light: seen.light.into(),
-            is_shaded: matches!(
-                seen.surface,
-                world::Surface::ShadedGround | world::Surface::ShadedRock(_)
-            ),
+            is_shaded: seen.is_shaded,
         }
     }
 }
