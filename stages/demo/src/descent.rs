@@ -8,7 +8,6 @@ use super::{
     ground::OUTCROP,
     lens::Lens,
     math::{DEGREE, SrgbEncoder, Vector, sin_cos, v3},
-    render::Shot,
     truth::pinhole_of,
 };
 
@@ -41,15 +40,11 @@ impl Demo {
             if cancelled() {
                 return Err(DemoError::Cancelled);
             }
-            let shot = self.descent_shot(index, count);
+            let shot = self.shot(self.world(1), self.descent_lens(index, count));
             let name = descent_file(index);
-            match marf_scene::encode_png(&shot.photo(&encoder)) {
-                Ok(bytes) => Ok(DemoFile { name, bytes }),
-                Err(error) => Err(DemoError::Encode {
-                    file: name,
-                    message: error.to_string(),
-                }),
-            }
+            let bytes = marf_scene::encode_png(&shot.photo(&encoder));
+            let bytes = bytes.map_err(|error| DemoError::encode(name.clone(), error))?;
+            Ok(DemoFile { name, bytes })
         });
         let mut files = photos.collect::<Result<Vec<_>, _>>()?;
         files.push(DemoFile {
@@ -57,16 +52,6 @@ impl Demo {
             bytes: format!("{:#}\n", self.descent_cameras(count)).into_bytes(),
         });
         Ok(files)
-    }
-
-    fn descent_shot(&self, index: u32, count: u32) -> Shot<'_> {
-        let (width, height) = (self.options.width_px, self.options.height_px);
-        Shot {
-            world: self.world(1),
-            lens: self.descent_lens(index, count),
-            width,
-            height,
-        }
     }
 
     /// Returns the camera of a photo in the site frame.
@@ -91,7 +76,7 @@ impl Demo {
     fn descent_cameras(&self, count: u32) -> Value {
         let (width, height) = (self.options.width_px, self.options.height_px);
         let frame = |index: u32| {
-            let (cam_from_site, camera) = pinhole_of(&self.descent_shot(index, count).lens, width, height);
+            let (cam_from_site, camera) = pinhole_of(&self.descent_lens(index, count), width, height);
             let (rotation, centre) = (cam_from_site.rotation, cam_from_site.centre());
             let row = |axis: usize| {
                 let column = rotation.column(axis);

@@ -1,5 +1,7 @@
 //! The images of products as files.
 
+use std::fmt::Display;
+
 use image::{ExtendedColorType, ImageEncoder, codecs::png::PngEncoder};
 use marf_scene::{Image, Srgb};
 
@@ -45,36 +47,31 @@ pub fn picture(product: &Product, photo: &Image<Srgb>, salt: u32) -> Result<Enco
 }
 
 fn png(product: &Product, image: &Image<Srgb>) -> Result<EncodedImage, DemoError> {
-    let bytes = marf_scene::encode_png(image).map_err(|error| failed(product, &error))?;
-    Ok(encoded(image, 3, bytes))
+    encoded(product, image, 3, marf_scene::encode_png(image))
 }
 
 fn mono_png(product: &Product, image: &Image<Srgb>) -> Result<EncodedImage, DemoError> {
     let luma: Vec<u8> = image.pixels.iter().map(|&pixel| flaws::luma(pixel)).collect();
     let mut bytes = Vec::new();
-    PngEncoder::new(&mut bytes)
-        .write_image(&luma, image.width, image.height, ExtendedColorType::L8)
-        .map_err(|error| failed(product, &error))?;
-    Ok(encoded(image, 1, bytes))
+    let encoder = PngEncoder::new(&mut bytes);
+    let written = encoder.write_image(&luma, image.width, image.height, ExtendedColorType::L8);
+    encoded(product, image, 1, written.map(|()| bytes))
 }
 
 fn jpeg(product: &Product, image: &Image<Srgb>, quality: u8) -> Result<EncodedImage, DemoError> {
-    let bytes = marf_scene::encode_jpeg(image, quality).map_err(|error| failed(product, &error))?;
-    Ok(encoded(image, 3, bytes))
+    encoded(product, image, 3, marf_scene::encode_jpeg(image, quality))
 }
 
-fn encoded(image: &Image<Srgb>, bands: u32, bytes: Vec<u8>) -> EncodedImage {
-    EncodedImage {
+fn encoded<E: Display>(
+    product: &Product,
+    image: &Image<Srgb>,
+    bands: u32,
+    bytes: Result<Vec<u8>, E>,
+) -> Result<EncodedImage, DemoError> {
+    Ok(EncodedImage {
         width: image.width,
         height: image.height,
         bands,
-        bytes,
-    }
-}
-
-fn failed(product: &Product, error: &dyn std::fmt::Display) -> DemoError {
-    DemoError::Encode {
-        file: product.file(),
-        message: error.to_string(),
-    }
+        bytes: bytes.map_err(|error| DemoError::encode(product.file(), error))?,
+    })
 }

@@ -1,3 +1,5 @@
+use std::fmt::Display;
+
 use super::plan::SOLS;
 
 /// A failure to make the demo's files.
@@ -36,4 +38,12 @@ pub enum DemoError {
         /// The encoder's error.
         message: String,
     },
+}
+
+impl DemoError {
+    /// Returns the error of a file that an encoder refused.
+    pub(super) fn encode(file: String, error: impl Display) -> Self {
+        let message = error.to_string();
+        Self::Encode { file, message }
+    }
 }

@@ -1,6 +1,7 @@
 //! PDS4 labels like those of the archive, with the elements that readers of camera models need.
 
 use super::{
+    encode::EncodedImage,
     lens::{Lens, Quaternion},
     math::V3,
     plan::{self, Product, View},
@@ -27,9 +28,7 @@ pub struct Facts<'a> {
     pub taken: &'a Capture,
     /// The camera model that the label states, in pixels of this file.
     pub labelled_lens: Lens,
-    pub width: u32,
-    pub height: u32,
-    pub bands: u32,
+    pub image: &'a EncodedImage,
 }
 
 /// Returns the label's XML.
@@ -136,12 +135,7 @@ fn geometry(facts: &Facts<'_>) -> String {
 ",
         camera = camera(facts),
         present = space("ROVER_NAV_FRAME", &indices(facts, "Coordinate_Space_Index", 10)),
-        offset = vector(
-            "Vector_Origin_Offset",
-            offset,
-            ["x_position", "y_position", "z_position"],
-            " unit=\"m\""
-        ),
+        offset = position("Vector_Origin_Offset", offset),
         turn = quaternion(attitude),
         reference = space("SITE_FRAME", &indices(facts, "Coordinate_Space_Index", 1)),
         motion = indices(facts, "Motion_Counter_Index", 10),
@@ -159,7 +153,7 @@ fn camera(facts: &Facts<'_>) -> String {
             <geom:CAHVOR_Model>
 "
         .to_owned(),
-        vector("Vector_Center", lens.c, ["x_position", "y_position", "z_position"], " unit=\"m\""),
+        position("Vector_Center", lens.c),
         unit("Vector_Axis", lens.a),
         pixel("Vector_Horizontal", lens.h),
         pixel("Vector_Vertical", lens.v),
@@ -213,6 +207,11 @@ fn space(frame: &str, indices: &str) -> String {
     )
 }
 
+fn position(element: &str, v: V3) -> String {
+    let names = ["x_position", "y_position", "z_position"];
+    vector(element, v, names, " unit=\"m\"")
+}
+
 /// Returns a number with nine decimals: a nanometre, and far below a pixel.
 fn vector(element: &str, v: V3, names: [&str; 3], unit: &str) -> String {
     let parts = names.iter().zip(&v);
@@ -254,8 +253,8 @@ fn imaging(facts: &Facts<'_>) -> String {
         </img:Optical_Filter>
       </img:Imaging>
 ",
-        lines = facts.height,
-        samples = facts.width,
+        lines = facts.image.height,
+        samples = facts.image.width,
     )
 }
 
@@ -267,11 +266,11 @@ fn file_area(facts: &Facts<'_>) -> String {
         )
     };
     let axes = [
-        axis(1, "Band", facts.bands),
-        axis(2, "Line", facts.height),
-        axis(3, "Sample", facts.width),
-    ];
-    let axes = axes.concat();
+        axis(1, "Band", facts.image.bands),
+        axis(2, "Line", facts.image.height),
+        axis(3, "Sample", facts.image.width),
+    ]
+    .concat();
     format!(
         "  <File_Area_Observational>
     <File>

@@ -22,13 +22,9 @@ mod tour;
 mod truth;
 mod world;
 
-use std::{
-    ops::RangeInclusive,
-    sync::{
-        OnceLock,
-        atomic::{AtomicU64, Ordering},
-    },
-};
+use std::ops::RangeInclusive;
+use std::sync::OnceLock;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use marf_cache::{ContentHash, ContentHasher, Digest, digest_of};
 use marf_scene::{Camera, Image, Pose, Srgb};
@@ -121,10 +117,7 @@ impl Demo {
     /// # Errors
     /// [`DemoError::Size`].
     pub fn new(options: DemoOptions) -> Result<Self, DemoError> {
-        let DemoOptions {
-            width_px, height_px, ..
-        } = options;
-        check_size(width_px, height_px)?;
+        check_size(options.width_px, options.height_px)?;
         Ok(Self {
             options,
             worlds: [const { OnceLock::new() }; SITES],
@@ -171,10 +164,8 @@ impl Demo {
         cancelled: IsCancelled<'_>,
     ) -> Result<Vec<DemoFile>, DemoError> {
         let tour = self.tour(sol)?;
-        let (done, total) = (
-            AtomicU64::new(0),
-            tour.views.iter().map(|view| view.products.len() as u64).sum(),
-        );
+        let total = tour.views.iter().map(|view| view.products.len() as u64).sum();
+        let done = AtomicU64::new(0);
         let encoder = SrgbEncoder::new();
         let files = tour.views.par_iter().map(|view| {
             if cancelled() {
@@ -199,14 +190,9 @@ impl Demo {
             flaws: Vec::new(),
         };
         for view in &tour.views {
-            let good = view
-                .products
-                .iter()
-                .find(|product| product.flaw.is_none())
-                .map(Product::file);
-            truth
-                .photos
-                .extend(good.clone().map(|file| self.true_photo(&tour, view, file)));
+            let good = view.good().map(Product::file);
+            let photo = good.clone().map(|file| self.true_photo(&tour, view, file));
+            truth.photos.extend(photo);
             truth.flaws.extend(view.products.iter().filter_map(|product| {
                 Some(Flaw {
                     file: product.file(),
@@ -224,15 +210,12 @@ impl Demo {
     /// [`DemoError::Sol`], [`DemoError::File`].
     pub fn ranges(&self, sol: u32, file: &str) -> Result<RangeMap, DemoError> {
         let tour = self.tour(sol)?;
-        let shows = |view: &&View| {
-            let mut products = view.products.iter();
-            products.any(|product| product.flaw.is_none() && product.file() == file)
-        };
+        let shows = |view: &&View| view.good().is_some_and(|photo| photo.file() == file);
         let view = tour.views.iter().find(shows).ok_or_else(|| DemoError::File {
             file: file.to_owned(),
             sol,
         })?;
-        let shot = self.shot(sol, &self.taken(&tour, view));
+        let shot = self.shot(self.world_on(sol), self.taken(&tour, view).site);
         Ok(RangeMap {
             width: shot.width,
             height: shot.height,
@@ -298,20 +281,16 @@ impl Demo {
 
     fn taken(&self, tour: &Tour, view: &View) -> Capture {
         let size_px = [self.options.width_px, self.options.height_px];
+        let seed = self.seed(plan::site(tour.sol));
         let stop = &tour.stops[view.pointing.stop];
-        tour::take(
-            stop,
-            &view.pointing,
-            view.eye,
-            size_px,
-            self.seed(plan::site(tour.sol)),
-        )
+        tour::take(stop, &view.pointing, view.eye, size_px, seed)
     }
 
-    fn shot(&self, sol: u32, taken: &Capture) -> Shot<'_> {
+    /// Returns what a camera of the demo's size sees.
+    fn shot<'a>(&self, world: &'a World, lens: Lens) -> Shot<'a> {
         Shot {
-            world: self.world_on(sol),
-            lens: taken.site,
+            world,
+            lens,
             width: self.options.width_px,
             height: self.options.height_px,
         }
@@ -335,12 +314,9 @@ impl Demo {
     /// Returns the files of one view, all made from one drawing.
     fn view(&self, tour: &Tour, view: &View, encoder: &SrgbEncoder) -> Result<Vec<DemoFile>, DemoError> {
         let taken = self.taken(tour, view);
-        let shows_mars = view
-            .products
-            .iter()
-            .any(|product| product.flaw.is_none_or(FlawKind::shows_mars));
-        let photo = if shows_mars {
-            self.shot(tour.sol, &taken).photo(encoder)
+        let mut flaws = view.products.iter().map(|product| product.flaw);
+        let photo = if flaws.any(|flaw| flaw.is_none_or(FlawKind::shows_mars)) {
+            self.shot(self.world_on(tour.sol), taken.site).photo(encoder)
         } else {
             Image::from_fn(self.options.width_px, self.options.height_px, |_, _| [0; 3])
         };
@@ -356,18 +332,15 @@ impl Demo {
                 stop: &tour.stops[view.pointing.stop],
                 taken: &taken,
                 labelled_lens: taken.labelled_rover.reduced(factor),
-                width: image.width,
-                height: image.height,
-                bands: image.bands,
+                image: &image,
             };
-            files.push(DemoFile {
-                name: product.file(),
-                bytes: image.bytes,
-            });
-            files.push(DemoFile {
+            let label = DemoFile {
                 name: format!("{}.xml", product.id),
                 bytes: label::xml(&facts).into_bytes(),
-            });
+            };
+            let name = product.file();
+            let bytes = image.bytes;
+            files.extend([DemoFile { name, bytes }, label]);
         }
         Ok(files)
     }

@@ -69,7 +69,6 @@ impl FlawKind {
 pub struct Product {
     /// Product name, 54 characters.
     pub id: String,
-    pub extension: &'static str,
     pub flaw: Option<FlawKind>,
     /// Digit of the colour filter.
     pub filter: u8,
@@ -79,7 +78,8 @@ pub struct Product {
 
 impl Product {
     pub fn file(&self) -> String {
-        format!("{}.{}", self.id, self.extension)
+        let extension = self.flaw.map_or("png", FlawKind::extension);
+        format!("{}.{extension}", self.id)
     }
 }
 
@@ -89,6 +89,13 @@ pub struct View {
     pub pointing: Pointing,
     pub eye: Eye,
     pub products: Vec<Product>,
+}
+
+impl View {
+    /// Returns the good photo, if the view has one.
+    pub fn good(&self) -> Option<&Product> {
+        self.products.iter().find(|product| product.flaw.is_none())
+    }
 }
 
 /// Returns the views of a sol in the order they were taken.
@@ -165,7 +172,6 @@ fn product(sol: u32, slot: u32, drive: u32, eye: Eye, flaw: Option<FlawKind>) ->
             "Z{side}{filter}_{sol:04}_{clock_s:010}_{ms:03}EBY_{size}{site:03}{drive:04}ZCAM{slot:05}_0260LMJ01",
             site = site(sol)
         ),
-        extension: flaw.map_or("png", FlawKind::extension),
         flaw,
         filter,
         clock_s,
