@@ -222,8 +222,9 @@ fn vector(element: &str, v: V3, names: [&str; 3], unit: &str) -> String {
 }
 
 fn quaternion(q: Quaternion) -> String {
-    let names = ["qcos", "qsin1", "qsin2", "qsin3"].iter().zip(q.0);
-    let parts: String = names
+    let names = ["qcos", "qsin1", "qsin2", "qsin3"];
+    let parts = names.iter().zip([q.w, q.i, q.j, q.k]);
+    let parts: String = parts
         .map(|(name, number)| format!("<geom:{name}>{number:.12}</geom:{name}>"))
         .collect();
     format!("              {parts}\n")

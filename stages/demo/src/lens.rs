@@ -134,48 +134,35 @@ pub struct RoverPose {
     pub place: V3,
 }
 
-/// A unit quaternion, scalar first.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Quaternion(pub [f64; 4]);
+/// A unit quaternion.
+pub type Quaternion = nalgebra::Quaternion<f64>;
 
-impl Quaternion {
-    /// Returns the rotation by an angle about a unit axis.
-    pub fn about(axis: V3, angle_rad: f64) -> Self {
-        let (sin, cos) = super::math::sin_cos(angle_rad / 2.0);
-        Self([cos, axis.x * sin, axis.y * sin, axis.z * sin])
-    }
+/// Returns the rotation by an angle about a unit axis.
+pub fn about(axis: V3, angle_rad: f64) -> Quaternion {
+    let (sin, cos) = super::math::sin_cos(angle_rad / 2.0);
+    Quaternion::from_parts(cos, axis * sin)
+}
 
-    pub fn after(self, first: Quaternion) -> Quaternion {
-        let ([a, b, c, d], [e, f, g, h]) = (self.0, first.0);
-        Quaternion([
-            a * e - b * f - c * g - d * h,
-            a * f + b * e + c * h - d * g,
-            a * g - b * h + c * e + d * f,
-            a * h + b * g - c * f + d * e,
-        ])
-    }
-
-    /// Returns the columns of the rotation matrix.
-    pub fn columns(self) -> [V3; 3] {
-        let [w, x, y, z] = self.0;
-        [
-            v3(
-                1.0 - 2.0 * (y * y + z * z),
-                2.0 * (x * y + w * z),
-                2.0 * (x * z - w * y),
-            ),
-            v3(
-                2.0 * (x * y - w * z),
-                1.0 - 2.0 * (x * x + z * z),
-                2.0 * (y * z + w * x),
-            ),
-            v3(
-                2.0 * (x * z + w * y),
-                2.0 * (y * z - w * x),
-                1.0 - 2.0 * (x * x + y * y),
-            ),
-        ]
-    }
+/// Returns the columns of the rotation matrix.
+pub fn rotation_columns(turn: Quaternion) -> [V3; 3] {
+    let (w, x, y, z) = (turn.w, turn.i, turn.j, turn.k);
+    [
+        v3(
+            1.0 - 2.0 * (y * y + z * z),
+            2.0 * (x * y + w * z),
+            2.0 * (x * z - w * y),
+        ),
+        v3(
+            2.0 * (x * y - w * z),
+            1.0 - 2.0 * (x * x + z * z),
+            2.0 * (y * z + w * x),
+        ),
+        v3(
+            2.0 * (x * z + w * y),
+            2.0 * (y * z - w * x),
+            1.0 - 2.0 * (x * x + y * y),
+        ),
+    ]
 }
 
 #[cfg(test)]
@@ -200,7 +187,7 @@ mod tests {
 
     #[test]
     fn a_pinhole_sees_what_its_camera_sees() {
-        let turn = Quaternion::about(v3(0.6, 0.0, 0.8), 0.7).columns();
+        let turn = rotation_columns(about(v3(0.6, 0.0, 0.8), 0.7));
         let cam_from_site = Pose {
             rotation: nalgebra::Matrix3::from_columns(&turn),
             translation: v3(0.3, -1.2, 2.0),
@@ -236,8 +223,8 @@ mod tests {
     #[test]
     fn a_quaternion_turns_as_the_label_convention_says() {
         // Yaw +73.74 degrees: one metre ahead of a rover at (12.5, -3.25, 0.125) is (12.78, -2.29, 0.125).
-        let q = Quaternion([0.8, 0.0, 0.0, 0.6]);
-        let ahead = rotate(&q.columns(), v3(1.0, 0.0, 0.0)) + v3(12.5, -3.25, 0.125);
+        let q = Quaternion::new(0.8, 0.0, 0.0, 0.6);
+        let ahead = rotate(&rotation_columns(q), v3(1.0, 0.0, 0.0)) + v3(12.5, -3.25, 0.125);
         assert!((ahead - v3(12.78, -2.29, 0.125)).norm() < 1e-12, "{ahead:?}");
     }
 }

@@ -4,7 +4,7 @@ use std::f64::consts::PI;
 
 use super::{
     ground::OUTCROP,
-    lens::{Lens, Quaternion, RoverPose, rotate},
+    lens::{Lens, Quaternion, RoverPose, about, rotate, rotation_columns},
     math::{DEGREE, Rng, V3, sin_cos, v3},
     world::World,
 };
@@ -71,13 +71,12 @@ fn stop(world: &World, rng: &mut Rng, drive: u32, [x, y]: [f64; 2]) -> Stop {
     let (sin, cos) = sin_cos(facing);
     let pitch = (slope_x * cos + slope_y * sin) / 1.8;
     let roll = -(slope_y * cos - slope_x * sin) / 1.8;
-    let attitude = Quaternion::about(v3(0.0, 0.0, 1.0), facing)
-        .after(Quaternion::about(v3(0.0, 1.0, 0.0), pitch))
-        .after(Quaternion::about(v3(1.0, 0.0, 0.0), roll));
+    let attitude =
+        about(v3(0.0, 0.0, 1.0), facing) * about(v3(0.0, 1.0, 0.0), pitch) * about(v3(1.0, 0.0, 0.0), roll);
     let place = v3(x, y, -world.height(x, y));
     let slip = v3(rng.normal() * 0.010, rng.normal() * 0.010, rng.normal() * 0.006);
     let labelled = RoverPose {
-        attitude: tilted(rng, 0.06).after(attitude),
+        attitude: tilted(rng, 0.06) * attitude,
         place: place + slip,
     };
     Stop {
@@ -89,7 +88,7 @@ fn stop(world: &World, rng: &mut Rng, drive: u32, [x, y]: [f64; 2]) -> Stop {
 
 /// Returns a rotation of about this many degrees about a random axis.
 fn tilted(rng: &mut Rng, degrees: f64) -> Quaternion {
-    Quaternion::about(rng.direction(), degrees * DEGREE * rng.within(0.7, 1.3))
+    about(rng.direction(), degrees * DEGREE * rng.within(0.7, 1.3))
 }
 
 /// Returns the angle of a direction in the plane: tan(angle / 2) = y / (r + x), and a series below 22.5 degrees.
@@ -175,21 +174,20 @@ pub struct Capture {
 /// Returns the camera of one eye after the mast has been pointed.
 pub fn take(stop: &Stop, pointing: &Pointing, eye: Eye, size_px: [u32; 2], seed: u64) -> Capture {
     let RoverPose { attitude, place } = stop.site_from_rover;
-    let columns = attitude.columns();
+    let columns = rotation_columns(attitude);
     // The direction from the mast to the outcrop, in the rover frame.
     let head = rotate(&columns, MAST) + place;
     let to = v3(OUTCROP[0], OUTCROP[1], head.z) - head;
     let azimuth = angle(columns[0].dot(&to), columns[1].dot(&to)) + pointing.pan_deg * DEGREE;
-    let mast = Quaternion::about(v3(0.0, 0.0, 1.0), azimuth)
-        .after(Quaternion::about(v3(0.0, 1.0, 0.0), pointing.tilt_deg * DEGREE));
-    let [forward, right, down] = mast.columns();
+    let mast = about(v3(0.0, 0.0, 1.0), azimuth) * about(v3(0.0, 1.0, 0.0), pointing.tilt_deg * DEGREE);
+    let [forward, right, down] = rotation_columns(mast);
     let side = if eye == Eye::Left { -0.5 } else { 0.5 };
     let centre = MAST + forward * 0.06 + right * (side * BASELINE_M) + down * 0.02;
     let rover = Lens::new(centre, forward, right, size_px, focal_px(size_px[0]));
     // Backlash of the mast's joints: the same for both eyes.
     let stream = 0x706f_696e_7400 + u64::from(stop.drive) * 65_536 + u64::from(pointing.rsm);
     let mut rng = Rng::new(seed, stream);
-    let backlash = tilted(&mut rng, 0.08).columns();
+    let backlash = rotation_columns(tilted(&mut rng, 0.08));
     let about_head = MAST - rotate(&backlash, MAST);
     Capture {
         site: rover.moved(&columns, place),

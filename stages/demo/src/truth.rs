@@ -4,7 +4,7 @@ use marf_scene::{Cahvor, Camera, Pose};
 use nalgebra::Matrix3;
 
 use super::{
-    lens::{Lens, RoverPose},
+    lens::{Lens, RoverPose, rotation_columns},
     math::Vector,
     plan::FlawKind,
 };
@@ -59,7 +59,7 @@ pub struct RangeMap {
 
 pub fn pose_of(rover: &RoverPose) -> Pose {
     Pose {
-        rotation: Matrix3::from_columns(&rover.attitude.columns()),
+        rotation: Matrix3::from_columns(&rotation_columns(rover.attitude)),
         translation: rover.place,
     }
 }

@@ -219,16 +219,13 @@ fn outcrop(rng: &mut Rng, salt: u32) -> Vec<Place> {
         };
         let half = v3(wide, wide * rng.within(0.55, 0.9), wide * flat);
         let tilt = (rng.within(-0.35, 0.35), rng.within(-0.35, 0.35));
+        let bury = [0.12, 0.3, 0.45, 0.2][index % 4];
         all.push(Place {
             tilt,
-            ..place(rng, at, half, buried_share(index), salt)
+            ..place(rng, at, half, bury, salt)
         });
     }
     all
-}
-
-fn buried_share(index: usize) -> f64 {
-    [0.12, 0.3, 0.45, 0.2][index % 4]
 }
 
 /// Returns a stone of the plain. `None` in drifted sand, unless it is large.

@@ -3,7 +3,7 @@ use roxmltree::{Document, Node};
 use super::{lens, small, sol_1};
 use crate::{
     FlawKind,
-    lens::{Lens, Quaternion},
+    lens::{Lens, Quaternion, rotation_columns},
     math::{self, V3, Vector},
 };
 
@@ -36,8 +36,8 @@ fn labelled(label: &str) -> (Lens, Quaternion, V3) {
         r: numbers(root, "Radial_Terms").try_into().unwrap(),
     };
     let offset: [f64; 3] = numbers(space, "Vector_Origin_Offset").try_into().unwrap();
-    let turn: [f64; 4] = numbers(space, "Quaternion_Plus_Direction").try_into().unwrap();
-    (lens, Quaternion(turn), offset.into())
+    let [w, x, y, z]: [f64; 4] = numbers(space, "Quaternion_Plus_Direction").try_into().unwrap();
+    (lens, Quaternion::new(w, x, y, z), offset.into())
 }
 
 #[test]
@@ -45,7 +45,7 @@ fn labels_tell_a_pose_that_is_a_little_off() {
     for photo in small().ground_truth(1).unwrap().photos {
         let label = std::str::from_utf8(&sol_1()[&format!("{}.xml", &photo.file[..54])]).unwrap();
         let (rover, turn, offset) = labelled(label);
-        let site = rover.moved(&turn.columns(), offset);
+        let site = rover.moved(&rotation_columns(turn), offset);
         let truth = lens(&photo.site_model);
         let turned = (site.a - truth.a)
             .norm()
