@@ -45,29 +45,21 @@ impl Shared {
             return Answer::new(405, Vec::new());
         }
         let path = request.path();
-        let (content, feed, page, slash) = {
-            let state = self.state.lock();
-            (
-                state.files.get(path).cloned(),
-                state.feeds.get(path).cloned(),
-                listing(&state, path),
-                listing(&state, &format!("{path}/")).is_some(),
-            )
-        };
-        if let Some(content) = content {
-            return conditional(&content, request, reply);
+        let state = self.state.lock();
+        if let Some(content) = state.files.get(path) {
+            return conditional(content, request, reply);
         }
-        if let Some(feed) = feed {
-            let bytes = feed(path, request.query());
-            return bytes.map_or_else(
-                || Answer::new(404, b"none".to_vec()),
-                |bytes| Answer::new(200, bytes),
-            );
+        if let Some(feed) = state.feeds.get(path).cloned() {
+            drop(state); // the function may ask this server
+            return match feed(path, request.query()) {
+                Some(bytes) => Answer::new(200, bytes),
+                None => Answer::new(404, b"none".to_vec()),
+            };
         }
-        if let Some(page) = page {
+        if let Some(page) = listing(&state, path) {
             return Answer::new(200, page.into_bytes()).header("Content-Type", "text/html;charset=UTF-8");
         }
-        if slash {
+        if listing(&state, &format!("{path}/")).is_some() {
             let to = format!("http://{}{path}/", self.address);
             return Answer::new(301, b"moved".to_vec()).header("Location", to);
         }
@@ -78,11 +70,9 @@ impl Shared {
 /// 304, 206, 416 or 200.
 fn conditional(content: &Content, request: &Request, reply: &Reply) -> Answer {
     let validated = |mut answer: Answer| {
-        let pairs = [("ETag", &content.etag), ("Last-Modified", &content.modified)];
-        for (name, value) in pairs {
-            answer
-                .headers
-                .extend(value.clone().map(|value| (name.to_owned(), value)));
+        for (name, value) in [("ETag", &content.etag), ("Last-Modified", &content.modified)] {
+            let header = value.clone().map(|value| (name.to_owned(), value));
+            answer.headers.extend(header);
         }
         answer.header("Accept-Ranges", "bytes")
     };
@@ -108,10 +98,9 @@ fn conditional(content: &Content, request: &Request, reply: &Reply) -> Answer {
     if from >= total || matches!(reply, Reply::NoRest) {
         return Answer::new(416, Vec::new()).header("Content-Range", format!("bytes */{total}"));
     }
-    let shift = if let Reply::ShiftedRest(shift) = reply {
-        *shift
-    } else {
-        0
+    let shift = match reply {
+        Reply::ShiftedRest(shift) => *shift,
+        _ => 0,
     };
     let start = (from + shift).clamp(0, total - 1);
     let span = format!("bytes {start}-{}/{total}", total - 1);
@@ -175,13 +164,7 @@ fn date(state: &State, path: &str) -> String {
     let below = state.files.range(path.to_owned()..);
     let below = below.take_while(|(other, _)| other.starts_with(path));
     let is_folder = path.ends_with('/');
-    let is_in = |rest: &str| {
-        if is_folder {
-            !rest.contains('/')
-        } else {
-            rest.is_empty()
-        }
-    };
+    let is_in = |rest: &str| rest.is_empty() || (is_folder && !rest.contains('/'));
     let files = below.filter(|(other, _)| is_in(&other[path.len()..]));
     let dates = files.filter_map(|(_, file)| Some(listed(file.modified.as_deref()?)));
     dates.max().unwrap_or_else(|| listed(super::MODIFIED))

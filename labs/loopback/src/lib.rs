@@ -100,11 +100,8 @@ impl Reply {
     /// A firewall's page that calls itself a success.
     pub fn firewall() -> Self {
         let page = b"<html><title>Request Rejected</title>Your support ID is 1</html>";
-        Self::Status(
-            200,
-            vec![("Content-Type".into(), "text/html".into())],
-            page.to_vec(),
-        )
+        let header = ("Content-Type".into(), "text/html".into());
+        Self::Status(200, vec![header], page.to_vec())
     }
 
     /// This reply from now on.
@@ -143,9 +140,8 @@ impl Request {
     }
 }
 
-#[derive(Clone)]
 struct Content {
-    bytes: Arc<[u8]>,
+    bytes: Vec<u8>,
     etag: Option<String>,
     modified: Option<String>,
 }
@@ -229,7 +225,7 @@ impl Server {
         modified: Option<&str>,
     ) {
         let content = Content {
-            bytes: bytes.into().into(),
+            bytes: bytes.into(),
             etag: etag.map(str::to_owned),
             modified: modified.map(str::to_owned),
         };

@@ -62,8 +62,7 @@ impl Shared {
                     }
                     std::thread::sleep(Duration::from_millis(1));
                 }
-                Err(error) if error.kind() == ErrorKind::WouldBlock => {}
-                Err(error) if error.kind() == ErrorKind::TimedOut => {}
+                Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => {}
                 Err(error) => return Err(error),
             }
         }
@@ -102,16 +101,14 @@ impl Shared {
         mut busy: Busy<'_>,
     ) -> std::io::Result<bool> {
         let answer = match reply {
-            Reply::Status(status, headers, body) => {
-                let mut answer = Answer::new(*status, body.clone());
-                answer.headers.clone_from(headers);
-                answer
-            }
-            Reply::Endless => {
-                let mut answer = self.normal(request, reply);
-                answer.status = 200;
-                answer
-            }
+            Reply::Status(status, headers, body) => Answer {
+                headers: headers.clone(),
+                ..Answer::new(*status, body.clone())
+            },
+            Reply::Endless => Answer {
+                status: 200,
+                ..self.normal(request, reply)
+            },
             Reply::Redirect(to) => Answer::new(302, b"moved".to_vec()).header("Location", to),
             other => self.normal(request, other),
         };
@@ -141,16 +138,14 @@ impl Shared {
             }
             Reply::Drip { bytes, every } => {
                 out.write_all(&answer.head(Some(announced)))?;
-                let mut pieces = answer.body.chunks((*bytes).max(1)).peekable();
-                while let Some(piece) = pieces.next() {
-                    if pieces.peek().is_none() {
-                        busy.end();
-                    }
+                let mut pieces = answer.body.chunks((*bytes).max(1));
+                let last = pieces.next_back().unwrap_or_default();
+                for piece in pieces {
                     out.write_all(piece)?;
-                    if pieces.peek().is_some() {
-                        self.wait(*every);
-                    }
+                    self.wait(*every);
                 }
+                busy.end();
+                out.write_all(last)?;
                 return Ok(true);
             }
             _ => {
@@ -181,8 +176,7 @@ impl Shared {
             match stream.peek(&mut [0]) {
                 Ok(0) => return,
                 Ok(_) => self.wait(BEFORE_BREAK),
-                Err(error) if error.kind() == ErrorKind::WouldBlock => {}
-                Err(error) if error.kind() == ErrorKind::TimedOut => {}
+                Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => {}
                 Err(_) => return,
             }
         }
