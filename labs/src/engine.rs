@@ -111,14 +111,8 @@ fn make_photo(dir: &Path, sol: u32, a_sol: u64, at: u64) -> Result {
         2 if is_flawed => (number - 1, WIDTH_PX, Shade::Dark),
         _ => (number, WIDTH_PX, Shade::Full),
     };
-    let name = format!(
-        "NLF_{:04}_{:010}_{:03}ECM_N0000000NCAM00000_00_0LLJ.jpg",
-        sol + 1,
-        600_000_000 + number * 13,
-        number % 1000
-    );
-    Ok(files::write(
-        &dir.join(name),
-        &picture(seed, width, width * 3 / 4, shade)?,
-    )?)
+    let (sol, clock_s, ms) = (sol + 1, 600_000_000 + number * 13, number % 1000);
+    let name = format!("NLF_{sol:04}_{clock_s:010}_{ms:03}ECM_N0000000NCAM00000_00_0LLJ.jpg");
+    let picture = picture(seed, width, width * 3 / 4, shade)?;
+    Ok(files::write(&dir.join(name), &picture)?)
 }

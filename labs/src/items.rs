@@ -190,10 +190,7 @@ fn graph(sols: u32, a_sol: u64) -> Result<Graph> {
             name: name.to_owned(),
             stage,
             bound: (stage.bind)(params)?,
-            edges: upstream
-                .map(|upstream| Edge::new("input", upstream))
-                .into_iter()
-                .collect(),
+            edges: Vec::from_iter(upstream.map(|upstream| Edge::new("input", upstream))),
         });
     }
     Ok(Graph::new(decls, &table)?)

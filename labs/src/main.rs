@@ -54,13 +54,7 @@ enum Program {
 }
 
 fn main() -> ExitCode {
-    let labs = match Labs::try_parse() {
-        Ok(labs) => labs,
-        Err(error) => {
-            let _ = error.print(); // help to stdout, usage errors to stderr
-            return ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(2));
-        }
-    };
+    let labs = Labs::parse();
     let cancel = Cancel::default();
     let stop = cancel.clone();
     let ended = ctrlc::set_handler(move || stop.set())

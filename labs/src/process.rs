@@ -65,12 +65,9 @@ pub fn run(program: &Path, dir: &Path, arguments: &[&str]) -> Result<(Cost, Vec<
     };
     if !output.status.success() {
         let message = format!("`{} {}` failed", program.display(), arguments.join(" "));
-        return Err(Error::Failed(Diagnostic {
-            message,
-            cause: Some(String::from_utf8_lossy(&output.stderr).into_owned()),
-            hint: None,
-        })
-        .into());
+        let cause = Some(String::from_utf8_lossy(&output.stderr).into_owned());
+        let message = Diagnostic::new(message);
+        return Err(Error::Failed(Diagnostic { cause, ..message }).into());
     }
     let lines = String::from_utf8_lossy(&output.stdout);
     let lines = lines.lines().filter_map(|line| serde_json::from_str(line).ok());
@@ -133,10 +130,8 @@ pub fn bytes_below(dir: &Path) -> u64 {
 pub fn absent(dir: &Path) -> Result<PathBuf> {
     let dir = std::path::absolute(dir)?;
     if dir.exists() {
-        let message = format!(
-            "{} exists. Remove it or name another folder with --dir",
-            dir.display()
-        );
+        let shown = dir.display();
+        let message = format!("{shown} exists. Remove it or name another folder with --dir");
         return Err(Error::usage(message).into());
     }
     Ok(dir)

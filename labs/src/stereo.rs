@@ -83,47 +83,28 @@ fn truth(path: &Path, scale: f32) -> Result<Raster<f32>> {
         return pfm(path);
     }
     let grey = grey(path)?;
-    let values = grey
-        .values
-        .iter()
-        .map(|&v| if v == 0 { NONE } else { f32::from(v) / scale });
+    let disparity = |&v: &u8| if v == 0 { NONE } else { f32::from(v) / scale };
     Ok(Raster {
         width: grey.width,
         height: grey.height,
-        values: values.collect(),
+        values: grey.values.iter().map(disparity).collect(),
     })
 }
 
 fn pfm(path: &Path) -> Result<Raster<f32>> {
     let bytes = read(path, FileKind::Result, Links::Followed)?;
-    let mut rest = bytes.as_slice();
-    let mut lines = Vec::new();
-    while lines.len() < 3 {
-        let end = rest
-            .iter()
-            .position(|byte| *byte == b'\n')
-            .ok_or("a PFM file without its head")?;
-        lines.push(std::str::from_utf8(&rest[..end])?);
-        rest = &rest[end + 1..];
-    }
-    let (width, height) = lines[1].split_once(' ').ok_or("a PFM file without its size")?;
-    let (width, height) = (width.trim().parse::<usize>()?, height.trim().parse::<usize>()?);
-    let numbers = rest
-        .as_chunks::<4>()
-        .0
-        .iter()
-        .map(|bytes| f32::from_le_bytes(*bytes));
-    let numbers: Vec<f32> = numbers
-        .map(|value| {
-            if value.is_finite() && value > 0.0 {
-                value
-            } else {
-                NONE
-            }
-        })
-        .collect();
-    let mut rows: Vec<&[f32]> = numbers.chunks_exact(width).take(height).collect();
-    rows.reverse();
+    let mut newlines = (0..bytes.len()).filter(|at| bytes[*at] == b'\n');
+    let end = newlines.nth(2).ok_or("a PFM file without its head")?;
+    let size = std::str::from_utf8(&bytes[..end])?.split('\n').nth(1);
+    let size = size.and_then(|size| size.split_once(' '));
+    let (width, height) = size.ok_or("a PFM file without its size")?;
+    let (width, height) = (width.trim().parse()?, height.trim().parse()?);
+    let (numbers, _) = bytes[end + 1..].as_chunks::<4>();
+    let is_known = |value: f32| value.is_finite() && value > 0.0;
+    let known = |value: f32| if is_known(value) { value } else { NONE };
+    let values = numbers.iter().map(|bytes| known(f32::from_le_bytes(*bytes)));
+    let values: Vec<f32> = values.collect();
+    let rows: Vec<&[f32]> = values.chunks_exact(width).take(height).rev().collect();
     Ok(Raster {
         width,
         height,
@@ -145,65 +126,36 @@ fn save(path: &Path, map: &Raster<f32>, count: usize) -> Result {
     Ok(picture.save(path)?)
 }
 
-/// What is printed of a pair.
-#[derive(Default)]
-struct Score {
-    valid: f64,
-    good: f64,
-    bad: f64,
-    rms: f64,
-    locked: f64,
-    one_sigma: f64,
-    two_sigma: f64,
-    cpu: f64,
-}
-
-impl Score {
-    fn new(found: &Disparities, truth: &Raster<f32>, cpu: f64) -> Self {
-        let mut s = Self {
-            cpu,
-            ..Self::default()
-        };
-        let mut known = 0.0;
-        for (i, &t) in truth.values.iter().enumerate().filter(|(_, t)| **t != NONE) {
-            known += 1.0;
-            if found.class.values[i] == Class::None {
-                continue;
-            }
-            let (d, sigma) = (found.disparity.values[i], found.sigma.values[i]);
-            let error = (d - t).abs();
-            s.valid += 1.0;
-            s.locked += f64::from((d - d.round()).abs() <= 0.125);
-            s.one_sigma += f64::from(error <= sigma);
-            s.two_sigma += f64::from(error <= 2.0 * sigma);
-            if error <= 1.0 {
-                s.good += 1.0;
-                s.rms += f64::from(error * error);
-            }
+/// Returns the columns of a pair in the table.
+fn scores(found: &Disparities, truth: &Raster<f32>, cpu: f64) -> [f64; 8] {
+    let [mut known, mut valid, mut good, mut squares] = [0.0; 4];
+    let [mut locked, mut one_sigma, mut two_sigma] = [0.0; 3];
+    for (i, &t) in truth.values.iter().enumerate().filter(|(_, t)| **t != NONE) {
+        known += 1.0;
+        if found.class.values[i] == Class::None {
+            continue;
         }
-        s.rms = (s.rms / s.good).sqrt();
-        s.bad = 1.0 - s.good / s.valid;
-        for share in [&mut s.locked, &mut s.one_sigma, &mut s.two_sigma] {
-            *share /= s.valid;
+        let (d, sigma) = (found.disparity.values[i], found.sigma.values[i]);
+        let error = (d - t).abs();
+        valid += 1.0;
+        locked += f64::from((d - d.round()).abs() <= 0.125);
+        one_sigma += f64::from(error <= sigma);
+        two_sigma += f64::from(error <= 2.0 * sigma);
+        if error <= 1.0 {
+            good += 1.0;
+            squares += f64::from(error * error);
         }
-        s.valid /= known;
-        s.good /= known;
-        s
     }
-
-    fn fields(&self) -> [f64; 8] {
-        let Self {
-            valid,
-            good,
-            bad,
-            rms,
-            locked,
-            cpu,
-            one_sigma,
-            two_sigma,
-        } = *self;
-        [valid, good, bad, rms, locked, cpu, one_sigma, two_sigma]
-    }
+    [
+        valid / known,
+        good / known,
+        1.0 - good / valid,
+        (squares / good).sqrt(),
+        locked / valid,
+        cpu,
+        one_sigma / valid,
+        two_sigma / valid,
+    ]
 }
 
 fn print_row(name: &str, fields: [f64; 8]) {
@@ -225,9 +177,9 @@ pub fn stereo(args: &StereoArgs, cancel: &Cancel) -> Result {
         go_on(cancel)?;
         let [left, right, file] = pair.files.map(|file| args.dir.join(file));
         let (left, right) = (Picture::new(grey(&left)?), Picture::new(grey(&right)?));
-        let sizes = [&left, &right].map(|picture| [picture.grey.width, picture.grey.height]);
-        if sizes[0] != sizes[1] {
-            let [[width, height], [other_width, other_height]] = sizes;
+        let [[width, height], [other_width, other_height]] =
+            [&left, &right].map(|picture| [picture.grey.width, picture.grey.height]);
+        if [width, height] != [other_width, other_height] {
             return Err(format!(
                 "{}: the left picture has {width} x {height} pixels, the right one {other_width} x {other_height}",
                 pair.name
@@ -241,17 +193,14 @@ pub fn stereo(args: &StereoArgs, cancel: &Cancel) -> Result {
         };
         let cpu = cpu_s();
         let found = match_pair(&left, &right, search)?;
-        let score = Score::new(&found, &truth, cpu_s() - cpu);
+        let scores = scores(&found, &truth, cpu_s() - cpu);
         if let Some(out) = &args.out {
-            save(
-                &out.join(format!("{}.png", pair.name)),
-                &found.disparity,
-                pair.count,
-            )?;
-            save(&out.join(format!("{}-truth.png", pair.name)), &truth, pair.count)?;
+            for (kind, map) in [("", &found.disparity), ("-truth", &truth)] {
+                save(&out.join(format!("{}{kind}.png", pair.name)), map, pair.count)?;
+            }
         }
-        print_row(pair.name, score.fields());
-        for (mean, field) in means.iter_mut().zip(score.fields()) {
+        print_row(pair.name, scores);
+        for (mean, field) in means.iter_mut().zip(scores) {
             *mean += field / PAIRS.len() as f64;
         }
     }
@@ -274,10 +223,9 @@ fn large(root: &Path) -> Result {
     let (left, right) = (picture("aloeL.jpg")?, picture("aloeR.jpg")?);
     let cpu = cpu_s();
     match_pair(&left, &right, Search { first: 0, count: 256 })?;
+    let (cpu, peak) = (cpu_s() - cpu, peak_mb());
     print_line(&format!(
-        "| marf | 1648x1200x256 | CPU s {:.2} | peak MB {} |",
-        cpu_s() - cpu,
-        peak_mb()
+        "| marf | 1648x1200x256 | CPU s {cpu:.2} | peak MB {peak} |"
     ));
     Ok(())
 }

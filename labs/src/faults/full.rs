@@ -96,10 +96,7 @@ impl Injector for Full<'_> {
     }
 
     fn detail(&self) -> String {
-        format!(
-            "a tmpfs of {} MB, full in {} runs, then with space",
-            DISK_BYTES >> 20,
-            self.failed
-        )
+        let (disk_mb, failed) = (DISK_BYTES >> 20, self.failed);
+        format!("a tmpfs of {disk_mb} MB, full in {failed} runs, then with space")
     }
 }

@@ -78,10 +78,8 @@ impl Lab {
         if case.dir.exists() {
             std::fs::remove_dir_all(&case.dir)?;
         }
-        Ok(files::write(
-            &case.dir.join("pipeline.toml"),
-            self.pipeline().as_bytes(),
-        )?)
+        let file = case.dir.join("pipeline.toml");
+        Ok(files::write(&file, self.pipeline().as_bytes())?)
     }
 
     /// Leaves nothing in the folder of a case but the pipeline and the store of the undisturbed run.

@@ -80,13 +80,8 @@ pub fn faults(args: &FaultsArgs, cancel: &Cancel) -> Result {
         bad += rounds_of_faults(source, &dir.join("local"), &local, args.rounds, cancel)?;
     }
     if !remote.is_empty() {
-        bad += rounds_of_faults(
-            Source::server()?,
-            &dir.join("remote"),
-            &remote,
-            args.rounds,
-            cancel,
-        )?;
+        let source = Source::server()?;
+        bad += rounds_of_faults(source, &dir.join("remote"), &remote, args.rounds, cancel)?;
     }
     if bad > 0 {
         return Err(format!("{bad} rounds ended badly").into());

@@ -1,6 +1,7 @@
 //! A mount namespace of its own, in which an ordinary user may mount.
 
 use std::ffi::{OsStr, OsString};
+use std::fmt::Display;
 use std::io::{BufRead as _, BufReader, Read as _};
 use std::process::{Child, Command, Stdio};
 
@@ -27,7 +28,7 @@ impl Namespace {
             .stderr(Stdio::piped())
             .spawn();
         let mut namespace = Self {
-            holder: holder.map_err(|error| impossible(&error.to_string()))?,
+            holder: holder.map_err(impossible)?,
         };
         namespace.await_mount()?;
         Ok(namespace)
@@ -36,9 +37,8 @@ impl Namespace {
     fn await_mount(&mut self) -> Result<(), Error> {
         let mut line = String::new();
         if let Some(stdout) = self.holder.stdout.take() {
-            BufReader::new(stdout)
-                .read_line(&mut line)
-                .map_err(|error| impossible(&error.to_string()))?;
+            let read = BufReader::new(stdout).read_line(&mut line);
+            read.map_err(impossible)?;
         }
         if line == "mounted\n" {
             return Ok(());
@@ -66,10 +66,10 @@ impl Drop for Namespace {
     }
 }
 
-fn impossible(cause: &str) -> Error {
+fn impossible(cause: impl Display) -> Error {
     Error::Failed(Diagnostic {
         message: "a file system cannot be mounted for this fault".to_owned(),
-        cause: Some(cause.to_owned()),
+        cause: Some(cause.to_string()),
         hint: Some(
             "let users make namespaces (`sysctl user.max_user_namespaces`; needs `unshare` and `nsenter`), or name the other \
              faults with --fault"

@@ -63,12 +63,11 @@ impl<'a> ReadOnly<'a> {
     /// Returns the digests of all files of the store.
     fn digests(&self) -> Outcome<BTreeMap<PathBuf, Digest>> {
         let store = self.case.store();
-        let mut digests = BTreeMap::new();
-        for file in files_of(&store) {
-            let digest = Digest::from_content(&std::fs::read(store.join(&file))?);
-            digests.insert(file, digest);
-        }
-        Ok(digests)
+        let digest = |file: PathBuf| {
+            let bytes = std::fs::read(store.join(&file))?;
+            Ok((file, Digest::from_content(&bytes)))
+        };
+        files_of(&store).into_iter().map(digest).collect()
     }
 }
 

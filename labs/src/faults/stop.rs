@@ -104,9 +104,11 @@ impl<'a> Stop<'a> {
 
 impl Injector for Stop<'_> {
     fn inject(&mut self, _round: u32) -> Outcome {
-        let run = self.run_in_the_middle()?;
+        let mut run = self.run_in_the_middle()?;
         if self.is_killing() {
-            return kill(run);
+            run.kill()?;
+            run.wait()?;
+            return Ok(());
         }
         self.interrupt(run)
     }
@@ -122,10 +124,8 @@ impl Injector for Stop<'_> {
     }
 
     fn detail(&self) -> String {
-        let stores = format!(
-            "{} stores, each verified after each stop and run to its end",
-            self.finished
-        );
+        let finished = self.finished;
+        let stores = format!("{finished} stores, each verified after each stop and run to its end");
         let how = if self.is_killing() {
             "SIGKILL".to_owned()
         } else {
@@ -138,12 +138,6 @@ impl Injector for Stop<'_> {
         };
         format!("{how} at random moments{downloads}, {stores}")
     }
-}
-
-fn kill(mut run: Child) -> Outcome {
-    run.kill()?;
-    run.wait()?;
-    Ok(())
 }
 
 /// Waits for a run for at most `after`. Returns whether it has ended.

@@ -21,11 +21,8 @@ pub fn array(path: &Path) -> Result<Array> {
         .and_then(|(_, shape)| shape.split_once(",)"));
     let (shape, _) = shape.ok_or_else(|| format!("{}: no shape", path.display()))?;
     let columns = shape.rsplit(", ").next().ok_or("no columns")?.parse()?;
-    let values = values
-        .as_chunks::<4>()
-        .0
-        .iter()
-        .map(|value| f32::from_le_bytes(*value));
+    let (values, _) = values.as_chunks::<4>();
+    let values = values.iter().map(|value| f32::from_le_bytes(*value));
     Ok(Array {
         columns,
         values: values.collect(),

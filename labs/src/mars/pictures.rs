@@ -28,15 +28,11 @@ pub fn pictures(dir: &Path) -> Result {
         let factor = frame.camera.width / photo.width;
         let sol = sol_of(&frame.file).ok_or("no sol in the name")?;
         let cam_from_site = site_from_world.pose(&frame.cam_from_world);
-        let shown = demo
-            .picture(sol, &cam_from_site, &frame.camera)?
-            .box_reduced(factor);
-        let row = [
-            psnr(&picture("heldout")?, &photo, &[])?,
-            psnr(&shown, &photo, &[])?,
-        ];
-        print_json(&json!({"photo": name, "field": row[0], "truth": row[1]}))?;
-        rows.push(row);
+        let shown = demo.picture(sol, &cam_from_site, &frame.camera)?;
+        let field = psnr(&picture("heldout")?, &photo, &[])?;
+        let truth = psnr(&shown.box_reduced(factor), &photo, &[])?;
+        print_json(&json!({"photo": name, "field": field, "truth": truth}))?;
+        rows.push([field, truth]);
     }
     let mean = |column: usize| rows.iter().map(|row| row[column]).sum::<f64>() / rows.len() as f64;
     print_json(&json!({"photos": rows.len(), "field": mean(0), "truth": mean(1)}))

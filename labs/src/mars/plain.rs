@@ -4,6 +4,7 @@ use std::{f64::consts::TAU, path::Path};
 
 use marf_run::files;
 use marf_scene::{Image, Srgb, encode_png};
+use nalgebra::Vector3;
 use serde_json::json;
 
 use crate::output::Result;
@@ -17,8 +18,8 @@ const HELD_OUT_EVERY: usize = 8;
 
 /// A camera over the plain: centre, and the axes right, up, back as columns.
 struct Eye {
-    centre: [f64; 3],
-    axes: [[f64; 3]; 3],
+    centre: Vector3<f64>,
+    axes: [Vector3<f64>; 3],
 }
 
 impl Eye {
@@ -26,17 +27,11 @@ impl Eye {
     fn new(index: usize) -> Self {
         let (place, turn) = (index as f64, index as f64 * 2.399_963);
         let apart = 1.2 * place.sqrt();
-        let centre = [apart * turn.cos(), apart * turn.sin(), HEIGHT_M];
-        let back = unit([TILT * (2.0 * turn).cos(), TILT * (2.0 * turn).sin(), 1.0]);
-        let right = unit([back[2], 0.0, -back[0]]);
-        let up = [
-            back[1] * right[2] - back[2] * right[1],
-            back[2] * right[0] - back[0] * right[2],
-            back[0] * right[1] - back[1] * right[0],
-        ];
+        let back = Vector3::new(TILT * (2.0 * turn).cos(), TILT * (2.0 * turn).sin(), 1.0).normalize();
+        let right = Vector3::new(back.z, 0.0, -back.x).normalize();
         Self {
-            centre,
-            axes: [right, up, back],
+            centre: Vector3::new(apart * turn.cos(), apart * turn.sin(), HEIGHT_M),
+            axes: [right, back.cross(&right), back],
         }
     }
 
@@ -45,9 +40,9 @@ impl Eye {
         Image::from_fn(side, side, |column, row| {
             let [x, y] = [column, row].map(|place| (f64::from(place) + 0.5) / f64::from(side) - 0.5);
             let [right, up, back] = &self.axes;
-            let toward = [0, 1, 2].map(|axis| x * right[axis] - y * up[axis] - back[axis]);
-            let far = -self.centre[2] / toward[2];
-            colour([0, 1].map(|axis| self.centre[axis] + far * toward[axis]), wave_m)
+            let toward = right * x - up * y - back;
+            let place = self.centre + toward * (-self.centre.z / toward.z);
+            colour([place.x, place.y], wave_m)
         })
     }
 
@@ -56,11 +51,6 @@ impl Eye {
         let row = |axis: usize| [right[axis], up[axis], back[axis], self.centre[axis]];
         [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]]
     }
-}
-
-fn unit(vector: [f64; 3]) -> [f64; 3] {
-    let length = vector.iter().map(|x| x * x).sum::<f64>().sqrt();
-    vector.map(|x| x / length)
 }
 
 /// Eight waves in as many directions, each a third longer than the one before.
@@ -78,10 +68,8 @@ fn colour([x, y]: [f64; 2], wave_m: f64) -> [u8; 3] {
 
 /// Writes photos in which the shortest waves are `wave_px` long, and their cameras.
 pub fn plain(dir: &Path, wave_px: u32, photos: u32, side_px: u32) -> Result {
-    let (side, wave_m) = (
-        f64::from(side_px),
-        f64::from(wave_px) * HEIGHT_M / f64::from(side_px),
-    );
+    let side = f64::from(side_px);
+    let wave_m = f64::from(wave_px) * HEIGHT_M / side;
     let (mut frames, mut training, mut held_out) = (Vec::new(), Vec::new(), Vec::new());
     for index in 0..photos as usize {
         let (eye, name) = (Eye::new(index), format!("images/{index:03}.png"));
@@ -102,8 +90,6 @@ pub fn plain(dir: &Path, wave_px: u32, photos: u32, side_px: u32) -> Result {
         "test_filenames": held_out,
         "frames": frames,
     });
-    Ok(files::write(
-        &dir.join("transforms.json"),
-        format!("{cameras:#}\n").as_bytes(),
-    )?)
+    let cameras = format!("{cameras:#}\n");
+    Ok(files::write(&dir.join("transforms.json"), cameras.as_bytes())?)
 }

@@ -84,14 +84,12 @@ fn true_points(known: &Known) -> Vec<TruePoint> {
             range_m: f64::INFINITY,
         })
     };
-    let rows = (1..known.ranges.height - 1).step_by(2);
-    rows.flat_map(|row| {
-        let columns = (1..known.ranges.width - 1).step_by(2);
-        columns
-            .filter_map(move |column| point(column, row))
-            .collect::<Vec<_>>()
-    })
-    .collect()
+    let (width, height) = (known.ranges.width, known.ranges.height);
+    let columns = (1..width - 1).step_by(2);
+    let pixels = (1..height - 1)
+        .step_by(2)
+        .flat_map(|row| columns.clone().map(move |column| [column, row]));
+    pixels.filter_map(|[column, row]| point(column, row)).collect()
 }
 
 /// Counts the photos that show a point.
@@ -155,10 +153,8 @@ fn rows(vertices: &[Vector3<f64>], points: &[TruePoint]) -> Vec<Value> {
         .par_iter()
         .map(|point| {
             let nearest = nearest(&found, &point.position, |vertex| *vertex);
-            (
-                point.range_m,
-                nearest.is_some_and(|(apart, _)| apart <= COVERED_M),
-            )
+            let is_covered = nearest.is_some_and(|(apart, _)| apart <= COVERED_M);
+            (point.range_m, is_covered)
         })
         .collect();
     let off = judged.iter().filter(|(_, point)| point.is_none()).count();
@@ -204,13 +200,9 @@ fn vertices(mut bytes: &[u8]) -> Result<Vec<Vector3<f64>>> {
         Some(Property::Float(number)) => Ok(f64::from(*number)),
         _ => Err(format!("a vertex has no float `{name}`")),
     };
-    let mut positions = Vec::with_capacity(vertices.len());
-    for vertex in &vertices {
-        positions.push(Vector3::new(
-            number(vertex, "x")?,
-            number(vertex, "y")?,
-            number(vertex, "z")?,
-        ));
-    }
-    Ok(positions)
+    let position = |vertex: &DefaultElement| {
+        let [x, y, z] = ["x", "y", "z"].map(|name| number(vertex, name));
+        Ok(Vector3::new(x?, y?, z?))
+    };
+    vertices.iter().map(position).collect()
 }

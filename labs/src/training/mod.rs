@@ -77,12 +77,8 @@ struct Keys {
 pub fn train(args: &TrainArgs, cancel: &Cancel) -> Result {
     let budgets = budgets(args);
     let context = args.options.context(cancel);
-    let session = Session::implicit(
-        &context,
-        &PhotoFolder::new(&args.dir)?.training("bench"),
-        "bench",
-        &args.dir,
-    )?;
+    let pipeline = PhotoFolder::new(&args.dir)?.training("bench");
+    let session = Session::implicit(&context, &pipeline, "bench", &args.dir)?;
     let keys = keys(&session)?;
     let config = keys
         .field
@@ -251,10 +247,8 @@ impl Bench<'_> {
                 render.map(|render| render.to_image())
             })?;
             rendering.rays += render.pixels.len() as u64;
-            psnr.push(
-                metrics::psnr(&render, &test.photo, &[])
-                    .map_err(|error| format!("{}: {error}", test.name))?,
-            );
+            let score = metrics::psnr(&render, &test.photo, &[]);
+            psnr.push(score.map_err(|error| format!("{}: {error}", test.name))?);
             paper.extend(metrics::psnr_paper(&render, &test.photo, &[]));
             ssim.extend(metrics::ssim(&render, &test.photo, &[]));
             files::write(&folder.join(format!("{}.png", test.name)), &encode_png(&render)?)?;
