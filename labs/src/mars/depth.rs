@@ -15,7 +15,7 @@ pub fn depth(scene: &Path, maps: &Path) -> Result {
     let known = KnownScene::read(scene)?;
     let mut covers = Vec::new();
     for (frame, truth) in known.scene.frames.iter().zip(&known.photos) {
-        let name = frame.file.trim_end_matches(".png");
+        let name = frame.file.strip_suffix(".png").unwrap_or(&frame.file);
         if fs::exists(maps.join(format!("{name}-depth-interval.npy")))? {
             covers.push(coverage(truth, maps, name)?);
         }
