@@ -20,7 +20,7 @@ pub struct DepthArgs {
     /// Folder with photos, and labels or cameras next to them
     pub dir: PathBuf,
     /// Folder to write: depth.json, points.ply, map/ (GeoTIFF and PNG), and for each photo a picture in depth/, inverse-depth/, sigma/,
-    /// class/ and depth-preview/
+    /// normal/, class/ and depth-preview/
     #[arg(long, value_name = "DIR", default_value = "depth")]
     pub out: PathBuf,
     /// Source of the cameras. With `auto`, labels take the place of a structure from motion that places less than half of the stereo pairs or finds no scale

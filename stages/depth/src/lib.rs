@@ -29,14 +29,14 @@ mod levels;
 mod margins;
 mod matching;
 mod merge;
-#[cfg(test)]
-mod moved_tests;
 mod overlap;
 mod pairs;
 mod paths;
 mod photos;
 #[cfg(test)]
 mod plane_photos;
+#[cfg(test)]
+mod plane_tests;
 mod raster;
 mod rectify;
 mod refine;

@@ -6,7 +6,7 @@ use marf_numeric::{quantile, upper_median};
 use marf_scene::{Scene, picture_names};
 use marf_schema::depth::{DepthParams, Metrics, PairMetrics, PhotoMetrics};
 use marf_schema::output::{
-    DEPTH, DEPTH_CLASS, DEPTH_PREVIEW, INVERSE_DEPTH, POINTS, SCENE, SIGMA, SURFACE_MAPS,
+    DEPTH, DEPTH_CLASS, DEPTH_PREVIEW, INVERSE_DEPTH, NORMAL, POINTS, SCENE, SIGMA, SURFACE_MAPS,
 };
 use marf_stage::{Ctx, Document, Inputs, Outputs, Port, Set, StageError, Threads, TypedOutputs, stage};
 use marf_surface::{ExportFrame, SurfaceError};
@@ -44,6 +44,7 @@ stage! {
         DEPTH_PREVIEW,
         INVERSE_DEPTH,
         SIGMA,
+        NORMAL,
         DEPTH_CLASS,
         POINTS,
         SURFACE_MAPS,

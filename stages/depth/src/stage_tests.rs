@@ -257,7 +257,7 @@ fn a_photo_of_another_size_than_its_camera_stops_the_stage_with_both() {
 }
 
 /// The texts of a PNG are stored as they are.
-fn has_text(png: &[u8], text: &str) -> bool {
+pub(crate) fn has_text(png: &[u8], text: &str) -> bool {
     png.windows(text.len()).any(|window| window == text.as_bytes())
 }
 

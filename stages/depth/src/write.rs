@@ -4,10 +4,10 @@ use marf_numeric::{quantile, upper_median};
 use marf_scene::picture::{Palette, png16};
 use marf_scene::{Image, encode_png};
 use marf_schema::depth::PhotoMetrics;
-use marf_schema::output::{DEPTH, DEPTH_CLASS, DEPTH_PREVIEW, INVERSE_DEPTH, SIGMA, SURFACE_MAPS};
+use marf_schema::output::{DEPTH, DEPTH_CLASS, DEPTH_PREVIEW, INVERSE_DEPTH, NORMAL, SIGMA, SURFACE_MAPS};
 use marf_stage::{Ctx, Outputs, StageError, TypedOutputs};
 use marf_surface::{ExportFrame, SurfaceMap};
-use nalgebra::Vector2;
+use nalgebra::{Vector2, Vector3};
 use rayon::prelude::*;
 
 use crate::disparities::Class;
@@ -64,6 +64,7 @@ pub(crate) fn photo(
         (DEPTH, png16::depth(width, height, &distance, metres)),
         (INVERSE_DEPTH, write(&depth.inverse, &inverse)),
         (SIGMA, write(&depth.sigma, &sigma)),
+        (NORMAL, normals(depth)),
         (DEPTH_CLASS, png16::gray(width, height, &class, &words)),
     ];
     for (folder, png) in pictures {
@@ -93,6 +94,23 @@ pub(crate) fn photo(
         median_sigma_share: upper_median(known.map(|(inverse, sigma)| f64::from(sigma / inverse))),
         reason: String::new(),
     })
+}
+
+/// Returns the normals as colours, transparent where there is no depth.
+fn normals(depth: &PhotoDepth) -> Result<Vec<u8>, png16::PngError> {
+    let colour = |(normal, inverse): (&[f32; 3], &f32)| {
+        let away = Vector3::from(*normal).try_normalize(f32::MIN_POSITIVE)?;
+        if *inverse <= 0.0 {
+            return None;
+        }
+        let [x, y, z] = away.map(|part| (128.0 - 127.0 * part).round() as u8).into();
+        Some([x, y, z, 255])
+    };
+    let pixels = depth.normal.iter().zip(&depth.inverse);
+    let pixels: Vec<[u8; 4]> = pixels.map(|one| colour(one).unwrap_or_default()).collect();
+    let words = "unit normal towards the camera, (x right, y down, z forward) = (value - 128) / 127; transparent: none";
+    let words = [("marf:normal", words.to_owned())];
+    png16::rgba(depth.camera.width, depth.camera.height, &pixels, &words)
 }
 
 /// Returns the depths in colours, near ones bright, black where there are none.

@@ -40,6 +40,8 @@ pub const DEPTH_PREVIEW: &str = "depth-preview/";
 pub const INVERSE_DEPTH: &str = "inverse-depth/";
 /// Their standard deviations: `sigma/<name>.png`.
 pub const SIGMA: &str = "sigma/";
+/// Unit normals of the surface towards the camera, of `depth`: `normal/<name>.png`.
+pub const NORMAL: &str = "normal/";
 /// What is known of each pixel, of `depth`: `class/<name>.png`.
 pub const DEPTH_CLASS: &str = "class/";
 /// How far retrainings differ along the path of `render`, as [`DEPTH`]: `uncertainty/0001.png`.

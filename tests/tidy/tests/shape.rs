@@ -36,7 +36,7 @@ const fn limit(bar: Bar, now: usize, goal: usize) -> Limit {
 }
 
 static LIMITS: [Limit; 12] = [
-    limit(Bar::Code, 111_526, 97_000),
+    limit(Bar::Code, 111_544, 97_000),
     limit(Bar::CodeOfMarf, 3_990, 5_000),
     limit(Bar::CodeOfACrate, 8_000, 8_000),
     limit(Bar::Rule(Rule::LongFunctions), 0, 0),
