@@ -218,7 +218,7 @@ fn table(scene: &SceneDepth) -> Vec<String> {
         "wrote",
         format!(
             "{} pictures of photos below {}",
-            5 * metrics.photos.len(),
+            6 * metrics.photos.len(),
             folder.display()
         ),
     ));
